@@ -1,0 +1,153 @@
+//! The project tasks of MOM: `cargo xtask ci`, `cargo xtask test`, `cargo xtask tidy`.
+//!
+//! Everything that CI demands can be run here by the same commands, so that nothing is found only after a push.
+#![allow(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "a program for people at a terminal"
+)]
+
+mod ci;
+mod command;
+mod needs;
+mod test;
+mod tidy;
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::{Context as _, Result};
+use clap::{Args, Parser, Subcommand};
+
+/// The project's own checks and tasks.
+#[derive(Parser)]
+#[command(name = "cargo xtask", bin_name = "cargo xtask", after_help = EXAMPLES)]
+struct Cli {
+    #[command(subcommand)]
+    task: Task,
+}
+
+const EXAMPLES: &str = "Examples:
+  cargo xtask test --install                  install what the tests need, then run all of them
+  cargo xtask test -- -p mom-hub grab         the tests of one package whose name contains `grab`
+  cargo xtask test -- -p mom-hub -- --nocapture
+  cargo xtask tidy                            the checks that the compiler does not make
+  cargo xtask ci                              everything that must hold before a change lands";
+
+#[derive(Subcommand)]
+enum Task {
+    /// Run all tests and doctests; the last line is `N passed, N failed`.
+    #[command(after_help = EXAMPLES)]
+    Test(TestArgs),
+    /// Check what the compiler does not: sizes, orphans, codes, imports, leftovers, links, names.
+    Tidy,
+    /// Format, lints, docs, tidy, licences, tests: all that must hold before a change lands.
+    Ci(InstallArgs),
+}
+
+#[derive(Args)]
+struct TestArgs {
+    #[command(flatten)]
+    install: InstallArgs,
+    /// Arguments for `cargo test`, such as `-p mom-hub` or a part of a test's name.
+    #[arg(last = true, value_name = "ARGS TO CARGO TEST")]
+    cargo_test: Vec<String>,
+}
+
+#[derive(Args, Clone, Copy)]
+struct InstallArgs {
+    /// Install what is missing with the system's ordinary package clients.
+    #[arg(long)]
+    install: bool,
+}
+
+fn main() -> ExitCode {
+    match run(Cli::parse().task) {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(task: Task) -> Result<ExitCode> {
+    let root = workspace_root()?;
+    match task {
+        Task::Test(args) => {
+            needs::ensure(needs::FOR_TESTS, args.install.install, "cargo xtask test")?;
+            let counts = test::run(&root, &args.cargo_test)?;
+            println!("{counts}");
+            Ok(exit_code(counts.is_success()))
+        }
+        Task::Tidy => Ok(exit_code(tidy::run(&root)?)),
+        Task::Ci(args) => {
+            needs::ensure(needs::FOR_CI, args.install, "cargo xtask ci")?;
+            needs::ensure(needs::FOR_TESTS, args.install, "cargo xtask ci")?;
+            Ok(exit_code(ci::run(&root)?))
+        }
+    }
+}
+
+fn exit_code(success: bool) -> ExitCode {
+    if success {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::FAILURE
+    }
+}
+
+/// The folder of the workspace: cargo says where this package is, and without cargo it is looked for upwards.
+fn workspace_root() -> Result<PathBuf> {
+    if let Some(package) = std::env::var_os("CARGO_MANIFEST_DIR")
+        && let Some(root) = Path::new(&package).parent()
+        && is_workspace_root(root)
+    {
+        return Ok(root.to_path_buf());
+    }
+    let here = std::env::current_dir().context("the current folder cannot be read")?;
+    here.ancestors()
+        .find(|folder| is_workspace_root(folder))
+        .map(Path::to_path_buf)
+        .context("no workspace here: run `cargo xtask` inside a checkout of MOM")
+}
+
+fn is_workspace_root(folder: &Path) -> bool {
+    folder.join("xtask/Cargo.toml").is_file() && folder.join("Cargo.toml").is_file()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        use clap::CommandFactory as _;
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn what_follows_two_dashes_goes_to_cargo_test_with_its_own_dashes() {
+        let cli = Cli::try_parse_from([
+            "x",
+            "test",
+            "--install",
+            "--",
+            "-p",
+            "mom-hub",
+            "--",
+            "--nocapture",
+        ])
+        .unwrap();
+        let Task::Test(args) = cli.task else {
+            panic!("not the test task")
+        };
+        assert!(args.install.install);
+        assert_eq!(args.cargo_test, ["-p", "mom-hub", "--", "--nocapture"]);
+    }
+
+    #[test]
+    fn the_workspace_is_found_from_inside() {
+        assert!(workspace_root().unwrap().join("mom-proto/Cargo.toml").is_file());
+    }
+}

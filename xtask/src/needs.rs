@@ -1,0 +1,252 @@
+//! What the tasks need beside the code: one table, and how to get what is missing.
+
+use std::process::{Command, Stdio};
+
+use anyhow::{Result, bail};
+
+use crate::command::{shows, succeeds};
+
+/// One thing that a task needs.
+#[derive(Clone, Copy)]
+pub(crate) struct Need {
+    /// Its name as people know it.
+    what: &'static str,
+    /// A command that ends well where it is there: program, arguments.
+    detect: (&'static str, &'static [&'static str]),
+    /// Where it comes from.
+    source: Source,
+    /// What it is needed for.
+    why: &'static str,
+}
+
+/// Where a need comes from. A new kind of package (npm, PyPI) is one variant here and one arm in `commands`.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Source {
+    /// A package of Debian and its relatives.
+    Debian(&'static str),
+    /// A component of the installed Rust toolchain.
+    Rustup(&'static str),
+    /// Nothing that should be installed behind one's back; the text says how to get it.
+    ByHand(&'static str),
+}
+
+const CARGO: Need = Need {
+    what: "cargo",
+    detect: ("cargo", &["--version"]),
+    source: Source::ByHand("install Rust with rustup, see https://rustup.rs"),
+    why: "builds everything",
+};
+
+/// What `cargo xtask test` needs.
+pub(crate) const FOR_TESTS: &[Need] = &[
+    CARGO,
+    Need {
+        what: "python3",
+        detect: ("python3", &["--version"]),
+        source: Source::Debian("python3"),
+        why: "a test's peer is written in Python with nothing but a socket",
+    },
+    Need {
+        what: "git",
+        detect: ("git", &["--version"]),
+        source: Source::Debian("git"),
+        why: "the checkout is a git repository",
+    },
+];
+
+/// What the other steps of `cargo xtask ci` need.
+pub(crate) const FOR_CI: &[Need] = &[
+    CARGO,
+    Need {
+        what: "rustfmt",
+        detect: ("cargo", &["fmt", "--version"]),
+        source: Source::Rustup("rustfmt"),
+        why: "checks the format",
+    },
+    Need {
+        what: "clippy",
+        detect: ("cargo", &["clippy", "--version"]),
+        source: Source::Rustup("clippy"),
+        why: "checks the lints",
+    },
+];
+
+/// Looks for every need. What is missing is installed if `install` says so; else the error holds the commands to type.
+pub(crate) fn ensure(needs: &[Need], install: bool, task: &str) -> Result<()> {
+    let missing = |needs: &[Need]| {
+        needs
+            .iter()
+            .copied()
+            .filter(|need| !is_there(need))
+            .collect::<Vec<_>>()
+    };
+    let absent = missing(needs);
+    if absent.is_empty() {
+        return Ok(());
+    }
+    if !install {
+        bail!(advice(&absent, &prefix(), task));
+    }
+    for need in &absent {
+        println!("missing: {} ({})", need.what, need.why);
+    }
+    for words in commands(&absent, &prefix()) {
+        println!("install: {}", words.join(" "));
+        let mut command = Command::new(&words[0]);
+        // A package must not stop to ask: CI has no one to answer.
+        command
+            .args(&words[1..])
+            .stdin(Stdio::null())
+            .env("DEBIAN_FRONTEND", "noninteractive");
+        if !shows(&mut command)? {
+            bail!(
+                "`{}` failed; run it by hand to see why, then run `{task}` again",
+                words.join(" ")
+            );
+        }
+    }
+    if let Some(need) = missing(&absent).first() {
+        match need.source {
+            Source::ByHand(how) => bail!("{} is missing: {how}, then run `{task}` again", need.what),
+            Source::Debian(_) | Source::Rustup(_) => bail!(
+                "{} was installed, but `{} {}` still fails: run it by hand to see why",
+                need.what,
+                need.detect.0,
+                need.detect.1.join(" ")
+            ),
+        }
+    }
+    println!(
+        "installed: {}",
+        absent.iter().map(|need| need.what).collect::<Vec<_>>().join(", ")
+    );
+    Ok(())
+}
+
+fn is_there(need: &Need) -> bool {
+    succeeds(need.detect.0, need.detect.1)
+}
+
+/// What has to stand before a command that only root may run.
+fn prefix() -> Vec<String> {
+    let is_root = Command::new("id")
+        .arg("-u")
+        .output()
+        .is_ok_and(|out| String::from_utf8_lossy(&out.stdout).trim() == "0");
+    if is_root || !succeeds("sudo", &["--version"]) {
+        Vec::new()
+    } else {
+        vec!["sudo".to_owned()]
+    }
+}
+
+/// The commands that install `needs`; the package index is updated once, before the first Debian package.
+fn commands(needs: &[Need], prefix: &[String]) -> Vec<Vec<String>> {
+    let words = |prefix: &[String], text: &[&str]| {
+        prefix
+            .iter()
+            .cloned()
+            .chain(text.iter().map(|word| (*word).to_owned()))
+            .collect::<Vec<_>>()
+    };
+    let mut all = Vec::new();
+    for need in needs {
+        match need.source {
+            Source::Debian(package) => {
+                let update = words(prefix, &["apt-get", "update"]);
+                if !all.contains(&update) {
+                    all.push(update);
+                }
+                all.push(words(prefix, &["apt-get", "install", "-y", package]));
+            }
+            Source::Rustup(component) => all.push(words(&[], &["rustup", "component", "add", component])),
+            Source::ByHand(_) => {}
+        }
+    }
+    all
+}
+
+/// What to do about missing needs, in the words that can be typed.
+fn advice(missing: &[Need], prefix: &[String], task: &str) -> String {
+    let mut text = String::from("something that this task needs is missing");
+    for need in missing {
+        text.push_str(&format!("\n  {}: {}", need.what, need.why));
+        if let Source::ByHand(how) = need.source {
+            text.push_str(&format!("; {how}"));
+        }
+    }
+    let commands = commands(missing, prefix);
+    if !commands.is_empty() {
+        let typed = commands
+            .iter()
+            .map(|words| words.join(" "))
+            .collect::<Vec<_>>()
+            .join(" && ");
+        text.push_str(&format!(
+            "\nto install it:\n  {typed}\nor let this do it:\n  {task} --install"
+        ));
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const fn absent(what: &'static str, source: Source) -> Need {
+        Need {
+            what,
+            detect: ("no-such-program-anywhere", &[]),
+            source,
+            why: "for the test",
+        }
+    }
+
+    #[test]
+    fn what_is_there_is_not_asked_for() {
+        ensure(&[CARGO], false, "cargo xtask test").unwrap();
+    }
+
+    #[test]
+    fn what_is_missing_is_named_with_the_command_that_installs_it() {
+        let needs = [absent("python3", Source::Debian("python3")), CARGO];
+        let error = ensure(&needs, false, "cargo xtask test").unwrap_err().to_string();
+        assert!(error.contains("python3: for the test"), "{error}");
+        assert!(error.contains("apt-get update && "), "{error}");
+        assert!(error.contains("apt-get install -y python3"), "{error}");
+        assert!(error.contains("cargo xtask test --install"), "{error}");
+        assert!(!error.contains("builds everything"), "{error}");
+    }
+
+    #[test]
+    fn what_has_to_be_got_by_hand_fails_even_with_install() {
+        let needs = [absent("cargo", Source::ByHand("install Rust"))];
+        let error = ensure(&needs, true, "cargo xtask test").unwrap_err().to_string();
+        assert!(
+            error.contains("install Rust") && !error.contains("--install"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn the_index_is_updated_once_and_before_the_packages() {
+        let needs = [
+            absent("a", Source::Debian("pkg-a")),
+            absent("c", Source::Rustup("clippy")),
+            absent("b", Source::Debian("pkg-b")),
+        ];
+        let typed: Vec<_> = commands(&needs, &["sudo".to_owned()])
+            .iter()
+            .map(|words| words.join(" "))
+            .collect();
+        assert_eq!(
+            typed,
+            [
+                "sudo apt-get update",
+                "sudo apt-get install -y pkg-a",
+                "rustup component add clippy",
+                "sudo apt-get install -y pkg-b",
+            ]
+        );
+    }
+}

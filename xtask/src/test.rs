@@ -1,0 +1,222 @@
+//! `cargo xtask test`: every test and doctest of the workspace, added up into one line.
+
+use std::fmt;
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+use std::process::{Child, ExitStatus, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::time::Duration;
+
+use anyhow::{Context as _, Result};
+
+use crate::command::{cargo, line};
+
+/// How many tests passed and failed; shown as `N passed, N failed`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Counts {
+    passed: u64,
+    failed: u64,
+}
+
+impl Counts {
+    /// Something ran, and nothing failed.
+    pub(crate) fn is_success(self) -> bool {
+        self.passed > 0 && self.failed == 0
+    }
+
+    /// Adds what a line `test result: ok. 3 passed; 1 failed; …` says; any other line says nothing.
+    fn add_line(&mut self, line: &str) {
+        let Some(result) = line.trim_end().strip_prefix("test result: ") else {
+            return;
+        };
+        let counts = result.split_once(". ").map_or(result, |(_, counts)| counts);
+        for part in counts.split(';') {
+            let mut words = part.split_whitespace();
+            let (Some(number), Some(kind)) = (words.next(), words.next()) else {
+                continue;
+            };
+            let Ok(number) = number.parse::<u64>() else {
+                continue;
+            };
+            match kind {
+                "passed" => self.passed += number,
+                "failed" => self.failed += number,
+                _ => {}
+            }
+        }
+    }
+
+    /// The counts once cargo has ended. A build that fails or a test program that dies leaves no line of results,
+    /// and must not look like a success to who reads only the last line: it counts as one failure.
+    fn concluded(mut self, cargo_succeeded: bool) -> Counts {
+        if !cargo_succeeded && self.failed == 0 {
+            self.failed = 1;
+        }
+        self
+    }
+}
+
+impl fmt::Display for Counts {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} passed, {} failed", self.passed, self.failed)
+    }
+}
+
+/// Runs the tests with their output shown. The caller prints the counts, because they have to be the last line.
+pub(crate) fn run(root: &Path, args: &[String]) -> Result<Counts> {
+    let mut command = cargo(root);
+    command.args(arguments(args)).stdout(Stdio::piped());
+    println!("$ {}", line(&command));
+    let mut child = command.spawn().context("cargo cannot be started")?;
+    let stdout = child.stdout.take().context("cargo's output cannot be read")?;
+    let (sender, lines) = channel();
+    std::thread::spawn(move || read_lines(stdout, &sender));
+    let (counts, status) = follow(&mut child, &lines)?;
+    if !status.success() && counts.failed == 0 {
+        eprintln!("cargo test failed without a failed test ({status}): see the messages above");
+    }
+    let counts = counts.concluded(status.success());
+    if counts.passed + counts.failed == 0 {
+        eprintln!("no test ran: the filter fits none; `cargo xtask test` runs all");
+    }
+    Ok(counts)
+}
+
+/// The whole workspace, unless the caller names packages; every program runs even when one has failed.
+fn arguments(extra: &[String]) -> Vec<String> {
+    let own = extra.iter().take_while(|arg| *arg != "--");
+    let names_packages = own
+        .into_iter()
+        .any(|arg| arg.starts_with("-p") || arg == "--package" || arg.starts_with("--package="));
+    let mut args = vec![
+        "test".to_owned(),
+        "--locked".to_owned(),
+        "--no-fail-fast".to_owned(),
+    ];
+    if !names_packages {
+        args.push("--workspace".to_owned());
+    }
+    args.extend(extra.iter().cloned());
+    args
+}
+
+fn read_lines(stdout: impl Read, sender: &Sender<String>) {
+    let mut reader = BufReader::new(stdout);
+    let mut bytes = Vec::new();
+    while reader.read_until(b'\n', &mut bytes).is_ok_and(|read| read > 0) {
+        if sender.send(String::from_utf8_lossy(&bytes).into_owned()).is_err() {
+            return;
+        }
+        bytes.clear();
+    }
+}
+
+/// Shows and counts the lines until cargo has ended and said all.
+///
+/// The end of the output alone is not waited for: a program that a test has left behind holds the pipe open, and
+/// this would wait as long as that lives.
+fn follow(child: &mut Child, lines: &Receiver<String>) -> Result<(Counts, ExitStatus)> {
+    let mut counts = Counts::default();
+    let mut ended = None;
+    loop {
+        match lines.recv_timeout(Duration::from_millis(500)) {
+            Ok(text) => {
+                print!("{text}");
+                counts.add_line(&text);
+            }
+            Err(RecvTimeoutError::Timeout) => {
+                if let Some(status) = ended {
+                    eprintln!("note: a test left a program running that still holds the output");
+                    return Ok((counts, status));
+                }
+                ended = child.try_wait().context("cargo cannot be waited for")?;
+            }
+            Err(RecvTimeoutError::Disconnected) => {
+                let status = child.wait().context("cargo cannot be waited for")?;
+                return Ok((counts, status));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn check(lines: &[&str], expected: &str, success: bool) {
+        let mut counts = Counts::default();
+        for line in lines {
+            counts.add_line(line);
+        }
+        assert_eq!(
+            (counts.to_string().as_str(), counts.is_success()),
+            (expected, success),
+            "{lines:?}"
+        );
+    }
+
+    #[test]
+    fn result_lines_are_added_up() {
+        check(
+            &[
+                "running 3 tests",
+                "test a ... ok",
+                "test result: ok. 3 passed; 0 failed; 1 ignored; 0 measured; 0 filtered out; finished in 0.00s\n",
+                "test result: ok. 14 passed; 0 failed; 0 ignored; 0 measured; 0 filtered out; finished in 1.50s",
+            ],
+            "17 passed, 0 failed",
+            true,
+        );
+        check(
+            &[
+                "test result: FAILED. 2 passed; 1 failed; 0 ignored; 0 measured; 0 filtered out",
+                "test result: ok. 1 passed; 0 failed; 0 ignored",
+            ],
+            "3 passed, 1 failed",
+            false,
+        );
+        check(&[], "0 passed, 0 failed", false);
+        check(
+            &["the test result: ok. 3 passed; 0 failed"],
+            "0 passed, 0 failed",
+            false,
+        );
+        check(
+            &[
+                "test result: ",
+                "test result: ok. x passed; failed",
+                "test result: ok.",
+            ],
+            "0 passed, 0 failed",
+            false,
+        );
+    }
+
+    #[test]
+    fn cargo_failing_without_a_result_counts_as_a_failure() {
+        let counts = Counts { passed: 4, failed: 0 };
+        assert_eq!(counts.concluded(true).to_string(), "4 passed, 0 failed");
+        assert_eq!(counts.concluded(false).to_string(), "4 passed, 1 failed");
+        let counts = Counts { passed: 4, failed: 2 };
+        assert_eq!(counts.concluded(false).to_string(), "4 passed, 2 failed");
+    }
+
+    #[test]
+    fn the_workspace_is_meant_unless_packages_are_named() {
+        let check = |extra: &[&str], whole: bool| {
+            let extra: Vec<String> = extra.iter().map(|arg| (*arg).to_owned()).collect();
+            let args = arguments(&extra);
+            assert_eq!(args.contains(&"--workspace".to_owned()), whole, "{args:?}");
+            assert!(
+                args.ends_with(&extra) && args.contains(&"--locked".to_owned()),
+                "{args:?}"
+            );
+        };
+        check(&[], true);
+        check(&["grab"], true);
+        check(&["-p", "mom-hub"], false);
+        check(&["-pmom-hub", "grab"], false);
+        check(&["--package=mom-hub"], false);
+        check(&["grab", "--", "-p"], true);
+    }
+}
