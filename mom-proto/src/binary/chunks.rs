@@ -1,0 +1,137 @@
+//! Large parcels in pieces, so that urgent ones can overtake inside them (design §5, §7).
+//!
+//! A chunk frame is: kind 1, a varint stream number, one byte of flags (1 first, 2 last, 4 aborted), in the
+//! first chunk a varint of the whole length, then bytes. The pieces of a stream joined are the frame that
+//! would have been sent whole, from its kind byte on.
+
+use std::collections::BTreeMap;
+
+use bytes::{Bytes, BytesMut};
+
+use super::decoder::broken;
+use super::wire::{Reader, put_varint};
+use super::{KIND_CHUNK, KIND_PARCEL};
+use crate::codec::Encoded;
+use crate::{Code, Limit, WireError};
+
+const FIRST: u8 = 1;
+const LAST: u8 = 2;
+const ABORT: u8 = 4;
+
+/// Streams that may be open at once on one connection.
+const STREAMS: usize = 8;
+
+/// Cuts an encoded parcel into chunk frames of at most `size` bytes of payload each.
+pub fn chunks(encoded: &Encoded, stream: u64, size: usize) -> Vec<Bytes> {
+    let whole = encoded.to_vec();
+    let payload = whole.get(4..).unwrap_or_default();
+    let mut frames = Vec::new();
+    let mut rest = payload;
+    while !rest.is_empty() {
+        let (piece, after) = rest.split_at(size.max(1).min(rest.len()));
+        let first = frames.is_empty();
+        let flags = if first { FIRST } else { 0 } | if after.is_empty() { LAST } else { 0 };
+        let mut frame = vec![0, 0, 0, 0, KIND_CHUNK];
+        put_varint(&mut frame, stream);
+        frame.push(flags);
+        if first {
+            put_varint(&mut frame, payload.len() as u64);
+        }
+        frame.extend_from_slice(piece);
+        let length = u32::try_from(frame.len() - 4).unwrap_or(u32::MAX);
+        frame[..4].copy_from_slice(&length.to_be_bytes());
+        frames.push(frame.into());
+        rest = after;
+    }
+    frames
+}
+
+/// The parcels that are on their way in pieces; together never larger than one parcel may be.
+#[derive(Debug, Default)]
+pub(super) struct Assembly {
+    open: BTreeMap<u64, Open>,
+    announced: usize,
+}
+
+#[derive(Debug)]
+struct Open {
+    length: usize,
+    bytes: BytesMut,
+}
+
+impl Assembly {
+    /// Adds a chunk; gives the whole frame with the last one.
+    pub(super) fn add(&mut self, frame: &Bytes, limit: Limit) -> Result<Option<Bytes>, WireError> {
+        let mut reader = Reader::at(frame, 1);
+        let read = |result: Result<u64, WireError>| result.map_err(|error| broken(&error.text));
+        let stream = read(reader.varint())?;
+        let flags = reader.byte().map_err(|error| broken(&error.text))?;
+        if flags & !(FIRST | LAST | ABORT) != 0 {
+            return Err(broken("a chunk with flags that nobody here knows"));
+        }
+        if flags & ABORT != 0 {
+            return match self.close(stream) {
+                Some(_) => Ok(None),
+                None => Err(broken("the abort of a stream that is not open")),
+            };
+        }
+        if flags & FIRST != 0 {
+            let length = read(reader.varint())?;
+            self.start(stream, length, limit)?;
+        }
+        let open = self
+            .open
+            .get_mut(&stream)
+            .ok_or_else(|| broken("a chunk of a stream that is not open"))?;
+        let piece = reader.rest();
+        if open.bytes.len() + piece.len() > open.length {
+            return Err(broken("a stream of chunks longer than announced"));
+        }
+        open.bytes.extend_from_slice(&piece);
+        if flags & LAST == 0 {
+            return Ok(None);
+        }
+        let done = self.close(stream).filter(|open| open.bytes.len() == open.length);
+        let whole = done
+            .ok_or_else(|| broken("a stream of chunks shorter than announced"))?
+            .bytes
+            .freeze();
+        match whole.first() {
+            Some(&KIND_PARCEL) => Ok(Some(whole)),
+            _ => Err(broken("chunks of something that is no parcel")),
+        }
+    }
+
+    fn start(&mut self, stream: u64, length: u64, limit: Limit) -> Result<(), WireError> {
+        let length = usize::try_from(length).unwrap_or(usize::MAX);
+        let together = self.announced.saturating_add(length);
+        if !limit.allows(together) {
+            let text = format!("parcels of {together} bytes in chunks, the limit is {limit}");
+            return Err(WireError::new(Code::TOO_LARGE, text));
+        }
+        if self.open.len() >= STREAMS {
+            return Err(broken("more than 8 streams of chunks at once"));
+        }
+        if self
+            .open
+            .insert(
+                stream,
+                Open {
+                    length,
+                    bytes: BytesMut::new(),
+                },
+            )
+            .is_some()
+        {
+            return Err(broken("a stream of chunks that begins twice"));
+        }
+        self.announced = together;
+        Ok(())
+    }
+
+    fn close(&mut self, stream: u64) -> Option<Open> {
+        let open = self.open.remove(&stream)?;
+        self.announced -= open.length;
+        Some(open)
+    }
+}

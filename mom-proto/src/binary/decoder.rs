@@ -1,0 +1,140 @@
+//! Frames of the binary form from a stream of bytes.
+
+use std::collections::HashMap;
+
+use bytes::{Buf, Bytes, BytesMut};
+
+use super::chunks::Assembly;
+use super::words::NameCache;
+use super::{FIRST_SKIPPABLE_KIND, KIND_CHUNK, KIND_PARCEL, PREFACE_MAGIC, header};
+use crate::codec::Frame;
+use crate::{Code, Limit, Limits, PROTOCOL_VERSION, Path, WireError};
+
+/// Reads the preface and then frames; learns the numbers of contexts from parcels that bind them.
+#[derive(Debug)]
+pub struct BinaryDecoder {
+    parcel: Limit,
+    depth: usize,
+    greeted: bool,
+    names: NameCache,
+    contexts: HashMap<u64, Path>,
+    bind: bool,
+    assembly: Assembly,
+}
+
+impl BinaryDecoder {
+    /// A decoder for the hub's end of a connection: numbers of contexts stay numbers.
+    pub fn new(limits: &Limits) -> BinaryDecoder {
+        BinaryDecoder {
+            parcel: limits.parcel,
+            depth: limits.depth,
+            greeted: false,
+            names: NameCache::default(),
+            contexts: HashMap::new(),
+            bind: false,
+            assembly: Assembly::default(),
+        }
+    }
+
+    /// A decoder for a peer's end: numbers are learnt from the hub and turned into paths.
+    pub fn for_peer(limits: &Limits) -> BinaryDecoder {
+        BinaryDecoder {
+            bind: true,
+            ..BinaryDecoder::new(limits)
+        }
+    }
+
+    /// Changes the limits, as after login.
+    pub fn set_limits(&mut self, limits: &Limits) {
+        self.parcel = limits.parcel;
+        self.depth = limits.depth;
+    }
+
+    /// Takes the next frame from the front of `input`, or `None` if it is not complete.
+    ///
+    /// # Errors
+    /// `bad-frame`, `bad-version` or `too-large`: the stream is broken.
+    pub fn decode(&mut self, input: &mut BytesMut) -> Result<Option<Frame>, WireError> {
+        if !self.greeted && !self.greet(input)? {
+            return Ok(None);
+        }
+        loop {
+            let Some(frame) = self.next_frame(input)? else {
+                return Ok(None);
+            };
+            match frame.first() {
+                Some(&KIND_PARCEL) => return self.parcel(&frame).map(Some),
+                Some(&KIND_CHUNK) => {
+                    if let Some(whole) = self.assembly.add(&frame, self.parcel)? {
+                        return self.parcel(&whole).map(Some);
+                    }
+                }
+                Some(&kind) if kind >= FIRST_SKIPPABLE_KIND => {}
+                Some(kind) => {
+                    return Err(broken(&format!(
+                        "a frame of kind {kind}, which nobody here knows"
+                    )));
+                }
+                None => return Err(broken("a frame without a kind")),
+            }
+        }
+    }
+
+    fn greet(&mut self, input: &mut BytesMut) -> Result<bool, WireError> {
+        let known = input.len().min(PREFACE_MAGIC.len());
+        if input[..known] != PREFACE_MAGIC[..known] {
+            return Err(broken("a binary connection begins with \\x8fMOM"));
+        }
+        if input.len() < PREFACE_MAGIC.len() + 2 {
+            return Ok(false);
+        }
+        let (major, minor) = (input[4], input[5]);
+        if major != PROTOCOL_VERSION.0 {
+            let (ours, _) = PROTOCOL_VERSION;
+            let text = format!("version {major}.{minor} is not spoken here, {ours}.x is");
+            return Err(WireError::new(Code::BAD_VERSION, text));
+        }
+        input.advance(PREFACE_MAGIC.len() + 2);
+        self.greeted = true;
+        Ok(true)
+    }
+
+    fn next_frame(&mut self, input: &mut BytesMut) -> Result<Option<Bytes>, WireError> {
+        let Some(announced) = input.first_chunk::<4>() else {
+            return Ok(None);
+        };
+        let length = u32::from_be_bytes(*announced) as usize;
+        if !self.parcel.allows(length) {
+            let text = format!("a frame of {length} bytes, the limit is {}", self.parcel);
+            return Err(WireError::new(Code::TOO_LARGE, text));
+        }
+        if input.len() < 4 + length {
+            // Room for the rest at once; at most what the limit allows.
+            input.reserve(4 + length - input.len());
+            return Ok(None);
+        }
+        input.advance(4);
+        Ok(Some(input.split_to(length).freeze()))
+    }
+
+    fn parcel(&mut self, frame: &Bytes) -> Result<Frame, WireError> {
+        let mut parcel = match header::read(frame, self.depth, &mut self.names) {
+            Ok(parcel) => parcel,
+            Err((reference, error)) => return Ok(Frame::Malformed { reference, error }),
+        };
+        if let Some(number) = parcel.number.filter(|_| self.bind) {
+            match &parcel.context {
+                Some(path) => drop(self.contexts.insert(number.0, path.clone())),
+                None => match self.contexts.get(&number.0) {
+                    Some(path) => parcel.context = Some(path.clone()),
+                    None => return Err(broken(&format!("context {} was never given a path", number.0))),
+                },
+            }
+        }
+        Ok(Frame::Parcel(Box::new(parcel)))
+    }
+}
+
+pub(super) fn broken(what: &str) -> WireError {
+    WireError::new(Code::BAD_FRAME, what)
+}

@@ -1,0 +1,101 @@
+//! The binary form: small, quick to read, and able to grow (M17, M20, design §5).
+//!
+//! A connection begins with the preface `\x8fMOM`, major, minor, in both directions. Then come frames: a
+//! big-endian u32 length of what follows, one byte for the kind, the rest. Kind 0 is a whole parcel, kind 1
+//! a chunk of one. Kinds from 128 on may be skipped by who does not know them, lower ones may not.
+//!
+//! A parcel is a presence bitmap (LEB128), the slots whose bits are set in the order of their bits, and the
+//! content as MessagePack up to the end of the frame. `docs/PROTOCOL.md` has the table of bits.
+//!
+//! | bit | slot | form |
+//! |---|---|---|
+//! | 0 | context, by number | varint |
+//! | 1 | name | name |
+//! | 2 | sender | name |
+//! | 3 | timestamp | 8 bytes, big-endian signed µs |
+//! | 4 | id | varint |
+//! | 5 | content | the rest of the frame |
+//! | 6 | fence | varint |
+//! | 7 | received | 8 bytes, big-endian signed µs |
+//! | 8 | age | zigzag varint, µs |
+//! | 9 | age-error | varint, µs |
+//! | 10 | family (absent = message) | 1 byte |
+//! | 11 | reference | varint |
+//! | 12 | priority | zigzag varint |
+//! | 13 | address | varint count, names |
+//! | 14 | expires | varint, ms |
+//! | 15 | delivery | 1 byte |
+//! | 16 | echo | 1 byte, 0 or 1 |
+//! | 17 | receipt | 1 byte, 0 or 1 |
+//! | 18 | context, by path | varint length, UTF-8 |
+//! | 19 | all other slots | varint length, a MessagePack map |
+//! | 20–63 | to come | varint length, bytes to skip |
+//!
+//! A name is a varint k: odd means number k/2 of the [table of words](WORDS), even means k/2 bytes of UTF-8.
+//! A parcel that gives a context both by number and by path binds the number to the path on this connection.
+
+mod chunks;
+mod decoder;
+mod header;
+mod wire;
+mod words;
+
+use bytes::Bytes;
+
+pub use chunks::chunks;
+pub use decoder::BinaryDecoder;
+pub use words::WORDS;
+
+use crate::codec::Encoded;
+use crate::{PROTOCOL_VERSION, Parcel, WireError};
+
+/// The first four bytes of a connection that speaks this form; no UTF-8 text begins so.
+pub const PREFACE_MAGIC: [u8; 4] = *b"\x8fMOM";
+
+/// The whole preface of this version.
+pub const PREFACE: [u8; 6] = [
+    PREFACE_MAGIC[0],
+    PREFACE_MAGIC[1],
+    PREFACE_MAGIC[2],
+    PREFACE_MAGIC[3],
+    PROTOCOL_VERSION.0,
+    PROTOCOL_VERSION.1,
+];
+
+pub(crate) const KIND_PARCEL: u8 = 0;
+pub(crate) const KIND_CHUNK: u8 = 1;
+pub(crate) const FIRST_SKIPPABLE_KIND: u8 = 128;
+
+// Up to here one copy into the header's memory is cheaper than a second piece for the writer.
+const INLINE_CONTENT: usize = 4096;
+
+/// Encodes a parcel as one frame.
+///
+/// # Errors
+/// `not-encodable` for a value without a form, or a parcel of 4 GiB.
+pub fn encode(parcel: &Parcel) -> Result<Encoded, WireError> {
+    let content = parcel
+        .content
+        .as_ref()
+        .map(|content| content.to_msgpack())
+        .transpose()?
+        .unwrap_or_default();
+    let inline = content.len() <= INLINE_CONTENT;
+    let mut head = Vec::with_capacity(96 + if inline { content.len() } else { 0 });
+    head.extend_from_slice(&[0; 4]);
+    head.push(KIND_PARCEL);
+    header::write(parcel, &mut head)?;
+    let body = if inline {
+        head.extend_from_slice(&content);
+        Bytes::new()
+    } else {
+        content
+    };
+    let length = u32::try_from(head.len() - 4 + body.len())
+        .map_err(|_| WireError::new(crate::Code::NOT_ENCODABLE, "a parcel has less than 4 GiB"))?;
+    head[..4].copy_from_slice(&length.to_be_bytes());
+    Ok(Encoded {
+        head: head.into(),
+        body,
+    })
+}

@@ -1,0 +1,90 @@
+//! A parcel's content: opened only by who needs it (design §5).
+
+use bytes::Bytes;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use crate::{HARD_DEPTH, Value, WireError, from_value, msgpack, to_value};
+
+/// What a parcel carries: a value, or a value still encoded as MessagePack.
+///
+/// A parcel that arrives in binary and leaves in binary is never opened; [`Content::to_value`] opens it.
+#[derive(Clone, Debug)]
+pub enum Content {
+    /// A value in memory.
+    Value(Value),
+    /// One value as MessagePack, unchecked until it is opened.
+    Encoded(Bytes),
+}
+
+impl Content {
+    /// The content for any `serde` type: the papers' registry of writers (M14).
+    ///
+    /// # Errors
+    /// `not-encodable` for what has no form on the wire, with its place.
+    pub fn of<T: Serialize + ?Sized>(object: &T) -> Result<Content, WireError> {
+        to_value(object).map(Content::Value)
+    }
+
+    /// Opens the content.
+    ///
+    /// # Errors
+    /// `bad-content`, `bad-encoding` or `too-deep` for encoded content that is no value.
+    pub fn to_value(&self) -> Result<Value, WireError> {
+        match self {
+            Content::Value(value) => Ok(value.clone()),
+            Content::Encoded(bytes) => msgpack::decode(bytes, HARD_DEPTH),
+        }
+    }
+
+    /// Opens the content and gives the value away.
+    ///
+    /// # Errors
+    /// As [`Content::to_value`].
+    pub fn into_value(self) -> Result<Value, WireError> {
+        match self {
+            Content::Value(value) => Ok(value),
+            Content::Encoded(bytes) => msgpack::decode(&bytes, HARD_DEPTH),
+        }
+    }
+
+    /// Reads the content as any `serde` type.
+    ///
+    /// # Errors
+    /// `bad-content` naming the place inside that does not fit.
+    pub fn read<T: DeserializeOwned>(&self) -> Result<T, WireError> {
+        self.to_value().and_then(from_value)
+    }
+
+    /// The content as MessagePack; no copy if it is encoded already.
+    ///
+    /// # Errors
+    /// `not-encodable` for a double that is not finite.
+    pub fn to_msgpack(&self) -> Result<Bytes, WireError> {
+        match self {
+            Content::Encoded(bytes) => Ok(bytes.clone()),
+            Content::Value(value) => {
+                let mut out = Vec::with_capacity(64);
+                msgpack::encode(value, &mut out)?;
+                Ok(out.into())
+            }
+        }
+    }
+}
+
+impl<T: Into<Value>> From<T> for Content {
+    fn from(value: T) -> Content {
+        Content::Value(value.into())
+    }
+}
+
+/// Contents are equal if they hold equal values, encoded or not.
+impl PartialEq for Content {
+    fn eq(&self, other: &Content) -> bool {
+        match (self, other) {
+            (Content::Value(one), Content::Value(two)) => one == two,
+            (Content::Encoded(one), Content::Encoded(two)) if one == two => true,
+            _ => matches!((self.to_value(), other.to_value()), (Ok(one), Ok(two)) if one == two),
+        }
+    }
+}

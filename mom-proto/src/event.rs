@@ -1,0 +1,65 @@
+//! The names of events (M30, design §5) and the reasons they give.
+
+/// Someone joined a context.
+pub const JOINED: &str = "joined";
+/// Someone left a context.
+pub const LEFT: &str = "left";
+/// A child was made in a session.
+pub const CREATED: &str = "created";
+/// A child of a session, or the context itself, was deleted.
+pub const DELETED: &str = "deleted";
+/// A token has a new owner.
+pub const GRABBED: &str = "grabbed";
+/// A token's owner lost it.
+pub const RELEASED: &str = "released";
+/// Parcels were dropped on their way.
+pub const DROPPED: &str = "dropped";
+
+/// The safe-state message sent by the hub when ownership ends.
+pub const HALT: &str = "halt";
+/// The reserved message that halts a device until `unstop`.
+pub const STOP: &str = "stop";
+/// The reserved message that lets a stopped device move again.
+pub const UNSTOP: &str = "unstop";
+
+/// Why an owner lost its token.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reason {
+    /// It gave the token back.
+    Released,
+    /// Its lease was over.
+    Expired,
+    /// Somebody of a strictly higher level took it (M29).
+    Preempted,
+    /// Its connection ended, or it left.
+    Disconnected,
+    /// The token was deleted.
+    Deleted,
+}
+
+impl Reason {
+    /// All reasons.
+    pub const ALL: [Reason; 5] = [
+        Reason::Released,
+        Reason::Expired,
+        Reason::Preempted,
+        Reason::Disconnected,
+        Reason::Deleted,
+    ];
+
+    /// The word on the wire.
+    pub fn word(self) -> &'static str {
+        match self {
+            Reason::Released => "released",
+            Reason::Expired => "expired",
+            Reason::Preempted => "preempted",
+            Reason::Disconnected => "disconnected",
+            Reason::Deleted => "deleted",
+        }
+    }
+
+    /// The reason with this word.
+    pub fn from_word(word: &str) -> Option<Reason> {
+        Reason::ALL.into_iter().find(|reason| reason.word() == word)
+    }
+}

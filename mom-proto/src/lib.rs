@@ -1,0 +1,58 @@
+//! What is said: the values, parcels, paths, verbs, codes, limits and codecs of MOM.
+//!
+//! Everything that peers and the hub exchange is a [`Parcel`] (M2, M3): a list of slots, some of them
+//! known and typed, any other passed through unchanged. This crate does no IO, reads no clock and knows
+//! no runtime; it turns bytes into parcels and parcels into bytes.
+//!
+//! ```
+//! use mom_proto::{Family, Parcel, Path};
+//!
+//! let parcel = Parcel::new(Family::Message, "chat")
+//!     .context(Path::parse("/chat").unwrap())
+//!     .content("good morning");
+//! assert_eq!(parcel.name(), "chat");
+//! ```
+
+#[cfg(test)]
+mod arbitrary;
+pub mod binary;
+pub mod codec;
+mod codes;
+mod content;
+mod context_kind;
+mod delivery;
+mod error;
+pub mod event;
+mod family;
+mod limits;
+mod map;
+pub mod msgpack;
+mod names;
+pub mod nearest;
+mod parcel;
+mod path;
+mod pattern;
+pub mod serde_value;
+mod slots;
+mod stamp;
+mod value;
+mod verb;
+pub mod xml;
+
+pub use codes::Code;
+pub use content::Content;
+pub use context_kind::ContextKind;
+pub use delivery::Delivery;
+pub use error::WireError;
+pub use family::Family;
+pub use limits::{HARD_DEPTH, Limit, Limits, PROTOCOL_VERSION};
+pub use map::Map;
+pub use names::{HUB, check_message_name, check_name, check_text, is_xml_char, numbered_name, xml_violation};
+pub use parcel::{ContextNumber, MAX_ID, Parcel};
+pub use path::Path;
+pub use pattern::Pattern;
+pub use serde_value::{from_value, to_value};
+pub use slots::{ReadSlots, write_slots};
+pub use stamp::Time;
+pub use value::{Kind, Value};
+pub use verb::Verb;

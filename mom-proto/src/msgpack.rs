@@ -1,0 +1,350 @@
+//! Values as MessagePack: the content of the binary form (design §5).
+//!
+//! Times are the standard's timestamp extension (type −1) in its 96-bit layout with whole µs; all three
+//! layouts are read. 32-bit floats are read as doubles. Other extension types are refused.
+
+use bytes::Bytes;
+use rmp::Marker;
+use rmp::encode as put;
+
+use crate::{Code, Map, Time, Value, WireError, xml_violation};
+
+const TIMESTAMP: i8 = -1;
+
+/// Appends a value.
+///
+/// # Errors
+/// `not-encodable` for a double that is not finite.
+pub fn encode(value: &Value, out: &mut Vec<u8>) -> Result<(), WireError> {
+    match value {
+        Value::Null => put::write_nil(out).map_err(|_| too_long()),
+        Value::Bool(flag) => put::write_bool(out, *flag).map_err(|_| too_long()),
+        Value::Int(number) => put::write_sint(out, *number).map(|_| ()).map_err(|_| too_long()),
+        Value::Double(number) if number.is_finite() => put::write_f64(out, *number).map_err(|_| too_long()),
+        Value::Double(number) => Err(WireError::new(
+            Code::NOT_ENCODABLE,
+            format!("a double has to be finite, not {number}"),
+        )),
+        Value::String(text) => put::write_str(out, text).map_err(|_| too_long()),
+        Value::Time(time) => encode_time(*time, out),
+        Value::Binary(bytes) => put::write_bin(out, bytes).map_err(|_| too_long()),
+        Value::List(list) => {
+            put::write_array_len(out, length(list.len())?).map_err(|_| too_long())?;
+            list.iter().try_for_each(|item| encode(item, out))
+        }
+        Value::Map(map) => {
+            put::write_map_len(out, length(map.len())?).map_err(|_| too_long())?;
+            map.iter().try_for_each(|(key, item)| {
+                put::write_str(out, key).map_err(|_| too_long())?;
+                encode(item, out)
+            })
+        }
+    }
+}
+
+/// Reads exactly one value that fills `bytes`; binary values share its memory.
+///
+/// # Errors
+/// `bad-content`, `bad-encoding` or `too-deep`, with the byte's position in `bytes`.
+pub fn decode(bytes: &Bytes, depth: usize) -> Result<Value, WireError> {
+    let mut reader = Reader { bytes, position: 0 };
+    let value = reader.value(depth)?;
+    match reader.position == bytes.len() {
+        true => Ok(value),
+        false => Err(reader.bad("bytes after the value")),
+    }
+}
+
+fn encode_time(time: Time, out: &mut Vec<u8>) -> Result<(), WireError> {
+    let seconds = time.micros().div_euclid(1_000_000);
+    let nanos = u32::try_from(time.micros().rem_euclid(1_000_000) * 1000).unwrap_or_default();
+    put::write_ext_meta(out, 12, TIMESTAMP).map_err(|_| too_long())?;
+    out.extend_from_slice(&nanos.to_be_bytes());
+    out.extend_from_slice(&seconds.to_be_bytes());
+    Ok(())
+}
+
+fn length(length: usize) -> Result<u32, WireError> {
+    u32::try_from(length).map_err(|_| too_long())
+}
+
+fn too_long() -> WireError {
+    WireError::new(
+        Code::NOT_ENCODABLE,
+        "more than 2^32 members or bytes in one value",
+    )
+}
+
+struct Reader<'a> {
+    bytes: &'a Bytes,
+    position: usize,
+}
+
+impl Reader<'_> {
+    fn value(&mut self, depth: usize) -> Result<Value, WireError> {
+        let start = self.position;
+        let marker = Marker::from_u8(self.byte()?);
+        let value = match marker {
+            Marker::Null => Value::Null,
+            Marker::True => Value::Bool(true),
+            Marker::False => Value::Bool(false),
+            Marker::FixPos(number) => Value::Int(number.into()),
+            Marker::FixNeg(number) => Value::Int(number.into()),
+            Marker::U8 => Value::Int(self.array::<1>()?[0].into()),
+            Marker::U16 => Value::Int(u16::from_be_bytes(self.array()?).into()),
+            Marker::U32 => Value::Int(u32::from_be_bytes(self.array()?).into()),
+            Marker::U64 => match i64::try_from(u64::from_be_bytes(self.array()?)) {
+                Ok(number) => Value::Int(number),
+                Err(_) => return Err(bad_at(start, "a whole number above 2^63-1")),
+            },
+            Marker::I8 => Value::Int(i8::from_be_bytes(self.array()?).into()),
+            Marker::I16 => Value::Int(i16::from_be_bytes(self.array()?).into()),
+            Marker::I32 => Value::Int(i32::from_be_bytes(self.array()?).into()),
+            Marker::I64 => Value::Int(i64::from_be_bytes(self.array()?)),
+            Marker::F32 => finite(f32::from_be_bytes(self.array()?).into(), start)?,
+            Marker::F64 => finite(f64::from_be_bytes(self.array()?), start)?,
+            Marker::Bin8 | Marker::Bin16 | Marker::Bin32 => {
+                let length = self.length(marker)?;
+                Value::Binary(self.take(length)?)
+            }
+            Marker::FixArray(_) | Marker::Array16 | Marker::Array32 => self.list(marker, start, depth)?,
+            Marker::FixMap(_) | Marker::Map16 | Marker::Map32 => self.map(marker, start, depth)?,
+            Marker::FixStr(_) | Marker::Str8 | Marker::Str16 | Marker::Str32 => {
+                let length = self.length(marker)?;
+                Value::String(self.text(length)?)
+            }
+            Marker::FixExt4 | Marker::FixExt8 | Marker::Ext8 => self.time(marker, start)?,
+            _ => return Err(bad_at(start, "a type that values do not have")),
+        };
+        Ok(value)
+    }
+
+    fn list(&mut self, marker: Marker, start: usize, depth: usize) -> Result<Value, WireError> {
+        let length = self.length(marker)?;
+        let depth = deeper(depth, start)?;
+        // The announced length is a claim: memory follows what is really there, a byte an item at least.
+        let mut list = Vec::with_capacity(length.min(self.rest()).min(1024));
+        for _ in 0..length {
+            list.push(self.value(depth)?);
+        }
+        Ok(Value::List(list))
+    }
+
+    fn map(&mut self, marker: Marker, start: usize, depth: usize) -> Result<Value, WireError> {
+        let length = self.length(marker)?;
+        let depth = deeper(depth, start)?;
+        let mut map = Map::new();
+        for _ in 0..length {
+            let at = self.position;
+            let marker = Marker::from_u8(self.byte()?);
+            if !matches!(
+                marker,
+                Marker::FixStr(_) | Marker::Str8 | Marker::Str16 | Marker::Str32
+            ) {
+                return Err(bad_at(at, "a key that is no string"));
+            }
+            let length = self.length(marker)?;
+            let key = self.text(length)?;
+            let value = self.value(depth)?;
+            map.insert_new(key, value)
+                .map_err(|key| bad_at(at, &format!("the key {key:?} twice in one map")))?;
+        }
+        Ok(Value::Map(map))
+    }
+
+    fn time(&mut self, marker: Marker, start: usize) -> Result<Value, WireError> {
+        let length = match marker {
+            Marker::FixExt4 => 4,
+            Marker::FixExt8 => 8,
+            _ => usize::from(self.array::<1>()?[0]),
+        };
+        let kind = i8::from_be_bytes(self.array()?);
+        let (seconds, nanos) = match (kind, length) {
+            (TIMESTAMP, 4) => (i64::from(u32::from_be_bytes(self.array()?)), 0),
+            (TIMESTAMP, 8) => {
+                let both = u64::from_be_bytes(self.array()?);
+                (
+                    i64::try_from(both & 0x3_FFFF_FFFF).unwrap_or_default(),
+                    both >> 34,
+                )
+            }
+            (TIMESTAMP, 12) => {
+                let nanos = u32::from_be_bytes(self.array()?);
+                (i64::from_be_bytes(self.array()?), nanos.into())
+            }
+            _ => return Err(bad_at(start, "an extension type that values do not have")),
+        };
+        let micros = seconds
+            .checked_mul(1_000_000)
+            .and_then(|micros| micros.checked_add(i64::try_from(nanos / 1000).ok()?))
+            .filter(|_| nanos < 1_000_000_000);
+        micros
+            .and_then(Time::from_micros)
+            .map(Value::Time)
+            .ok_or_else(|| bad_at(start, "a time outside the years 0 to 9999"))
+    }
+
+    fn length(&mut self, marker: Marker) -> Result<usize, WireError> {
+        Ok(match marker {
+            Marker::FixStr(length) | Marker::FixArray(length) | Marker::FixMap(length) => length.into(),
+            Marker::Str8 | Marker::Bin8 => self.array::<1>()?[0].into(),
+            Marker::Str16 | Marker::Bin16 | Marker::Array16 | Marker::Map16 => {
+                u16::from_be_bytes(self.array()?).into()
+            }
+            _ => u32::from_be_bytes(self.array()?) as usize,
+        })
+    }
+
+    fn text(&mut self, length: usize) -> Result<String, WireError> {
+        let start = self.position;
+        let bytes = self.take_slice(length)?;
+        let text = std::str::from_utf8(bytes).map_err(|error| encoding(start + error.valid_up_to()))?;
+        match xml_violation(text) {
+            None => Ok(text.to_owned()),
+            Some(at) => Err(encoding(start + at)),
+        }
+    }
+
+    fn take(&mut self, length: usize) -> Result<Bytes, WireError> {
+        let start = self.position;
+        self.take_slice(length)?;
+        Ok(self.bytes.slice(start..start + length))
+    }
+
+    fn take_slice(&mut self, length: usize) -> Result<&[u8], WireError> {
+        if length > self.rest() {
+            return Err(bad_at(self.bytes.len(), "the value ends too early"));
+        }
+        self.position += length;
+        Ok(&self.bytes[self.position - length..self.position])
+    }
+
+    fn array<const N: usize>(&mut self) -> Result<[u8; N], WireError> {
+        let mut array = [0; N];
+        array.copy_from_slice(self.take_slice(N)?);
+        Ok(array)
+    }
+
+    fn byte(&mut self) -> Result<u8, WireError> {
+        Ok(self.array::<1>()?[0])
+    }
+
+    fn rest(&self) -> usize {
+        self.bytes.len() - self.position
+    }
+
+    fn bad(&self, what: &str) -> WireError {
+        bad_at(self.position, what)
+    }
+}
+
+fn finite(number: f64, position: usize) -> Result<Value, WireError> {
+    match number.is_finite() {
+        true => Ok(Value::Double(number)),
+        false => Err(bad_at(position, "a double that is not finite")),
+    }
+}
+
+fn deeper(depth: usize, position: usize) -> Result<usize, WireError> {
+    match depth {
+        0 => Err(WireError::new(Code::TOO_DEEP, "lists and maps are nested too deep").position(position)),
+        _ => Ok(depth - 1),
+    }
+}
+
+fn bad_at(position: usize, what: &str) -> WireError {
+    WireError::new(
+        Code::BAD_CONTENT,
+        format!("content that is no MessagePack value: {what}"),
+    )
+    .position(position)
+}
+
+fn encoding(position: usize) -> WireError {
+    WireError::new(Code::BAD_ENCODING, "text that is not UTF-8 of XML characters").position(position)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn round(value: &Value) {
+        let mut out = Vec::new();
+        encode(value, &mut out).unwrap();
+        assert_eq!(decode(&out.into(), 32).as_ref(), Ok(value));
+    }
+
+    #[test]
+    fn values_come_back() {
+        for number in [
+            0,
+            1,
+            -1,
+            127,
+            128,
+            -32,
+            -33,
+            255,
+            65536,
+            i64::MAX,
+            i64::MIN,
+            1 << 32,
+        ] {
+            round(&Value::Int(number));
+        }
+        let nested = Map::new()
+            .with("list", vec![Value::Null, Value::Bool(true)])
+            .with("x", Value::Double(-0.5));
+        round(&nested.into());
+        round(&"tab\t and 😀".into());
+        round(&Value::Binary(Bytes::from(vec![0; 70_000])));
+        for micros in [
+            0,
+            -1,
+            1_795_255_200_000_123,
+            Time::MIN.micros(),
+            Time::MAX.micros(),
+        ] {
+            round(&Time::from_micros(micros).unwrap().into());
+        }
+    }
+
+    fn check(bytes: &[u8], code: &Code, position: i64) {
+        let error = decode(&Bytes::copy_from_slice(bytes), 32).expect_err("refused");
+        assert_eq!(
+            (&error.code, error.get("position")),
+            (code, Some(&Value::Int(position))),
+            "{bytes:02x?}"
+        );
+    }
+
+    #[test]
+    fn what_is_no_value_is_refused_with_its_place() {
+        let bad = Code::BAD_CONTENT;
+        check(&[], &bad, 0);
+        check(&[0xc1], &bad, 0);
+        check(&[0xc0, 0xc0], &bad, 1);
+        check(&[0xcf, 0xff, 0, 0, 0, 0, 0, 0, 0], &bad, 0);
+        check(&[0xcb, 0x7f, 0xf0, 0, 0, 0, 0, 0, 0], &bad, 0);
+        check(&[0xca, 0x7f, 0xc0, 0, 0], &bad, 0);
+        check(&[0x81, 0x01, 0x02], &bad, 1);
+        check(&[0x82, 0xa1, b'a', 1, 0xa1, b'a', 2], &bad, 4);
+        check(&[0xdd, 0xff, 0xff, 0xff, 0xff], &bad, 5);
+        check(&[0xdf, 0xff, 0xff, 0xff, 0xff], &bad, 5);
+        check(&[0xc6, 0xff, 0xff, 0xff, 0xff, 1], &bad, 6);
+        check(&[0xd4, 1, 1], &bad, 0);
+        check(&[0xd6, 1, 0, 0, 0, 0], &bad, 0);
+        check(&[0xa2, b'a', 0xff], &Code::BAD_ENCODING, 2);
+        check(&[0xa1, 0], &Code::BAD_ENCODING, 1);
+        check(&[0xa3, 0xef, 0xbf, 0xbe], &Code::BAD_ENCODING, 1);
+    }
+
+    /// Threat 2: a million levels cost neither stack nor memory.
+    #[test]
+    fn nesting_ends_at_the_limit() {
+        check(&[0x91; 1_000_000], &Code::TOO_DEEP, 32);
+        let mut most = vec![0x91; 32];
+        most.push(0xc0);
+        assert!(decode(&most.into(), 32).is_ok());
+    }
+}

@@ -1,0 +1,166 @@
+//! What may stand in names and text.
+
+use unicode_normalization::char::is_combining_mark;
+use unicode_normalization::{IsNormalized, is_nfc_quick};
+
+use crate::{Code, WireError};
+
+/// The name under which the hub itself sends.
+pub const HUB: &str = "hub";
+
+const NAME_BYTES: usize = 64;
+const MESSAGE_NAME_BYTES: usize = 128;
+
+/// Whether XML 1.0 can hold this character; strings hold no other, in every codec.
+pub fn is_xml_char(c: char) -> bool {
+    matches!(c, '\t' | '\n' | '\r' | ' '..='\u{D7FF}' | '\u{E000}'..='\u{FFFD}' | '\u{10000}'..='\u{10FFFF}')
+}
+
+/// The byte position of the first character that XML 1.0 cannot hold.
+pub fn xml_violation(text: &str) -> Option<usize> {
+    // All such characters are controls below 0x20, or U+FFFE and U+FFFF (bytes EF BF BE, EF BF BF).
+    let bytes = text.as_bytes();
+    let suspicious = |&byte: &u8| (byte < 0x20 && !matches!(byte, b'\t' | b'\n' | b'\r')) || byte == 0xEF;
+    let mut start = 0;
+    while let Some(found) = bytes[start..].iter().position(suspicious) {
+        let position = start + found;
+        if bytes[position] != 0xEF || matches!(bytes[position + 1..], [0xBF, 0xBE | 0xBF, ..]) {
+            return Some(position);
+        }
+        start = position + 1;
+    }
+    None
+}
+
+/// Checks text from outside.
+///
+/// # Errors
+/// `bad-encoding` with the byte's position in the text.
+pub fn check_text(text: &str) -> Result<(), WireError> {
+    match xml_violation(text) {
+        None => Ok(()),
+        Some(position) => Err(WireError::new(
+            Code::BAD_ENCODING,
+            format!(
+                "character {:?} may not stand in a string",
+                text[position..].chars().next().unwrap_or_default()
+            ),
+        )
+        .position(position)),
+    }
+}
+
+/// Checks a user name or nickname: 1–64 bytes of letters, digits, marks and `-_.@+=`, in NFC, not `hub`.
+///
+/// Everything that looks like nothing (zero width), like something else (controls, directions) or like an
+/// operator of paths and patterns (`/ ~ * # % \`) is outside that set.
+///
+/// # Errors
+/// `bad-name` in plain words.
+pub fn check_name(name: &str) -> Result<(), WireError> {
+    let refused = |why: String| Err(WireError::new(Code::BAD_NAME, format!("the name {name:?} {why}")));
+    if name.is_empty() {
+        return Err(WireError::new(
+            Code::BAD_NAME,
+            "a name needs at least one character",
+        ));
+    }
+    if name.len() > NAME_BYTES {
+        return Err(WireError::new(
+            Code::BAD_NAME,
+            format!("a name has at most {NAME_BYTES} bytes"),
+        ));
+    }
+    if name == HUB {
+        return refused("is the hub's own".to_owned());
+    }
+    if name == "." || name == ".." {
+        return refused("means a place in a path".to_owned());
+    }
+    if let Some(c) = name.chars().find(|&c| !is_segment_char(c) || c == '~') {
+        return refused(format!("may not contain {c:?}"));
+    }
+    if !is_nfc(name) {
+        return refused("is not in Unicode's composed form (NFC)".to_owned());
+    }
+    Ok(())
+}
+
+/// Checks the name of a message: 1–128 bytes, no controls, no blanks at its ends.
+///
+/// # Errors
+/// `bad-name` in plain words.
+pub fn check_message_name(name: &str) -> Result<(), WireError> {
+    let fine = !name.is_empty()
+        && name.len() <= MESSAGE_NAME_BYTES
+        && name.trim() == name
+        && !name.chars().any(|c| c.is_control() || !is_xml_char(c));
+    if fine {
+        return Ok(());
+    }
+    Err(WireError::new(
+        Code::BAD_NAME,
+        format!("a message's name has 1 to {MESSAGE_NAME_BYTES} bytes, no controls, no blanks at its ends"),
+    )
+    .slot("name"))
+}
+
+/// The peer name for the `count`th peer of a nickname: the nickname itself, then `~2`, `~3` …
+pub fn numbered_name(nickname: &str, count: u32) -> String {
+    match count {
+        0 | 1 => nickname.to_owned(),
+        _ => format!("{nickname}~{count}"),
+    }
+}
+
+/// Whether a path segment may hold this character.
+pub(crate) fn is_segment_char(c: char) -> bool {
+    c.is_alphanumeric() || matches!(c, '-' | '_' | '.' | '@' | '+' | '=' | '~') || is_combining_mark(c)
+}
+
+pub(crate) fn is_nfc(text: &str) -> bool {
+    match is_nfc_quick(text.chars()) {
+        IsNormalized::Yes => true,
+        IsNormalized::No => false,
+        IsNormalized::Maybe => unicode_normalization::is_nfc(text),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names() {
+        for good in ["alice", "Zoë", "arm-2", "x.y_z@lab", "名前"] {
+            assert!(check_name(good).is_ok(), "{good}");
+        }
+        let long = "a".repeat(65);
+        for bad in [
+            "",
+            "hub",
+            "alice~2",
+            "a/b",
+            "*",
+            "#",
+            "..",
+            "a b",
+            "a\u{200b}",
+            "a\u{202e}b",
+            "Zoe\u{308}",
+            "a\0",
+            long.as_str(),
+        ] {
+            let error = check_name(bad).expect_err(bad);
+            assert_eq!(error.code, Code::BAD_NAME);
+        }
+    }
+
+    #[test]
+    fn only_characters_of_xml() {
+        assert_eq!(xml_violation("tab\tand\r\n and ü and 😀 and \u{FFFD}"), None);
+        for (text, position) in [("a\0", 1), ("\u{1b}[0m", 0), ("ab\u{FFFE}", 2), ("\u{FFFF}", 0)] {
+            assert_eq!(xml_violation(text), Some(position), "{text:?}");
+        }
+    }
+}

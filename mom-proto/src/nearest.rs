@@ -1,0 +1,24 @@
+//! The nearest thing that exists, for errors about things that do not.
+
+/// The candidate that looks most like `word`, if one is near enough to be what was meant.
+///
+/// ```
+/// use mom_proto::nearest::nearest;
+/// assert_eq!(nearest("grib", ["grab", "give", "renew"]), Some("grab"));
+/// assert_eq!(nearest("xyzzy", ["grab", "give"]), None);
+/// ```
+pub fn nearest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    // A guess costs time in the square of the length; nobody mistypes a kilobyte.
+    const LONGEST: usize = 128;
+    if word.len() > LONGEST {
+        return None;
+    }
+    let allowed = (word.chars().count() / 3).max(1);
+    candidates
+        .into_iter()
+        .filter(|candidate| candidate.len() <= LONGEST)
+        .map(|candidate| (strsim::osa_distance(word, candidate), candidate))
+        .filter(|&(distance, _)| distance <= allowed)
+        .min_by_key(|&(distance, _)| distance)
+        .map(|(_, candidate)| candidate)
+}

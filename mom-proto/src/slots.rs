@@ -1,0 +1,339 @@
+//! The table of known slots, for codecs that write slots by key (XML, JSON).
+
+use std::sync::Arc;
+
+use crate::nearest::nearest;
+use crate::{
+    Code, Content, Delivery, Family, Kind, MAX_ID, Map, Parcel, Path, Time, Value, WireError,
+    check_message_name,
+};
+
+/// One known slot: its key, type, and the way in and out of a parcel.
+struct Slot {
+    key: &'static str,
+    kind: Kind,
+    get: fn(&Parcel) -> Option<Value>,
+    set: fn(&mut ReadSlots, &Value) -> Result<(), String>,
+}
+
+// In the order in which they are written: what a reader looks for first comes first, content last.
+#[rustfmt::skip]
+const SLOTS: [Slot; 18] = [
+    Slot { key: "family", kind: Kind::String, get: |p| Some(p.family.word().into()), set: set_family },
+    Slot { key: "name", kind: Kind::String, get: |p| Some(p.name().into()), set: |r, v| { r.name = Some(text(v)?); Ok(()) } },
+    Slot { key: "id", kind: Kind::Int, get: |p| id_value(p.id), set: |r, v| { r.parcel.id = Some(number(v, MAX_ID)?); Ok(()) } },
+    Slot { key: "reference", kind: Kind::Int, get: |p| id_value(p.reference), set: |r, v| { r.parcel.reference = Some(number(v, MAX_ID)?); Ok(()) } },
+    Slot { key: "sender", kind: Kind::String, get: |p| p.sender.as_deref().map(Value::from), set: |r, v| { r.parcel.sender = Some(text(v)?); Ok(()) } },
+    Slot { key: "address", kind: Kind::List, get: get_address, set: set_address },
+    Slot { key: "timestamp", kind: Kind::Time, get: |p| p.timestamp.map(Value::from), set: |r, v| { r.parcel.timestamp = Some(time(v)?); Ok(()) } },
+    Slot { key: "priority", kind: Kind::Int, get: |p| p.priority.map(Value::from), set: set_priority },
+    Slot { key: "context", kind: Kind::String, get: |p| p.context.as_ref().map(|c| c.as_str().into()), set: set_context },
+    Slot { key: "expires", kind: Kind::Int, get: |p| id_value(p.expires), set: |r, v| { r.parcel.expires = Some(number(v, MAX_ID)?); Ok(()) } },
+    Slot { key: "delivery", kind: Kind::String, get: |p| p.delivery.map(|d| d.word().into()), set: set_delivery },
+    Slot { key: "fence", kind: Kind::Int, get: |p| id_value(p.fence), set: |r, v| { r.parcel.fence = Some(number(v, MAX_ID)?); Ok(()) } },
+    Slot { key: "received", kind: Kind::Time, get: |p| p.received.map(Value::from), set: |r, v| { r.parcel.received = Some(time(v)?); Ok(()) } },
+    Slot { key: "age", kind: Kind::Int, get: |p| p.age.map(Value::from), set: |r, v| { r.parcel.age = v.as_int(); Ok(()) } },
+    Slot { key: "age-error", kind: Kind::Int, get: |p| id_value(p.age_error), set: |r, v| { r.parcel.age_error = Some(number(v, MAX_ID)?); Ok(()) } },
+    Slot { key: "echo", kind: Kind::Bool, get: |p| p.echo.map(Value::from), set: |r, v| { r.parcel.echo = v.as_bool(); Ok(()) } },
+    Slot { key: "receipt", kind: Kind::Bool, get: |p| p.receipt.map(Value::from), set: |r, v| { r.parcel.receipt = v.as_bool(); Ok(()) } },
+    Slot { key: "content", kind: Kind::Null, get: |_| None, set: |_, _| Ok(()) },
+];
+
+/// The slots of one parcel as they are read, in any order.
+///
+/// ```
+/// use mom_proto::{Kind, ReadSlots, Value};
+/// let mut slots = ReadSlots::new();
+/// slots.insert("family".into(), Value::from("message")).unwrap();
+/// slots.insert("name".into(), Value::from("chat")).unwrap();
+/// assert_eq!(slots.finish().unwrap().name(), "chat");
+/// assert_eq!(ReadSlots::kind_of("id"), Some(Kind::Int));
+/// ```
+#[derive(Debug)]
+pub struct ReadSlots {
+    parcel: Parcel,
+    family: bool,
+    name: Option<Arc<str>>,
+    seen: u32,
+}
+
+impl ReadSlots {
+    /// No slots yet.
+    pub fn new() -> ReadSlots {
+        ReadSlots {
+            parcel: Parcel::new(Family::Message, ""),
+            family: false,
+            name: None,
+            seen: 0,
+        }
+    }
+
+    /// The type of a known slot, `None` for others and for `content`, which may be anything.
+    pub fn kind_of(key: &str) -> Option<Kind> {
+        SLOTS
+            .iter()
+            .find(|slot| slot.key == key && slot.key != "content")
+            .map(|slot| slot.kind)
+    }
+
+    /// The id read so far, for an error about the rest.
+    pub fn id(&self) -> Option<u64> {
+        self.parcel.id
+    }
+
+    /// Takes one slot.
+    ///
+    /// # Errors
+    /// `bad-slot` naming the slot: twice, of another type than a known slot has, or outside its range;
+    /// `bad-path` for a context that is none.
+    pub fn insert(&mut self, key: String, value: Value) -> Result<(), WireError> {
+        let Some(position) = SLOTS.iter().position(|slot| slot.key == key) else {
+            return self
+                .parcel
+                .extra
+                .insert_new(key, value)
+                .map_err(|key| twice(&key));
+        };
+        let slot = &SLOTS[position];
+        let bit = 1 << position;
+        if self.seen & bit != 0 {
+            return Err(twice(&key));
+        }
+        self.seen |= bit;
+        if slot.key != "content" && slot.kind != value.kind() {
+            let (wanted, given) = (slot.kind.word(), value.kind().word());
+            return Err(bad(
+                &key,
+                format!("the slot {key} is of type {wanted}, not {given}"),
+            ));
+        }
+        match slot.key {
+            "context" => return set_path(&mut self.parcel, &value),
+            // By value: content may be large.
+            "content" => {
+                self.parcel.content = Some(Content::Value(value));
+                return Ok(());
+            }
+            _ => {}
+        }
+        (slot.set)(self, &value).map_err(|why| bad(&key, format!("the slot {key} {why}")))
+    }
+
+    /// The parcel of all slots taken.
+    ///
+    /// # Errors
+    /// `bad-slot` if family or name are missing, `bad-name` for a name that is none.
+    pub fn finish(self) -> Result<Parcel, WireError> {
+        if !self.family {
+            return Err(bad("family", "a parcel needs the slot family".to_owned()));
+        }
+        let Some(name) = self.name else {
+            return Err(bad("name", "a parcel needs the slot name".to_owned()));
+        };
+        check_message_name(&name)?;
+        Ok(Parcel { name, ..self.parcel })
+    }
+}
+
+impl Default for ReadSlots {
+    fn default() -> ReadSlots {
+        ReadSlots::new()
+    }
+}
+
+/// Gives every slot that the parcel has but `content`, known ones first, in a fixed order.
+pub fn write_slots(parcel: &Parcel, mut slot: impl FnMut(&str, Option<Kind>, &Value)) {
+    for known in &SLOTS {
+        if let Some(value) = (known.get)(parcel) {
+            slot(known.key, Some(known.kind), &value);
+        }
+    }
+    for (key, value) in parcel.extra.iter() {
+        slot(key, None, value);
+    }
+}
+
+/// Checks that the other slots hide none of the known ones; for codecs that carry them apart.
+pub(crate) fn check_extra(extra: &Map) -> Result<(), WireError> {
+    match extra.keys().find(|key| SLOTS.iter().any(|slot| slot.key == *key)) {
+        Some(key) => Err(bad(
+            key,
+            format!("the slot {key} may not be among the other slots"),
+        )),
+        None => Ok(()),
+    }
+}
+
+fn bad(slot: &str, text: String) -> WireError {
+    WireError::new(Code::BAD_SLOT, text).slot(slot)
+}
+
+fn twice(key: &str) -> WireError {
+    bad(key, format!("the slot {key} stands there twice"))
+}
+
+fn id_value(number: Option<u64>) -> Option<Value> {
+    number
+        .and_then(|number| i64::try_from(number).ok())
+        .map(Value::Int)
+}
+
+fn get_address(parcel: &Parcel) -> Option<Value> {
+    let address = parcel.address.as_ref()?;
+    Some(Value::List(
+        address.iter().map(|name| Value::from(&**name)).collect(),
+    ))
+}
+
+fn number(value: &Value, most: u64) -> Result<u64, String> {
+    value
+        .as_int()
+        .and_then(|number| u64::try_from(number).ok())
+        .filter(|number| *number <= most)
+        .ok_or_else(|| format!("is a number from 0 to {most}"))
+}
+
+fn text(value: &Value) -> Result<Arc<str>, String> {
+    value
+        .as_str()
+        .map(Arc::from)
+        .ok_or_else(|| "is a string".to_owned())
+}
+
+fn time(value: &Value) -> Result<Time, String> {
+    match value {
+        Value::Time(time) => Ok(*time),
+        _ => Err("is a time".to_owned()),
+    }
+}
+
+fn set_family(slots: &mut ReadSlots, value: &Value) -> Result<(), String> {
+    let word = value.as_str().unwrap_or_default();
+    slots.parcel.family = Family::from_word(word).ok_or_else(|| {
+        let near = nearest(word, Family::ALL.map(Family::word));
+        let hint = near
+            .map(|near| format!(", did you mean {near}?"))
+            .unwrap_or_default();
+        format!("does not know the family {word:?}{hint}")
+    })?;
+    slots.family = true;
+    Ok(())
+}
+
+fn set_address(slots: &mut ReadSlots, value: &Value) -> Result<(), String> {
+    let list = value.as_list().unwrap_or_default();
+    if list.is_empty() {
+        return Err("is empty: leave it out to reach all members".to_owned());
+    }
+    let names: Option<Vec<Arc<str>>> = list.iter().map(|item| item.as_str().map(Arc::from)).collect();
+    slots.parcel.address = Some(names.ok_or("is a list of strings")?);
+    Ok(())
+}
+
+fn set_priority(slots: &mut ReadSlots, value: &Value) -> Result<(), String> {
+    let priority = value.as_int().and_then(|number| i32::try_from(number).ok());
+    slots.parcel.priority = Some(priority.ok_or("is a number of 32 bits")?);
+    Ok(())
+}
+
+fn set_delivery(slots: &mut ReadSlots, value: &Value) -> Result<(), String> {
+    let delivery = value.as_str().and_then(Delivery::from_word);
+    slots.parcel.delivery = Some(delivery.ok_or("is one of reliable, latest, fleeting")?);
+    Ok(())
+}
+
+fn set_context(slots: &mut ReadSlots, value: &Value) -> Result<(), String> {
+    set_path(&mut slots.parcel, value).map_err(|error| error.text)
+}
+
+// Apart from the others because its error keeps a code of its own.
+fn set_path(parcel: &mut Parcel, value: &Value) -> Result<(), WireError> {
+    let path = Path::parse(value.as_str().unwrap_or_default());
+    parcel.context = Some(path.map_err(|error| WireError::new(error.code, error.text).slot("context"))?);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(slots: &[(&str, Value)]) -> Result<Parcel, WireError> {
+        let mut read = ReadSlots::new();
+        for (key, value) in slots {
+            read.insert((*key).to_owned(), value.clone())?;
+        }
+        read.finish()
+    }
+
+    fn base(key: &'static str, value: Value) -> Vec<(&'static str, Value)> {
+        vec![("family", "message".into()), ("name", "x".into()), (key, value)]
+    }
+
+    #[test]
+    fn what_is_written_is_read() {
+        let mut parcel = Parcel::new(Family::Message, "command")
+            .context(Path::parse("/robot/arm").unwrap())
+            .id(MAX_ID)
+            .content("grip open");
+        parcel.address = Some(vec!["arm".into(), "bob~2".into()]);
+        parcel.sender = Some("alice".into());
+        parcel.timestamp = Time::from_micros(5);
+        parcel.priority = Some(i32::MIN);
+        parcel.reference = Some(0);
+        parcel.expires = Some(250);
+        parcel.delivery = Some(Delivery::Latest);
+        parcel.fence = Some(7);
+        parcel.received = Time::from_micros(9);
+        parcel.age = Some(-3);
+        parcel.age_error = Some(4);
+        parcel.echo = Some(false);
+        parcel.receipt = Some(true);
+        parcel.extra.set("colour", "red");
+        let mut back = ReadSlots::new();
+        write_slots(&parcel, |key, _, value| {
+            back.insert(key.to_owned(), value.clone()).unwrap();
+        });
+        back.insert("content".into(), "grip open".into()).unwrap();
+        assert_eq!(back.finish(), Ok(parcel));
+    }
+
+    #[test]
+    fn a_bad_slot_is_named() {
+        for (key, value) in [
+            ("id", Value::Int(-1)),
+            ("id", Value::Int(1 << 53)),
+            ("id", "1".into()),
+            ("reference", Value::Double(1.0)),
+            ("address", Value::List(vec![])),
+            ("address", Value::List(vec![Value::Int(1)])),
+            ("priority", Value::Int(1 << 31)),
+            ("timestamp", Value::Int(0)),
+            ("delivery", "sometimes".into()),
+            ("echo", "false".into()),
+            ("fence", Value::Int(-1)),
+            ("expires", Value::Null),
+        ] {
+            let error = read(&base(key, value)).expect_err(key);
+            assert_eq!(
+                (error.code.clone(), error.get("slot")),
+                (Code::BAD_SLOT, Some(&key.into())),
+                "{error}"
+            );
+        }
+        let error = read(&base("context", "/a/../b".into())).expect_err("path");
+        assert_eq!(
+            (error.code.clone(), error.get("slot")),
+            (Code::BAD_PATH, Some(&"context".into()))
+        );
+        assert_eq!(
+            read(&[("family", "message".into())])
+                .expect_err("no name")
+                .get("slot"),
+            Some(&"name".into())
+        );
+        let error = read(&[("family", "massage".into())]).expect_err("no family");
+        assert!(error.text.contains("did you mean message?"), "{error}");
+        let twice = read(&base("name", "y".into())).expect_err("twice");
+        assert_eq!(twice.get("slot"), Some(&"name".into()));
+    }
+}

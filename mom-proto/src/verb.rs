@@ -1,0 +1,192 @@
+//! What a peer may ask for (design §5, M26).
+
+use std::fmt;
+
+use crate::nearest::nearest;
+use crate::{Code, Family, WireError};
+
+/// A request of a peer: the family and name of its parcel.
+///
+/// All messages are one verb, [`Verb::Send`], but for `stop` and `unstop`, which have rights of their own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Verb {
+    /// `login login`: authenticate, for the first time or again (M12, M13).
+    Login,
+    /// `login logout`: leave for good.
+    Logout,
+    /// `context create`: make a session, channel or token (M22, M24).
+    Create,
+    /// `context lookup`: what is there.
+    Lookup,
+    /// `context list`: the children.
+    List,
+    /// `context info`: all about one context, or `token info`.
+    Info,
+    /// `context join` (M23).
+    Join,
+    /// `context leave` (M23).
+    Leave,
+    /// `context delete`.
+    Delete,
+    /// `context members`.
+    Members,
+    /// `token grab` (M28, M29).
+    Grab,
+    /// `token release`.
+    Release,
+    /// `token renew` (M29).
+    Renew,
+    /// Any message (M27).
+    Send,
+    /// `message stop`: to halt a device without owning its token (M43).
+    Stop,
+    /// `message unstop`: to let it move again.
+    Unstop,
+    /// `time ping`.
+    Ping,
+    /// `time pong`.
+    Pong,
+}
+
+impl Verb {
+    /// All verbs.
+    pub const ALL: [Verb; 18] = [
+        Verb::Login,
+        Verb::Logout,
+        Verb::Create,
+        Verb::Lookup,
+        Verb::List,
+        Verb::Info,
+        Verb::Join,
+        Verb::Leave,
+        Verb::Delete,
+        Verb::Members,
+        Verb::Grab,
+        Verb::Release,
+        Verb::Renew,
+        Verb::Send,
+        Verb::Stop,
+        Verb::Unstop,
+        Verb::Ping,
+        Verb::Pong,
+    ];
+
+    /// The word of rules, logs and parcels.
+    pub fn word(self) -> &'static str {
+        match self {
+            Verb::Login => "login",
+            Verb::Logout => "logout",
+            Verb::Create => "create",
+            Verb::Lookup => "lookup",
+            Verb::List => "list",
+            Verb::Info => "info",
+            Verb::Join => "join",
+            Verb::Leave => "leave",
+            Verb::Delete => "delete",
+            Verb::Members => "members",
+            Verb::Grab => "grab",
+            Verb::Release => "release",
+            Verb::Renew => "renew",
+            Verb::Send => "send",
+            Verb::Stop => "stop",
+            Verb::Unstop => "unstop",
+            Verb::Ping => "ping",
+            Verb::Pong => "pong",
+        }
+    }
+
+    /// The family whose parcels ask for this.
+    pub fn family(self) -> Family {
+        match self {
+            Verb::Login | Verb::Logout => Family::Login,
+            Verb::Create | Verb::Lookup | Verb::List | Verb::Info => Family::Context,
+            Verb::Join | Verb::Leave | Verb::Delete | Verb::Members => Family::Context,
+            Verb::Grab | Verb::Release | Verb::Renew => Family::Token,
+            Verb::Send | Verb::Stop | Verb::Unstop => Family::Message,
+            Verb::Ping | Verb::Pong => Family::Time,
+        }
+    }
+
+    /// The verb with this word in rules.
+    pub fn from_word(word: &str) -> Option<Verb> {
+        Verb::ALL.into_iter().find(|verb| verb.word() == word)
+    }
+
+    /// The verb of a parcel.
+    ///
+    /// # Errors
+    /// `unknown-verb` with the nearest one, also for families that only the hub sends.
+    pub fn of(family: Family, name: &str) -> Result<Verb, WireError> {
+        match (family, name) {
+            (Family::Message, "stop") => Ok(Verb::Stop),
+            (Family::Message, "unstop") => Ok(Verb::Unstop),
+            (Family::Message, _) => Ok(Verb::Send),
+            (Family::Token, "info") => Ok(Verb::Info),
+            (Family::Event | Family::Reply | Family::Error, _) => Err(WireError::new(
+                Code::UNKNOWN_VERB,
+                format!("only the hub sends parcels of family {family}"),
+            )
+            .slot("family")),
+            _ => Verb::ALL
+                .into_iter()
+                .find(|verb| verb.family() == family && verb.word() == name)
+                .ok_or_else(|| {
+                    let names = Verb::ALL
+                        .iter()
+                        .filter(|verb| verb.family() == family)
+                        .map(|verb| verb.word());
+                    let everywhere = Verb::ALL.iter().map(|verb| verb.word());
+                    let near = nearest(name, names).or_else(|| nearest(name, everywhere));
+                    WireError::new(
+                        Code::UNKNOWN_VERB,
+                        format!("family {family} has no verb {name:?}"),
+                    )
+                    .slot("name")
+                    .nearest_opt(near)
+                }),
+        }
+    }
+
+    /// Whether nobody can be refused this: giving up what one has, and being alive.
+    pub fn gives_up(self) -> bool {
+        matches!(
+            self,
+            Verb::Leave | Verb::Release | Verb::Logout | Verb::Ping | Verb::Pong
+        )
+    }
+}
+
+impl fmt::Display for Verb {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(self.word())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_verb_is_found_by_its_parcel() {
+        for verb in Verb::ALL {
+            let name = if verb == Verb::Send {
+                "command"
+            } else {
+                verb.word()
+            };
+            assert_eq!(Verb::of(verb.family(), name), Ok(verb));
+            assert_eq!(Verb::from_word(verb.word()), Some(verb));
+        }
+        assert_eq!(Verb::of(Family::Token, "info"), Ok(Verb::Info));
+    }
+
+    #[test]
+    fn an_unknown_verb_names_the_nearest() {
+        let error = Verb::of(Family::Token, "grib").expect_err("no such verb");
+        assert_eq!(error.get("nearest"), Some(&"grab".into()));
+        assert_eq!(
+            Verb::of(Family::Reply, "ok").expect_err("hub's").code,
+            Code::UNKNOWN_VERB
+        );
+    }
+}
