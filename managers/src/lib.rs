@@ -1,0 +1,40 @@
+//! Who may: the [`Manager`] trait and the built-in access managers (M24, M25, M29).
+//!
+//! A manager answers one question at a time: may this peer do this here, now? It knows the peer's facts, the
+//! verb, the context and the state of the token, never the content. It does no IO and reads no clock; time
+//! comes with the question. Managers are made from the configuration file or inline at a context's creation
+//! by a [`Registry`]; a new kind is one file and one line there.
+//!
+//! ```
+//! use mom_managers::Registry;
+//! use mom_proto::{Map, Value};
+//!
+//! let registry = Registry::builtin();
+//! let spec = Map::new().with("kind", "level-or-lease").with("lease", 180_000);
+//! assert!(registry.build(&Value::Map(spec)).is_ok());
+//! ```
+
+mod chain;
+mod closed;
+mod first_come;
+mod level_or_lease;
+mod open;
+mod question;
+mod registry;
+mod roles;
+mod verdict;
+
+pub use question::{Micros, Owner, PeerFacts, Question, TokenFacts};
+pub use registry::{Factory, Registry, Setup};
+pub use verdict::{Answer, Denial, Expiry, Grant, Scope, Standing, Terms, Verdict};
+
+/// Decides who may do what in the contexts it manages; consulted on all requests (M24).
+pub trait Manager: Send + std::fmt::Debug {
+    /// Answers one question. Whatever it does not know to be allowed, it denies.
+    fn decide(&mut self, question: &Question<'_>) -> Verdict;
+
+    /// The lease of the tokens it manages, where their creator names none.
+    fn terms(&self) -> Terms {
+        Terms::default()
+    }
+}

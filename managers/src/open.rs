@@ -1,0 +1,25 @@
+//! `open`: everybody may do everything.
+
+use mom_proto::WireError;
+use serde::Deserialize;
+
+use crate::{Manager, Question, Setup, Verdict};
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Params {}
+
+/// Allows all; a token's owner is still safe from others.
+#[derive(Debug)]
+struct Open;
+
+pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
+    let Params {} = setup.params()?;
+    Ok(Box::new(Open))
+}
+
+impl Manager for Open {
+    fn decide(&mut self, _question: &Question<'_>) -> Verdict {
+        Verdict::allow_always()
+    }
+}

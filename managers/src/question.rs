@@ -1,0 +1,64 @@
+//! What a manager is asked.
+
+use std::sync::Arc;
+
+use mom_proto::{ContextKind, Path, Verb};
+
+/// Monotonic time in µs since the hub's start.
+pub type Micros = u64;
+
+/// What the hub knows of a peer (M13).
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PeerFacts {
+    /// The name that the hub gave it.
+    pub name: Arc<str>,
+    /// The user it logged in as.
+    pub user: Arc<str>,
+    /// Its authority level; higher is more.
+    pub level: i32,
+    /// The groups of its user.
+    pub groups: Arc<[String]>,
+}
+
+/// The owner of a token, as far as managers care.
+#[derive(Clone, Copy, Debug)]
+pub struct Owner<'a> {
+    /// The peer's name.
+    pub name: &'a str,
+    /// The peer's level now.
+    pub level: i32,
+    /// Whether it is the peer that asks.
+    pub asks: bool,
+}
+
+/// The state of a token.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct TokenFacts<'a> {
+    /// Who owns it.
+    pub owner: Option<Owner<'a>>,
+    /// When the lease ends if nobody renews; none = without end.
+    pub lease_end: Option<Micros>,
+}
+
+/// One request, without its content.
+#[derive(Clone, Copy, Debug)]
+pub struct Question<'a> {
+    /// Who asks.
+    pub peer: &'a PeerFacts,
+    /// For what.
+    pub verb: Verb,
+    /// The context acted on; for `create` the path to be made.
+    pub context: &'a Path,
+    /// Its kind; for `create` the kind to be made.
+    pub kind: ContextKind,
+    /// The name of the message, for sends.
+    pub message: Option<&'a str>,
+    /// The size of the content in bytes, as far as it is known.
+    pub size: usize,
+    /// The age at ingress and its error, both in µs, where there is an estimate.
+    pub age: Option<(i64, u64)>,
+    /// The state of the token, if the context is one.
+    pub token: Option<TokenFacts<'a>>,
+    /// The time.
+    pub now: Micros,
+}

@@ -1,0 +1,178 @@
+//! Makes managers from their configuration.
+
+use std::collections::BTreeMap;
+
+use mom_proto::nearest::nearest;
+use mom_proto::{Code, Map, Value, WireError, from_value};
+use serde::de::DeserializeOwned;
+
+use crate::{Manager, chain, closed, first_come, level_or_lease, open, roles};
+
+/// Makes a manager of one kind.
+pub type Factory = fn(&Setup<'_>) -> Result<Box<dyn Manager>, WireError>;
+
+/// Managers inside managers.
+const DEPTH: usize = 4;
+
+/// The kinds of manager, and the managers that the configuration names.
+#[derive(Clone, Debug)]
+pub struct Registry {
+    kinds: BTreeMap<&'static str, Factory>,
+    named: BTreeMap<String, Value>,
+}
+
+/// What a factory gets.
+#[derive(Debug)]
+pub struct Setup<'a> {
+    /// The manager's name for rules in errors and logs.
+    pub label: &'a str,
+    params: &'a Map,
+    registry: &'a Registry,
+    depth: usize,
+}
+
+impl Registry {
+    /// The built-in kinds, no named manager.
+    pub fn builtin() -> Registry {
+        let kinds: [(&'static str, Factory); 6] = [
+            ("open", open::make),
+            ("closed", closed::make),
+            ("roles", roles::make),
+            ("first-come", first_come::make),
+            ("level-or-lease", level_or_lease::make),
+            ("chain", chain::make),
+        ];
+        Registry {
+            kinds: kinds.into(),
+            named: BTreeMap::new(),
+        }
+    }
+
+    /// Adds a kind of manager, or replaces it.
+    pub fn add_kind(&mut self, kind: &'static str, factory: Factory) {
+        self.kinds.insert(kind, factory);
+    }
+
+    /// Gives a manager a name. It is checked when it is built: it may name ones that come later.
+    pub fn define(&mut self, name: &str, spec: Value) {
+        self.named.insert(name.to_owned(), spec);
+    }
+
+    /// The names that were given.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.named.keys().map(String::as_str)
+    }
+
+    /// Makes a manager: a name of the configuration or of a kind without parameters, or a map with `kind`
+    /// and the parameters.
+    ///
+    /// # Errors
+    /// `unknown-manager` with the nearest name, or `bad-content` with the key at fault as slot.
+    pub fn build(&self, spec: &Value) -> Result<Box<dyn Manager>, WireError> {
+        self.build_inner(spec, None, DEPTH)
+    }
+
+    fn build_inner(
+        &self,
+        spec: &Value,
+        label: Option<&str>,
+        depth: usize,
+    ) -> Result<Box<dyn Manager>, WireError> {
+        let Some(depth) = depth.checked_sub(1) else {
+            return Err(WireError::new(
+                Code::BAD_CONTENT,
+                "managers are nested too deep, or contain each other",
+            ));
+        };
+        match spec {
+            Value::String(name) => match self.named.get(name) {
+                Some(spec) => self.build_inner(spec, Some(name), depth),
+                None => self.make(name, label.unwrap_or(name), &Map::new(), depth),
+            },
+            Value::Map(map) => {
+                let kind = map.get("kind").and_then(Value::as_str).ok_or_else(|| {
+                    WireError::new(Code::BAD_CONTENT, "a manager needs its kind, such as roles").slot("kind")
+                })?;
+                let mut params = map.clone();
+                params.remove("kind");
+                let label = label.map_or_else(|| kind.to_owned(), str::to_owned);
+                self.make(kind, &label, &params, depth)
+            }
+            _ => Err(WireError::new(
+                Code::BAD_CONTENT,
+                "a manager is a name, or a map with its kind",
+            )),
+        }
+    }
+
+    fn make(
+        &self,
+        kind: &str,
+        label: &str,
+        params: &Map,
+        depth: usize,
+    ) -> Result<Box<dyn Manager>, WireError> {
+        let Some(factory) = self.kinds.get(kind) else {
+            let known = self.kinds.keys().copied().chain(self.names());
+            let error = WireError::new(Code::UNKNOWN_MANAGER, format!("there is no manager {kind:?}"));
+            return Err(error.slot("kind").nearest_opt(nearest(kind, known)));
+        };
+        factory(&Setup {
+            label,
+            params,
+            registry: self,
+            depth,
+        })
+    }
+}
+
+impl Setup<'_> {
+    /// The parameters, typed.
+    ///
+    /// # Errors
+    /// `bad-content` with the key at fault as slot.
+    pub fn params<T: DeserializeOwned>(&self) -> Result<T, WireError> {
+        from_value(Value::Map(self.params.clone())).map_err(|error| {
+            let place = error
+                .get("slot")
+                .and_then(Value::as_str)
+                .unwrap_or_default()
+                .to_owned();
+            let key = place
+                .strip_prefix("content")
+                .unwrap_or(&place)
+                .trim_start_matches('/')
+                .to_owned();
+            let text = format!("in the manager {}: {}", self.label, error.text);
+            WireError::new(error.code, text).slot(&key)
+        })
+    }
+
+    /// Makes a manager inside this one, at the parameter `key`.
+    ///
+    /// # Errors
+    /// As [`Registry::build`], the slot prefixed with `key`.
+    pub fn inner(&self, key: &str, spec: &Value) -> Result<Box<dyn Manager>, WireError> {
+        let kind = spec.get("kind").and_then(Value::as_str);
+        let label = kind.map(|kind| format!("{}/{kind}", self.label));
+        self.registry
+            .build_inner(spec, label.as_deref(), self.depth)
+            .map_err(|error| {
+                let inner = error
+                    .get("slot")
+                    .and_then(Value::as_str)
+                    .map(|slot| format!("/{slot}"))
+                    .unwrap_or_default();
+                error.slot(&format!("{key}{inner}"))
+            })
+    }
+
+    /// An error about the parameter `key`.
+    pub fn error(&self, key: &str, text: &str) -> WireError {
+        WireError::new(
+            Code::BAD_CONTENT,
+            format!("in the manager {}: {text}", self.label),
+        )
+        .slot(key)
+    }
+}
