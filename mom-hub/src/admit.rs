@@ -1,0 +1,222 @@
+//! Whether a message may pass, and to whom: one truth for the hub and for the broker's fast path.
+
+use std::time::Duration;
+
+use mom_managers::{Answer, Denial, Micros, PeerFacts};
+use mom_proto::nearest::nearest;
+use mom_proto::{Code, Family, Parcel, Time, Verb, WireError, event};
+
+use crate::route::{Guard, GuardOwner, Route};
+use crate::{Member, PeerId};
+
+/// The priorities that peers may use; others are brought into this range (M7).
+const PRIORITY: std::ops::RangeInclusive<i32> = -100..=100;
+
+/// What became of a message.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Admission {
+    /// It may pass, stamped, to these.
+    Pass(Receivers),
+    /// No verdict stands for it: the channel's manager has to be asked.
+    Consult,
+}
+
+/// Members of a route by their place.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Receivers {
+    /// All.
+    All,
+    /// All but this one.
+    AllBut(usize),
+    /// These, as addressed.
+    These(Vec<usize>),
+}
+
+/// Admits a message of a peer to a channel and stamps it: sender, context, hub time, age, fence.
+///
+/// # Errors
+/// `not-member`, the standing denial, `not-owner`, `older-fence`, `bad-fence`, `unknown-peer`. The parcel
+/// is of no use then.
+pub fn admit(
+    route: &Route,
+    peer: PeerId,
+    parcel: &mut Parcel,
+    now: Micros,
+    wall: Time,
+) -> Result<Admission, WireError> {
+    let member = sender(route, peer)?;
+    match member.standing(&parcel.name, now) {
+        None => Ok(Admission::Consult),
+        Some(answer) => admit_with(route, peer, answer, parcel, now, wall).map(Admission::Pass),
+    }
+}
+
+/// Admits a message for which the channel's manager gave this answer.
+///
+/// # Errors
+/// As [`admit`].
+pub fn admit_with(
+    route: &Route,
+    peer: PeerId,
+    answer: &Answer,
+    parcel: &mut Parcel,
+    now: Micros,
+    wall: Time,
+) -> Result<Receivers, WireError> {
+    let member = sender(route, peer)?;
+    if let Answer::Deny(denial) = answer {
+        return Err(refusal(denial, &member.facts, now));
+    }
+    debug_assert_eq!(
+        parcel.family,
+        Family::Message,
+        "only messages are admitted to channels"
+    );
+    let fence = check_guard(route, member, parcel, now)?;
+    let receivers = receivers(route, peer, parcel)?;
+    parcel.sender = Some(member.facts.name.clone());
+    parcel.context = Some(route.path.clone());
+    parcel.number = Some(route.number);
+    parcel.fence = fence;
+    parcel.received = Some(wall);
+    // Without an estimate of the link's clock the age is counted from ingress; no error bound says so.
+    parcel.age = Some(0);
+    parcel.age_error = None;
+    parcel.priority = parcel
+        .priority
+        .map(|priority| priority.clamp(*PRIORITY.start(), *PRIORITY.end()));
+    parcel.delivery =
+        Some(parcel.delivery.unwrap_or(route.delivery)).filter(|delivery| *delivery != <_>::default());
+    Ok(receivers)
+}
+
+/// A denial in the words of the wire.
+pub(crate) fn refusal(denial: &Denial, asked: &PeerFacts, now: Micros) -> WireError {
+    let error = WireError::new(denial.code.clone(), denial.text.as_str())
+        .rule(&denial.rule)
+        .level(asked.level);
+    match denial.earliest.filter(|earliest| *earliest > now) {
+        Some(earliest) => error.retry_after(Duration::from_micros(earliest - now)),
+        None => error,
+    }
+}
+
+fn sender(route: &Route, peer: PeerId) -> Result<&Member, WireError> {
+    route.member(peer).map(|member| &**member).ok_or_else(|| {
+        WireError::new(
+            Code::NOT_MEMBER,
+            format!("join {} before sending to it", route.path),
+        )
+        .slot("context")
+    })
+}
+
+/// Checks the guard; gives the fence to stamp.
+fn check_guard(
+    route: &Route,
+    member: &Member,
+    parcel: &Parcel,
+    now: Micros,
+) -> Result<Option<u64>, WireError> {
+    let name = &*parcel.name;
+    if name == event::HALT {
+        let text = "halt is the hub's word for the safe state; a peer that wants a device to halt sends stop";
+        return Err(WireError::new(Code::DENIED, text).slot("name"));
+    }
+    let needs_no_token = matches!(Verb::of(Family::Message, name), Ok(Verb::Stop | Verb::Unstop));
+    let Some(guard) = route
+        .guard
+        .as_ref()
+        .filter(|guard| !needs_no_token && guard.covers(name))
+    else {
+        return Ok(None);
+    };
+    let given = parcel.fence;
+    if given.is_some_and(|fence| fence > guard.fence) {
+        let text = format!(
+            "the fence of {} is {}, a higher one was never given out",
+            guard.token, guard.fence
+        );
+        return Err(WireError::new(Code::BAD_FENCE, text)
+            .slot("fence")
+            .detail("fence", fence_value(guard.fence)));
+    }
+    if given.is_some_and(|fence| fence < guard.fence) {
+        let text = format!(
+            "{} has changed hands since that fence; it is {} now",
+            guard.token, guard.fence
+        );
+        let error = WireError::new(Code::OLDER_FENCE, text).slot("fence");
+        return Err(with_owner(error, guard, now).detail("fence", fence_value(guard.fence)));
+    }
+    match &guard.owner {
+        Some(owner) if owner.peer == member.peer => Ok(Some(guard.fence)),
+        owner => Err(not_owner(route, guard, owner.as_ref(), member, name, now)),
+    }
+}
+
+fn not_owner(
+    route: &Route,
+    guard: &Guard,
+    owner: Option<&GuardOwner>,
+    member: &Member,
+    name: &str,
+    now: Micros,
+) -> WireError {
+    let (path, token) = (&route.path, &guard.token);
+    let text = match owner {
+        None => format!("{name} on {path} needs {token}, which nobody holds: grab it first"),
+        Some(owner) => format!(
+            "{name} on {path} needs {token}, which {} (level {}) holds",
+            owner.name, owner.level
+        ),
+    };
+    let error = WireError::new(Code::NOT_OWNER, text)
+        .rule(&format!("guard of {path}"))
+        .level(member.facts.level);
+    with_owner(error, guard, now)
+}
+
+fn with_owner(error: WireError, guard: &Guard, now: Micros) -> WireError {
+    let Some(owner) = &guard.owner else {
+        return error;
+    };
+    let error = error.owner(&owner.name, owner.level);
+    match owner.lease_end {
+        Some(end) => error.retry_after(Duration::from_micros(end.saturating_sub(now))),
+        None => error,
+    }
+}
+
+fn fence_value(fence: u64) -> i64 {
+    i64::try_from(fence).unwrap_or(i64::MAX)
+}
+
+fn receivers(route: &Route, peer: PeerId, parcel: &Parcel) -> Result<Receivers, WireError> {
+    let Some(address) = &parcel.address else {
+        return Ok(match (parcel.echo, route.position(peer)) {
+            (Some(false), Some(own)) => Receivers::AllBut(own),
+            _ => Receivers::All,
+        });
+    };
+    let mut places = Vec::with_capacity(address.len());
+    for name in address {
+        let place = route
+            .members
+            .iter()
+            .position(|member| member.facts.name == *name)
+            .ok_or_else(|| {
+                let names = route.members.iter().map(|member| &*member.facts.name);
+                WireError::new(
+                    Code::UNKNOWN_PEER,
+                    format!("there is no member {name:?} in {}", route.path),
+                )
+                .slot("address")
+                .nearest_opt(nearest(name, names))
+            })?;
+        if !places.contains(&place) {
+            places.push(place);
+        }
+    }
+    Ok(Receivers::These(places))
+}

@@ -1,0 +1,108 @@
+//! What stands in the content of requests, typed.
+
+use mom_proto::{Code, Delivery, Parcel, Path, Value, WireError};
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+
+use crate::Presence;
+use mom_managers::Expiry;
+
+/// A context to be made: the content of `context create`, or an entry of the configuration file.
+///
+/// ```
+/// use mom_hub::ContextSpec;
+/// use mom_proto::{Map, from_value};
+/// let spec: ContextSpec = from_value(Map::new().with("kind", "token").with("lease", 60_000).into()).unwrap();
+/// assert_eq!(spec.lease, Some(60_000));
+/// ```
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct ContextSpec {
+    /// The path; in a request it is the slot `context` instead.
+    #[serde(default)]
+    pub path: Option<String>,
+    /// `session`, `channel` or `token`.
+    pub kind: String,
+    /// A name of the configuration, or a map with `kind` and parameters; absent = the parent's.
+    #[serde(default)]
+    pub manager: Option<Value>,
+    /// Who is told who comes and goes; absent = all.
+    #[serde(default)]
+    pub presence: Option<Presence>,
+    /// Deleted with its last member.
+    #[serde(default)]
+    pub transient: bool,
+    /// Channels: the messages that need ownership of a token.
+    #[serde(default)]
+    pub guard: Option<GuardArgs>,
+    /// Channels: the delivery class of parcels that name none.
+    #[serde(default)]
+    pub delivery: Option<String>,
+    /// Tokens: what is sent when ownership ends; absent = `halt` to every guarded channel.
+    #[serde(default)]
+    pub safe: Option<SafeArgs>,
+    /// Tokens: how long ownership lasts without renewal, in ms; absent = as the manager says.
+    #[serde(default)]
+    pub lease: Option<u64>,
+    /// Tokens: what happens at the lease's end; absent = as the manager says.
+    #[serde(default)]
+    pub expiry: Option<Expiry>,
+}
+
+/// The guard of a channel.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GuardArgs {
+    /// The token's path.
+    pub token: String,
+    /// The messages; `*` stands for all.
+    pub names: Vec<String>,
+}
+
+/// The safe state of a token.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SafeArgs {
+    /// The channel's path.
+    pub channel: String,
+    /// The message's name.
+    pub name: String,
+    /// The message's content.
+    #[serde(default)]
+    pub content: Option<Value>,
+}
+
+impl ContextSpec {
+    /// The delivery class, checked.
+    pub(crate) fn delivery(&self) -> Result<Delivery, WireError> {
+        let Some(word) = &self.delivery else {
+            return Ok(Delivery::default());
+        };
+        Delivery::from_word(word).ok_or_else(|| {
+            bad(
+                "delivery",
+                format!("{word:?} is not one of reliable, latest, fleeting"),
+            )
+        })
+    }
+}
+
+/// The content of a request that needs some.
+pub(crate) fn read<T: DeserializeOwned>(parcel: &Parcel) -> Result<T, WireError> {
+    match &parcel.content {
+        Some(content) => content.read(),
+        None => {
+            Err(WireError::new(Code::BAD_CONTENT, format!("{} needs content", parcel.name())).slot("content"))
+        }
+    }
+}
+
+/// A path inside content.
+pub(crate) fn path(text: &str, slot: &str) -> Result<Path, WireError> {
+    Path::parse(text).map_err(|error| error.slot(&format!("content/{slot}")))
+}
+
+/// An error about a member of the content.
+pub(crate) fn bad(slot: &str, text: String) -> WireError {
+    WireError::new(Code::BAD_CONTENT, text).slot(&format!("content/{slot}"))
+}

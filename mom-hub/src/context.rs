@@ -1,0 +1,105 @@
+//! A context of the tree.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use mom_managers::{Manager, Micros};
+use mom_proto::{ContextKind, ContextNumber, Delivery, Map, Path};
+use serde::Deserialize;
+
+use crate::token::Token;
+use crate::{Member, PeerId};
+
+/// Who is told who comes and goes (design §7).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Presence {
+    /// Every member, each time.
+    #[default]
+    All,
+    /// Every member, but above 200 members only how many there are, at most once a second.
+    Counts,
+    /// Nobody.
+    None,
+}
+
+/// One context.
+#[derive(Debug)]
+pub(crate) struct Context {
+    pub(crate) number: ContextNumber,
+    pub(crate) path: Path,
+    pub(crate) parent: Option<ContextNumber>,
+    pub(crate) children: BTreeMap<Arc<str>, ContextNumber>,
+    pub(crate) members: BTreeMap<PeerId, Arc<Member>>,
+    /// None = the nearest one above decides.
+    pub(crate) manager: Option<Box<dyn Manager>>,
+    /// How it was named, for `info`.
+    pub(crate) manager_word: Option<String>,
+    pub(crate) presence: Presence,
+    pub(crate) next_count: Micros,
+    pub(crate) count_due: bool,
+    /// Deleted with its last member.
+    pub(crate) transient: bool,
+    /// Of the configuration file: never deleted.
+    pub(crate) permanent: bool,
+    pub(crate) role: Role,
+}
+
+/// What a context is besides a place.
+#[derive(Debug)]
+pub(crate) enum Role {
+    Session,
+    Channel(Channel),
+    Token(Box<Token>),
+}
+
+#[derive(Debug)]
+pub(crate) struct Channel {
+    pub(crate) guard: Option<GuardSpec>,
+    pub(crate) delivery: Delivery,
+}
+
+#[derive(Clone, Debug)]
+pub(crate) struct GuardSpec {
+    pub(crate) token: Path,
+    pub(crate) names: Arc<[String]>,
+}
+
+impl Context {
+    pub(crate) fn kind(&self) -> ContextKind {
+        match self.role {
+            Role::Session => ContextKind::Session,
+            Role::Channel(_) => ContextKind::Channel,
+            Role::Token(_) => ContextKind::Token,
+        }
+    }
+
+    pub(crate) fn channel(&self) -> Option<&Channel> {
+        match &self.role {
+            Role::Channel(channel) => Some(channel),
+            _ => None,
+        }
+    }
+
+    pub(crate) fn token(&self) -> Option<&Token> {
+        match &self.role {
+            Role::Token(token) => Some(token),
+            _ => None,
+        }
+    }
+
+    pub(crate) fn token_mut(&mut self) -> Option<&mut Token> {
+        match &mut self.role {
+            Role::Token(token) => Some(token),
+            _ => None,
+        }
+    }
+
+    /// Path, kind and number: what replies say of every context.
+    pub(crate) fn summary(&self) -> Map {
+        Map::new()
+            .with("path", self.path.as_str())
+            .with("kind", self.kind().word())
+            .with("number", i64::try_from(self.number.0).unwrap_or(i64::MAX))
+    }
+}

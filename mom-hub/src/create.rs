@@ -1,0 +1,262 @@
+//! Making contexts: by request (M24) and from the configuration (M25).
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use mom_managers::Terms;
+use mom_proto::nearest::nearest;
+use mom_proto::{Code, Content, ContextKind, ContextNumber, Path, WireError};
+
+use crate::args::{self, ContextSpec};
+use crate::context::{Channel, Context, GuardSpec, Presence, Role};
+use crate::token::{SafeState, Token};
+use crate::{Hub, PeerId};
+
+/// What is wrong with the contexts of a configuration.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SetupError {
+    /// The entry at fault, counted from 0; none for the root's manager.
+    pub entry: Option<usize>,
+    /// What is wrong, with the key as slot.
+    pub error: WireError,
+}
+
+impl Hub {
+    /// Makes a context below an existing session; checks everything before anything changes.
+    pub(crate) fn make(
+        &mut self,
+        path: Path,
+        spec: &ContextSpec,
+        permanent: bool,
+    ) -> Result<ContextNumber, WireError> {
+        let parent = self.parent_for(&path)?;
+        if self.tree.find(&path).is_some() {
+            return Err(
+                WireError::new(Code::EXISTS, format!("there is a context {path} already")).slot("context"),
+            );
+        }
+        if !self.settings.limits.contexts.allows(self.tree.len() + 1) {
+            let text = format!("the hub holds {} contexts, its limit", self.tree.len());
+            return Err(WireError::new(Code::FULL, text));
+        }
+        let manager = spec
+            .manager
+            .as_ref()
+            .map(|spec| self.registry.build(spec).map_err(in_manager))
+            .transpose()?;
+        let managed_terms = match &manager {
+            Some(manager) => manager.terms(),
+            None => self.terms_above(parent),
+        };
+        let role = self.make_role(spec, managed_terms)?;
+        let number = self.tree.next_number();
+        let guard = match &role {
+            Role::Channel(Channel {
+                guard: Some(guard), ..
+            }) => Some(guard.token.clone()),
+            _ => None,
+        };
+        self.tree.insert(Context {
+            number,
+            path,
+            parent: Some(parent),
+            children: BTreeMap::new(),
+            members: BTreeMap::new(),
+            manager,
+            manager_word: spec.manager.as_ref().map(manager_word),
+            presence: spec.presence.unwrap_or_default(),
+            next_count: 0,
+            count_due: false,
+            transient: spec.transient,
+            permanent,
+            role,
+        });
+        let token = guard
+            .and_then(|token| self.tree.find(&token))
+            .map(|token| token.number);
+        if let Some(token) = token.and_then(|token| self.tree.get_mut(token)?.token_mut()) {
+            token.guarded.insert(number);
+        }
+        Ok(number)
+    }
+
+    /// The session in which a path is to be made.
+    pub(crate) fn parent_for(&self, path: &Path) -> Result<ContextNumber, WireError> {
+        let Some(above) = path.parent() else {
+            return Err(WireError::new(Code::EXISTS, "the root is there already").slot("context"));
+        };
+        let parent = self
+            .tree
+            .find(&above)
+            .ok_or_else(|| self.unknown_path(&above, None))?;
+        match parent.kind() {
+            ContextKind::Session => Ok(parent.number),
+            kind => {
+                let text = format!("{above} is a {kind}; only sessions have contexts in them");
+                Err(WireError::new(Code::WRONG_KIND, text).slot("context"))
+            }
+        }
+    }
+
+    fn terms_above(&self, parent: ContextNumber) -> Terms {
+        let managing = self.managing(parent).and_then(|number| self.tree.get(number));
+        managing
+            .and_then(|context| context.manager.as_ref())
+            .map(|manager| manager.terms())
+            .unwrap_or_default()
+    }
+
+    fn make_role(&self, spec: &ContextSpec, terms: Terms) -> Result<Role, WireError> {
+        let kind = ContextKind::from_word(&spec.kind).ok_or_else(|| {
+            let near = nearest(&spec.kind, ContextKind::ALL.map(ContextKind::word));
+            args::bad(
+                "kind",
+                format!("{:?} is not one of session, channel, token", spec.kind),
+            )
+            .nearest_opt(near)
+        })?;
+        let only = |present: bool, key: &str, of: ContextKind| match present && kind != of {
+            true => Err(args::bad(key, format!("only a {of} has {key}"))),
+            false => Ok(()),
+        };
+        only(spec.guard.is_some(), "guard", ContextKind::Channel)?;
+        only(spec.delivery.is_some(), "delivery", ContextKind::Channel)?;
+        only(spec.safe.is_some(), "safe", ContextKind::Token)?;
+        only(spec.lease.is_some(), "lease", ContextKind::Token)?;
+        only(spec.expiry.is_some(), "expiry", ContextKind::Token)?;
+        match kind {
+            ContextKind::Session => Ok(Role::Session),
+            ContextKind::Channel => Ok(Role::Channel(Channel {
+                guard: self.make_guard(spec)?,
+                delivery: spec.delivery()?,
+            })),
+            ContextKind::Token => make_token(spec, terms).map(|token| Role::Token(Box::new(token))),
+        }
+    }
+
+    fn make_guard(&self, spec: &ContextSpec) -> Result<Option<GuardSpec>, WireError> {
+        let Some(guard) = &spec.guard else {
+            return Ok(None);
+        };
+        let token = args::path(&guard.token, "guard/token")?;
+        if self
+            .tree
+            .find(&token)
+            .and_then(|context| context.token())
+            .is_none()
+        {
+            return Err(self
+                .unknown_path(&token, Some(ContextKind::Token))
+                .slot("content/guard/token"));
+        }
+        if guard.names.is_empty() {
+            return Err(args::bad(
+                "guard/names",
+                "a guard needs the names of messages, or *".to_owned(),
+            ));
+        }
+        Ok(Some(GuardSpec {
+            token,
+            names: Arc::from(guard.names.as_slice()),
+        }))
+    }
+
+    /// The error for a path that nothing is at, with the nearest one that is.
+    pub(crate) fn unknown_path(&self, path: &Path, kind: Option<ContextKind>) -> WireError {
+        let known = self
+            .tree
+            .iter()
+            .filter(|context| kind.is_none_or(|kind| context.kind() == kind));
+        let near = nearest(path.as_str(), known.map(|context| context.path.as_str()));
+        let what = kind.map_or("context", ContextKind::word);
+        WireError::new(Code::UNKNOWN_PATH, format!("there is no {what} {path}"))
+            .slot("context")
+            .nearest_opt(near)
+    }
+
+    /// Tells the members of a session about a new child.
+    pub(crate) fn push_created(&self, number: ContextNumber, by: PeerId, out: &mut Vec<crate::Effect>) {
+        let Some(context) = self.tree.get(number) else {
+            return;
+        };
+        let Some(parent) = context.parent.and_then(|parent| self.tree.get(parent)) else {
+            return;
+        };
+        let content = context.summary().with("by", self.name_of(by));
+        let to = parent.members.keys().copied().collect();
+        self.push_event(mom_proto::event::CREATED, &parent.path, to, content, out);
+    }
+}
+
+/// The root: a session that is always there, whose members are not told of each other.
+pub(crate) fn make_root(
+    number: ContextNumber,
+    manager: Box<dyn mom_managers::Manager>,
+    word: String,
+) -> Context {
+    Context {
+        number,
+        path: Path::root(),
+        parent: None,
+        children: BTreeMap::new(),
+        members: BTreeMap::new(),
+        manager: Some(manager),
+        manager_word: Some(word),
+        presence: Presence::None,
+        next_count: 0,
+        count_due: false,
+        transient: false,
+        permanent: true,
+        role: Role::Session,
+    }
+}
+
+/// How a manager was named, for people.
+pub(crate) fn manager_word(spec: &mom_proto::Value) -> String {
+    match spec.as_str().or_else(|| spec.get("kind")?.as_str()) {
+        Some(word) => word.to_owned(),
+        None => "unnamed".to_owned(),
+    }
+}
+
+fn make_token(spec: &ContextSpec, terms: Terms) -> Result<Token, WireError> {
+    let lease = match spec.lease {
+        None => terms.lease,
+        Some(millis) => {
+            let micros = millis
+                .checked_mul(1000)
+                .filter(|micros| *micros > 0 && *micros < 1 << 53);
+            Some(micros.ok_or_else(|| args::bad("lease", "a lease is a number of ms from 1 on".to_owned()))?)
+        }
+    };
+    let safe = match &spec.safe {
+        None => None,
+        Some(safe) => {
+            mom_proto::check_message_name(&safe.name).map_err(|error| error.slot("content/safe/name"))?;
+            Some(SafeState {
+                channel: args::path(&safe.channel, "safe/channel")?,
+                name: safe.name.clone(),
+                content: safe.content.clone().map(Content::Value),
+            })
+        }
+    };
+    Ok(Token {
+        owner: None,
+        fence: 0,
+        terms: Terms {
+            lease,
+            expiry: spec.expiry.unwrap_or(terms.expiry),
+        },
+        safe,
+        guarded: std::collections::BTreeSet::new(),
+    })
+}
+
+fn in_manager(error: WireError) -> WireError {
+    let inner = error
+        .get("slot")
+        .and_then(mom_proto::Value::as_str)
+        .map(|slot| format!("/{slot}"))
+        .unwrap_or_default();
+    error.slot(&format!("content/manager{inner}"))
+}

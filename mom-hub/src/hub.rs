@@ -1,0 +1,268 @@
+//! The hub: its state, and the way in.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use mom_managers::{Micros, Registry};
+use mom_proto::event::Reason;
+use mom_proto::{Code, ContextNumber, Map, PROTOCOL_VERSION, Parcel, Path, Value, WireError};
+
+use crate::args::{self, ContextSpec};
+use crate::create::{SetupError, make_root, manager_word};
+use crate::peers::Peers;
+use crate::token::Token;
+use crate::tree::Tree;
+use crate::{Effect, Input, Member, PeerId, Settings, User, verbs};
+
+/// The deterministic state machine that decides everything.
+#[derive(Debug)]
+pub struct Hub {
+    pub(crate) settings: Settings,
+    pub(crate) registry: Registry,
+    pub(crate) tree: Tree,
+    pub(crate) peers: Peers,
+    pub(crate) timers: BTreeSet<(Micros, Timer)>,
+    pub(crate) now: Micros,
+    /// The highest fence of all tokens that were deleted.
+    pub(crate) deleted_fence: u64,
+    /// Channels whose routes the present input has changed.
+    pub(crate) changed: BTreeSet<ContextNumber>,
+}
+
+/// What the hub does by itself at some time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Timer {
+    /// Ends the ownership of a token whose expiry is eager.
+    Lease(ContextNumber),
+    /// Sends a count of members that was held back.
+    Count(ContextNumber),
+}
+
+impl Hub {
+    /// A hub with a managed root and the contexts of the configuration, which stay for good.
+    ///
+    /// # Errors
+    /// The entry at fault and what is wrong with it.
+    pub fn new(
+        settings: Settings,
+        registry: Registry,
+        root: &Value,
+        contexts: &[ContextSpec],
+    ) -> Result<Hub, SetupError> {
+        let manager = registry
+            .build(root)
+            .map_err(|error| SetupError { entry: None, error })?;
+        let mut hub = Hub {
+            settings,
+            registry,
+            tree: Tree::default(),
+            peers: Peers::default(),
+            timers: BTreeSet::new(),
+            now: 0,
+            deleted_fence: 0,
+            changed: BTreeSet::new(),
+        };
+        let number = hub.tree.next_number();
+        hub.tree.insert(make_root(number, manager, manager_word(root)));
+        for (entry, spec) in contexts.iter().enumerate() {
+            hub.make_configured(spec).map_err(|error| SetupError {
+                entry: Some(entry),
+                error,
+            })?;
+        }
+        Ok(hub)
+    }
+
+    fn make_configured(&mut self, spec: &ContextSpec) -> Result<(), WireError> {
+        let Some(path) = &spec.path else {
+            return Err(args::bad(
+                "path",
+                "a context of the configuration needs its path".to_owned(),
+            ));
+        };
+        self.make(args::path(path, "path")?, spec, true).map(|_| ())
+    }
+
+    /// The routes of all channels, for a broker that has just made the hub.
+    pub fn routes(&self) -> Vec<Arc<crate::Route>> {
+        self.tree
+            .iter()
+            .filter_map(|context| self.route(context.number))
+            .map(Arc::new)
+            .collect()
+    }
+
+    /// Takes one input at a time that never goes back, and appends what is to be done.
+    ///
+    /// Deadlines up to and at `now` act first. The routes that an input changes come before its other effects.
+    pub fn handle(&mut self, now: Micros, input: Input, out: &mut Vec<Effect>) {
+        self.now = self.now.max(now);
+        while let Some(&(deadline, timer)) = self.timers.first().filter(|(deadline, _)| *deadline <= self.now)
+        {
+            self.timers.remove(&(deadline, timer));
+            let start = out.len();
+            self.handle_timer(timer, out);
+            self.push_changed_routes(start, out);
+        }
+        let start = out.len();
+        match input {
+            Input::Login {
+                peer,
+                user,
+                nickname,
+                id,
+            } => self.handle_login(peer, user, nickname, id, out),
+            Input::Gone { peer } => self.handle_gone(peer, out),
+            Input::Request { peer, parcel } => self.handle_request(peer, *parcel, out),
+            Input::Tick => {}
+        }
+        self.push_changed_routes(start, out);
+    }
+
+    /// When the hub wants to be called at the latest.
+    pub fn deadline(&self) -> Option<Micros> {
+        self.timers.first().map(|(deadline, _)| *deadline)
+    }
+
+    /// The facts of a peer that has logged in.
+    pub fn peer_name(&self, peer: PeerId) -> Option<Arc<str>> {
+        self.peers.get(peer).map(|peer| Arc::clone(&peer.facts.name))
+    }
+
+    fn handle_timer(&mut self, timer: Timer, out: &mut Vec<Effect>) {
+        match timer {
+            Timer::Lease(token) => self.lose(token, Reason::Expired, None, out),
+            Timer::Count(context) => self.push_count(context, out),
+        }
+    }
+
+    fn handle_login(
+        &mut self,
+        peer: PeerId,
+        user: User,
+        nickname: Option<String>,
+        id: Option<u64>,
+        out: &mut Vec<Effect>,
+    ) {
+        let details = user.details.clone();
+        let same_user = self.peers.get(peer).map(|known| *known.facts.user == *user.name);
+        match same_user {
+            Some(true) => self.refresh(peer, user),
+            known => {
+                // Another user on the same connection is another peer: it inherits nothing.
+                if known.is_some() {
+                    self.handle_gone(peer, out);
+                }
+                let name = nickname.unwrap_or_else(|| user.name.clone());
+                self.peers.add(peer, user, &name, self.now);
+                if let Some(root) = self.tree.find(&Path::root()).map(|root| root.number) {
+                    self.add_member(root, peer, out);
+                }
+            }
+        }
+        let mut content = self.welcome(peer);
+        details
+            .into_iter()
+            .for_each(|(key, value)| content.set(&key, value));
+        self.push_ok(peer, id, &Path::root(), Some(content), out);
+    }
+
+    /// Puts the facts of a repeated login everywhere; verdicts about the old ones stand no more.
+    fn refresh(&mut self, peer: PeerId, user: User) {
+        let Some(facts) = self.peers.update(peer, user) else {
+            return;
+        };
+        let joined: Vec<ContextNumber> = self
+            .peers
+            .get(peer)
+            .map(|peer| peer.joined.iter().copied().collect())
+            .unwrap_or_default();
+        for number in joined {
+            if let Some(context) = self.tree.get_mut(number) {
+                context
+                    .members
+                    .insert(peer, Arc::new(Member::new(peer, Arc::clone(&facts))));
+                self.changed.insert(number);
+            }
+        }
+        // Routes show the owner's level, also to channels that the owner has not joined.
+        let owned: Vec<ContextNumber> = self
+            .peers
+            .get(peer)
+            .map(|peer| peer.owns.iter().copied().collect())
+            .unwrap_or_default();
+        owned
+            .into_iter()
+            .for_each(|token| self.change_guarded_routes(token));
+    }
+
+    fn welcome(&self, peer: PeerId) -> Map {
+        let Some(peer) = self.peers.get(peer) else {
+            return Map::new();
+        };
+        let groups = peer
+            .facts
+            .groups
+            .iter()
+            .map(|group| Value::from(group.as_str()))
+            .collect::<Vec<_>>();
+        let (major, minor) = PROTOCOL_VERSION;
+        crate::events::peer_map(&peer.facts)
+            .with("groups", groups)
+            .with(
+                "protocol",
+                Map::new()
+                    .with("major", i32::from(major))
+                    .with("minor", i32::from(minor)),
+            )
+            .with("limits", self.settings.limits.to_map())
+            .with("time", self.wall())
+    }
+
+    fn handle_gone(&mut self, peer: PeerId, out: &mut Vec<Effect>) {
+        if let Some(root) = self.tree.find(&Path::root()).map(|root| root.number) {
+            self.leave(root, peer, Reason::Disconnected, out);
+        }
+        self.peers
+            .remove(peer, self.now.saturating_add(self.settings.name_rest));
+    }
+
+    fn handle_request(&mut self, peer: PeerId, parcel: Parcel, out: &mut Vec<Effect>) {
+        let (reference, start) = (parcel.id, out.len());
+        let result = match self.peers.get(peer) {
+            Some(_) => verbs::carry_out(self, peer, parcel, out),
+            None => Err(WireError::new(
+                Code::NOT_LOGGED_IN,
+                "log in first: family login, name login",
+            )),
+        };
+        if let Err(error) = result {
+            debug_assert_eq!(out.len(), start, "a refused request has no effects: {error}");
+            let mut parcel = error.to_parcel(reference);
+            parcel.sender = Some(mom_proto::HUB.into());
+            parcel.timestamp = Some(self.wall());
+            out.push(Effect::Reply {
+                to: peer,
+                parcel: Arc::new(parcel),
+            });
+        }
+    }
+
+    fn push_changed_routes(&mut self, start: usize, out: &mut Vec<Effect>) {
+        if self.changed.is_empty() {
+            return;
+        }
+        let changed = std::mem::take(&mut self.changed);
+        let routes = changed.into_iter().filter_map(|number| match self.route(number) {
+            Some(route) => Some(Effect::Route(Arc::new(route))),
+            None if self.tree.get(number).is_none() => Some(Effect::RouteGone(number)),
+            None => None,
+        });
+        let routes: Vec<Effect> = routes.collect();
+        out.splice(start..start, routes);
+    }
+
+    pub(crate) fn token(&self, number: ContextNumber) -> Option<&Token> {
+        self.tree.get(number).and_then(|context| context.token())
+    }
+}

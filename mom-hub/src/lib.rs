@@ -1,0 +1,52 @@
+//! Decides: the context tree of MOM as a deterministic state machine (design §4).
+//!
+//! [`Hub::handle`] takes the time and an [`Input`] and appends [`Effect`]s; [`Hub::deadline`] says when the
+//! hub wants to be called without one. There is no IO, no clock, no randomness: the same inputs give the same
+//! effects, so a log of inputs replays exactly.
+//!
+//! Methods are named by kind: `handle_*` take an input in, `on_*` carry out one verb, `push_*` append
+//! effects, `check` asserts what always holds.
+//!
+//! ```
+//! use mom_hub::{Effect, Hub, Input, PeerId, Settings, User};
+//! use mom_managers::Registry;
+//! use mom_proto::Map;
+//!
+//! let mut hub = Hub::new(Settings::default(), Registry::builtin(), &"open".into(), &[]).unwrap();
+//! let mut effects = Vec::new();
+//! let alice = User { name: "alice".into(), level: 1, groups: vec![], details: Map::new() };
+//! hub.handle(0, Input::Login { peer: PeerId(1), user: alice, nickname: None, id: Some(1) }, &mut effects);
+//! assert!(matches!(&effects[..], [Effect::Reply { to: PeerId(1), .. }]));
+//! hub.check();
+//! ```
+
+mod admit;
+mod args;
+mod check;
+mod consult;
+mod context;
+mod create;
+mod effect;
+mod events;
+mod hub;
+mod input;
+mod member;
+mod membership;
+mod ownership;
+mod peers;
+mod route;
+mod settings;
+mod token;
+mod tree;
+mod verbs;
+
+pub use admit::{Admission, Receivers, admit, admit_with};
+pub use args::ContextSpec;
+pub use context::Presence;
+pub use create::SetupError;
+pub use effect::Effect;
+pub use hub::Hub;
+pub use input::{Input, User};
+pub use member::{Member, PeerId, StandingVerdict};
+pub use route::{Guard, GuardOwner, Route};
+pub use settings::Settings;

@@ -1,0 +1,208 @@
+//! Joining and leaving, and what follows from it (M23, M30).
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use mom_proto::event::{self, Reason};
+use mom_proto::{ContextNumber, Map};
+
+use crate::context::Presence;
+use crate::events::peer_map;
+use crate::hub::Timer;
+use crate::route::{Guard, GuardOwner, Route};
+use crate::{Effect, Hub, Member, PeerId};
+
+impl Hub {
+    /// Adds a peer to a context and tells its members.
+    pub(crate) fn add_member(&mut self, number: ContextNumber, peer: PeerId, out: &mut Vec<Effect>) {
+        let Some(known) = self.peers.get_mut(peer) else {
+            return;
+        };
+        known.joined.insert(number);
+        let facts = Arc::clone(&known.facts);
+        let Some(context) = self.tree.get_mut(number) else {
+            return;
+        };
+        context
+            .members
+            .insert(peer, Arc::new(Member::new(peer, Arc::clone(&facts))));
+        self.changed.insert(number);
+        self.push_presence(number, event::JOINED, peer_map(&facts), out);
+    }
+
+    /// Takes a peer out of a context and of all below it, deepest first; gives up the tokens that it may
+    /// not own any more, as owning needs membership of the parent.
+    pub(crate) fn leave(
+        &mut self,
+        number: ContextNumber,
+        peer: PeerId,
+        reason: Reason,
+        out: &mut Vec<Effect>,
+    ) {
+        let Some(top) = self.tree.get(number).map(|context| context.path.clone()) else {
+            return;
+        };
+        let Some(known) = self.peers.get(peer) else { return };
+        let places: BTreeSet<ContextNumber> = known.joined.union(&known.owns).copied().collect();
+        // A child's number is higher than its parent's, so this order is deepest first.
+        for place in places.into_iter().rev() {
+            if self
+                .tree
+                .get(place)
+                .is_none_or(|context| !context.path.is_within(&top))
+            {
+                continue;
+            }
+            if self
+                .peers
+                .get(peer)
+                .is_some_and(|peer| peer.owns.contains(&place))
+            {
+                self.lose(place, reason, None, out);
+            }
+            self.remove_member(place, peer, out);
+        }
+    }
+
+    fn remove_member(&mut self, number: ContextNumber, peer: PeerId, out: &mut Vec<Effect>) {
+        let Some(context) = self.tree.get_mut(number) else {
+            return;
+        };
+        let Some(member) = context.members.remove(&peer) else {
+            return;
+        };
+        let dissolves = context.transient && !context.permanent && context.members.is_empty();
+        if let Some(known) = self.peers.get_mut(peer) {
+            known.joined.remove(&number);
+        }
+        self.changed.insert(number);
+        self.push_presence(number, event::LEFT, peer_map(&member.facts), out);
+        if dissolves {
+            self.delete(number, None, out);
+        }
+    }
+
+    /// Deletes a context with all below it, deepest first.
+    pub(crate) fn delete(&mut self, number: ContextNumber, by: Option<PeerId>, out: &mut Vec<Effect>) {
+        for below in self.tree.subtree(number) {
+            self.lose(below, Reason::Deleted, by, out);
+            let Some(context) = self.tree.get(below) else {
+                continue;
+            };
+            let (path, parent, kind) = (context.path.clone(), context.parent, context.kind());
+            let mut to: BTreeSet<PeerId> = context.members.keys().copied().collect();
+            to.extend(parent.map(|parent| self.members_of(parent)).unwrap_or_default());
+            let mut content = Map::new().with("path", path.as_str()).with("kind", kind.word());
+            if let Some(by) = by {
+                content.set("by", self.name_of(by));
+            }
+            for peer in self.members_of(below) {
+                if let Some(known) = self.peers.get_mut(peer) {
+                    known.joined.remove(&below);
+                }
+            }
+            self.unguard(below);
+            self.changed.insert(below);
+            self.push_event(event::DELETED, &path, to.into_iter().collect(), content, out);
+            if let Some(token) = self
+                .tree
+                .remove(below)
+                .as_ref()
+                .and_then(|context| context.token())
+            {
+                // So that a token made anew at this path starts above all fences of this one.
+                self.deleted_fence = self.deleted_fence.max(token.fence);
+                self.changed.extend(&token.guarded);
+            }
+        }
+    }
+
+    fn unguard(&mut self, channel: ContextNumber) {
+        let token = self
+            .tree
+            .get(channel)
+            .and_then(|context| context.channel()?.guard.as_ref());
+        let token = token
+            .and_then(|guard| self.tree.find(&guard.token))
+            .map(|token| token.number);
+        if let Some(token) = token.and_then(|token| self.tree.get_mut(token)?.token_mut()) {
+            token.guarded.remove(&channel);
+        }
+    }
+
+    /// Notes that the routes of all channels which a token guards have changed.
+    pub(crate) fn change_guarded_routes(&mut self, number: ContextNumber) {
+        if let Some(token) = self.tree.get(number).and_then(|context| context.token()) {
+            self.changed.extend(&token.guarded);
+        }
+    }
+
+    /// The route of a channel as the tree stands.
+    pub(crate) fn route(&self, number: ContextNumber) -> Option<Route> {
+        let context = self.tree.get(number)?;
+        let channel = context.channel()?;
+        let guard = channel.guard.as_ref().map(|spec| {
+            // A guard whose token is gone has no owner: it lets nobody pass.
+            let token = self.tree.find(&spec.token).and_then(|context| context.token());
+            let owner = token.and_then(|token| token.owner.as_ref());
+            Guard {
+                token: spec.token.clone(),
+                names: Arc::clone(&spec.names),
+                owner: owner.and_then(|owner| {
+                    let facts = &self.peers.get(owner.peer)?.facts;
+                    let name = Arc::clone(&facts.name);
+                    Some(GuardOwner {
+                        peer: owner.peer,
+                        name,
+                        level: facts.level,
+                        lease_end: owner.lease_end,
+                    })
+                }),
+                fence: token.map_or(0, |token| token.fence),
+            }
+        });
+        Some(Route {
+            number,
+            path: context.path.clone(),
+            members: context.members.values().cloned().collect(),
+            guard,
+            delivery: channel.delivery,
+        })
+    }
+
+    fn push_presence(&mut self, number: ContextNumber, name: &str, who: Map, out: &mut Vec<Effect>) {
+        let (now, above, every) = (self.now, self.settings.counts_above, self.settings.counts_every);
+        let Some(context) = self.tree.get_mut(number) else {
+            return;
+        };
+        let count = context.members.len();
+        let counted = match context.presence {
+            Presence::None => return,
+            Presence::All => false,
+            Presence::Counts => count > above,
+        };
+        if counted && now < context.next_count {
+            if !context.count_due {
+                context.count_due = true;
+                self.timers.insert((context.next_count, Timer::Count(number)));
+            }
+            return;
+        }
+        let path = context.path.clone();
+        let content = if counted {
+            context.next_count = now + every;
+            Map::new().with("count", i64::try_from(count).unwrap_or(i64::MAX))
+        } else {
+            who
+        };
+        self.push_event(name, &path, self.members_of(number), content, out);
+    }
+
+    /// Sends the count that was held back.
+    pub(crate) fn push_count(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
+        if let Some(context) = self.tree.get_mut(number) {
+            context.count_due = false;
+            self.push_presence(number, event::JOINED, Map::new(), out);
+        }
+    }
+}

@@ -1,0 +1,35 @@
+//! What the hub is told at its start.
+
+use mom_managers::Micros;
+use mom_proto::{Limits, Time};
+
+/// The hub's constants.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// Wall time at monotonic time 0.
+    pub anchor: Time,
+    /// The upper part of every fence: Unix seconds at start, so that fences rise over restarts.
+    pub epoch: u64,
+    /// The limits that the login reply advertises.
+    pub limits: Limits,
+    /// For how long another user cannot have the name of a peer that left, in µs.
+    pub name_rest: Micros,
+    /// The members of a context above which `counts` are sent, and at most once in
+    /// [`Settings::counts_every`].
+    pub counts_above: usize,
+    /// The least time between two counts, in µs.
+    pub counts_every: Micros,
+}
+
+impl Default for Settings {
+    fn default() -> Settings {
+        Settings {
+            anchor: Time::default(),
+            epoch: 0,
+            limits: Limits::default(),
+            name_rest: 60_000_000,
+            counts_above: 200,
+            counts_every: 1_000_000,
+        }
+    }
+}

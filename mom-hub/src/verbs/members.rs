@@ -1,0 +1,27 @@
+//! `context members`: who is in a context.
+
+use mom_proto::{Map, Value, WireError};
+
+use super::Request;
+use crate::events::peer_map;
+use crate::{Effect, Hub};
+
+pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), WireError> {
+    let number = hub.allowed(request)?;
+    let members = hub
+        .tree
+        .get(number)
+        .into_iter()
+        .flat_map(|context| context.members.values());
+    let list: Vec<Value> = members
+        .map(|member| Value::Map(peer_map(&member.facts)))
+        .collect();
+    hub.push_ok(
+        request.peer,
+        request.parcel.id,
+        &request.path,
+        Some(Map::new().with("members", list)),
+        out,
+    );
+    Ok(())
+}

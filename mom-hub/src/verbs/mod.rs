@@ -1,0 +1,167 @@
+//! One verb per file: what it needs, what it changes, what it answers.
+
+mod create;
+mod delete;
+mod grab;
+mod info;
+mod join;
+mod leave;
+mod list;
+mod lookup;
+mod members;
+mod release;
+mod renew;
+mod send;
+
+use mom_proto::{Code, ContextKind, ContextNumber, Parcel, Path, Verb, WireError};
+
+use crate::consult::Wish;
+use crate::context::Context;
+use crate::{Effect, Hub, PeerId};
+
+/// A request with its context's path resolved.
+pub(crate) struct Request {
+    pub(crate) peer: PeerId,
+    pub(crate) verb: Verb,
+    pub(crate) path: Path,
+    pub(crate) parcel: Parcel,
+}
+
+/// Carries out a request. An error has changed nothing and has had no effect.
+pub(crate) fn carry_out(
+    hub: &mut Hub,
+    peer: PeerId,
+    parcel: Parcel,
+    out: &mut Vec<Effect>,
+) -> Result<(), WireError> {
+    let verb = Verb::of(parcel.family, &parcel.name)?;
+    let path = hub.path_of(&parcel, verb)?;
+    let request = Request {
+        peer,
+        verb,
+        path,
+        parcel,
+    };
+    match verb {
+        Verb::Create => create::on(hub, &request, out),
+        Verb::Lookup => lookup::on(hub, &request, out),
+        Verb::List => list::on(hub, &request, out),
+        Verb::Info => info::on(hub, &request, out),
+        Verb::Join => join::on(hub, &request, out),
+        Verb::Leave => leave::on(hub, &request, out),
+        Verb::Delete => delete::on(hub, &request, out),
+        Verb::Members => members::on(hub, &request, out),
+        Verb::Grab => grab::on(hub, &request, out),
+        Verb::Release => release::on(hub, &request, out),
+        Verb::Renew => renew::on(hub, &request, out),
+        Verb::Send | Verb::Stop | Verb::Unstop => send::on(hub, request, out),
+        Verb::Logout => logout(hub, &request, out),
+        // Those need what the hub does not have: passwords and clocks. The broker answers them.
+        Verb::Login | Verb::Ping | Verb::Pong => Err(WireError::new(
+            Code::UNKNOWN_VERB,
+            format!("{verb} is not answered here"),
+        )),
+    }
+}
+
+fn logout(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), WireError> {
+    hub.push_ok(request.peer, request.parcel.id, &Path::root(), None, out);
+    out.push(Effect::Close {
+        peer: request.peer,
+        error: None,
+    });
+    Ok(())
+}
+
+impl Hub {
+    fn path_of(&self, parcel: &Parcel, verb: Verb) -> Result<Path, WireError> {
+        if let Some(path) = &parcel.context {
+            return Ok(path.clone());
+        }
+        match parcel.number {
+            Some(number) => self
+                .tree
+                .get(number)
+                .map(|context| context.path.clone())
+                .ok_or_else(|| {
+                    let text = format!("there is no context of number {}", number.0);
+                    WireError::new(Code::UNKNOWN_PATH, text).slot("context")
+                }),
+            None if verb == Verb::Logout => Ok(Path::root()),
+            None => {
+                let text = format!("{verb} needs the slot context");
+                Err(WireError::new(Code::BAD_SLOT, text).slot("context"))
+            }
+        }
+    }
+
+    /// The context of a request, once its manager has allowed the verb there.
+    ///
+    /// Where nothing is, the manager of the nearest context above decides whether the peer may know.
+    pub(crate) fn allowed(&mut self, request: &Request) -> Result<ContextNumber, WireError> {
+        match self.tree.find(&request.path).map(|context| context.number) {
+            Some(number) => {
+                self.ask(request.peer, &Wish::new(request.verb, number))?;
+                Ok(number)
+            }
+            None => {
+                let above = self
+                    .tree
+                    .find_or_above(&request.path)
+                    .map(|context| context.number);
+                let at = above.ok_or_else(|| self.unknown_path(&request.path, None))?;
+                self.ask(
+                    request.peer,
+                    &Wish {
+                        path: Some(&request.path),
+                        ..Wish::new(request.verb, at)
+                    },
+                )?;
+                Err(self.unknown_path(&request.path, None))
+            }
+        }
+    }
+
+    /// As [`Hub::allowed`], for verbs of tokens.
+    pub(crate) fn allowed_token(&mut self, request: &Request) -> Result<ContextNumber, WireError> {
+        if let Some(context) = self.tree.find(&request.path) {
+            of_kind(context, ContextKind::Token, request.verb)?;
+        }
+        self.allowed(request)
+    }
+
+    /// Whether a peer is a member of a context.
+    pub(crate) fn is_member(&self, peer: PeerId, number: ContextNumber) -> bool {
+        self.tree
+            .get(number)
+            .is_some_and(|context| context.members.contains_key(&peer))
+    }
+
+    /// Checks that a peer has joined the parent of a context (M23).
+    pub(crate) fn check_parent_joined(&self, peer: PeerId, number: ContextNumber) -> Result<(), WireError> {
+        let Some(parent) = self.tree.get(number).and_then(|context| context.parent) else {
+            return Ok(());
+        };
+        if self.is_member(peer, parent) {
+            return Ok(());
+        }
+        let path = self
+            .tree
+            .get(parent)
+            .map(|parent| parent.path.to_string())
+            .unwrap_or_default();
+        let text = format!("join {path} first: a context is entered through its parent");
+        Err(WireError::new(Code::NOT_MEMBER, text).slot("context"))
+    }
+}
+
+/// Checks that a context knows a verb.
+pub(crate) fn of_kind(context: &Context, kind: ContextKind, verb: Verb) -> Result<(), WireError> {
+    match context.kind() == kind {
+        true => Ok(()),
+        false => {
+            let text = format!("{} is a {}; {verb} is for a {kind}", context.path, context.kind());
+            Err(WireError::new(Code::WRONG_KIND, text).slot("context"))
+        }
+    }
+}

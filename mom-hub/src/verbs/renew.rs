@@ -1,0 +1,37 @@
+//! `token renew`: the owner begins a new lease (M29); commands do not renew.
+
+use mom_proto::{Code, ContextNumber, WireError};
+
+use super::{Request, grab};
+use crate::{Effect, Hub};
+
+pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), WireError> {
+    let number = hub.allowed_token(request)?;
+    hub.check_owner(request, number)?;
+    hub.renew_lease(number);
+    let content = grab::granted(hub, number);
+    hub.push_ok(request.peer, request.parcel.id, &request.path, Some(content), out);
+    Ok(())
+}
+
+impl Hub {
+    /// Checks that the asking peer owns the token.
+    pub(crate) fn check_owner(&self, request: &Request, number: ContextNumber) -> Result<(), WireError> {
+        let owner = self
+            .token(number)
+            .and_then(|token| token.owner.as_ref())
+            .map(|owner| owner.peer);
+        if owner == Some(request.peer) {
+            return Ok(());
+        }
+        let text = match owner {
+            None => format!("{} has no owner", request.path),
+            Some(owner) => format!("{} is held by {}", request.path, self.name_of(owner)),
+        };
+        let error = WireError::new(Code::NOT_OWNER, text);
+        Err(match owner.and_then(|owner| self.peers.get(owner)) {
+            Some(owner) => error.owner(&owner.facts.name, owner.facts.level),
+            None => error,
+        })
+    }
+}
