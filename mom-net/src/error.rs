@@ -1,0 +1,29 @@
+//! What can go wrong on a connection.
+
+use std::io;
+
+use mom_proto::{Code, WireError};
+
+/// A connection that cannot go on.
+#[derive(Debug, thiserror::Error)]
+pub enum NetError {
+    /// The link itself.
+    #[error("the link failed: {0}")]
+    Io(#[from] io::Error),
+    /// The bytes on it, or a parcel that has no form on the wire.
+    #[error(transparent)]
+    Wire(#[from] WireError),
+    /// No address.
+    #[error("{0:?} is no address of a hub: write tcp://host:port (XML) or bin://host:port (binary)")]
+    Address(String),
+}
+
+impl NetError {
+    /// The error in the words of the wire; a failed link is `disconnected`.
+    pub fn to_wire(&self) -> WireError {
+        match self {
+            NetError::Wire(error) => error.clone(),
+            other => WireError::new(Code::DISCONNECTED, other.to_string()),
+        }
+    }
+}

@@ -1,0 +1,43 @@
+//! Carries: the transceivers of MOM (M2, M14, M17, M18).
+//!
+//! A [`Transceiver`] is a connection in two halves, the same type at both ends: a [`Reader`] that gives
+//! frames and a [`Writer`] that takes parcels. It comes from [`connect`], [`accept`], which tells the wire
+//! forms apart by their first bytes, or [`pair`], which joins two ends inside one process without encoding.
+//!
+//! ```
+//! # tokio::runtime::Builder::new_current_thread().build().unwrap().block_on(async {
+//! use mom_proto::codec::Frame;
+//! use mom_proto::{Family, Parcel};
+//!
+//! let (mut here, mut there) = mom_net::pair();
+//! here.writer.send(Parcel::new(Family::Time, "ping")).await.unwrap();
+//! let Some(Frame::Parcel(parcel)) = there.reader.next().await.unwrap() else { panic!("a parcel") };
+//! assert_eq!(parcel.name(), "ping");
+//! # });
+//! ```
+
+mod address;
+mod error;
+mod local;
+mod options;
+mod outgoing;
+mod reader;
+mod tcp;
+mod writer;
+
+pub use address::{Address, DEFAULT_PORT};
+pub use error::NetError;
+pub use local::pair;
+pub use outgoing::Outgoing;
+pub use reader::Reader;
+pub use tcp::{accept, connect};
+pub use writer::{Progress, Writer};
+
+/// One connection in two halves.
+#[derive(Debug)]
+pub struct Transceiver {
+    /// Gives frames.
+    pub reader: Reader,
+    /// Takes parcels.
+    pub writer: Writer,
+}

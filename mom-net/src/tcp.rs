@@ -1,0 +1,105 @@
+//! XML and binary over TCP (M14, M17).
+
+use std::collections::VecDeque;
+use std::io;
+use std::sync::Arc;
+
+use bytes::{Bytes, BytesMut};
+use mom_proto::binary::{BinaryDecoder, PREFACE};
+use mom_proto::codec::{Decoder, Encoded, Form};
+use mom_proto::{Code, Limits, WireError};
+use tokio::net::TcpStream;
+
+use crate::reader::{Reader, Source};
+use crate::writer::{Progress, Sink, Writer};
+use crate::{Address, NetError, Outgoing, Transceiver, options};
+
+/// Connects to a hub and speaks the address's form.
+///
+/// # Errors
+/// A link that cannot be had.
+pub async fn connect(address: &Address, limits: &Limits) -> Result<Transceiver, NetError> {
+    let stream = TcpStream::connect((address.host.as_str(), address.port)).await?;
+    let decoder = match address.form {
+        Form::Binary => Decoder::Binary(Box::new(BinaryDecoder::for_peer(limits))),
+        form => Decoder::new(form, limits),
+    };
+    start(stream, address.form, decoder, BytesMut::new()).await
+}
+
+/// Waits for a peer's first bytes, tells by them which form it speaks, and speaks it.
+///
+/// # Errors
+/// Bytes that begin no form, after an answer in XML; or a link that failed. The caller sets the deadline.
+pub async fn accept(stream: TcpStream, limits: &Limits) -> Result<Transceiver, NetError> {
+    let mut first = BytesMut::with_capacity(4096);
+    let form = loop {
+        match Form::sniff(&first) {
+            Ok(Some(form)) => break form,
+            Ok(None) => {}
+            Err(error) => {
+                refuse(&stream, &error).await;
+                return Err(error.into());
+            }
+        }
+        stream.readable().await?;
+        match stream.try_read_buf(&mut first) {
+            Ok(0) => return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into()),
+            Ok(_) => {}
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+            Err(error) => return Err(error.into()),
+        }
+    };
+    start(stream, form, Decoder::new(form, limits), first).await
+}
+
+/// Says why in XML, the form that people can read, to a peer that is not even a peer.
+async fn refuse(stream: &TcpStream, error: &WireError) {
+    if let Ok(encoded) = Form::Xml.encode(&error.to_parcel(None)) {
+        // Best effort: it is closed either way.
+        if stream.writable().await.is_ok() {
+            let _ = stream.try_write(&encoded.head);
+        }
+    }
+}
+
+async fn start(
+    stream: TcpStream,
+    form: Form,
+    decoder: Decoder,
+    buffer: BytesMut,
+) -> Result<Transceiver, NetError> {
+    options::set(&stream)?;
+    let stream = Arc::new(stream);
+    let writer = Writer::new(Sink::Stream {
+        stream: Arc::clone(&stream),
+        form,
+    });
+    if form == Form::Binary {
+        let preface = Encoded {
+            head: Bytes::from_static(&PREFACE),
+            body: Bytes::new(),
+        };
+        let mut queue = VecDeque::from([Outgoing::Encoded(preface)]);
+        while writer.try_write(&mut queue)? == Progress::Blocked {
+            writer.ready().await?;
+        }
+    }
+    let reader = Reader::new(Source::Stream {
+        stream,
+        buffer,
+        decoder,
+        form,
+    });
+    Ok(Transceiver { reader, writer })
+}
+
+/// The error for a connection on which nothing can be answered any more.
+impl From<NetError> for WireError {
+    fn from(error: NetError) -> WireError {
+        match error {
+            NetError::Wire(error) => error,
+            other => WireError::new(Code::DISCONNECTED, other.to_string()),
+        }
+    }
+}

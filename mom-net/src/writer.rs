@@ -1,0 +1,160 @@
+//! The half that takes parcels.
+
+use std::collections::VecDeque;
+use std::io::{self, IoSlice};
+use std::sync::Arc;
+
+use mom_proto::Parcel;
+use mom_proto::codec::Form;
+use socket2::SockRef;
+use tokio::net::TcpStream;
+use tokio::sync::mpsc;
+use tokio::sync::mpsc::error::TrySendError;
+
+use crate::{NetError, Outgoing};
+
+/// Pieces gathered into one system call; half of what Linux takes, two to a parcel.
+const GATHER: usize = 512;
+
+/// Takes the parcels of a connection.
+#[derive(Debug)]
+pub struct Writer {
+    sink: Sink,
+}
+
+#[derive(Debug)]
+pub(crate) enum Sink {
+    Stream { stream: Arc<TcpStream>, form: Form },
+    Local(mpsc::Sender<Arc<Parcel>>),
+}
+
+/// How far a writer came.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Progress {
+    /// All is written.
+    Done,
+    /// The link takes no more now: wait for [`Writer::ready`].
+    Blocked,
+}
+
+impl Writer {
+    pub(crate) fn new(sink: Sink) -> Writer {
+        Writer { sink }
+    }
+
+    /// The wire form, none inside a process.
+    pub fn form(&self) -> Option<Form> {
+        match &self.sink {
+            Sink::Stream { form, .. } => Some(*form),
+            Sink::Local(_) => None,
+        }
+    }
+
+    /// Prepares a parcel for this link.
+    ///
+    /// # Errors
+    /// What has no form on the wire.
+    pub fn prepare(&self, parcel: Arc<Parcel>) -> Result<Outgoing, NetError> {
+        match &self.sink {
+            Sink::Stream { form, .. } => Ok(Outgoing::Encoded(form.encode(&parcel)?)),
+            Sink::Local(_) => Ok(Outgoing::Parcel(parcel)),
+        }
+    }
+
+    /// Writes from the front of `queue` as much as the link takes without waiting; what is written leaves it.
+    ///
+    /// # Errors
+    /// A failed link.
+    pub fn try_write(&self, queue: &mut VecDeque<Outgoing>) -> Result<Progress, NetError> {
+        while !queue.is_empty() {
+            let blocked = match &self.sink {
+                Sink::Stream { stream, .. } => write_stream(stream, queue)?,
+                Sink::Local(sender) => write_local(sender, queue)?,
+            };
+            if blocked {
+                return Ok(Progress::Blocked);
+            }
+        }
+        Ok(Progress::Done)
+    }
+
+    /// Waits until the link takes more.
+    ///
+    /// # Errors
+    /// A failed link.
+    pub async fn ready(&self) -> Result<(), NetError> {
+        match &self.sink {
+            Sink::Stream { stream, .. } => Ok(stream.writable().await?),
+            Sink::Local(sender) => sender.reserve().await.map(drop).map_err(|_| closed()),
+        }
+    }
+
+    /// Encodes and writes one parcel, waiting for the link.
+    ///
+    /// # Errors
+    /// A failed link, or a parcel that has no form on the wire.
+    pub async fn send(&mut self, parcel: Parcel) -> Result<(), NetError> {
+        let mut queue = VecDeque::from([self.prepare(Arc::new(parcel))?]);
+        while self.try_write(&mut queue)? == Progress::Blocked {
+            self.ready().await?;
+        }
+        Ok(())
+    }
+
+    /// Says that nothing more comes from this end. In a process that is when the writer is dropped.
+    pub fn finish(&self) {
+        if let Sink::Stream { stream, .. } = &self.sink {
+            // A link that is gone already needs no goodbye.
+            let _ = SockRef::from(&**stream).shutdown(std::net::Shutdown::Write);
+        }
+    }
+}
+
+fn write_stream(stream: &TcpStream, queue: &mut VecDeque<Outgoing>) -> Result<bool, NetError> {
+    let mut slices = Vec::with_capacity(GATHER.min(queue.len() * 2));
+    for outgoing in queue.iter() {
+        if let Outgoing::Encoded(encoded) = outgoing {
+            let pieces = [&encoded.head, &encoded.body];
+            slices.extend(
+                pieces
+                    .into_iter()
+                    .filter(|piece| !piece.is_empty())
+                    .map(|piece| IoSlice::new(piece)),
+            );
+        }
+        if slices.len() >= GATHER {
+            break;
+        }
+    }
+    let mut written = match stream.try_write_vectored(&slices) {
+        Ok(written) => written,
+        Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(true),
+        Err(error) => return Err(error.into()),
+    };
+    while let Some(front) = queue.front_mut() {
+        written = front.advance(written);
+        if !front.is_empty() {
+            break;
+        }
+        queue.pop_front();
+    }
+    Ok(false)
+}
+
+fn write_local(sender: &mpsc::Sender<Arc<Parcel>>, queue: &mut VecDeque<Outgoing>) -> Result<bool, NetError> {
+    while let Some(Outgoing::Parcel(parcel)) = queue.pop_front() {
+        match sender.try_send(parcel) {
+            Ok(()) => {}
+            Err(TrySendError::Full(parcel)) => {
+                queue.push_front(Outgoing::Parcel(parcel));
+                return Ok(true);
+            }
+            Err(TrySendError::Closed(_)) => return Err(closed()),
+        }
+    }
+    Ok(false)
+}
+
+fn closed() -> NetError {
+    io::Error::from(io::ErrorKind::BrokenPipe).into()
+}
