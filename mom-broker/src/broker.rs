@@ -1,0 +1,285 @@
+//! The service: listeners, sessions, the hub's timer, and its end.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use mom_hub::{Hub, Input, Settings};
+use mom_net::Transceiver;
+use mom_proto::{Code, Limits, WireError};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
+use tokio::task::JoinSet;
+use tokio::time::{Instant, timeout_at};
+
+use crate::clock::Clock;
+use crate::config::{Config, ConfigError};
+use crate::login::Logins;
+use crate::session::{self, Context};
+use crate::switchboard::{Switchboard, Touched, flush};
+
+/// What is dropped is told to senders and receivers this often at most.
+const REPORTS: Duration = Duration::from_millis(250);
+
+/// A stop lets what waits go out for at most so long.
+const DRAIN: Duration = Duration::from_secs(10);
+
+/// A broker that cannot start.
+#[derive(Debug, thiserror::Error)]
+pub enum BrokerError {
+    /// Its configuration is wrong.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// An address that cannot be listened at.
+    #[error("cannot listen at {address}: {error}{}", hint(error))]
+    Listen {
+        /// The address of the configuration.
+        address: String,
+        /// What the system says.
+        error: std::io::Error,
+    },
+}
+
+fn hint(error: &std::io::Error) -> &'static str {
+    match error.kind() {
+        std::io::ErrorKind::AddrInUse => "; another broker runs there, or choose another port with --listen",
+        std::io::ErrorKind::PermissionDenied => "; ports below 1024 need rights",
+        _ => "",
+    }
+}
+
+/// A running broker.
+///
+/// ```no_run
+/// # async fn run() -> Result<(), mom_broker::BrokerError> {
+/// use mom_broker::{Broker, Config};
+///
+/// let broker = Broker::start(Config::lab()).await?;
+/// println!("listening at {}", broker.local_addr());
+/// broker.stop().await;
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Debug)]
+pub struct Broker {
+    context: Context,
+    addresses: Vec<SocketAddr>,
+    stopping: watch::Sender<bool>,
+    tasks: JoinSet<()>,
+    /// Held by sessions inside this process, as those of listeners are by their tasks.
+    connections: Arc<Semaphore>,
+}
+
+impl Broker {
+    /// Starts listening. Returns when connections are taken.
+    ///
+    /// # Errors
+    /// A wrong configuration, or an address that cannot be listened at.
+    pub async fn start(config: Config) -> Result<Broker, BrokerError> {
+        let clock = Clock::start();
+        let settings = Settings {
+            anchor: clock.anchor(),
+            epoch: u64::try_from(clock.anchor().micros() / 1_000_000).unwrap_or_default(),
+            limits: config.limits.clone(),
+            ..Settings::default()
+        };
+        let hub = config.make_hub(settings)?;
+        let context = Context {
+            board: Arc::new(Switchboard::new(hub, clock)),
+            logins: Arc::new(Logins::new(config.users.clone(), config.login.clone())),
+            limits: config.limits.clone(),
+        };
+        let (stopping, stop) = watch::channel(false);
+        let connections = Arc::new(Semaphore::new(config.connections));
+        let mut tasks = JoinSet::new();
+        let mut addresses = Vec::new();
+        for address in &config.listen {
+            let failed = |error| BrokerError::Listen {
+                address: address.clone(),
+                error,
+            };
+            let listener = TcpListener::bind(address).await.map_err(failed)?;
+            addresses.push(listener.local_addr().map_err(failed)?);
+            let listen = Listen {
+                context: context.clone(),
+                connections: Arc::clone(&connections),
+                stop: stop.clone(),
+            };
+            tasks.spawn(listen.run(listener));
+        }
+        tasks.spawn(keep_deadlines(Arc::clone(&context.board), stop.clone()));
+        tasks.spawn(report_drops(Arc::clone(&context.board), stop));
+        tracing::info!(?addresses, "broker started");
+        Ok(Broker {
+            context,
+            addresses,
+            stopping,
+            tasks,
+            connections,
+        })
+    }
+
+    /// The first address that it listens at.
+    ///
+    /// # Panics
+    /// If it was configured to listen nowhere.
+    pub fn local_addr(&self) -> SocketAddr {
+        *self
+            .addresses
+            .first()
+            .expect("a configuration without an address to listen at is refused")
+    }
+
+    /// All addresses that it listens at.
+    pub fn local_addrs(&self) -> &[SocketAddr] {
+        &self.addresses
+    }
+
+    /// A connection from inside this process (M18). The peer still has to log in.
+    pub fn connect_local(&self) -> Transceiver {
+        let (here, there) = mom_net::pair();
+        let login_by = Instant::now() + login_time(&self.context.limits);
+        tokio::spawn(session::serve(self.context.clone(), here, None, login_by));
+        there
+    }
+
+    /// Takes no more connections, tells all peers, lets what waits go out, at most 10 s.
+    pub async fn stop(mut self) {
+        let deadline = Instant::now() + DRAIN;
+        // Nobody is listening any more if all tasks have ended.
+        let _ = self.stopping.send(true);
+        self.connections.close();
+        let outboxes: Vec<_> = self
+            .context
+            .board
+            .outboxes
+            .iter()
+            .map(|outbox| Arc::clone(&outbox))
+            .collect();
+        for outbox in outboxes {
+            let error = WireError::new(Code::SHUTDOWN, "the hub is shutting down; connect again later");
+            self.context.board.close(&outbox, Some(error));
+        }
+        while let Ok(Some(_)) = timeout_at(deadline, self.tasks.join_next()).await {}
+        tracing::info!("broker stopped");
+    }
+}
+
+/// One listener with all its sessions.
+struct Listen {
+    context: Context,
+    connections: Arc<Semaphore>,
+    stop: watch::Receiver<bool>,
+}
+
+impl Listen {
+    async fn run(mut self, listener: TcpListener) {
+        let mut sessions = JoinSet::new();
+        loop {
+            let accepted = tokio::select! {
+                _ = self.stop.changed() => break,
+                Some(_) = sessions.join_next() => continue,
+                accepted = listener.accept() => accepted,
+            };
+            match accepted {
+                Ok((stream, from)) => match Arc::clone(&self.connections).try_acquire_owned() {
+                    Ok(place) => drop(sessions.spawn(self.context.clone().take_in(stream, from, place))),
+                    Err(_) => refuse(&stream).await,
+                },
+                Err(error) => {
+                    // Mostly no descriptors left: existing connections go on, new ones wait a moment.
+                    tracing::warn!(%error, "cannot accept");
+                    tokio::time::sleep(Duration::from_millis(100)).await;
+                }
+            }
+        }
+        drop(listener);
+        while sessions.join_next().await.is_some() {}
+    }
+}
+
+impl Context {
+    async fn take_in(self, stream: TcpStream, from: SocketAddr, _place: OwnedSemaphorePermit) {
+        let login_by = Instant::now() + login_time(&self.limits);
+        let before_login = self.limits.before_login();
+        match timeout_at(login_by, mom_net::accept(stream, &before_login)).await {
+            Ok(Ok(transceiver)) => session::serve(self, transceiver, Some(from.ip()), login_by).await,
+            Ok(Err(error)) => tracing::info!(%from, %error, "refused"),
+            Err(_) => tracing::info!(%from, "said nothing before the login deadline"),
+        }
+    }
+}
+
+fn login_time(limits: &Limits) -> Duration {
+    Duration::from_millis(limits.login_time)
+}
+
+async fn refuse(stream: &TcpStream) {
+    tracing::warn!("too many connections");
+    let error = WireError::new(
+        Code::TOO_MANY_CONNECTIONS,
+        "this hub has as many connections as it may have",
+    );
+    if let Ok(encoded) = mom_proto::codec::Form::Xml.encode(&error.to_parcel(None)) {
+        // Best effort and without waiting: the peer is closed either way.
+        if stream.writable().await.is_ok() {
+            let _ = stream.try_write(&encoded.head);
+        }
+    }
+}
+
+/// Calls the hub when one of its deadlines comes.
+async fn keep_deadlines(board: Arc<Switchboard>, mut stop: watch::Receiver<bool>) {
+    loop {
+        let next = board
+            .deadline()
+            .map(|at| Instant::from_std(board.clock.instant(at)));
+        let due = async {
+            match next {
+                Some(at) => tokio::time::sleep_until(at).await,
+                None => std::future::pending().await,
+            }
+        };
+        tokio::select! {
+            _ = stop.changed() => return,
+            () = board.deadline_changed.notified() => {}
+            () = due => {
+                let mut touched = Touched::new();
+                board.decide(Input::Tick, &mut touched);
+                flush(&mut touched);
+            }
+        }
+    }
+}
+
+async fn report_drops(board: Arc<Switchboard>, mut stop: watch::Receiver<bool>) {
+    loop {
+        tokio::select! {
+            _ = stop.changed() => return,
+            () = tokio::time::sleep(REPORTS) => {
+                let mut touched = Touched::new();
+                board.report_drops(&mut touched);
+                flush(&mut touched);
+            }
+        }
+    }
+}
+
+impl Config {
+    /// The hub of this configuration.
+    fn make_hub(&self, settings: Settings) -> Result<Hub, ConfigError> {
+        Hub::new(settings, self.registry(), &self.root, &self.contexts).map_err(|error| self.locate(&error))
+    }
+
+    /// Checks all that can be checked without starting: managers, contexts, paths.
+    ///
+    /// # Errors
+    /// As [`Broker::start`], without listening.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        for name in self.managers.keys() {
+            let built = self.registry().build(&mom_proto::Value::from(name.as_str()));
+            built.map_err(|error| self.locate_manager(name, &error))?;
+        }
+        self.make_hub(Settings::default()).map(|_| ())
+    }
+}

@@ -1,0 +1,255 @@
+//! A channel as the broker holds it: its route with the outboxes of its members.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use mom_hub::{PeerId, Receivers, Route};
+use mom_net::Outgoing;
+use mom_proto::codec::{Encoded, Form};
+use mom_proto::{ContextNumber, Delivery, Parcel, Time, Verb, WireError};
+use parking_lot::{Mutex, MutexGuard};
+
+use crate::outbox::{Entry, Gate, Lane, Origin, Outbox, Taken};
+
+/// The critical section of a channel: who holds it decides the one order for all receivers (M27).
+#[derive(Debug)]
+pub(crate) struct Channel {
+    inner: Mutex<Inner>,
+}
+
+#[derive(Debug)]
+pub(crate) struct Inner {
+    pub(crate) route: Arc<Route>,
+    /// In the order of the route's members.
+    outboxes: Vec<Option<Arc<Outbox>>>,
+    gate: Gate,
+}
+
+/// Where a delivered parcel went.
+#[derive(Debug, Default)]
+pub(crate) struct Delivered {
+    pub(crate) delivered: u64,
+    pub(crate) dropped: Vec<Arc<str>>,
+    /// Outboxes that have to be flushed.
+    pub(crate) touched: Vec<Arc<Outbox>>,
+    /// Receivers that were too slow for what may not be dropped.
+    pub(crate) too_slow: Vec<Arc<Outbox>>,
+}
+
+impl Channel {
+    pub(crate) fn new(route: Arc<Route>, outbox: impl Fn(PeerId) -> Option<Arc<Outbox>>) -> Channel {
+        let outboxes = route.members.iter().map(|member| outbox(member.peer)).collect();
+        let gate = Arc::new(AtomicU64::new(fence_open(&route)));
+        Channel {
+            inner: Mutex::new(Inner {
+                route,
+                outboxes,
+                gate,
+            }),
+        }
+    }
+
+    pub(crate) fn lock(&self) -> MutexGuard<'_, Inner> {
+        self.inner.lock()
+    }
+
+    /// Swaps in a new route. From here on nothing of an old owner leaves any outbox.
+    pub(crate) fn swap(&self, route: Arc<Route>, outbox: impl Fn(PeerId) -> Option<Arc<Outbox>>) {
+        let mut inner = self.inner.lock();
+        inner.gate.store(fence_open(&route), Ordering::Release);
+        // Both lists are sorted, so most outboxes are found without a look-up.
+        let old = std::mem::take(&mut inner.outboxes);
+        let mut known = inner
+            .route
+            .members
+            .iter()
+            .map(|member| member.peer)
+            .zip(old)
+            .peekable();
+        let outboxes = route.members.iter().map(|member| {
+            while known.next_if(|(peer, _)| *peer < member.peer).is_some() {}
+            match known.next_if(|(peer, _)| *peer == member.peer) {
+                Some((_, found)) => found,
+                None => outbox(member.peer),
+            }
+        });
+        let outboxes = outboxes.collect();
+        inner.outboxes = outboxes;
+        inner.route = route;
+    }
+}
+
+impl Inner {
+    /// Encodes an admitted message once per form and puts it into the outboxes.
+    ///
+    /// # Errors
+    /// Content that cannot be opened for a receiver of another form: nobody gets the message then.
+    pub(crate) fn deliver(
+        &self,
+        sender: PeerId,
+        parcel: Parcel,
+        receivers: &Receivers,
+        now: u64,
+    ) -> Result<Delivered, WireError> {
+        let places = self.places(receivers);
+        let lane = match Verb::of(parcel.family, &parcel.name) {
+            Ok(Verb::Stop) => Lane::Stop,
+            Ok(Verb::Unstop) => Lane::Control,
+            _ => Lane::Data(parcel.priority.unwrap_or_default()),
+        };
+        let template = Template {
+            lane,
+            delivery: parcel.delivery.unwrap_or(self.route.delivery),
+            origin: Origin {
+                context: self.route.number,
+                sender,
+                name: Arc::clone(&parcel.name),
+            },
+            expires_at: expires_at(&parcel, now),
+            gate: parcel.fence.map(|fence| (Arc::clone(&self.gate), fence)),
+        };
+        let forms = places
+            .iter()
+            .filter_map(|place| self.outboxes[*place].as_ref())
+            .map(|outbox| outbox.form());
+        let encodings = Encodings::new(parcel, forms)?;
+        let mut result = Delivered::default();
+        for place in places {
+            let name = || Arc::clone(&self.route.members[place].facts.name);
+            let Some(outbox) = &self.outboxes[place] else {
+                result.dropped.push(name());
+                continue;
+            };
+            let (taken, first) = outbox.push(template.entry(encodings.get(outbox.form())));
+            match taken {
+                Taken::Yes => result.delivered += 1,
+                Taken::Dropped => result.dropped.push(name()),
+                Taken::Overflow => {
+                    result.dropped.push(name());
+                    result.too_slow.push(Arc::clone(outbox));
+                }
+            }
+            if first {
+                result.touched.push(Arc::clone(outbox));
+            }
+        }
+        Ok(result)
+    }
+
+    fn places(&self, receivers: &Receivers) -> Vec<usize> {
+        match receivers {
+            Receivers::All => (0..self.outboxes.len()).collect(),
+            Receivers::AllBut(own) => (0..self.outboxes.len()).filter(|place| place != own).collect(),
+            Receivers::These(places) => places.clone(),
+        }
+    }
+}
+
+/// A parcel in the forms that its receivers need.
+#[derive(Debug)]
+pub(crate) struct Encodings {
+    encoded: BTreeMap<Form, Encoded>,
+    local: Option<Arc<Parcel>>,
+}
+
+impl Encodings {
+    /// Encodes once for each form among those given.
+    pub(crate) fn new(
+        parcel: Parcel,
+        forms: impl Iterator<Item = Option<Form>>,
+    ) -> Result<Encodings, WireError> {
+        let mut encodings = Encodings {
+            encoded: BTreeMap::new(),
+            local: None,
+        };
+        let mut local = false;
+        for form in forms {
+            match form {
+                None => local = true,
+                Some(form) if encodings.encoded.contains_key(&form) => {}
+                Some(form) => drop(encodings.encoded.insert(form, form.encode(&parcel)?)),
+            }
+        }
+        encodings.local = local.then(|| Arc::new(parcel));
+        Ok(encodings)
+    }
+
+    /// The parcel for a receiver of this form.
+    pub(crate) fn get(&self, form: Option<Form>) -> Outgoing {
+        match (form.and_then(|form| self.encoded.get(&form)), &self.local) {
+            (Some(encoded), _) => Outgoing::Encoded(encoded.clone()),
+            (None, Some(parcel)) => Outgoing::Parcel(Arc::clone(parcel)),
+            // Cannot be: `new` was given the forms of all receivers.
+            (None, None) => Outgoing::Encoded(Encoded::default()),
+        }
+    }
+}
+
+struct Template {
+    lane: Lane,
+    delivery: Delivery,
+    origin: Origin,
+    expires_at: Option<u64>,
+    gate: Option<(Gate, u64)>,
+}
+
+impl Template {
+    fn entry(&self, frame: Outgoing) -> Entry {
+        Entry {
+            frame,
+            lane: self.lane,
+            delivery: self.delivery,
+            origin: self.origin.clone(),
+            expires_at: self.expires_at,
+            gate: self.gate.clone(),
+        }
+    }
+}
+
+/// When a parcel is over: `expires` counts from its creation, of which `age` has passed at ingress.
+fn expires_at(parcel: &Parcel, now: u64) -> Option<u64> {
+    let life = parcel.expires?.saturating_mul(1000);
+    let age = parcel
+        .age
+        .and_then(|age| u64::try_from(age).ok())
+        .unwrap_or_default();
+    Some(now.saturating_add(life.saturating_sub(age)))
+}
+
+fn fence_open(route: &Route) -> u64 {
+    route
+        .guard
+        .as_ref()
+        .filter(|guard| guard.owner.is_some())
+        .map_or(0, |guard| guard.fence)
+}
+
+/// The origin of what the hub itself says.
+pub(crate) fn hub_origin(parcel: &Parcel) -> Origin {
+    let context = parcel.number.unwrap_or(ContextNumber(0));
+    Origin {
+        context,
+        sender: PeerId(0),
+        name: Arc::clone(&parcel.name),
+    }
+}
+
+/// An entry for the control lane.
+pub(crate) fn control(frame: Outgoing, origin: Origin) -> Entry {
+    Entry {
+        frame,
+        lane: Lane::Control,
+        delivery: Delivery::Reliable,
+        origin,
+        expires_at: None,
+        gate: None,
+    }
+}
+
+/// Stamps what the broker says by itself.
+pub(crate) fn stamped(mut parcel: Parcel, wall: Time) -> Parcel {
+    parcel.sender = Some(mom_proto::HUB.into());
+    parcel.timestamp = Some(wall);
+    parcel
+}

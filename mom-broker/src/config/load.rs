@@ -1,0 +1,155 @@
+//! From files to a configuration.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use mom_hub::ContextSpec;
+use mom_proto::{HARD_DEPTH, Limits, Value};
+use serde::Deserialize;
+
+use super::locate::Source;
+use super::{Config, ConfigError, LoginConfig, users};
+
+const LAB: &str = include_str!("../../../config/lab.toml");
+const LAB_USERS: &str = include_str!("../../../config/lab-users.toml");
+
+#[derive(Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+struct File {
+    listen: Vec<String>,
+    connections: usize,
+    log: String,
+    users: Option<String>,
+    root: Value,
+    limits: Limits,
+    login: LoginConfig,
+    managers: BTreeMap<String, Value>,
+    contexts: Vec<ContextSpec>,
+}
+
+impl Default for File {
+    fn default() -> File {
+        let Config {
+            listen,
+            connections,
+            log,
+            limits,
+            login,
+            root,
+            managers,
+            contexts,
+            ..
+        } = Config::default();
+        File {
+            listen,
+            connections,
+            log,
+            users: None,
+            root,
+            limits,
+            login,
+            managers,
+            contexts,
+        }
+    }
+}
+
+impl Config {
+    /// Reads a configuration file and the users file that it names, which lies relative to it.
+    ///
+    /// # Errors
+    /// What is wrong, with file, line and key.
+    pub fn load(path: &Path) -> Result<Config, ConfigError> {
+        Config::parse(read(path)?, |users| {
+            read(&path.parent().unwrap_or(Path::new(".")).join(users)).map(Some)
+        })
+    }
+
+    /// The demonstration lab that is built in, with its users; for loopback only, its passwords are public.
+    ///
+    /// # Panics
+    /// Never: a test reads the same files.
+    pub fn lab() -> Config {
+        let source = |name: &str, text: &str| Source {
+            name: name.to_owned(),
+            text: text.to_owned(),
+        };
+        let users = source("config/lab-users.toml", LAB_USERS);
+        Config::parse(source("config/lab.toml", LAB), |_| Ok(Some(users)))
+            .expect("the built-in lab is tested")
+    }
+
+    fn parse(
+        source: Source,
+        read_users: impl FnOnce(&str) -> Result<Option<Source>, ConfigError>,
+    ) -> Result<Config, ConfigError> {
+        let file: File = toml::from_str(&source.text).map_err(|error| source.syntax(&error))?;
+        check(&file, &source)?;
+        let users = match &file.users {
+            Some(name) => read_users(name).map_err(|error| source.error(&["users"], error.to_string()))?,
+            None => None,
+        };
+        let users = users
+            .map(|users| users::parse(&users))
+            .transpose()?
+            .unwrap_or_default();
+        let config = Config {
+            listen: file.listen,
+            connections: file.connections,
+            log: file.log,
+            limits: file.limits,
+            login: file.login,
+            root: file.root,
+            managers: file.managers,
+            contexts: file.contexts,
+            users,
+            source: Some(source),
+        };
+        config.check()?;
+        Ok(config)
+    }
+}
+
+fn read(path: &Path) -> Result<Source, ConfigError> {
+    let name = path.display().to_string();
+    match std::fs::read_to_string(path) {
+        Ok(text) => Ok(Source { name, text }),
+        Err(error) => Err(ConfigError::of_file(&name, format!("cannot be read: {error}"))),
+    }
+}
+
+fn check(file: &File, source: &Source) -> Result<(), ConfigError> {
+    let at_least_one = [
+        ("connections", file.connections as u64, "connections"),
+        ("limits", file.limits.heartbeat, "heartbeat"),
+        ("limits", file.limits.gone, "gone"),
+        ("limits", file.limits.login_time, "login-time"),
+        ("limits", file.limits.outbox as u64, "outbox"),
+        ("limits", file.limits.before_login as u64, "before-login"),
+        ("login", file.login.hashers as u64, "hashers"),
+        ("login", u64::from(file.login.attempts), "attempts"),
+    ];
+    for (table, value, key) in at_least_one {
+        if value == 0 {
+            let keys = if table == key { vec![key] } else { vec![table, key] };
+            return Err(source.error(&keys, format!("{key} is a number from 1")));
+        }
+    }
+    if file.listen.is_empty() {
+        return Err(source.error(
+            &["listen"],
+            "a broker needs an address to listen at, such as 127.0.0.1:7666".into(),
+        ));
+    }
+    if !(1..=HARD_DEPTH).contains(&file.limits.depth) {
+        return Err(source.error(
+            &["limits", "depth"],
+            format!("depth is a number from 1 to {HARD_DEPTH}"),
+        ));
+    }
+    if file.limits.gone <= file.limits.heartbeat {
+        let text = "gone has to be longer than heartbeat, or every quiet peer is lost";
+        return Err(source.error(&["limits", "gone"], text.to_owned()));
+    }
+    Ok(())
+}

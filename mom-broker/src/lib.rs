@@ -1,0 +1,19 @@
+//! Drives: the MOM broker service (design §3).
+//!
+//! [`Broker::start`] listens, logs peers in, reads their parcels, asks the hub and writes what it decides;
+//! [`Broker::connect_local`] joins a peer inside the same process. The way of a parcel: `mom-net` reads bytes,
+//! a codec of `mom-proto` makes a parcel, `session` hands it to the `switchboard`, which admits it by the
+//! channel's route or asks `mom-hub`, encodes it once per wire form and puts it into outboxes; they write.
+
+mod broker;
+mod channel;
+mod clock;
+mod config;
+mod login;
+mod outbox;
+mod session;
+mod switchboard;
+
+pub use broker::{Broker, BrokerError};
+pub use config::{Config, ConfigError, LoginConfig, UserEntry};
+pub use login::hash;

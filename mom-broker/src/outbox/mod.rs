@@ -1,0 +1,199 @@
+//! The way out to one peer: a bounded queue and the writer that empties it.
+//!
+//! Whoever puts parcels in also tries to write them, in the same turn: on an idle link that saves waking a
+//! task, which costs more than the write. What the link does not take at once is the writer task's.
+
+mod entry;
+mod queue;
+
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use mom_hub::PeerId;
+use mom_net::{NetError, Outgoing, Progress, Writer};
+use mom_proto::WireError;
+use mom_proto::codec::Form;
+use parking_lot::Mutex;
+use tokio::sync::Notify;
+
+pub(crate) use entry::{DropReason, Entry, Gate, Lane, Origin};
+pub(crate) use queue::{Queue, Taken};
+
+use crate::clock::Clock;
+
+/// Taken from the queue at once: more than a system call gathers is no faster, and what is taken cannot be
+/// overtaken any more.
+const BATCH_PARCELS: usize = 256;
+const BATCH_BYTES: usize = 64 * 1024;
+
+/// The outbox of one connection.
+#[derive(Debug)]
+pub(crate) struct Outbox {
+    pub(crate) peer: PeerId,
+    clock: Clock,
+    queue: Mutex<Queue>,
+    writer: Writer,
+    /// Held by whoever writes; what was taken from the queue and is not written yet.
+    batch: Mutex<VecDeque<Outgoing>>,
+    /// Something waits that nobody has tried to write yet.
+    touched: AtomicBool,
+    wake: Notify,
+    closing: Mutex<Option<Closing>>,
+    closed: AtomicBool,
+    pub(crate) end: Notify,
+    /// Something was written since the heartbeat last looked.
+    pub(crate) active: AtomicBool,
+}
+
+/// Why a connection ends.
+#[derive(Clone, Debug)]
+pub(crate) struct Closing {
+    pub(crate) error: Option<WireError>,
+}
+
+impl Outbox {
+    pub(crate) fn new(peer: PeerId, clock: Clock, writer: Writer, limit: usize) -> Outbox {
+        Outbox {
+            peer,
+            clock,
+            queue: Mutex::new(Queue::new(limit)),
+            writer,
+            batch: Mutex::new(VecDeque::new()),
+            touched: AtomicBool::new(false),
+            wake: Notify::new(),
+            closing: Mutex::new(None),
+            closed: AtomicBool::new(false),
+            end: Notify::new(),
+            active: AtomicBool::new(false),
+        }
+    }
+
+    /// The wire form, none for a peer in this process.
+    pub(crate) fn form(&self) -> Option<Form> {
+        self.writer.form()
+    }
+
+    /// Puts a parcel in. True the first time since the last [`Outbox::flush`]: then somebody has to call it.
+    pub(crate) fn push(&self, entry: Entry) -> (Taken, bool) {
+        if self.closed.load(Ordering::Acquire) {
+            return (Taken::Dropped, false);
+        }
+        let taken = self.queue.lock().push(entry);
+        (taken, !self.touched.swap(true, Ordering::AcqRel))
+    }
+
+    /// Writes what waits as far as the link takes it, and leaves the rest to the writer task.
+    pub(crate) fn flush(&self) {
+        match self.try_flush() {
+            Ok(Progress::Done) => {}
+            Ok(Progress::Blocked) => self.wake.notify_one(),
+            Err(error) => self.broken(&error),
+        }
+    }
+
+    /// Ends the connection: nothing more is taken in, an error still goes out.
+    pub(crate) fn close(&self, error: Option<WireError>, farewell: Option<Entry>) {
+        if self.closed.swap(true, Ordering::AcqRel) {
+            return;
+        }
+        let mut queue = self.queue.lock();
+        if error.is_some() {
+            queue.drop_data();
+        }
+        if let Some(entry) = farewell {
+            queue.push(entry);
+        }
+        drop(queue);
+        *self.closing.lock() = Some(Closing { error });
+        self.touched.store(true, Ordering::Release);
+        self.wake.notify_one();
+        self.end.notify_one();
+    }
+
+    /// Whether the connection is to end.
+    pub(crate) fn is_closed(&self) -> bool {
+        self.closed.load(Ordering::Acquire)
+    }
+
+    /// Why the connection ends, once it does.
+    pub(crate) fn closing(&self) -> Option<Closing> {
+        self.closing.lock().clone()
+    }
+
+    /// What was dropped since the last call; cheap where nothing was.
+    pub(crate) fn take_drops(&self) -> Vec<((mom_proto::ContextNumber, PeerId, DropReason), u64)> {
+        let mut queue = self.queue.lock();
+        match queue.has_drops() {
+            true => queue.take_drops().into_iter().collect(),
+            false => Vec::new(),
+        }
+    }
+
+    /// The writer task: writes whenever the link takes more, until the end.
+    pub(crate) async fn run(&self) {
+        loop {
+            self.wake.notified().await;
+            loop {
+                match self.try_flush() {
+                    Ok(Progress::Done) => break,
+                    Ok(Progress::Blocked) => {
+                        if let Err(error) = self.writer.ready().await {
+                            return self.broken(&error);
+                        }
+                    }
+                    Err(error) => return self.broken(&error),
+                }
+            }
+            if self.is_closed() {
+                self.writer.finish();
+                return;
+            }
+        }
+    }
+
+    fn try_flush(&self) -> Result<Progress, NetError> {
+        loop {
+            // Whoever holds the batch looks at `touched` again after letting go, so nothing is forgotten.
+            let Some(mut batch) = self.batch.try_lock() else {
+                return Ok(Progress::Done);
+            };
+            self.touched.store(false, Ordering::Release);
+            let progress = self.write_all(&mut batch)?;
+            drop(batch);
+            if progress == Progress::Blocked || !self.touched.load(Ordering::Acquire) {
+                return Ok(progress);
+            }
+        }
+    }
+
+    fn write_all(&self, batch: &mut VecDeque<Outgoing>) -> Result<Progress, NetError> {
+        loop {
+            if batch.is_empty() {
+                self.take_batch(batch);
+            }
+            if batch.is_empty() {
+                return Ok(Progress::Done);
+            }
+            self.active.store(true, Ordering::Relaxed);
+            if self.writer.try_write(batch)? == Progress::Blocked {
+                return Ok(Progress::Blocked);
+            }
+        }
+    }
+
+    fn take_batch(&self, batch: &mut VecDeque<Outgoing>) {
+        let now = self.clock.now();
+        let mut queue = self.queue.lock();
+        let mut bytes = 0;
+        while batch.len() < BATCH_PARCELS && bytes < BATCH_BYTES {
+            let Some(entry) = queue.pop(now) else { break };
+            bytes += entry.frame.len();
+            batch.push_back(entry.frame);
+        }
+    }
+
+    fn broken(&self, error: &NetError) {
+        tracing::debug!(peer = self.peer.0, %error, "link failed");
+        self.close(None, None);
+    }
+}

@@ -1,0 +1,294 @@
+//! One connection, from its first byte to its end.
+
+use std::net::IpAddr;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use mom_hub::{Input, PeerId};
+use mom_net::{NetError, Reader, Transceiver};
+use mom_proto::codec::Frame;
+use mom_proto::{Code, Family, Limits, Map, Parcel, Path, Verb, WireError};
+use tokio::time::{Instant, timeout, timeout_at};
+
+use crate::login::{Attempt, Logins};
+use crate::outbox::Outbox;
+use crate::switchboard::{Switchboard, Touched, flush};
+
+/// What a connection has to know of its broker.
+#[derive(Clone, Debug)]
+pub(crate) struct Context {
+    pub(crate) board: Arc<Switchboard>,
+    pub(crate) logins: Arc<Logins>,
+    pub(crate) limits: Limits,
+}
+
+/// One connection as its reader sees it.
+struct Session {
+    context: Context,
+    peer: PeerId,
+    outbox: Arc<Outbox>,
+    /// Where it comes from, none inside this process.
+    from: Option<IpAddr>,
+    logged_in: bool,
+    failures: u32,
+}
+
+/// Serves a connection until it ends.
+pub(crate) async fn serve(
+    context: Context,
+    transceiver: Transceiver,
+    from: Option<IpAddr>,
+    login_by: Instant,
+) {
+    let Transceiver { mut reader, writer } = transceiver;
+    let peer = context.board.next_peer();
+    let outbox = Arc::new(Outbox::new(
+        peer,
+        context.board.clock,
+        writer,
+        context.limits.outbox,
+    ));
+    context.board.outboxes.insert(peer, Arc::clone(&outbox));
+    let mut session = Session {
+        context,
+        peer,
+        outbox,
+        from,
+        logged_in: false,
+        failures: 0,
+    };
+    let writer = tokio::spawn({
+        let outbox = Arc::clone(&session.outbox);
+        async move { outbox.run().await }
+    });
+    let heartbeat = tokio::spawn(beat(session.context.clone(), Arc::clone(&session.outbox)));
+    let error = session.read(&mut reader, login_by).await;
+    heartbeat.abort();
+    session.end(error);
+    // The error gets a second to go out; a link that does not take it is cut.
+    if timeout(Duration::from_secs(1), writer).await.is_err() {
+        tracing::debug!(peer = peer.0, "farewell not taken within 1 s");
+    }
+    session.context.board.outboxes.remove(&peer);
+}
+
+/// Asks a peer that hears nothing else whether it is there.
+async fn beat(context: Context, outbox: Arc<Outbox>) {
+    let every = Duration::from_millis(context.limits.heartbeat);
+    loop {
+        tokio::time::sleep(every).await;
+        if !outbox.active.swap(false, Ordering::Relaxed) {
+            let mut touched = Touched::new();
+            let ping = Parcel::new(Family::Time, "ping").context(Path::root()).id(0);
+            context.board.tell(outbox.peer, ping, &mut touched);
+            flush(&mut touched);
+        }
+    }
+}
+
+impl Session {
+    /// Reads until the connection ends; gives the error to say if there is one.
+    async fn read(&mut self, reader: &mut Reader, login_by: Instant) -> Option<WireError> {
+        let gone = Duration::from_millis(self.context.limits.gone);
+        let outbox = Arc::clone(&self.outbox);
+        loop {
+            let deadline = if self.logged_in {
+                Instant::now() + gone
+            } else {
+                login_by
+            };
+            let frame = tokio::select! {
+                biased;
+                () = outbox.end.notified() => return outbox.closing().and_then(|closing| closing.error),
+                frame = timeout_at(deadline, reader.next()) => frame,
+            };
+            let frame = match frame {
+                Err(_) if self.logged_in => return Some(silent(gone)),
+                Err(_) => return Some(login_timeout(self.context.limits.login_time)),
+                Ok(frame) => frame,
+            };
+            if let Err(end) = self.take_turn(reader, frame).await {
+                return end;
+            }
+        }
+    }
+
+    /// Handles a frame and all that arrived with it, then flushes what they caused.
+    async fn take_turn(
+        &mut self,
+        reader: &mut Reader,
+        first: Result<Option<Frame>, NetError>,
+    ) -> Result<(), Option<WireError>> {
+        let mut touched = Touched::new();
+        let mut next = first;
+        let result = loop {
+            match next {
+                Ok(Some(frame)) => {
+                    if let Err(error) = self.handle(reader, frame, &mut touched).await {
+                        break Err(Some(error));
+                    }
+                }
+                Ok(None) => break Err(None),
+                Err(NetError::Wire(error)) => break Err(Some(error)),
+                Err(error) => {
+                    tracing::debug!(peer = self.peer.0, %error, "link failed");
+                    break Err(None);
+                }
+            }
+            next = match reader.try_next() {
+                Ok(None) => break Ok(()),
+                Ok(_) if self.outbox.is_closed() => break Ok(()),
+                next => next,
+            };
+        };
+        flush(&mut touched);
+        result
+    }
+
+    /// Handles one frame. An error closes the connection.
+    async fn handle(
+        &mut self,
+        reader: &mut Reader,
+        frame: Frame,
+        touched: &mut Touched,
+    ) -> Result<(), WireError> {
+        let parcel = match frame {
+            Frame::Malformed { reference, error } => {
+                self.refuse(&error, reference, touched);
+                return Ok(());
+            }
+            Frame::Parcel(parcel) => parcel,
+        };
+        match parcel.family {
+            Family::Message if self.logged_in => {
+                let reference = parcel.id;
+                if let Err(error) = self.context.board.message(self.peer, parcel, touched) {
+                    self.refuse(&error, reference, touched);
+                }
+                Ok(())
+            }
+            Family::Time => {
+                self.time(&parcel, touched);
+                Ok(())
+            }
+            Family::Login if &*parcel.name == Verb::Login.word() => {
+                self.login(reader, &parcel, touched).await
+            }
+            _ if self.logged_in => {
+                self.context.board.decide(
+                    Input::Request {
+                        peer: self.peer,
+                        parcel,
+                    },
+                    touched,
+                );
+                Ok(())
+            }
+            _ => {
+                let text = "log in first: family login, name login, content {name, password}";
+                self.refuse(&WireError::new(Code::NOT_LOGGED_IN, text), parcel.id, touched);
+                Ok(())
+            }
+        }
+    }
+
+    fn time(&self, parcel: &Parcel, touched: &mut Touched) {
+        match Verb::of(parcel.family, &parcel.name) {
+            Ok(Verb::Ping) => {
+                let received = Map::new().with("received", self.context.board.clock.wall());
+                let mut pong = Parcel::new(Family::Time, "pong")
+                    .context(Path::root())
+                    .content(received);
+                pong.reference = parcel.id;
+                self.context.board.tell(self.peer, pong, touched);
+            }
+            Ok(_) => {}
+            Err(error) => self.refuse(&error, parcel.id, touched),
+        }
+    }
+
+    async fn login(
+        &mut self,
+        reader: &mut Reader,
+        parcel: &Parcel,
+        touched: &mut Touched,
+    ) -> Result<(), WireError> {
+        let reference = parcel.id;
+        // What was caused so far must not wait for a password to be hashed.
+        flush(touched);
+        match self.context.logins.check(parcel, self.from).await {
+            Attempt::Granted { user, nickname } => {
+                tracing::info!(peer = self.peer.0, user = user.name, from = ?self.from, "logged in");
+                self.logged_in = true;
+                reader.set_limits(&self.context.limits);
+                let peer = self.peer;
+                self.context.board.decide(
+                    Input::Login {
+                        peer,
+                        user,
+                        nickname,
+                        id: reference,
+                    },
+                    touched,
+                );
+                Ok(())
+            }
+            Attempt::Refused(error) => {
+                tracing::info!(peer = self.peer.0, from = ?self.from, code = %error.code, "login refused");
+                if error.code == Code::BAD_LOGIN {
+                    self.failures += 1;
+                }
+                if error.code.closes() {
+                    return Err(error);
+                }
+                self.refuse(&error, reference, touched);
+                match self.failures >= self.context.logins.attempts() {
+                    true => Err(WireError::new(
+                        Code::TOO_MANY_LOGINS,
+                        "too many failed logins on one connection",
+                    )),
+                    false => Ok(()),
+                }
+            }
+        }
+    }
+
+    fn refuse(&self, error: &WireError, reference: Option<u64>, touched: &mut Touched) {
+        tracing::debug!(peer = self.peer.0, code = %error.code, text = error.text, "refused");
+        self.context
+            .board
+            .tell(self.peer, error.to_parcel(reference), touched);
+    }
+
+    /// Ends the connection: the hub first, so that tokens are free before anything else.
+    fn end(&mut self, error: Option<WireError>) {
+        let mut touched = Touched::new();
+        if self.logged_in {
+            let name = self.context.board.peer_name(self.peer).unwrap_or_default();
+            self.context
+                .board
+                .decide(Input::Gone { peer: self.peer }, &mut touched);
+            tracing::info!(peer = self.peer.0, %name, code = ?error.as_ref().map(|error| error.code.word()), "gone");
+        } else if let Some(error) = &error {
+            tracing::info!(peer = self.peer.0, from = ?self.from, code = %error.code, text = error.text, "closed");
+        }
+        self.context.board.close(&self.outbox, error);
+        flush(&mut touched);
+    }
+}
+
+fn silent(gone: Duration) -> WireError {
+    let text = format!(
+        "nothing was heard for {} s; say time ping before that",
+        gone.as_secs()
+    );
+    WireError::new(Code::SILENT, text)
+}
+
+fn login_timeout(millis: u64) -> WireError {
+    WireError::new(
+        Code::LOGIN_TIMEOUT,
+        format!("no login within {} s", millis / 1000),
+    )
+}

@@ -1,0 +1,321 @@
+//! All that connections share: the hub, the channels, the outboxes, and how effects are carried out.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use dashmap::DashMap;
+use mom_hub::{Admission, Effect, Hub, Input, PeerId, admit};
+use mom_managers::Micros;
+use mom_proto::{Code, ContextNumber, Family, Map, Parcel, Path, Value, WireError, event};
+use parking_lot::Mutex;
+use tokio::sync::Notify;
+
+use crate::channel::{Channel, Delivered, Encodings, control, hub_origin, stamped};
+use crate::clock::Clock;
+use crate::outbox::{Outbox, Taken};
+
+/// The switchboard of one broker.
+///
+/// Locks are taken in the order hub, channel, outbox, and none is held over an await.
+#[derive(Debug)]
+pub(crate) struct Switchboard {
+    pub(crate) clock: Clock,
+    hub: Mutex<Hub>,
+    channels: DashMap<ContextNumber, Arc<Channel>>,
+    by_path: DashMap<Path, ContextNumber>,
+    pub(crate) outboxes: DashMap<PeerId, Arc<Outbox>>,
+    last_peer: AtomicU64,
+    /// The hub's deadline may have come closer.
+    pub(crate) deadline_changed: Notify,
+}
+
+/// Outboxes that were given something in the present turn and have to be flushed at its end.
+pub(crate) type Touched = Vec<Arc<Outbox>>;
+
+impl Switchboard {
+    pub(crate) fn new(hub: Hub, clock: Clock) -> Switchboard {
+        let routes = hub.routes();
+        let board = Switchboard {
+            clock,
+            hub: Mutex::new(hub),
+            channels: DashMap::new(),
+            by_path: DashMap::new(),
+            outboxes: DashMap::new(),
+            last_peer: AtomicU64::new(0),
+            deadline_changed: Notify::new(),
+        };
+        routes.into_iter().for_each(|route| board.swap_route(route));
+        board
+    }
+
+    /// A number for a new connection.
+    pub(crate) fn next_peer(&self) -> PeerId {
+        PeerId(self.last_peer.fetch_add(1, Ordering::Relaxed) + 1)
+    }
+
+    /// When the hub wants to be called.
+    pub(crate) fn deadline(&self) -> Option<Micros> {
+        self.hub.lock().deadline()
+    }
+
+    /// The name of a peer, for logs.
+    pub(crate) fn peer_name(&self, peer: PeerId) -> Option<Arc<str>> {
+        self.hub.lock().peer_name(peer)
+    }
+
+    /// Gives the hub an input and carries out what it wants.
+    pub(crate) fn decide(&self, input: Input, touched: &mut Touched) {
+        let mut effects = Vec::new();
+        let mut hub = self.hub.lock();
+        let before = hub.deadline();
+        hub.handle(self.clock.now(), input, &mut effects);
+        if hub.deadline() != before {
+            self.deadline_changed.notify_one();
+        }
+        // Under the hub's lock, so that replies and events leave in the order of decisions.
+        self.carry_out(effects, touched);
+    }
+
+    /// A message of a peer: by the channel's route if a verdict stands, else by the hub.
+    ///
+    /// # Errors
+    /// Why it was refused.
+    pub(crate) fn message(
+        &self,
+        peer: PeerId,
+        mut parcel: Box<Parcel>,
+        touched: &mut Touched,
+    ) -> Result<(), WireError> {
+        let Some(channel) = self.channel_of(&parcel) else {
+            self.decide(Input::Request { peer, parcel }, touched);
+            return Ok(());
+        };
+        let now = self.clock.now();
+        let inner = channel.lock();
+        match admit(&inner.route, peer, &mut parcel, now, self.clock.wall_at(now))? {
+            Admission::Consult => {
+                drop(inner);
+                self.decide(Input::Request { peer, parcel }, touched);
+            }
+            Admission::Pass(receivers) => {
+                let receipt = receipt_of(&parcel);
+                let delivered = inner.deliver(peer, *parcel, &receivers, now)?;
+                let path = inner.route.path.clone();
+                drop(inner);
+                self.settle(peer, receipt, &path, delivered, touched);
+            }
+        }
+        Ok(())
+    }
+
+    /// Says something of the broker's own to a peer.
+    pub(crate) fn tell(&self, peer: PeerId, parcel: Parcel, touched: &mut Touched) {
+        if let Some(outbox) = self.outbox(peer) {
+            self.push_control(&outbox, stamped(parcel, self.clock.wall()), touched);
+        }
+    }
+
+    /// Closes a connection with an error that says why.
+    pub(crate) fn close(&self, outbox: &Outbox, error: Option<WireError>) {
+        let farewell = error.as_ref().and_then(|error| {
+            let parcel = stamped(error.to_parcel(None), self.clock.wall());
+            let origin = hub_origin(&parcel);
+            let encodings = Encodings::new(parcel, std::iter::once(outbox.form())).ok()?;
+            Some(control(encodings.get(outbox.form()), origin))
+        });
+        outbox.close(error, farewell);
+    }
+
+    pub(crate) fn outbox(&self, peer: PeerId) -> Option<Arc<Outbox>> {
+        self.outboxes.get(&peer).map(|outbox| Arc::clone(&outbox))
+    }
+
+    /// Tells receivers and senders what was dropped on its way (design §5, §7).
+    pub(crate) fn report_drops(&self, touched: &mut Touched) {
+        let outboxes: Vec<Arc<Outbox>> = self.outboxes.iter().map(|outbox| Arc::clone(&outbox)).collect();
+        for outbox in outboxes {
+            let drops = outbox.take_drops();
+            if drops.is_empty() {
+                continue;
+            }
+            let receiver = self.peer_name(outbox.peer).unwrap_or_default();
+            for ((context, sender, reason), count) in drops {
+                let Some(path) = self
+                    .channels
+                    .get(&context)
+                    .map(|channel| channel.lock().route.path.clone())
+                else {
+                    continue;
+                };
+                let content = Map::new()
+                    .with("reason", reason.word())
+                    .with("count", i64::try_from(count).unwrap_or(i64::MAX))
+                    .with("receiver", &*receiver)
+                    .with("sender", &*self.peer_name(sender).unwrap_or_default());
+                let mut parcel = Parcel::new(Family::Event, event::DROPPED)
+                    .context(path)
+                    .content(content);
+                parcel.number = Some(context);
+                let told = if sender == outbox.peer {
+                    vec![sender]
+                } else {
+                    vec![sender, outbox.peer]
+                };
+                told.into_iter()
+                    .for_each(|peer| self.tell(peer, parcel.clone(), touched));
+            }
+        }
+    }
+
+    fn channel_of(&self, parcel: &Parcel) -> Option<Arc<Channel>> {
+        let number = match (parcel.number, &parcel.context) {
+            (Some(number), _) => number,
+            (None, Some(path)) => *self.by_path.get(path)?,
+            (None, None) => return None,
+        };
+        self.channels.get(&number).map(|channel| Arc::clone(&channel))
+    }
+
+    fn swap_route(&self, route: Arc<mom_hub::Route>) {
+        let number = route.number;
+        let known = self.channels.get(&number).map(|channel| Arc::clone(&channel));
+        match known {
+            Some(channel) => channel.swap(route, |peer| self.outbox(peer)),
+            None => {
+                self.by_path.insert(route.path.clone(), number);
+                self.channels
+                    .insert(number, Arc::new(Channel::new(route, |peer| self.outbox(peer))));
+            }
+        }
+    }
+
+    fn drop_route(&self, number: ContextNumber) {
+        if let Some((_, channel)) = self.channels.remove(&number) {
+            let mut inner = channel.lock();
+            self.by_path
+                .remove_if(&inner.route.path, |_, known| *known == number);
+            // A reader that found the channel just before gets what it would get after.
+            let gone = mom_hub::Route {
+                members: Vec::new(),
+                ..(*inner.route).clone()
+            };
+            inner.route = Arc::new(gone);
+        }
+    }
+
+    fn carry_out(&self, effects: Vec<Effect>, touched: &mut Touched) {
+        for effect in effects {
+            match effect {
+                Effect::Route(route) => self.swap_route(route),
+                Effect::RouteGone(number) => self.drop_route(number),
+                Effect::Deliver { to, parcel } => self.push_to_all(&to, &parcel, touched),
+                Effect::Reply { to, parcel } => self.push_to_all(&[to], &parcel, touched),
+                Effect::Send {
+                    from,
+                    parcel,
+                    receivers,
+                    route,
+                } => {
+                    let Some(channel) = self
+                        .channels
+                        .get(&route.number)
+                        .map(|channel| Arc::clone(&channel))
+                    else {
+                        continue;
+                    };
+                    let (receipt, reference) = (receipt_of(&parcel), parcel.id);
+                    let delivered = channel
+                        .lock()
+                        .deliver(from, *parcel, &receivers, self.clock.now());
+                    match delivered {
+                        Ok(delivered) => self.settle(from, receipt, &route.path, delivered, touched),
+                        Err(error) => self.tell(from, error.to_parcel(reference), touched),
+                    }
+                }
+                Effect::Close { peer, error } => {
+                    if let Some(outbox) = self.outbox(peer) {
+                        self.close(&outbox, error);
+                    }
+                }
+            }
+        }
+    }
+
+    /// After a delivery: flushes are noted, slow receivers closed, a receipt given.
+    fn settle(
+        &self,
+        sender: PeerId,
+        receipt: Option<Option<u64>>,
+        path: &Path,
+        delivered: Delivered,
+        touched: &mut Touched,
+    ) {
+        touched.extend(delivered.touched);
+        for outbox in delivered.too_slow {
+            let text = "what waited for this peer reached its limit and may not be dropped";
+            tracing::info!(peer = outbox.peer.0, context = %path, "slow receiver closed");
+            self.close(&outbox, Some(WireError::new(Code::SLOW_RECEIVER, text)));
+        }
+        if let Some(reference) = receipt {
+            let dropped: Vec<Value> = delivered
+                .dropped
+                .iter()
+                .map(|name| Value::from(&**name))
+                .collect();
+            let count = i64::try_from(delivered.delivered).unwrap_or(i64::MAX);
+            let content = Map::new().with("delivered", count).with("dropped", dropped);
+            let mut parcel = Parcel::new(Family::Reply, "ok")
+                .context(path.clone())
+                .content(content);
+            parcel.reference = reference;
+            self.tell(sender, parcel, touched);
+        }
+    }
+
+    fn push_to_all(&self, to: &[PeerId], parcel: &Arc<Parcel>, touched: &mut Touched) {
+        let outboxes: Vec<Arc<Outbox>> = to.iter().filter_map(|peer| self.outbox(*peer)).collect();
+        let forms = outboxes.iter().map(|outbox| outbox.form());
+        match Encodings::new((**parcel).clone(), forms) {
+            Ok(encodings) => {
+                let origin = hub_origin(parcel);
+                for outbox in outboxes {
+                    self.push(
+                        &outbox,
+                        control(encodings.get(outbox.form()), origin.clone()),
+                        touched,
+                    );
+                }
+            }
+            // Only content that an application chose can do this: the safe state of a token.
+            Err(error) => tracing::warn!(name = parcel.name(), %error, "cannot be encoded"),
+        }
+    }
+
+    fn push_control(&self, outbox: &Arc<Outbox>, parcel: Parcel, touched: &mut Touched) {
+        let origin = hub_origin(&parcel);
+        if let Ok(encodings) = Encodings::new(parcel, std::iter::once(outbox.form())) {
+            self.push(outbox, control(encodings.get(outbox.form()), origin), touched);
+        }
+    }
+
+    fn push(&self, outbox: &Arc<Outbox>, entry: crate::outbox::Entry, touched: &mut Touched) {
+        let (taken, first) = outbox.push(entry);
+        if first {
+            touched.push(Arc::clone(outbox));
+        }
+        if taken == Taken::Overflow {
+            let text = "replies and events that waited for this peer reached its limit";
+            self.close(outbox, Some(WireError::new(Code::SLOW_RECEIVER, text)));
+        }
+    }
+}
+
+/// Flushes every outbox of a turn.
+pub(crate) fn flush(touched: &mut Touched) {
+    touched.drain(..).for_each(|outbox| outbox.flush());
+}
+
+/// The reference of the receipt that a message asks for.
+fn receipt_of(parcel: &Parcel) -> Option<Option<u64>> {
+    (parcel.receipt == Some(true)).then_some(parcel.id)
+}
