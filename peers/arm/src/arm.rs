@@ -1,0 +1,461 @@
+//! The arm: a state machine that takes commands and the time, and tells events.
+
+use std::collections::VecDeque;
+
+use crate::blocks::{Block, Blocks};
+use crate::contact;
+use crate::error::{ArmError, ErrorName};
+use crate::motion::{Leg, MAX_OPENING, Micros, Posture};
+use crate::path;
+use crate::pose::Pose;
+use crate::script::{Grip, Script, Statement};
+use crate::state::{ArmEvent, ArmState, CommandState, Executing, Gripper, Progress};
+
+#[cfg(test)]
+mod promises;
+#[cfg(test)]
+mod tests;
+
+/// Where the hand is at the beginning, and where `home` moves it.
+pub const HOME: Pose = Pose::new(0.0, 0.0, 300.0, 0.0, 0.0);
+/// µs between two states while the arm moves: 20 Hz.
+pub const STATE_PERIOD: Micros = 50_000;
+/// The most commands that wait behind the one being carried out.
+pub const MAX_WAITING: usize = 64;
+/// µs by which the driver may miss a wake before the controller takes the link to it for broken.
+pub const LINK_TIMEOUT: Micros = 3_000_000;
+
+/// The arm.
+///
+/// A driver calls [`Arm::advance`] whenever [`Arm::next_wake`] is due, and the other methods when
+/// somebody asks for what they do. Every method that takes `now` first advances to it; a time before
+/// the latest one counts as the latest. `submit`, `halt`, `stop` and `unstop` act; `advance` lets
+/// time pass; `state` and `next_wake` only look. All that happens is told in `events`, in order, and
+/// every accepted command ends in exactly one `finished` or `error`.
+///
+/// If a driver falls silent while a command is carried out, the arm goes on for [`LINK_TIMEOUT`]
+/// after the missed wake and stops there with a `link` error (M53).
+#[derive(Debug, Clone)]
+pub struct Arm {
+    now: Micros,
+    seq: u64,
+    posture: Posture,
+    grip: Grip,
+    blocks: Blocks,
+    stopped: bool,
+    active: Option<Active>,
+    waiting: VecDeque<Command>,
+    /// Where the hand will be after the last waiting command; the next one is checked from there.
+    planned: Pose,
+    /// When the next state is due, while the arm moves.
+    publish: Micros,
+}
+
+#[derive(Debug, Clone)]
+struct Command {
+    id: u64,
+    script: Script,
+}
+
+/// The command being carried out.
+#[derive(Debug, Clone)]
+struct Active {
+    command: Command,
+    /// How many statements have begun.
+    begun: usize,
+    /// The ends of the legs of this statement that have not begun.
+    legs: VecDeque<Pose>,
+    step: Option<Step>,
+}
+
+/// One motion or one wait.
+#[derive(Debug, Clone)]
+struct Step {
+    /// None for a wait.
+    leg: Option<Leg>,
+    begins: Micros,
+    ends: Micros,
+    then: Then,
+}
+
+/// What becomes of a step at its end.
+#[derive(Debug, Clone)]
+enum Then {
+    Next,
+    Grasp(usize),
+    Fail(ArmError),
+}
+
+impl Arm {
+    /// An arm at home, at rest, with open jaws and the blocks of the lab.
+    #[must_use]
+    pub fn new(now: Micros) -> Self {
+        Self::with_blocks(now, Block::lab())
+    }
+
+    /// An arm at home, at rest, with open jaws and blocks put down as by [`Blocks::new`].
+    #[must_use]
+    pub fn with_blocks(now: Micros, blocks: impl IntoIterator<Item = Block>) -> Self {
+        Self {
+            now,
+            seq: 0,
+            posture: Posture {
+                pose: HOME,
+                opening: MAX_OPENING,
+            },
+            grip: Grip::Open,
+            blocks: Blocks::new(blocks),
+            stopped: false,
+            active: None,
+            waiting: VecDeque::new(),
+            planned: HOME,
+            publish: now,
+        }
+    }
+
+    /// Takes a command: reads its script, checks every leg of it, and queues it. It begins at once
+    /// if nothing else is being carried out.
+    ///
+    /// # Errors
+    ///
+    /// `stopped`, `queue-full`, `duplicate-id`, `syntax`, `workspace-boundary`, `joint-limit` or
+    /// `singularity`. Then the command is not taken, nothing of it moves, and no event tells of it.
+    pub fn submit(
+        &mut self,
+        id: u64,
+        script: &str,
+        now: Micros,
+        events: &mut Vec<ArmEvent>,
+    ) -> Result<(), ArmError> {
+        self.advance(now, events);
+        self.check_free(id)?;
+        let script: Script = script.parse()?;
+        let mut planned = self.planned;
+        for (statement, number) in script.statements().iter().zip(1..) {
+            if let Some(target) = target(statement) {
+                path::check(&planned, &target).map_err(|error| error.at_statement(number))?;
+                planned = target;
+            }
+        }
+        self.planned = planned;
+        let command = Command { id, script };
+        events.push(command.event(CommandState::Waiting, 0, None));
+        self.waiting.push_back(command);
+        self.seq += 1;
+        self.run_until(self.now, events);
+        Ok(())
+    }
+
+    /// Lets time pass until `now`.
+    pub fn advance(&mut self, now: Micros, events: &mut Vec<ArmEvent>) {
+        let now = now.max(self.now);
+        if let Some(due) = self.next_wake()
+            && now.saturating_sub(due) > LINK_TIMEOUT
+        {
+            self.run_until(due.saturating_add(LINK_TIMEOUT), events);
+            if self.active.is_some() {
+                let silence = now.saturating_sub(due) / 1000;
+                let text =
+                    format!("the program that drives the arm was silent for {silence} ms; the arm stopped");
+                self.fail(ArmError::new(ErrorName::Link, text), events);
+            }
+        }
+        self.run_until(now, events);
+    }
+
+    /// When [`Arm::advance`] is to be called next; `None` while there is nothing to do.
+    #[must_use]
+    pub fn next_wake(&self) -> Option<Micros> {
+        let step = self.active.as_ref()?.step.as_ref()?;
+        Some(if step.leg.is_some() {
+            step.ends.min(self.publish)
+        } else {
+            step.ends
+        })
+    }
+
+    /// Stops the hand and the jaws where they are and drops every command with the error `halted`.
+    /// Not latched: the next command is taken. A block in the jaws stays there.
+    pub fn halt(&mut self, now: Micros, reason: &str, events: &mut Vec<ArmEvent>) {
+        self.advance(now, events);
+        if self.active.is_some() {
+            let error = ArmError::new(ErrorName::Halted, format!("the arm was halted: {reason}"));
+            self.end(error.clone(), &error, events);
+        }
+    }
+
+    /// Halts the arm, every command ending with the error `stopped`, and takes none until [`Arm::unstop`].
+    pub fn stop(&mut self, now: Micros, reason: &str, events: &mut Vec<ArmEvent>) {
+        self.advance(now, events);
+        if !self.stopped {
+            self.stopped = true;
+            let error = ArmError::new(ErrorName::Stopped, format!("the arm was stopped: {reason}"));
+            self.end(error.clone(), &error, events);
+        }
+    }
+
+    /// Lets the arm take commands again. Nothing moves by itself: the old commands are gone.
+    pub fn unstop(&mut self, now: Micros, events: &mut Vec<ArmEvent>) {
+        self.advance(now, events);
+        if self.stopped {
+            self.stopped = false;
+            self.publish_state(events);
+        }
+    }
+
+    /// The state at the latest time given.
+    #[must_use]
+    pub fn state(&self) -> ArmState {
+        let step = self.active.as_ref().and_then(|active| active.step.as_ref());
+        ArmState {
+            seq: self.seq,
+            pose: self.posture.pose,
+            gripper: Gripper {
+                grip: self.grip,
+                opening: self.posture.opening,
+            },
+            holding: self.blocks.held().map(|block| block.name.clone()),
+            blocks: self.blocks.all().to_vec(),
+            moving: step.is_some_and(|step| step.leg.is_some()),
+            stopped: self.stopped,
+            executing: self.active.as_ref().map(|active| {
+                let Progress { statement, of } = active.command.progress(active.begun);
+                Executing {
+                    id: active.command.id,
+                    statement,
+                    of,
+                }
+            }),
+            waiting: self.waiting.len(),
+        }
+    }
+
+    fn check_free(&self, id: u64) -> Result<(), ArmError> {
+        if self.stopped {
+            let text = "the arm is stopped and takes no command until the stop is released";
+            return Err(ArmError::new(ErrorName::Stopped, text));
+        }
+        let active = self.active.as_ref().map(|active| &active.command);
+        if active
+            .into_iter()
+            .chain(&self.waiting)
+            .any(|command| command.id == id)
+        {
+            let text = format!("command {id} is still waiting or executing; choose another id");
+            return Err(ArmError::new(ErrorName::DuplicateId, text));
+        }
+        if self.waiting.len() >= MAX_WAITING {
+            let text = format!("{MAX_WAITING} commands are waiting already; try again when one has begun");
+            return Err(ArmError::new(ErrorName::QueueFull, text));
+        }
+        Ok(())
+    }
+
+    /// Ends and begins all steps that are due until then, and moves to that time.
+    fn run_until(&mut self, until: Micros, events: &mut Vec<ArmEvent>) {
+        while self.active.is_some() || !self.waiting.is_empty() {
+            match self.active.as_ref().and_then(|active| active.step.as_ref()) {
+                None => self.begin(events),
+                Some(step) if step.ends <= until => {
+                    self.now = step.ends;
+                    self.end_step(events);
+                }
+                Some(_) => return self.move_to(until, events),
+            }
+        }
+        self.now = until;
+    }
+
+    /// Begins what comes next: a leg, else a statement, else a command.
+    fn begin(&mut self, events: &mut Vec<ArmEvent>) {
+        self.seq += 1;
+        let Some(active) = &mut self.active else {
+            let command = self.waiting.pop_front();
+            self.active = command.map(|command| Active {
+                command,
+                begun: 0,
+                legs: VecDeque::new(),
+                step: None,
+            });
+            return;
+        };
+        if let Some(pose) = active.legs.pop_front() {
+            return self.begin_leg(Posture { pose, ..self.posture }, None);
+        }
+        let Some(statement) = active.command.script.statements().get(active.begun).copied() else {
+            return self.finish(events);
+        };
+        active.begun += 1;
+        events.push(active.command.event(CommandState::Executing, active.begun, None));
+        match statement {
+            Statement::Wait(ms) => {
+                let ends = self.now.saturating_add(Micros::from(ms) * 1000);
+                active.step = Some(Step {
+                    leg: None,
+                    begins: self.now,
+                    ends,
+                    then: Then::Next,
+                });
+            }
+            Statement::Grip(grip) => self.begin_grip(grip),
+            Statement::Move(_) | Statement::Home => {
+                let target = target(&statement).expect("moves have a target");
+                active.legs = path::legs(&self.posture.pose, &target).into();
+            }
+        }
+    }
+
+    fn begin_grip(&mut self, grip: Grip) {
+        self.grip = grip;
+        if grip == Grip::Open {
+            self.blocks.release();
+        }
+        let grasping = self
+            .blocks
+            .within_jaws(&self.posture)
+            .filter(|_| grip == Grip::Close);
+        let opening = match (grip, grasping) {
+            (Grip::Open, _) => MAX_OPENING,
+            (Grip::Close, Some(index)) => self.blocks.all()[index].size,
+            (Grip::Close, None) if self.blocks.held().is_some() => self.posture.opening,
+            (Grip::Close, None) => 0.0,
+        };
+        self.begin_leg(
+            Posture {
+                opening,
+                ..self.posture
+            },
+            grasping,
+        );
+    }
+
+    /// Begins a leg, which ends early where something is in the way.
+    fn begin_leg(&mut self, to: Posture, grasping: Option<usize>) {
+        let Some(active) = &mut self.active else { return };
+        let (to, then) = match (
+            contact::first(&self.blocks, &self.posture, &to, grasping),
+            grasping,
+        ) {
+            (Some(contact), _) => {
+                let number = active.command.progress(active.begun).statement;
+                (contact.last, Then::Fail(contact.error.at_statement(number)))
+            }
+            (None, Some(index)) => (to, Then::Grasp(index)),
+            (None, None) => (to, Then::Next),
+        };
+        let leg = Leg::new(self.posture, to);
+        let ends = self.now.saturating_add(leg.duration());
+        active.step = Some(Step {
+            leg: Some(leg),
+            begins: self.now,
+            ends,
+            then,
+        });
+        if self.publish < self.now {
+            self.publish = self.now.saturating_add(STATE_PERIOD);
+        }
+    }
+
+    /// Takes the posture of this time, which lies within the step, and tells it if that is due.
+    fn move_to(&mut self, now: Micros, events: &mut Vec<ArmEvent>) {
+        let passed = now > self.now;
+        self.now = now;
+        let step = self.active.as_ref().and_then(|active| active.step.as_ref());
+        let Some((leg, begins)) = step.and_then(|step| Some((step.leg?, step.begins))) else {
+            return;
+        };
+        self.take(leg.at(now - begins));
+        self.seq += u64::from(passed);
+        if now >= self.publish {
+            let late = (now - self.publish) / STATE_PERIOD;
+            self.publish = self.publish.saturating_add((late + 1) * STATE_PERIOD);
+            self.publish_state(events);
+        }
+    }
+
+    fn end_step(&mut self, events: &mut Vec<ArmEvent>) {
+        let Some(step) = self.active.as_mut().and_then(|active| active.step.take()) else {
+            return;
+        };
+        self.seq += 1;
+        if let Some(leg) = step.leg {
+            self.take(leg.at(leg.duration()));
+        }
+        match step.then {
+            Then::Next => {}
+            Then::Grasp(index) => self.blocks.grasp(index, &self.posture.pose),
+            Then::Fail(error) => self.fail(error, events),
+        }
+    }
+
+    fn take(&mut self, posture: Posture) {
+        self.posture = posture;
+        self.blocks.carry(&posture.pose);
+    }
+
+    fn finish(&mut self, events: &mut Vec<ArmEvent>) {
+        if let Some(active) = self.active.take() {
+            self.publish_state(events);
+            events.push(active.command.event(CommandState::Finished, active.begun, None));
+        }
+    }
+
+    /// Ends the active command with this error. Those behind it were checked from where it should
+    /// have led, so they are dropped as well.
+    fn fail(&mut self, error: ArmError, events: &mut Vec<ArmEvent>) {
+        let failed = self.active.as_ref().map_or(0, |active| active.command.id);
+        let text = format!("command {failed} failed, so this one was not begun");
+        self.end(error, &ArmError::new(ErrorName::Halted, text), events);
+    }
+
+    /// Ends the active command with one error and drops those behind it with another.
+    fn end(&mut self, active_error: ArmError, waiting_error: &ArmError, events: &mut Vec<ArmEvent>) {
+        let active = self.active.take();
+        let waiting = std::mem::take(&mut self.waiting);
+        self.planned = self.posture.pose;
+        self.publish_state(events);
+        if let Some(active) = active {
+            events.push(
+                active
+                    .command
+                    .event(CommandState::Error, active.begun, Some(active_error)),
+            );
+        }
+        for command in waiting {
+            events.push(command.event(CommandState::Error, 0, Some(waiting_error.clone())));
+        }
+    }
+
+    fn publish_state(&mut self, events: &mut Vec<ArmEvent>) {
+        self.seq += 1;
+        events.push(ArmEvent::State(self.state()));
+    }
+}
+
+impl Command {
+    fn progress(&self, begun: usize) -> Progress {
+        let count = |count: usize| u32::try_from(count).expect("a script has at most 1000 statements");
+        Progress {
+            statement: count(begun),
+            of: count(self.script.statements().len()),
+        }
+    }
+
+    fn event(&self, state: CommandState, begun: usize, error: Option<ArmError>) -> ArmEvent {
+        ArmEvent::Command {
+            id: self.id,
+            state,
+            progress: self.progress(begun),
+            error,
+        }
+    }
+}
+
+/// Where a statement moves the hand, if it does.
+fn target(statement: &Statement) -> Option<Pose> {
+    match statement {
+        Statement::Move(pose) => Some(*pose),
+        Statement::Home => Some(HOME),
+        Statement::Grip(_) | Statement::Wait(_) => None,
+    }
+}

@@ -1,0 +1,67 @@
+//! The robot arm of the demonstration lab: a pure model, and the peer that connects it to the hub.
+//!
+//! Nothing but [`peer`] does IO or reads a clock. Time is an argument ([`Micros`]), so the same calls give
+//! the same motion to the bit, and a program that wants a live arm calls [`Arm::advance`] whenever
+//! [`Arm::next_wake`] is due.
+//!
+//! What happens to one command, from text to motion:
+//!
+//! 1. [`script`] reads the text into statements (M47);
+//! 2. [`path`] turns each `move` into straight legs by the path rule (M52), and [`workspace`] (M50)
+//!    and [`reach`] check every leg of the whole script before anything moves;
+//! 3. [`arm`] queues the command, and executes one statement after the other;
+//! 4. [`motion`] says where the hand is at a time (150 mm/s, M49), [`contact`] where it would hit
+//!    something, and [`blocks`] what lies on the table and in the hand.
+//!
+//! [`RobotServer`] decides what the arm does about the parcels and events of its channel, and what it
+//! says there; [`peer::run`] carries both ways, in a program of its own (`mom-arm`) or in another one.
+//!
+//! Lengths are millimetres and angles degrees everywhere, in the table's frame: the origin is the
+//! middle of the table's surface and z points up. Times are int microseconds.
+//!
+//! # Examples
+//!
+//! ```
+//! use mom_arm::{Arm, ArmEvent, CommandState};
+//!
+//! let mut arm = Arm::new(0);
+//! let mut events = Vec::new();
+//! arm.submit(1, "move 100 50 200 0 0; grip close", 0, &mut events)?;
+//! while let Some(due) = arm.next_wake() {
+//!     arm.advance(due, &mut events);
+//! }
+//! assert!(events.iter().any(|event| matches!(
+//!     event,
+//!     ArmEvent::Command { id: 1, state: CommandState::Finished, .. }
+//! )));
+//! assert_eq!(arm.state().pose.x, 100.0);
+//! # Ok::<(), mom_arm::ArmError>(())
+//! ```
+
+pub mod arm;
+pub mod blocks;
+pub mod contact;
+pub mod error;
+pub mod motion;
+mod outbox;
+pub mod path;
+pub mod peer;
+pub mod pose;
+pub mod reach;
+pub mod script;
+pub mod server;
+mod solid;
+pub mod state;
+pub mod status;
+pub mod workspace;
+
+pub use arm::Arm;
+pub use blocks::Block;
+pub use error::{ArmError, ErrorName};
+pub use motion::Micros;
+pub use peer::ArmOptions;
+pub use pose::Pose;
+pub use script::{Grip, Script, Statement};
+pub use server::RobotServer;
+pub use state::{ArmEvent, ArmState, CommandState, Executing, Gripper, Progress};
+pub use status::Status;

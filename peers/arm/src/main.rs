@@ -1,0 +1,75 @@
+//! The robot arm of the lab as a program of its own.
+
+use std::future::Future;
+use std::path::PathBuf;
+
+use anyhow::Context;
+use clap::Parser;
+use mom_arm::{ArmOptions, peer};
+use mom_client::Client;
+use tokio::signal::unix::{SignalKind, signal};
+use tracing_subscriber::EnvFilter;
+
+const EXAMPLES: &str = "\
+Examples:
+  MOM_PASSWORD=arm mom-arm
+  mom-arm --hub tcp://127.0.0.1:7666 --password-file arm.secret
+  RUST_LOG=debug MOM_PASSWORD=arm mom-arm --channel /robot/arm
+
+The password is that of MOM_PASSWORD, unless --password-file names a file. The log goes to the standard
+error; RUST_LOG says how much of it. Ctrl-C and SIGTERM halt the arm and end the program.";
+
+/// The robot arm of the demonstration lab: obeys the scripts of the token's owner and tells its state.
+#[derive(Debug, Parser)]
+#[command(name = "mom-arm", version, after_help = EXAMPLES)]
+struct Args {
+    /// The hub, as bin://host:port (binary) or tcp://host:port (XML)
+    #[arg(long, default_value = "bin://127.0.0.1:7666")]
+    hub: String,
+    /// The user to log in as
+    #[arg(long, default_value = "arm")]
+    user: String,
+    /// A file whose first line is the password
+    #[arg(long, value_name = "FILE")]
+    password_file: Option<PathBuf>,
+    /// The channel of commands and states
+    #[arg(long, value_name = "PATH", default_value = "/robot/arm")]
+    channel: String,
+}
+
+#[tokio::main]
+async fn main() -> anyhow::Result<()> {
+    let args = Args::parse();
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let shutdown = shutdown()?;
+    let client = Client::builder(&args.hub)
+        .user(&args.user)
+        .password(&password(&args)?)
+        .connect()
+        .await
+        .with_context(|| format!("{} cannot log in at {}", args.user, args.hub))?;
+    let options = ArmOptions { channel: args.channel };
+    peer::run(client, options, shutdown).await.context("the arm ended")
+}
+
+fn password(args: &Args) -> anyhow::Result<String> {
+    let Some(file) = &args.password_file else {
+        return std::env::var("MOM_PASSWORD").context("set MOM_PASSWORD, or name a file with --password-file");
+    };
+    let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+    Ok(text.lines().next().unwrap_or_default().to_owned())
+}
+
+/// Done at Ctrl-C or SIGTERM.
+fn shutdown() -> anyhow::Result<impl Future<Output = ()>> {
+    let mut interrupt = signal(SignalKind::interrupt()).context("cannot listen for Ctrl-C")?;
+    let mut terminate = signal(SignalKind::terminate()).context("cannot listen for SIGTERM")?;
+    Ok(async move {
+        tokio::select! {
+            _ = interrupt.recv() => {}
+            _ = terminate.recv() => {}
+        }
+        tracing::info!("ending");
+    })
+}

@@ -1,0 +1,285 @@
+//! The robot's server (M36): what it does with each event of its channel, and what it says.
+
+use std::collections::BTreeMap;
+use std::fmt::Display;
+use std::sync::Arc;
+
+use mom_client::{Content, Delivery, Event, Family, Map, Parcel, Path, Value, event, to_value};
+
+use crate::arm::Arm;
+use crate::error::{ArmError, ErrorName};
+use crate::motion::Micros;
+use crate::state::{ArmEvent, CommandState, Progress};
+use crate::status::{Refusal, Status};
+
+#[cfg(test)]
+mod tests;
+
+/// The message that carries a script.
+pub const COMMAND: &str = "command";
+/// The message that tells how far a command has come.
+pub const STATUS: &str = "status";
+/// The message that tells the arm's state.
+pub const STATE: &str = "state";
+/// The name under which the hub itself sends.
+const HUB: &str = "hub";
+
+/// The decisions of the robot's peer, without a connection and without a clock.
+///
+/// `handle` takes an event of the robot's channel, `advance` lets time pass, `report` tells the state to all,
+/// `halt` ends everything. What is to be sent is pushed to `out`, in order. The driver calls `advance` whenever
+/// [`RobotServer::next_wake`] is due.
+///
+/// - A command is obeyed if the fence gate lets it pass, and if the arm takes its script. Otherwise, and at
+///   every later change, a `status` is broadcast (M42).
+/// - A command of a newer fence, or the event that the token changed hands, ends all that an older owner ordered.
+/// - `halt` of the hub ends all commands; `stop` of anyone does, and latches until `unstop`. A gap in the events
+///   latches too, because a `stop` may have been in it.
+/// - A lost link ends all commands; after it, the state is told again.
+/// - Who joins the channel is told the state.
+#[derive(Debug)]
+pub struct RobotServer {
+    arm: Arm,
+    channel: Path,
+    /// What the arm has accepted and not ended, by the arm's own ids: those of senders may coincide.
+    orders: BTreeMap<u64, Order>,
+    last_id: u64,
+}
+
+/// Whose command it is.
+#[derive(Debug, Clone, PartialEq)]
+struct Order {
+    peer: Arc<str>,
+    id: Option<u64>,
+    fence: Option<u64>,
+}
+
+impl RobotServer {
+    /// A server for an arm that speaks on this channel.
+    #[must_use]
+    pub fn new(arm: Arm, channel: Path) -> Self {
+        Self {
+            arm,
+            channel,
+            orders: BTreeMap::new(),
+            last_id: 0,
+        }
+    }
+
+    /// Does what an event asks for. `gate` says whether a command's fence is the present owner's, and if not,
+    /// why not in plain words.
+    pub fn handle<E: Display>(
+        &mut self,
+        event: &Event,
+        gate: impl FnOnce(&Parcel) -> Result<(), E>,
+        now: Micros,
+        out: &mut Vec<Parcel>,
+    ) {
+        self.advance(now, out);
+        match event {
+            Event::Message(parcel) => self.handle_message(parcel, gate, now, out),
+            Event::Joined(member) => out.extend(self.state_message().map(|mut state| {
+                state.address = Some(vec![member.peer.as_str().into()]);
+                state
+            })),
+            // Without names of who joined, all are told.
+            Event::Count(_) | Event::Rejoined => self.report(out),
+            Event::Grabbed { fence, .. } => self.drop_below(*fence, now, out),
+            Event::Released { fence, .. } => self.drop_below(fence.saturating_add(1), now, out),
+            Event::LinkDown => self.halt("the link to the hub was lost", now, out),
+            Event::Lagged(count) => {
+                let reason = format!("{count} events of the hub were lost, and a stop may be among them");
+                self.act(out, |arm, events| arm.stop(now, &reason, events));
+            }
+            _ => {}
+        }
+    }
+
+    /// Lets time pass until `now`.
+    pub fn advance(&mut self, now: Micros, out: &mut Vec<Parcel>) {
+        self.act(out, |arm, events| arm.advance(now, events));
+    }
+
+    /// When [`RobotServer::advance`] is to be called next; `None` while the arm has nothing to do.
+    #[must_use]
+    pub fn next_wake(&self) -> Option<Micros> {
+        self.arm.next_wake()
+    }
+
+    /// Ends every command, for a reason in plain words.
+    pub fn halt(&mut self, reason: &str, now: Micros, out: &mut Vec<Parcel>) {
+        self.act(out, |arm, events| arm.halt(now, reason, events));
+    }
+
+    /// Tells all members of the channel the state.
+    pub fn report(&self, out: &mut Vec<Parcel>) {
+        out.extend(self.state_message());
+    }
+
+    fn handle_message<E: Display>(
+        &mut self,
+        parcel: &Parcel,
+        gate: impl FnOnce(&Parcel) -> Result<(), E>,
+        now: Micros,
+        out: &mut Vec<Parcel>,
+    ) {
+        let sender = parcel.sender.as_deref().unwrap_or_default();
+        match parcel.name() {
+            COMMAND => {
+                let order = Order {
+                    peer: sender.into(),
+                    id: parcel.id,
+                    fence: parcel.fence,
+                };
+                let obeyed = gate(parcel)
+                    .map_err(|stale| Refusal::Fence(stale.to_string()))
+                    .and_then(|()| self.obey(order.clone(), parcel.content.as_ref(), now, out));
+                if let Err(refusal) = obeyed {
+                    let status = order.status().because(Some(&refusal));
+                    out.extend(self.status_message(&status));
+                }
+            }
+            event::STOP => {
+                let reason = format!("{sender} sent stop");
+                self.act(out, |arm, events| arm.stop(now, &reason, events));
+            }
+            event::UNSTOP => self.act(out, |arm, events| arm.unstop(now, events)),
+            // Only the hub may say it; a peer that wants the arm to stop has `stop`.
+            event::HALT if sender == HUB => {
+                self.halt("the hub ordered the safe state, because the token's owner lost it or gave it up", now, out);
+            }
+            _ => {}
+        }
+    }
+
+    fn obey(
+        &mut self,
+        order: Order,
+        content: Option<&Content>,
+        now: Micros,
+        out: &mut Vec<Parcel>,
+    ) -> Result<(), Refusal> {
+        // The events of the token may be on their way still; the fence of the command tells as much.
+        self.drop_below(order.fence.unwrap_or(0), now, out);
+        let script = content.and_then(|content| content.to_value().ok());
+        let script = script.as_ref().and_then(Value::as_str).ok_or_else(|| {
+            let text = "the content of a command is its script, a string such as `move 100 50 200 0 0; grip close`";
+            ArmError::new(ErrorName::Syntax, text)
+        })?;
+        if let Some(id) = order.id
+            && self.orders.values().any(|other| *other == order)
+        {
+            let text = format!("command {id} of {} is still waiting or executing; choose another id", order.peer);
+            return Err(ArmError::new(ErrorName::DuplicateId, text).into());
+        }
+        self.last_id += 1;
+        let id = self.last_id;
+        self.orders.insert(id, order);
+        let mut taken = Ok(());
+        self.act(out, |arm, events| taken = arm.submit(id, script, now, events));
+        if taken.is_err() {
+            self.orders.remove(&id);
+        }
+        Ok(taken?)
+    }
+
+    /// Ends all commands if one of them carries a lower fence: its sender owns the token no more.
+    fn drop_below(&mut self, fence: u64, now: Micros, out: &mut Vec<Parcel>) {
+        let mut fences = self.orders.values().filter_map(|order| order.fence);
+        if fences.any(|old| old < fence) {
+            self.halt("the token changed hands", now, out);
+        }
+    }
+
+    /// Lets the arm act, and says what came of it.
+    fn act(&mut self, out: &mut Vec<Parcel>, action: impl FnOnce(&mut Arm, &mut Vec<ArmEvent>)) {
+        let mut events = Vec::new();
+        action(&mut self.arm, &mut events);
+        for event in events {
+            match event {
+                ArmEvent::State(state) => out.extend(self.message_of_state(&state)),
+                ArmEvent::Command {
+                    id,
+                    state,
+                    progress,
+                    error,
+                } => self.tell(id, state, progress, error, out),
+            }
+        }
+    }
+
+    fn tell(
+        &mut self,
+        id: u64,
+        state: CommandState,
+        progress: Progress,
+        error: Option<ArmError>,
+        out: &mut Vec<Parcel>,
+    ) {
+        let Some(order) = self.orders.get(&id) else { return };
+        let error = error.map(Refusal::from);
+        let status = order.status().at(state, progress).because(error.as_ref());
+        out.extend(self.status_message(&status));
+        if matches!(state, CommandState::Finished | CommandState::Error) {
+            self.orders.remove(&id);
+        }
+    }
+
+    fn status_message(&self, status: &Status) -> Option<Parcel> {
+        let mut parcel = self.message(STATUS, to_value(status))?;
+        parcel.reference = status.id;
+        Some(parcel)
+    }
+
+    fn state_message(&self) -> Option<Parcel> {
+        self.message_of_state(&self.arm.state())
+    }
+
+    /// The state as the channel knows it: the command being carried out has its sender's id.
+    fn message_of_state(&self, state: &crate::state::ArmState) -> Option<Parcel> {
+        let content = to_value(state).map(|mut content| {
+            if let (Value::Map(map), Some(executing)) = (&mut content, state.executing) {
+                map.set("executing", self.executing(&executing));
+            }
+            content
+        });
+        let mut parcel = self.message(STATE, content)?;
+        parcel.delivery = Some(Delivery::Latest);
+        Some(parcel)
+    }
+
+    fn executing(&self, executing: &crate::state::Executing) -> Map {
+        let mut map = Map::new();
+        if let Some(order) = self.orders.get(&executing.id) {
+            if let Some(id) = order.id.and_then(|id| i64::try_from(id).ok()) {
+                map.set("id", id);
+            }
+            map.set("peer", &*order.peer);
+        }
+        map.with("statement", executing.statement).with("of", executing.of)
+    }
+
+    /// A broadcast that does not come back.
+    fn message(&self, name: &str, content: Result<Value, mom_client::WireError>) -> Option<Parcel> {
+        let content = content.inspect_err(|error| tracing::error!(%error, name, "a message was not sent"));
+        let mut parcel = Parcel::new(Family::Message, name)
+            .context(self.channel.clone())
+            .content(content.ok()?);
+        parcel.echo = Some(false);
+        Some(parcel)
+    }
+}
+
+impl Order {
+    /// The status of a command that has not begun and never will.
+    fn status(&self) -> Status {
+        Status {
+            id: self.id,
+            peer: self.peer.to_string(),
+            state: CommandState::Error,
+            statement: 0,
+            of: 0,
+            error: None,
+        }
+    }
+}

@@ -1,0 +1,330 @@
+//! Dialogues with the robot's server: who says what, and what the channel hears.
+
+use std::fmt::Write;
+
+use mom_client::{Member, from_value};
+
+use super::*;
+use crate::state::ArmState;
+
+/// The server with a clock and a gate that a dialogue moves.
+struct Stage {
+    server: RobotServer,
+    now: Micros,
+    /// The fence that the gate lets pass; none = any.
+    gate: Option<u64>,
+    out: Vec<Parcel>,
+}
+
+impl Stage {
+    fn new() -> Self {
+        let channel = Path::parse("/robot/arm").unwrap();
+        Self {
+            server: RobotServer::new(Arm::new(0), channel),
+            now: 0,
+            gate: None,
+            out: Vec::new(),
+        }
+    }
+
+    fn tell(&mut self, event: &Event) {
+        let wanted = self.gate;
+        let gate = |parcel: &Parcel| match wanted {
+            Some(fence) if parcel.fence != Some(fence) => Err(format!("the fence is {fence}")),
+            _ => Ok(()),
+        };
+        self.server.handle(event, gate, self.now, &mut self.out);
+    }
+
+    /// Lets ms pass as a punctual driver does.
+    fn pass(&mut self, ms: Micros) {
+        let until = self.now + ms * 1000;
+        while let Some(due) = self.server.next_wake().filter(|due| *due <= until) {
+            self.server.advance(due, &mut self.out);
+        }
+        self.now = until;
+        self.server.advance(until, &mut self.out);
+    }
+
+    /// Does one line of a dialogue.
+    fn act(&mut self, line: &str) {
+        let (line, script) = line.split_once(": ").unwrap_or((line, ""));
+        let words: Vec<&str> = line.split(' ').collect();
+        match words[..] {
+            ["after", ms] => self.pass(ms.parse().unwrap()),
+            ["gate", fence] => self.gate = fence.parse().ok(),
+            ["down"] => self.tell(&Event::LinkDown),
+            ["rejoined"] => self.tell(&Event::Rejoined),
+            ["lagged"] => self.tell(&Event::Lagged(3)),
+            ["count"] => self.tell(&Event::Count(300)),
+            ["joined", peer] => self.tell(&Event::Joined(Member {
+                peer: peer.to_owned(),
+                user: peer.to_owned(),
+                level: 1,
+            })),
+            ["grabbed", fence] => self.tell(&Event::Grabbed {
+                owner: "somebody".to_owned(),
+                level: 1,
+                fence: fence.parse().unwrap(),
+                lease: None,
+                path: Path::parse("/robot/token").unwrap(),
+            }),
+            ["released", fence] => self.tell(&Event::Released {
+                owner: "somebody".to_owned(),
+                reason: "released".to_owned(),
+                by: None,
+                fence: fence.parse().unwrap(),
+                path: Path::parse("/robot/token").unwrap(),
+            }),
+            [sender, "command", id, fence] => {
+                let mut parcel = said(sender, COMMAND).content(script);
+                (parcel.id, parcel.fence) = (id.parse().ok(), fence.parse().ok());
+                self.tell(&Event::Message(parcel));
+            }
+            [sender, name] => self.tell(&Event::Message(said(sender, name))),
+            _ => panic!("no such line: {line}"),
+        }
+    }
+
+    /// What was said since, one line each; states while the arm moves are left out.
+    fn heard(&mut self) -> Vec<String> {
+        self.out.drain(..).filter_map(|parcel| line_of(&parcel)).collect()
+    }
+}
+
+fn said(sender: &str, name: &str) -> Parcel {
+    let mut parcel = Parcel::new(Family::Message, name);
+    parcel.sender = Some(sender.into());
+    parcel
+}
+
+fn line_of(parcel: &Parcel) -> Option<String> {
+    assert_eq!(parcel.context.as_ref().unwrap().as_str(), "/robot/arm");
+    assert_eq!(parcel.echo, Some(false));
+    let content = parcel.value();
+    let to: Vec<&str> = parcel.address.iter().flatten().map(|peer| &**peer).collect();
+    let mut line = format!("{}{}", parcel.name(), to.iter().map(|to| format!(" to {to}")).collect::<String>());
+    let word = |key: &str| content.get(key).and_then(Value::as_bool).unwrap();
+    if parcel.name() == STATE {
+        assert_eq!(parcel.delivery, Some(Delivery::Latest));
+        if word("moving") {
+            return None;
+        }
+        line += if word("stopped") { " stopped" } else { " free" };
+        return Some(line);
+    }
+    let status: Status = from_value(content.clone()).unwrap();
+    assert_eq!((parcel.reference, parcel.delivery), (status.id, None));
+    let id = status.id.map_or("-".to_owned(), |id| id.to_string());
+    let state = format!("{:?}", status.state).to_lowercase();
+    write!(line, " {}/{id} {state} {}/{}", status.peer, status.statement, status.of).unwrap();
+    if let Some(error) = status.error {
+        let (name, code) = (error.get("name").unwrap(), error.get("code").unwrap());
+        assert!(!error.get("text").and_then(Value::as_str).unwrap().is_empty());
+        write!(line, " {} {}", name.as_str().unwrap(), code.as_int().unwrap()).unwrap();
+    }
+    Some(line)
+}
+
+/// Plays a dialogue: lines with `>` are what must have been said since the line before.
+fn check(dialogue: &str) {
+    let mut stage = Stage::new();
+    let mut lines = dialogue.lines().map(str::trim).filter(|line| !line.is_empty()).peekable();
+    while let Some(line) = lines.next() {
+        stage.act(line);
+        let mut expected = Vec::new();
+        while let Some(heard) = lines.next_if(|line| line.starts_with('>')) {
+            expected.push(heard.trim_start_matches("> ").to_owned());
+        }
+        assert_eq!(stage.heard(), expected, "after `{line}` in {dialogue}");
+    }
+}
+
+#[test]
+fn a_command_goes_through_its_states() {
+    check(
+        "alice command 7 5: move 0 0 270 0 0; wait 100
+         > status alice/7 waiting 0/2
+         > status alice/7 executing 1/2
+         alice command - 5: home
+         > status alice/- waiting 0/1
+         after 250
+         > status alice/7 executing 2/2
+         after 1000
+         > state free
+         > status alice/7 finished 2/2
+         > status alice/- executing 1/1
+         > state free
+         > status alice/- finished 1/1",
+    );
+}
+
+#[test]
+fn what_the_arm_cannot_do_is_refused_with_its_code() {
+    check(
+        "alice command 1 5: mvoe 1 2
+         > status alice/1 error 0/0 syntax 5001
+         alice command 2 5: move 0 0 900 0 0
+         > status alice/2 error 0/0 workspace-boundary 5002
+         alice command
+         > status alice/- error 0/0 syntax 5001",
+    );
+}
+
+#[test]
+fn only_the_fence_of_the_owner_is_obeyed() {
+    check(
+        "gate 6
+         alice command 1 5: home
+         > status alice/1 error 0/0 older-fence 205
+         alice command 2 -: home
+         > status alice/2 error 0/0 older-fence 205
+         bob command 1 6: wait 10
+         > status bob/1 waiting 0/1
+         > status bob/1 executing 1/1",
+    );
+}
+
+#[test]
+fn ids_are_unique_per_sender_and_fence_only() {
+    check(
+        "alice command 1 5: wait 100
+         > status alice/1 waiting 0/1
+         > status alice/1 executing 1/1
+         bob command 1 5: wait 100
+         > status bob/1 waiting 0/1
+         alice command 1 5: home
+         > status alice/1 error 0/0 duplicate-id 5104
+         after 100
+         > state free
+         > status alice/1 finished 1/1
+         > status bob/1 executing 1/1
+         alice command 1 5: wait 100
+         > status alice/1 waiting 0/1
+         alice command - 5: wait 1
+         > status alice/- waiting 0/1
+         alice command - 5: wait 1
+         > status alice/- waiting 0/1",
+    );
+}
+
+/// Everything that ends two commands of fence 5, and whether the arm is stopped after it.
+#[test]
+fn commands_end_when_control_is_lost() {
+    for (line, stopped) in [
+        ("hub halt", false),
+        ("released 5", false),
+        ("grabbed 6", false),
+        ("down", false),
+        ("bob stop", true),
+        ("lagged", true),
+    ] {
+        let (word, code, next) = match stopped {
+            true => ("stopped", "stopped 5102", "error 0/0 stopped 5102"),
+            false => ("free", "halted 5101", "waiting 0/1\n> status bob/3 executing 1/1"),
+        };
+        check(&format!(
+            "alice command 1 5: wait 100
+             > status alice/1 waiting 0/1
+             > status alice/1 executing 1/1
+             alice command 2 5: home
+             > status alice/2 waiting 0/1
+             {line}
+             > state {word}
+             > status alice/1 error 1/1 {code}
+             > status alice/2 error 0/1 {code}
+             bob command 3 6: home
+             > status bob/3 {next}"
+        ));
+    }
+}
+
+#[test]
+fn what_takes_no_control_away_ends_nothing() {
+    for line in ["released 4", "grabbed 5", "bob halt", "bob unstop", "bob chat"] {
+        check(&format!(
+            "alice command 1 5: wait 100
+             > status alice/1 waiting 0/1
+             > status alice/1 executing 1/1
+             {line}
+             after 100
+             > state free
+             > status alice/1 finished 1/1"
+        ));
+    }
+}
+
+#[test]
+fn a_newer_fence_ends_what_an_older_one_began() {
+    check(
+        "alice command 1 5: wait 100
+         > status alice/1 waiting 0/1
+         > status alice/1 executing 1/1
+         bob command 1 6: wait 100
+         > state free
+         > status alice/1 error 1/1 halted 5101
+         > status bob/1 waiting 0/1
+         > status bob/1 executing 1/1
+         released 5
+         grabbed 6
+         after 100
+         > state free
+         > status bob/1 finished 1/1",
+    );
+}
+
+#[test]
+fn a_stop_latches_until_it_is_released() {
+    check(
+        "bob stop
+         > state stopped
+         carol stop
+         released 5
+         alice command 1 6: home
+         > status alice/1 error 0/0 stopped 5102
+         rejoined
+         > state stopped
+         carol unstop
+         > state free
+         alice command 2 6: wait 1
+         > status alice/2 waiting 0/1
+         > status alice/2 executing 1/1",
+    );
+}
+
+#[test]
+fn who_joins_is_told_the_state() {
+    check(
+        "joined bob
+         > state to bob free
+         count
+         > state free
+         down
+         rejoined
+         > state free",
+    );
+}
+
+#[test]
+fn states_come_at_20_hz_and_name_the_command_as_its_sender_does() {
+    let mut stage = Stage::new();
+    stage.act("alice command 1 5: wait 1");
+    stage.pass(1);
+    stage.out.clear();
+    stage.act("bob command 41 5: move 0 0 150 0 0");
+    stage.pass(900);
+    let states: Vec<Value> = stage
+        .out
+        .iter()
+        .filter(|parcel| parcel.name() == STATE)
+        .map(Parcel::value)
+        .collect();
+    assert_eq!(states.len(), 18);
+    for state in &states {
+        let executing = state.get("executing").unwrap();
+        assert_eq!(executing.get("id"), Some(&Value::Int(41)));
+        assert_eq!(executing.get("peer").and_then(Value::as_str), Some("bob"));
+        let read: ArmState = from_value(state.clone()).unwrap();
+        assert!(read.moving && read.pose.z < 300.0);
+    }
+}

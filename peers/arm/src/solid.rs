@@ -1,0 +1,127 @@
+//! Boxes that stand upright, turned about the vertical: the shape of everything that can be hit.
+
+use crate::pose::{Vector, dot, minus};
+
+/// mm by which two bodies may press into each other before the motors feel it. Blocks that lie on
+/// or beside each other touch, and rounding must not make that a collision.
+pub(crate) const GIVE: f64 = 1.0;
+
+/// An upright box.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Solid {
+    pub(crate) centre: Vector,
+    /// Degrees of its first level axis from x.
+    pub(crate) yaw: f64,
+    /// Half its size along its first level axis, its second, and upward.
+    pub(crate) half: Vector,
+}
+
+impl Solid {
+    pub(crate) fn top(&self) -> f64 {
+        self.centre[2] + self.half[2]
+    }
+
+    pub(crate) fn bottom(&self) -> f64 {
+        self.centre[2] - self.half[2]
+    }
+
+    /// Whether the point lies inside by more than [`GIVE`], the box being wider by `margin` on the level.
+    pub(crate) fn contains(&self, point: Vector, margin: f64) -> bool {
+        let offset = [point[0] - self.centre[0], point[1] - self.centre[1]];
+        let level = self.axes().into_iter().zip(self.half);
+        (point[2] - self.centre[2]).abs() < self.half[2] - GIVE
+            && level
+                .into_iter()
+                .all(|(axis, half)| level_dot(offset, axis).abs() < half + margin - GIVE)
+    }
+
+    /// Whether all of the box is certainly farther from the point than this, in mm.
+    pub(crate) fn is_farther(&self, point: Vector, distance: f64) -> bool {
+        let offset = minus(self.centre, point);
+        let reach = distance + self.half.into_iter().sum::<f64>();
+        dot(offset, offset) > reach * reach
+    }
+
+    /// Whether the two boxes overlap by more than [`GIVE`].
+    pub(crate) fn overlaps(&self, other: &Self) -> bool {
+        self.top() - GIVE > other.bottom() && other.top() - GIVE > self.bottom() && self.overlaps_level(other)
+    }
+
+    /// Whether the two boxes, seen from above, overlap by more than [`GIVE`].
+    ///
+    /// Two rectangles are apart exactly if they are apart along one of their four axes.
+    pub(crate) fn overlaps_level(&self, other: &Self) -> bool {
+        let offset = [other.centre[0] - self.centre[0], other.centre[1] - self.centre[1]];
+        self.axes().into_iter().chain(other.axes()).all(|axis| {
+            level_dot(offset, axis).abs() < self.extent_along(axis) + other.extent_along(axis) - GIVE
+        })
+    }
+
+    /// Half the length of the box's shadow on a level axis.
+    fn extent_along(&self, axis: [f64; 2]) -> f64 {
+        self.axes()
+            .into_iter()
+            .zip(self.half)
+            .map(|(own, half)| level_dot(own, axis).abs() * half)
+            .sum()
+    }
+
+    fn axes(&self) -> [[f64; 2]; 2] {
+        let (sin, cos) = self.yaw.to_radians().sin_cos();
+        [[cos, sin], [-sin, cos]]
+    }
+}
+
+fn level_dot(a: [f64; 2], b: [f64; 2]) -> f64 {
+    a[0] * b[0] + a[1] * b[1]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cube(x: f64, y: f64, z: f64, yaw: f64) -> Solid {
+        Solid {
+            centre: [x, y, z],
+            yaw,
+            half: [20.0; 3],
+        }
+    }
+
+    #[test]
+    fn overlap_of_two_cubes() {
+        let middle = cube(0.0, 0.0, 20.0, 0.0);
+        for (other, level, whole) in [
+            (cube(0.0, 0.0, 20.0, 30.0), true, true),
+            (cube(38.0, 0.0, 20.0, 0.0), true, true),
+            (cube(39.5, 0.0, 20.0, 0.0), false, false),
+            (cube(40.0, 40.0, 20.0, 0.0), false, false),
+            // A corner points at the side: half a diagonal is 28.3 mm.
+            (cube(46.0, 0.0, 20.0, 45.0), true, true),
+            (cube(48.0, 0.0, 20.0, 45.0), false, false),
+            // Turned corner to corner, apart only along a slanted axis.
+            (cube(36.0, 36.0, 20.0, 45.0), false, false),
+            (cube(0.0, 0.0, 60.0, 0.0), true, false),
+            (cube(0.0, 0.0, 58.0, 0.0), true, true),
+        ] {
+            assert_eq!(middle.overlaps_level(&other), level, "{other:?}");
+            assert_eq!(other.overlaps_level(&middle), level, "{other:?}");
+            assert_eq!(middle.overlaps(&other), whole, "{other:?}");
+        }
+    }
+
+    #[test]
+    fn contains_points_by_more_than_the_give() {
+        let turned = cube(10.0, 0.0, 20.0, 45.0);
+        for (point, margin, want) in [
+            ([10.0, 0.0, 20.0], 0.0, true),
+            ([36.0, 0.0, 20.0], 0.0, true),
+            ([38.0, 0.0, 20.0], 0.0, false),
+            ([38.0, 0.0, 20.0], 4.0, true),
+            ([10.0, 0.0, 38.5], 0.0, true),
+            ([10.0, 0.0, 39.5], 4.0, false),
+        ] {
+            assert_eq!(turned.contains(point, margin), want, "{point:?} {margin}");
+        }
+    }
+}

@@ -1,0 +1,34 @@
+//! The camera of the demonstration lab: it renders the robot's workspace as four cameras see it.
+//!
+//! The workspace is a box of 600×600×450 mm on a table (M50), with an industrial arm beside it (M49). [`Renderer`]
+//! draws a [`Scene`], which is read from the arm's state, and gives a JPEG or PNG [`Image`] with the matrix that maps
+//! millimetres on the table to its pixels (M54, M55).
+//!
+//! [`ImageServer`] decides what the camera does about the parcels and events of its contexts, and what it says;
+//! [`peer::run`] carries both ways and draws on a thread of its own, in a program (`mom-camera`) or in another one.
+
+mod draw;
+mod encode;
+mod error;
+mod geometry;
+mod owner;
+pub mod peer;
+mod renderer;
+mod robot;
+mod scene;
+pub mod server;
+mod settings;
+mod shot;
+mod solid;
+mod trail;
+mod view;
+
+pub use error::Error;
+pub use geometry::Camera;
+pub use peer::CameraOptions;
+pub use renderer::{Image, Renderer};
+pub use scene::{Block, Colour, Gripper, Pose, Scene};
+pub use server::{ImageServer, ServerOptions};
+pub use settings::{Format, HEIGHTS, QUALITIES, Settings, SettingsChange, WIDTHS};
+pub use shot::{Picture, Shot};
+pub use view::View;

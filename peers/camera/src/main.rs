@@ -1,0 +1,121 @@
+//! The camera of the lab as a program of its own.
+
+use std::future::Future;
+use std::path::PathBuf;
+
+use anyhow::Context;
+use clap::Parser;
+use mom_camera::{CameraOptions, Settings, SettingsChange, View, peer};
+use mom_client::Client;
+use tokio::signal::unix::{SignalKind, signal};
+use tracing_subscriber::EnvFilter;
+
+const EXAMPLES: &str = "\
+Examples:
+  MOM_PASSWORD=camera mom-camera
+  mom-camera --hub tcp://127.0.0.1:7666 --password-file camera.secret --rate 5
+  MOM_PASSWORD=camera mom-camera --view top --width 320 --height 240 --format png
+
+The password is that of MOM_PASSWORD, unless --password-file names a file. The log goes to the standard
+error; RUST_LOG says how much of it. Ctrl-C and SIGTERM end the program.";
+
+/// The camera of the demonstration lab: shows the robot's workspace after each of its states and on request.
+#[derive(Debug, Parser)]
+#[command(name = "mom-camera", version, after_help = EXAMPLES)]
+struct Args {
+    /// The hub, as bin://host:port (binary) or tcp://host:port (XML)
+    #[arg(long, default_value = "bin://127.0.0.1:7666")]
+    hub: String,
+    /// The user to log in as
+    #[arg(long, default_value = "camera")]
+    user: String,
+    /// A file whose first line is the password
+    #[arg(long, value_name = "FILE")]
+    password_file: Option<PathBuf>,
+    /// Where the camera stands: x, y, top or wrist
+    #[arg(long, default_value = "x")]
+    view: View,
+    /// The channel of the images; /camera/VIEW if none is named
+    #[arg(long, value_name = "PATH")]
+    channel: Option<String>,
+    /// The channel of the robot to look at
+    #[arg(long, value_name = "PATH", default_value = "/robot/arm")]
+    robot: String,
+    /// The token whose owner may change the settings
+    #[arg(long, value_name = "PATH", default_value = "/robot/token")]
+    token: String,
+    /// Images per second, at most, while the robot moves
+    #[arg(long, default_value = "10")]
+    rate: f64,
+    /// How many past poses the path in the image has
+    #[arg(long, default_value = "100")]
+    trail: usize,
+    /// Width of the images in pixels, 64 to 1920
+    #[arg(long)]
+    width: Option<i64>,
+    /// Height of the images in pixels, 48 to 1080
+    #[arg(long)]
+    height: Option<i64>,
+    /// Quality of JPEG images, 1 to 100
+    #[arg(long)]
+    quality: Option<i64>,
+    /// Format of the images: jpeg or png
+    #[arg(long)]
+    format: Option<String>,
+}
+
+#[tokio::main]
+async fn main() -> anyhow::Result<()> {
+    let args = Args::parse();
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let shutdown = shutdown()?;
+    let options = options(&args)?;
+    let client = Client::builder(&args.hub)
+        .user(&args.user)
+        .password(&password(&args)?)
+        .connect()
+        .await
+        .with_context(|| format!("{} cannot log in at {}", args.user, args.hub))?;
+    peer::run(client, options, shutdown).await.context("the camera ended")
+}
+
+fn options(args: &Args) -> anyhow::Result<CameraOptions> {
+    let lab = CameraOptions::new(args.view);
+    let settings = SettingsChange {
+        width: args.width,
+        height: args.height,
+        quality: args.quality,
+        format: args.format.clone(),
+    };
+    Ok(CameraOptions {
+        channel: args.channel.clone().unwrap_or(lab.channel),
+        robot: args.robot.clone(),
+        token: args.token.clone(),
+        settings: Settings::default().with(&settings)?,
+        rate: args.rate,
+        trail: args.trail,
+        ..CameraOptions::new(args.view)
+    })
+}
+
+fn password(args: &Args) -> anyhow::Result<String> {
+    let Some(file) = &args.password_file else {
+        return std::env::var("MOM_PASSWORD").context("set MOM_PASSWORD, or name a file with --password-file");
+    };
+    let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+    Ok(text.lines().next().unwrap_or_default().to_owned())
+}
+
+/// Done at Ctrl-C or SIGTERM.
+fn shutdown() -> anyhow::Result<impl Future<Output = ()>> {
+    let mut interrupt = signal(SignalKind::interrupt()).context("cannot listen for Ctrl-C")?;
+    let mut terminate = signal(SignalKind::terminate()).context("cannot listen for SIGTERM")?;
+    Ok(async move {
+        tokio::select! {
+            _ = interrupt.recv() => {}
+            _ = terminate.recv() => {}
+        }
+        tracing::info!("ending");
+    })
+}

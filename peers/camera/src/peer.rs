@@ -1,0 +1,199 @@
+//! The camera as a peer: joins its contexts and carries between them and the [`ImageServer`].
+
+use std::future::{Future, pending};
+use std::pin::pin;
+use std::time::{Duration, SystemTime};
+
+use mom_client::{Client, ClientError, Code, Event, Parcel, Path, Time, Token, WireError};
+use tokio::task::{JoinHandle, spawn_blocking};
+use tokio::time::{Instant, sleep_until, timeout};
+
+use crate::server::Micros;
+use crate::{Error, ImageServer, Picture, ServerOptions, Settings, View};
+
+/// How long the last messages may take to leave when the program ends.
+const FAREWELL: Duration = Duration::from_secs(1);
+
+/// Where the camera stands and what it listens to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CameraOptions {
+    /// Where the camera stands.
+    pub view: View,
+    /// The channel of its images.
+    pub channel: String,
+    /// The channel of the robot that it looks at.
+    pub robot: String,
+    /// The token whose owner may change the settings.
+    pub token: String,
+    /// The settings to begin with.
+    pub settings: Settings,
+    /// Broadcast images per second, at most.
+    pub rate: f64,
+    /// How many past poses the path in the image has (M44).
+    pub trail: usize,
+}
+
+impl CameraOptions {
+    /// The lab's camera of this view: on `/camera/<view>`, at most 10 images per second.
+    #[must_use]
+    pub fn new(view: View) -> Self {
+        Self {
+            view,
+            channel: format!("/camera/{view}"),
+            robot: "/robot/arm".to_owned(),
+            token: "/robot/token".to_owned(),
+            settings: Settings::default(),
+            rate: 10.0,
+            trail: 100,
+        }
+    }
+
+    /// What the server makes of them.
+    fn server(&self) -> Result<ImageServer, ClientError> {
+        let bad = |error: Error| WireError::new(Code::BAD_CONTENT, error.to_string());
+        if !(self.rate > 0.0 && self.rate.is_finite()) {
+            let text = format!("the rate is {} images per second; it must be above 0", self.rate);
+            return Err(WireError::new(Code::BAD_CONTENT, text).into());
+        }
+        let options = ServerOptions {
+            view: self.view,
+            channel: Path::parse(&self.channel)?,
+            token: Path::parse(&self.token)?,
+            settings: self.settings,
+            period: (1e6 / self.rate) as Micros,
+            trail: self.trail,
+        };
+        Ok(ImageServer::new(options).map_err(bad)?)
+    }
+}
+
+/// Runs a camera until `shutdown` is done; then it logs out.
+///
+/// Images are drawn on tokio's blocking threads, one at a time.
+///
+/// ```no_run
+/// use mom_camera::{CameraOptions, View, peer};
+/// use mom_client::Client;
+///
+/// # async fn example() -> Result<(), mom_client::ClientError> {
+/// let client = Client::builder("bin://127.0.0.1:7666").user("camera").password("camera").connect().await?;
+/// peer::run(client, CameraOptions::new(View::X), std::future::pending()).await?;
+/// # Ok(())
+/// # }
+/// ```
+///
+/// # Errors
+///
+/// [`ClientError`] if an option is bad, a context cannot be joined, or the connection is closed for good.
+pub async fn run(
+    client: Client,
+    options: CameraOptions,
+    shutdown: impl Future<Output = ()>,
+) -> Result<(), ClientError> {
+    let mut server = options.server()?;
+    let channel = client.channel(&options.channel).await?;
+    let mut camera = channel.events();
+    let token = client.token(&options.token).await?;
+    let mut owner = token.events();
+    server.handle_token_info(&token.info().await?);
+    let arm = client.channel(&options.robot).await?;
+    let mut robot = arm.events();
+    let begin = Instant::now();
+    let mut drawing = None;
+    let mut out = Vec::new();
+    let mut shutdown = pin!(shutdown);
+    tracing::info!(peer = client.name(), channel = %channel.path(), "the camera is ready");
+    loop {
+        if let Some(shot) = server.advance(micros(begin), wall(), &mut out) {
+            drawing = Some(spawn_blocking(move || shot.take()));
+        }
+        let wake = server.next_wake().map(|due| begin + duration(due));
+        tokio::select! {
+            () = &mut shutdown => break,
+            event = robot.next() => server.handle_robot(&open(event)?),
+            event = camera.next() => server.handle_camera(&open(event)?, &mut out),
+            event = owner.next() => {
+                let event = open(event)?;
+                server.handle_token(&event);
+                if event == Event::Rejoined || matches!(event, Event::Lagged(_)) {
+                    ask_owner(&token, &mut server).await;
+                }
+            }
+            picture = drawn(&mut drawing) => match picture {
+                Some(picture) => server.handle_picture(picture, &mut out),
+                None => server.handle_failure(),
+            },
+            () = sleep_or_wait(wake) => {}
+        }
+        tokio::select! {
+            () = &mut shutdown => break,
+            () = send(&client, &mut out) => {}
+        }
+    }
+    if timeout(FAREWELL, client.close()).await.is_err() {
+        tracing::warn!("the hub did not take the logout in time");
+    }
+    Ok(())
+}
+
+/// The event, or the end of all events.
+fn open(event: Option<Event>) -> Result<Event, ClientError> {
+    let event = event.ok_or(ClientError::Closed(None))?;
+    match &event {
+        Event::Refused(error, reference) => tracing::warn!(%error, reference, "the hub refused a message"),
+        Event::Lagged(count) => tracing::warn!(count, "events were lost"),
+        Event::LinkDown => tracing::warn!("the link is lost"),
+        Event::Rejoined => tracing::info!("joined again"),
+        _ => {}
+    }
+    Ok(event)
+}
+
+/// Asks the hub who owns the token, where events may have been missed.
+async fn ask_owner(token: &Token, server: &mut ImageServer) {
+    match token.info().await {
+        Ok(info) => server.handle_token_info(&info),
+        Err(error) => tracing::warn!(%error, "the owner of the token is not known"),
+    }
+}
+
+async fn send(client: &Client, out: &mut Vec<Parcel>) {
+    for parcel in out.drain(..) {
+        if let Err(error) = client.send(parcel).await {
+            tracing::warn!(%error, "a message was not sent");
+        }
+    }
+}
+
+/// Waits for the picture that is being drawn, if one is; `None` if drawing failed.
+async fn drawn(drawing: &mut Option<JoinHandle<Picture>>) -> Option<Picture> {
+    let picture = match drawing {
+        Some(handle) => handle.await,
+        None => pending().await,
+    };
+    *drawing = None;
+    picture
+        .inspect_err(|error| tracing::error!(%error, "an image could not be drawn"))
+        .ok()
+}
+
+async fn sleep_or_wait(wake: Option<Instant>) {
+    match wake {
+        Some(wake) => sleep_until(wake).await,
+        None => pending().await,
+    }
+}
+
+fn wall() -> Time {
+    let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    let micros = i64::try_from(since.as_micros()).ok();
+    micros.and_then(Time::from_micros).unwrap_or_default()
+}
+
+fn micros(begin: Instant) -> Micros {
+    Micros::try_from(begin.elapsed().as_micros()).unwrap_or(Micros::MAX)
+}
+
+fn duration(micros: Micros) -> Duration {
+    Duration::from_micros(u64::try_from(micros).unwrap_or(0))
+}

@@ -1,0 +1,152 @@
+//! One camera: a view with its settings, from a scene to an encoded image.
+
+use nalgebra::Rotation3;
+use tiny_skia::Pixmap;
+
+use crate::draw::{self, Canvas};
+use crate::encode::encode;
+use crate::geometry::{Point, Vector};
+use crate::robot::{self, ToolFrame};
+use crate::scene::{Block, Scene};
+use crate::solid::Solid;
+use crate::{Camera, Error, Format, Settings, View};
+
+/// More blocks and poses than these are not drawn, so that no scene can hold the camera up.
+const MOST_BLOCKS: usize = 64;
+const MOST_POSES: usize = 200;
+
+/// Renders scenes as one of the cameras sees them.
+///
+/// The same scene gives the same bytes.
+///
+/// ```
+/// use mom_camera::{Renderer, Scene, Settings, View};
+///
+/// let renderer = Renderer::new(View::Top, Settings::default())?;
+/// let image = renderer.render(&Scene::default());
+/// assert_eq!(image.media_type, "image/jpeg");
+/// assert_eq!((image.width, image.height), (640, 480));
+/// # Ok::<(), mom_camera::Error>(())
+/// ```
+#[derive(Debug, Clone)]
+pub struct Renderer {
+    view: View,
+    settings: Settings,
+    /// What never moves in the picture, drawn once; `None` for a camera that moves.
+    backdrop: Option<Pixmap>,
+}
+
+/// An encoded image and the camera that took it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Image {
+    /// The file.
+    pub bytes: Vec<u8>,
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// The image format.
+    pub format: Format,
+    /// The format's media type.
+    pub media_type: &'static str,
+    /// The 3×4 projection matrix of this image, row by row, mm to pixels (M55); see [`Camera::matrix`].
+    pub matrix: [f64; 12],
+}
+
+impl Renderer {
+    /// A renderer for a view, or the setting that is outside its limits.
+    pub fn new(view: View, settings: Settings) -> Result<Renderer, Error> {
+        settings.check()?;
+        let mut renderer = Renderer {
+            view,
+            settings,
+            backdrop: None,
+        };
+        if view != View::Wrist {
+            let camera = renderer.camera(&Scene::default());
+            renderer.backdrop = Some(renderer.draw_backdrop(&camera));
+        }
+        Ok(renderer)
+    }
+
+    /// Which camera this is.
+    pub fn view(&self) -> View {
+        self.view
+    }
+
+    /// The settings of its images.
+    pub fn settings(&self) -> Settings {
+        self.settings
+    }
+
+    /// Draws and encodes a scene.
+    ///
+    /// Any scene can be drawn: numbers that are not finite count as 0, and at most 64 blocks and the newest 200 poses
+    /// of the trail are drawn.
+    pub fn render(&self, scene: &Scene) -> Image {
+        let scene = scene.drawable(MOST_BLOCKS, MOST_POSES);
+        let camera = self.camera(&scene);
+        let mut pixels = match &self.backdrop {
+            Some(backdrop) => backdrop.clone(),
+            None => self.draw_backdrop(&camera),
+        };
+        self.draw(
+            &mut Canvas {
+                pixels: &mut pixels,
+                camera: &camera,
+            },
+            &scene,
+        );
+        Image {
+            bytes: encode(&pixels, &self.settings),
+            width: self.settings.width,
+            height: self.settings.height,
+            format: self.settings.format,
+            media_type: self.settings.format.media_type(),
+            matrix: camera.matrix(),
+        }
+    }
+
+    fn camera(&self, scene: &Scene) -> Camera {
+        self.view
+            .camera(&scene.pose, self.settings.width, self.settings.height)
+    }
+
+    fn draw_backdrop(&self, camera: &Camera) -> Pixmap {
+        let mut pixels = Pixmap::new(self.settings.width, self.settings.height)
+            .expect("the settings' limits exclude sizes that have no pixels");
+        draw::backdrop(
+            &mut Canvas {
+                pixels: &mut pixels,
+                camera,
+            },
+            self.view,
+        );
+        pixels
+    }
+
+    fn draw(&self, canvas: &mut Canvas<'_>, scene: &Scene) {
+        let tool = ToolFrame::new(&scene.pose);
+        let gripper = robot::gripper(&tool, &scene.gripper);
+        let arm = robot::arm(&tool);
+        draw::shadows(canvas, &scene.blocks, &gripper, &arm, &scene.pose);
+        let mut solids: Vec<Solid> = scene.blocks.iter().map(block).collect();
+        solids.extend(gripper);
+        // The camera on the gripper sits among these and would look into them.
+        if self.view != View::Wrist {
+            solids.extend(arm);
+            solids.extend(robot::wrist_camera(&tool));
+        }
+        draw::solids(canvas, &solids);
+        draw::trail(canvas, &scene.trail);
+        draw::caption(canvas, self.view, scene);
+    }
+}
+
+fn block(block: &Block) -> Solid {
+    let yaw = Rotation3::from_axis_angle(&Vector::z_axis(), block.yaw.to_radians());
+    let tilt = Rotation3::from_axis_angle(&Vector::x_axis(), block.tilt.to_radians());
+    let axes = [Vector::x(), Vector::y(), Vector::z()];
+    let edges = std::array::from_fn(|i| yaw * tilt * axes[i] * (block.size[i] / 2.0));
+    Solid::cuboid(Point::new(block.x, block.y, block.z), edges, block.colour)
+}

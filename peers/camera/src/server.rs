@@ -1,0 +1,302 @@
+//! The image server (M37): what it does with each event of its channels, and what it says.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use mom_client::{Code, Content, Delivery, Event, Family, Map, Parcel, Path, Time, Value, WireError};
+
+use crate::owner::Owner;
+use crate::shot::{Picture, Purpose, Request, Shot};
+use crate::trail::Trail;
+use crate::{Error, Renderer, Scene, Settings, SettingsChange, View};
+
+#[cfg(test)]
+mod tests;
+
+/// The message that carries a picture.
+pub const IMAGE: &str = "image";
+/// The message by which anyone asks for a picture.
+pub const REQUEST: &str = "request";
+/// The message that a request was refused.
+pub const REQUEST_REFUSED: &str = "request-refused";
+/// The message by which the token's owner changes the settings.
+pub const SETTINGS: &str = "settings";
+/// The message that tells all the new settings.
+pub const SETTINGS_CHANGED: &str = "settings-changed";
+/// The message that a change was refused.
+pub const SETTINGS_REFUSED: &str = "settings-refused";
+/// The message of the robot that tells its state.
+const STATE: &str = "state";
+/// The most requests that wait for a picture.
+const MOST_REQUESTS: usize = 64;
+
+/// µs since the server began.
+pub type Micros = i64;
+
+/// What an image server is and how it works.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ServerOptions {
+    /// Where the camera stands.
+    pub view: View,
+    /// The channel of its images.
+    pub channel: Path,
+    /// The token whose owner may change the settings.
+    pub token: Path,
+    /// The settings to begin with.
+    pub settings: Settings,
+    /// µs between the starts of two broadcast images, at least.
+    pub period: Micros,
+    /// How many past poses the path in the image has (M44).
+    pub trail: usize,
+}
+
+/// The decisions of the camera's peer, without a connection, a clock or threads.
+///
+/// `handle_robot`, `handle_token` and `handle_camera` take the events of the three contexts that it joins. After
+/// each of them, and whenever [`ImageServer::next_wake`] is due, the driver calls `advance`, which may give a
+/// [`Shot`]; its [`Picture`] is handed back by `handle_picture`. At most one shot is under way. What is to be sent
+/// is pushed to `out`.
+///
+/// - Every new state of the robot is followed by a broadcast image (M38), at most one per period; while an image
+///   is drawn, newer states replace each other.
+/// - Anyone may ask for an image, and is answered with one of the newest state, whatever the period.
+/// - Only the owner of the robot's token changes the settings (M37).
+#[derive(Debug)]
+pub struct ImageServer {
+    options: ServerOptions,
+    renderer: Arc<Renderer>,
+    owner: Owner,
+    scene: Scene,
+    trail: Trail,
+    state_seq: Option<i64>,
+    /// Rises with everything that changes the picture.
+    revision: u64,
+    /// The revision that was broadcast last, or is about to be.
+    shown: u64,
+    /// When the next broadcast may begin.
+    next: Micros,
+    drawing: bool,
+    requests: VecDeque<Request>,
+    newest: Option<Picture>,
+}
+
+impl ImageServer {
+    /// A server that has seen no robot yet.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Setting`] for a setting outside its limits.
+    pub fn new(options: ServerOptions) -> Result<ImageServer, Error> {
+        Ok(ImageServer {
+            renderer: Arc::new(Renderer::new(options.view, options.settings)?),
+            owner: Owner::default(),
+            scene: Scene::default(),
+            trail: Trail::new(options.trail),
+            state_seq: None,
+            revision: 0,
+            shown: 0,
+            next: 0,
+            drawing: false,
+            requests: VecDeque::new(),
+            newest: None,
+            options,
+        })
+    }
+
+    /// Takes an event of the robot's channel: its states.
+    pub fn handle_robot(&mut self, event: &Event) {
+        if let Event::Message(parcel) = event
+            && parcel.name() == STATE
+            && let Some(content) = &parcel.content
+            && let Err(error) = self.take_state(content)
+        {
+            tracing::warn!(%error, "a state of the robot cannot be read");
+        }
+    }
+
+    /// Takes an event of the robot's token: who owns it (M33).
+    pub fn handle_token(&mut self, event: &Event) {
+        self.owner.handle(event);
+    }
+
+    /// Takes what the hub says about the token when it is joined or asked about.
+    pub fn handle_token_info(&mut self, info: &Map) {
+        self.owner.handle_info(info);
+    }
+
+    /// Takes an event of the camera's own channel: requests and settings.
+    pub fn handle_camera(&mut self, event: &Event, out: &mut Vec<Parcel>) {
+        let Event::Message(parcel) = event else { return };
+        match parcel.name() {
+            REQUEST => self.take_request(parcel, out),
+            SETTINGS => match self.change_settings(parcel) {
+                Ok(settings) => {
+                    let content = settings_map(&settings).with("by", parcel.sender.as_deref().unwrap_or_default());
+                    let mut changed = self.message(SETTINGS_CHANGED, content);
+                    changed.reference = parcel.id;
+                    out.push(changed);
+                }
+                Err(error) => out.push(self.answer(SETTINGS_REFUSED, error_map(&error), &request_of(parcel))),
+            },
+            _ => {}
+        }
+    }
+
+    /// Takes a picture that was taken.
+    pub fn handle_picture(&mut self, picture: Picture, out: &mut Vec<Parcel>) {
+        self.drawing = false;
+        self.send(&picture.content, &picture.purpose, out);
+        self.newest = Some(picture);
+    }
+
+    /// Takes it that a picture was not taken: its revision is given up.
+    pub fn handle_failure(&mut self) {
+        self.drawing = false;
+    }
+
+    /// Sends what need not be drawn again, and gives the next picture to take if there is one.
+    /// `wall` is the time of day.
+    pub fn advance(&mut self, now: Micros, wall: Time, out: &mut Vec<Parcel>) -> Option<Shot> {
+        if self.drawing {
+            return None;
+        }
+        let purpose = Purpose {
+            broadcast: self.shown != self.revision && now >= self.next,
+            requests: self.requests.drain(..).collect(),
+        };
+        if purpose == Purpose::default() {
+            return None;
+        }
+        if purpose.broadcast {
+            self.shown = self.revision;
+            self.next = now.saturating_add(self.options.period);
+        }
+        match &self.newest {
+            // The camera looks again, and what it sees is the same.
+            Some(newest) if newest.revision == self.revision => {
+                self.send(&newest.content.clone().with("taken", wall), &purpose, out);
+                None
+            }
+            _ => {
+                self.drawing = true;
+                Some(self.shot(purpose, wall))
+            }
+        }
+    }
+
+    /// When [`ImageServer::advance`] is to be called next; `None` while there is nothing to wait for.
+    pub fn next_wake(&self) -> Option<Micros> {
+        (!self.drawing && self.shown != self.revision).then_some(self.next)
+    }
+
+    fn take_state(&mut self, content: &Content) -> Result<(), WireError> {
+        let state = content.to_value()?;
+        let seq = state.get("seq").and_then(Value::as_int);
+        // An arm that begins anew counts from 0, so a lower number is news as well.
+        if seq.is_some() && seq == self.state_seq {
+            return Ok(());
+        }
+        self.scene = mom_client::from_value(state)?;
+        self.trail.push(self.scene.pose);
+        self.state_seq = seq;
+        self.revision += 1;
+        Ok(())
+    }
+
+    fn take_request(&mut self, parcel: &Parcel, out: &mut Vec<Parcel>) {
+        let request = request_of(parcel);
+        if self.requests.len() < MOST_REQUESTS {
+            self.requests.push_back(request);
+            return;
+        }
+        let text = format!("{MOST_REQUESTS} requests wait for an image already; ask again in a moment");
+        let error = WireError::new(Code::TRY_LATER, text);
+        out.push(self.answer(REQUEST_REFUSED, error_map(&error), &request));
+    }
+
+    fn change_settings(&mut self, parcel: &Parcel) -> Result<Settings, WireError> {
+        self.owner.check(parcel.sender.as_deref(), &self.options.token)?;
+        let bad_content = |error: Error| WireError::new(Code::BAD_CONTENT, error.to_string());
+        let change: SettingsChange = match &parcel.content {
+            Some(content) => content.read()?,
+            None => SettingsChange::default(),
+        };
+        let settings = self.renderer.settings().with(&change).map_err(bad_content)?;
+        if settings != self.renderer.settings() {
+            self.renderer = Arc::new(Renderer::new(self.options.view, settings).map_err(bad_content)?);
+            self.revision += 1;
+        }
+        Ok(settings)
+    }
+
+    fn shot(&self, purpose: Purpose, wall: Time) -> Shot {
+        Shot {
+            renderer: Arc::clone(&self.renderer),
+            scene: Scene {
+                trail: self.trail.up_to(self.scene.pose),
+                ..self.scene.clone()
+            },
+            state_seq: self.state_seq,
+            taken: wall,
+            revision: self.revision,
+            purpose,
+        }
+    }
+
+    fn send(&self, content: &Map, purpose: &Purpose, out: &mut Vec<Parcel>) {
+        for request in &purpose.requests {
+            // Not `latest`: the next broadcast would take the place of the answer in a slow peer's queue.
+            out.push(self.answer(IMAGE, content.clone(), request));
+        }
+        if purpose.broadcast {
+            let mut image = self.message(IMAGE, content.clone());
+            image.delivery = Some(Delivery::Latest);
+            out.push(image);
+        }
+    }
+
+    /// A message to one peer.
+    fn answer(&self, name: &str, content: Map, to: &Request) -> Parcel {
+        let mut parcel = self.message(name, content);
+        parcel.address = Some(vec![Arc::clone(&to.peer)]);
+        parcel.reference = to.id;
+        parcel
+    }
+
+    /// A message to all that does not come back.
+    fn message(&self, name: &str, content: Map) -> Parcel {
+        let mut parcel = Parcel::new(Family::Message, name)
+            .context(self.options.channel.clone())
+            .content(content);
+        parcel.delivery = Some(Delivery::Reliable);
+        parcel.echo = Some(false);
+        parcel
+    }
+}
+
+fn request_of(parcel: &Parcel) -> Request {
+    Request {
+        peer: parcel.sender.clone().unwrap_or_default(),
+        id: parcel.id,
+    }
+}
+
+fn settings_map(settings: &Settings) -> Map {
+    Map::new()
+        .with("width", settings.width)
+        .with("height", settings.height)
+        .with("quality", u32::from(settings.quality))
+        .with("format", settings.format.name())
+}
+
+/// `{name, code, text}` and the details.
+fn error_map(error: &WireError) -> Map {
+    let mut map = Map::new()
+        .with("name", error.code.word())
+        .with("code", u32::from(error.code.number()))
+        .with("text", error.text.as_str());
+    for (key, value) in error.details() {
+        map.set(key, value.clone());
+    }
+    map
+}

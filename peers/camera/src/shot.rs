@@ -1,0 +1,74 @@
+//! One picture to be taken, and the picture: what goes to the thread that draws, and what comes back.
+
+use std::sync::Arc;
+
+use mom_client::{Map, Time, Value};
+
+use crate::{Image, Renderer, Scene};
+
+/// A picture to be taken: everything that drawing needs, and who waits for it.
+#[derive(Debug, Clone)]
+pub struct Shot {
+    pub(crate) renderer: Arc<Renderer>,
+    pub(crate) scene: Scene,
+    pub(crate) state_seq: Option<i64>,
+    pub(crate) taken: Time,
+    pub(crate) revision: u64,
+    pub(crate) purpose: Purpose,
+}
+
+/// Who gets a picture.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Purpose {
+    /// All members of the channel.
+    pub(crate) broadcast: bool,
+    /// Peers that asked, with the ids of their requests.
+    pub(crate) requests: Vec<Request>,
+}
+
+/// A peer that asked for a picture.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Request {
+    pub(crate) peer: Arc<str>,
+    pub(crate) id: Option<u64>,
+}
+
+/// A picture that was taken.
+#[derive(Debug, Clone)]
+pub struct Picture {
+    pub(crate) content: Map,
+    pub(crate) revision: u64,
+    pub(crate) purpose: Purpose,
+}
+
+impl Shot {
+    /// Draws and encodes; takes milliseconds of a processor.
+    #[must_use]
+    pub fn take(self) -> Picture {
+        let image = self.renderer.render(&self.scene);
+        Picture {
+            content: self.content(image),
+            revision: self.revision,
+            purpose: self.purpose,
+        }
+    }
+
+    fn content(&self, image: Image) -> Map {
+        let mut map = Map::new()
+            .with("image", Value::Binary(image.bytes.into()))
+            .with("media-type", image.media_type)
+            .with("width", image.width)
+            .with("height", image.height)
+            .with("view", self.renderer.view().name())
+            .with("quality", u32::from(self.renderer.settings().quality))
+            .with("taken", self.taken);
+        if let Some(seq) = self.state_seq {
+            map.set("state-seq", seq);
+        }
+        if self.renderer.view().is_calibrated() {
+            let matrix: Vec<Value> = image.matrix.into_iter().map(Value::Double).collect();
+            map.set("matrix", matrix);
+        }
+        map
+    }
+}
