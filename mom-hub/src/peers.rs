@@ -114,6 +114,7 @@ mod tests {
             name: name.to_owned(),
             level: 1,
             groups: vec![],
+            details: mom_proto::Map::new(),
         }
     }
 

@@ -155,8 +155,9 @@ fn fill(
         match bit {
             CONTEXT_NUMBER => parcel.number = Some(ContextNumber(reader.varint()?)),
             NAME => {
+                let start = reader.position();
                 parcel.name = reader.name(names)?;
-                check_message_name(&parcel.name)?;
+                check_message_name(&parcel.name).map_err(|error| error.position(start))?;
                 named = true;
             }
             SENDER => parcel.sender = Some(reader.name(names)?),
@@ -258,7 +259,13 @@ fn address(reader: &mut Reader<'_>, names: &mut NameCache) -> Result<Vec<Arc<str
 
 fn extra(reader: &mut Reader<'_>, depth: usize) -> Result<Map, WireError> {
     let start = reader.position();
-    match msgpack::decode(&reader.block()?, depth + 1)? {
+    let block = reader.block()?;
+    let within = reader.position() - block.len();
+    let shifted = |error: WireError| match error.get("position").and_then(Value::as_int) {
+        Some(position) => error.position(within + usize::try_from(position).unwrap_or_default()),
+        None => error,
+    };
+    match msgpack::decode(&block, depth + 1).map_err(shifted)? {
         Value::Map(map) => check_extra(&map).map(|()| map),
         _ => Err(bad(start, "the other slots are a map")),
     }

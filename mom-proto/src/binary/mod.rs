@@ -40,6 +40,9 @@ mod header;
 mod wire;
 mod words;
 
+#[cfg(test)]
+mod tests;
+
 use bytes::Bytes;
 
 pub use chunks::chunks;
