@@ -76,7 +76,14 @@ impl Broker {
     /// # Errors
     /// A wrong configuration, or an address that cannot be listened at.
     pub async fn start(config: Config) -> Result<Broker, BrokerError> {
-        let clock = Clock::start();
+        Broker::start_at(config, Clock::system()).await
+    }
+
+    /// As [`Broker::start`], by another clock: one that is moved by hand, for simulations and tests.
+    ///
+    /// # Errors
+    /// As [`Broker::start`].
+    pub async fn start_at(config: Config, clock: Clock) -> Result<Broker, BrokerError> {
         let settings = Settings {
             anchor: clock.anchor(),
             epoch: u64::try_from(clock.anchor().micros() / 1_000_000).unwrap_or_default(),
@@ -143,6 +150,14 @@ impl Broker {
         there
     }
 
+    /// Asserts the invariants of the hub (design §4), as tests do after each step.
+    ///
+    /// # Panics
+    /// If one of them does not hold: the hub's own fault.
+    pub fn check(&self) {
+        self.context.board.check();
+    }
+
     /// Takes no more connections, tells all peers, lets what waits go out, at most 10 s.
     pub async fn stop(mut self) {
         let deadline = Instant::now() + DRAIN;
@@ -160,7 +175,14 @@ impl Broker {
             let error = WireError::new(Code::SHUTDOWN, "the hub is shutting down; connect again later");
             self.context.board.close(&outbox, Some(error));
         }
-        while let Ok(Some(_)) = timeout_at(deadline, self.tasks.join_next()).await {}
+        if timeout_at(deadline, self.context.board.wait_empty())
+            .await
+            .is_err()
+        {
+            tracing::warn!("some connections did not end in time and are cut");
+        }
+        // What is left are connections that have not said in which form they speak.
+        self.tasks.shutdown().await;
         tracing::info!("broker stopped");
     }
 }
@@ -231,12 +253,10 @@ async fn refuse(stream: &TcpStream) {
 /// Calls the hub when one of its deadlines comes.
 async fn keep_deadlines(board: Arc<Switchboard>, mut stop: watch::Receiver<bool>) {
     loop {
-        let next = board
-            .deadline()
-            .map(|at| Instant::from_std(board.clock.instant(at)));
+        let next = board.deadline();
         let due = async {
             match next {
-                Some(at) => tokio::time::sleep_until(at).await,
+                Some(at) => board.clock.reach(at).await,
                 None => std::future::pending().await,
             }
         };

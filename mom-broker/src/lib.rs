@@ -15,5 +15,6 @@ mod session;
 mod switchboard;
 
 pub use broker::{Broker, BrokerError};
+pub use clock::Clock;
 pub use config::{Config, ConfigError, LoginConfig, UserEntry};
 pub use login::hash;

@@ -45,7 +45,7 @@ pub(crate) async fn serve(
     let peer = context.board.next_peer();
     let outbox = Arc::new(Outbox::new(
         peer,
-        context.board.clock,
+        context.board.clock.clone(),
         writer,
         context.limits.outbox,
     ));
@@ -58,7 +58,7 @@ pub(crate) async fn serve(
         logged_in: false,
         failures: 0,
     };
-    let writer = tokio::spawn({
+    let mut writer = tokio::spawn({
         let outbox = Arc::clone(&session.outbox);
         async move { outbox.run().await }
     });
@@ -67,10 +67,11 @@ pub(crate) async fn serve(
     heartbeat.abort();
     session.end(error);
     // The error gets a second to go out; a link that does not take it is cut.
-    if timeout(Duration::from_secs(1), writer).await.is_err() {
-        tracing::debug!(peer = peer.0, "farewell not taken within 1 s");
+    if timeout(Duration::from_secs(1), &mut writer).await.is_err() {
+        tracing::info!(peer = peer.0, "what waited for it was not taken within 1 s");
+        writer.abort();
     }
-    session.context.board.outboxes.remove(&peer);
+    session.context.board.remove_outbox(peer);
 }
 
 /// Asks a peer that hears nothing else whether it is there.
@@ -83,6 +84,8 @@ async fn beat(context: Context, outbox: Arc<Outbox>) {
             let ping = Parcel::new(Family::Time, "ping").context(Path::root()).id(0);
             context.board.tell(outbox.peer, ping, &mut touched);
             flush(&mut touched);
+            // A ping alone is not activity, or the next one would wait twice as long.
+            outbox.active.store(false, Ordering::Relaxed);
         }
     }
 }

@@ -27,6 +27,8 @@ pub(crate) struct Switchboard {
     last_peer: AtomicU64,
     /// The hub's deadline may have come closer.
     pub(crate) deadline_changed: Notify,
+    /// The last connection has ended.
+    empty: Notify,
 }
 
 /// Outboxes that were given something in the present turn and have to be flushed at its end.
@@ -43,6 +45,7 @@ impl Switchboard {
             outboxes: DashMap::new(),
             last_peer: AtomicU64::new(0),
             deadline_changed: Notify::new(),
+            empty: Notify::new(),
         };
         routes.into_iter().for_each(|route| board.swap_route(route));
         board
@@ -56,6 +59,11 @@ impl Switchboard {
     /// When the hub wants to be called.
     pub(crate) fn deadline(&self) -> Option<Micros> {
         self.hub.lock().deadline()
+    }
+
+    /// Asserts the hub's invariants.
+    pub(crate) fn check(&self) {
+        self.hub.lock().check();
     }
 
     /// The name of a peer, for logs.
@@ -124,6 +132,21 @@ impl Switchboard {
             Some(control(encodings.get(outbox.form()), origin))
         });
         outbox.close(error, farewell);
+    }
+
+    /// Forgets a connection that has ended.
+    pub(crate) fn remove_outbox(&self, peer: PeerId) {
+        self.outboxes.remove(&peer);
+        if self.outboxes.is_empty() {
+            self.empty.notify_one();
+        }
+    }
+
+    /// Returns when there is no connection any more.
+    pub(crate) async fn wait_empty(&self) {
+        while !self.outboxes.is_empty() {
+            self.empty.notified().await;
+        }
     }
 
     pub(crate) fn outbox(&self, peer: PeerId) -> Option<Arc<Outbox>> {

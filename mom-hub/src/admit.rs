@@ -85,8 +85,6 @@ pub fn admit_with(
     parcel.priority = parcel
         .priority
         .map(|priority| priority.clamp(*PRIORITY.start(), *PRIORITY.end()));
-    parcel.delivery =
-        Some(parcel.delivery.unwrap_or(route.delivery)).filter(|delivery| *delivery != <_>::default());
     Ok(receivers)
 }
 

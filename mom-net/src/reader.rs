@@ -15,6 +15,10 @@ use crate::{NetError, local};
 /// Read at once from a socket; also the most that small parcels wait for each other in one turn.
 const CHUNK: usize = 64 * 1024;
 
+/// Room below which a buffer is replaced; above it what is left is used up first, so that a peer of small
+/// parcels does not cost a buffer for each.
+const LEAST: usize = 4 * 1024;
+
 /// Gives the frames of a connection.
 #[derive(Debug)]
 pub struct Reader {
@@ -65,7 +69,9 @@ impl Reader {
                 Source::Local(receiver) => return Ok(receiver.recv().await.map(local_frame)),
                 Source::Stream { stream, buffer, .. } => {
                     stream.readable().await?;
-                    buffer.reserve(CHUNK);
+                    if buffer.capacity() - buffer.len() < LEAST {
+                        buffer.reserve(CHUNK);
+                    }
                     match stream.try_read_buf(buffer) {
                         Ok(0) if buffer.is_empty() => return Ok(None),
                         Ok(0) => return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into()),
