@@ -163,15 +163,32 @@ impl Hub {
 
     /// The error for a path that nothing is at, with the nearest one that is.
     pub(crate) fn unknown_path(&self, path: &Path, kind: Option<ContextKind>) -> WireError {
-        let known = self
-            .tree
-            .iter()
-            .filter(|context| kind.is_none_or(|kind| context.kind() == kind));
-        let near = nearest(path.as_str(), known.map(|context| context.path.as_str()));
         let what = kind.map_or("context", ContextKind::word);
         WireError::new(Code::UNKNOWN_PATH, format!("there is no {what} {path}"))
             .slot("context")
-            .nearest_opt(near)
+            .nearest_opt(self.nearest_path(path).as_ref().map(Path::as_str))
+    }
+
+    /// The path that was probably meant: one segment of this one mistyped.
+    ///
+    /// Only the children of the nearest context above are looked at, and not all of a great many: a typo must
+    /// not cost a walk over the tree.
+    pub(crate) fn nearest_path(&self, path: &Path) -> Option<Path> {
+        const CHILDREN: usize = 1000;
+        let above = self.tree.find_or_above(path)?;
+        let mut missing = path.segments().skip(above.path.segments().count());
+        let mistyped = missing.next()?;
+        let child = nearest(
+            mistyped,
+            above.children.keys().take(CHILDREN).map(|child| &**child),
+        )?;
+        let found = above.path.child(child).ok()?;
+        let full = missing.try_fold(found.clone(), |path, segment| path.child(segment));
+        Some(
+            full.ok()
+                .filter(|full| self.tree.find(full).is_some())
+                .unwrap_or(found),
+        )
     }
 
     /// Tells the members of a session about a new child.

@@ -117,8 +117,22 @@ impl Hub {
                         ..Wish::new(request.verb, at)
                     },
                 )?;
-                Err(self.unknown_path(&request.path, None))
+                Err(self.unknown_to(request.peer, &request.path))
             }
+        }
+    }
+
+    /// The error for a path that nothing is at; what the peer may not look up is not suggested to it.
+    fn unknown_to(&mut self, peer: PeerId, path: &Path) -> WireError {
+        let near = self
+            .nearest_path(path)
+            .and_then(|near| self.tree.find(&near))
+            .map(|near| near.number);
+        match near {
+            Some(near) if self.ask(peer, &Wish::new(Verb::Lookup, near)).is_err() => {
+                WireError::new(Code::UNKNOWN_PATH, format!("there is no context {path}")).slot("context")
+            }
+            _ => self.unknown_path(path, None),
         }
     }
 
