@@ -1,0 +1,147 @@
+//! What to do with a parcel that arrives: replies to those who wait, events to those who subscribed.
+
+use mom_proto::event as names;
+use mom_proto::{Family, Parcel, Path, WireError};
+
+use crate::guards::Guards;
+use crate::info::{map_of, number, text};
+use crate::shared::{Shared, State};
+use crate::{Event, Lost};
+
+impl Shared {
+    /// Takes one parcel of the hub.
+    pub(crate) fn receive(&self, parcel: Parcel) {
+        match parcel.family {
+            Family::Reply | Family::Error => self.receive_answer(parcel),
+            Family::Time if parcel.name() == "ping" => self.pong(parcel.id),
+            Family::Time => self.receive_pong(&parcel),
+            Family::Event => self.receive_event(parcel),
+            _ => {
+                let paths: Vec<Path> = parcel.context.iter().cloned().collect();
+                self.lock()
+                    .subscribers
+                    .deliver(&paths, Event::from_parcel(parcel));
+            }
+        }
+    }
+
+    /// A frame of the hub that is no parcel: a loss, so it is told.
+    pub(crate) fn receive_malformed(&self, error: WireError) {
+        tracing::warn!(%error, "malformed parcel from the hub");
+        self.lock()
+            .subscribers
+            .deliver_unaddressed(Event::Refused(error, None));
+    }
+
+    fn receive_answer(&self, parcel: Parcel) {
+        let mut state = self.lock();
+        if parcel.family == Family::Error {
+            let error = WireError::from_parcel(&parcel);
+            if error.code.closes() {
+                state.closing = Some(error);
+            }
+        }
+        let waiter = parcel
+            .reference
+            .and_then(|reference| state.pending.take(reference));
+        match waiter {
+            Some(waiter) => {
+                drop(state);
+                self.complete(waiter, parcel);
+            }
+            None if parcel.family == Family::Error => state.deliver_refused(&parcel),
+            None => tracing::debug!(
+                reference = parcel.reference,
+                "a reply that nobody waits for any more"
+            ),
+        }
+    }
+
+    fn pong(&self, reference: Option<u64>) {
+        let mut pong = Parcel::new(Family::Time, "pong");
+        pong.reference = reference;
+        // A link that is gone meanwhile needs no answer, and an answer has none itself.
+        let _ = self.ask_in(&mut self.lock(), pong, &mut None);
+        self.outgoing.notify_one();
+    }
+
+    fn receive_pong(&self, pong: &Parcel) {
+        let waiter = pong
+            .reference
+            .and_then(|reference| self.lock().pending.take(reference));
+        // Only pings are answered so, and what they wait for is to be heard of.
+        drop(waiter);
+    }
+
+    fn receive_event(&self, parcel: Parcel) {
+        let mut state = self.lock();
+        let Some(path) = parcel.context.clone() else {
+            return state.subscribers.deliver_unaddressed(Event::from_parcel(parcel));
+        };
+        match parcel.name() {
+            names::JOINED if state.is_own_arrival(&path, &parcel) => {}
+            names::GRABBED | names::RELEASED => {
+                note_ownership(&mut state.guards, &path, &parcel);
+                let paths = state.learn_ownership(&path, &parcel);
+                state.subscribers.deliver(&paths, Event::from_parcel(parcel));
+            }
+            names::DELETED => {
+                // The session's members are told too.
+                let paths: Vec<Path> = [Some(path.clone()), path.parent()]
+                    .into_iter()
+                    .flatten()
+                    .collect();
+                state.subscribers.deliver(&paths, Event::from_parcel(parcel));
+                state.places.remove_within(&path);
+                state.subscribers.close_within(&path);
+            }
+            _ => state.subscribers.deliver(&[path], Event::from_parcel(parcel)),
+        }
+    }
+}
+
+impl State {
+    /// The error for something sent without waiting, or about nothing in particular.
+    fn deliver_refused(&mut self, parcel: &Parcel) {
+        let known = parcel
+            .reference
+            .and_then(|id| self.pending.context_of(id))
+            .cloned();
+        let paths: Vec<Path> = known.or_else(|| parcel.context.clone()).into_iter().collect();
+        let event = Event::Refused(WireError::from_parcel(parcel), parcel.reference);
+        self.subscribers.deliver(&paths, event);
+    }
+
+    /// Whether this is what the reply to our own join says too.
+    fn is_own_arrival(&self, path: &Path, parcel: &Parcel) -> bool {
+        self.places.is_joining(path) && text(&map_of(parcel), "peer") == Some(self.me.peer.as_str())
+    }
+
+    /// Tells the gates of the channels which the token guards; gives all contexts concerned.
+    fn learn_ownership(&self, token: &Path, parcel: &Parcel) -> Vec<Path> {
+        let mut paths = vec![token.clone()];
+        for (path, gate) in self.places.guarded_by(token) {
+            gate.observe(parcel);
+            paths.push(path.clone());
+        }
+        paths
+    }
+}
+
+/// Tells our own guards.
+fn note_ownership(guards: &mut Guards, token: &Path, parcel: &Parcel) {
+    let map = map_of(parcel);
+    let Some(fence) = number(&map, "fence") else {
+        return;
+    };
+    if parcel.name() == names::RELEASED {
+        let by = text(&map, "by").map(str::to_owned);
+        guards.lose(
+            token,
+            fence,
+            Lost::new(text(&map, "reason").unwrap_or_default(), by),
+        );
+    } else {
+        guards.outdate(token, fence, text(&map, "owner").unwrap_or_default());
+    }
+}

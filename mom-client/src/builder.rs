@@ -1,0 +1,143 @@
+//! Making a client.
+
+use std::fmt;
+use std::sync::Arc;
+use std::time::Duration;
+
+use mom_net::{Address, Transceiver};
+
+use crate::client::{Client, Handle};
+use crate::login::{Connector, Credentials};
+use crate::shared::{Settings, Shared};
+use crate::{ClientError, Reconnect, driver};
+
+/// What a client needs to know before it connects.
+///
+/// ```no_run
+/// # async fn example() -> Result<(), mom_client::ClientError> {
+/// use std::time::Duration;
+/// use mom_client::Client;
+///
+/// let client = Client::builder("tcp://127.0.0.1:7666")
+///     .user("alice")
+///     .password("alice")
+///     .nickname("ally")
+///     .request_timeout(Duration::from_secs(3))
+///     .connect()
+///     .await?;
+/// assert_eq!(client.name(), "ally");
+/// # Ok(())
+/// # }
+/// ```
+#[must_use = "a builder does nothing until connect"]
+pub struct Builder {
+    connector: Result<Connector, ClientError>,
+    credentials: Credentials,
+    settings: Settings,
+}
+
+impl Builder {
+    pub(crate) fn remote(address: &str) -> Builder {
+        Builder::new(
+            address
+                .parse::<Address>()
+                .map(Connector::Remote)
+                .map_err(ClientError::from),
+        )
+    }
+
+    pub(crate) fn local(connect: impl Fn() -> Transceiver + Send + Sync + 'static) -> Builder {
+        Builder::new(Ok(Connector::Local(Arc::new(connect))))
+    }
+
+    fn new(connector: Result<Connector, ClientError>) -> Builder {
+        Builder {
+            connector,
+            credentials: Credentials {
+                user: String::new(),
+                password: String::new(),
+                nickname: None,
+            },
+            settings: Settings {
+                request_timeout: Duration::from_secs(10),
+                reconnect: Some(Reconnect::default()),
+                event_buffer: 1024,
+            },
+        }
+    }
+
+    /// The user to log in as.
+    pub fn user(mut self, user: impl Into<String>) -> Builder {
+        self.credentials.user = user.into();
+        self
+    }
+
+    /// The user's password.
+    pub fn password(mut self, password: impl Into<String>) -> Builder {
+        self.credentials.password = password.into();
+        self
+    }
+
+    /// The name wanted at the hub instead of the user's.
+    pub fn nickname(mut self, nickname: impl Into<String>) -> Builder {
+        self.credentials.nickname = Some(nickname.into());
+        self
+    }
+
+    /// How long to wait for a reply, and for a connection with its login; 10 s unless told.
+    pub fn request_timeout(mut self, timeout: Duration) -> Builder {
+        self.settings.request_timeout = timeout;
+        self
+    }
+
+    /// How a lost link is made anew; [`Reconnect::default`] unless told.
+    pub fn reconnect(mut self, reconnect: Reconnect) -> Builder {
+        self.settings.reconnect = Some(reconnect);
+        self
+    }
+
+    /// A lost link closes the client.
+    pub fn no_reconnect(mut self) -> Builder {
+        self.settings.reconnect = None;
+        self
+    }
+
+    /// Events that may wait for one subscriber; 1024 unless told.
+    pub fn event_buffer(mut self, events: usize) -> Builder {
+        self.settings.event_buffer = events;
+        self
+    }
+
+    /// Connects and logs in, once: a hub that cannot be had now is an error. Needs a tokio runtime, in which
+    /// the client lives from then on.
+    ///
+    /// # Errors
+    /// `Local` for a bad address, `Connection` and `TimedOut` for a hub that cannot be had, `Refused` with
+    /// `bad-login` and all else that the hub says.
+    pub async fn connect(self) -> Result<Client, ClientError> {
+        let connector = self.connector?;
+        let connected = connector
+            .connect(&self.credentials, 1, self.settings.request_timeout)
+            .await?;
+        let shared = Arc::new(Shared::new(self.settings, connector.form(), 2, connected.welcome));
+        let drive = driver::run(
+            Arc::clone(&shared),
+            connector,
+            self.credentials,
+            connected.transceiver,
+        );
+        tokio::spawn(drive);
+        Ok(Client::of(Arc::new(Handle { shared })))
+    }
+}
+
+impl fmt::Debug for Builder {
+    // Passwords do not belong in logs.
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter
+            .debug_struct("Builder")
+            .field("user", &self.credentials.user)
+            .field("settings", &self.settings)
+            .finish_non_exhaustive()
+    }
+}

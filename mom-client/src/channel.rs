@@ -1,0 +1,79 @@
+//! A channel: where messages are exchanged (M27).
+
+use mom_proto::{Content, Path};
+
+use crate::membership::Membership;
+use crate::{ClientError, Events, FenceGate, GuardState, Message};
+
+/// A channel that this peer has joined, until the last of its clones and its events goes.
+///
+/// ```no_run
+/// # async fn example(client: mom_client::Client) -> Result<(), mom_client::ClientError> {
+/// use mom_client::{Delivery, Event, Map};
+/// let arm = client.channel("/robot/arm").await?;
+/// let (gate, mut events) = (arm.gate(), arm.events());
+/// arm.message("state").content(Map::new().with("ready", true)).delivery(Delivery::Latest).send().await?;
+/// while let Some(event) = events.next().await {
+///     match event {
+///         Event::Message(parcel) if gate.check(&parcel).is_err() => {} // of an earlier owner
+///         Event::Message(parcel) => println!("{}", parcel.name()),
+///         _ => {}
+///     }
+/// }
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Clone, Debug)]
+pub struct Channel {
+    member: Membership,
+    gate: FenceGate,
+}
+
+impl Channel {
+    pub(crate) fn new(member: Membership) -> Channel {
+        let gate = member.shared().lock().places.gate(member.path());
+        Channel { member, gate }
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        self.member.path()
+    }
+
+    /// Its messages and events from now on; the first subscriber gets those since the join too, if they are few.
+    /// The events of the token that guards the channel are among them.
+    pub fn events(&self) -> Events {
+        self.member.events()
+    }
+
+    /// Sends a message to all members. A refusal comes as [`Event::Refused`](crate::Event::Refused).
+    ///
+    /// # Errors
+    /// As [`Client::send`](crate::Client::send).
+    pub async fn send(&self, name: &str, content: impl Into<Content>) -> Result<(), ClientError> {
+        self.message(name).content(content).send().await
+    }
+
+    /// Begins a message.
+    pub fn message(&self, name: &str) -> Message {
+        Message::new(self.member.client(), self.path(), name)
+    }
+
+    /// The token that guards it, as last heard of it; none = it is not guarded.
+    pub fn guard(&self) -> Option<GuardState> {
+        self.gate.guard()
+    }
+
+    /// The gate that refuses what earlier owners sent; it goes on learning, over reconnects too.
+    pub fn gate(&self) -> FenceGate {
+        self.gate.clone()
+    }
+
+    /// Leaves it, whatever other proxies of it there are.
+    ///
+    /// # Errors
+    /// `Refused` with `not-member`, a lost link, a time-out.
+    pub async fn leave(self) -> Result<(), ClientError> {
+        self.member.leave().await
+    }
+}

@@ -1,0 +1,226 @@
+//! The client: one peer at a hub.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use mom_net::Transceiver;
+use mom_proto::{ContextKind, Family, Map, Parcel, Path};
+use tokio::sync::watch;
+use tokio::time::timeout;
+
+use crate::info::map_of;
+use crate::shared::{Shared, verb};
+use crate::{Builder, Channel, ClientError, ContextInfo, Events, Link, Member, Session, Token};
+
+/// How long a good-bye may take.
+const CLOSE: Duration = Duration::from_secs(1);
+
+/// A peer that is logged in at a hub. Cheap to clone; all clones are the same peer.
+///
+/// When the last of the clones and of the proxies made from them is dropped, the client logs out.
+///
+/// ```no_run
+/// # async fn example() -> Result<(), mom_client::ClientError> {
+/// use mom_client::Client;
+/// let client = Client::builder("bin://127.0.0.1").user("alice").password("alice").connect().await?;
+/// for context in client.list("/").await? {
+///     println!("{} {}", context.kind, context.path);
+/// }
+/// client.close().await;
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Clone, Debug)]
+pub struct Client {
+    pub(crate) handle: Arc<Handle>,
+}
+
+/// Held by everything that needs the connection; the last one to go ends it.
+#[derive(Debug)]
+pub(crate) struct Handle {
+    pub(crate) shared: Arc<Shared>,
+}
+
+impl Drop for Handle {
+    fn drop(&mut self) {
+        self.shared.end();
+    }
+}
+
+impl Client {
+    pub(crate) fn of(handle: Arc<Handle>) -> Client {
+        Client { handle }
+    }
+
+    fn shared(&self) -> &Arc<Shared> {
+        &self.handle.shared
+    }
+
+    /// A client of the hub at an address: `tcp://host:port` speaks XML, `bin://` and `mom://` binary. A path
+    /// in the address is not joined by itself.
+    pub fn builder(address: impl AsRef<str>) -> Builder {
+        Builder::remote(address.as_ref())
+    }
+
+    /// A client of a hub in this process; `connect` gives one more connection to it.
+    pub fn builder_local(connect: impl Fn() -> Transceiver + Send + Sync + 'static) -> Builder {
+        Builder::local(connect)
+    }
+
+    /// The peer's name at the hub. It may be another one after a reconnect.
+    pub fn name(&self) -> String {
+        self.shared().lock().me.peer.clone()
+    }
+
+    /// The user.
+    pub fn user(&self) -> String {
+        self.shared().lock().me.user.clone()
+    }
+
+    /// The user's level; higher goes first (M29).
+    pub fn level(&self) -> i32 {
+        self.shared().lock().me.level
+    }
+
+    /// All that the hub said at login: peer, user, level, groups, protocol, limits, time.
+    pub fn welcome(&self) -> Map {
+        self.shared().lock().me.content.clone()
+    }
+
+    /// Sends a request, with a new id and, unless it has one, a timestamp, and waits for the reply.
+    ///
+    /// A message is answered by the hub only if its `receipt` is true; see
+    /// [`Message::send_acknowledged`](crate::Message::send_acknowledged).
+    ///
+    /// # Errors
+    /// [`ClientError`], any.
+    pub async fn request(&self, parcel: Parcel) -> Result<Parcel, ClientError> {
+        self.shared().request(parcel).await
+    }
+
+    /// Sends a message without waiting for more than room in this client's own queue of 4 MiB; with a new id
+    /// unless it has one. A refusal comes as [`Event::Refused`](crate::Event::Refused).
+    ///
+    /// # Errors
+    /// `Local` for what cannot be encoded or is too large for the hub, `Connection` while the link is down,
+    /// `Closed`.
+    pub async fn send(&self, parcel: Parcel) -> Result<(), ClientError> {
+        self.shared().post(parcel, None).await
+    }
+
+    /// What is at a path (M32).
+    ///
+    /// # Errors
+    /// `Refused` with `unknown-path` and the nearest one, or `denied`.
+    pub async fn lookup(&self, path: &str) -> Result<ContextInfo, ClientError> {
+        ContextInfo::from_reply(&self.ask(Family::Context, "lookup", path, None).await?)
+    }
+
+    /// The contexts in a session, as far as this peer may look them up.
+    ///
+    /// # Errors
+    /// `Refused` with `unknown-path`, `wrong-kind` or `denied`.
+    pub async fn list(&self, path: &str) -> Result<Vec<ContextInfo>, ClientError> {
+        ContextInfo::list(&self.ask(Family::Context, "list", path, None).await?, "children")
+    }
+
+    /// All about one context (M33).
+    ///
+    /// # Errors
+    /// `Refused` with `unknown-path` or `denied`.
+    pub async fn info(&self, path: &str) -> Result<Map, ClientError> {
+        Ok(map_of(&self.ask(Family::Context, "info", path, None).await?))
+    }
+
+    /// Who is in a context.
+    ///
+    /// # Errors
+    /// `Refused` with `unknown-path` or `denied`.
+    pub async fn members(&self, path: &str) -> Result<Vec<Member>, ClientError> {
+        Member::list(
+            &self.ask(Family::Context, "members", path, None).await?,
+            "members",
+        )
+    }
+
+    /// Makes a context (M24); joins the session around it for as long as that takes. `spec` holds `kind`
+    /// (`session`, `channel`, `token`), `manager`, and what else the kind allows.
+    ///
+    /// # Errors
+    /// `Refused` with `exists`, `denied`, `bad-content`, `unknown-manager` and others.
+    pub async fn create(&self, path: &str, spec: Map) -> Result<ContextInfo, ClientError> {
+        let above = Path::parse(path)?.parent().unwrap_or_else(Path::root);
+        let _member = self.enter(&above).await?;
+        ContextInfo::from_reply(&self.ask(Family::Context, "create", path, Some(spec)).await?)
+    }
+
+    /// Deletes a context with all below it.
+    ///
+    /// # Errors
+    /// `Refused` with `unknown-path`, `permanent` or `denied`.
+    pub async fn delete(&self, path: &str) -> Result<(), ClientError> {
+        self.ask(Family::Context, "delete", path, None).await.map(drop)
+    }
+
+    /// Joins a session, parents first.
+    ///
+    /// # Errors
+    /// `Refused` with `unknown-path` or `denied`; `Local` with `wrong-kind` if it is none.
+    pub async fn session(&self, path: &str) -> Result<Session, ClientError> {
+        self.enter_kind(path, ContextKind::Session)
+            .await
+            .map(Session::new)
+    }
+
+    /// Joins a channel, parents first.
+    ///
+    /// # Errors
+    /// As [`Client::session`].
+    pub async fn channel(&self, path: &str) -> Result<Channel, ClientError> {
+        self.enter_kind(path, ContextKind::Channel)
+            .await
+            .map(Channel::new)
+    }
+
+    /// Joins a token, parents first; that gives its events, not the token.
+    ///
+    /// # Errors
+    /// As [`Client::session`].
+    pub async fn token(&self, path: &str) -> Result<Token, ClientError> {
+        self.enter_kind(path, ContextKind::Token).await.map(Token::new)
+    }
+
+    /// What no other subscription takes, from now on: events of contexts without a proxy, refusals of sends
+    /// there, and what becomes of the link. It keeps neither the client nor the connection alive.
+    pub fn unaddressed(&self) -> Events {
+        let shared = self.shared();
+        Events::new(shared.subscribe_unaddressed(), Arc::clone(shared), None)
+    }
+
+    /// The state of the link, to look at and to wait on.
+    pub fn state(&self) -> watch::Receiver<Link> {
+        self.shared().link.subscribe()
+    }
+
+    /// Logs out after all that was sent before, and waits for that, but briefly. All clones and proxies are of
+    /// no use afterwards.
+    pub async fn close(self) {
+        let shared = self.shared();
+        shared.end();
+        let mut link = shared.link.subscribe();
+        // Who cannot be told in time is told by the end of the connection.
+        let _ = timeout(CLOSE, link.wait_for(|link| matches!(link, Link::Closed(_)))).await;
+    }
+
+    async fn ask(
+        &self,
+        family: Family,
+        name: &str,
+        path: &str,
+        content: Option<Map>,
+    ) -> Result<Parcel, ClientError> {
+        let mut parcel = verb(family, name, &Path::parse(path)?);
+        parcel.content = content.map(Into::into);
+        self.request(parcel).await
+    }
+}

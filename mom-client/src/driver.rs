@@ -1,0 +1,189 @@
+//! The life of a client: one link after another until it is closed.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use mom_proto::event as names;
+use mom_proto::{Code, Family, Map, Parcel, Path, WireError};
+use tokio::time::{Instant, sleep};
+
+use crate::login::{Connected, Connector, Credentials, Welcome};
+use crate::outbox::Message;
+use crate::pending::Waiter;
+use crate::reconnect::Backoff;
+use crate::shared::{Shared, Status, verb};
+use crate::{ClientError, Event, Link, Lost, Reconnect, link};
+
+/// Drives links until the client is closed.
+pub(crate) async fn run(
+    shared: Arc<Shared>,
+    connector: Connector,
+    credentials: Credentials,
+    first: mom_net::Transceiver,
+) {
+    let mut transceiver = first;
+    loop {
+        let why = link::run(&shared, transceiver).await;
+        tracing::debug!(why, "link ended");
+        let closing = shared.lock().closing.take();
+        let reconnect = match (&shared.settings.reconnect, &closing) {
+            _ if *shared.ending.borrow() => return shared.close(None),
+            (_, Some(error)) if !error.code.may_reconnect() => return shared.close(closing),
+            (None, _) => {
+                let lost = closing.unwrap_or_else(|| WireError::new(Code::DISCONNECTED, why));
+                return shared.close(Some(lost));
+            }
+            (Some(reconnect), _) => reconnect.clone(),
+        };
+        shared.lose_link(&why);
+        match again(&shared, &connector, &credentials, &reconnect).await {
+            Ok(connected) => {
+                shared.raise_link(connected.welcome);
+                transceiver = connected.transceiver;
+            }
+            Err(error) => return shared.close(error),
+        }
+    }
+}
+
+/// Tries to connect until it succeeds, is refused for good, or takes too long.
+async fn again(
+    shared: &Shared,
+    connector: &Connector,
+    credentials: &Credentials,
+    reconnect: &Reconnect,
+) -> Result<Connected, Option<WireError>> {
+    let start = Instant::now();
+    let mut ending = shared.ending.subscribe();
+    let mut backoff = Backoff::new(reconnect);
+    let mut at_least = None;
+    let mut attempt = 0;
+    loop {
+        shared.link.send_replace(Link::Down {
+            since: start.into_std(),
+            attempt,
+        });
+        let attempted = async {
+            sleep(backoff.wait(at_least)).await;
+            let id = shared.next_id();
+            connector
+                .connect(credentials, id, shared.settings.request_timeout)
+                .await
+        };
+        let error = tokio::select! {
+            attempted = attempted => match attempted {
+                Ok(connected) => return Ok(connected),
+                Err(error) => error,
+            },
+            _ = ending.wait_for(|ending| *ending) => return Err(None),
+        };
+        tracing::debug!(%error, attempt, "no link yet");
+        attempt += 1;
+        if let ClientError::Refused(error) = &error {
+            if !error.code.may_retry() && !error.code.may_reconnect() {
+                return Err(Some(error.clone()));
+            }
+            at_least = error.retry_in();
+        }
+        if reconnect
+            .give_up_after
+            .is_some_and(|most| start.elapsed() >= most)
+        {
+            let text = format!("gave up after {:?}: {error}", start.elapsed());
+            return Err(Some(WireError::new(Code::DISCONNECTED, text)));
+        }
+    }
+}
+
+impl Shared {
+    /// The link is gone: nothing asked for will be answered, and tokens are lost (design §5).
+    fn lose_link(&self, why: &str) {
+        let mut state = self.lock();
+        state.status = Status::Down;
+        state
+            .guards
+            .lose_all(&Lost::new(names::Reason::Disconnected.word(), None));
+        let unsent = state.outbox.clear();
+        let room = unsent.iter().map(|message| message.room as usize).sum();
+        for (path, count) in count_unsent(&unsent) {
+            state
+                .subscribers
+                .deliver(std::slice::from_ref(&path), dropped(&path, count));
+        }
+        state.subscribers.deliver_all(&Event::LinkDown);
+        let joins = state.places.lose_link();
+        let waiters = state.pending.take_all();
+        drop(state);
+        self.give_room(room);
+        let error = ClientError::Connection(why.to_owned());
+        for join in joins {
+            drop(join.send(Err(error.clone())));
+        }
+        waiters.into_iter().for_each(|waiter| self.fail(waiter, &error));
+    }
+
+    /// The link is back: everything wanted is joined again, before anything else is sent.
+    fn raise_link(&self, welcome: Welcome) {
+        let mut state = self.lock();
+        state.status = Status::Up;
+        state.me = Arc::new(welcome);
+        let places = state.places.rejoin();
+        state.rejoining = places.len();
+        if places.is_empty() {
+            state.subscribers.deliver_unaddressed(Event::Rejoined);
+        }
+        for (path, serial) in places {
+            let mut waiter = Some(Waiter::Join(path.clone(), serial));
+            // The link is up, and a path that was joined before can be encoded.
+            let _ = self.ask_in(&mut state, verb(Family::Context, "join", &path), &mut waiter);
+        }
+        drop(state);
+        self.link.send_replace(Link::Up);
+        self.outgoing.notify_one();
+    }
+
+    /// Nothing will come any more.
+    fn close(&self, error: Option<WireError>) {
+        let mut state = self.lock();
+        state.status = Status::Closed(error.clone());
+        state
+            .guards
+            .lose_all(&Lost::new(names::Reason::Disconnected.word(), None));
+        state.outbox.clear();
+        state.subscribers.close_all();
+        let joins = state.places.lose_link();
+        let waiters = state.pending.take_all();
+        drop(state);
+        self.close_room();
+        let closed = ClientError::Closed(error.clone());
+        for join in joins {
+            drop(join.send(Err(closed.clone())));
+        }
+        waiters.into_iter().for_each(|waiter| self.fail(waiter, &closed));
+        self.link.send_replace(Link::Closed(error));
+    }
+}
+
+/// How many messages of each context were never written.
+fn count_unsent(unsent: &[Message]) -> BTreeMap<Path, u64> {
+    let mut counts = BTreeMap::new();
+    for path in unsent.iter().filter_map(|message| message.path.clone()) {
+        *counts.entry(path).or_default() += 1;
+    }
+    counts
+}
+
+/// The event that the hub would send for parcels dropped on its side.
+fn dropped(path: &Path, count: u64) -> Event {
+    let reason = names::Reason::Disconnected.word();
+    let content = Map::new()
+        .with("reason", reason)
+        .with("count", i64::try_from(count).unwrap_or(i64::MAX));
+    Event::Dropped {
+        reason: reason.to_owned(),
+        count,
+        parcel: Parcel::new(Family::Event, names::DROPPED)
+            .context(path.clone())
+            .content(content),
+    }
+}

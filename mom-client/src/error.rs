@@ -1,0 +1,156 @@
+//! What can go wrong when a peer asks.
+
+use std::time::Duration;
+
+use mom_net::NetError;
+use mom_proto::{Code, WireError};
+
+/// Why a request failed.
+///
+/// ```
+/// use mom_client::{ClientError, Code, ErrorKind, WireError};
+/// let error = ClientError::Refused(WireError::new(Code::HELD, "alice drives"));
+/// assert_eq!(error.kind(), ErrorKind::Refused);
+/// assert_eq!(error.code(), Some(&Code::HELD));
+/// ```
+#[derive(Clone, Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ClientError {
+    /// The hub answered with an error: code, plain words, details.
+    #[error("refused: {0}")]
+    Refused(WireError),
+    /// The link is down or cannot be had.
+    #[error("no connection: {0}")]
+    Connection(String),
+    /// No answer came in time. Whether the request was carried out is not known.
+    #[error("no answer to {what} within {after:?}")]
+    TimedOut {
+        /// The request: family, name and context.
+        what: String,
+        /// How long was waited.
+        after: Duration,
+    },
+    /// The client is closed for good: it logged out, or the hub closed with a code of 400–499 or gave it up.
+    #[error("closed{}", .0.as_ref().map(|error| format!(": {error}")).unwrap_or_default())]
+    Closed(Option<WireError>),
+    /// It never left this process: a bad path, content without a form on the wire, a reply that is none.
+    #[error("{0}")]
+    Local(WireError),
+}
+
+/// The kind of a [`ClientError`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum ErrorKind {
+    /// The hub said no.
+    Refused,
+    /// No link now.
+    Connection,
+    /// No answer in time.
+    TimedOut,
+    /// No link ever again.
+    Closed,
+    /// Wrong on this side.
+    Local,
+}
+
+impl ClientError {
+    /// Its kind.
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            ClientError::Refused(_) => ErrorKind::Refused,
+            ClientError::Connection(_) => ErrorKind::Connection,
+            ClientError::TimedOut { .. } => ErrorKind::TimedOut,
+            ClientError::Closed(_) => ErrorKind::Closed,
+            ClientError::Local(_) => ErrorKind::Local,
+        }
+    }
+
+    /// The error in the words of the wire, if there is one.
+    pub fn wire(&self) -> Option<&WireError> {
+        match self {
+            ClientError::Refused(error) | ClientError::Local(error) => Some(error),
+            ClientError::Closed(error) => error.as_ref(),
+            ClientError::Connection(_) | ClientError::TimedOut { .. } => None,
+        }
+    }
+
+    /// The code of [`ClientError::wire`].
+    pub fn code(&self) -> Option<&Code> {
+        self.wire().map(|error| &error.code)
+    }
+}
+
+/// Errors of `mom-proto` arise on this side; those of the hub come as parcels.
+impl From<WireError> for ClientError {
+    fn from(error: WireError) -> ClientError {
+        ClientError::Local(error)
+    }
+}
+
+impl From<NetError> for ClientError {
+    fn from(error: NetError) -> ClientError {
+        match error {
+            NetError::Address(_) => ClientError::Local(WireError::new(Code::BAD_NAME, error.to_string())),
+            other => ClientError::Connection(other.to_string()),
+        }
+    }
+}
+
+/// A reply of the hub that lacks what it must have.
+pub(crate) fn bad_reply(what: &str) -> ClientError {
+    ClientError::Local(WireError::new(
+        Code::BAD_CONTENT,
+        format!("the hub's reply has no {what}"),
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn kinds_and_codes() {
+        let wire = || WireError::new(Code::HELD, "alice drives");
+        let timed_out = ClientError::TimedOut {
+            what: "token grab /t".to_owned(),
+            after: Duration::from_secs(1),
+        };
+        for (error, kind, code, text) in [
+            (
+                ClientError::Refused(wire()),
+                ErrorKind::Refused,
+                Some(Code::HELD),
+                "refused: held: alice drives",
+            ),
+            (
+                ClientError::Local(wire()),
+                ErrorKind::Local,
+                Some(Code::HELD),
+                "held: alice drives",
+            ),
+            (
+                ClientError::Closed(Some(wire())),
+                ErrorKind::Closed,
+                Some(Code::HELD),
+                "closed: held: alice drives",
+            ),
+            (ClientError::Closed(None), ErrorKind::Closed, None, "closed"),
+            (
+                ClientError::Connection("x".to_owned()),
+                ErrorKind::Connection,
+                None,
+                "no connection: x",
+            ),
+            (
+                timed_out,
+                ErrorKind::TimedOut,
+                None,
+                "no answer to token grab /t within 1s",
+            ),
+        ] {
+            assert_eq!((error.kind(), error.code().cloned()), (kind, code), "{error}");
+            assert_eq!(error.to_string(), text);
+        }
+    }
+}

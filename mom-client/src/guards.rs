@@ -1,0 +1,210 @@
+//! The tokens that this client holds: their leases, and what ended them.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use mom_proto::Path;
+use parking_lot::Mutex;
+use tokio::sync::watch;
+use tokio::time::Instant;
+
+use crate::Lost;
+
+/// A lease is renewed when this part of it is over, so that two renewals may fail.
+const RENEW_AT: u32 = 3;
+
+/// One ownership, from a grab to its loss.
+#[derive(Debug)]
+pub(crate) struct Hold {
+    pub(crate) path: Path,
+    pub(crate) fence: u64,
+    lease: Mutex<Option<Duration>>,
+    lost: watch::Sender<Option<Lost>>,
+}
+
+impl Hold {
+    pub(crate) fn lease(&self) -> Option<Duration> {
+        *self.lease.lock()
+    }
+
+    pub(crate) fn is_lost(&self) -> bool {
+        self.lost.borrow().is_some()
+    }
+
+    pub(crate) fn watch(&self) -> watch::Receiver<Option<Lost>> {
+        self.lost.subscribe()
+    }
+
+    fn lose(&self, lost: Lost) {
+        self.lost.send_if_modified(|known| {
+            let first = known.is_none();
+            known.get_or_insert(lost);
+            first
+        });
+    }
+}
+
+/// All of them, by the token's path.
+#[derive(Debug, Default)]
+pub(crate) struct Guards {
+    entries: HashMap<Path, Entry>,
+    /// Grabs without an answer yet: while there are some, the last guard's end is no reason to give back.
+    asked: HashMap<Path, usize>,
+}
+
+#[derive(Debug)]
+struct Entry {
+    hold: Arc<Hold>,
+    guards: usize,
+    renew_at: Option<Instant>,
+}
+
+impl Guards {
+    /// Notes a grab; asking again for what one has is the same ownership (M29).
+    pub(crate) fn hold(
+        &mut self,
+        path: &Path,
+        fence: u64,
+        lease: Option<Duration>,
+        now: Instant,
+    ) -> Arc<Hold> {
+        if let Some(entry) = self
+            .entries
+            .get_mut(path)
+            .filter(|entry| entry.hold.fence == fence)
+        {
+            entry.guards += 1;
+            entry.renew(lease, now);
+            return Arc::clone(&entry.hold);
+        }
+        let hold = Arc::new(Hold {
+            path: path.clone(),
+            fence,
+            lease: Mutex::new(lease),
+            lost: watch::Sender::new(None),
+        });
+        let mut entry = Entry {
+            hold: Arc::clone(&hold),
+            guards: 1,
+            renew_at: None,
+        };
+        entry.renew(lease, now);
+        if let Some(older) = self.entries.insert(path.clone(), entry) {
+            older.hold.lose(Lost::new("grabbed", None));
+        }
+        hold
+    }
+
+    /// A grab was sent.
+    pub(crate) fn ask(&mut self, path: &Path) {
+        *self.asked.entry(path.clone()).or_default() += 1;
+    }
+
+    /// A grab was answered; whether the ownership that it was to share is to be given back now.
+    pub(crate) fn answered(&mut self, path: &Path) -> bool {
+        if let Some(asked) = self.asked.get_mut(path) {
+            *asked -= 1;
+            if *asked == 0 {
+                self.asked.remove(path);
+            }
+        }
+        self.remove_unguarded(path)
+    }
+
+    /// One guard less; whether it was the last of an ownership that is not lost.
+    pub(crate) fn let_go(&mut self, hold: &Arc<Hold>) -> bool {
+        let Some(entry) = self
+            .entries
+            .get_mut(&hold.path)
+            .filter(|entry| Arc::ptr_eq(&entry.hold, hold))
+        else {
+            return false;
+        };
+        entry.guards -= 1;
+        self.remove_unguarded(&hold.path)
+    }
+
+    fn remove_unguarded(&mut self, path: &Path) -> bool {
+        let unguarded = self.entries.get(path).is_some_and(|entry| entry.guards == 0);
+        unguarded && !self.asked.contains_key(path) && self.entries.remove(path).is_some()
+    }
+
+    /// The ownership with this fence is over.
+    pub(crate) fn lose(&mut self, path: &Path, fence: u64, lost: Lost) -> bool {
+        if self
+            .entries
+            .get(path)
+            .is_none_or(|entry| entry.hold.fence != fence)
+        {
+            return false;
+        }
+        if let Some(entry) = self.entries.remove(path) {
+            entry.hold.lose(lost);
+        }
+        true
+    }
+
+    /// Somebody has a higher fence, so the ownership is over even if nobody said so.
+    pub(crate) fn outdate(&mut self, path: &Path, fence: u64, by: &str) {
+        let known = self.entries.get(path).map(|entry| entry.hold.fence);
+        if let Some(known) = known.filter(|known| *known < fence) {
+            self.lose(path, known, Lost::new("grabbed", Some(by.to_owned())));
+        }
+    }
+
+    /// The link is gone, and with it every ownership and every grab.
+    pub(crate) fn lose_all(&mut self, lost: &Lost) {
+        self.asked.clear();
+        self.entries
+            .drain()
+            .for_each(|(_, entry)| entry.hold.lose(lost.clone()));
+    }
+
+    /// A renewal was granted.
+    pub(crate) fn renewed(&mut self, path: &Path, fence: u64, lease: Option<Duration>, now: Instant) {
+        if let Some(entry) = self
+            .entries
+            .get_mut(path)
+            .filter(|entry| entry.hold.fence == fence)
+        {
+            *entry.hold.lease.lock() = lease;
+            entry.renew(lease, now);
+        }
+    }
+
+    /// A renewal was put off.
+    pub(crate) fn retry(&mut self, path: &Path, fence: u64, at: Instant) {
+        if let Some(entry) = self
+            .entries
+            .get_mut(path)
+            .filter(|entry| entry.hold.fence == fence)
+        {
+            entry.renew_at = Some(entry.renew_at.map_or(at, |planned| planned.min(at)));
+        }
+    }
+
+    /// When the next renewal is due.
+    pub(crate) fn next_renewal(&self) -> Option<Instant> {
+        self.entries.values().filter_map(|entry| entry.renew_at).min()
+    }
+
+    /// The tokens to renew now; each comes again later, should no answer come.
+    pub(crate) fn take_due(&mut self, now: Instant) -> Vec<(Path, u64)> {
+        let due = self
+            .entries
+            .values_mut()
+            .filter(|entry| entry.renew_at.is_some_and(|at| at <= now));
+        due.map(|entry| {
+            entry.renew(entry.hold.lease(), now);
+            (entry.hold.path.clone(), entry.hold.fence)
+        })
+        .collect()
+    }
+}
+
+impl Entry {
+    fn renew(&mut self, lease: Option<Duration>, now: Instant) {
+        self.renew_at = lease.map(|lease| now + lease / RENEW_AT);
+    }
+}

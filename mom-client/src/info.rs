@@ -1,0 +1,107 @@
+//! What the hub says about contexts and peers, typed.
+
+use mom_proto::{ContextKind, Map, Parcel, Path, Value};
+
+use crate::ClientError;
+use crate::error::bad_reply;
+
+/// A context as lists and lookups show it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ContextInfo {
+    /// Where it is.
+    pub path: Path,
+    /// What it is for.
+    pub kind: ContextKind,
+    /// The hub's number of it, never reused.
+    pub number: u64,
+    /// How many have joined it, where the hub says so.
+    pub members: Option<u64>,
+}
+
+/// A peer as events and member lists show it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Member {
+    /// Its name at the hub, unique there.
+    pub peer: String,
+    /// The user that it logged in as.
+    pub user: String,
+    /// The user's level; higher goes first (M29).
+    pub level: i32,
+}
+
+impl ContextInfo {
+    /// Reads `{path, kind, number, members?}`.
+    pub(crate) fn from_map(map: &Map) -> Option<ContextInfo> {
+        Some(ContextInfo {
+            path: Path::parse(text(map, "path")?).ok()?,
+            kind: ContextKind::from_word(text(map, "kind")?)?,
+            number: number(map, "number")?,
+            members: number(map, "members"),
+        })
+    }
+
+    /// Reads a reply.
+    pub(crate) fn from_reply(reply: &Parcel) -> Result<ContextInfo, ClientError> {
+        ContextInfo::from_map(&map_of(reply)).ok_or_else(|| bad_reply("path, kind and number"))
+    }
+
+    /// Reads a reply's list.
+    pub(crate) fn list(reply: &Parcel, key: &str) -> Result<Vec<ContextInfo>, ClientError> {
+        read_list(reply, key, ContextInfo::from_map)
+    }
+}
+
+impl Member {
+    /// Reads `{peer, user, level}`.
+    pub(crate) fn from_map(map: &Map) -> Option<Member> {
+        Some(Member {
+            peer: text(map, "peer")?.to_owned(),
+            user: text(map, "user")?.to_owned(),
+            level: level(map, "level")?,
+        })
+    }
+
+    /// Reads a reply's list.
+    pub(crate) fn list(reply: &Parcel, key: &str) -> Result<Vec<Member>, ClientError> {
+        read_list(reply, key, Member::from_map)
+    }
+}
+
+/// The content as a map; empty if it is none.
+pub(crate) fn map_of(parcel: &Parcel) -> Map {
+    match parcel.value() {
+        Value::Map(map) => map,
+        _ => Map::new(),
+    }
+}
+
+pub(crate) fn text<'a>(map: &'a Map, key: &str) -> Option<&'a str> {
+    map.get(key).and_then(Value::as_str)
+}
+
+pub(crate) fn number(map: &Map, key: &str) -> Option<u64> {
+    map.get(key)
+        .and_then(Value::as_int)
+        .and_then(|number| u64::try_from(number).ok())
+}
+
+pub(crate) fn level(map: &Map, key: &str) -> Option<i32> {
+    map.get(key)
+        .and_then(Value::as_int)
+        .and_then(|number| i32::try_from(number).ok())
+}
+
+fn read_list<T>(reply: &Parcel, key: &str, read: impl Fn(&Map) -> Option<T>) -> Result<Vec<T>, ClientError> {
+    let map = map_of(reply);
+    let list = map
+        .get(key)
+        .and_then(Value::as_list)
+        .ok_or_else(|| bad_reply(key))?;
+    list.iter()
+        .map(|item| {
+            item.as_map()
+                .and_then(&read)
+                .ok_or_else(|| bad_reply(&format!("proper {key}")))
+        })
+        .collect()
+}

@@ -1,0 +1,175 @@
+//! One connection: a task that reads, a task that writes, and the keeper of heartbeats and leases.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use mom_net::{NetError, Reader, Transceiver, Writer};
+use mom_proto::codec::Frame;
+use mom_proto::{Family, Parcel};
+use tokio::task::JoinSet;
+use tokio::time::{Instant, sleep_until, timeout};
+
+use crate::outbox::Found;
+use crate::pending::Waiter;
+use crate::shared::{Shared, verb};
+
+/// For the hub's last words once nothing more can be written, and for its end after our good-bye.
+const LAST_WORDS: Duration = Duration::from_secs(1);
+
+/// Runs a connection to its end; gives why it ended.
+pub(crate) async fn run(shared: &Arc<Shared>, transceiver: Transceiver) -> String {
+    let activity = Arc::new(Activity::new());
+    // Ended by being dropped with this future.
+    let mut tasks = JoinSet::new();
+    let reading = tasks
+        .spawn(read(
+            Arc::clone(shared),
+            Arc::clone(&activity),
+            transceiver.reader,
+        ))
+        .id();
+    tasks.spawn(write(
+        Arc::clone(shared),
+        Arc::clone(&activity),
+        transceiver.writer,
+    ));
+    let first = tokio::select! {
+        ended = tasks.join_next_with_id() => ended,
+        () = keep(shared, &activity) => return "the hub says nothing any more".to_owned(),
+    };
+    match first {
+        Some(Ok((id, ended))) if id != reading => {
+            // What the hub says last tells whether to come back.
+            match timeout(LAST_WORDS, tasks.join_next()).await {
+                Ok(Some(Ok(Err(error)))) if ended.is_ok() => error.to_string(),
+                _ => words(ended),
+            }
+        }
+        Some(Ok((_, ended))) => words(ended),
+        Some(Err(failed)) => failed.to_string(),
+        None => words(Ok(())),
+    }
+}
+
+fn words(ended: Result<(), NetError>) -> String {
+    match ended {
+        Ok(()) => "the hub closed the link".to_owned(),
+        Err(error) => error.to_string(),
+    }
+}
+
+async fn read(shared: Arc<Shared>, activity: Arc<Activity>, mut reader: Reader) -> Result<(), NetError> {
+    while let Some(frame) = reader.next().await? {
+        activity.heard.note();
+        match frame {
+            Frame::Parcel(parcel) => shared.receive(*parcel),
+            Frame::Malformed { error, .. } => shared.receive_malformed(error),
+        }
+    }
+    Ok(())
+}
+
+async fn write(shared: Arc<Shared>, activity: Arc<Activity>, writer: Writer) -> Result<(), NetError> {
+    let mut batch = VecDeque::new();
+    loop {
+        let found = shared.lock().outbox.take(&mut batch);
+        match found {
+            Found::Some { room } => shared.give_room(room),
+            Found::Nothing => {
+                shared.outgoing.notified().await;
+                continue;
+            }
+            Found::End => {
+                writer.finish();
+                return Ok(());
+            }
+        }
+        while writer.try_write(&mut batch)? == mom_net::Progress::Blocked {
+            writer.ready().await?;
+        }
+        activity.sent.note();
+    }
+}
+
+/// Says `time ping` when one side has been silent for a heartbeat, renews leases, and ends when the hub has
+/// been silent for too long.
+async fn keep(shared: &Shared, activity: &Activity) {
+    let limits = shared.lock().me.limits.clone();
+    let mut pinged = Instant::now();
+    loop {
+        let now = Instant::now();
+        if now >= activity.heard.at() + limits.gone {
+            return;
+        }
+        // Who only sends would never hear that the hub is alive, who only hears would seem dead to it.
+        let quiet = activity.sent.at().min(activity.heard.at()).max(pinged);
+        if now >= quiet + limits.heartbeat {
+            pinged = now;
+            // A link that is gone meanwhile needs no heartbeat.
+            let _ = shared.ask(Parcel::new(Family::Time, "ping"), Waiter::Nobody);
+            continue;
+        }
+        renew(shared, now);
+        let renewal = shared.lock().guards.next_renewal();
+        let wake = (quiet + limits.heartbeat).min(activity.heard.at() + limits.gone);
+        let wake = renewal.map_or(wake, |renewal| wake.min(renewal));
+        tokio::select! {
+            () = sleep_until(wake) => {}
+            () = shared.keeping.notified() => {}
+        }
+    }
+}
+
+fn renew(shared: &Shared, now: Instant) {
+    let mut state = shared.lock();
+    for (path, fence) in state.guards.take_due(now) {
+        let mut waiter = Some(Waiter::Renewal(path.clone(), fence));
+        // Without a link the guards are lost already.
+        let _ = shared.ask_in(&mut state, verb(Family::Token, "renew", &path), &mut waiter);
+    }
+    drop(state);
+    shared.outgoing.notify_one();
+}
+
+/// When something was last heard and sent.
+#[derive(Debug)]
+struct Activity {
+    heard: Moment,
+    sent: Moment,
+}
+
+impl Activity {
+    fn new() -> Activity {
+        Activity {
+            heard: Moment::now(),
+            sent: Moment::now(),
+        }
+    }
+}
+
+/// An instant that two tasks share, exact to a ms.
+#[derive(Debug)]
+struct Moment {
+    start: Instant,
+    millis: AtomicU64,
+}
+
+impl Moment {
+    fn now() -> Moment {
+        Moment {
+            start: Instant::now(),
+            millis: AtomicU64::new(0),
+        }
+    }
+
+    fn note(&self) {
+        let millis = u64::try_from(self.start.elapsed().as_millis()).unwrap_or(u64::MAX);
+        self.millis.store(millis, Ordering::Relaxed);
+    }
+
+    fn at(&self) -> Instant {
+        self.start + Duration::from_millis(self.millis.load(Ordering::Relaxed))
+    }
+}

@@ -1,0 +1,212 @@
+//! From an address to a peer: connecting and logging in (M12, M13).
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use mom_net::{Address, Transceiver};
+use mom_proto::codec::{Form, Frame};
+use mom_proto::{Family, Limit, Limits, Map, Parcel, Path, Value, WireError};
+use tokio::time::timeout;
+
+use crate::ClientError;
+use crate::error::bad_reply;
+use crate::info::{level, map_of, number, text};
+use crate::shared::now;
+
+/// Gives one more end of an in-process pair whose other end the hub has.
+pub(crate) type Local = Arc<dyn Fn() -> Transceiver + Send + Sync>;
+
+/// Where the hub is.
+#[derive(Clone)]
+pub(crate) enum Connector {
+    Remote(Address),
+    Local(Local),
+}
+
+/// Who connects.
+#[derive(Clone)]
+pub(crate) struct Credentials {
+    pub(crate) user: String,
+    pub(crate) password: String,
+    pub(crate) nickname: Option<String>,
+}
+
+/// What the hub said at login.
+#[derive(Debug)]
+pub(crate) struct Welcome {
+    pub(crate) peer: String,
+    pub(crate) user: String,
+    pub(crate) level: i32,
+    pub(crate) limits: PeerLimits,
+    pub(crate) content: Map,
+}
+
+/// The hub's limits that this end keeps.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct PeerLimits {
+    pub(crate) parcel: Limit,
+    pub(crate) depth: usize,
+    pub(crate) heartbeat: Duration,
+    pub(crate) gone: Duration,
+}
+
+/// A link on which this peer is logged in.
+#[derive(Debug)]
+pub(crate) struct Connected {
+    pub(crate) transceiver: Transceiver,
+    pub(crate) welcome: Welcome,
+}
+
+impl Connector {
+    pub(crate) fn form(&self) -> Option<Form> {
+        match self {
+            Connector::Remote(address) => Some(address.form),
+            Connector::Local(_) => None,
+        }
+    }
+
+    /// Connects and logs in.
+    pub(crate) async fn connect(
+        &self,
+        credentials: &Credentials,
+        id: u64,
+        after: Duration,
+    ) -> Result<Connected, ClientError> {
+        let login = async {
+            let transceiver = match self {
+                Connector::Remote(address) => mom_net::connect(address, &Limits::default()).await?,
+                Connector::Local(connect) => connect(),
+            };
+            log_in(transceiver, credentials, id).await
+        };
+        timeout(after, login).await.unwrap_or_else(|_| {
+            Err(ClientError::TimedOut {
+                what: "login".to_owned(),
+                after,
+            })
+        })
+    }
+}
+
+async fn log_in(
+    mut transceiver: Transceiver,
+    credentials: &Credentials,
+    id: u64,
+) -> Result<Connected, ClientError> {
+    let mut content = Map::new()
+        .with("name", credentials.user.as_str())
+        .with("password", credentials.password.as_str());
+    if let Some(nickname) = &credentials.nickname {
+        content.set("nickname", nickname.as_str());
+    }
+    let mut login = Parcel::new(Family::Login, "login")
+        .context(Path::root())
+        .content(content)
+        .id(id);
+    login.timestamp = now();
+    // A hub that refuses may close before it has read everything; what it says is worth more than that.
+    let sent = transceiver.writer.send(login).await;
+    loop {
+        let frame = match transceiver.reader.next().await? {
+            Some(frame) => frame,
+            None => {
+                sent?;
+                return Err(ClientError::Connection(
+                    "the hub closed the link at login".to_owned(),
+                ));
+            }
+        };
+        let parcel = match frame {
+            Frame::Parcel(parcel) => parcel,
+            Frame::Malformed { error, .. } => return Err(ClientError::Local(error)),
+        };
+        match parcel.family {
+            Family::Reply if parcel.reference == Some(id) => {
+                let welcome = Welcome::read(map_of(&parcel))?;
+                let limits = welcome.limits.for_decoder();
+                transceiver.reader.set_limits(&limits);
+                return Ok(Connected { transceiver, welcome });
+            }
+            Family::Error => return Err(ClientError::Refused(WireError::from_parcel(&parcel))),
+            _ => tracing::debug!(family = %parcel.family, name = parcel.name(), "before the login's reply"),
+        }
+    }
+}
+
+impl Welcome {
+    fn read(content: Map) -> Result<Welcome, ClientError> {
+        let limits = content.get("limits").and_then(Value::as_map);
+        Ok(Welcome {
+            peer: text(&content, "peer")
+                .ok_or_else(|| bad_reply("peer"))?
+                .to_owned(),
+            user: text(&content, "user")
+                .ok_or_else(|| bad_reply("user"))?
+                .to_owned(),
+            level: level(&content, "level").unwrap_or_default(),
+            limits: PeerLimits::read(limits),
+            content,
+        })
+    }
+}
+
+impl PeerLimits {
+    /// What the hub does not say is as this crate's protocol has it.
+    fn read(map: Option<&Map>) -> PeerLimits {
+        let known = Limits::default();
+        let read = |key: &str| map.and_then(|map| number(map, key)).filter(|number| *number > 0);
+        let word = map.and_then(|map| text(map, "parcel"));
+        PeerLimits {
+            parcel: match (word, read("parcel")) {
+                (Some("unlimited"), _) => Limit::Unlimited,
+                (_, Some(most)) => Limit::At(most),
+                _ => known.parcel,
+            },
+            depth: read("depth")
+                .and_then(|depth| usize::try_from(depth).ok())
+                .unwrap_or(known.depth),
+            heartbeat: Duration::from_millis(read("heartbeat").unwrap_or(known.heartbeat)),
+            gone: Duration::from_millis(read("gone").unwrap_or(known.gone)),
+        }
+    }
+
+    fn for_decoder(&self) -> Limits {
+        Limits {
+            parcel: self.parcel,
+            depth: self.depth,
+            ..Limits::default()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn limits_are_read_and_default() {
+        let known = PeerLimits::read(None);
+        assert_eq!(
+            known,
+            PeerLimits::read(Some(&Map::new().with("heartbeat", 0).with("parcel", "many")))
+        );
+        assert_eq!(known.heartbeat, Duration::from_secs(10));
+        let told = Map::new()
+            .with("parcel", "unlimited")
+            .with("depth", 7)
+            .with("heartbeat", 5)
+            .with("gone", 15);
+        let read = PeerLimits::read(Some(&told));
+        let expected = PeerLimits {
+            parcel: Limit::Unlimited,
+            depth: 7,
+            heartbeat: Duration::from_millis(5),
+            gone: Duration::from_millis(15),
+        };
+        assert_eq!(read, expected);
+        assert_eq!(
+            PeerLimits::read(Some(&Map::new().with("parcel", 99))).parcel,
+            Limit::At(99)
+        );
+    }
+}

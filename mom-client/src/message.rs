@@ -1,0 +1,150 @@
+//! A message in the making.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use mom_proto::{Content, Delivery, Family, MAX_ID, Parcel, Path, Value, check_message_name};
+use serde::Serialize;
+
+use crate::error::bad_reply;
+use crate::info::{map_of, number};
+use crate::{Client, ClientError};
+
+/// A message to a channel, from [`Channel::message`](crate::Channel::message).
+///
+/// ```no_run
+/// # async fn example(arm: mom_client::Channel) -> Result<(), mom_client::ClientError> {
+/// use std::time::Duration;
+/// let receipt = arm
+///     .message("command")
+///     .content("grip open")
+///     .to(["arm"])
+///     .expires(Duration::from_millis(500))
+///     .send_acknowledged()
+///     .await?;
+/// assert_eq!(receipt.delivered, 1);
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Clone, Debug)]
+#[must_use = "a message does nothing until it is sent"]
+pub struct Message {
+    client: Client,
+    parcel: Parcel,
+}
+
+/// What became of a message that the hub acknowledged.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Receipt {
+    /// Receivers whose queue took it.
+    pub delivered: u64,
+    /// Receivers for which it was dropped.
+    pub dropped: Vec<String>,
+}
+
+impl Message {
+    pub(crate) fn new(client: Client, path: &Path, name: &str) -> Message {
+        Message {
+            client,
+            parcel: Parcel::new(Family::Message, name).context(path.clone()),
+        }
+    }
+
+    /// What it says.
+    pub fn content(mut self, content: impl Into<Content>) -> Message {
+        self.parcel.content = Some(content.into());
+        self
+    }
+
+    /// What it says, as any `serde` type (M14).
+    ///
+    /// # Errors
+    /// `Local` with `not-encodable` and the place that has no form on the wire.
+    pub fn object<T: Serialize + ?Sized>(self, object: &T) -> Result<Message, ClientError> {
+        let content = Content::of(object)?;
+        Ok(self.content(content))
+    }
+
+    /// Only to these members (M4). If one is not there, nobody gets it and it is refused with `unknown-peer`.
+    pub fn to<N: Into<Arc<str>>>(mut self, names: impl IntoIterator<Item = N>) -> Message {
+        self.parcel.address = Some(names.into_iter().map(Into::into).collect());
+        self
+    }
+
+    /// Higher is more urgent (M7); 0 unless told, and the hub takes ±100.
+    pub fn priority(mut self, priority: i32) -> Message {
+        self.parcel.priority = Some(priority);
+        self
+    }
+
+    /// Worthless after this time; in whole ms, rounded up.
+    pub fn expires(mut self, after: Duration) -> Message {
+        let millis = after.as_micros().div_ceil(1000).min(u128::from(MAX_ID));
+        self.parcel.expires = u64::try_from(millis).ok();
+        self
+    }
+
+    /// What may happen to it when a receiver is slow; as the channel has it unless told.
+    pub fn delivery(mut self, delivery: Delivery) -> Message {
+        self.parcel.delivery = Some(delivery);
+        self
+    }
+
+    /// Not back to this peer.
+    pub fn no_echo(mut self) -> Message {
+        self.parcel.echo = Some(false);
+        self
+    }
+
+    /// Only under this ownership of the guarding token: refused with `older-fence` if it has ended.
+    pub fn fence(mut self, fence: u64) -> Message {
+        self.parcel.fence = Some(fence);
+        self
+    }
+
+    /// The id of the message that this one replies to (M9).
+    pub fn reference(mut self, id: u64) -> Message {
+        self.parcel.reference = Some(id);
+        self
+    }
+
+    /// Any other slot (M3).
+    pub fn slot(mut self, key: &str, value: impl Into<Value>) -> Message {
+        self.parcel.extra.set(key, value);
+        self
+    }
+
+    /// Sends it and goes on. A refusal comes as [`Event::Refused`](crate::Event::Refused) on the channel.
+    ///
+    /// # Errors
+    /// As [`Client::send`](crate::Client::send); `Local` with `bad-name` for a name that is none.
+    pub async fn send(self) -> Result<(), ClientError> {
+        check_message_name(self.parcel.name())?;
+        self.client.send(self.parcel).await
+    }
+
+    /// Sends it and waits until every receiver's queue took or dropped it.
+    ///
+    /// # Errors
+    /// `Refused` with what stands against it, and as [`Message::send`].
+    pub async fn send_acknowledged(mut self) -> Result<Receipt, ClientError> {
+        check_message_name(self.parcel.name())?;
+        self.parcel.receipt = Some(true);
+        Receipt::read(&self.client.request(self.parcel).await?)
+    }
+}
+
+impl Receipt {
+    fn read(reply: &Parcel) -> Result<Receipt, ClientError> {
+        let map = map_of(reply);
+        let dropped = map.get("dropped").and_then(Value::as_list).unwrap_or_default();
+        Ok(Receipt {
+            delivered: number(&map, "delivered").ok_or_else(|| bad_reply("delivered"))?,
+            dropped: dropped
+                .iter()
+                .filter_map(Value::as_str)
+                .map(str::to_owned)
+                .collect(),
+        })
+    }
+}

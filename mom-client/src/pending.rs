@@ -1,0 +1,90 @@
+//! Requests without an answer yet, and recent sends that need none.
+
+use std::collections::{HashMap, VecDeque};
+
+use mom_proto::{Parcel, Path};
+use tokio::sync::oneshot;
+
+use crate::membership::Membership;
+use crate::{ClientError, TokenGuard};
+
+/// Sends remembered, to tell a refusal to the right subscribers.
+const RECENT: usize = 1024;
+
+/// Who waits for an answer.
+///
+/// A waiter may hold the last handle of the client, whose end takes the lock of the state: waiters are
+/// completed and dropped outside it.
+#[derive(Debug)]
+pub(crate) enum Waiter {
+    /// A caller.
+    Caller(oneshot::Sender<Result<Parcel, ClientError>>),
+    /// A caller that wants a token. The guard is made before the next parcel is read, so it misses no event;
+    /// a caller that went away drops it, which gives the token back.
+    Grab {
+        member: Membership,
+        answer: oneshot::Sender<Result<TokenGuard, ClientError>>,
+    },
+    /// All who want to be in a context, by its place's serial.
+    Join(Path, u64),
+    /// The holder of a token with this fence.
+    Renewal(Path, u64),
+    /// Nobody; the answer is taken so that nobody else gets it.
+    Nobody,
+}
+
+/// The requests by their ids.
+#[derive(Debug, Default)]
+pub(crate) struct Pending {
+    waiters: HashMap<u64, Waiter>,
+    recent: VecDeque<(u64, Path)>,
+}
+
+impl Pending {
+    pub(crate) fn insert(&mut self, id: u64, waiter: Waiter) {
+        self.waiters.insert(id, waiter);
+    }
+
+    pub(crate) fn take(&mut self, id: u64) -> Option<Waiter> {
+        self.waiters.remove(&id)
+    }
+
+    pub(crate) fn take_all(&mut self) -> Vec<Waiter> {
+        self.recent.clear();
+        self.waiters.drain().map(|(_, waiter)| waiter).collect()
+    }
+
+    /// Notes a send that awaits no answer.
+    pub(crate) fn note(&mut self, id: u64, path: Path) {
+        if self.recent.len() == RECENT {
+            self.recent.pop_front();
+        }
+        self.recent.push_back((id, path));
+    }
+
+    /// The context of such a send. Refusals come soon, so the search begins with the newest.
+    pub(crate) fn context_of(&self, id: u64) -> Option<&Path> {
+        self.recent
+            .iter()
+            .rev()
+            .find(|(known, _)| *known == id)
+            .map(|(_, path)| path)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_newest_sends_are_remembered() {
+        let mut pending = Pending::default();
+        let path = Path::parse("/chat").unwrap();
+        for id in 0..=RECENT as u64 {
+            pending.note(id, path.clone());
+        }
+        assert_eq!(pending.context_of(0), None, "the oldest went");
+        assert_eq!(pending.context_of(1), Some(&path));
+        assert_eq!(pending.context_of(RECENT as u64), Some(&path));
+    }
+}

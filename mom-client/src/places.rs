@@ -1,0 +1,164 @@
+//! The contexts that this client is in, counted by who wants them.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use mom_proto::{Map, Path};
+use tokio::sync::oneshot;
+
+use crate::{ClientError, FenceGate};
+
+pub(crate) type Joined = Result<Arc<Map>, ClientError>;
+
+/// The contexts by path, so that parents come before what is in them.
+#[derive(Debug, Default)]
+pub(crate) struct Places {
+    places: BTreeMap<Path, Place>,
+    serial: u64,
+}
+
+/// One context that a proxy wants.
+#[derive(Debug)]
+pub(crate) struct Place {
+    /// Tells it from later places at the same path.
+    pub(crate) serial: u64,
+    pub(crate) phase: Phase,
+    pub(crate) gate: FenceGate,
+    wanted: usize,
+}
+
+#[derive(Debug)]
+pub(crate) enum Phase {
+    /// Asked for; again, after a lost link, or for the first time.
+    Joining {
+        again: bool,
+        waiters: Vec<oneshot::Sender<Joined>>,
+    },
+    /// A member, with what the hub said.
+    Joined(Arc<Map>),
+    /// Not a member, as there is no link.
+    Away,
+}
+
+/// What somebody who wants a context has to do.
+#[derive(Debug)]
+pub(crate) enum Want {
+    /// Send the join.
+    Join(oneshot::Receiver<Joined>),
+    /// Wait for somebody else's join.
+    Wait(oneshot::Receiver<Joined>),
+    /// Nothing.
+    Have(Arc<Map>),
+}
+
+impl Places {
+    /// Counts one more who wants a context.
+    pub(crate) fn want(&mut self, path: &Path) -> (u64, Want) {
+        let serial = &mut self.serial;
+        let place = self.places.entry(path.clone()).or_insert_with(|| {
+            *serial += 1;
+            Place {
+                serial: *serial,
+                phase: Phase::Away,
+                gate: FenceGate::new(),
+                wanted: 0,
+            }
+        });
+        place.wanted += 1;
+        let want = match &mut place.phase {
+            Phase::Joined(info) => Want::Have(Arc::clone(info)),
+            Phase::Joining { waiters, .. } => {
+                let (sender, receiver) = oneshot::channel();
+                waiters.push(sender);
+                Want::Wait(receiver)
+            }
+            Phase::Away => {
+                let (sender, receiver) = oneshot::channel();
+                place.phase = Phase::Joining {
+                    again: false,
+                    waiters: vec![sender],
+                };
+                Want::Join(receiver)
+            }
+        };
+        (place.serial, want)
+    }
+
+    /// Counts one less; whether nobody wants the context any more.
+    pub(crate) fn unwant(&mut self, path: &Path, serial: u64) -> bool {
+        let Some(place) = self.get(path, serial) else {
+            return false;
+        };
+        place.wanted -= 1;
+        if place.wanted > 0 {
+            return false;
+        }
+        self.places.remove(path);
+        true
+    }
+
+    /// The place of this serial, unless it is gone.
+    pub(crate) fn get(&mut self, path: &Path, serial: u64) -> Option<&mut Place> {
+        self.places.get_mut(path).filter(|place| place.serial == serial)
+    }
+
+    /// The gate of a channel.
+    pub(crate) fn gate(&self, path: &Path) -> FenceGate {
+        self.places
+            .get(path)
+            .map(|place| place.gate.clone())
+            .unwrap_or_default()
+    }
+
+    /// Whether the answer to a join is awaited.
+    pub(crate) fn is_joining(&self, path: &Path) -> bool {
+        let phase = self.places.get(path).map(|place| &place.phase);
+        matches!(phase, Some(Phase::Joining { .. }))
+    }
+
+    /// The channels which this token guards, with their gates.
+    pub(crate) fn guarded_by<'a>(
+        &'a self,
+        token: &'a Path,
+    ) -> impl Iterator<Item = (&'a Path, &'a FenceGate)> {
+        let guarded = move |place: &&Place| place.gate.token().as_ref() == Some(token);
+        self.places
+            .iter()
+            .filter(move |(_, place)| guarded(place))
+            .map(|(path, place)| (path, &place.gate))
+    }
+
+    /// Forgets a context.
+    pub(crate) fn remove(&mut self, path: &Path) {
+        self.places.remove(path);
+    }
+
+    /// Forgets a context and all below it, as the hub did.
+    pub(crate) fn remove_within(&mut self, top: &Path) {
+        self.places.retain(|path, _| !path.is_within(top));
+    }
+
+    /// The link is gone; gives those who waited.
+    pub(crate) fn lose_link(&mut self) -> Vec<oneshot::Sender<Joined>> {
+        let mut waiting = Vec::new();
+        for place in self.places.values_mut() {
+            place.gate.forget_owner();
+            if let Phase::Joining { waiters, .. } = std::mem::replace(&mut place.phase, Phase::Away) {
+                waiting.extend(waiters);
+            }
+        }
+        waiting
+    }
+
+    /// The link is back: all places, parents first, are to be joined again.
+    pub(crate) fn rejoin(&mut self) -> Vec<(Path, u64)> {
+        let again = |(path, place): (&Path, &mut Place)| {
+            place.phase = Phase::Joining {
+                again: true,
+                waiters: Vec::new(),
+            };
+            (path.clone(), place.serial)
+        };
+        self.places.iter_mut().map(again).collect()
+    }
+}

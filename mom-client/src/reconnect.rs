@@ -1,0 +1,109 @@
+//! Whether there is a link, and when to try for a new one.
+
+use std::hash::{BuildHasher, RandomState};
+use std::time::Duration;
+
+use mom_proto::WireError;
+
+/// How a lost link is made anew: after `first`, then after twice as long each time, up to `most`; each
+/// shortened at random by up to a half, so that a fleet does not come back all at once.
+///
+/// ```
+/// use std::time::Duration;
+/// use mom_client::Reconnect;
+/// let patient = Reconnect { give_up_after: None, ..Reconnect::default() };
+/// assert_eq!(patient.most, Duration::from_secs(5));
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Reconnect {
+    /// Before the first attempt.
+    pub first: Duration,
+    /// Between two attempts at most.
+    pub most: Duration,
+    /// The client is closed when the link was lost for so long; none = never.
+    pub give_up_after: Option<Duration>,
+}
+
+impl Default for Reconnect {
+    fn default() -> Reconnect {
+        Reconnect {
+            first: Duration::from_millis(100),
+            most: Duration::from_secs(5),
+            give_up_after: None,
+        }
+    }
+}
+
+/// The state of the link to the hub.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Link {
+    /// Logged in.
+    Up,
+    /// Lost; being made anew.
+    Down {
+        /// When it was lost.
+        since: std::time::Instant,
+        /// Attempts that failed since then.
+        attempt: u32,
+    },
+    /// Closed for good, with the hub's word if it had one.
+    Closed(Option<WireError>),
+}
+
+/// The waits of one lost link.
+#[derive(Debug)]
+pub(crate) struct Backoff {
+    next: Duration,
+    most: Duration,
+}
+
+impl Backoff {
+    pub(crate) fn new(reconnect: &Reconnect) -> Backoff {
+        Backoff {
+            next: reconnect.first.min(reconnect.most),
+            most: reconnect.most,
+        }
+    }
+
+    /// How long to wait now, but no less than the hub asked for.
+    pub(crate) fn wait(&mut self, at_least: Option<Duration>) -> Duration {
+        let wait = shorten(self.next, RandomState::new().hash_one(0));
+        self.next = (self.next * 2).min(self.most);
+        wait.max(at_least.unwrap_or_default())
+    }
+}
+
+/// Takes up to a half away.
+fn shorten(wait: Duration, random: u64) -> Duration {
+    let part = u32::try_from(random % 1024).unwrap_or_default();
+    wait - wait / 2 * part / 1024
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn waits_double_up_to_the_most() {
+        let reconnect = Reconnect {
+            first: Duration::from_millis(100),
+            most: Duration::from_millis(350),
+            give_up_after: None,
+        };
+        let mut backoff = Backoff::new(&reconnect);
+        for most in [100, 200, 350, 350] {
+            let wait = backoff.wait(None);
+            let most = Duration::from_millis(most);
+            assert!(most / 2 <= wait && wait <= most, "{wait:?} of {most:?}");
+        }
+        assert_eq!(backoff.wait(Some(Duration::from_secs(9))), Duration::from_secs(9));
+    }
+
+    #[test]
+    fn at_most_a_half_is_taken_away() {
+        let second = Duration::from_secs(1);
+        assert_eq!(shorten(second, 0), second);
+        assert_eq!(shorten(second, 512), second * 3 / 4);
+        assert!(shorten(second, 1023) >= second / 2);
+    }
+}

@@ -1,0 +1,398 @@
+//! What all proxies and the tasks of the link share.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use mom_net::Outgoing;
+use mom_proto::codec::Form;
+use mom_proto::{Code, Family, Parcel, Path, Time, WireError};
+use parking_lot::{Mutex, MutexGuard};
+use tokio::sync::{Notify, Semaphore, oneshot, watch};
+use tokio::time::timeout;
+
+use crate::guards::{Guards, Hold};
+use crate::login::Welcome;
+use crate::outbox::{Message, Outbox};
+use crate::pending::{Pending, Waiter};
+use crate::places::{Places, Want};
+use crate::subscribe::{Queue, Subscribers};
+use crate::{ClientError, Link, Reconnect};
+
+/// Room for messages that wait to be written: 4 MiB in units of 1 KiB.
+const ROOM: u32 = 4096;
+const ROOM_UNIT: usize = 1024;
+
+/// What the builder was told.
+#[derive(Clone, Debug)]
+pub(crate) struct Settings {
+    pub(crate) request_timeout: Duration,
+    pub(crate) reconnect: Option<Reconnect>,
+    pub(crate) event_buffer: usize,
+}
+
+/// The client's state behind one lock that is never held over an await.
+#[derive(Debug)]
+pub(crate) struct Shared {
+    pub(crate) settings: Settings,
+    /// What the link speaks, none within a process; the same for every link of one client.
+    form: Option<Form>,
+    state: Mutex<State>,
+    ids: AtomicU64,
+    room: Semaphore,
+    /// Wakes the writer.
+    pub(crate) outgoing: Notify,
+    /// Wakes the keeper of leases and heartbeats.
+    pub(crate) keeping: Notify,
+    pub(crate) link: watch::Sender<Link>,
+    /// Whether the last handle is gone or the client was closed.
+    pub(crate) ending: watch::Sender<bool>,
+}
+
+#[derive(Debug)]
+pub(crate) struct State {
+    pub(crate) status: Status,
+    pub(crate) me: Arc<Welcome>,
+    pub(crate) outbox: Outbox,
+    pub(crate) pending: Pending,
+    pub(crate) places: Places,
+    pub(crate) subscribers: Subscribers,
+    pub(crate) guards: Guards,
+    /// Joins after a lost link that are not answered yet.
+    pub(crate) rejoining: usize,
+    /// What the hub said before it closed the link.
+    pub(crate) closing: Option<WireError>,
+}
+
+#[derive(Clone, Debug)]
+pub(crate) enum Status {
+    Up,
+    Down,
+    Closed(Option<WireError>),
+}
+
+impl Shared {
+    pub(crate) fn new(settings: Settings, form: Option<Form>, first_id: u64, me: Welcome) -> Shared {
+        let state = State {
+            status: Status::Up,
+            me: Arc::new(me),
+            outbox: Outbox::default(),
+            pending: Pending::default(),
+            places: Places::default(),
+            subscribers: Subscribers::default(),
+            guards: Guards::default(),
+            rejoining: 0,
+            closing: None,
+        };
+        Shared {
+            settings,
+            form,
+            state: Mutex::new(state),
+            ids: AtomicU64::new(first_id),
+            room: Semaphore::new(ROOM as usize),
+            outgoing: Notify::new(),
+            keeping: Notify::new(),
+            link: watch::Sender::new(Link::Up),
+            ending: watch::Sender::new(false),
+        }
+    }
+
+    pub(crate) fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock()
+    }
+
+    pub(crate) fn next_id(&self) -> u64 {
+        self.ids.fetch_add(1, Ordering::Relaxed)
+    }
+
+    /// Room for messages again.
+    pub(crate) fn give_room(&self, room: usize) {
+        self.room.add_permits(room);
+    }
+
+    /// Nobody need wait for room any more.
+    pub(crate) fn close_room(&self) {
+        self.room.close();
+    }
+
+    /// Asks and waits for the reply.
+    pub(crate) async fn request(&self, mut parcel: Parcel) -> Result<Parcel, ClientError> {
+        let (sender, receiver) = oneshot::channel();
+        let what = describe(&parcel);
+        let id = self.next_id();
+        parcel.id = Some(id);
+        let ticket = Ticket { shared: self, id };
+        let asked = async {
+            if parcel.family == Family::Message {
+                self.post(parcel, Some(Waiter::Caller(sender))).await?;
+            } else {
+                self.ask(parcel, Waiter::Caller(sender))?;
+            }
+            receiver
+                .await
+                .map_err(|_| ClientError::Connection("the link was lost".to_owned()))?
+        };
+        let after = self.settings.request_timeout;
+        let answer = timeout(after, asked).await;
+        drop(ticket);
+        answer.unwrap_or(Err(ClientError::TimedOut { what, after }))
+    }
+
+    /// Queues a request.
+    pub(crate) fn ask(&self, parcel: Parcel, waiter: Waiter) -> Result<(), ClientError> {
+        // The waiter may hold the last handle: on an error it is dropped after the lock is given back.
+        let mut waiter = Some(waiter);
+        let mut state = self.lock();
+        let asked = self.ask_in(&mut state, parcel, &mut waiter);
+        drop(state);
+        self.outgoing.notify_one();
+        asked
+    }
+
+    /// Queues a request, taking the waiter only if that succeeds; without one, no answer is expected.
+    pub(crate) fn ask_in(
+        &self,
+        state: &mut State,
+        mut parcel: Parcel,
+        waiter: &mut Option<Waiter>,
+    ) -> Result<(), ClientError> {
+        state.check_up()?;
+        let id = *parcel.id.get_or_insert_with(|| self.next_id());
+        let outgoing = self.prepare(&mut parcel, state.me.limits.parcel)?;
+        if let Some(waiter) = waiter.take() {
+            state.pending.insert(id, waiter);
+        }
+        state.outbox.push_control(&parcel, outgoing);
+        Ok(())
+    }
+
+    /// Queues a message, waiting for room.
+    pub(crate) async fn post(&self, mut parcel: Parcel, waiter: Option<Waiter>) -> Result<(), ClientError> {
+        let most = {
+            let state = self.lock();
+            state.check_up()?;
+            state.me.limits.parcel
+        };
+        let id = *parcel.id.get_or_insert_with(|| self.next_id());
+        // Outside the lock: content may be large.
+        let outgoing = self.prepare(&mut parcel, most)?;
+        let room = u32::try_from(1 + outgoing.len() / ROOM_UNIT).map_or(ROOM, |room| room.min(ROOM));
+        let Ok(permit) = self.room.acquire_many(room).await else {
+            return Err(self.lock().check_up().err().unwrap_or(ClientError::Closed(None)));
+        };
+        let mut state = self.lock();
+        state.check_up()?;
+        permit.forget();
+        // The context is for those who are told of a loss; one that waits is told by its answer.
+        let path = parcel.context.filter(|_| waiter.is_none());
+        if let Some(waiter) = waiter {
+            state.pending.insert(id, waiter);
+        } else if let Some(path) = &path {
+            state.pending.note(id, path.clone());
+        }
+        state.outbox.push_message(Message { room, path, outgoing });
+        drop(state);
+        self.outgoing.notify_one();
+        Ok(())
+    }
+
+    /// Stamps and encodes a parcel.
+    fn prepare(&self, parcel: &mut Parcel, most: mom_proto::Limit) -> Result<Outgoing, ClientError> {
+        parcel.timestamp = parcel.timestamp.or_else(now);
+        let Some(form) = self.form else {
+            return Ok(Outgoing::Parcel(Arc::new(parcel.clone())));
+        };
+        let encoded = form.encode(parcel)?;
+        if !most.allows(encoded.len()) {
+            let text = format!("a parcel of {} bytes, the hub takes {most}", encoded.len());
+            return Err(ClientError::Local(WireError::new(Code::TOO_LARGE, text)));
+        }
+        Ok(Outgoing::Encoded(encoded))
+    }
+
+    /// Wants contexts, the uppermost first, and asks to join those that this client is not in.
+    #[expect(
+        clippy::type_complexity,
+        reason = "two lists, each of pairs, used in one place"
+    )]
+    pub(crate) fn want(&self, way: &[Path]) -> Result<(Vec<(Path, u64)>, Vec<Want>), ClientError> {
+        let mut state = self.lock();
+        state.check_up()?;
+        let (mut places, mut wants) = (Vec::new(), Vec::new());
+        let mut asked = Ok(());
+        for path in way {
+            let (serial, want) = state.places.want(path);
+            places.push((path.clone(), serial));
+            if matches!(want, Want::Join(_)) {
+                let mut waiter = Some(Waiter::Join(path.clone(), serial));
+                asked = self.ask_in(&mut state, verb(Family::Context, "join", path), &mut waiter);
+            }
+            wants.push(want);
+            if asked.is_err() {
+                break;
+            }
+        }
+        drop(state);
+        self.outgoing.notify_one();
+        match asked {
+            Ok(()) => Ok((places, wants)),
+            Err(error) => {
+                self.unwant(&places);
+                Err(error)
+            }
+        }
+    }
+
+    /// Wants contexts no more, and leaves those that nobody else wants.
+    pub(crate) fn unwant(&self, places: &[(Path, u64)]) {
+        let mut state = self.lock();
+        for (path, serial) in places.iter().rev() {
+            if state.places.unwant(path, *serial) {
+                state.subscribers.close_within(path);
+                // Without a link there is nothing to leave.
+                let _ = self.ask_in(
+                    &mut state,
+                    verb(Family::Context, "leave", path),
+                    &mut Some(Waiter::Nobody),
+                );
+            }
+        }
+        drop(state);
+        self.outgoing.notify_one();
+    }
+
+    /// Leaves a context and all below it.
+    pub(crate) async fn leave(&self, path: &Path) -> Result<(), ClientError> {
+        let asked = self.request(verb(Family::Context, "leave", path)).await;
+        if asked.is_ok() {
+            let mut state = self.lock();
+            state.places.remove_within(path);
+            state.subscribers.close_within(path);
+        }
+        asked.map(drop)
+    }
+
+    /// Asks for a token.
+    pub(crate) fn grab(&self, path: &Path, waiter: Waiter) -> Result<(), ClientError> {
+        let mut waiter = Some(waiter);
+        let mut state = self.lock();
+        let asked = self.ask_in(&mut state, verb(Family::Token, "grab", path), &mut waiter);
+        if asked.is_ok() {
+            state.guards.ask(path);
+        }
+        drop(state);
+        self.outgoing.notify_one();
+        asked
+    }
+
+    /// Gives a token back and waits for the hub to say so.
+    pub(crate) async fn release(&self, hold: &Arc<Hold>) -> Result<(), ClientError> {
+        let lost = hold.is_lost();
+        self.lock().guards.let_go(hold);
+        match lost {
+            true => Ok(()),
+            false => self
+                .request(verb(Family::Token, "release", &hold.path))
+                .await
+                .map(drop),
+        }
+    }
+
+    /// Gives a token back, if this was its last guard, without waiting.
+    pub(crate) fn let_go(&self, hold: &Arc<Hold>) {
+        let mut state = self.lock();
+        if state.guards.let_go(hold) {
+            // Without a link the token is lost anyway.
+            let release = verb(Family::Token, "release", &hold.path);
+            let _ = self.ask_in(&mut state, release, &mut Some(Waiter::Nobody));
+        }
+        drop(state);
+        self.outgoing.notify_one();
+    }
+
+    pub(crate) fn subscribe(&self, path: &Path) -> Arc<Queue> {
+        let mut state = self.lock();
+        let queue = state.subscribers.subscribe(path, self.settings.event_buffer);
+        if matches!(state.status, Status::Closed(_)) {
+            queue.close();
+        }
+        queue
+    }
+
+    pub(crate) fn subscribe_unaddressed(&self) -> Arc<Queue> {
+        let mut state = self.lock();
+        let queue = state
+            .subscribers
+            .subscribe_unaddressed(self.settings.event_buffer);
+        if matches!(state.status, Status::Closed(_)) {
+            queue.close();
+        }
+        queue
+    }
+
+    pub(crate) fn unsubscribe(&self, queue: &Arc<Queue>) {
+        self.lock().subscribers.unsubscribe(queue);
+    }
+
+    /// Says good-bye after all that waits, and ends the link.
+    pub(crate) fn end(&self) {
+        let mut state = self.lock();
+        if !*self.ending.borrow() {
+            // Without a link there is nobody to say it to.
+            let mut waiter = Some(Waiter::Nobody);
+            let _ = self.ask_in(
+                &mut state,
+                verb(Family::Login, "logout", &Path::root()),
+                &mut waiter,
+            );
+        }
+        state.outbox.finish();
+        drop(state);
+        self.ending.send_replace(true);
+        self.outgoing.notify_one();
+    }
+}
+
+impl State {
+    /// Whether anything can be sent now.
+    pub(crate) fn check_up(&self) -> Result<(), ClientError> {
+        match &self.status {
+            Status::Up => Ok(()),
+            Status::Down => Err(ClientError::Connection("the link is down".to_owned())),
+            Status::Closed(error) => Err(ClientError::Closed(error.clone())),
+        }
+    }
+}
+
+/// A request that leaves no trace when its caller goes.
+struct Ticket<'a> {
+    shared: &'a Shared,
+    id: u64,
+}
+
+impl Drop for Ticket<'_> {
+    fn drop(&mut self) {
+        let waiter = self.shared.lock().pending.take(self.id);
+        drop(waiter);
+    }
+}
+
+/// A request about a context.
+pub(crate) fn verb(family: Family, name: &str, path: &Path) -> Parcel {
+    Parcel::new(family, name).context(path.clone())
+}
+
+fn describe(parcel: &Parcel) -> String {
+    let path = parcel
+        .context
+        .as_ref()
+        .map(|path| format!(" {path}"))
+        .unwrap_or_default();
+    format!("{} {}{path}", parcel.family, parcel.name())
+}
+
+/// Wall time, for the slot `timestamp`.
+pub(crate) fn now() -> Option<Time> {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).ok()?;
+    Time::from_micros(i64::try_from(since.as_micros()).ok()?)
+}

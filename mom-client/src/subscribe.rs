@@ -1,0 +1,391 @@
+//! Subscriptions: bounded queues of events that tell what they lost.
+
+use std::collections::{HashMap, VecDeque};
+use std::sync::Arc;
+
+use mom_proto::{Content, Path, Value};
+use parking_lot::Mutex;
+use tokio::sync::Notify;
+
+use crate::Event;
+use crate::membership::Membership;
+use crate::shared::Shared;
+
+/// What may wait for one subscriber, in bytes of content; one event always may.
+const MOST_BYTES: usize = 64 * 1024 * 1024;
+/// Events kept from a join on for a subscriber that has not asked yet.
+const EARLY: usize = 64;
+
+/// The events of one context, or of all that no other subscription takes.
+///
+/// What is not taken waits in a bounded queue. When it is full the oldest go, and the next thing taken is
+/// [`Event::Lagged`] with their number. A context's events keep its membership and the connection alive.
+///
+/// ```no_run
+/// # async fn example(client: mom_client::Client) -> Result<(), mom_client::ClientError> {
+/// use mom_client::Event;
+/// let mut events = client.channel("/robot/arm").await?.events();
+/// while let Some(event) = events.next().await {
+///     match event {
+///         Event::Message(parcel) => println!("{}", parcel.name()),
+///         Event::Lagged(lost) => eprintln!("{lost} events came too fast"),
+///         _ => {}
+///     }
+/// }
+/// # Ok(())
+/// # }
+/// ```
+pub struct Events {
+    queue: Arc<Queue>,
+    shared: Arc<Shared>,
+    _member: Option<Membership>,
+}
+
+impl Events {
+    pub(crate) fn new(queue: Arc<Queue>, shared: Arc<Shared>, member: Option<Membership>) -> Events {
+        Events {
+            queue,
+            shared,
+            _member: member,
+        }
+    }
+
+    /// The next event; `None` once the context is left or deleted or the client is closed. Safe to cancel.
+    pub async fn next(&mut self) -> Option<Event> {
+        loop {
+            match self.queue.take() {
+                Ok(event) => return Some(event),
+                Err(Empty::ForEver) => return None,
+                // One taker only, as this borrows mutably, so a stored permit cannot go to another.
+                Err(Empty::Yet) => self.queue.wake.notified().await,
+            }
+        }
+    }
+
+    /// The next event, if one waits.
+    pub fn try_next(&mut self) -> Option<Event> {
+        self.queue.take().ok()
+    }
+}
+
+impl std::fmt::Debug for Events {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter
+            .debug_struct("Events")
+            .field("queue", &self.queue)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Drop for Events {
+    fn drop(&mut self) {
+        self.shared.unsubscribe(&self.queue);
+    }
+}
+
+/// One bounded queue.
+#[derive(Debug)]
+pub(crate) struct Queue {
+    waiting: Mutex<Waiting>,
+    wake: Notify,
+}
+
+#[derive(Debug)]
+struct Waiting {
+    events: VecDeque<(usize, Event)>,
+    bytes: usize,
+    most: usize,
+    lost: u64,
+    closed: bool,
+}
+
+/// Why there is nothing to take.
+enum Empty {
+    Yet,
+    ForEver,
+}
+
+impl Queue {
+    pub(crate) fn new(most: usize) -> Queue {
+        Queue {
+            waiting: Mutex::new(Waiting {
+                events: VecDeque::new(),
+                bytes: 0,
+                most: most.max(1),
+                lost: 0,
+                closed: false,
+            }),
+            wake: Notify::new(),
+        }
+    }
+
+    pub(crate) fn push(&self, event: Event) {
+        let mut waiting = self.waiting.lock();
+        if waiting.closed {
+            return;
+        }
+        let weight = weight(&event);
+        while waiting.events.len() >= waiting.most
+            || (waiting.bytes + weight > MOST_BYTES && !waiting.events.is_empty())
+        {
+            waiting.drop_oldest();
+        }
+        waiting.bytes += weight;
+        waiting.events.push_back((weight, event));
+        drop(waiting);
+        self.wake.notify_one();
+    }
+
+    /// What waits can still be taken.
+    pub(crate) fn close(&self) {
+        self.waiting.lock().closed = true;
+        self.wake.notify_one();
+    }
+
+    fn take(&self) -> Result<Event, Empty> {
+        let mut waiting = self.waiting.lock();
+        if waiting.lost > 0 {
+            return Ok(Event::Lagged(std::mem::take(&mut waiting.lost)));
+        }
+        match waiting.events.pop_front() {
+            Some((weight, event)) => {
+                waiting.bytes -= weight;
+                Ok(event)
+            }
+            None if waiting.closed => Err(Empty::ForEver),
+            None => Err(Empty::Yet),
+        }
+    }
+
+    fn is_full(&self) -> bool {
+        let waiting = self.waiting.lock();
+        waiting.events.len() >= waiting.most
+    }
+
+    fn widen(&self, most: usize) {
+        let mut waiting = self.waiting.lock();
+        waiting.most = most.max(1);
+        while waiting.events.len() > waiting.most {
+            waiting.drop_oldest();
+        }
+    }
+}
+
+impl Waiting {
+    fn drop_oldest(&mut self) {
+        let Some((weight, event)) = self.events.pop_front() else {
+            return;
+        };
+        self.bytes -= weight;
+        self.lost += match event {
+            Event::Lagged(lost) => lost,
+            _ => 1,
+        };
+    }
+}
+
+/// Who gets what, by context.
+#[derive(Debug, Default)]
+pub(crate) struct Subscribers {
+    by_path: HashMap<Path, Vec<Arc<Queue>>>,
+    early: HashMap<Path, Arc<Queue>>,
+    unaddressed: Vec<Arc<Queue>>,
+}
+
+impl Subscribers {
+    /// Keeps what comes from now on for the first subscriber, unless there is one.
+    pub(crate) fn keep_early(&mut self, path: &Path) {
+        if !self.by_path.contains_key(path) {
+            self.early
+                .entry(path.clone())
+                .or_insert_with(|| Arc::new(Queue::new(EARLY)));
+        }
+    }
+
+    pub(crate) fn subscribe(&mut self, path: &Path, most: usize) -> Arc<Queue> {
+        let queue = match self.early.remove(path) {
+            Some(early) => {
+                early.widen(most);
+                early
+            }
+            None => Arc::new(Queue::new(most)),
+        };
+        self.by_path
+            .entry(path.clone())
+            .or_default()
+            .push(Arc::clone(&queue));
+        queue
+    }
+
+    pub(crate) fn subscribe_unaddressed(&mut self, most: usize) -> Arc<Queue> {
+        let queue = Arc::new(Queue::new(most));
+        self.unaddressed.push(Arc::clone(&queue));
+        queue
+    }
+
+    pub(crate) fn unsubscribe(&mut self, queue: &Arc<Queue>) {
+        self.unaddressed.retain(|known| !Arc::ptr_eq(known, queue));
+        self.by_path.retain(|_, queues| {
+            queues.retain(|known| !Arc::ptr_eq(known, queue));
+            !queues.is_empty()
+        });
+    }
+
+    /// Gives an event to the subscribers of these contexts, or else to the unaddressed.
+    pub(crate) fn deliver(&mut self, paths: &[Path], event: Event) {
+        let mut queues: Vec<Arc<Queue>> = Vec::new();
+        for path in paths {
+            queues.extend(self.by_path.get(path).into_iter().flatten().cloned());
+            queues.extend(self.early_of(path));
+        }
+        if queues.is_empty() {
+            self.deliver_unaddressed(event);
+        } else {
+            push_all(&queues, event);
+        }
+    }
+
+    pub(crate) fn deliver_unaddressed(&self, event: Event) {
+        if self.unaddressed.is_empty() {
+            tracing::debug!(?event, "nobody subscribed");
+        }
+        push_all(&self.unaddressed, event);
+    }
+
+    /// Gives an event to every subscriber of all.
+    pub(crate) fn deliver_all(&self, event: &Event) {
+        let all = self
+            .by_path
+            .values()
+            .flatten()
+            .chain(self.early.values())
+            .chain(&self.unaddressed);
+        all.for_each(|queue| queue.push(event.clone()));
+    }
+
+    /// Ends the subscriptions of this context and all below it.
+    pub(crate) fn close_within(&mut self, top: &Path) {
+        self.early.retain(|path, _| !path.is_within(top));
+        self.by_path.retain(|path, queues| {
+            let ends = path.is_within(top);
+            if ends {
+                queues.iter().for_each(|queue| queue.close());
+            }
+            !ends
+        });
+    }
+
+    pub(crate) fn close_all(&mut self) {
+        self.close_within(&Path::root());
+        self.unaddressed.drain(..).for_each(|queue| queue.close());
+    }
+
+    /// The queue that waits for a first subscriber; given up if that one does not come.
+    fn early_of(&mut self, path: &Path) -> Option<Arc<Queue>> {
+        let queue = self.early.get(path)?;
+        if queue.is_full() {
+            self.early.remove(path);
+            return None;
+        }
+        Some(Arc::clone(queue))
+    }
+}
+
+fn push_all(queues: &[Arc<Queue>], event: Event) {
+    let Some((last, others)) = queues.split_last() else {
+        return;
+    };
+    others.iter().for_each(|queue| queue.push(event.clone()));
+    last.push(event);
+}
+
+fn weight(event: &Event) -> usize {
+    let (Event::Message(parcel) | Event::Other(parcel) | Event::Dropped { parcel, .. }) = event else {
+        return 0;
+    };
+    match &parcel.content {
+        Some(Content::Encoded(bytes)) => bytes.len(),
+        Some(Content::Value(value)) => value_weight(value),
+        None => 0,
+    }
+}
+
+fn value_weight(value: &Value) -> usize {
+    match value {
+        Value::String(text) => text.len(),
+        Value::Binary(bytes) => bytes.len(),
+        Value::List(list) => list.iter().map(|item| 8 + value_weight(item)).sum(),
+        Value::Map(map) => map
+            .iter()
+            .map(|(key, item)| 8 + key.len() + value_weight(item))
+            .sum(),
+        _ => 8,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn taken(queue: &Queue) -> Vec<Event> {
+        std::iter::from_fn(|| queue.take().ok()).collect()
+    }
+
+    fn check(most: usize, pushed: u64, expected: &[Event]) {
+        let queue = Queue::new(most);
+        (0..pushed).for_each(|number| queue.push(Event::Count(number)));
+        assert_eq!(taken(&queue), expected, "{pushed} into {most}");
+        assert_eq!(queue.waiting.lock().bytes, 0);
+    }
+
+    #[test]
+    fn the_oldest_go_and_are_counted() {
+        check(2, 2, &[Event::Count(0), Event::Count(1)]);
+        check(2, 5, &[Event::Lagged(3), Event::Count(3), Event::Count(4)]);
+        check(0, 2, &[Event::Lagged(1), Event::Count(1)]);
+    }
+
+    #[test]
+    fn bytes_are_bounded_too() {
+        let queue = Queue::new(10);
+        let large = || {
+            let content = bytes_of(MOST_BYTES / 2 + 1);
+            Event::Message(mom_proto::Parcel::new(mom_proto::Family::Message, "image").content(content))
+        };
+        queue.push(large());
+        queue.push(large());
+        assert_eq!(queue.waiting.lock().events.len(), 1);
+        assert!(matches!(queue.take(), Ok(Event::Lagged(1))));
+    }
+
+    fn bytes_of(length: usize) -> Value {
+        Value::String("x".repeat(length))
+    }
+
+    #[test]
+    fn what_came_before_the_first_subscriber_is_kept_up_to_a_bound() {
+        let path = Path::parse("/chat").unwrap();
+        for (early, kept, unaddressed) in [(3, 3, 0), (EARLY, EARLY, 0), (EARLY + 5, 0, 5)] {
+            let mut subscribers = Subscribers::default();
+            let others = subscribers.subscribe_unaddressed(1024);
+            subscribers.keep_early(&path);
+            for number in 0..early {
+                subscribers.deliver(std::slice::from_ref(&path), Event::Count(number as u64));
+            }
+            let queue = subscribers.subscribe(&path, 1024);
+            assert_eq!((taken(&queue).len(), taken(&others).len()), (kept, unaddressed));
+            subscribers.deliver(std::slice::from_ref(&path), Event::Rejoined);
+            assert_eq!(taken(&queue), [Event::Rejoined]);
+        }
+    }
+
+    #[test]
+    fn a_closed_queue_ends_after_what_waits() {
+        let queue = Queue::new(4);
+        queue.push(Event::LinkDown);
+        queue.close();
+        queue.push(Event::Rejoined);
+        assert!(matches!(queue.take(), Ok(Event::LinkDown)));
+        assert!(matches!(queue.take(), Err(Empty::ForEver)));
+    }
+}

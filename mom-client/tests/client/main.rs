@@ -1,0 +1,9 @@
+//! The client against a hub that does what each test says.
+#![expect(clippy::unwrap_used, reason = "a test that fails panics")]
+
+mod common;
+mod concurrency;
+mod events;
+mod reconnect;
+mod requests;
+mod tokens;
