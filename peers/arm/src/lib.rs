@@ -44,6 +44,7 @@ pub mod contact;
 pub mod error;
 pub mod motion;
 mod outbox;
+mod outlet;
 pub mod path;
 pub mod peer;
 pub mod pose;

@@ -38,6 +38,11 @@ impl Outbox {
         self.queue.push_back(parcel);
     }
 
+    /// Takes back the one that was given out last.
+    pub(crate) fn put_back(&mut self, parcel: Parcel) {
+        self.queue.push_front(parcel);
+    }
+
     /// The next one to send.
     pub(crate) fn pop(&mut self) -> Option<Parcel> {
         self.queue.pop_front()

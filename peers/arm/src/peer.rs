@@ -1,15 +1,15 @@
 //! The arm as a peer: joins its channel and carries between it and the [`RobotServer`].
 
 use std::future::{Future, pending};
-use std::pin::{Pin, pin};
+use std::pin::pin;
 use std::time::Duration;
 
-use mom_client::{Client, ClientError, Parcel};
+use mom_client::{Client, ClientError, Code, Event, Link, Parcel, WireError};
 use tokio::time::{Instant, sleep_until, timeout};
 
 use crate::arm::Arm;
 use crate::motion::Micros;
-use crate::outbox::Outbox;
+use crate::outlet::{Outlet, Sending};
 use crate::server::RobotServer;
 
 /// How long the last statuses may take to leave when the program ends.
@@ -30,9 +30,6 @@ impl Default for ArmOptions {
         }
     }
 }
-
-/// A parcel on its way into the client's queue.
-type Sending = Pin<Box<dyn Future<Output = Result<(), ClientError>> + Send>>;
 
 /// Runs an arm until `shutdown` is done. Then it halts, says so, and logs out.
 ///
@@ -61,84 +58,65 @@ pub async fn run(
     let (mut events, gate) = (channel.events(), channel.gate());
     let begin = Instant::now();
     let mut server = RobotServer::new(Arm::new(0), channel.path().clone());
-    let mut link = Link::new(client.clone());
+    let mut outlet = Outlet::new(sender(&client));
     let mut out = Vec::new();
     let mut shutdown = pin!(shutdown);
     server.report(&mut out);
     tracing::info!(peer = client.name(), channel = %channel.path(), "the arm is ready");
     loop {
-        link.push(&mut out);
+        outlet.push(&mut out);
         let wake = server.next_wake().map(|due| begin + duration(due));
         tokio::select! {
             () = &mut shutdown => break,
             event = events.next() => match event {
                 Some(event) => {
-                    tracing::debug!(?event);
-                    server.handle(&event, |parcel| gate.check(parcel), micros(begin), &mut out);
+                    log(&event);
+                    server.handle(&event, &gate, micros(begin), &mut out);
+                    match event {
+                        Event::LinkDown => outlet.set_down(true),
+                        Event::Rejoined => outlet.set_down(false),
+                        _ => {}
+                    }
                 }
-                None => return Err(ClientError::Closed(None)),
+                None => return Err(ended(&client)),
             },
             () = sleep_or_wait(wake) => server.advance(micros(begin), &mut out),
-            () = link.work() => {}
+            () = outlet.work() => {}
         }
     }
     server.halt("its program ends", micros(begin), &mut out);
-    link.push(&mut out);
-    if timeout(FAREWELL, link.flush()).await.is_err() {
+    outlet.push(&mut out);
+    if timeout(FAREWELL, outlet.flush()).await.is_err() {
         tracing::warn!("the last messages did not leave in time");
     }
     client.close().await;
     Ok(())
 }
 
-/// The way out: sends one parcel after the other, so that a slow link holds up neither motion nor halts.
-struct Link {
-    client: Client,
-    outbox: Outbox,
-    sending: Option<Sending>,
-}
-
-impl Link {
-    fn new(client: Client) -> Self {
-        Self {
-            client,
-            outbox: Outbox::default(),
-            sending: None,
-        }
-    }
-
-    fn push(&mut self, out: &mut Vec<Parcel>) {
-        out.drain(..).for_each(|parcel| self.outbox.push(parcel));
-        let dropped = self.outbox.take_dropped();
-        if dropped > 0 {
-            tracing::warn!(dropped, "the link is too slow; messages were dropped");
-        }
-    }
-
-    /// Sends one parcel; never ends while there is none. May be dropped at any time, nothing is lost.
-    async fn work(&mut self) {
-        let sending = match &mut self.sending {
-            Some(sending) => sending,
-            None => match self.outbox.pop() {
-                Some(parcel) => self.sending.insert(send(self.client.clone(), parcel)),
-                None => return pending().await,
-            },
-        };
-        if let Err(error) = sending.await {
-            tracing::warn!(%error, "a message was not sent");
-        }
-        self.sending = None;
-    }
-
-    async fn flush(&mut self) {
-        while self.sending.is_some() || !self.outbox.is_empty() {
-            self.work().await;
-        }
+fn sender(client: &Client) -> impl Fn(Parcel) -> Sending + use<> {
+    let client = client.clone();
+    move |parcel| {
+        let client = client.clone();
+        Box::pin(async move { client.send(parcel).await })
     }
 }
 
-fn send(client: Client, parcel: Parcel) -> Sending {
-    Box::pin(async move { client.send(parcel).await })
+fn log(event: &Event) {
+    match event {
+        Event::Refused(error, reference) => tracing::warn!(%error, reference, "the hub refused a message"),
+        Event::Lagged(count) => tracing::error!(count, "events were lost; the arm stops"),
+        Event::LinkDown => tracing::warn!("the link is lost; the arm halts"),
+        Event::Rejoined => tracing::info!("joined again"),
+        event => tracing::debug!(?event),
+    }
+}
+
+/// Why there are no more events.
+fn ended(client: &Client) -> ClientError {
+    match &*client.state().borrow() {
+        Link::Closed(error) => ClientError::Closed(error.clone()),
+        _ => WireError::new(Code::UNKNOWN_PATH, "the hub deleted the arm's channel").into(),
+    }
 }
 
 async fn sleep_or_wait(wake: Option<Instant>) {

@@ -1,15 +1,16 @@
 //! The robot's server (M36): what it does with each event of its channel, and what it says.
 
 use std::collections::BTreeMap;
-use std::fmt::Display;
 use std::sync::Arc;
 
-use mom_client::{Content, Delivery, Event, Family, Map, Parcel, Path, Value, event, to_value};
+use mom_client::{
+    Content, Delivery, Event, Family, FenceGate, Map, Parcel, Path, Value, WireError, event, to_value,
+};
 
 use crate::arm::Arm;
 use crate::error::{ArmError, ErrorName};
 use crate::motion::Micros;
-use crate::state::{ArmEvent, CommandState, Progress};
+use crate::state::{ArmEvent, ArmState, CommandState, Executing, Progress};
 use crate::status::{Refusal, Status};
 
 #[cfg(test)]
@@ -66,15 +67,8 @@ impl RobotServer {
         }
     }
 
-    /// Does what an event asks for. `gate` says whether a command's fence is the present owner's, and if not,
-    /// why not in plain words.
-    pub fn handle<E: Display>(
-        &mut self,
-        event: &Event,
-        gate: impl FnOnce(&Parcel) -> Result<(), E>,
-        now: Micros,
-        out: &mut Vec<Parcel>,
-    ) {
+    /// Does what an event asks for. `gate` is that of the channel: it knows the fence of the present owner.
+    pub fn handle(&mut self, event: &Event, gate: &FenceGate, now: Micros, out: &mut Vec<Parcel>) {
         self.advance(now, out);
         match event {
             Event::Message(parcel) => self.handle_message(parcel, gate, now, out),
@@ -116,13 +110,7 @@ impl RobotServer {
         out.extend(self.state_message());
     }
 
-    fn handle_message<E: Display>(
-        &mut self,
-        parcel: &Parcel,
-        gate: impl FnOnce(&Parcel) -> Result<(), E>,
-        now: Micros,
-        out: &mut Vec<Parcel>,
-    ) {
+    fn handle_message(&mut self, parcel: &Parcel, gate: &FenceGate, now: Micros, out: &mut Vec<Parcel>) {
         let sender = parcel.sender.as_deref().unwrap_or_default();
         match parcel.name() {
             COMMAND => {
@@ -131,8 +119,9 @@ impl RobotServer {
                     id: parcel.id,
                     fence: parcel.fence,
                 };
-                let obeyed = gate(parcel)
-                    .map_err(|stale| Refusal::Fence(stale.to_string()))
+                let obeyed = gate
+                    .check(parcel)
+                    .map_err(Refusal::from)
                     .and_then(|()| self.obey(order.clone(), parcel.content.as_ref(), now, out));
                 if let Err(refusal) = obeyed {
                     let status = order.status().because(Some(&refusal));
@@ -146,7 +135,11 @@ impl RobotServer {
             event::UNSTOP => self.act(out, |arm, events| arm.unstop(now, events)),
             // Only the hub may say it; a peer that wants the arm to stop has `stop`.
             event::HALT if sender == HUB => {
-                self.halt("the hub ordered the safe state, because the token's owner lost it or gave it up", now, out);
+                self.halt(
+                    "the hub ordered the safe state, because the token's owner lost it or gave it up",
+                    now,
+                    out,
+                );
             }
             _ => {}
         }
@@ -163,13 +156,17 @@ impl RobotServer {
         self.drop_below(order.fence.unwrap_or(0), now, out);
         let script = content.and_then(|content| content.to_value().ok());
         let script = script.as_ref().and_then(Value::as_str).ok_or_else(|| {
-            let text = "the content of a command is its script, a string such as `move 100 50 200 0 0; grip close`";
+            let text =
+                "the content of a command is its script, a string such as `move 100 50 200 0 0; grip close`";
             ArmError::new(ErrorName::Syntax, text)
         })?;
         if let Some(id) = order.id
             && self.orders.values().any(|other| *other == order)
         {
-            let text = format!("command {id} of {} is still waiting or executing; choose another id", order.peer);
+            let text = format!(
+                "command {id} of {} is still waiting or executing; choose another id",
+                order.peer
+            );
             return Err(ArmError::new(ErrorName::DuplicateId, text).into());
         }
         self.last_id += 1;
@@ -236,7 +233,7 @@ impl RobotServer {
     }
 
     /// The state as the channel knows it: the command being carried out has its sender's id.
-    fn message_of_state(&self, state: &crate::state::ArmState) -> Option<Parcel> {
+    fn message_of_state(&self, state: &ArmState) -> Option<Parcel> {
         let content = to_value(state).map(|mut content| {
             if let (Value::Map(map), Some(executing)) = (&mut content, state.executing) {
                 map.set("executing", self.executing(&executing));
@@ -248,7 +245,7 @@ impl RobotServer {
         Some(parcel)
     }
 
-    fn executing(&self, executing: &crate::state::Executing) -> Map {
+    fn executing(&self, executing: &Executing) -> Map {
         let mut map = Map::new();
         if let Some(order) = self.orders.get(&executing.id) {
             if let Some(id) = order.id.and_then(|id| i64::try_from(id).ok()) {
@@ -256,11 +253,12 @@ impl RobotServer {
             }
             map.set("peer", &*order.peer);
         }
-        map.with("statement", executing.statement).with("of", executing.of)
+        map.with("statement", executing.statement)
+            .with("of", executing.of)
     }
 
     /// A broadcast that does not come back.
-    fn message(&self, name: &str, content: Result<Value, mom_client::WireError>) -> Option<Parcel> {
+    fn message(&self, name: &str, content: Result<Value, WireError>) -> Option<Parcel> {
         let content = content.inspect_err(|error| tracing::error!(%error, name, "a message was not sent"));
         let mut parcel = Parcel::new(Family::Message, name)
             .context(self.channel.clone())

@@ -1,6 +1,6 @@
 //! What the commander hears about one command: the content of `status` messages (M42).
 
-use mom_client::{Code, Map, Value, to_value};
+use mom_client::{Code, Map, Stale, Value, to_value};
 use serde::{Deserialize, Serialize};
 
 use crate::error::ArmError;
@@ -60,23 +60,16 @@ impl Status {
 pub(crate) enum Refusal {
     /// The arm's own reason.
     Arm(ArmError),
-    /// The command's fence is not that of the present owner; in plain words.
-    Fence(String),
+    /// The command was not sent by the token's present owner.
+    Stale(Stale),
 }
 
 impl Refusal {
-    /// A map of code word, number and plain words.
+    /// A map of code word, number, plain words, and the owner where there is one.
     fn content(&self) -> Option<Value> {
         match self {
             Refusal::Arm(error) => to_value(error).ok(),
-            Refusal::Fence(text) => {
-                let code = Code::OLDER_FENCE;
-                let map = Map::new()
-                    .with("name", code.word())
-                    .with("code", u32::from(code.number()))
-                    .with("text", text.as_str());
-                Some(map.into())
-            }
+            Refusal::Stale(stale) => Some(stale_map(stale).into()),
         }
     }
 }
@@ -84,5 +77,75 @@ impl Refusal {
 impl From<ArmError> for Refusal {
     fn from(error: ArmError) -> Self {
         Refusal::Arm(error)
+    }
+}
+
+impl From<Stale> for Refusal {
+    fn from(stale: Stale) -> Self {
+        Refusal::Stale(stale)
+    }
+}
+
+fn stale_map(stale: &Stale) -> Map {
+    let now = match &stale.owner {
+        Some(owner) => format!(
+            "{owner} owns the arm's token now, with fence {}",
+            number(stale.fence)
+        ),
+        None => "nobody owns the arm's token now".to_owned(),
+    };
+    let text = match stale.given {
+        Some(given) => format!("the command was sent under fence {}, and {now}", number(given)),
+        None => format!("the command was sent without a fence, and {now}"),
+    };
+    let map = Map::new()
+        .with("name", Code::OLDER_FENCE.word())
+        .with("code", u32::from(Code::OLDER_FENCE.number()))
+        .with("text", text);
+    match &stale.owner {
+        Some(owner) => map.with("owner", owner.as_str()),
+        None => map,
+    }
+}
+
+/// The part of a fence that people see: how often the token was granted in this epoch of the hub.
+fn number(fence: u64) -> u64 {
+    fence & 0xF_FFFF
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn check(given: Option<u64>, owner: Option<&str>, text: &str) {
+        let stale = Stale {
+            name: "command".to_owned(),
+            given,
+            fence: (9 << 20) + 6,
+            owner: owner.map(str::to_owned),
+        };
+        let map = Refusal::from(stale).content().unwrap();
+        assert_eq!(map.get("text").and_then(Value::as_str), Some(text));
+        assert_eq!(map.get("owner").and_then(Value::as_str), owner);
+        assert_eq!(map.get("code"), Some(&Value::Int(205)));
+    }
+
+    #[test]
+    fn a_stale_command_is_refused_in_plain_words() {
+        check(
+            Some((9 << 20) + 5),
+            Some("bob"),
+            "the command was sent under fence 5, and bob owns the arm's token now, with fence 6",
+        );
+        check(
+            Some((9 << 20) + 6),
+            None,
+            "the command was sent under fence 6, and nobody owns the arm's token now",
+        );
+        check(
+            None,
+            Some("bob"),
+            "the command was sent without a fence, and bob owns the arm's token now, with fence 6",
+        );
     }
 }

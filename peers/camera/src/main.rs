@@ -1,9 +1,10 @@
 //! The camera of the lab as a program of its own.
 
 use std::future::Future;
+use std::io::IsTerminal;
 use std::path::PathBuf;
 
-use anyhow::Context;
+use anyhow::{Context, anyhow};
 use clap::Parser;
 use mom_camera::{CameraOptions, Settings, SettingsChange, View, peer};
 use mom_client::Client;
@@ -68,7 +69,11 @@ struct Args {
 async fn main() -> anyhow::Result<()> {
     let args = Args::parse();
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .init();
     let shutdown = shutdown()?;
     let options = options(&args)?;
     let client = Client::builder(&args.hub)
@@ -77,7 +82,9 @@ async fn main() -> anyhow::Result<()> {
         .connect()
         .await
         .with_context(|| format!("{} cannot log in at {}", args.user, args.hub))?;
-    peer::run(client, options, shutdown).await.context("the camera ended")
+    peer::run(client, options, shutdown)
+        .await
+        .context("the camera ended")
 }
 
 fn options(args: &Args) -> anyhow::Result<CameraOptions> {
@@ -101,7 +108,8 @@ fn options(args: &Args) -> anyhow::Result<CameraOptions> {
 
 fn password(args: &Args) -> anyhow::Result<String> {
     let Some(file) = &args.password_file else {
-        return std::env::var("MOM_PASSWORD").context("set MOM_PASSWORD, or name a file with --password-file");
+        return std::env::var("MOM_PASSWORD")
+            .map_err(|_| anyhow!("set MOM_PASSWORD, or name a file with --password-file"));
     };
     let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
     Ok(text.lines().next().unwrap_or_default().to_owned())

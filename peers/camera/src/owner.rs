@@ -39,8 +39,9 @@ impl Owner {
                 Err(WireError::new(Code::NOT_OWNER, text).detail("owner", owner.as_str()))
             }
             None => {
-                let text =
-                    format!("only the owner of {token} changes the settings, and nobody owns it; grab it first");
+                let text = format!(
+                    "only the owner of {token} changes the settings, and nobody owns it; grab it first"
+                );
                 Err(WireError::new(Code::NOT_OWNER, text))
             }
         }

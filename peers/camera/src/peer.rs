@@ -4,15 +4,12 @@ use std::future::{Future, pending};
 use std::pin::pin;
 use std::time::{Duration, SystemTime};
 
-use mom_client::{Client, ClientError, Code, Event, Parcel, Path, Time, Token, WireError};
+use mom_client::{Client, ClientError, Code, Event, Link, Parcel, Path, Time, Token, WireError};
 use tokio::task::{JoinHandle, spawn_blocking};
-use tokio::time::{Instant, sleep_until, timeout};
+use tokio::time::{Instant, sleep_until};
 
 use crate::server::Micros;
 use crate::{Error, ImageServer, Picture, ServerOptions, Settings, View};
-
-/// How long the last messages may take to leave when the program ends.
-const FAREWELL: Duration = Duration::from_secs(1);
 
 /// Where the camera stands and what it listens to.
 #[derive(Debug, Clone, PartialEq)]
@@ -107,16 +104,22 @@ pub async fn run(
         if let Some(shot) = server.advance(micros(begin), wall(), &mut out) {
             drawing = Some(spawn_blocking(move || shot.take()));
         }
+        tokio::select! {
+            () = &mut shutdown => break,
+            () = send(&client, &mut out) => {}
+        }
         let wake = server.next_wake().map(|due| begin + duration(due));
         tokio::select! {
             () = &mut shutdown => break,
-            event = robot.next() => server.handle_robot(&open(event)?),
-            event = camera.next() => server.handle_camera(&open(event)?, &mut out),
+            event = robot.next() => server.handle_robot(&open(event, &client)?),
+            event = camera.next() => server.handle_camera(&open(event, &client)?, &mut out),
             event = owner.next() => {
-                let event = open(event)?;
+                let event = open(event, &client)?;
                 server.handle_token(&event);
-                if event == Event::Rejoined || matches!(event, Event::Lagged(_)) {
-                    ask_owner(&token, &mut server).await;
+                match event {
+                    Event::LinkDown => tracing::warn!("the link is lost"),
+                    Event::Rejoined | Event::Lagged(_) => ask_owner(&token, &mut server).await,
+                    _ => {}
                 }
             }
             picture = drawn(&mut drawing) => match picture {
@@ -125,28 +128,28 @@ pub async fn run(
             },
             () = sleep_or_wait(wake) => {}
         }
-        tokio::select! {
-            () = &mut shutdown => break,
-            () = send(&client, &mut out) => {}
-        }
     }
-    if timeout(FAREWELL, client.close()).await.is_err() {
-        tracing::warn!("the hub did not take the logout in time");
-    }
+    client.close().await;
     Ok(())
 }
 
 /// The event, or the end of all events.
-fn open(event: Option<Event>) -> Result<Event, ClientError> {
-    let event = event.ok_or(ClientError::Closed(None))?;
+fn open(event: Option<Event>, client: &Client) -> Result<Event, ClientError> {
+    let event = event.ok_or_else(|| ended(client))?;
     match &event {
         Event::Refused(error, reference) => tracing::warn!(%error, reference, "the hub refused a message"),
         Event::Lagged(count) => tracing::warn!(count, "events were lost"),
-        Event::LinkDown => tracing::warn!("the link is lost"),
-        Event::Rejoined => tracing::info!("joined again"),
-        _ => {}
+        event => tracing::trace!(?event),
     }
     Ok(event)
+}
+
+/// Why there are no more events.
+fn ended(client: &Client) -> ClientError {
+    match &*client.state().borrow() {
+        Link::Closed(error) => ClientError::Closed(error.clone()),
+        _ => WireError::new(Code::UNKNOWN_PATH, "the hub deleted a context of the camera").into(),
+    }
 }
 
 /// Asks the hub who owns the token, where events may have been missed.
@@ -185,7 +188,9 @@ async fn sleep_or_wait(wake: Option<Instant>) {
 }
 
 fn wall() -> Time {
-    let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    let since = SystemTime::now()
+        .duration_since(SystemTime::UNIX_EPOCH)
+        .unwrap_or_default();
     let micros = i64::try_from(since.as_micros()).ok();
     micros.and_then(Time::from_micros).unwrap_or_default()
 }

@@ -131,7 +131,8 @@ impl ImageServer {
             REQUEST => self.take_request(parcel, out),
             SETTINGS => match self.change_settings(parcel) {
                 Ok(settings) => {
-                    let content = settings_map(&settings).with("by", parcel.sender.as_deref().unwrap_or_default());
+                    let content =
+                        settings_map(&settings).with("by", parcel.sender.as_deref().unwrap_or_default());
                     let mut changed = self.message(SETTINGS_CHANGED, content);
                     changed.reference = parcel.id;
                     out.push(changed);

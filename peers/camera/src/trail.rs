@@ -24,7 +24,11 @@ impl Trail {
 
     /// Takes the pose of a new state.
     pub(crate) fn push(&mut self, pose: Pose) {
-        if self.poses.back().is_some_and(|last| distance(last, &pose) < APART) {
+        if self
+            .poses
+            .back()
+            .is_some_and(|last| distance(last, &pose) < APART)
+        {
             return;
         }
         self.poses.push_back(pose);
@@ -53,10 +57,7 @@ mod tests {
     use super::*;
 
     fn at(x: f64) -> Pose {
-        Pose {
-            x,
-            ..Pose::default()
-        }
+        Pose { x, ..Pose::default() }
     }
 
     fn check(most: usize, pushed: &[f64], now: f64, expected: &[f64]) {

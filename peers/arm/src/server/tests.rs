@@ -11,8 +11,7 @@ use crate::state::ArmState;
 struct Stage {
     server: RobotServer,
     now: Micros,
-    /// The fence that the gate lets pass; none = any.
-    gate: Option<u64>,
+    gate: FenceGate,
     out: Vec<Parcel>,
 }
 
@@ -22,18 +21,26 @@ impl Stage {
         Self {
             server: RobotServer::new(Arm::new(0), channel),
             now: 0,
-            gate: None,
+            gate: FenceGate::new(),
             out: Vec::new(),
         }
     }
 
     fn tell(&mut self, event: &Event) {
-        let wanted = self.gate;
-        let gate = |parcel: &Parcel| match wanted {
-            Some(fence) if parcel.fence != Some(fence) => Err(format!("the fence is {fence}")),
-            _ => Ok(()),
+        self.server.handle(event, &self.gate, self.now, &mut self.out);
+    }
+
+    /// Tells the gate who owns the token.
+    fn guard(&self, owner: &str, fence: &str) {
+        let guard = Map::new()
+            .with("token", "/robot/token")
+            .with("names", vec![COMMAND.into()])
+            .with("fence", fence.parse::<i64>().unwrap());
+        let guard = match owner {
+            "-" => guard,
+            owner => guard.with("owner", owner),
         };
-        self.server.handle(event, gate, self.now, &mut self.out);
+        self.gate.joined(&Map::new().with("guard", guard));
     }
 
     /// Lets ms pass as a punctual driver does.
@@ -52,7 +59,7 @@ impl Stage {
         let words: Vec<&str> = line.split(' ').collect();
         match words[..] {
             ["after", ms] => self.pass(ms.parse().unwrap()),
-            ["gate", fence] => self.gate = fence.parse().ok(),
+            ["gate", owner, fence] => self.guard(owner, fence),
             ["down"] => self.tell(&Event::LinkDown),
             ["rejoined"] => self.tell(&Event::Rejoined),
             ["lagged"] => self.tell(&Event::Lagged(3)),
@@ -103,7 +110,11 @@ fn line_of(parcel: &Parcel) -> Option<String> {
     assert_eq!(parcel.echo, Some(false));
     let content = parcel.value();
     let to: Vec<&str> = parcel.address.iter().flatten().map(|peer| &**peer).collect();
-    let mut line = format!("{}{}", parcel.name(), to.iter().map(|to| format!(" to {to}")).collect::<String>());
+    let mut line = format!(
+        "{}{}",
+        parcel.name(),
+        to.iter().map(|to| format!(" to {to}")).collect::<String>()
+    );
     let word = |key: &str| content.get(key).and_then(Value::as_bool).unwrap();
     if parcel.name() == STATE {
         assert_eq!(parcel.delivery, Some(Delivery::Latest));
@@ -117,7 +128,12 @@ fn line_of(parcel: &Parcel) -> Option<String> {
     assert_eq!((parcel.reference, parcel.delivery), (status.id, None));
     let id = status.id.map_or("-".to_owned(), |id| id.to_string());
     let state = format!("{:?}", status.state).to_lowercase();
-    write!(line, " {}/{id} {state} {}/{}", status.peer, status.statement, status.of).unwrap();
+    write!(
+        line,
+        " {}/{id} {state} {}/{}",
+        status.peer, status.statement, status.of
+    )
+    .unwrap();
     if let Some(error) = status.error {
         let (name, code) = (error.get("name").unwrap(), error.get("code").unwrap());
         assert!(!error.get("text").and_then(Value::as_str).unwrap().is_empty());
@@ -129,7 +145,11 @@ fn line_of(parcel: &Parcel) -> Option<String> {
 /// Plays a dialogue: lines with `>` are what must have been said since the line before.
 fn check(dialogue: &str) {
     let mut stage = Stage::new();
-    let mut lines = dialogue.lines().map(str::trim).filter(|line| !line.is_empty()).peekable();
+    let mut lines = dialogue
+        .lines()
+        .map(str::trim)
+        .filter(|line| !line.is_empty())
+        .peekable();
     while let Some(line) = lines.next() {
         stage.act(line);
         let mut expected = Vec::new();
@@ -174,14 +194,17 @@ fn what_the_arm_cannot_do_is_refused_with_its_code() {
 #[test]
 fn only_the_fence_of_the_owner_is_obeyed() {
     check(
-        "gate 6
+        "gate bob 6
          alice command 1 5: home
          > status alice/1 error 0/0 older-fence 205
          alice command 2 -: home
          > status alice/2 error 0/0 older-fence 205
          bob command 1 6: wait 10
          > status bob/1 waiting 0/1
-         > status bob/1 executing 1/1",
+         > status bob/1 executing 1/1
+         gate - 6
+         bob command 2 6: home
+         > status bob/2 error 0/0 older-fence 205",
     );
 }
 
@@ -233,7 +256,7 @@ fn commands_end_when_control_is_lost() {
              > state {word}
              > status alice/1 error 1/1 {code}
              > status alice/2 error 0/1 {code}
-             bob command 3 6: home
+             bob command 3 6: wait 9
              > status bob/3 {next}"
         ));
     }

@@ -1,0 +1,383 @@
+//! Dialogues with the image server: what it sees and who says what, and what it draws and says.
+
+use super::*;
+
+const MS: Micros = 1000;
+
+/// The server with a clock and a thread that draws when it is told to.
+struct Stage {
+    server: ImageServer,
+    now: Micros,
+    shot: Option<Shot>,
+    out: Vec<Parcel>,
+}
+
+impl Stage {
+    fn new(view: View) -> Self {
+        let options = ServerOptions {
+            view,
+            channel: Path::parse("/camera/x").unwrap(),
+            token: Path::parse("/robot/token").unwrap(),
+            settings: small(),
+            period: 100 * MS,
+            trail: 3,
+        };
+        Self {
+            server: ImageServer::new(options).unwrap(),
+            now: 0,
+            shot: None,
+            out: Vec::new(),
+        }
+    }
+
+    /// Does one line of a dialogue, and what the driver does after it; gives what happened.
+    fn act(&mut self, line: &str) -> Vec<String> {
+        let (line, settings) = line.split_once(": ").unwrap_or((line, ""));
+        let words: Vec<&str> = line.split(' ').collect();
+        match words[..] {
+            ["after", ms] => self.now += ms.parse::<Micros>().unwrap() * MS,
+            ["drawn"] => {
+                let picture = self.shot.take().expect("something is being drawn").take();
+                self.server.handle_picture(picture, &mut self.out);
+            }
+            ["failed"] => {
+                self.shot = None;
+                self.server.handle_failure();
+            }
+            ["state", seq] => self.server.handle_robot(&state(seq.parse().unwrap())),
+            ["status"] => self
+                .server
+                .handle_robot(&Event::Message(Parcel::new(Family::Message, "status"))),
+            ["down"] => self.server.handle_token(&Event::LinkDown),
+            ["info", owner, fence] => {
+                let mut info = Map::new().with("fence", fence.parse::<i64>().unwrap());
+                if owner != "-" {
+                    info.set("owner", owner);
+                }
+                self.server.handle_token_info(&info);
+            }
+            ["grabbed", owner, fence] => self.server.handle_token(&Event::Grabbed {
+                owner: owner.to_owned(),
+                level: 1,
+                fence: fence.parse().unwrap(),
+                lease: None,
+                path: Path::parse("/robot/token").unwrap(),
+            }),
+            ["released", fence] => self.server.handle_token(&Event::Released {
+                owner: "somebody".to_owned(),
+                reason: "expired".to_owned(),
+                by: None,
+                fence: fence.parse().unwrap(),
+                path: Path::parse("/robot/token").unwrap(),
+            }),
+            [sender, name, id] => {
+                let mut parcel = Parcel::new(Family::Message, name).content(map_of(settings));
+                (parcel.sender, parcel.id) = (Some(sender.into()), id.parse().ok());
+                self.server.handle_camera(&Event::Message(parcel), &mut self.out);
+            }
+            _ => panic!("no such line: {line}"),
+        }
+        let wall = Time::from_micros(self.now).unwrap();
+        let shot = self.server.advance(self.now, wall, &mut self.out);
+        let mut happened: Vec<String> = self.out.drain(..).map(|parcel| line_of(&parcel)).collect();
+        if let Some(shot) = shot {
+            assert!(self.shot.is_none(), "one at a time");
+            happened.push(format!("draws {}", seq_word(shot.state_seq)));
+            self.shot = Some(shot);
+        }
+        happened
+    }
+}
+
+fn small() -> Settings {
+    Settings {
+        width: 64,
+        height: 48,
+        ..Settings::default()
+    }
+}
+
+/// A state of the robot whose pose is 10 mm × seq to the right.
+fn state(seq: i64) -> Event {
+    let pose = Map::new().with("x", Value::Double(10.0 * seq as f64));
+    let content = Map::new().with("seq", seq).with("pose", pose);
+    Event::Message(Parcel::new(Family::Message, STATE).content(content))
+}
+
+/// `width=64 format=png` as a map.
+fn map_of(settings: &str) -> Map {
+    let pairs = settings.split(' ').filter_map(|pair| pair.split_once('='));
+    pairs.fold(Map::new(), |map, (key, value)| match value.parse::<i64>() {
+        Ok(number) => map.with(key, number),
+        Err(_) => map.with(key, value),
+    })
+}
+
+fn seq_word(seq: Option<i64>) -> String {
+    seq.map_or("-".to_owned(), |seq| seq.to_string())
+}
+
+fn line_of(parcel: &Parcel) -> String {
+    assert_eq!(parcel.context.as_ref().unwrap().as_str(), "/camera/x");
+    assert_eq!(parcel.echo, Some(false));
+    let content = parcel.value();
+    let to: String = parcel
+        .address
+        .iter()
+        .flatten()
+        .map(|peer| format!(" to {peer}"))
+        .collect();
+    let reference = parcel
+        .reference
+        .map(|id| format!(" ref {id}"))
+        .unwrap_or_default();
+    let int = |key: &str| content.get(key).and_then(Value::as_int);
+    let text = |key: &str| content.get(key).and_then(Value::as_str);
+    let detail = match parcel.name() {
+        IMAGE => {
+            let latest = parcel.delivery == Some(Delivery::Latest);
+            assert_eq!(latest, parcel.address.is_none());
+            let taken = match content.get("taken") {
+                Some(Value::Time(time)) => time.micros() / MS,
+                other => panic!("taken {other:?}"),
+            };
+            format!("{} at {taken}", seq_word(int("state-seq")))
+        }
+        SETTINGS_CHANGED => format!(
+            "{} {}x{} {} {}",
+            text("by").unwrap(),
+            int("width").unwrap(),
+            int("height").unwrap(),
+            int("quality").unwrap(),
+            text("format").unwrap()
+        ),
+        _ => {
+            assert!(!text("text").unwrap().is_empty());
+            let owner = text("owner")
+                .map(|owner| format!(" owner {owner}"))
+                .unwrap_or_default();
+            format!("{} {}{owner}", text("name").unwrap(), int("code").unwrap())
+        }
+    };
+    format!("{}{to}{reference} {detail}", parcel.name())
+}
+
+/// Plays a dialogue: lines with `>` are what must have happened since the line before.
+fn check(dialogue: &str) {
+    let mut stage = Stage::new(View::X);
+    let mut lines = dialogue
+        .lines()
+        .map(str::trim)
+        .filter(|line| !line.is_empty())
+        .peekable();
+    while let Some(line) = lines.next() {
+        let happened = stage.act(line);
+        let mut expected = Vec::new();
+        while let Some(heard) = lines.next_if(|line| line.starts_with('>')) {
+            expected.push(heard.trim_start_matches("> ").to_owned());
+        }
+        assert_eq!(happened, expected, "after `{line}` in {dialogue}");
+    }
+}
+
+#[test]
+fn every_new_state_is_followed_by_an_image() {
+    check(
+        "after 5
+         state 1
+         > draws 1
+         drawn
+         > image 1 at 5
+         after 100
+         state 1
+         status
+         state 2
+         > draws 2
+         after 7
+         drawn
+         > image 2 at 105
+         after 100
+         state 0
+         > draws 0",
+    );
+}
+
+#[test]
+fn the_rate_is_kept_and_the_newest_state_wins() {
+    check(
+        "state 1
+         > draws 1
+         state 2
+         after 200
+         state 3
+         drawn
+         > image 1 at 0
+         > draws 3
+         after 30
+         drawn
+         > image 3 at 200
+         state 4
+         after 30
+         state 5
+         after 39
+         after 1
+         > draws 5
+         drawn
+         > image 5 at 300
+         after 100",
+    );
+}
+
+#[test]
+fn the_next_wake_is_when_the_next_image_is_due() {
+    let mut stage = Stage::new(View::X);
+    assert_eq!(stage.server.next_wake(), None);
+    stage.act("after 5");
+    stage.act("state 1");
+    stage.act("state 2");
+    assert_eq!(stage.server.next_wake(), None, "while it draws");
+    stage.act("drawn");
+    assert_eq!(stage.server.next_wake(), Some(105 * MS));
+}
+
+#[test]
+fn anyone_may_ask_for_an_image() {
+    check(
+        "bob request 4
+         > draws -
+         carol request 9
+         drawn
+         > image to bob ref 4 - at 0
+         > image to carol ref 9 - at 0
+         after 20
+         bob request -
+         > image to bob - at 20",
+    );
+    // Those who ask need not wait for the period, and do not take the image of it away from the others.
+    check(
+        "state 1
+         > draws 1
+         drawn
+         > image 1 at 0
+         after 10
+         state 2
+         bob request 1
+         > draws 2
+         drawn
+         > image to bob ref 1 2 at 10
+         after 90
+         > image 2 at 100
+         after 100",
+    );
+}
+
+#[test]
+fn too_many_requests_are_refused() {
+    let mut stage = Stage::new(View::X);
+    stage.act("bob request 0");
+    for id in 1..=MOST_REQUESTS {
+        assert!(stage.act(&format!("bob request {id}")).is_empty());
+    }
+    assert_eq!(
+        stage.act("carol request 5"),
+        ["request-refused to carol ref 5 try-later 100"]
+    );
+    assert_eq!(stage.act("drawn").len(), 1 + MOST_REQUESTS);
+}
+
+#[test]
+fn only_the_owner_of_the_token_changes_the_settings() {
+    check(
+        "alice settings 1: width=320
+         > settings-refused to alice ref 1 not-owner 204
+         info - 4
+         grabbed alice 5
+         bob settings 2: width=320
+         > settings-refused to bob ref 2 not-owner 204 owner alice
+         alice settings 3: quality=30 format=png
+         > settings-changed ref 3 alice 64x48 30 png
+         > draws -
+         released 5
+         alice settings 4: quality=40
+         > settings-refused to alice ref 4 not-owner 204
+         info bob 6
+         grabbed alice 5
+         released 5
+         bob settings 5
+         > settings-changed ref 5 bob 64x48 30 png
+         down
+         bob settings 6
+         > settings-refused to bob ref 6 not-owner 204
+         info bob 1
+         bob settings 7
+         > settings-changed ref 7 bob 64x48 30 png",
+    );
+}
+
+#[test]
+fn bad_settings_are_refused_and_change_nothing() {
+    check(
+        "grabbed alice 5
+         alice settings 1: width=5000
+         > settings-refused to alice ref 1 bad-content 223
+         alice settings 2: quality=50 wdth=64
+         > settings-refused to alice ref 2 bad-content 223
+         alice settings 3: format=gif
+         > settings-refused to alice ref 3 bad-content 223
+         alice settings 4
+         > settings-changed ref 4 alice 64x48 80 jpeg",
+    );
+}
+
+#[test]
+fn a_failure_to_draw_holds_nothing_up() {
+    check(
+        "state 1
+         > draws 1
+         state 2
+         after 100
+         failed
+         > draws 2
+         drawn
+         > image 2 at 100",
+    );
+}
+
+#[test]
+fn an_image_says_how_it_was_taken() {
+    for (view, calibrated) in [
+        (View::X, true),
+        (View::Y, true),
+        (View::Top, false),
+        (View::Wrist, false),
+    ] {
+        let mut stage = Stage::new(view);
+        (0..6).for_each(|seq| drop(stage.act(&format!("state {seq}"))));
+        let shot = stage.shot.take().unwrap();
+        assert_eq!(
+            shot.scene.trail.len(),
+            1,
+            "the path of what was seen when it began"
+        );
+        stage.server.handle_picture(shot.take(), &mut stage.out);
+        let content = stage.out.remove(0).value();
+        assert_eq!(content.get("view").and_then(Value::as_str), Some(view.name()));
+        assert_eq!(
+            content.get("media-type").and_then(Value::as_str),
+            Some("image/jpeg")
+        );
+        for (key, number) in [("width", 64), ("height", 48), ("quality", 80), ("state-seq", 0)] {
+            assert_eq!(content.get(key).and_then(Value::as_int), Some(number), "{key}");
+        }
+        let bytes = content.get("image").and_then(Value::as_binary).unwrap();
+        assert!(bytes.starts_with(&[0xff, 0xd8]));
+        let matrix = content.get("matrix").and_then(Value::as_list);
+        assert_eq!(matrix.map(<[Value]>::len), calibrated.then_some(12));
+        stage.now = 100 * MS;
+        let next = stage
+            .server
+            .advance(stage.now, Time::default(), &mut stage.out)
+            .unwrap();
+        assert_eq!(next.scene.trail.len(), 3);
+    }
+}

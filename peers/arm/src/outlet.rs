@@ -1,0 +1,146 @@
+//! The way out to the hub: one parcel after the other, in order, over lost links too.
+
+use std::future::{Future, pending};
+use std::pin::Pin;
+
+use mom_client::{ClientError, Delivery, ErrorKind, Parcel};
+
+use crate::outbox::Outbox;
+
+/// A parcel on its way into the client's queue.
+pub(crate) type Sending = Pin<Box<dyn Future<Output = Result<(), ClientError>> + Send>>;
+
+/// Sends what waits, beside the arm's own work, so that a slow link holds up neither motion nor halts.
+///
+/// While the link is down everything waits, because who sent a command wants to hear how it ended.
+pub(crate) struct Outlet<S> {
+    send: S,
+    outbox: Outbox,
+    sending: Option<(Parcel, Sending)>,
+    down: bool,
+}
+
+impl<S: Fn(Parcel) -> Sending> Outlet<S> {
+    /// An outlet that hands parcels to `send`.
+    pub(crate) fn new(send: S) -> Self {
+        Self {
+            send,
+            outbox: Outbox::default(),
+            sending: None,
+            down: false,
+        }
+    }
+
+    /// Takes what is to be sent.
+    pub(crate) fn push(&mut self, out: &mut Vec<Parcel>) {
+        out.drain(..).for_each(|parcel| self.outbox.push(parcel));
+        let dropped = self.outbox.take_dropped();
+        if dropped > 0 {
+            tracing::warn!(dropped, "the link is too slow; messages were dropped");
+        }
+    }
+
+    /// Holds everything back, or no more.
+    pub(crate) fn set_down(&mut self, down: bool) {
+        self.down = down;
+    }
+
+    /// Sends one parcel; never ends while there is none. May be dropped at any time, nothing is lost.
+    pub(crate) async fn work(&mut self) {
+        if self.sending.is_none() && !self.down {
+            self.sending = self
+                .outbox
+                .pop()
+                .map(|parcel| (parcel.clone(), (self.send)(parcel)));
+        }
+        let Some((_, sending)) = &mut self.sending else {
+            return pending().await;
+        };
+        let sent = sending.await;
+        let parcel = self.sending.take().map(|(parcel, _)| parcel);
+        match sent {
+            // The event that tells of it is on its way.
+            Err(error) if error.kind() == ErrorKind::Connection => self.keep(parcel),
+            Err(error) => tracing::warn!(%error, "a message was not sent"),
+            Ok(()) => {}
+        }
+    }
+
+    /// Sends all that waits, unless the link is down.
+    pub(crate) async fn flush(&mut self) {
+        while self.sending.is_some() || !(self.down || self.outbox.is_empty()) {
+            self.work().await;
+        }
+    }
+
+    /// A state is told anew when the link is back; all else has to be said later.
+    fn keep(&mut self, parcel: Option<Parcel>) {
+        if let Some(parcel) = parcel.filter(|parcel| parcel.delivery != Some(Delivery::Latest)) {
+            self.outbox.put_back(parcel);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::{Arc, Mutex};
+
+    use mom_client::Family;
+    use tokio::time::{Duration, timeout};
+
+    use super::*;
+
+    type Sent = Arc<Mutex<Vec<String>>>;
+
+    /// An outlet whose link fails the attempts of these numbers, and what it sent.
+    fn outlet(failing: &'static [usize]) -> (Outlet<impl Fn(Parcel) -> Sending>, Sent) {
+        let sent = Sent::default();
+        let (attempts, log) = (Arc::new(Mutex::new(0)), Arc::clone(&sent));
+        let send = move |parcel: Parcel| -> Sending {
+            let mut attempt = attempts.lock().unwrap();
+            *attempt += 1;
+            if failing.contains(&*attempt) {
+                return Box::pin(async { Err(ClientError::Connection("gone".to_owned())) });
+            }
+            log.lock().unwrap().push(parcel.name().to_owned());
+            Box::pin(async { Ok(()) })
+        };
+        (Outlet::new(send), sent)
+    }
+
+    fn parcels(names: &[&str]) -> Vec<Parcel> {
+        let parcel = |name: &&str| {
+            let mut parcel = Parcel::new(Family::Message, *name);
+            parcel.delivery = (*name == "state").then_some(Delivery::Latest);
+            parcel
+        };
+        names.iter().map(parcel).collect()
+    }
+
+    #[tokio::test]
+    async fn what_a_lost_link_refused_is_sent_in_order_but_for_states() {
+        for (pushed, failing, expected) in [
+            (["a", "b", "c"], &[][..], &["a", "b", "c"][..]),
+            (["a", "b", "c"], &[1, 3], &["a", "b", "c"]),
+            (["a", "state", "c"], &[2], &["a", "c"]),
+        ] {
+            let (mut outlet, sent) = outlet(failing);
+            outlet.push(&mut parcels(&pushed));
+            outlet.flush().await;
+            assert_eq!(*sent.lock().unwrap(), expected);
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn nothing_leaves_while_the_link_is_down() {
+        let (mut outlet, sent) = outlet(&[]);
+        outlet.set_down(true);
+        outlet.push(&mut parcels(&["a"]));
+        assert!(timeout(Duration::from_secs(9), outlet.work()).await.is_err());
+        outlet.flush().await;
+        assert!(sent.lock().unwrap().is_empty());
+        outlet.set_down(false);
+        outlet.work().await;
+        assert_eq!(*sent.lock().unwrap(), ["a"]);
+    }
+}
