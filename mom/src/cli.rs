@@ -1,0 +1,327 @@
+//! What can be typed.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::{Args, Parser, Subcommand};
+
+/// Look at a hub, talk through it, and drive what is connected to it.
+#[derive(Debug, Parser)]
+#[command(name = "mom", version, arg_required_else_help = true, after_help = EXAMPLES)]
+pub(crate) struct Cli {
+    /// What holds for all commands.
+    #[command(flatten)]
+    pub(crate) global: Global,
+    /// What to do.
+    #[command(subcommand)]
+    pub(crate) command: Command,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  mom lab                                  a hub, a robot arm and a camera to try, in one process
+  export MOM_USER=alice MOM_PASSWORD=alice
+  mom tree                                 what there is, who is there, who drives what
+  echo 'move 100 50 200 0 0; grip close' | mom run -
+  mom watch /robot/arm                     what happens there
+
+The password comes from MOM_PASSWORD, or is asked for; it is never an argument.
+Exit codes: 0 done, 1 failed or refused, 2 a command line that makes no sense.";
+
+/// Options of every command.
+#[derive(Args, Debug)]
+#[command(next_help_heading = "Options of every command")]
+pub(crate) struct Global {
+    /// The hub: bin://HOST:PORT (binary) or tcp://HOST:PORT (XML)
+    #[arg(
+        long,
+        global = true,
+        value_name = "ADDRESS",
+        env = "MOM_HUB",
+        default_value = "bin://127.0.0.1:7666"
+    )]
+    pub(crate) hub: String,
+    /// Who you are
+    #[arg(long, short, global = true, value_name = "NAME", env = "MOM_USER")]
+    pub(crate) user: Option<String>,
+    /// Write JSON, one object per line
+    #[arg(long, global = true)]
+    pub(crate) json: bool,
+}
+
+/// The commands.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    /// Run a hub with a robot arm and a camera in one process, to try
+    #[command(after_help = LAB)]
+    Lab(Lab),
+    /// Show the tree of contexts: kinds, members, owners
+    #[command(after_help = TREE)]
+    Tree(Tree),
+    /// Show what happens in contexts, one line per parcel, until Ctrl-C
+    #[command(after_help = WATCH)]
+    Watch(Watch),
+    /// Send one message
+    #[command(after_help = SEND)]
+    Send(Send),
+    /// Grab a token and hold it until Ctrl-C
+    #[command(after_help = GRAB)]
+    Grab(Grab),
+    /// Drive the robot by a script: grab its token, carry out the commands, release
+    #[command(after_help = RUN)]
+    Run(Run),
+    /// Talk: lines of the input are sent, those of others shown
+    #[command(after_help = CHAT)]
+    Chat(Chat),
+    /// Ask a camera for an image and save it
+    #[command(after_help = SNAP)]
+    Snap(Snap),
+}
+
+/// `mom lab`
+#[derive(Args, Debug)]
+pub(crate) struct Lab {
+    /// Where to listen; passwords are accepted on loopback only. Port 0 takes a free one
+    #[arg(long, value_name = "ADDRESS")]
+    pub(crate) listen: Option<SocketAddr>,
+    /// What to log to standard error: error, warn, info, debug, trace, or per module
+    #[arg(long, value_name = "FILTER", env = "MOM_LOG", default_value = "warn")]
+    pub(crate) log: String,
+}
+
+const LAB: &str = "\
+Examples:
+  mom lab
+  mom lab --listen 127.0.0.1:0             on any free port; it is printed
+  mom lab --log info";
+
+/// `mom tree`
+#[derive(Args, Debug)]
+pub(crate) struct Tree {
+    /// Where to begin
+    #[arg(default_value = "/")]
+    pub(crate) path: String,
+    /// Only so many levels below the beginning
+    #[arg(long, short = 'L', value_name = "LEVELS")]
+    pub(crate) depth: Option<usize>,
+}
+
+const TREE: &str = "\
+Examples:
+  mom tree
+  mom tree /robot
+  mom tree --json | jq '.children[].path'";
+
+/// `mom watch`
+#[derive(Args, Debug)]
+pub(crate) struct Watch {
+    /// Sessions, channels and tokens
+    #[arg(required = true, value_name = "PATH")]
+    pub(crate) paths: Vec<String>,
+    /// Stop after so many lines
+    #[arg(long, short = 'n', value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pub(crate) count: Option<u64>,
+    /// Also all contexts below that exist now
+    #[arg(long, short)]
+    pub(crate) recursive: bool,
+    /// Only messages, no events
+    #[arg(long, short)]
+    pub(crate) messages: bool,
+}
+
+const WATCH: &str = "\
+Examples:
+  mom watch /chat /robot/arm
+  mom watch --recursive /robot             who drives, what the robot is told and what it tells
+  mom watch --json --count 1 /robot/arm    the next parcel with all its slots
+
+Times are UTC.";
+
+/// `mom send`
+#[derive(Args, Debug)]
+pub(crate) struct Send {
+    /// The channel
+    pub(crate) path: String,
+    /// The message's name
+    pub(crate) name: String,
+    /// The content, a string; - reads it from standard input
+    #[arg(allow_hyphen_values = true)]
+    pub(crate) content: Option<String>,
+    /// The content as JSON
+    #[arg(long, value_name = "JSON", conflicts_with = "content")]
+    pub(crate) content_json: Option<String>,
+    /// Only to these members
+    #[arg(long, value_name = "PEER", value_delimiter = ',')]
+    pub(crate) to: Vec<String>,
+    /// Higher is more urgent
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    pub(crate) priority: Option<i32>,
+    /// Worthless after this time: 250ms, 5s, 2m
+    #[arg(long, value_name = "TIME", value_parser = duration)]
+    pub(crate) expires: Option<Duration>,
+    /// How it is delivered when a receiver is slow; the channel decides if absent
+    #[arg(long, value_name = "CLASS", value_parser = ["reliable", "latest", "fleeting"])]
+    pub(crate) delivery: Option<String>,
+    /// Wait until every receiver's queue has taken or dropped it, and tell how many did
+    #[arg(long, short)]
+    pub(crate) acknowledge: bool,
+}
+
+const SEND: &str = "\
+Examples:
+  mom send /chat chat 'good morning'
+  mom send /chat chat --to bob --acknowledge 'only you'
+  mom send /chat note --content-json '{\"x\": 1.5, \"names\": [\"red\", \"blue\"]}'
+  mom send --priority 100 /robot/arm stop  stops the arm until: mom send /robot/arm unstop
+  uptime | mom send /chat chat -";
+
+/// `mom grab`
+#[derive(Args, Debug)]
+pub(crate) struct Grab {
+    /// The token
+    pub(crate) token: String,
+    /// Release it after this time instead of at Ctrl-C: 30s, 5m
+    #[arg(long = "for", value_name = "TIME", value_parser = duration)]
+    pub(crate) time: Option<Duration>,
+}
+
+const GRAB: &str = "\
+Examples:
+  mom grab /robot/token
+  mom grab --for 30s /robot/token";
+
+/// `mom run`
+#[derive(Args, Debug)]
+pub(crate) struct Run {
+    /// The file; - is standard input. Each line is one command of one or more statements
+    pub(crate) script: PathBuf,
+    /// The robot's channel
+    #[arg(long, value_name = "PATH", default_value = "/robot/arm")]
+    pub(crate) channel: String,
+    /// The token that guards it
+    #[arg(long, value_name = "PATH", default_value = "/robot/token")]
+    pub(crate) token: String,
+    /// Go on with the next command after one that failed
+    #[arg(long, short)]
+    pub(crate) keep_going: bool,
+    /// Send the lines without checking them first; for robots that speak another language
+    #[arg(long)]
+    pub(crate) no_check: bool,
+}
+
+const RUN: &str = "\
+Statements, separated by ; on a line, in mm and degrees from the middle of the table:
+  move X Y Z SPIN TILT    grip open    grip close    wait MS    home
+
+Examples:
+  mom run pick.script
+  echo 'move 100 50 200 0 0; grip close' | mom run -
+  mom run --json pick.script | jq .state
+
+Ctrl-C releases the token; the hub then halts the robot.";
+
+/// `mom chat`
+#[derive(Args, Debug)]
+pub(crate) struct Chat {
+    /// The channel
+    #[arg(default_value = "/chat")]
+    pub(crate) path: String,
+}
+
+const CHAT: &str = "\
+Examples:
+  mom chat
+  echo 'good morning' | mom chat           sends, and ends with its input";
+
+/// `mom snap`
+#[derive(Args, Debug)]
+pub(crate) struct Snap {
+    /// The camera, by its channel's name
+    #[arg(default_value = "x")]
+    pub(crate) view: String,
+    /// The file to write; - is standard output. Made of camera and time if absent
+    #[arg(long, short, value_name = "FILE")]
+    pub(crate) output: Option<PathBuf>,
+    /// The session of the cameras
+    #[arg(long, value_name = "PATH", default_value = "/camera")]
+    pub(crate) session: String,
+    /// How long to wait for the image: 5s
+    #[arg(long, value_name = "TIME", value_parser = duration, default_value = "10s")]
+    pub(crate) timeout: Duration,
+}
+
+const SNAP: &str = "\
+Examples:
+  mom snap                                 camera x
+  mom snap x --output table.jpg
+  mom snap --output - | feh -";
+
+/// `250ms`, `5s`, `2m`, `1h`; a number without a unit is refused, because nobody knows which one was meant.
+fn duration(text: &str) -> Result<Duration, String> {
+    let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+    let (number, unit) = text.split_at(digits);
+    let factor = match unit {
+        "ms" => 1,
+        "s" => 1000,
+        "m" | "min" => 60_000,
+        "h" => 3_600_000,
+        _ => return Err("a time is a number with ms, s, m or h: 250ms, 5s, 2m".to_owned()),
+    };
+    let number: u64 = number
+        .parse()
+        .map_err(|_| "a time begins with a whole number: 5s".to_owned())?;
+    let millis = number.checked_mul(factor).ok_or("that is too long a time")?;
+    Ok(Duration::from_millis(millis))
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory as _;
+
+    use super::*;
+
+    #[test]
+    fn the_definition_is_sound_and_every_command_has_examples() {
+        let command = Cli::command();
+        command.clone().debug_assert();
+        for command in command.get_subcommands() {
+            let help = command
+                .get_after_help()
+                .map(ToString::to_string)
+                .unwrap_or_default();
+            assert!(help.contains("Examples:"), "{}", command.get_name());
+            assert!(
+                help.contains(&format!("mom {}", command.get_name())),
+                "{}",
+                command.get_name()
+            );
+        }
+    }
+
+    #[test]
+    fn a_password_is_no_argument() {
+        assert!(Cli::try_parse_from(["mom", "tree", "--password", "x"]).is_err());
+    }
+
+    #[test]
+    fn durations() {
+        for (text, millis) in [
+            ("250ms", Ok(250)),
+            ("5s", Ok(5000)),
+            ("2m", Ok(120_000)),
+            ("1h", Ok(3_600_000)),
+            ("5", Err("a number with")),
+            ("s", Err("a whole number")),
+            ("5 s", Err("a number with")),
+            ("99999999999999999999s", Err("a whole number")),
+            ("9999999999999999999h", Err("too long")),
+        ] {
+            match (duration(text), millis) {
+                (Ok(told), Ok(millis)) => assert_eq!(told, Duration::from_millis(millis), "{text}"),
+                (Err(told), Err(words)) => assert!(told.contains(words), "{text}: {told}"),
+                (told, _) => panic!("{text}: {told:?}"),
+            }
+        }
+    }
+}

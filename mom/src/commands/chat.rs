@@ -1,0 +1,152 @@
+//! `mom chat`: lines of the input are sent, those of others shown.
+
+use mom_client::{Channel, Event, Parcel, to_value};
+
+use crate::cli::{self, Global};
+use crate::connect::{Stay, connect};
+use crate::failure::{Doing as _, Failure};
+use crate::input;
+use crate::interrupt::Interrupt;
+use crate::output::event::event_words;
+use crate::output::record::Record;
+use crate::output::style::{Ink, ink};
+use crate::output::{Output, refusal_text, words};
+
+/// The name of the messages (M39).
+const CHAT: &str = "chat";
+
+pub(crate) async fn run(args: &cli::Chat, global: &Global, output: Output) -> Result<(), Failure> {
+    let client = connect(global, Stay::Reconnecting).await?;
+    let mut interrupt = Interrupt::install()?;
+    let channel = client
+        .channel(&args.path)
+        .await
+        .doing(format!("join {}", args.path))?;
+    let mut events = channel.events();
+    if let Ok(members) = client.members(&args.path).await {
+        let me = client.name();
+        let others = members.iter().filter(|member| member.peer != me);
+        let others: Vec<String> = others.map(|member| words::visible(&member.peer)).collect();
+        let who = match others.is_empty() {
+            true => "nobody else is".to_owned(),
+            false => others.join(", "),
+        };
+        output.remark(ink(
+            format_args!("{} as {me}; here: {who}; Ctrl-D ends", args.path),
+            Ink::Faint,
+        ));
+    }
+    let mut lines = input::lines();
+    let mut refused = false;
+    loop {
+        tokio::select! {
+            line = lines.recv() => match line {
+                Some(line) => refused |= !say(&channel, &line?, output).await,
+                None => break,
+            },
+            event = events.next() => match event {
+                Some(event) => show(&args.path, &event, output)?,
+                None => return Err(Failure::plain("the chat is closed")),
+            },
+            () = interrupt.wait() => break,
+        }
+    }
+    // What came while the last line was on its way.
+    while let Some(event) = events.try_next() {
+        show(&args.path, &event, output)?;
+    }
+    client.close().await;
+    match refused {
+        true => Err(Failure::Told),
+        false => Ok(()),
+    }
+}
+
+/// Sends a line; whether it got there.
+async fn say(channel: &Channel, line: &str, output: Output) -> bool {
+    if line.trim().is_empty() {
+        return true;
+    }
+    if let Err(error) = to_value(line) {
+        output.remark(refusal_text("not sent", &error));
+        return false;
+    }
+    match channel
+        .message(CHAT)
+        .content(line)
+        .no_echo()
+        .send_acknowledged()
+        .await
+    {
+        Ok(receipt) => {
+            if receipt.delivered == 0 {
+                output.remark(ink("  (nobody else is here)", Ink::Faint));
+            }
+            true
+        }
+        Err(error) => {
+            let what = "not sent";
+            match error.wire() {
+                Some(error) => output.remark(refusal_text(what, error)),
+                None => output.remark(ink(format_args!("{what}: {error}"), Ink::Bad)),
+            }
+            false
+        }
+    }
+}
+
+fn show(path: &str, event: &Event, output: Output) -> std::io::Result<()> {
+    output.tell(|| Record::of(path, event).json(), || human(path, event))
+}
+
+/// `alice: good morning`, `* bob joined (level 1)`
+fn human(path: &str, event: &Event) -> String {
+    match event {
+        Event::Message(parcel) if parcel.name() == CHAT => said(parcel),
+        Event::Message(_) | Event::Other(_) => Record::of(path, event).line(),
+        other => ink(format_args!("* {}", event_words(other)), Ink::Notice),
+    }
+}
+
+fn said(parcel: &Parcel) -> String {
+    let sender = words::visible(parcel.sender.as_deref().unwrap_or("?"));
+    let to_me = if parcel.address.is_some() { " (to you)" } else { "" };
+    format!(
+        "{}{}: {}",
+        ink(sender, Ink::Peer),
+        ink(to_me, Ink::Faint),
+        words::said(parcel)
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use mom_client::{Family, Member};
+
+    use super::*;
+
+    #[test]
+    fn lines_of_a_chat() {
+        let mut parcel = Parcel::new(Family::Message, CHAT).content("good\u{9b} morning");
+        parcel.sender = Some("bob".into());
+        let addressed = Parcel {
+            address: Some(vec!["alice".into()]),
+            ..parcel.clone()
+        };
+        let carol = Member {
+            peer: "carol".to_owned(),
+            user: "carol".to_owned(),
+            level: 5,
+        };
+        for (event, line) in [
+            (Event::Message(parcel), "bob: good\\u{9b} morning"),
+            (Event::Message(addressed), "bob (to you): good\\u{9b} morning"),
+            (Event::Joined(carol), "* carol joined (level 5)"),
+        ] {
+            assert_eq!(
+                anstream::adapter::strip_str(&human("/chat", &event)).to_string(),
+                line
+            );
+        }
+    }
+}

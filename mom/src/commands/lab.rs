@@ -1,0 +1,326 @@
+//! `mom lab`: a hub, a robot arm and a camera in one process, to try.
+
+use std::env;
+use std::io::{self, IsTerminal as _};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::pin::Pin;
+use std::sync::Arc;
+use std::time::Duration;
+
+use mom_arm::ArmOptions;
+use mom_broker::{Broker, BrokerError, Config, UserEntry};
+use mom_camera::{CameraOptions, View};
+use mom_client::{Client, ClientError};
+use serde_json::{Value as Json, json};
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+use tokio::time::{Instant, sleep};
+use tracing_subscriber::EnvFilter;
+
+use crate::cli;
+use crate::failure::{Doing as _, Failure};
+use crate::interrupt::Interrupt;
+use crate::output::Output;
+use crate::output::style::{Ink, ink, padded};
+
+/// Where the hub listens if nothing else is said, and where the other commands look for it.
+const USUAL: &str = "127.0.0.1:7666";
+/// The devices need this long at most to take their places.
+const READY: Duration = Duration::from_secs(5);
+const LOOK: Duration = Duration::from_millis(10);
+
+/// A device of the lab while it runs.
+type Device = Pin<Box<dyn Future<Output = Result<(), ClientError>> + Send>>;
+
+pub(crate) async fn run(args: &cli::Lab, output: Output) -> Result<(), Failure> {
+    log(&args.log)?;
+    let mut interrupt = Interrupt::install()?;
+    let mut config = Config::lab();
+    if let Some(listen) = args.listen {
+        config.listen = vec![listen.to_string()];
+    }
+    let users = config.users.clone();
+    let broker = Broker::start(config).await.map_err(start_failure)?;
+    let lab = Lab {
+        address: within_reach(broker.local_addr()),
+        program: env::args().next().unwrap_or_else(|| "mom".to_owned()),
+        users,
+    };
+    let broker = Arc::new(broker);
+    let (stop, stopping) = watch::channel(false);
+    let mut devices = start_devices(&broker, &stopping).await?;
+    output.tell(|| lab.json(), || lab.text())?;
+    let ended = tokio::select! {
+        () = interrupt.wait() => None,
+        ended = devices.join_next() => ended,
+    };
+    output.remark(ink("stopping", Ink::Faint));
+    // The devices say goodbye first; the receivers of this are theirs.
+    let _ = stop.send(true);
+    while devices.join_next().await.is_some() {}
+    stop_broker(broker).await;
+    match ended {
+        None => Ok(()),
+        Some(Ok((name, Err(error)))) => Err(Failure::plain(format!("the {name} ended: {error}"))),
+        Some(Ok((name, Ok(())))) => Err(Failure::plain(format!("the {name} ended"))),
+        Some(Err(error)) => Err(Failure::plain(format!("a device broke down: {error}"))),
+    }
+}
+
+/// What is going on inside, on standard error.
+fn log(filter: &str) -> Result<(), Failure> {
+    let filter = EnvFilter::try_new(filter).map_err(|error| {
+        Failure::usage(
+            format!("--log {filter}: {error}"),
+            "try: --log info, or --log warn,mom_broker=debug",
+        )
+    })?;
+    let colour = io::stderr().is_terminal() && env::var_os("NO_COLOR").is_none_or(|set| set.is_empty());
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_ansi(colour)
+        .with_writer(io::stderr)
+        .init();
+    Ok(())
+}
+
+fn start_failure(error: BrokerError) -> Failure {
+    match error {
+        BrokerError::Listen { .. } => Failure::new(
+            format!("the hub cannot start: {error}"),
+            "if a lab runs already, use it: mom tree\nor take a free port: mom lab --listen 127.0.0.1:0",
+        ),
+        other => Failure::plain(format!("the hub cannot start: {other}")),
+    }
+}
+
+/// An address that a program on this machine can connect to: "any" is none.
+fn within_reach(mut address: SocketAddr) -> SocketAddr {
+    match address.ip() {
+        IpAddr::V4(ip) if ip.is_unspecified() => address.set_ip(Ipv4Addr::LOCALHOST.into()),
+        IpAddr::V6(ip) if ip.is_unspecified() => address.set_ip(Ipv6Addr::LOCALHOST.into()),
+        _ => {}
+    }
+    address
+}
+
+/// Arm and camera, in their places.
+async fn start_devices(
+    broker: &Arc<Broker>,
+    stopping: &watch::Receiver<bool>,
+) -> Result<JoinSet<(&'static str, Result<(), ClientError>)>, Failure> {
+    let mut devices = JoinSet::new();
+    let arm = log_in(broker, "arm").await?;
+    let options = ArmOptions::default();
+    let place = options.channel.clone();
+    let running: Device = Box::pin(mom_arm::peer::run(arm.clone(), options, stopped(stopping)));
+    devices.spawn(async move { ("arm", running.await) });
+    ready(&arm, &place).await?;
+
+    let camera = log_in(broker, "camera").await?;
+    let options = CameraOptions::new(View::X);
+    let place = options.channel.clone();
+    let running: Device = Box::pin(mom_camera::peer::run(camera.clone(), options, stopped(stopping)));
+    devices.spawn(async move { ("camera", running.await) });
+    ready(&camera, &place).await?;
+    Ok(devices)
+}
+
+/// A device's connection inside this process; a lab's device has its name as its password.
+async fn log_in(broker: &Arc<Broker>, name: &str) -> Result<Client, Failure> {
+    let broker = Arc::clone(broker);
+    let builder = Client::builder_local(move || broker.connect_local());
+    let builder = builder.user(name).password(name).no_reconnect();
+    builder.connect().await.doing(format!("log in as {name}"))
+}
+
+/// Waits until a device is in its channel, so that what is printed next can be tried at once.
+async fn ready(device: &Client, place: &str) -> Result<(), Failure> {
+    let begin = Instant::now();
+    let me = device.name();
+    loop {
+        let members = device.members(place).await.doing(format!("look into {place}"))?;
+        if members.iter().any(|member| member.peer == me) {
+            return Ok(());
+        }
+        if begin.elapsed() > READY {
+            return Err(Failure::plain(format!("the {me} does not come into {place}")));
+        }
+        sleep(LOOK).await;
+    }
+}
+
+fn stopped(stopping: &watch::Receiver<bool>) -> impl Future<Output = ()> + Send + use<> {
+    let mut stopping = stopping.clone();
+    async move {
+        // A sender that is gone means the end as well.
+        let _ = stopping.wait_for(|stop| *stop).await;
+    }
+}
+
+/// Lets what waits go out, once the devices' connections have let go of the broker.
+async fn stop_broker(mut broker: Arc<Broker>) {
+    let begin = Instant::now();
+    while begin.elapsed() < READY {
+        match Arc::try_unwrap(broker) {
+            Ok(broker) => return broker.stop().await,
+            Err(shared) => broker = shared,
+        }
+        sleep(LOOK).await;
+    }
+}
+
+/// What there is to tell about a running lab.
+struct Lab {
+    address: SocketAddr,
+    program: String,
+    users: Vec<UserEntry>,
+}
+
+impl Lab {
+    fn json(&self) -> Json {
+        let people = self
+            .users
+            .iter()
+            .map(|user| json!({"name": user.name, "level": user.level, "groups": user.groups}));
+        json!({
+            "state": "ready",
+            "hub": format!("bin://{}", self.address),
+            "xml": format!("tcp://{}", self.address),
+            "users": people.collect::<Vec<_>>(),
+        })
+    }
+
+    fn text(&self) -> String {
+        let row = |label: &str, text: String| format!("  {}  {text}", padded(label, 7, Ink::Faint));
+        let place = |text: &str| ink(text, Ink::Place);
+        let mut lines = vec![
+            ink(
+                "A hub, a robot arm and a camera are running here. Ctrl-C ends them.",
+                Ink::Strong,
+            ),
+            String::new(),
+            row(
+                "hub",
+                format!("{}  binary", place(&format!("bin://{}", self.address))),
+            ),
+            row(
+                "",
+                format!(
+                    "{}  XML, for anything that can open a socket",
+                    place(&format!("tcp://{}", self.address))
+                ),
+            ),
+            row(
+                "people",
+                format!("{}; everyone's password is their name", self.people()),
+            ),
+            row(
+                "robot",
+                format!(
+                    "{}, driven by whoever holds {}",
+                    place("/robot/arm"),
+                    place("/robot/token")
+                ),
+            ),
+            row("camera", place("/camera/x")),
+            row("chat", place("/chat")),
+            String::new(),
+            "Try in another terminal, as alice:".to_owned(),
+        ];
+        let command = |text: String| format!("  {}", ink(text, Ink::Command));
+        let program = &self.program;
+        lines.extend([
+            command(format!("export {}MOM_USER=alice MOM_PASSWORD=alice", self.hub())),
+            command(format!("{program} tree")),
+            command(format!(
+                "echo 'move 100 50 200 0 0; grip close' | {program} run -"
+            )),
+            command(format!("{program} snap")),
+            command(format!("{program} grab /robot/token")),
+            "and while she holds the token, in a third one, as bob:".to_owned(),
+            command(format!("export {}MOM_USER=bob MOM_PASSWORD=bob", self.hub())),
+            command(format!("{program} grab /robot/token")),
+            command(format!("{program} watch --recursive /robot")),
+        ]);
+        lines.join("\n")
+    }
+
+    /// The people: those who are not devices.
+    fn people(&self) -> String {
+        let people = self
+            .users
+            .iter()
+            .filter(|user| !user.groups.iter().any(|group| group == "device"));
+        let people: Vec<String> = people
+            .map(|user| {
+                let mut facts = vec![format!("level {}", user.level)];
+                facts.extend(user.groups.iter().cloned());
+                format!("{} ({})", ink(&user.name, Ink::Peer), facts.join(", "))
+            })
+            .collect();
+        people.join(", ")
+    }
+
+    /// Where to look for the hub, if it is not where everybody looks.
+    fn hub(&self) -> String {
+        match self.address.to_string() == USUAL {
+            true => String::new(),
+            false => format!("MOM_HUB=bin://{} ", self.address),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lab(address: &str) -> String {
+        let lab = Lab {
+            address: address.parse().unwrap(),
+            program: "target/release/mom".to_owned(),
+            users: Config::lab().users,
+        };
+        anstream::adapter::strip_str(&lab.text()).to_string()
+    }
+
+    #[test]
+    fn commands_can_be_copied() {
+        let usual = lab(USUAL);
+        for part in [
+            "bin://127.0.0.1:7666",
+            "tcp://127.0.0.1:7666",
+            "alice (level 1), bob (level 1), carol (level 5, operator);",
+            "\n  export MOM_USER=alice MOM_PASSWORD=alice\n",
+            "\n  target/release/mom tree\n",
+            "\n  echo 'move 100 50 200 0 0; grip close' | target/release/mom run -\n",
+        ] {
+            assert!(usual.contains(part), "{part:?} in\n{usual}");
+        }
+        let other = lab("[::1]:4000");
+        assert!(
+            other.contains("export MOM_HUB=bin://[::1]:4000 MOM_USER=alice MOM_PASSWORD=alice\n"),
+            "{other}"
+        );
+        assert!(
+            other.contains("export MOM_HUB=bin://[::1]:4000 MOM_USER=bob"),
+            "{other}"
+        );
+    }
+
+    #[test]
+    fn addresses_can_be_connected_to() {
+        for (bound, told) in [
+            ("0.0.0.0:1", "127.0.0.1:1"),
+            ("[::]:2", "[::1]:2"),
+            ("10.0.0.5:3", "10.0.0.5:3"),
+        ] {
+            assert_eq!(within_reach(bound.parse().unwrap()).to_string(), told);
+        }
+    }
+
+    #[test]
+    fn the_lab_is_where_everybody_looks() {
+        assert_eq!(Config::lab().listen, [USUAL]);
+    }
+}

@@ -1,0 +1,263 @@
+//! `mom run`: a script, carried out by the robot under its token.
+
+mod progress;
+mod script;
+
+use std::time::Duration;
+
+use mom_arm::{CommandState, Status};
+use mom_client::{Client, Event, Events, Family, Lost, Parcel, Path, Value, from_value};
+use serde_json::json;
+use tokio::time::{Instant, timeout_at};
+
+use self::progress::{Change, Progress};
+use self::script::Command;
+use crate::cli::{self, Global};
+use crate::connect::{Stay, connect};
+use crate::failure::{Doing as _, Failure};
+use crate::input;
+use crate::interrupt::Interrupt;
+use crate::output::event::lost_words;
+use crate::output::style::{Ink, ink};
+use crate::output::{Output, words};
+
+/// How long a robot may take to say what it thinks of a command.
+const ANSWER: Duration = Duration::from_secs(10);
+
+pub(crate) async fn run(args: &cli::Run, global: &Global, output: Output) -> Result<(), Failure> {
+    let commands = read(args)?;
+    let client = connect(global, Stay::Once).await?;
+    let mut interrupt = Interrupt::install()?;
+    let channel = client
+        .channel(&args.channel)
+        .await
+        .doing(format!("join {}", args.channel))?;
+    let events = channel.events();
+    let token = client
+        .token(&args.token)
+        .await
+        .doing(format!("join {}", args.token))?;
+    let mut guard = token.grab().await.doing(format!("grab {}", args.token))?;
+    output.remark(ink(
+        format_args!("holding {} (fence {})", args.token, words::fence(guard.fence())),
+        Ink::Faint,
+    ));
+    let mut job = Job {
+        client: client.clone(),
+        channel: channel.path().clone(),
+        events,
+        progress: Progress::new(output, commands.len()),
+        robot: None,
+        keep_going: args.keep_going,
+    };
+    let result = tokio::select! {
+        result = job.carry_out(&commands) => result,
+        lost = guard.lost() => Err(lost_failure(&args.token, &lost)),
+        () = interrupt.wait() => Err(Failure::plain("interrupted; the token is released, and the hub halts the robot")),
+    };
+    job.progress.end();
+    let released = match guard.is_lost() {
+        true => Ok(()),
+        false => guard.release().await.doing(format!("release {}", args.token)),
+    };
+    client.close().await;
+    let outcome = result?;
+    released?;
+    outcome.tell(commands.len(), &args.channel, output)
+}
+
+fn read(args: &cli::Run) -> Result<Vec<Command>, Failure> {
+    let file = args.script.to_string_lossy();
+    let text = input::text(&file).map_err(|error| {
+        Failure::usage(
+            format!("cannot read {file}: {error}"),
+            "name a file of commands, or - for standard input",
+        )
+    })?;
+    let name = if file == "-" { "standard input" } else { &*file };
+    let commands = script::commands(&text);
+    if commands.is_empty() {
+        return Err(Failure::usage(
+            format!("there is no command in {name}"),
+            "write one command per line, such as: move 100 50 200 0 0; grip close",
+        ));
+    }
+    if !args.no_check {
+        script::check(name, &commands)?;
+    }
+    Ok(commands)
+}
+
+/// What came of the commands.
+#[derive(Clone, Copy, Debug, Default)]
+struct Outcome {
+    done: usize,
+    failed: usize,
+    /// Whether the robot takes no command because somebody stopped it.
+    stopped: bool,
+}
+
+impl Outcome {
+    fn tell(self, total: usize, channel: &str, output: Output) -> Result<(), Failure> {
+        let Outcome {
+            done,
+            failed,
+            stopped,
+        } = self;
+        let commands = words::count(total as u64, "command");
+        if output.is_json() || failed == 0 {
+            output.tell(
+                || json!({"done": done, "failed": failed, "of": total}),
+                || ink(format_args!("{commands} done, token released"), Ink::Good),
+            )?;
+        }
+        if stopped {
+            return Err(Failure::new(
+                format!("{failed} of {commands} failed; token released"),
+                format!("the robot is stopped; let it go with: mom send {channel} unstop"),
+            ));
+        }
+        match (failed, total - done - failed) {
+            (0, _) => Ok(()),
+            (_, 0) => Err(Failure::plain(format!(
+                "{failed} of {commands} failed; token released"
+            ))),
+            (_, rest) => Err(Failure::new(
+                format!("{failed} of {commands} failed, {rest} not sent; token released"),
+                "with --keep-going the rest is sent all the same",
+            )),
+        }
+    }
+}
+
+/// The commands on their way, one after the other: what comes after a failed one may rely on it.
+struct Job {
+    client: Client,
+    channel: Path,
+    events: Events,
+    progress: Progress,
+    /// The peer that answers, once it has.
+    robot: Option<String>,
+    keep_going: bool,
+}
+
+impl Job {
+    /// All of them, up to the first that fails, unless it is to go on.
+    async fn carry_out(&mut self, commands: &[Command]) -> Result<Outcome, Failure> {
+        let mut outcome = Outcome::default();
+        for (index, command) in commands.iter().enumerate() {
+            let number = index + 1;
+            self.progress.begin(number, command);
+            let end = self.one(number, command).await?;
+            match end.error {
+                None => outcome.done += 1,
+                Some(error) => {
+                    outcome.failed += 1;
+                    outcome.stopped = error.get("name").and_then(Value::as_str) == Some("stopped");
+                }
+            }
+            if outcome.failed > 0 && !self.keep_going {
+                break;
+            }
+        }
+        Ok(outcome)
+    }
+
+    /// One command, to its end.
+    async fn one(&mut self, number: usize, command: &Command) -> Result<Change, Failure> {
+        self.progress
+            .change(number, command, &Change::to(CommandState::Sending))?;
+        let id = self.send(command).await?;
+        let mut deadline = Some(Instant::now() + ANSWER);
+        loop {
+            let next = self.events.next();
+            let event = match deadline {
+                Some(deadline) => timeout_at(deadline, next).await.map_err(|_| self.nobody())?,
+                None => next.await,
+            };
+            let event = event.ok_or_else(|| Failure::plain("the connection to the hub is closed"))?;
+            let Some((change, robot)) = self.read(&event, id)? else {
+                continue;
+            };
+            deadline = None;
+            self.robot = robot.or(self.robot.take());
+            self.progress.change(number, command, &change)?;
+            match change.state {
+                CommandState::Finished | CommandState::Error => return Ok(change),
+                _ => {}
+            }
+        }
+    }
+
+    /// Sends a command and gives its id.
+    async fn send(&self, command: &Command) -> Result<u64, Failure> {
+        let mut parcel = Parcel::new(Family::Message, "command")
+            .context(self.channel.clone())
+            .content(command.text.as_str());
+        parcel.echo = Some(false);
+        // The receipt refers to the id that the client has given.
+        parcel.receipt = Some(true);
+        let what = format!("send line {} to {}", command.line, self.channel);
+        let receipt = self.client.request(parcel).await.doing(what)?;
+        match receipt.value().get("delivered").and_then(Value::as_int) {
+            Some(0) => Err(self.nobody()),
+            _ => receipt
+                .reference
+                .ok_or_else(|| Failure::plain("the hub's receipt does not say for what")),
+        }
+    }
+
+    /// What an event says about the command `id`, and who says it.
+    fn read(&self, event: &Event, id: u64) -> Result<Option<(Change, Option<String>)>, Failure> {
+        match event {
+            Event::Message(parcel) if parcel.name() == "status" => {
+                let Ok(status) = from_value::<Status>(parcel.value()) else {
+                    return Ok(None);
+                };
+                if status.id != Some(id) || status.peer != self.client.name() {
+                    return Ok(None);
+                }
+                let change = Change {
+                    state: status.state,
+                    statement: status.statement,
+                    of: status.of,
+                    error: match status.state {
+                        CommandState::Error => Some(status.error.unwrap_or_default()),
+                        _ => None,
+                    },
+                };
+                Ok(Some((change, parcel.sender.as_deref().map(str::to_owned))))
+            }
+            Event::Left(member) if self.robot.as_ref() == Some(&member.peer) => Err(Failure::new(
+                format!("{} left {}", member.peer, self.channel),
+                "see who is there: mom tree",
+            )),
+            Event::LinkDown => Err(Failure::new(
+                "the connection to the hub is lost, and the token with it",
+                "the hub halts the robot; see what it did: mom watch, mom snap",
+            )),
+            Event::Lagged(count) => Err(Failure::plain(format!(
+                "{} lost here; what became of the command is not known",
+                words::count(*count, "event")
+            ))),
+            _ => Ok(None),
+        }
+    }
+
+    fn nobody(&self) -> Failure {
+        Failure::new(
+            format!("no robot answers in {}", self.channel),
+            format!(
+                "see who is there: mom tree {}",
+                self.channel.parent().unwrap_or_else(Path::root)
+            ),
+        )
+    }
+}
+
+fn lost_failure(token: &str, lost: &Lost) -> Failure {
+    Failure::plain(format!(
+        "lost {token}: {}; the hub halts the robot",
+        lost_words(lost)
+    ))
+}

@@ -1,0 +1,86 @@
+//! A script file: each line is one command.
+
+use mom_arm::Script;
+
+use crate::failure::Failure;
+
+/// One command: a line of the file without its comment.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Command {
+    /// The line in the file, 1 for the first.
+    pub(super) line: usize,
+    /// The script text that is sent.
+    pub(super) text: String,
+}
+
+/// The commands of a file's text; lines with nothing but blanks and comments are none.
+pub(super) fn commands(text: &str) -> Vec<Command> {
+    let numbered = text.lines().enumerate();
+    numbered
+        .filter_map(|(index, line)| {
+            let code = line.split_once('#').map_or(line, |(code, _comment)| code).trim();
+            let nothing = code.trim_matches([';', ' ', '\t']).is_empty();
+            (!nothing).then(|| Command {
+                line: index + 1,
+                text: code.to_owned(),
+            })
+        })
+        .collect()
+}
+
+/// Checks that the arm can read every command, before the first of them moves anything.
+pub(super) fn check(file: &str, commands: &[Command]) -> Result<(), Failure> {
+    let wrong: Vec<String> = commands
+        .iter()
+        .filter_map(|command| {
+            let error = command.text.parse::<Script>().err()?;
+            Some(format!("{file}:{}: {error}", command.line))
+        })
+        .collect();
+    match wrong.is_empty() {
+        true => Ok(()),
+        false => Err(Failure::new(
+            wrong.join("\n"),
+            "nothing was sent; `mom run --help` lists the statements",
+        )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_command_per_line() {
+        for (text, expected) in [
+            ("", &[][..]),
+            ("# nothing\n\n  ;; \n", &[]),
+            ("home", &[(1, "home")]),
+            (
+                "# pick\nmove 1 2 3 4 5; grip close  # got it\r\n\n\thome # home; home\n",
+                &[(2, "move 1 2 3 4 5; grip close"), (4, "home")],
+            ),
+        ] {
+            let told = commands(text);
+            let told: Vec<(usize, &str)> = told
+                .iter()
+                .map(|command| (command.line, command.text.as_str()))
+                .collect();
+            assert_eq!(told, expected, "{text:?}");
+        }
+    }
+
+    #[test]
+    fn mistakes_are_told_with_file_and_line_before_anything_is_sent() {
+        let mistakes = check("pick", &commands("home\n\nmvoe 1 2 3 4 5\ngrip close\nwait -1")).unwrap_err();
+        let text = mistakes.to_string();
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines.len(), 2, "{text}");
+        assert!(
+            lines[0].starts_with("pick:3: ") && lines[0].contains("did you mean `move`?"),
+            "{text}"
+        );
+        assert!(lines[1].starts_with("pick:5: "), "{text}");
+        assert!(check("pick", &commands("home; grip open\nwait 5")).is_ok());
+    }
+}

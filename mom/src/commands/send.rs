@@ -1,0 +1,125 @@
+//! `mom send`: one message.
+
+use mom_client::{Channel, Client, Delivery, Event, Message, Value, to_value};
+use serde_json::json;
+
+use crate::cli::{self, Global};
+use crate::connect::{Stay, connect};
+use crate::failure::{Doing as _, Failure};
+use crate::input;
+use crate::output::style::{Ink, ink};
+use crate::output::{Output, words};
+
+pub(crate) async fn run(args: &cli::Send, global: &Global, output: Output) -> Result<(), Failure> {
+    let content = content(args)?;
+    let client = connect(global, Stay::Once).await?;
+    let channel = client
+        .channel(&args.path)
+        .await
+        .doing(format!("join {}", args.path))?;
+    let message = message(&channel, args, content);
+    let what = format!("send {} to {}", args.name, args.path);
+    let result = match args.acknowledge {
+        true => acknowledged(message, &what, output).await,
+        false => accepted(&client, &channel, message, &what, output).await,
+    };
+    client.close().await;
+    result
+}
+
+/// The content, if there is to be one.
+fn content(args: &cli::Send) -> Result<Option<Value>, Failure> {
+    let Some(content) = given(args)? else {
+        return Ok(None);
+    };
+    // What has no form on the wire is better told here than by those who cannot read it.
+    to_value(&content).map(Some).map_err(|error| {
+        Failure::usage(
+            error.text,
+            "a string holds letters, blanks and line ends, but no control characters",
+        )
+    })
+}
+
+fn given(args: &cli::Send) -> Result<Option<Value>, Failure> {
+    if let Some(json) = &args.content_json {
+        return serde_json::from_str(json).map(Some).map_err(|error| {
+            Failure::usage(
+                format!("--content-json: {error}"),
+                "quote it for the shell: --content-json '{\"width\": 640}'",
+            )
+        });
+    }
+    Ok(match args.content.as_deref() {
+        None => None,
+        Some("-") => Some(input::text("-")?.into()),
+        Some(text) => Some(text.into()),
+    })
+}
+
+fn message(channel: &Channel, args: &cli::Send, content: Option<Value>) -> Message {
+    // Nobody would read the echo: this peer is gone as soon as its message is sent.
+    let mut message = channel.message(&args.name).no_echo();
+    if let Some(content) = content {
+        message = message.content(content);
+    }
+    if !args.to.is_empty() {
+        message = message.to(args.to.iter().map(String::as_str));
+    }
+    if let Some(priority) = args.priority {
+        message = message.priority(priority);
+    }
+    if let Some(expires) = args.expires {
+        message = message.expires(expires);
+    }
+    if let Some(delivery) = args.delivery.as_deref().and_then(Delivery::from_word) {
+        message = message.delivery(delivery);
+    }
+    message
+}
+
+/// Sends, and tells how many receivers have it.
+async fn acknowledged(message: Message, what: &str, output: Output) -> Result<(), Failure> {
+    let receipt = message.send_acknowledged().await.doing(what)?;
+    output.tell(
+        || json!({"delivered": receipt.delivered, "dropped": receipt.dropped}),
+        || match receipt.delivered {
+            0 => ink("delivered to nobody: no one else is there", Ink::Notice),
+            count => ink(
+                format_args!("delivered to {}", words::count(count, "member")),
+                Ink::Good,
+            ),
+        },
+    )?;
+    match receipt.dropped.is_empty() {
+        true => Ok(()),
+        false => Err(Failure::plain(format!(
+            "{what}: dropped for {}",
+            receipt.dropped.join(", ")
+        ))),
+    }
+}
+
+/// Sends without an acknowledgement, and makes sure that the hub has not refused.
+async fn accepted(
+    client: &Client,
+    channel: &Channel,
+    message: Message,
+    what: &str,
+    output: Output,
+) -> Result<(), Failure> {
+    let mut events = channel.events();
+    message.send().await.doing(what)?;
+    // The hub answers in order: a refusal of the message comes before the answer to this.
+    client.lookup(channel.path().as_str()).await.doing(what)?;
+    while let Some(event) = events.try_next() {
+        if let Event::Refused(error, _) = event {
+            return Err(Failure::Refused {
+                what: what.to_owned(),
+                error,
+            });
+        }
+    }
+    output.tell(|| json!({"sent": true}), || ink("sent", Ink::Good))?;
+    Ok(())
+}

@@ -1,0 +1,215 @@
+//! `mom snap`: an image from a camera, as a file.
+
+use std::fs;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use bytes::Bytes;
+use mom_client::{Client, Code, Event, Events, Family, Parcel, Path, Value, WireError};
+use tokio::time::timeout;
+
+use crate::cli::{self, Global};
+use crate::connect::{Stay, connect};
+use crate::failure::{Doing as _, Failure};
+use crate::output::style::{Ink, ink};
+use crate::output::{Output, to_json, words};
+
+pub(crate) async fn run(args: &cli::Snap, global: &Global, output: Output) -> Result<(), Failure> {
+    let to_stdout = args.output.as_deref().is_some_and(|file| file.as_os_str() == "-");
+    if to_stdout && output.is_json() {
+        return Err(Failure::usage(
+            "--output - writes the image where --json writes its lines",
+            "leave one of them out",
+        ));
+    }
+    let client = connect(global, Stay::Once).await?;
+    let path = format!("{}/{}", args.session.trim_end_matches('/'), args.view);
+    let channel = client.channel(&path).await.doing(format!("join {path}"))?;
+    let mut events = channel.events();
+    let content = match timeout(args.timeout, ask(&client, channel.path(), &mut events)).await {
+        Ok(content) => content?,
+        Err(_) => return Err(nobody(&path, args.timeout)),
+    };
+    client.close().await;
+    let image =
+        image(&content).ok_or_else(|| Failure::plain(format!("the answer of {path} holds no image")))?;
+    if to_stdout {
+        return Ok(output.bytes(&image)?);
+    }
+    let file = match &args.output {
+        Some(file) => file.clone(),
+        None => PathBuf::from(file_name(&args.view, &content)),
+    };
+    fs::write(&file, &image)
+        .map_err(|error| Failure::plain(format!("cannot write {}: {error}", file.display())))?;
+    output.tell(
+        || {
+            let mut json = to_json(&content);
+            // The image is in the file.
+            json["image"] = image.len().into();
+            json["file"] = file.to_string_lossy().into();
+            json
+        },
+        || {
+            format!(
+                "{}  {}",
+                ink(file.display(), Ink::Strong),
+                ink(facts(&content, image.len()), Ink::Faint)
+            )
+        },
+    )?;
+    Ok(())
+}
+
+/// Asks for an image and gives the content of the answer.
+async fn ask(client: &Client, path: &Path, events: &mut Events) -> Result<Value, Failure> {
+    let mut request = Parcel::new(Family::Message, "request").context(path.clone());
+    request.echo = Some(false);
+    // The receipt refers to the id that the client has given, and so does the answer.
+    request.receipt = Some(true);
+    let what = format!("ask {path} for an image");
+    let id = client.request(request).await.doing(what.as_str())?.reference;
+    while let Some(event) = events.next().await {
+        let Event::Message(parcel) = event else { continue };
+        if id.is_none() || parcel.reference != id {
+            continue;
+        }
+        match parcel.name() {
+            "image" => return Ok(parcel.value()),
+            "request-refused" => {
+                return Err(Failure::Refused {
+                    what,
+                    error: refusal(&parcel.value()),
+                });
+            }
+            _ => {}
+        }
+    }
+    Err(Failure::plain("the connection to the hub is closed"))
+}
+
+/// The camera's refusal, `{name, code, text}`, as an error of the wire.
+fn refusal(content: &Value) -> WireError {
+    let text = |key: &str| {
+        content
+            .get(key)
+            .and_then(Value::as_str)
+            .unwrap_or_default()
+            .to_owned()
+    };
+    let number = content
+        .get("code")
+        .and_then(Value::as_int)
+        .and_then(|code| u16::try_from(code).ok());
+    WireError::new(
+        Code::from_wire(number.unwrap_or(200), &text("name")),
+        text("text"),
+    )
+}
+
+fn nobody(path: &str, after: Duration) -> Failure {
+    Failure::new(
+        format!("no camera answers in {path} within {}", words::duration(after)),
+        "see who is there: mom tree",
+    )
+}
+
+fn image(content: &Value) -> Option<Bytes> {
+    content.get("image").and_then(Value::as_binary).cloned()
+}
+
+/// `x-20261121T100000Z.jpg`: the camera, when the image was taken, what it is.
+fn file_name(view: &str, content: &Value) -> String {
+    let taken = match content.get("taken") {
+        Some(Value::Time(time)) => time.to_string(),
+        _ => String::new(),
+    };
+    // To the second, without the characters that file systems dislike.
+    let stamp: String = taken
+        .split('.')
+        .next()
+        .unwrap_or_default()
+        .chars()
+        .filter(|c| c.is_alphanumeric())
+        .collect();
+    let ending = match content.get("media-type").and_then(Value::as_str) {
+        Some("image/jpeg") => "jpg",
+        Some("image/png") => "png",
+        _ => "image",
+    };
+    let view = view.replace('/', "-");
+    match stamp.is_empty() {
+        true => format!("{view}.{ending}"),
+        false => format!("{view}-{stamp}Z.{ending}"),
+    }
+}
+
+/// `640 x 480, image/jpeg, 23.1 KiB, taken 2026-11-21T10:00:00Z`
+fn facts(content: &Value, bytes: usize) -> String {
+    let int = |key: &str| content.get(key).and_then(Value::as_int);
+    let mut facts = Vec::new();
+    if let (Some(width), Some(height)) = (int("width"), int("height")) {
+        facts.push(format!("{width} x {height}"));
+    }
+    facts.extend(
+        content
+            .get("media-type")
+            .and_then(Value::as_str)
+            .map(words::visible),
+    );
+    facts.push(words::size(bytes));
+    if let Some(Value::Time(time)) = content.get("taken") {
+        facts.push(format!("taken {time}"));
+    }
+    facts.join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use mom_client::{Map, Time};
+
+    use super::*;
+
+    fn content(media_type: &str) -> Value {
+        let taken: Time = "2026-11-21T10:00:01.500000Z".parse().unwrap();
+        Map::new()
+            .with("image", Value::Binary(Bytes::from_static(b"abc")))
+            .with("media-type", media_type)
+            .with("width", 640)
+            .with("height", 480)
+            .with("taken", taken)
+            .into()
+    }
+
+    #[test]
+    fn names_of_files() {
+        for (content, name) in [
+            (content("image/jpeg"), "x-20261121T100001Z.jpg"),
+            (content("image/png"), "x-20261121T100001Z.png"),
+            (content("../evil"), "x-20261121T100001Z.image"),
+            (Value::Null, "x.image"),
+        ] {
+            assert_eq!(file_name("x", &content), name);
+        }
+    }
+
+    #[test]
+    fn what_is_told_of_an_image() {
+        let content = content("image/jpeg");
+        assert_eq!(image(&content).as_deref(), Some(&b"abc"[..]));
+        assert_eq!(
+            facts(&content, 3),
+            "640 x 480, image/jpeg, 3 B, taken 2026-11-21T10:00:01.500000Z"
+        );
+        assert_eq!(image(&Value::Null), None);
+    }
+
+    #[test]
+    fn a_cameras_refusal() {
+        let told = Map::new()
+            .with("name", "try-later")
+            .with("code", 100)
+            .with("text", "64 wait");
+        assert_eq!(refusal(&told.into()), WireError::new(Code::TRY_LATER, "64 wait"));
+    }
+}

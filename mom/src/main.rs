@@ -1,0 +1,37 @@
+//! The command line of MOM: a lab to try, and the tools to look at a hub and to work with it.
+
+mod cli;
+mod commands;
+mod connect;
+mod failure;
+mod input;
+mod interrupt;
+mod output;
+
+use std::process::ExitCode;
+
+use clap::{CommandFactory as _, Parser as _};
+
+use crate::cli::Cli;
+use crate::failure::Failure;
+use crate::output::Output;
+
+fn main() -> ExitCode {
+    // The settings of the environment count as arguments for clap, so it would not see that there are none.
+    if std::env::args_os().len() == 1 {
+        return output::help(&mut Cli::command());
+    }
+    let cli = Cli::parse();
+    let output = Output::new(cli.global.json);
+    let runtime = match tokio::runtime::Builder::new_multi_thread().enable_all().build() {
+        Ok(runtime) => runtime,
+        Err(error) => return output.failure(&Failure::from(error)),
+    };
+    let result = runtime.block_on(commands::run(&cli, &output));
+    // A thread that still waits for a line of input must not hold up the end.
+    runtime.shutdown_background();
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => output.failure(&failure),
+    }
+}

@@ -1,0 +1,224 @@
+//! An event in words, and as the slots that it came in.
+
+use std::fmt::Display;
+use std::time::Duration;
+
+use mom_client::{ContextInfo, Event, Lost, Map, Member, Path, Value, WireError};
+
+use super::{error_map, words};
+
+/// An event in words.
+pub(crate) fn event_words(event: &Event) -> String {
+    let name = |text: &str| words::visible(text);
+    match event {
+        Event::Joined(Member { peer, level, .. }) => format!("{} joined (level {level})", name(peer)),
+        Event::Left(Member { peer, .. }) => format!("{} left", name(peer)),
+        Event::Count(count) => words::count(*count, "member"),
+        Event::Created(ContextInfo { path, kind, .. }) => format!("{kind} {path} was created"),
+        Event::Deleted { path } => format!("{path} was deleted"),
+        Event::Grabbed {
+            owner,
+            level,
+            fence,
+            lease,
+            path,
+        } => {
+            let lease = match lease {
+                Some(lease) => format!("lease {}", words::duration(*lease)),
+                None => "no lease".to_owned(),
+            };
+            format!(
+                "{} grabbed {path} (level {level}, fence {}, {lease})",
+                name(owner),
+                words::fence(*fence)
+            )
+        }
+        Event::Released {
+            owner,
+            reason,
+            by,
+            path,
+            ..
+        } => released(&name(owner), reason, by.as_deref().map(name), path),
+        Event::Dropped { reason, count, .. } => {
+            format!(
+                "{} dropped on the way: {}",
+                words::count(*count, "parcel"),
+                name(reason)
+            )
+        }
+        Event::Refused(error, _) => format!("refused: {}", name(&error.to_string())),
+        Event::Lagged(count) => {
+            format!(
+                "{} not shown: more came than could be written",
+                words::count(*count, "parcel")
+            )
+        }
+        Event::LinkDown => "the connection is lost; connecting again".to_owned(),
+        Event::Rejoined => "connected again".to_owned(),
+        Event::Message(parcel) | Event::Other(parcel) => name(parcel.name()),
+        _ => "something this program does not know".to_owned(),
+    }
+}
+
+/// How this peer lost a token.
+pub(crate) fn lost_words(lost: &Lost) -> String {
+    let by = lost.by.as_deref().map(words::visible);
+    match (lost.reason.as_str(), by) {
+        ("preempted", Some(by)) => format!("{by} has a higher level and took it"),
+        ("expired", Some(by)) => format!("the lease was over, and {by} took it"),
+        ("expired", None) => "the lease was over".to_owned(),
+        ("disconnected", _) => "the connection to the hub is lost".to_owned(),
+        ("deleted", _) => "it was deleted".to_owned(),
+        (reason, Some(by)) => format!("{} by {by}", words::visible(reason)),
+        (reason, None) => words::visible(reason),
+    }
+}
+
+/// How an owner lost a token.
+fn released(owner: &str, reason: &str, by: Option<String>, path: impl Display) -> String {
+    let by = by.filter(|by| by != owner);
+    match (reason, by) {
+        ("released", _) => format!("{owner} released {path}"),
+        ("expired", Some(by)) => format!("the lease of {owner} on {path} was over, {by} takes it"),
+        ("expired", None) => format!("the lease of {owner} on {path} was over"),
+        ("preempted", Some(by)) => format!("{by} takes {path} from {owner}, by level"),
+        ("disconnected", _) => format!("{owner} lost {path}: disconnected"),
+        ("deleted", _) => format!("{owner} lost {path}: it was deleted"),
+        (reason, Some(by)) => format!("{owner} lost {path} to {by}: {}", words::visible(reason)),
+        (reason, None) => format!("{owner} lost {path}: {}", words::visible(reason)),
+    }
+}
+
+/// The name and content of an event, as they stood on the wire.
+pub(super) fn event_slots(event: &Event) -> (&'static str, Map) {
+    match event {
+        Event::Joined(peer) => ("joined", member(peer)),
+        Event::Left(peer) => ("left", member(peer)),
+        Event::Count(count) => ("count", Map::new().with("count", number(*count))),
+        Event::Created(info) => (
+            "created",
+            Map::new()
+                .with("path", info.path.as_str())
+                .with("kind", info.kind.word())
+                .with("number", number(info.number)),
+        ),
+        Event::Deleted { path } => ("deleted", Map::new().with("path", path.as_str())),
+        Event::Grabbed { .. } => ("grabbed", ownership(event)),
+        Event::Released { .. } => ("released", ownership(event)),
+        Event::Dropped { reason, count, .. } => (
+            "dropped",
+            Map::new()
+                .with("reason", reason.as_str())
+                .with("count", number(*count)),
+        ),
+        Event::Refused(error, reference) => ("refused", refused(error, *reference)),
+        Event::Lagged(count) => ("lagged", Map::new().with("count", number(*count))),
+        Event::LinkDown => ("link-down", Map::new()),
+        Event::Rejoined => ("rejoined", Map::new()),
+        Event::Message(_) | Event::Other(_) => ("other", Map::new()),
+        _ => ("unknown", Map::new()),
+    }
+}
+
+fn ownership(event: &Event) -> Map {
+    let fence_of = |path: &Path, owner: &str, fence: u64| {
+        Map::new()
+            .with("path", path.as_str())
+            .with("owner", owner)
+            .with("fence", number(fence))
+    };
+    match event {
+        Event::Grabbed {
+            owner,
+            level,
+            fence,
+            lease,
+            path,
+        } => {
+            let millis = |lease: &Duration| number(u64::try_from(lease.as_millis()).unwrap_or(u64::MAX));
+            fence_of(path, owner, *fence)
+                .with("level", *level)
+                .with("lease", lease.as_ref().map_or(Value::Null, millis))
+        }
+        Event::Released {
+            owner,
+            reason,
+            by,
+            fence,
+            path,
+        } => fence_of(path, owner, *fence)
+            .with("reason", reason.as_str())
+            .with("by", by.as_deref().map_or(Value::Null, Value::from)),
+        _ => Map::new(),
+    }
+}
+
+fn refused(error: &WireError, reference: Option<u64>) -> Map {
+    let mut map = error_map(error);
+    map.set("reference", reference.map_or(Value::Null, number));
+    map
+}
+
+fn member(member: &Member) -> Map {
+    Map::new()
+        .with("peer", member.peer.as_str())
+        .with("user", member.user.as_str())
+        .with("level", member.level)
+}
+
+/// A number as a value; all that come from the wire fit.
+fn number(number: u64) -> Value {
+    Value::Int(i64::try_from(number).unwrap_or(i64::MAX))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn how_a_token_was_lost() {
+        for (reason, by, words) in [
+            ("released", Some("alice"), "alice released /robot/token"),
+            (
+                "expired",
+                Some("bob"),
+                "the lease of alice on /robot/token was over, bob takes it",
+            ),
+            (
+                "preempted",
+                Some("carol"),
+                "carol takes /robot/token from alice, by level",
+            ),
+            ("disconnected", None, "alice lost /robot/token: disconnected"),
+            (
+                "broken",
+                Some("carol"),
+                "alice lost /robot/token to carol: broken",
+            ),
+        ] {
+            assert_eq!(
+                released("alice", reason, by.map(str::to_owned), "/robot/token"),
+                words
+            );
+        }
+    }
+
+    #[test]
+    fn how_this_peer_lost_a_token() {
+        for (reason, by, words) in [
+            ("preempted", Some("carol"), "carol has a higher level and took it"),
+            ("expired", Some("bob"), "the lease was over, and bob took it"),
+            ("expired", None, "the lease was over"),
+            ("disconnected", None, "the connection to the hub is lost"),
+            ("broken", Some("carol"), "broken by carol"),
+            ("denied", None, "denied"),
+        ] {
+            let lost = Lost {
+                reason: reason.to_owned(),
+                by: by.map(str::to_owned),
+            };
+            assert_eq!(lost_words(&lost), words);
+        }
+    }
+}

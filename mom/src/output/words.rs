@@ -1,0 +1,239 @@
+//! Durations, sizes, fences and foreign text as people read them.
+
+use std::time::Duration;
+
+use mom_client::{Content, Map, Parcel, Value};
+
+/// Beyond this a line is cut where a person reads it; JSON is never cut.
+const LONGEST: usize = 200;
+
+/// `0.4 s`, `42 s`, `2 min 58 s`, `1 h 5 min`; rounded up, so that who waits so long never comes too early.
+pub(crate) fn duration(duration: Duration) -> String {
+    if duration < Duration::from_secs(1) {
+        let tenths = duration.as_millis().div_ceil(100);
+        return match tenths {
+            0 => "0 s".to_owned(),
+            10 => "1 s".to_owned(),
+            _ => format!("0.{tenths} s"),
+        };
+    }
+    let seconds = duration.as_secs() + u64::from(duration.subsec_nanos() > 0);
+    match (seconds / 3600, seconds / 60 % 60, seconds % 60) {
+        (0, 0, seconds) => format!("{seconds} s"),
+        (0, minutes, 0) => format!("{minutes} min"),
+        (0, minutes, seconds) => format!("{minutes} min {seconds} s"),
+        (hours, 0, _) => format!("{hours} h"),
+        (hours, minutes, _) => format!("{hours} h {minutes} min"),
+    }
+}
+
+/// A number of ms in a reply, as a duration.
+pub(crate) fn millis(value: Option<&Value>) -> Option<Duration> {
+    let millis = value?.as_int()?;
+    Some(Duration::from_millis(u64::try_from(millis).ok()?))
+}
+
+/// `812 B`, `12.3 KiB`, `1.5 MiB`.
+pub(crate) fn size(bytes: usize) -> String {
+    const KIB: usize = 1024;
+    let tenths = |unit: usize| format!("{}.{}", bytes / unit, bytes % unit * 10 / unit);
+    match bytes {
+        0..KIB => format!("{bytes} B"),
+        KIB..1_048_576 => format!("{} KiB", tenths(KIB)),
+        _ => format!("{} MiB", tenths(KIB * KIB)),
+    }
+}
+
+/// `1 member`, `3 members`.
+pub(crate) fn count(number: u64, one: &str) -> String {
+    match number {
+        1 => format!("1 {one}"),
+        _ => format!("{number} {one}s"),
+    }
+}
+
+/// The part of a fence that people compare; the rest is the epoch (design §6).
+pub(crate) fn fence(fence: u64) -> u64 {
+    fence & 0xF_FFFF
+}
+
+/// Text of others, safe to show on one line of a terminal: what would move the cursor, start a new line or
+/// turn the direction of writing is shown as an escape.
+pub(crate) fn visible(text: &str) -> String {
+    let mut shown = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '\t' => shown.push(' '),
+            c if c.is_control() || turns_direction(c) => shown.extend(c.escape_default()),
+            c => shown.push(c),
+        }
+    }
+    shown
+}
+
+/// What a parcel carries, on one line.
+pub(crate) fn said(parcel: &Parcel) -> String {
+    match parcel.content.as_ref().map(Content::to_value) {
+        None => String::new(),
+        Some(Ok(value)) => content(&value),
+        // It is encoded by its sender, and passed on unopened.
+        Some(Err(error)) => format!("(content that cannot be read: {})", visible(&error.to_string())),
+    }
+}
+
+/// Content on one line: text as it is, maps as `key=value`, and what is inside of them in short.
+pub(crate) fn content(value: &Value) -> String {
+    match value {
+        Value::Null => String::new(),
+        Value::String(text) => visible(text),
+        Value::Map(map) => members(map),
+        Value::List(list) => list.iter().map(inner).collect::<Vec<_>>().join(", "),
+        other => inner(other),
+    }
+}
+
+/// A map's members as `key=value`.
+fn members(map: &Map) -> String {
+    let members: Vec<String> = map
+        .iter()
+        .map(|(key, value)| format!("{}={}", visible(key), inner(value)))
+        .collect();
+    members.join(" ")
+}
+
+fn inner(value: &Value) -> String {
+    match value {
+        Value::Null => "null".to_owned(),
+        Value::Bool(flag) => flag.to_string(),
+        Value::Int(number) => number.to_string(),
+        Value::Double(number) => decimals(*number),
+        Value::String(text) if text.contains(' ') => format!("\"{}\"", visible(text)),
+        Value::String(text) => visible(text),
+        Value::Time(time) => time.to_string(),
+        Value::Binary(bytes) => format!("<{}>", size(bytes.len())),
+        Value::List(list) if list.len() > 6 => format!("[{}]", count(list.len() as u64, "item")),
+        Value::List(list) => match list.iter().all(is_plain) {
+            true => format!("[{}]", list.iter().map(inner).collect::<Vec<_>>().join(" ")),
+            false => format!("[{}]", count(list.len() as u64, "item")),
+        },
+        Value::Map(map) => match map.iter().all(|(_, value)| is_plain(value)) {
+            true => format!("{{{}}}", members(map)),
+            false => "{…}".to_owned(),
+        },
+    }
+}
+
+fn is_plain(value: &Value) -> bool {
+    !matches!(value, Value::List(_) | Value::Map(_))
+}
+
+/// At most three digits after the point: a thousandth of a millimetre is enough to read.
+fn decimals(number: f64) -> String {
+    let rounded = (number * 1000.0).round() / 1000.0;
+    match rounded.is_finite() {
+        // Adding zero makes 0 of -0.
+        true => (rounded + 0.0).to_string(),
+        false => number.to_string(),
+    }
+}
+
+/// The text, cut where it grows too long to read.
+pub(crate) fn shorten(text: &str) -> String {
+    match text.char_indices().nth(LONGEST) {
+        Some((end, _)) => format!("{}…", &text[..end]),
+        None => text.to_owned(),
+    }
+}
+
+fn turns_direction(c: char) -> bool {
+    matches!(c, '\u{200E}' | '\u{200F}' | '\u{2028}'..='\u{202E}' | '\u{2066}'..='\u{2069}')
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn durations_are_rounded_up() {
+        for (millis, words) in [
+            (0, "0 s"),
+            (1, "0.1 s"),
+            (999, "1 s"),
+            (1001, "2 s"),
+            (59_000, "59 s"),
+            (59_001, "1 min"),
+            (178_000, "2 min 58 s"),
+            (180_000, "3 min"),
+            (3_600_000, "1 h"),
+            (3_900_000, "1 h 5 min"),
+        ] {
+            assert_eq!(duration(Duration::from_millis(millis)), words);
+        }
+    }
+
+    #[test]
+    fn sizes() {
+        for (bytes, words) in [
+            (0, "0 B"),
+            (1023, "1023 B"),
+            (1024, "1.0 KiB"),
+            (12_646, "12.3 KiB"),
+            (1_572_864, "1.5 MiB"),
+        ] {
+            assert_eq!(size(bytes), words);
+        }
+    }
+
+    #[test]
+    fn nobody_paints_on_our_terminal() {
+        for (text, shown) in [
+            ("good morning", "good morning"),
+            ("Zoë 名前 😀", "Zoë 名前 😀"),
+            ("a\nb\r\tc", "a\\nb\\r c"),
+            ("\u{9b}2J", "\\u{9b}2J"),
+            ("ab\u{202e}c", "ab\\u{202e}c"),
+        ] {
+            assert_eq!(visible(text), shown);
+        }
+    }
+
+    #[test]
+    fn content_on_one_line() {
+        let map = |members: Map| Value::Map(members);
+        for (value, shown) in [
+            (Value::Null, ""),
+            ("move 1 2 3 4 5; grip close".into(), "move 1 2 3 4 5; grip close"),
+            (
+                map(Map::new()
+                    .with("id", 3)
+                    .with("state", "executing")
+                    .with("why", "it is so")),
+                "id=3 state=executing why=\"it is so\"",
+            ),
+            (
+                map(Map::new()
+                    .with("x", Value::Double(-0.0))
+                    .with("y", Value::Double(1.23456))
+                    .with("image", Value::Binary(vec![0; 2048].into()))),
+                "x=0 y=1.235 image=<2.0 KiB>",
+            ),
+            (
+                map(Map::new()
+                    .with("pose", Map::new().with("x", 1).with("y", true))
+                    .with("blocks", vec![Map::new().into()])
+                    .with("deep", Map::new().with("deeper", Map::new()))),
+                "pose={x=1 y=true} blocks=[1 item] deep={…}",
+            ),
+            (Value::List(vec![1.into(), "a".into()]), "1, a"),
+        ] {
+            assert_eq!(content(&value), shown);
+        }
+        let long = "ä".repeat(LONGEST + 1);
+        assert_eq!(shorten(&long), format!("{}…", "ä".repeat(LONGEST)));
+    }
+
+    #[test]
+    fn people_see_a_fences_number() {
+        assert_eq!(fence((1_763_000_000 << 20) + 7), 7);
+    }
+}
