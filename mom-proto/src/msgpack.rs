@@ -14,7 +14,7 @@ const TIMESTAMP: i8 = -1;
 /// Appends a value.
 ///
 /// # Errors
-/// `not-encodable` for a double that is not finite.
+/// `not-encodable` for a double that is not finite, and for text outside XML's characters.
 pub fn encode(value: &Value, out: &mut Vec<u8>) -> Result<(), WireError> {
     match value {
         Value::Null => put::write_nil(out).map_err(|_| too_long()),
@@ -25,7 +25,7 @@ pub fn encode(value: &Value, out: &mut Vec<u8>) -> Result<(), WireError> {
             Code::NOT_ENCODABLE,
             format!("a double has to be finite, not {number}"),
         )),
-        Value::String(text) => put::write_str(out, text).map_err(|_| too_long()),
+        Value::String(text) => encode_text(text, out),
         Value::Time(time) => encode_time(*time, out),
         Value::Binary(bytes) => put::write_bin(out, bytes).map_err(|_| too_long()),
         Value::List(list) => {
@@ -35,7 +35,7 @@ pub fn encode(value: &Value, out: &mut Vec<u8>) -> Result<(), WireError> {
         Value::Map(map) => {
             put::write_map_len(out, length(map.len())?).map_err(|_| too_long())?;
             map.iter().try_for_each(|(key, item)| {
-                put::write_str(out, key).map_err(|_| too_long())?;
+                encode_text(key, out)?;
                 encode(item, out)
             })
         }
@@ -52,6 +52,18 @@ pub fn decode(bytes: &Bytes, depth: usize) -> Result<Value, WireError> {
     match reader.position == bytes.len() {
         true => Ok(value),
         false => Err(reader.bad("bytes after the value")),
+    }
+}
+
+// The receiver would refuse it; here its author still learns of it.
+fn encode_text(text: &str, out: &mut Vec<u8>) -> Result<(), WireError> {
+    match xml_violation(text) {
+        None => put::write_str(out, text).map_err(|_| too_long()),
+        Some(at) => {
+            let character = text[at..].chars().next().unwrap_or_default();
+            let text = format!("the character {character:?} may not stand in a string");
+            Err(WireError::new(Code::NOT_ENCODABLE, text))
+        }
     }
 }
 
@@ -306,6 +318,20 @@ mod tests {
             Time::MAX.micros(),
         ] {
             round(&Time::from_micros(micros).unwrap().into());
+        }
+    }
+
+    #[test]
+    fn what_no_receiver_would_take_is_not_written() {
+        let key = Map::new().with("\u{1b}", 1);
+        for value in [
+            Value::Double(f64::NAN),
+            Value::Double(f64::INFINITY),
+            "a\0".into(),
+            key.into(),
+        ] {
+            let error = encode(&value, &mut Vec::new()).expect_err("refused");
+            assert_eq!(error.code, Code::NOT_ENCODABLE, "{value:?}");
         }
     }
 
