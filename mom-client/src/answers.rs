@@ -92,9 +92,7 @@ impl Shared {
                 place.gate.joined(info);
                 place.phase = Phase::Joined(Arc::clone(info));
                 match again {
-                    true => state
-                        .subscribers
-                        .deliver(std::slice::from_ref(path), Event::Rejoined),
+                    true => state.subscribers.deliver_only(path, &Event::Rejoined),
                     false => state.subscribers.keep_early(path),
                 }
             }

@@ -245,6 +245,13 @@ impl Subscribers {
         }
     }
 
+    /// Gives an event to the subscribers of this context, or else to nobody.
+    pub(crate) fn deliver_only(&mut self, path: &Path, event: &Event) {
+        let early = self.early_of(path);
+        let known = self.by_path.get(path).into_iter().flatten();
+        known.chain(&early).for_each(|queue| queue.push(event.clone()));
+    }
+
     pub(crate) fn deliver_unaddressed(&self, event: Event) {
         if self.unaddressed.is_empty() {
             tracing::debug!(?event, "nobody subscribed");
@@ -376,6 +383,10 @@ mod tests {
             assert_eq!((taken(&queue).len(), taken(&others).len()), (kept, unaddressed));
             subscribers.deliver(std::slice::from_ref(&path), Event::Rejoined);
             assert_eq!(taken(&queue), [Event::Rejoined]);
+            drop(queue);
+            subscribers.close_within(&path);
+            subscribers.deliver_only(&path, &Event::Rejoined);
+            assert_eq!(taken(&others), [], "a context's own news is nobody else's");
         }
     }
 

@@ -66,7 +66,9 @@ impl Hub {
             Hub::Local(receiver) => receiver.recv().await.unwrap(),
             Hub::Tcp(listener) => {
                 let (stream, _) = listener.accept().await.unwrap();
-                mom_net::accept(stream, &Limits::default()).await.unwrap()
+                // The test waits for as long as it takes.
+                let never = std::future::pending();
+                mom_net::accept(stream, &Limits::default(), never).await.unwrap()
             }
         };
         Peer { transceiver }

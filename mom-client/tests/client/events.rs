@@ -231,6 +231,12 @@ async fn a_session_hears_of_what_is_made_and_deleted_in_it() {
     );
     assert_eq!(on_arm.next().await, None, "nothing comes from there any more");
     assert_eq!(on_robot.try_next(), None);
+    // One made at the same path is another one, which has to be joined.
+    let (again, ()) = tokio::join!(
+        client.channel("/robot/arm"),
+        peer.join_one("/robot/arm", "channel", Map::new())
+    );
+    assert_eq!(again.unwrap().path(), &path("/robot/arm"));
 }
 
 #[tokio::test]

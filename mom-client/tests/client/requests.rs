@@ -377,6 +377,10 @@ async fn a_context_is_left_when_its_last_proxy_goes_after_what_was_sent() {
     peer.expect("context leave /robot/arm").await;
     drop(robot);
     peer.expect("context leave /robot").await;
+    // Nobody waits there any more, not even for a first subscriber.
+    let mut others = client.unaddressed();
+    peer.message("state", "/robot", "late").await;
+    assert!(matches!(next(&mut others).await, Event::Message(_)));
 }
 
 #[tokio::test]
