@@ -22,6 +22,8 @@ mod open;
 mod question;
 mod registry;
 mod roles;
+#[cfg(test)]
+mod tests;
 mod verdict;
 
 pub use question::{Micros, Owner, PeerFacts, Question, TokenFacts};

@@ -129,11 +129,13 @@ impl Manager for Roles {
         if question.verb.gives_up() {
             return Verdict::allow();
         }
-        match self.rules.iter().find(|rule| rule.covers(question)) {
-            Some(rule) if rule.allow => Verdict::allow().stands(self.scope),
-            Some(rule) => Verdict::deny(Code::DENIED, &rule.name, refusal(question)).stands(self.scope),
-            None => Verdict::deny(Code::DENIED, &self.label, refusal(question)).stands(self.scope),
-        }
+        let rule = match self.rules.iter().find(|rule| rule.covers(question)) {
+            Some(rule) if rule.allow => return Verdict::allow().stands(self.scope),
+            Some(rule) => &rule.name,
+            None => &self.label,
+        };
+        // A refusal names the message, so it stands for no other.
+        Verdict::deny(Code::DENIED, rule, refusal(question)).stands(Scope::ThisName)
     }
 }
 

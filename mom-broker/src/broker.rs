@@ -92,7 +92,7 @@ impl Broker {
         };
         let hub = config.make_hub(settings)?;
         let context = Context {
-            board: Arc::new(Switchboard::new(hub, clock)),
+            board: Arc::new(Switchboard::new(hub, clock, config.limits.depth)),
             logins: Arc::new(Logins::new(config.users.clone(), config.login.clone())),
             limits: config.limits.clone(),
         };
@@ -224,10 +224,13 @@ impl Context {
     async fn take_in(self, stream: TcpStream, from: SocketAddr, _place: OwnedSemaphorePermit) {
         let login_by = Instant::now() + login_time(&self.limits);
         let before_login = self.limits.before_login();
-        match timeout_at(login_by, mom_net::accept(stream, &before_login)).await {
-            Ok(Ok(transceiver)) => session::serve(self, transceiver, Some(from.ip()), login_by).await,
-            Ok(Err(error)) => tracing::info!(%from, %error, "refused"),
-            Err(_) => tracing::info!(%from, "said nothing before the login deadline"),
+        let too_late = async {
+            tokio::time::sleep_until(login_by).await;
+            session::login_timeout(self.limits.login_time)
+        };
+        match mom_net::accept(stream, &before_login, too_late).await {
+            Ok(transceiver) => session::serve(self, transceiver, Some(from.ip()), login_by).await,
+            Err(error) => tracing::info!(%from, %error, "refused"),
         }
     }
 }

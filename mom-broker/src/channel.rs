@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use mom_hub::{PeerId, Receivers, Route};
 use mom_net::Outgoing;
 use mom_proto::codec::{Encoded, Form};
-use mom_proto::{ContextNumber, Delivery, Parcel, Time, Verb, WireError};
+use mom_proto::{Content, ContextNumber, Delivery, HARD_DEPTH, Parcel, Time, Verb, WireError, msgpack};
 use parking_lot::{Mutex, MutexGuard};
 
 use crate::outbox::{Entry, Gate, Lane, Origin, Outbox, Taken};
@@ -24,6 +24,8 @@ pub(crate) struct Inner {
     /// In the order of the route's members.
     outboxes: Vec<Option<Arc<Outbox>>>,
     gate: Gate,
+    /// How deep content may nest that has to be opened.
+    depth: usize,
 }
 
 /// Where a delivered parcel went.
@@ -38,7 +40,11 @@ pub(crate) struct Delivered {
 }
 
 impl Channel {
-    pub(crate) fn new(route: Arc<Route>, outbox: impl Fn(PeerId) -> Option<Arc<Outbox>>) -> Channel {
+    pub(crate) fn new(
+        route: Arc<Route>,
+        depth: usize,
+        outbox: impl Fn(PeerId) -> Option<Arc<Outbox>>,
+    ) -> Channel {
         let outboxes = route.members.iter().map(|member| outbox(member.peer)).collect();
         let gate = Arc::new(AtomicU64::new(fence_open(&route)));
         Channel {
@@ -46,6 +52,7 @@ impl Channel {
                 route,
                 outboxes,
                 gate,
+                depth,
             }),
         }
     }
@@ -113,7 +120,7 @@ impl Inner {
             .iter()
             .filter_map(|place| self.outboxes[*place].as_ref())
             .map(|outbox| outbox.form());
-        let encodings = Encodings::new(parcel, forms)?;
+        let encodings = Encodings::with_depth(parcel, forms, self.depth)?;
         let mut result = Delivered::default();
         for place in places {
             let name = || Arc::clone(&self.route.members[place].facts.name);
@@ -154,10 +161,19 @@ pub(crate) struct Encodings {
 }
 
 impl Encodings {
-    /// Encodes once for each form among those given.
+    /// Encodes what the hub itself says once for each form among those given.
     pub(crate) fn new(
         parcel: Parcel,
         forms: impl Iterator<Item = Option<Form>>,
+    ) -> Result<Encodings, WireError> {
+        Encodings::with_depth(parcel, forms, HARD_DEPTH)
+    }
+
+    /// Encodes once for each form among those given, opening content that nests so deep at most.
+    pub(crate) fn with_depth(
+        parcel: Parcel,
+        forms: impl Iterator<Item = Option<Form>>,
+        depth: usize,
     ) -> Result<Encodings, WireError> {
         let mut encodings = Encodings {
             encoded: BTreeMap::new(),
@@ -168,7 +184,7 @@ impl Encodings {
             match form {
                 None => local = true,
                 Some(form) if encodings.encoded.contains_key(&form) => {}
-                Some(form) => drop(encodings.encoded.insert(form, form.encode(&parcel)?)),
+                Some(form) => drop(encodings.encoded.insert(form, encode(&parcel, form, depth)?)),
             }
         }
         encodings.local = local.then(|| Arc::new(parcel));
@@ -183,6 +199,20 @@ impl Encodings {
             // Cannot be: `new` was given the forms of all receivers.
             (None, None) => Outgoing::Encoded(Encoded::default()),
         }
+    }
+}
+
+/// One form of a parcel. Content that is encoded already was looked at by nobody so far.
+fn encode(parcel: &Parcel, form: Form, depth: usize) -> Result<Encoded, WireError> {
+    match (form, &parcel.content) {
+        (Form::Xml, Some(Content::Encoded(bytes))) => {
+            let content = Content::Value(msgpack::decode(bytes, depth)?);
+            form.encode(&Parcel {
+                content: Some(content),
+                ..parcel.clone()
+            })
+        }
+        _ => form.encode(parcel),
     }
 }
 

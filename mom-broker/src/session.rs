@@ -15,6 +15,9 @@ use crate::login::{Attempt, Logins};
 use crate::outbox::Outbox;
 use crate::switchboard::{Switchboard, Touched, flush};
 
+/// How long an ending connection may take to hear why.
+const FAREWELL: Duration = Duration::from_secs(1);
+
 /// What a connection has to know of its broker.
 #[derive(Clone, Debug)]
 pub(crate) struct Context {
@@ -66,20 +69,28 @@ pub(crate) async fn serve(
     let error = session.read(&mut reader, login_by).await;
     heartbeat.abort();
     session.end(error);
-    // The error gets a second to go out; a link that does not take it is cut.
-    if timeout(Duration::from_secs(1), &mut writer).await.is_err() {
-        tracing::info!(peer = peer.0, "what waited for it was not taken within 1 s");
+    // The error gets a second to go out; a link that does not take it is cut. What the peer still says is read
+    // meanwhile and thrown away: closing with unread bytes would reset the link, and the error with it.
+    let farewell = async {
+        let _ = (&mut writer).await;
+        reader.drain().await;
+    };
+    if timeout(FAREWELL, farewell).await.is_err() {
+        tracing::debug!(peer = peer.0, "not closed from the other side within 1 s");
         writer.abort();
     }
     session.context.board.remove_outbox(peer);
 }
 
-/// Asks a peer that hears nothing else whether it is there.
+/// Asks a peer that says or hears nothing else whether it is there.
 async fn beat(context: Context, outbox: Arc<Outbox>) {
     let every = Duration::from_millis(context.limits.heartbeat);
     loop {
         tokio::time::sleep(every).await;
-        if !outbox.active.swap(false, Ordering::Relaxed) {
+        let quiet = !outbox.active.swap(false, Ordering::Relaxed);
+        // A peer that only listens has to be asked too, or it would be taken for gone.
+        let silent = !outbox.heard.swap(false, Ordering::Relaxed);
+        if quiet || silent {
             let mut touched = Touched::new();
             let ping = Parcel::new(Family::Time, "ping").context(Path::root()).id(0);
             context.board.tell(outbox.peer, ping, &mut touched);
@@ -123,6 +134,7 @@ impl Session {
         reader: &mut Reader,
         first: Result<Option<Frame>, NetError>,
     ) -> Result<(), Option<WireError>> {
+        self.outbox.heard.store(true, Ordering::Relaxed);
         let mut touched = Touched::new();
         let mut next = first;
         let result = loop {
@@ -289,7 +301,7 @@ fn silent(gone: Duration) -> WireError {
     WireError::new(Code::SILENT, text)
 }
 
-fn login_timeout(millis: u64) -> WireError {
+pub(crate) fn login_timeout(millis: u64) -> WireError {
     WireError::new(
         Code::LOGIN_TIMEOUT,
         format!("no login within {} s", millis / 1000),

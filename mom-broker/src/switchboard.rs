@@ -23,6 +23,8 @@ pub(crate) struct Switchboard {
     hub: Mutex<Hub>,
     channels: DashMap<ContextNumber, Arc<Channel>>,
     by_path: DashMap<Path, ContextNumber>,
+    /// How deep content may nest that has to be opened.
+    depth: usize,
     pub(crate) outboxes: DashMap<PeerId, Arc<Outbox>>,
     last_peer: AtomicU64,
     /// The hub's deadline may have come closer.
@@ -35,13 +37,14 @@ pub(crate) struct Switchboard {
 pub(crate) type Touched = Vec<Arc<Outbox>>;
 
 impl Switchboard {
-    pub(crate) fn new(hub: Hub, clock: Clock) -> Switchboard {
+    pub(crate) fn new(hub: Hub, clock: Clock, depth: usize) -> Switchboard {
         let routes = hub.routes();
         let board = Switchboard {
             clock,
             hub: Mutex::new(hub),
             channels: DashMap::new(),
             by_path: DashMap::new(),
+            depth,
             outboxes: DashMap::new(),
             last_peer: AtomicU64::new(0),
             deadline_changed: Notify::new(),
@@ -191,9 +194,10 @@ impl Switchboard {
     }
 
     fn channel_of(&self, parcel: &Parcel) -> Option<Arc<Channel>> {
-        let number = match (parcel.number, &parcel.context) {
-            (Some(number), _) => number,
-            (None, Some(path)) => *self.by_path.get(path)?,
+        // The path first, as the hub does.
+        let number = match (&parcel.context, parcel.number) {
+            (Some(path), _) => *self.by_path.get(path)?,
+            (None, Some(number)) => number,
             (None, None) => return None,
         };
         self.channels.get(&number).map(|channel| Arc::clone(&channel))
@@ -206,8 +210,10 @@ impl Switchboard {
             Some(channel) => channel.swap(route, |peer| self.outbox(peer)),
             None => {
                 self.by_path.insert(route.path.clone(), number);
-                self.channels
-                    .insert(number, Arc::new(Channel::new(route, |peer| self.outbox(peer))));
+                self.channels.insert(
+                    number,
+                    Arc::new(Channel::new(route, self.depth, |peer| self.outbox(peer))),
+                );
             }
         }
     }

@@ -145,7 +145,12 @@ fn check_guard(
             guard.token, guard.fence
         );
         let error = WireError::new(Code::OLDER_FENCE, text).slot("fence");
-        return Err(with_owner(error, guard, now).detail("fence", fence_value(guard.fence)));
+        let own = guard
+            .owner
+            .as_ref()
+            .is_some_and(|owner| owner.peer == member.peer);
+        let error = if own { error } else { with_owner(error, guard, now) };
+        return Err(error.detail("fence", fence_value(guard.fence)));
     }
     match &guard.owner {
         Some(owner) if owner.peer == member.peer => Ok(Some(guard.fence)),

@@ -46,7 +46,10 @@ impl Hub {
                 );
             }
         }
-        assert!(self.changed.is_empty(), "changed routes were given out");
+        assert!(
+            self.changed.is_empty() && self.grown.is_empty(),
+            "changed routes were given out"
+        );
     }
 
     fn check_context(&self, context: &Context) {

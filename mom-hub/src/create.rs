@@ -39,6 +39,7 @@ impl Hub {
             let text = format!("the hub holds {} contexts, its limit", self.tree.len());
             return Err(WireError::new(Code::FULL, text));
         }
+        self.check_path(&path)?;
         let manager = spec
             .manager
             .as_ref()
@@ -50,12 +51,6 @@ impl Hub {
         };
         let role = self.make_role(spec, managed_terms)?;
         let number = self.tree.next_number();
-        let guard = match &role {
-            Role::Channel(Channel {
-                guard: Some(guard), ..
-            }) => Some(guard.token.clone()),
-            _ => None,
-        };
         self.tree.insert(Context {
             number,
             path,
@@ -71,13 +66,50 @@ impl Hub {
             permanent,
             role,
         });
-        let token = guard
-            .and_then(|token| self.tree.find(&token))
-            .map(|token| token.number);
-        if let Some(token) = token.and_then(|token| self.tree.get_mut(token)?.token_mut()) {
-            token.guarded.insert(number);
-        }
+        self.link_guards(number);
         Ok(number)
+    }
+
+    /// Lets a new channel's token know what it guards, and a new token the channels that wait for one at
+    /// its path since it was deleted there.
+    fn link_guards(&mut self, number: ContextNumber) {
+        let Some(made) = self.tree.get(number) else { return };
+        let guards = |channel: &Context| {
+            channel
+                .channel()
+                .and_then(|channel| channel.guard.as_ref())
+                .map(|guard| guard.token.clone())
+        };
+        let (token, guarded): (Option<ContextNumber>, Vec<ContextNumber>) = match &made.role {
+            Role::Session => return,
+            Role::Channel(_) => {
+                let token = guards(made).and_then(|token| self.tree.find(&token));
+                (token.map(|token| token.number), vec![number])
+            }
+            Role::Token(_) => {
+                let waiting = self
+                    .tree
+                    .iter()
+                    .filter(|context| guards(context).as_ref() == Some(&made.path));
+                (Some(number), waiting.map(|channel| channel.number).collect())
+            }
+        };
+        if let Some(token) = token.and_then(|token| self.tree.get_mut(token)?.token_mut()) {
+            token.guarded.extend(guarded);
+        }
+    }
+
+    /// Whether a path is within the limits of this hub, which may be narrower than what a path can be.
+    fn check_path(&self, path: &Path) -> Result<(), WireError> {
+        let limits = &self.settings.limits;
+        if path.as_str().len() > limits.path || path.segments().count() > limits.path_levels {
+            let text = format!(
+                "a path here has at most {} bytes and {} levels",
+                limits.path, limits.path_levels
+            );
+            return Err(WireError::new(Code::BAD_PATH, text).slot("context"));
+        }
+        Ok(())
     }
 
     /// The session in which a path is to be made.

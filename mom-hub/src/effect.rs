@@ -9,7 +9,7 @@ use crate::{PeerId, Receivers, Route};
 /// One effect. Effects of one input are carried out in their order.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Effect {
-    /// Swap in the route of a channel, before anything that follows.
+    /// Swap in the route of a channel: from here on it holds for what is sent there.
     Route(Arc<Route>),
     /// A channel is no more.
     RouteGone(ContextNumber),

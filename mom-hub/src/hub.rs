@@ -25,8 +25,10 @@ pub struct Hub {
     pub(crate) now: Micros,
     /// The highest fence of all tokens that were deleted.
     pub(crate) deleted_fence: u64,
-    /// Channels whose routes the present input has changed.
+    /// Channels from whose routes the present input has taken something, or whose guard it has changed.
     pub(crate) changed: BTreeSet<ContextNumber>,
+    /// Channels to whose routes it has only added.
+    pub(crate) grown: BTreeSet<ContextNumber>,
 }
 
 /// What the hub does by itself at some time.
@@ -61,6 +63,7 @@ impl Hub {
             now: 0,
             deleted_fence: 0,
             changed: BTreeSet::new(),
+            grown: BTreeSet::new(),
         };
         let number = hub.tree.next_number();
         hub.tree.insert(make_root(number, manager, manager_word(root)));
@@ -94,7 +97,8 @@ impl Hub {
 
     /// Takes one input at a time that never goes back, and appends what is to be done.
     ///
-    /// Deadlines up to and at `now` act first. The routes that an input changes come before its other effects.
+    /// Deadlines up to and at `now` act first. Routes that an input takes something from come before its other
+    /// effects, those that it only adds to come after them.
     pub fn handle(&mut self, now: Micros, input: Input, out: &mut Vec<Effect>) {
         self.now = self.now.max(now);
         while let Some(&(deadline, timer)) = self.timers.first().filter(|(deadline, _)| *deadline <= self.now)
@@ -248,18 +252,31 @@ impl Hub {
         }
     }
 
+    /// Puts the routes that an input changed around its other effects: what takes away comes first, so that
+    /// nothing old follows news of it; what only adds comes last, so that a member is told before it hears.
     fn push_changed_routes(&mut self, start: usize, out: &mut Vec<Effect>) {
-        if self.changed.is_empty() {
-            return;
-        }
         let changed = std::mem::take(&mut self.changed);
-        let routes = changed.into_iter().filter_map(|number| match self.route(number) {
+        let grown = std::mem::take(&mut self.grown);
+        out.extend(
+            grown
+                .difference(&changed)
+                .filter_map(|number| self.route_effect(*number)),
+        );
+        if !changed.is_empty() {
+            let first: Vec<Effect> = changed
+                .iter()
+                .filter_map(|number| self.route_effect(*number))
+                .collect();
+            out.splice(start..start, first);
+        }
+    }
+
+    fn route_effect(&self, number: ContextNumber) -> Option<Effect> {
+        match self.route(number) {
             Some(route) => Some(Effect::Route(Arc::new(route))),
             None if self.tree.get(number).is_none() => Some(Effect::RouteGone(number)),
             None => None,
-        });
-        let routes: Vec<Effect> = routes.collect();
-        out.splice(start..start, routes);
+        }
     }
 
     pub(crate) fn token(&self, number: ContextNumber) -> Option<&Token> {

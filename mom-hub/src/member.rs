@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use mom_managers::{Answer, Micros, PeerFacts};
+use mom_proto::event;
 
 /// A peer's connection; the broker gives each a number and never the same twice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -24,12 +25,18 @@ pub struct Member {
 /// An answer that holds for later messages.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StandingVerdict {
-    /// For messages of this name; none = of any name.
+    /// For messages of this name; none = of any name but `stop` and `unstop`, which have rights of their
+    /// own.
     pub name: Option<Arc<str>>,
     /// Up to, but not at, this time.
     pub until: Option<Micros>,
     /// The answer.
     pub answer: Answer,
+}
+
+/// Whether a message is a verb of its own, so that what stands for others does not stand for it.
+pub(crate) fn has_own_right(name: &str) -> bool {
+    matches!(name, event::STOP | event::UNSTOP)
 }
 
 impl Member {
@@ -46,7 +53,10 @@ impl Member {
     pub fn standing(&self, name: &str, now: Micros) -> Option<&Answer> {
         self.standing
             .iter()
-            .find(|verdict| verdict.name.as_deref().is_none_or(|known| known == name))
+            .find(|verdict| match verdict.name.as_deref() {
+                Some(known) => known == name,
+                None => !has_own_right(name),
+            })
             .filter(|verdict| verdict.until.is_none_or(|until| now < until))
             .map(|verdict| &verdict.answer)
     }
@@ -55,7 +65,12 @@ impl Member {
     pub(crate) fn with(&self, verdict: StandingVerdict) -> Option<Member> {
         let mut standing: Vec<_> = match verdict.name {
             // A verdict for all names takes the place of those for some.
-            None => Vec::new(),
+            None => self
+                .standing
+                .iter()
+                .filter(|known| known.name.as_deref().is_some_and(has_own_right))
+                .cloned()
+                .collect(),
             Some(_) => self
                 .standing
                 .iter()

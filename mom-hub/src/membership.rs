@@ -26,12 +26,12 @@ impl Hub {
         context
             .members
             .insert(peer, Arc::new(Member::new(peer, Arc::clone(&facts))));
-        self.changed.insert(number);
+        self.grown.insert(number);
         self.push_presence(number, event::JOINED, peer_map(&facts), out);
     }
 
-    /// Takes a peer out of a context and of all below it, deepest first; gives up the tokens that it may
-    /// not own any more, as owning needs membership of the parent.
+    /// Takes a peer out of a context and of all below it, deepest first. What it owns there it gives up
+    /// before: first everything is safe, and it still hears so itself.
     pub(crate) fn leave(
         &mut self,
         number: ContextNumber,
@@ -43,23 +43,19 @@ impl Hub {
             return;
         };
         let Some(known) = self.peers.get(peer) else { return };
-        let places: BTreeSet<ContextNumber> = known.joined.union(&known.owns).copied().collect();
-        // A child's number is higher than its parent's, so this order is deepest first.
-        for place in places.into_iter().rev() {
-            if self
-                .tree
-                .get(place)
-                .is_none_or(|context| !context.path.is_within(&top))
-            {
-                continue;
-            }
-            if self
-                .peers
-                .get(peer)
-                .is_some_and(|peer| peer.owns.contains(&place))
-            {
-                self.lose(place, reason, None, out);
-            }
+        let within = |places: &BTreeSet<ContextNumber>| -> Vec<ContextNumber> {
+            let inside = |place: &ContextNumber| {
+                let context = self.tree.get(*place);
+                context.is_some_and(|context| context.path.is_within(&top))
+            };
+            // A child's number is higher than its parent's, so this order is deepest first.
+            places.iter().rev().copied().filter(inside).collect()
+        };
+        let (owned, joined) = (within(&known.owns), within(&known.joined));
+        for token in owned {
+            self.lose(token, reason, None, out);
+        }
+        for place in joined {
             self.remove_member(place, peer, out);
         }
     }
@@ -191,18 +187,26 @@ impl Hub {
         let path = context.path.clone();
         let content = if counted {
             context.next_count = now + every;
-            Map::new().with("count", i64::try_from(count).unwrap_or(i64::MAX))
+            count_map(count)
         } else {
             who
         };
         self.push_event(name, &path, self.members_of(number), content, out);
     }
 
-    /// Sends the count that was held back.
+    /// Sends the count that was held back, also if so many have left that each is told of by name again.
     pub(crate) fn push_count(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
-        if let Some(context) = self.tree.get_mut(number) {
-            context.count_due = false;
-            self.push_presence(number, event::JOINED, Map::new(), out);
-        }
+        let next = self.now + self.settings.counts_every;
+        let Some(context) = self.tree.get_mut(number) else {
+            return;
+        };
+        context.count_due = false;
+        context.next_count = next;
+        let (path, content) = (context.path.clone(), count_map(context.members.len()));
+        self.push_event(event::JOINED, &path, self.members_of(number), content, out);
     }
+}
+
+fn count_map(members: usize) -> Map {
+    Map::new().with("count", i64::try_from(members).unwrap_or(i64::MAX))
 }

@@ -84,6 +84,26 @@ impl Reader {
         }
     }
 
+    /// Reads and forgets whatever still comes, until the other side has said its last.
+    pub async fn drain(&mut self) {
+        match &mut self.source {
+            Source::Local(receiver) => while receiver.recv().await.is_some() {},
+            Source::Stream { stream, buffer, .. } => loop {
+                buffer.clear();
+                buffer.reserve(LEAST);
+                let read = match stream.readable().await {
+                    Ok(()) => stream.try_read_buf(buffer),
+                    Err(_) => return,
+                };
+                match read {
+                    Ok(0) => return,
+                    Err(error) if error.kind() != io::ErrorKind::WouldBlock => return,
+                    _ => {}
+                }
+            },
+        }
+    }
+
     /// The next frame of what has arrived already.
     ///
     /// # Errors

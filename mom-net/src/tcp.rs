@@ -27,30 +27,45 @@ pub async fn connect(address: &Address, limits: &Limits) -> Result<Transceiver, 
     start(stream, address.form, decoder, BytesMut::new()).await
 }
 
-/// Waits for a peer's first bytes, tells by them which form it speaks, and speaks it.
+/// Waits for a peer's first bytes, tells by them which form it speaks, and speaks it. When `too_late` comes
+/// before, the peer is told its error.
 ///
 /// # Errors
-/// Bytes that begin no form, after an answer in XML; or a link that failed. The caller sets the deadline.
-pub async fn accept(stream: TcpStream, limits: &Limits) -> Result<Transceiver, NetError> {
+/// Bytes that begin no form, or that come too late, after an answer in XML; or a link that failed.
+pub async fn accept(
+    stream: TcpStream,
+    limits: &Limits,
+    too_late: impl Future<Output = WireError>,
+) -> Result<Transceiver, NetError> {
     let mut first = BytesMut::with_capacity(4096);
-    let form = loop {
-        match Form::sniff(&first) {
-            Ok(Some(form)) => break form,
-            Ok(None) => {}
-            Err(error) => {
-                refuse(&stream, &error).await;
-                return Err(error.into());
+    let form = tokio::select! {
+        form = first_form(&stream, &mut first) => form,
+        error = too_late => Err(error.into()),
+    };
+    match form {
+        Ok(form) => start(stream, form, Decoder::new(form, limits), first).await,
+        Err(error) => {
+            if let NetError::Wire(error) = &error {
+                refuse(&stream, error).await;
             }
+            Err(error)
+        }
+    }
+}
+
+async fn first_form(stream: &TcpStream, first: &mut BytesMut) -> Result<Form, NetError> {
+    loop {
+        if let Some(form) = Form::sniff(first)? {
+            return Ok(form);
         }
         stream.readable().await?;
-        match stream.try_read_buf(&mut first) {
+        match stream.try_read_buf(first) {
             Ok(0) => return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into()),
             Ok(_) => {}
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
             Err(error) => return Err(error.into()),
         }
-    };
-    start(stream, form, Decoder::new(form, limits), first).await
+    }
 }
 
 /// Says why in XML, the form that people can read, to a peer that is not even a peer.

@@ -126,6 +126,13 @@ fn check(file: &File, source: &Source) -> Result<(), ConfigError> {
         ("limits", file.limits.login_time, "login-time"),
         ("limits", file.limits.outbox as u64, "outbox"),
         ("limits", file.limits.before_login as u64, "before-login"),
+        ("limits", file.limits.attributes as u64, "attributes"),
+        ("limits", file.limits.attribute_size as u64, "attribute-size"),
+        ("limits", file.limits.path as u64, "path"),
+        ("limits", file.limits.path_levels as u64, "path-levels"),
+        ("limits", file.limits.header as u64, "header"),
+        ("limits", file.limits.parts as u64, "parts"),
+        ("login", file.login.waiting as u64, "waiting"),
         ("login", file.login.hashers as u64, "hashers"),
         ("login", u64::from(file.login.attempts), "attempts"),
     ];
@@ -146,6 +153,18 @@ fn check(file: &File, source: &Source) -> Result<(), ConfigError> {
             &["limits", "depth"],
             format!("depth is a number from 1 to {HARD_DEPTH}"),
         ));
+    }
+    let longest = Limits::default();
+    for (value, most, key) in [
+        (file.limits.path, longest.path, "path"),
+        (file.limits.path_levels, longest.path_levels, "path-levels"),
+    ] {
+        if value > most {
+            return Err(source.error(
+                &["limits", key],
+                format!("{key} is at most {most}: no path is longer"),
+            ));
+        }
     }
     if file.limits.gone <= file.limits.heartbeat {
         let text = "gone has to be longer than heartbeat, or every quiet peer is lost";

@@ -43,6 +43,8 @@ pub(crate) struct Outbox {
     pub(crate) end: Notify,
     /// Something was written since the heartbeat last looked.
     pub(crate) active: AtomicBool,
+    /// Something was read since the heartbeat last looked.
+    pub(crate) heard: AtomicBool,
 }
 
 /// Why a connection ends.
@@ -65,6 +67,7 @@ impl Outbox {
             closed: AtomicBool::new(false),
             end: Notify::new(),
             active: AtomicBool::new(false),
+            heard: AtomicBool::new(false),
         }
     }
 

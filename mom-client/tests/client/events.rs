@@ -266,7 +266,7 @@ async fn a_silent_client_says_that_it_lives() {
         peer.say(pong).await;
     }
     // A ping of the hub is answered, and that is a sign of life too.
-    tokio::time::sleep(Duration::from_millis(1500)).await;
+    tokio::time::sleep(Duration::from_millis(1500)).await; // tidy: moves the paused clock
     peer.say(Parcel::new(Family::Time, "ping").id(77)).await;
     let pong = peer.hear_any().await.unwrap();
     assert_eq!((words(&pong).as_str(), pong.reference), ("time pong", Some(77)));
@@ -294,7 +294,7 @@ async fn a_client_that_only_sends_still_asks_whether_the_hub_lives() {
             pong.reference = parcel.id;
             peer.say(pong).await;
         }
-        tokio::time::sleep(Duration::from_millis(500)).await;
+        tokio::time::sleep(Duration::from_millis(500)).await; // tidy: moves the paused clock
     }
     assert!(pings >= 5, "{pings} pings");
     assert_eq!(*client.state().borrow(), Link::Up);

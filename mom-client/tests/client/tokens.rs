@@ -217,7 +217,7 @@ async fn a_loss_is_told_with_its_reason_and_ends_the_renewals() {
             by: by.map(str::to_owned),
         };
         assert_eq!(guard.lost().await, lost);
-        tokio::time::sleep(Duration::from_secs(200)).await;
+        tokio::time::sleep(Duration::from_secs(200)).await; // tidy: moves the paused clock
         // Neither renewed meanwhile nor given back now.
         guard.release().await.unwrap();
         settled(&client, &mut peer).await;

@@ -48,7 +48,7 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
         .slot("context"));
     }
     let number = hub.make(request.path.clone(), &spec, false)?;
-    hub.changed.insert(number);
+    hub.grown.insert(number);
     hub.push_created(number, request.peer, out);
     let content = hub.tree.get(number).map(|context| context.summary());
     hub.push_ok(request.peer, request.parcel.id, &request.path, content, out);

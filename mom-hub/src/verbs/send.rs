@@ -8,6 +8,7 @@ use mom_proto::{Content, ContextKind, ContextNumber, Parcel, Verb, WireError};
 use super::{Request, of_kind};
 use crate::admit::admit_with;
 use crate::consult::Wish;
+use crate::member::has_own_right;
 use crate::{Effect, Hub, PeerId, StandingVerdict};
 
 pub(crate) fn on(hub: &mut Hub, request: Request, out: &mut Vec<Effect>) -> Result<(), WireError> {
@@ -62,10 +63,9 @@ impl Hub {
         let Standing::Stands { scope, until } = verdict.standing else {
             return;
         };
-        // Stop has rights of its own, so what stands for it stands for no other message, and the other way
-        // round: a verdict for any name would cover it.
+        // Stop has rights of its own, so what stands for it stands for no other message.
         let name = match scope {
-            Scope::AnyName if !matches!(&*parcel.name, "stop" | "unstop") => None,
+            Scope::AnyName if !has_own_right(&parcel.name) => None,
             _ => Some(Arc::clone(&parcel.name)),
         };
         let standing = StandingVerdict {
@@ -84,6 +84,6 @@ impl Hub {
             return;
         };
         context.members.insert(peer, Arc::new(member));
-        self.changed.insert(number);
+        self.grown.insert(number);
     }
 }

@@ -1,0 +1,151 @@
+//! Who may do which verb where.
+
+use mom_proto::{Map, Value, Verb};
+
+use super::{Ask, GRAB, ask, build, of, short};
+use crate::{Answer, Scope, Standing};
+
+fn words(words: &[&str]) -> Vec<Value> {
+    words.iter().map(|word| Value::from(*word)).collect()
+}
+
+fn rule(name: &str, what: &str, verbs: &[&str]) -> Map {
+    Map::new().with("name", name).with(what, words(verbs))
+}
+
+fn roles(rules: Vec<Map>) -> Map {
+    let rules: Vec<Value> = rules.into_iter().map(Value::from).collect();
+    of("roles").with("rules", rules)
+}
+
+/// The rules of a lab, each of another kind.
+fn lab() -> Map {
+    roles(vec![
+        rule("nobody breaks the glass", "deny", &["*"]).with("where", words(&["/glass/**"])),
+        rule("mallory is out", "deny", &["send", "grab"]).with("users", words(&["mallory"])),
+        rule("operators may all", "allow", &["*"]).with("groups", words(&["operator", "owner"])),
+        rule("states are the arm's", "deny", &["send"])
+            .with("messages", words(&["state"]))
+            .with("min-level", 1),
+        rule("people drive", "allow", &["grab", "send"])
+            .with("min-level", 1)
+            .with("where", words(&["/robot/*"])),
+        rule("bob and devices send", "allow", &["send"])
+            .with("users", words(&["bob"]))
+            .with("groups", words(&["device"])),
+    ])
+}
+
+const DEVICE: Ask<'_> = Ask {
+    user: "arm",
+    level: 0,
+    groups: &["device"],
+    ..send("state")
+};
+const OPERATOR: Ask<'_> = Ask {
+    user: "carol",
+    level: 5,
+    groups: &["operator"],
+    ..GRAB
+};
+
+const fn send(message: &str) -> Ask<'_> {
+    Ask {
+        verb: Verb::Send,
+        message: Some(message),
+        path: "/robot/arm",
+        ..GRAB
+    }
+}
+
+#[rustfmt::skip]
+const TABLE: [(&str, Ask<'_>, &str); 20] = [
+    ("people grab in the robot's session", GRAB, "allow"),
+    ("but not below it", Ask { path: "/robot/arm/token", ..GRAB }, "roles: denied"),
+    ("nor elsewhere", Ask { path: "/camera/token", ..GRAB }, "roles: denied"),
+    ("nor below the level", Ask { level: 0, ..GRAB }, "roles: denied"),
+    ("nor by another verb", Ask { verb: Verb::Delete, ..GRAB }, "roles: denied"),
+    ("stop is no send", Ask { verb: Verb::Stop, ..send("stop") }, "roles: denied"),
+    ("people send", send("command"), "allow"),
+    ("but no states", send("state"), "roles/states are the arm's: denied"),
+    ("which the arm does", DEVICE, "allow"),
+    ("bob sends everywhere by his name", Ask { user: "bob", path: "/chat", ..send("say") }, "allow"),
+    ("alice does not", Ask { path: "/chat", ..send("say") }, "roles: denied"),
+    ("a user and a group are alternatives", Ask { path: "/chat", ..DEVICE }, "allow"),
+    ("a denial before an allowance", Ask { user: "mallory", ..GRAB }, "roles/mallory is out: denied"),
+    ("of its own verbs only", Ask { user: "mallory", groups: &["operator"], verb: Verb::Join, ..GRAB }, "allow"),
+    ("operators may all", Ask { verb: Verb::Delete, path: "/", ..OPERATOR }, "allow"),
+    ("any of the groups", Ask { groups: &["staff", "owner"], ..OPERATOR }, "allow"),
+    ("but for what nobody may", Ask { path: "/glass", ..OPERATOR }, "roles/nobody breaks the glass: denied"),
+    ("with all below", Ask { path: "/glass/a/b", ..OPERATOR }, "roles/nobody breaks the glass: denied"),
+    ("which is all below only", Ask { path: "/glasses", ..OPERATOR }, "allow"),
+    ("giving up is nobody's to refuse", Ask { user: "mallory", verb: Verb::Release, ..GRAB }, "allow"),
+];
+
+#[test]
+fn the_first_rule_that_covers_decides() {
+    let mut manager = build(lab());
+    for (why, question, expected) in &TABLE {
+        assert_eq!(short(&ask(&mut *manager, question)), *expected, "{why}");
+    }
+}
+
+#[test]
+fn refusals_say_who_and_what() {
+    for (question, expected) in [
+        (
+            Ask {
+                user: "arm",
+                level: 0,
+                ..GRAB
+            },
+            "arm may not grab /robot/token",
+        ),
+        (
+            Ask {
+                verb: Verb::Send,
+                message: Some("say"),
+                path: "/chat",
+                ..GRAB
+            },
+            "alice may not send say to /chat",
+        ),
+    ] {
+        match ask(&mut *build(lab()), &question).answer {
+            Answer::Deny(denial) => assert_eq!(denial.text, expected),
+            allowed => panic!("{allowed:?}"),
+        }
+    }
+}
+
+#[test]
+fn a_rule_without_a_name_has_a_number() {
+    let nameless = Map::new().with("deny", words(&["grab"]));
+    let mut manager = build(roles(vec![rule("lookers", "allow", &["lookup"]), nameless]));
+    assert_eq!(short(&ask(&mut *manager, &GRAB)), "roles/rule 2: denied");
+}
+
+#[test]
+fn verdicts_stand_for_the_messages_they_know_of() {
+    let all = rule("all send", "allow", &["send"]);
+    let some = rule("some send", "allow", &["send"]).with("messages", words(&["say"]));
+    for (rules, message, scope) in [
+        (vec![all.clone()], "say", Scope::AnyName),
+        (vec![some.clone(), all], "say", Scope::ThisName),
+        (vec![some], "shout", Scope::ThisName),
+        // The words of a refusal name the message.
+        (vec![], "say", Scope::ThisName),
+    ] {
+        let question = Ask {
+            verb: Verb::Send,
+            message: Some(message),
+            ..GRAB
+        };
+        let verdict = ask(&mut *build(roles(rules)), &question);
+        assert_eq!(
+            verdict.standing,
+            Standing::Stands { scope, until: None },
+            "{verdict:?}"
+        );
+    }
+}

@@ -1,0 +1,300 @@
+//! The annotated default is the default, and wrong configurations are refused at their place.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use mom_broker::{Config, ConfigError, hash};
+use mom_proto::Limits;
+use tempfile::TempDir;
+
+fn shipped(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../config").join(name)
+}
+
+/// All that a configuration holds, but for where it comes from.
+fn facts(config: &Config) -> String {
+    let all = format!("{config:#?}");
+    let (facts, source) = all.rsplit_once("    source: ").expect("the last field");
+    assert!(source.contains("Some") || source.contains("None"));
+    facts.to_owned()
+}
+
+#[test]
+fn the_annotated_default_is_the_default() {
+    let file = Config::load(&shipped("mom.toml")).expect("right");
+    assert_eq!(facts(&file), facts(&Config::default()));
+}
+
+#[test]
+fn the_annotated_default_has_every_key() {
+    let text = fs::read_to_string(shipped("mom.toml")).expect("readable");
+    let table: toml::Table = text.parse().expect("TOML");
+    let keys = |table: &toml::Table| table.keys().cloned().collect::<BTreeSet<_>>();
+    let limits = toml::Table::try_from(Limits::default()).expect("limits are a table");
+    assert_eq!(keys(table["limits"].as_table().expect("a table")), keys(&limits));
+    for key in ["users", "managers.staff", "contexts"] {
+        assert!(
+            text.contains(&format!("# {key} = "))
+                || text.contains(&format!("# [{key}]"))
+                || text.contains(&format!("# [[{key}]]")),
+            "{key}"
+        );
+    }
+    let top = ["connections", "limits", "listen", "log", "login", "root"].map(str::to_owned);
+    assert_eq!(keys(&table), BTreeSet::from(top));
+    let login = ["attempts", "hashers", "waiting"].map(str::to_owned);
+    assert_eq!(
+        keys(table["login"].as_table().expect("a table")),
+        BTreeSet::from(login)
+    );
+}
+
+#[test]
+fn the_lab_is_what_is_built_in() {
+    let file = Config::load(&shipped("lab.toml")).expect("right");
+    assert_eq!(facts(&file), facts(&Config::lab()));
+}
+
+fn load(files: &[(&str, &str)]) -> Result<Config, ConfigError> {
+    let folder = TempDir::new().expect("a folder");
+    for (name, text) in files {
+        fs::write(folder.path().join(name), text).expect("written");
+    }
+    Config::load(&folder.path().join("mom.toml"))
+}
+
+/// A wrong file: where `¦` stands is the line that has to be named, then the key and some of the words.
+fn check(marked: &str, key: &str, words: &str) {
+    let (before, after) = marked.split_once('¦').expect("a mark");
+    let line = before.matches('\n').count() + 1;
+    let error = load(&[("mom.toml", &format!("{before}{after}"))]).expect_err(marked);
+    let file = error.file.clone().unwrap_or_default();
+    assert!(file.ends_with("mom.toml"), "{error}");
+    assert_eq!(
+        (error.line, error.key.as_deref()),
+        (Some(line), Some(key)),
+        "{error}"
+    );
+    assert!(error.text.contains(words), "{words:?} in {error}");
+    let shown = error.to_string();
+    assert!(shown.starts_with(&format!("{file}:{line}: {key}: ")), "{shown}");
+}
+
+#[test]
+fn wrong_keys_and_types() {
+    check("log = \"info\"\n¦listne = []\n", "listne", "unknown field");
+    check("[limits]\n¦parcels = 1\n", "parcels", "unknown field");
+    check("[login]\n¦hashes = 1\n", "hashes", "unknown field");
+    check("¦listen = 7666\n", "listen", "invalid type");
+    check("¦connections = \"many\"\n", "connections", "invalid type");
+    check(
+        "\n[limits]\ndepth = 32\n¦outbox = \"1 MB\"\n",
+        "outbox",
+        "invalid type",
+    );
+    check("¦connections = -1\n", "connections", "");
+    check(
+        "[[contexts]]\npath = \"/a\"\nkind = \"channel\"\n¦color = 1\n",
+        "color",
+        "unknown field",
+    );
+    check("[limits]\nparcel = 1\n¦parcel = 2\n", "parcel", "duplicate");
+    check("log = \"a\"\n¦log \"b\"\n", "log \"b\"", "");
+}
+
+#[test]
+fn numbers_that_cannot_be() {
+    for key in [
+        "depth",
+        "attributes",
+        "attribute-size",
+        "path",
+        "path-levels",
+        "header",
+        "parts",
+        "before-login",
+        "login-time",
+        "outbox",
+        "heartbeat",
+    ] {
+        check(
+            &format!("[limits]\n¦{key} = 0\n"),
+            &format!("limits.{key}"),
+            "from 1",
+        );
+    }
+    for key in ["parcel", "contexts", "joined"] {
+        check(&format!("[limits]\n¦{key} = 0\n"), key, "unlimited");
+    }
+    for key in ["hashers", "waiting", "attempts"] {
+        check(
+            &format!("[login]\n¦{key} = 0\n"),
+            &format!("login.{key}"),
+            "from 1",
+        );
+    }
+    check("¦connections = 0\n", "connections", "from 1");
+    check("[limits]\n¦depth = 129\n", "limits.depth", "128");
+    check(
+        "[limits]\nheartbeat = 500\n¦gone = 500\n",
+        "limits.gone",
+        "longer than heartbeat",
+    );
+    check("[limits]\n¦gone = 9999\n", "limits.gone", "longer than heartbeat");
+    check("¦listen = []\n", "listen", "address");
+}
+
+#[test]
+fn wrong_managers() {
+    check("¦root = \"opne\"\n", "root.kind", "did you mean open");
+    let lab = "[managers.lab]\nkind = \"roles\"\nrules = []\n";
+    check(
+        &format!("{lab}[[contexts]]\npath = \"/a\"\nkind = \"channel\"\n¦manager = \"lba\"\n"),
+        "contexts[0].manager.kind",
+        "lab",
+    );
+    check("[managers.a]\n¦kind = \"role\"\n", "managers.a.kind", "roles");
+    check("¦[managers.a]\nrules = []\n", "managers.a.kind", "kind");
+    check(
+        "[managers.a]\nkind = \"level-or-lease\"\n¦lease = 0\n",
+        "managers.a.lease",
+        "from 1",
+    );
+    check(
+        "[managers.a]\nkind = \"closed\"\n¦rules = []\n",
+        "managers.a.rules",
+        "not known",
+    );
+    check(
+        "[managers.a]\nkind = \"roles\"\n[[managers.a.rules]]\nname = \"x\"\n¦allow = [\"jion\"]\n",
+        "managers.a.rules[0].allow",
+        "jion",
+    );
+    check(
+        "[managers.a]\nkind = \"chain\"\n¦of = [\"a\"]\n",
+        "managers.a.of[0].of[0]",
+        "contain each other",
+    );
+}
+
+#[test]
+fn wrong_contexts() {
+    let session = "[[contexts]]\npath = \"/a\"\nkind = \"session\"\n";
+    check(
+        "[[contexts]]\npath = \"/a\"\n¦kind = \"chanel\"\n",
+        "contexts[0].kind",
+        "channel",
+    );
+    check(
+        &format!("{session}¦[[contexts]]\nkind = \"channel\"\n"),
+        "contexts[1].path",
+        "path",
+    );
+    check(
+        "[[contexts]]\n¦path = \"/a/../b\"\nkind = \"channel\"\n",
+        "contexts[0].path",
+        "..",
+    );
+    check(
+        "[[contexts]]\n¦path = \"a\"\nkind = \"channel\"\n",
+        "contexts[0].path",
+        "slash",
+    );
+    check(
+        "[[contexts]]\n¦path = \"/a/b\"\nkind = \"channel\"\n",
+        "contexts[0].path",
+        "/a",
+    );
+    check(
+        &format!("{session}[[contexts]]\n¦path = \"/a\"\nkind = \"channel\"\n"),
+        "contexts[1].path",
+        "already",
+    );
+    check(
+        "[[contexts]]\npath = \"/a\"\nkind = \"channel\"\n¦guard = { token = \"/t\", names = [\"*\"] }\n",
+        "contexts[0].guard.token",
+        "/t",
+    );
+    check(
+        &format!(
+            "{session}[[contexts]]\npath = \"/c\"\nkind = \"channel\"\n¦guard = {{ token = \"/a\", names = [\"*\"] }}\n"
+        ),
+        "contexts[1].guard.token",
+        "no token /a",
+    );
+    check(
+        "[[contexts]]\npath = \"/t\"\nkind = \"token\"\n[[contexts]]\npath = \"/c\"\nkind = \"channel\"\n¦guard = { token = \"/t\", names = [] }\n",
+        "contexts[1].guard.names",
+        "names",
+    );
+    check(
+        &session.replace("kind", "¦lease = 1\nkind"),
+        "contexts[0].lease",
+        "only a token",
+    );
+    check(
+        "[[contexts]]\npath = \"/a\"\nkind = \"channel\"\n¦delivery = \"maybe\"\n",
+        "contexts[0].delivery",
+        "latest",
+    );
+}
+
+/// A wrong users file: the line in it, the key, and some of the words.
+fn check_users(marked: &str, key: &str, words: &str) {
+    let (before, after) = marked.split_once('¦').expect("a mark");
+    let line = before.matches('\n').count() + 1;
+    let text = format!("{before}{after}");
+    let error = load(&[("mom.toml", "users = \"staff.toml\"\n"), ("staff.toml", &text)]).expect_err(marked);
+    assert!(
+        error
+            .file
+            .as_ref()
+            .is_some_and(|file| file.ends_with("staff.toml")),
+        "{error}"
+    );
+    assert_eq!(
+        (error.line, error.key.as_deref()),
+        (Some(line), Some(key)),
+        "{error}"
+    );
+    assert!(error.text.contains(words), "{words:?} in {error}");
+}
+
+#[test]
+fn wrong_users() {
+    check(
+        "log = \"info\"\n¦users = \"nobody.toml\"\n",
+        "users",
+        "nobody.toml",
+    );
+    let hash = hash("secret").expect("a hash");
+    let user = |name: &str| format!("[[users]]\nname = \"{name}\"\npassword = \"{hash}\"\n");
+    let good = load(&[
+        ("mom.toml", "users = \"staff.toml\"\n"),
+        ("staff.toml", &user("ann")),
+    ]);
+    assert_eq!(good.expect("right").users[0].name, "ann");
+    check_users(
+        "[[users]]\nname = \"ann\"\n¦password = \"secret\"\n",
+        "users[0].password",
+        "mom-broker passwd ann",
+    );
+    check_users(
+        &(user("ann") + &user("ann").replace("name", "¦name")),
+        "users[1].name",
+        "two users",
+    );
+    check_users(&user("*").replace("name", "¦name"), "users[0].name", "'*'");
+    check_users(&user("hub").replace("name", "¦name"), "users[0].name", "hub");
+    check_users(&(user("ann") + "¦rights = 1\n"), "rights", "unknown field");
+    check_users(&(user("ann") + "¦level = \"high\"\n"), "level", "invalid type");
+    let argon2i = hash.replace("argon2id", "argon2i");
+    check_users(
+        &user("ann")
+            .replace(&hash, &argon2i)
+            .replace("password", "¦password"),
+        "users[0].password",
+        "argon2id",
+    );
+}
