@@ -1,0 +1,23 @@
+//! The demonstration lab's broker inside a test, on a port of its own.
+
+use std::net::SocketAddr;
+
+use mom_broker::{Broker, Config};
+
+/// Starts the lab's broker on a free port of loopback.
+pub async fn start() -> Broker {
+    start_with(|_| {}).await
+}
+
+/// Starts the lab's broker on a free port of loopback, with some of its configuration changed.
+///
+/// # Panics
+/// If the configuration is refused: the test's own fault.
+pub async fn start_with(change: impl FnOnce(&mut Config)) -> Broker {
+    let mut config = Config::lab();
+    config.listen = vec![SocketAddr::from(([127, 0, 0, 1], 0)).to_string()];
+    change(&mut config);
+    Broker::start(config)
+        .await
+        .expect("the lab is a right configuration")
+}

@@ -1,0 +1,7 @@
+//! The whole system from outside: dialogues, end to end, threats.
+
+pub mod canary;
+pub mod dialogue;
+pub mod lab;
+pub mod programs;
+pub mod raw;

@@ -1,0 +1,181 @@
+//! The real programs as processes: built once, started on free ports, ended with the test.
+
+use std::io::{BufRead, BufReader};
+use std::path::PathBuf;
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
+use std::sync::OnceLock;
+use std::sync::mpsc;
+use std::time::{Duration, Instant};
+
+/// How long anything may take before a test gives up; no test waits so long when all is well.
+pub const PATIENCE: Duration = Duration::from_secs(60);
+
+/// The folder of the project.
+pub fn project() -> PathBuf {
+    let here = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
+    here.parent().map(PathBuf::from).unwrap_or(here)
+}
+
+/// The path of a program of this workspace, built with the tests' own settings.
+///
+/// # Panics
+/// If it cannot be built.
+pub fn program(name: &str) -> PathBuf {
+    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
+    FOLDER.get_or_init(build).join(name)
+}
+
+// `cargo test` builds the programs of a package only for that package's own tests.
+fn build() -> PathBuf {
+    let test = std::env::current_exe().expect("a test knows its own program");
+    let folder = test
+        .ancestors()
+        .nth(2)
+        .expect("tests lie in deps below the programs")
+        .to_path_buf();
+    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    let mut command = Command::new(cargo);
+    command.args([
+        "build",
+        "--quiet",
+        "--locked",
+        "--bins",
+        "-p",
+        "mom",
+        "-p",
+        "mom-broker",
+    ]);
+    command
+        .args(["-p", "mom-arm", "-p", "mom-camera"])
+        .current_dir(project());
+    if folder.ends_with("release") {
+        command.arg("--release");
+    }
+    if let Some(target) = folder.parent() {
+        command.arg("--target-dir").arg(target);
+    }
+    let status = command.status().expect("cargo can be run");
+    assert!(status.success(), "the programs are built");
+    folder
+}
+
+/// A program that runs beside the test and is killed with it.
+#[derive(Debug)]
+pub struct Running {
+    name: String,
+    /// None once it was waited for.
+    child: Option<Child>,
+    lines: mpsc::Receiver<String>,
+}
+
+impl Running {
+    /// Starts a program; its output is read line by line.
+    ///
+    /// # Panics
+    /// If it cannot be started.
+    pub fn start(name: &str, args: &[&str], environment: &[(&str, &str)]) -> Running {
+        let mut command = Command::new(program(name));
+        command.args(args).envs(environment.iter().copied());
+        command
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::inherit());
+        let mut child = command.spawn().expect("the program starts");
+        let stdout = child.stdout.take().expect("its output is piped");
+        let (sender, lines) = mpsc::channel();
+        std::thread::spawn(move || {
+            for line in BufReader::new(stdout).lines().map_while(Result::ok) {
+                if sender.send(line).is_err() {
+                    break;
+                }
+            }
+        });
+        Running {
+            name: name.to_owned(),
+            child: Some(child),
+            lines,
+        }
+    }
+
+    /// The next line that contains `text`.
+    ///
+    /// # Panics
+    /// If none comes in time.
+    pub fn line_with(&self, text: &str) -> String {
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            let left = deadline.saturating_duration_since(Instant::now());
+            match self.lines.recv_timeout(left) {
+                Ok(line) if line.contains(text) => return line,
+                Ok(_) => {}
+                Err(error) => panic!("{} never said {text:?}: {error}", self.name),
+            }
+        }
+    }
+
+    /// Sends a signal by its name, such as `TERM`.
+    ///
+    /// # Panics
+    /// If it cannot be sent.
+    pub fn signal(&self, name: &str) {
+        let id = self
+            .child
+            .as_ref()
+            .map(Child::id)
+            .expect("it runs until it is waited for")
+            .to_string();
+        let status = Command::new("kill").args([&format!("-{name}"), &id]).status();
+        assert!(
+            status.is_ok_and(|status| status.success()),
+            "{name} reaches {}",
+            self.name
+        );
+    }
+
+    /// Waits for the program's own end.
+    ///
+    /// # Panics
+    /// If it does not end in time.
+    pub fn wait(mut self) -> ExitStatus {
+        let mut child = self.child.take().expect("it is waited for once");
+        let id = child.id();
+        let (sender, ended) = mpsc::channel();
+        std::thread::spawn(move || sender.send(child.wait()));
+        match ended.recv_timeout(PATIENCE) {
+            Ok(status) => status.expect("a child can be waited for"),
+            Err(_) => {
+                // It is still ours and running, so the number is still its own.
+                let _ = Command::new("kill").args(["-KILL", &id.to_string()]).status();
+                panic!("{} does not end", self.name)
+            }
+        }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        if let Some(mut child) = self.child.take() {
+            // It may have ended by itself; then there is nothing to kill.
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+}
+
+/// Runs a program to its end.
+///
+/// # Panics
+/// If it cannot be started.
+pub fn run(name: &str, args: &[&str], environment: &[(&str, &str)]) -> Output {
+    let mut command = Command::new(program(name));
+    command
+        .args(args)
+        .envs(environment.iter().copied())
+        .stdin(Stdio::null());
+    command.output().expect("the program runs")
+}
+
+/// An output as a person would read it.
+pub fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}

@@ -1,0 +1,104 @@
+//! The dialogues of `tests/dialogues`, over every carrier.
+#![expect(clippy::unwrap_used, reason = "a test that fails panics")]
+
+use std::path::PathBuf;
+
+use mom_tests::dialogue::{Carrier, Dialogue};
+
+fn files() -> Vec<PathBuf> {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/dialogues");
+    let mut files: Vec<PathBuf> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.extension().is_some_and(|extension| extension == "txt"))
+        .collect();
+    files.sort();
+    files
+}
+
+/// Runs all dialogues, or those whose name contains `DIALOGUE`, and tells of all that fail.
+fn check(carrier: Carrier) {
+    let chosen = std::env::var("DIALOGUE").unwrap_or_default();
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .enable_all()
+        .build()
+        .unwrap();
+    let mut failures = Vec::new();
+    for file in files() {
+        let name = file.file_name().unwrap().to_string_lossy().into_owned();
+        if !name.contains(&chosen) {
+            continue;
+        }
+        let text = std::fs::read_to_string(&file).unwrap();
+        let result = Dialogue::parse(&text).and_then(|dialogue| runtime.block_on(dialogue.run(carrier)));
+        if let Err(error) = result {
+            failures.push(format!("{name}, {carrier}, {error}"));
+        }
+    }
+    assert!(failures.is_empty(), "\n{}", failures.join("\n"));
+}
+
+#[test]
+fn over_xml() {
+    check(Carrier::Xml);
+}
+
+#[test]
+fn over_binary() {
+    check(Carrier::Binary);
+}
+
+#[test]
+fn in_process() {
+    check(Carrier::Local);
+}
+
+#[test]
+fn mixed() {
+    check(Carrier::Mixed);
+}
+
+#[test]
+fn there_are_dialogues() {
+    assert!(files().len() >= 18, "{}", files().len());
+}
+
+/// What is written and does not happen fails, with the line and all that was said.
+#[test]
+fn a_dialogue_that_goes_otherwise_fails() {
+    for (text, line, words) in [
+        (
+            "connect alice\nalice: lookup /chat\nalice< ok kind=token\n",
+            3,
+            "kind is channel, not token",
+        ),
+        (
+            "connect alice\nalice: lookup /chat\nalice< error denied\n",
+            3,
+            "it is another parcel",
+        ),
+        ("connect alice\nalice: lookup /chat\n", 2, "it is another parcel"),
+        (
+            "connect alice\nalice: lookup /chat\nalice< nothing\n",
+            3,
+            "it is another parcel",
+        ),
+        (
+            "connect alice\nalice: lookup /chat\nalice< closed\n",
+            3,
+            "heard instead",
+        ),
+        ("connect alice\nbob: lookup /chat\n", 2, "connect bob"),
+        ("connect alice as ally\n", 1, "peer is alice, not ally"),
+    ] {
+        let dialogue = Dialogue::parse(text).unwrap();
+        let runtime = tokio::runtime::Runtime::new().unwrap();
+        let error = runtime
+            .block_on(dialogue.run(Carrier::Local))
+            .expect_err(text)
+            .to_string();
+        assert!(error.starts_with(&format!("line {line}:")), "{error}");
+        assert!(error.contains(words), "{error}");
+    }
+}

@@ -1,0 +1,7 @@
+//! All tests of the whole system, in one binary.
+
+mod dialogues;
+mod programs;
+mod protocol;
+mod python;
+mod threats;

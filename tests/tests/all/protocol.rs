@@ -1,0 +1,128 @@
+//! What `docs/PROTOCOL.md` shows is what the codecs take, to the byte.
+
+use bytes::BytesMut;
+use mom_proto::binary::{PREFACE, WORDS};
+use mom_proto::codec::{Decoder, Form, Frame};
+use mom_proto::{Family, Limits, Parcel, Value};
+
+const DOCUMENT: &str = include_str!("../../../docs/PROTOCOL.md");
+
+/// The insides of the fenced blocks of this kind.
+fn blocks(kind: &str) -> Vec<&'static str> {
+    let open = format!("```{kind}\n");
+    DOCUMENT
+        .split(open.as_str())
+        .skip(1)
+        .map(|rest| {
+            rest.split("```")
+                .next()
+                .unwrap_or_default()
+                .trim_end_matches('\n')
+        })
+        .collect()
+}
+
+/// The one parcel in these bytes.
+fn read(form: Form, bytes: &[u8]) -> Parcel {
+    let mut input = BytesMut::from(bytes);
+    let mut decoder = Decoder::new(form, &Limits::default());
+    match decoder.decode(&mut input) {
+        Ok(Some(Frame::Parcel(parcel))) => {
+            assert!(input.is_empty(), "left over: {input:?}");
+            *parcel
+        }
+        other => panic!("{other:?} for {:?}", String::from_utf8_lossy(bytes)),
+    }
+}
+
+#[test]
+fn the_entities_are_exact() {
+    let entities: Vec<Parcel> = blocks("entity")
+        .iter()
+        .map(|block| read(Form::Xml, block.replace('\n', "\r\n").as_bytes()))
+        .collect();
+    let [login, settings, image] = &entities[..] else {
+        panic!("{} entities", entities.len());
+    };
+    assert!(login.is(Family::Login, "login"));
+    assert_eq!(
+        settings.value().get("key"),
+        Some(&Value::Binary(vec![1, 2, 3, 4].into()))
+    );
+    assert_eq!(image.value().get("image"), Some(&Value::Binary("PNG".into())));
+}
+
+#[test]
+fn the_frames_are_exact() {
+    let [block] = blocks("frames")[..] else {
+        panic!("one block of frames")
+    };
+    let frames: Vec<Parcel> = block
+        .lines()
+        .map(|line| {
+            let hex = line
+                .split(' ')
+                .map(|byte| u8::from_str_radix(byte, 16).expect("hexadecimal"));
+            read(Form::Binary, &PREFACE.into_iter().chain(hex).collect::<Vec<u8>>())
+        })
+        .collect();
+    let [login, command, pong] = &frames[..] else {
+        panic!("{} frames", frames.len())
+    };
+    assert!(login.is(Family::Login, "login") && login.value().get("name") == Some(&Value::from("alice")));
+    assert!(command.is(Family::Message, "command") && command.value() == Value::from("grip open"));
+    assert_eq!(
+        (command.id, command.number.map(|number| number.0)),
+        (Some(7), Some(5))
+    );
+    assert!(pong.is(Family::Time, "pong") && pong.reference == Some(0));
+}
+
+#[test]
+fn the_words_are_all_there_in_order() {
+    let table = DOCUMENT
+        .split("| number | words |")
+        .nth(1)
+        .expect("the table of words");
+    let rows = table.lines().skip(2).take_while(|line| line.starts_with('|'));
+    let mut words = Vec::new();
+    for row in rows {
+        let cells: Vec<&str> = row.split('|').map(str::trim).collect();
+        let first = cells[1].split('–').next().unwrap_or_default();
+        assert_eq!(first, words.len().to_string(), "{row}");
+        words.extend(cells[2].split(", ").map(|word| word.trim_matches('`')));
+    }
+    assert_eq!(words, WORDS);
+}
+
+#[test]
+fn the_limits_are_all_there_with_their_defaults() {
+    for (key, value) in Limits::default().to_map() {
+        let number = value.as_int().expect("no default is unlimited");
+        assert!(
+            DOCUMENT.contains(&format!("| `{key}` | {number} |")),
+            "{key} {number}"
+        );
+    }
+}
+
+#[test]
+fn the_transcript_is_of_parcels() {
+    let lines = DOCUMENT
+        .lines()
+        .filter_map(|line| line.split_once("> <").or_else(|| line.split_once("< <")));
+    let mut count = 0;
+    for (_, body) in lines.filter(|(who, _)| *who == "alice" || *who == "bob") {
+        let body = format!("<{body}");
+        let slip = body.contains("<priority>high</priority>");
+        let entity = format!(
+            "Content-Type: application/xml\r\nContent-Length: {}\r\n\r\n{body}",
+            body.len()
+        );
+        if !slip {
+            read(Form::Xml, entity.as_bytes());
+        }
+        count += 1;
+    }
+    assert!(count > 30, "{count} parcels");
+}

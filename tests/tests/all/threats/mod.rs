@@ -1,0 +1,166 @@
+//! Ways to hurt a hub, over real sockets, with a canary beside that must not notice.
+
+mod framing;
+mod identity;
+mod load;
+mod markup;
+mod mime;
+mod names;
+mod tokens;
+
+use std::net::SocketAddr;
+
+use bytes::Bytes;
+use mom_broker::{Broker, Config};
+use mom_proto::codec::Form;
+use mom_proto::{Content, Family, Parcel, Value, WireError};
+use mom_tests::canary::Canary;
+use mom_tests::lab;
+use mom_tests::raw::{Raw, at, message};
+
+/// The channel at which attacks aim; the witness listens there.
+const CHAT: &str = "/chat";
+
+/// A broker with its canary, and a witness in the channel at which attacks aim.
+struct World {
+    broker: Broker,
+    canary: Canary,
+    witness: Raw,
+    attacks: u64,
+}
+
+/// What becomes of the attacker's connection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum After {
+    Kept,
+    Closed,
+}
+
+impl World {
+    async fn start() -> World {
+        World::start_with(|_| {}).await
+    }
+
+    async fn start_with(change: impl FnOnce(&mut Config)) -> World {
+        let broker = lab::start_with(change).await;
+        let address = broker.local_addr();
+        let mut canary = Canary::start(address).await;
+        canary.check().await;
+        let mut witness = Raw::login(address, Form::Xml, "carol").await;
+        witness.join(&[CHAT]).await;
+        World {
+            broker,
+            canary,
+            witness,
+            attacks: 0,
+        }
+    }
+
+    fn address(&self) -> SocketAddr {
+        self.broker.local_addr()
+    }
+
+    /// A peer that has logged in and sits in the channel of the witness.
+    async fn attacker(&self, form: Form) -> Raw {
+        let mut attacker = Raw::login(self.address(), form, "bob").await;
+        attacker.join(&[CHAT]).await;
+        attacker
+    }
+
+    /// Lets an attacker that has logged in send these bytes, and checks the answer and all that must not happen.
+    async fn attack(&mut self, what: &str, form: Form, bytes: &[u8], code: &str, after: After) -> WireError {
+        let attacker = self.attacker(form).await;
+        self.attack_from(attacker, what, bytes, code, after).await
+    }
+
+    /// The same, from a connection of the caller's.
+    async fn attack_from(
+        &mut self,
+        mut attacker: Raw,
+        what: &str,
+        bytes: &[u8],
+        code: &str,
+        after: After,
+    ) -> WireError {
+        let (one, other) = bytes.split_at(bytes.len() / 2);
+        attacker.send(one).await;
+        self.canary.check().await;
+        attacker.send(other).await;
+        let error = attacker.next_error().await;
+        assert_eq!(error.code.word(), code, "{what}: {error}");
+        assert_eq!(
+            error.code.closes(),
+            after == After::Closed,
+            "{what}: the code says so"
+        );
+        match after {
+            After::Kept => attacker.check_alive().await,
+            After::Closed => attacker.check_closed().await,
+        }
+        self.check_nothing_arrived(what).await;
+        error
+    }
+
+    /// Checks that the witness has heard nothing of an attacker, and that the canary lives.
+    async fn check_nothing_arrived(&mut self, what: &str) {
+        self.attacks += 1;
+        let marker = format!("after attack {}", self.attacks);
+        let id = self.witness.post(message("chat", CHAT, marker.as_str())).await;
+        loop {
+            let heard = self.witness.next().await.expect("the witness is connected");
+            if heard.family == Family::Message {
+                let told = (heard.sender.as_deref(), heard.id, heard.value());
+                assert_eq!(
+                    told,
+                    (Some("carol"), Some(id), Value::from(marker.as_str())),
+                    "{what}"
+                );
+                break;
+            }
+            assert_ne!(heard.family, Family::Error, "{what}: {heard:?}");
+        }
+        self.canary.check().await;
+    }
+
+    /// The same hub still serves newcomers, and the canary has lost nothing.
+    async fn end(self) {
+        let mut newcomer = Raw::login(self.address(), Form::Binary, "bob").await;
+        newcomer.join(&[CHAT]).await;
+        newcomer.check_alive().await;
+        assert!(self.canary.stop().await > 0);
+        self.broker.stop().await;
+    }
+}
+
+/// An XML entity around this body.
+fn entity(body: impl AsRef<[u8]>) -> Vec<u8> {
+    let body = body.as_ref();
+    let head = format!(
+        "Content-Type: application/xml\r\nContent-Length: {}\r\n\r\n",
+        body.len()
+    );
+    [head.as_bytes(), body].concat()
+}
+
+/// The XML of a message to the witness with these further slots.
+fn chat_xml(slots: &str) -> String {
+    format!(
+        "<parcel><family>message</family><name>chat</name><id>7</id><context>{CHAT}</context>{slots}</parcel>"
+    )
+}
+
+/// A binary message to the witness with this content, which need not be any.
+fn chat_binary(content: Vec<u8>) -> Vec<u8> {
+    let mut parcel = Parcel::new(Family::Message, "chat").context(at(CHAT)).id(7);
+    parcel.content = Some(Content::Encoded(Bytes::from(content)));
+    let encoded = Form::Binary
+        .encode(&parcel)
+        .expect("encoded content is not looked at");
+    encoded.to_vec()
+}
+
+/// A binary frame around these bytes.
+fn frame(bytes: &[u8]) -> Vec<u8> {
+    let length = u32::try_from(bytes.len()).expect("a frame below 4 GiB");
+    [&length.to_be_bytes()[..], bytes].concat()
+}

@@ -1,0 +1,176 @@
+//! Threat 11: paths and names that would lead somewhere else.
+
+use mom_proto::codec::Form;
+use mom_proto::{Family, Map, Parcel, Value};
+use mom_tests::raw::Raw;
+
+use super::{After, World, entity, frame};
+
+fn join_xml(path: &str) -> Vec<u8> {
+    let path = path.replace('&', "&amp;").replace('<', "&lt;");
+    entity(format!(
+        "<parcel><family>context</family><name>join</name><id>7</id><context>{path}</context></parcel>"
+    ))
+}
+
+/// `join`, id 7, the path: bits name, id, family, context by path.
+fn join_binary(path: &str) -> Vec<u8> {
+    let mut bytes = vec![0, 0x92, 0x88, 0x10, 17 << 1 | 1, 7, 2];
+    let mut length = path.len();
+    while length >= 0x80 {
+        bytes.push((length & 0x7f) as u8 | 0x80);
+        length >>= 7;
+    }
+    bytes.push(length as u8);
+    bytes.extend_from_slice(path.as_bytes());
+    frame(&bytes)
+}
+
+/// Threat 11: one canonical form; what is not in it is refused, in both wire forms.
+#[tokio::test]
+async fn threat_11_paths() {
+    let mut world = World::start().await;
+    let long = format!("/{}", "a".repeat(1024));
+    let megabyte = format!("/{}", "a".repeat(1024 * 1024));
+    let deep = "/a".repeat(1000);
+    for path in [
+        "/robot/../chat",
+        "/chat/..",
+        "/./chat",
+        "//chat",
+        "/chat/",
+        "/robot//arm",
+        "chat",
+        "",
+        "/%2e%2e/chat",
+        "/chat%00",
+        "\\chat",
+        "/robot\\arm",
+        "/*",
+        "/#",
+        "/chat?x",
+        "/chat#x",
+        "/chat;x",
+        " /chat",
+        "/chat ",
+        "/ch\u{200b}at",
+        "/\u{202e}tahc",
+        "/cafe\u{301}",
+        "/<b>",
+        long.as_str(),
+        &megabyte,
+        &deep,
+    ] {
+        let what: String = path.chars().take(30).collect();
+        let (xml, binary) = (join_xml(path), join_binary(path));
+        for (form, bytes) in [(Form::Xml, xml), (Form::Binary, binary)] {
+            let error = world.attack(&what, form, &bytes, "bad-path", After::Kept).await;
+            assert_eq!(error.get("slot"), Some(&Value::from("context")), "{what}");
+        }
+    }
+    for (form, bytes) in [
+        (Form::Xml, join_xml("/chat\0")),
+        (Form::Binary, join_binary("/chat\0")),
+    ] {
+        world
+            .attack("NUL", form, &bytes, "bad-encoding", After::Kept)
+            .await;
+    }
+    let huge = format!("/{}", "a".repeat(10 * 1024 * 1024));
+    for (form, bytes) in [(Form::Xml, join_xml(&huge)), (Form::Binary, join_binary(&huge))] {
+        world
+            .attack("10 MB", form, &bytes, "too-large", After::Closed)
+            .await;
+    }
+    world.end().await;
+}
+
+/// Threat 11: look-alikes of paths are other paths, and rules apply to what is there.
+#[tokio::test]
+async fn threat_11_look_alikes_lead_nowhere() {
+    let world = World::start().await;
+    for form in [Form::Xml, Form::Binary] {
+        let mut bob = Raw::login(world.address(), form, "bob").await;
+        // Cyrillic а, capitals, full width: letters, so paths, but of nothing.
+        for path in [
+            "/ch\u{430}t",
+            "/CHAT",
+            "/Chat",
+            "/\u{ff43}hat",
+            "/chat.",
+            "/chat/x",
+        ] {
+            let error = bob
+                .ask_about(Family::Context, "join", path)
+                .await
+                .expect_err(path);
+            assert_eq!(error.code.word(), "unknown-path", "{path}");
+        }
+        // What bob may not do there he may not do by any name.
+        for path in ["/robot", "/robot/token", "/camera/x"] {
+            let error = bob
+                .ask_about(Family::Context, "delete", path)
+                .await
+                .expect_err(path);
+            assert_eq!(error.code.word(), "denied", "{path}");
+        }
+        bob.check_alive().await;
+    }
+    world.end().await;
+}
+
+/// Threat 11: users and nicknames that would be patterns, paths, or somebody else.
+#[tokio::test]
+async fn threat_11_users() {
+    let world = World::start().await;
+    let login = |name: &str, nickname: Option<&str>| {
+        let mut content = Map::new().with("name", name).with("password", "bob");
+        if let Some(nickname) = nickname {
+            content.set("nickname", nickname);
+        }
+        Parcel::new(Family::Login, "login").content(content)
+    };
+    for user in [
+        "*",
+        "#",
+        "..",
+        "/",
+        "hub",
+        "bob\u{200b}",
+        "b\u{43e}b",
+        "BOB",
+        "bob~2",
+        "bob ",
+    ] {
+        let mut stranger = Raw::connect(world.address(), Form::Xml).await;
+        let error = stranger.ask(login(user, None)).await.expect_err(user);
+        assert_eq!(error.code.word(), "bad-login", "{user:?}");
+        stranger.check_alive().await;
+    }
+    for nickname in [
+        "*",
+        "#",
+        "..",
+        "a/b",
+        "hub",
+        "alice",
+        "arm",
+        "a\u{202e}b",
+        "al\u{200b}",
+        "e\u{301}",
+        "bob~2",
+        "a b",
+    ] {
+        for form in [Form::Xml, Form::Binary] {
+            let mut stranger = Raw::connect(world.address(), form).await;
+            let error = stranger
+                .ask(login("bob", Some(nickname)))
+                .await
+                .expect_err(nickname);
+            assert_eq!(error.code.word(), "bad-name", "{nickname:?}");
+            assert_eq!(error.get("slot"), Some(&Value::from("content/nickname")));
+            stranger.log_in("bob").await;
+        }
+    }
+    world.end().await;
+}
