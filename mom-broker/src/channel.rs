@@ -1,15 +1,15 @@
 //! A channel as the broker holds it: its route with the outboxes of its members.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use mom_hub::{PeerId, Receivers, Route};
 use mom_net::Outgoing;
-use mom_proto::codec::{Encoded, Form};
-use mom_proto::{Content, ContextNumber, Delivery, HARD_DEPTH, Parcel, Time, Verb, WireError, msgpack};
+use mom_proto::codec::Scratch;
+use mom_proto::{ContextNumber, Delivery, Parcel, Time, Verb, WireError};
 use parking_lot::{Mutex, MutexGuard};
 
+use crate::encodings::Encodings;
 use crate::outbox::{Entry, Gate, Lane, Origin, Outbox, Taken};
 
 /// The critical section of a channel: who holds it decides the one order for all receivers (M27).
@@ -26,6 +26,7 @@ pub(crate) struct Inner {
     gate: Gate,
     /// How deep content may nest that has to be opened.
     depth: usize,
+    scratch: Scratch,
 }
 
 /// Where a delivered parcel went.
@@ -53,6 +54,7 @@ impl Channel {
                 outboxes,
                 gate,
                 depth,
+                scratch: Scratch::pooled(),
             }),
         }
     }
@@ -93,13 +95,16 @@ impl Inner {
     /// # Errors
     /// Content that cannot be opened for a receiver of another form: nobody gets the message then.
     pub(crate) fn deliver(
-        &self,
+        &mut self,
         sender: PeerId,
         parcel: Parcel,
         receivers: &Receivers,
         now: u64,
     ) -> Result<Delivered, WireError> {
-        let places = self.places(receivers);
+        let places = Places {
+            receivers,
+            count: self.outboxes.len(),
+        };
         let lane = match Verb::of(parcel.family, &parcel.name) {
             Ok(Verb::Stop) => Lane::Stop,
             Ok(Verb::Unstop) => Lane::Control,
@@ -116,13 +121,12 @@ impl Inner {
             expires_at: expires_at(&parcel, now),
             gate: parcel.fence.map(|fence| (Arc::clone(&self.gate), fence)),
         };
-        let forms = places
-            .iter()
-            .filter_map(|place| self.outboxes[*place].as_ref())
-            .map(|outbox| outbox.form());
-        let encodings = Encodings::with_depth(parcel, forms, self.depth)?;
+        let outboxes = &self.outboxes;
+        let form = |place: usize| outboxes[place].as_ref().map(|outbox| outbox.form());
+        let forms = places.iter().filter_map(form);
+        let encodings = Encodings::with(parcel, forms, self.depth, &mut self.scratch)?;
         let mut result = Delivered::default();
-        for place in places {
+        for place in places.iter() {
             let name = || Arc::clone(&self.route.members[place].facts.name);
             let Some(outbox) = &self.outboxes[place] else {
                 result.dropped.push(name());
@@ -143,76 +147,24 @@ impl Inner {
         }
         Ok(result)
     }
-
-    fn places(&self, receivers: &Receivers) -> Vec<usize> {
-        match receivers {
-            Receivers::All => (0..self.outboxes.len()).collect(),
-            Receivers::AllBut(own) => (0..self.outboxes.len()).filter(|place| place != own).collect(),
-            Receivers::These(places) => places.clone(),
-        }
-    }
 }
 
-/// A parcel in the forms that its receivers need.
-#[derive(Debug)]
-pub(crate) struct Encodings {
-    encoded: BTreeMap<Form, Encoded>,
-    local: Option<Arc<Parcel>>,
+/// The receivers of a message by their place among the members.
+struct Places<'a> {
+    receivers: &'a Receivers,
+    count: usize,
 }
 
-impl Encodings {
-    /// Encodes what the hub itself says once for each form among those given.
-    pub(crate) fn new(
-        parcel: Parcel,
-        forms: impl Iterator<Item = Option<Form>>,
-    ) -> Result<Encodings, WireError> {
-        Encodings::with_depth(parcel, forms, HARD_DEPTH)
-    }
-
-    /// Encodes once for each form among those given, opening content that nests so deep at most.
-    pub(crate) fn with_depth(
-        parcel: Parcel,
-        forms: impl Iterator<Item = Option<Form>>,
-        depth: usize,
-    ) -> Result<Encodings, WireError> {
-        let mut encodings = Encodings {
-            encoded: BTreeMap::new(),
-            local: None,
+impl Places<'_> {
+    fn iter(&self) -> impl Iterator<Item = usize> {
+        let (listed, all, but) = match self.receivers {
+            Receivers::All => (&[][..], self.count, None),
+            Receivers::AllBut(own) => (&[][..], self.count, Some(*own)),
+            Receivers::These(places) => (&places[..], 0, None),
         };
-        let mut local = false;
-        for form in forms {
-            match form {
-                None => local = true,
-                Some(form) if encodings.encoded.contains_key(&form) => {}
-                Some(form) => drop(encodings.encoded.insert(form, encode(&parcel, form, depth)?)),
-            }
-        }
-        encodings.local = local.then(|| Arc::new(parcel));
-        Ok(encodings)
-    }
-
-    /// The parcel for a receiver of this form.
-    pub(crate) fn get(&self, form: Option<Form>) -> Outgoing {
-        match (form.and_then(|form| self.encoded.get(&form)), &self.local) {
-            (Some(encoded), _) => Outgoing::Encoded(encoded.clone()),
-            (None, Some(parcel)) => Outgoing::Parcel(Arc::clone(parcel)),
-            // Cannot be: `new` was given the forms of all receivers.
-            (None, None) => Outgoing::Encoded(Encoded::default()),
-        }
-    }
-}
-
-/// One form of a parcel. Content that is encoded already was looked at by nobody so far.
-fn encode(parcel: &Parcel, form: Form, depth: usize) -> Result<Encoded, WireError> {
-    match (form, &parcel.content) {
-        (Form::Xml, Some(Content::Encoded(bytes))) => {
-            let content = Content::Value(msgpack::decode(bytes, depth)?);
-            form.encode(&Parcel {
-                content: Some(content),
-                ..parcel.clone()
-            })
-        }
-        _ => form.encode(parcel),
+        (0..all)
+            .filter(move |place| Some(*place) != but)
+            .chain(listed.iter().copied())
     }
 }
 

@@ -9,6 +9,7 @@ mod broker;
 mod channel;
 mod clock;
 mod config;
+mod encodings;
 mod login;
 mod outbox;
 mod session;

@@ -10,8 +10,9 @@ use mom_proto::{Code, ContextNumber, Family, Map, Parcel, Path, Value, WireError
 use parking_lot::Mutex;
 use tokio::sync::Notify;
 
-use crate::channel::{Channel, Delivered, Encodings, control, hub_origin, stamped};
+use crate::channel::{Channel, Delivered, control, hub_origin, stamped};
 use crate::clock::Clock;
+use crate::encodings::Encodings;
 use crate::outbox::{Outbox, Taken};
 
 /// The switchboard of one broker.
@@ -102,7 +103,7 @@ impl Switchboard {
             return Ok(());
         };
         let now = self.clock.now();
-        let inner = channel.lock();
+        let mut inner = channel.lock();
         match admit(&inner.route, peer, &mut parcel, now, self.clock.wall_at(now))? {
             Admission::Consult => {
                 drop(inner);

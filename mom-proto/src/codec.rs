@@ -44,10 +44,47 @@ impl Form {
     /// `bad-content`, `bad-encoding`, `too-deep` for encoded content that had to be opened and is no value;
     /// `not-encodable` for values without a form on the wire.
     pub fn encode(self, parcel: &Parcel) -> Result<Encoded, WireError> {
+        self.encode_with(parcel, &mut Scratch::default())
+    }
+
+    /// Encodes a parcel as one frame, in memory that is shared between frames.
+    ///
+    /// # Errors
+    /// As [`Form::encode`].
+    pub fn encode_with(self, parcel: &Parcel, scratch: &mut Scratch) -> Result<Encoded, WireError> {
         match self {
             Form::Xml => xml::encode(parcel),
-            Form::Binary => binary::encode(parcel),
+            Form::Binary => binary::encode_with(parcel, scratch),
         }
+    }
+}
+
+/// Memory for encoding: small frames are cut from one block instead of each having its own.
+#[derive(Debug, Default)]
+pub struct Scratch {
+    pub(crate) header: Vec<u8>,
+    pool: BytesMut,
+    block: usize,
+}
+
+impl Scratch {
+    /// A block's size. A frame that waits keeps its whole block, so blocks are not large.
+    const BLOCK: usize = 16 * 1024;
+
+    /// Memory that takes a block at a time; the default takes what each frame needs.
+    pub fn pooled() -> Scratch {
+        Scratch {
+            block: Scratch::BLOCK,
+            ..Scratch::default()
+        }
+    }
+
+    /// Room for one frame of `size` bytes.
+    pub(crate) fn room(&mut self, size: usize) -> &mut BytesMut {
+        if self.pool.capacity() < size {
+            self.pool = BytesMut::with_capacity(size.max(self.block));
+        }
+        &mut self.pool
     }
 }
 

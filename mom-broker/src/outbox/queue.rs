@@ -75,7 +75,7 @@ impl Queue {
 
     #[cfg(test)]
     pub(crate) fn is_empty(&self) -> bool {
-        self.stop.is_empty() && self.control.is_empty() && self.data.is_empty()
+        self.stop.is_empty() && self.control.is_empty() && self.data_bytes == 0
     }
 
     /// Forgets all messages, for a connection that is to hear only why it ends.
@@ -209,21 +209,26 @@ impl Queue {
             self.control_bytes -= control.size();
             return Some(control);
         }
-        loop {
-            let mut lane = self.data.first_entry()?;
-            let Some(entry) = lane.get_mut().pop() else {
-                lane.remove();
-                continue;
-            };
-            if lane.get().entries.is_empty() {
-                lane.remove();
+        self.pop_data()
+    }
+
+    fn pop_data(&mut self) -> Option<Entry> {
+        // The lane of the default priority stays, to be filled again; others go when they are empty.
+        while let Some((priority, lane)) = self.data.iter_mut().find(|(_, lane)| !lane.entries.is_empty()) {
+            let priority = *priority;
+            let popped = lane.pop();
+            if lane.entries.is_empty() && priority != Reverse(0) {
+                self.data.remove(&priority);
             }
-            self.data_bytes -= entry.size();
-            if entry.delivery == Delivery::Latest {
-                self.latest.remove(&entry.origin);
+            if let Some(entry) = popped {
+                self.data_bytes -= entry.size();
+                if entry.delivery == Delivery::Latest {
+                    self.latest.remove(&entry.origin);
+                }
+                return Some(entry);
             }
-            return Some(entry);
         }
+        None
     }
 
     fn note(&mut self, origin: &Origin, reason: DropReason) {

@@ -49,7 +49,7 @@ pub use chunks::chunks;
 pub use decoder::BinaryDecoder;
 pub use words::WORDS;
 
-use crate::codec::Encoded;
+use crate::codec::{Encoded, Scratch};
 use crate::{PROTOCOL_VERSION, Parcel, WireError};
 
 /// The first four bytes of a connection that speaks this form; no UTF-8 text begins so.
@@ -77,28 +77,35 @@ const INLINE_CONTENT: usize = 4096;
 /// # Errors
 /// `not-encodable` for a value without a form, or a parcel of 4 GiB.
 pub fn encode(parcel: &Parcel) -> Result<Encoded, WireError> {
-    let content = parcel
-        .content
-        .as_ref()
-        .map(|content| content.to_msgpack())
-        .transpose()?
-        .unwrap_or_default();
+    encode_with(parcel, &mut Scratch::default())
+}
+
+/// Encodes a parcel as one frame, in memory that is shared between frames.
+///
+/// # Errors
+/// As [`encode`].
+pub fn encode_with(parcel: &Parcel, scratch: &mut Scratch) -> Result<Encoded, WireError> {
+    let content = match &parcel.content {
+        Some(content) => content.to_msgpack()?,
+        None => Bytes::new(),
+    };
+    let mut header = std::mem::take(&mut scratch.header);
+    header.clear();
+    header::write(parcel, &mut header)?;
+    let length = u32::try_from(1 + header.len() + content.len())
+        .map_err(|_| WireError::new(crate::Code::NOT_ENCODABLE, "a parcel has less than 4 GiB"))?;
     let inline = content.len() <= INLINE_CONTENT;
-    let mut head = Vec::with_capacity(96 + if inline { content.len() } else { 0 });
-    head.extend_from_slice(&[0; 4]);
-    head.push(KIND_PARCEL);
-    header::write(parcel, &mut head)?;
+    let room = scratch.room(5 + header.len() + if inline { content.len() } else { 0 });
+    room.extend_from_slice(&length.to_be_bytes());
+    room.extend_from_slice(&[KIND_PARCEL]);
+    room.extend_from_slice(&header);
     let body = if inline {
-        head.extend_from_slice(&content);
+        room.extend_from_slice(&content);
         Bytes::new()
     } else {
         content
     };
-    let length = u32::try_from(head.len() - 4 + body.len())
-        .map_err(|_| WireError::new(crate::Code::NOT_ENCODABLE, "a parcel has less than 4 GiB"))?;
-    head[..4].copy_from_slice(&length.to_be_bytes());
-    Ok(Encoded {
-        head: head.into(),
-        body,
-    })
+    let head = room.split().freeze();
+    scratch.header = header;
+    Ok(Encoded { head, body })
 }

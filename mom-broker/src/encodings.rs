@@ -1,0 +1,79 @@
+//! One parcel in the wire forms that its receivers need.
+
+use std::sync::Arc;
+
+use mom_net::Outgoing;
+use mom_proto::codec::{Encoded, Form, Scratch};
+use mom_proto::{Content, HARD_DEPTH, Parcel, WireError, msgpack};
+
+/// A parcel encoded once for each form among its receivers.
+#[derive(Debug, Default)]
+pub(crate) struct Encodings {
+    xml: Option<Encoded>,
+    binary: Option<Encoded>,
+    local: Option<Arc<Parcel>>,
+}
+
+impl Encodings {
+    /// Encodes what the hub itself says.
+    pub(crate) fn new(
+        parcel: Parcel,
+        forms: impl Iterator<Item = Option<Form>>,
+    ) -> Result<Encodings, WireError> {
+        Encodings::with(parcel, forms, HARD_DEPTH, &mut Scratch::default())
+    }
+
+    /// Encodes what a peer says: content that has to be opened nests at most `depth` deep.
+    pub(crate) fn with(
+        parcel: Parcel,
+        forms: impl Iterator<Item = Option<Form>>,
+        depth: usize,
+        scratch: &mut Scratch,
+    ) -> Result<Encodings, WireError> {
+        let mut encodings = Encodings::default();
+        let mut local = false;
+        for form in forms {
+            match form {
+                None => local = true,
+                Some(Form::Xml) if encodings.xml.is_none() => {
+                    encodings.xml = Some(encode_xml(&parcel, depth)?);
+                }
+                Some(Form::Binary) if encodings.binary.is_none() => {
+                    encodings.binary = Some(Form::Binary.encode_with(&parcel, scratch)?);
+                }
+                Some(_) => {}
+            }
+        }
+        encodings.local = local.then(|| Arc::new(parcel));
+        Ok(encodings)
+    }
+
+    /// The parcel for a receiver of this form.
+    pub(crate) fn get(&self, form: Option<Form>) -> Outgoing {
+        let encoded = match form {
+            None => return Outgoing::Parcel(self.local.clone().unwrap_or_else(nothing)),
+            Some(Form::Xml) => &self.xml,
+            Some(Form::Binary) => &self.binary,
+        };
+        Outgoing::Encoded(encoded.clone().unwrap_or_default())
+    }
+}
+
+/// Content that is encoded already was looked at by nobody so far.
+fn encode_xml(parcel: &Parcel, depth: usize) -> Result<Encoded, WireError> {
+    match &parcel.content {
+        Some(Content::Encoded(bytes)) => {
+            let content = Some(Content::Value(msgpack::decode(bytes, depth)?));
+            Form::Xml.encode(&Parcel {
+                content,
+                ..parcel.clone()
+            })
+        }
+        _ => Form::Xml.encode(parcel),
+    }
+}
+
+/// Stands for a form that `with` was not told of, which its callers never ask for.
+fn nothing() -> Arc<Parcel> {
+    Arc::new(Parcel::new(mom_proto::Family::Event, mom_proto::event::DROPPED))
+}
