@@ -223,7 +223,7 @@ impl Hub {
             .with("time", self.wall())
     }
 
-    fn handle_gone(&mut self, peer: PeerId, out: &mut Vec<Effect>) {
+    pub(crate) fn handle_gone(&mut self, peer: PeerId, out: &mut Vec<Effect>) {
         if let Some(root) = self.tree.find(&Path::root()).map(|root| root.number) {
             self.leave(root, peer, Reason::Disconnected, out);
         }

@@ -13,7 +13,7 @@ use mom_hub::PeerId;
 use mom_net::{NetError, Outgoing, Progress, Writer};
 use mom_proto::WireError;
 use mom_proto::codec::Form;
-use parking_lot::Mutex;
+use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::Notify;
 
 pub(crate) use entry::{DropReason, Entry, Gate, Lane, Origin};
@@ -136,8 +136,10 @@ impl Outbox {
     pub(crate) async fn run(&self) {
         loop {
             self.wake.notified().await;
+            // Asked before the last flush: what was to go out is in the queue by then.
+            let ends = self.closing().is_some();
             loop {
-                match self.try_flush() {
+                match self.flush_after_others() {
                     Ok(Progress::Done) => break,
                     Ok(Progress::Blocked) => {
                         if let Err(error) = self.writer.ready().await {
@@ -147,7 +149,7 @@ impl Outbox {
                     Err(error) => return self.broken(&error),
                 }
             }
-            if self.is_closed() {
+            if ends {
                 self.writer.finish();
                 return;
             }
@@ -157,16 +159,34 @@ impl Outbox {
     fn try_flush(&self) -> Result<Progress, NetError> {
         loop {
             // Whoever holds the batch looks at `touched` again after letting go, so nothing is forgotten.
-            let Some(mut batch) = self.batch.try_lock() else {
+            let Some(batch) = self.batch.try_lock() else {
                 return Ok(Progress::Done);
             };
-            self.touched.store(false, Ordering::Release);
-            let progress = self.write_all(&mut batch)?;
-            drop(batch);
-            if progress == Progress::Blocked || !self.touched.load(Ordering::Acquire) {
+            if let Some(progress) = self.flush_batch(batch)? {
                 return Ok(progress);
             }
         }
+    }
+
+    /// Waits for whoever is writing now, who never waits for the link: when this says done, all is written.
+    fn flush_after_others(&self) -> Result<Progress, NetError> {
+        loop {
+            if let Some(progress) = self.flush_batch(self.batch.lock())? {
+                return Ok(progress);
+            }
+        }
+    }
+
+    /// Writes what waits; none if there is more by now.
+    fn flush_batch(
+        &self,
+        mut batch: MutexGuard<'_, VecDeque<Outgoing>>,
+    ) -> Result<Option<Progress>, NetError> {
+        self.touched.store(false, Ordering::Release);
+        let progress = self.write_all(&mut batch)?;
+        drop(batch);
+        let settled = progress == Progress::Blocked || !self.touched.load(Ordering::Acquire);
+        Ok(settled.then_some(progress))
     }
 
     fn write_all(&self, batch: &mut VecDeque<Outgoing>) -> Result<Progress, NetError> {

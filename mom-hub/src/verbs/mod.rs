@@ -65,6 +65,8 @@ pub(crate) fn carry_out(
 }
 
 fn logout(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), WireError> {
+    // The departure first: whoever reads `ok` has left everything and owns nothing.
+    hub.handle_gone(request.peer, out);
     hub.push_ok(request.peer, request.parcel.id, &Path::root(), None, out);
     out.push(Effect::Close {
         peer: request.peer,

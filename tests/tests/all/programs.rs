@@ -27,16 +27,35 @@ impl Lab {
     fn start() -> Lab {
         let config = project().join("config/lab.toml");
         let config = config.to_str().expect("the project's path is text");
-        let broker = Running::start("mom-broker", &["--config", config, "--listen", "127.0.0.1:0"], &[]);
+        let broker = Running::start(
+            "mom-broker",
+            &["--config", config, "--listen", "127.0.0.1:0"],
+            &[],
+        );
         let line = broker.line_with("listening at");
-        let address = line.split("tcp://").nth(1).and_then(|rest| rest.split_whitespace().next());
+        let address = line
+            .split("tcp://")
+            .nth(1)
+            .and_then(|rest| rest.split_whitespace().next());
         let address = address.expect("the broker says where it listens").to_owned();
         let device = |name: &str, password, scheme: &str| {
             let hub = format!("{scheme}://{address}");
-            Running::start(name, &["--hub", &hub], &[("MOM_PASSWORD", password), ("MOM_USER", password)])
+            Running::start(
+                name,
+                &["--hub", &hub],
+                &[("MOM_PASSWORD", password), ("MOM_USER", password)],
+            )
         };
-        let (arm, camera) = (device("mom-arm", "arm", "bin"), device("mom-camera", "camera", "tcp"));
-        Lab { broker, arm, camera, address }
+        let (arm, camera) = (
+            device("mom-arm", "arm", "bin"),
+            device("mom-camera", "camera", "tcp"),
+        );
+        Lab {
+            broker,
+            arm,
+            camera,
+            address,
+        }
     }
 
     fn hub(&self, scheme: &str) -> String {
@@ -44,14 +63,22 @@ impl Lab {
     }
 
     async fn join(&self, user: &str) -> Client {
-        let client = Client::builder(self.hub("tcp")).user(user).password(user).connect().await;
+        let client = Client::builder(self.hub("tcp"))
+            .user(user)
+            .password(user)
+            .connect()
+            .await;
         client.expect("the lab knows its users")
     }
 
     /// Runs the command line as a user.
     fn mom(&self, user: &str, args: &[&str]) -> std::process::Output {
         let hub = self.hub("bin");
-        run("mom", args, &[("MOM_HUB", &hub), ("MOM_USER", user), ("MOM_PASSWORD", user)])
+        run(
+            "mom",
+            args,
+            &[("MOM_HUB", &hub), ("MOM_USER", user), ("MOM_PASSWORD", user)],
+        )
     }
 }
 
@@ -60,19 +87,27 @@ async fn next<T>(events: &mut Events, what: &str, mut pick: impl FnMut(Event) ->
     let wanted = async {
         loop {
             let event = events.next().await.expect("the client lives");
-            assert!(!matches!(event, Event::Lagged(_)), "an idle observer does not lag");
+            assert!(
+                !matches!(event, Event::Lagged(_)),
+                "an idle observer does not lag"
+            );
             if let Some(found) = pick(event) {
                 return found;
             }
         }
     };
-    timeout(PATIENCE, wanted).await.unwrap_or_else(|_| panic!("never came: {what}"))
+    timeout(PATIENCE, wanted)
+        .await
+        .unwrap_or_else(|_| panic!("never came: {what}"))
 }
 
 /// Waits until a peer is in a channel.
 async fn wait_for(client: &Client, channel: &Channel, peer: &str) {
     let mut events = channel.events();
-    let there = client.members(channel.path().as_str()).await.expect("carol may ask");
+    let there = client
+        .members(channel.path().as_str())
+        .await
+        .expect("carol may ask");
     if !there.iter().any(|member| member.peer == peer) {
         next(&mut events, peer, |event| match event {
             Event::Joined(member) => (member.peer == peer).then_some(()),
@@ -88,7 +123,9 @@ fn state_of(parcel: &mom_client::Parcel) -> Option<mom_arm::ArmState> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn two_users_contend_for_the_robot() {
-    let lab = tokio::task::spawn_blocking(Lab::start).await.expect("the lab starts");
+    let lab = tokio::task::spawn_blocking(Lab::start)
+        .await
+        .expect("the lab starts");
     let carol = lab.join("carol").await;
     let arm = carol.channel("/robot/arm").await.expect("carol may join");
     let camera = carol.channel("/camera/x").await.expect("carol may join");
@@ -102,7 +139,11 @@ async fn two_users_contend_for_the_robot() {
     let alice = Running::start(
         "mom",
         &["run", script.to_str().expect("text")],
-        &[("MOM_HUB", &lab.hub("bin")), ("MOM_USER", "alice"), ("MOM_PASSWORD", "alice")],
+        &[
+            ("MOM_HUB", &lab.hub("bin")),
+            ("MOM_USER", "alice"),
+            ("MOM_PASSWORD", "alice"),
+        ],
     );
     let fence = next(&mut events, "alice's grab", |event| match event {
         Event::Grabbed { owner, fence, .. } if owner == "alice" => Some(fence),
@@ -110,65 +151,25 @@ async fn two_users_contend_for_the_robot() {
     })
     .await;
 
-    // Bob is refused, and told by whom and until when.
-    let refused = lab.mom("bob", &["grab", "/robot/token"]);
-    let words = text(&refused.stderr) + &text(&refused.stdout);
-    assert_eq!(refused.status.code(), Some(1), "{words}");
-    for word in ["/robot/token is held by alice", "robot-token/level-or-lease", "level 1", "held (101)"] {
-        assert!(words.contains(word), "{word:?} is in {words}");
-    }
-    let sent = lab.mom("bob", &["send", "/robot/arm", "command", "move 0 0 400 0 0", "--acknowledge"]);
-    assert_eq!(sent.status.code(), Some(1));
-    assert!(text(&sent.stderr).contains("not-owner (204)"), "{}", text(&sent.stderr));
-
-    // The robot moves by alice's script alone, every state in order, and carries the block away.
-    let mut finished = 0;
-    let (mut poses, mut last) = (Vec::new(), None);
-    let released = next(&mut events, "the end of alice's script", |event| match event {
-        Event::Message(parcel) => {
-            if let Some(state) = state_of(&parcel) {
-                assert!(last.as_ref().is_none_or(|last: &mom_arm::ArmState| last.seq < state.seq), "in order");
-                poses.push(state.pose);
-                last = Some(state);
-            }
-            if parcel.name() == "status" {
-                let status: mom_arm::Status = from_value(parcel.value()).expect("a status");
-                assert_eq!(&*status.peer, "alice", "only the owner is obeyed");
-                finished += usize::from(status.state == mom_arm::CommandState::Finished);
-            }
-            None
-        }
-        Event::Released { owner, fence: lost, .. } if owner == "alice" => Some(lost),
-        _ => None,
-    })
-    .await;
+    refuse_bob(&lab);
+    let released = follow_alice(&mut events).await;
     assert_eq!(released, fence);
-    assert_eq!(finished, 4, "one end for each line of the script");
-    assert!(poses.len() > 20, "20 poses a second while moving, not {}", poses.len());
-    let last = last.expect("the robot told its state");
-    let red = &last.blocks[0];
-    assert!((red.x - 150.0).abs() < 1.0 && (red.y - 100.0).abs() < 1.0 && red.z > 41.0, "red stands on blue: {red:?}");
-    let status = tokio::task::spawn_blocking(move || alice.wait()).await.expect("waited for");
+    let status = tokio::task::spawn_blocking(move || alice.wait())
+        .await
+        .expect("waited for");
     assert_eq!(status.code(), Some(0));
 
-    // A new image for new states (M38), and one on request, saved by the command line (M37).
-    let image = next(&mut images, "an image", |event| match event {
-        Event::Message(parcel) if parcel.name() == "image" => Some(parcel.value()),
-        _ => None,
-    })
-    .await;
-    let bytes = image.get("image").and_then(|image| image.as_binary().cloned()).expect("bytes in a part");
-    assert!(bytes.starts_with(&[0xff, 0xd8]), "a JPEG");
-    let file = folder.path().join("x.jpg");
-    let saved = lab.mom("bob", &["snap", "x", "--output", file.to_str().expect("text")]);
-    assert_eq!(saved.status.code(), Some(0), "{}", text(&saved.stderr));
-    assert!(std::fs::read(&file).expect("saved").starts_with(&[0xff, 0xd8]));
+    check_images(&lab, &mut images, folder.path()).await;
 
     // Alice is done, so bob may; the fence has risen.
     let held = Running::start(
         "mom",
         &["grab", "/robot/token"],
-        &[("MOM_HUB", &lab.hub("tcp")), ("MOM_USER", "bob"), ("MOM_PASSWORD", "bob")],
+        &[
+            ("MOM_HUB", &lab.hub("tcp")),
+            ("MOM_USER", "bob"),
+            ("MOM_PASSWORD", "bob"),
+        ],
     );
     let higher = next(&mut events, "bob's grab", |event| match event {
         Event::Grabbed { owner, fence, .. } if owner == "bob" => Some(fence),
@@ -185,16 +186,116 @@ async fn two_users_contend_for_the_robot() {
     end(lab).await;
 }
 
+/// Bob is refused, and told by whom and until when.
+fn refuse_bob(lab: &Lab) {
+    let refused = lab.mom("bob", &["grab", "/robot/token"]);
+    let words = text(&refused.stderr) + &text(&refused.stdout);
+    assert_eq!(refused.status.code(), Some(1), "{words}");
+    for word in [
+        "/robot/token is held by alice",
+        "robot-token/level-or-lease",
+        "level 1",
+        "held (101)",
+    ] {
+        assert!(words.contains(word), "{word:?} is in {words}");
+    }
+    let sent = lab.mom(
+        "bob",
+        &[
+            "send",
+            "/robot/arm",
+            "command",
+            "move 0 0 400 0 0",
+            "--acknowledge",
+        ],
+    );
+    assert_eq!(sent.status.code(), Some(1));
+    assert!(
+        text(&sent.stderr).contains("not-owner (204)"),
+        "{}",
+        text(&sent.stderr)
+    );
+}
+
+/// The robot moves by alice's script alone, every state in order, and carries the block away; gives the fence
+/// that she released.
+async fn follow_alice(events: &mut Events) -> u64 {
+    let mut finished = 0;
+    let (mut poses, mut last) = (Vec::new(), None);
+    let released = next(events, "the end of alice's script", |event| match event {
+        Event::Message(parcel) => {
+            if let Some(state) = state_of(&parcel) {
+                assert!(
+                    last.as_ref()
+                        .is_none_or(|last: &mom_arm::ArmState| last.seq < state.seq),
+                    "in order"
+                );
+                poses.push(state.pose);
+                last = Some(state);
+            }
+            if parcel.name() == "status" {
+                let status: mom_arm::Status = from_value(parcel.value()).expect("a status");
+                assert_eq!(&*status.peer, "alice", "only the owner is obeyed");
+                finished += usize::from(status.state == mom_arm::CommandState::Finished);
+            }
+            None
+        }
+        Event::Released {
+            owner, fence: lost, ..
+        } if owner == "alice" => Some(lost),
+        _ => None,
+    })
+    .await;
+    assert_eq!(finished, 4, "one end for each line of the script");
+    assert!(
+        poses.len() > 20,
+        "20 poses a second while moving, not {}",
+        poses.len()
+    );
+    let last = last.expect("the robot told its state");
+    let red = &last.blocks[0];
+    assert!(
+        (red.x - 150.0).abs() < 1.0 && (red.y - 100.0).abs() < 1.0 && red.z > 41.0,
+        "red stands on blue: {red:?}"
+    );
+    released
+}
+
+/// A new image for new states (M38), and one on request, saved by the command line (M37).
+async fn check_images(lab: &Lab, images: &mut Events, folder: &std::path::Path) {
+    let image = next(images, "an image", |event| match event {
+        Event::Message(parcel) if parcel.name() == "image" => Some(parcel.value()),
+        _ => None,
+    })
+    .await;
+    let bytes = image
+        .get("image")
+        .and_then(|image| image.as_binary().cloned())
+        .expect("bytes in a part");
+    assert!(bytes.starts_with(&[0xff, 0xd8]), "a JPEG");
+    let file = folder.join("x.jpg");
+    let saved = lab.mom("bob", &["snap", "x", "--output", file.to_str().expect("text")]);
+    assert_eq!(saved.status.code(), Some(0), "{}", text(&saved.stderr));
+    assert!(std::fs::read(&file).expect("saved").starts_with(&[0xff, 0xd8]));
+}
+
 /// SIGTERM drains within 10 s and exits 0; the devices end by theirs.
 async fn end(lab: Lab) {
-    let Lab { broker, arm, camera, .. } = lab;
+    let Lab {
+        broker, arm, camera, ..
+    } = lab;
     broker.signal("TERM");
     let ended = tokio::task::spawn_blocking(move || broker.wait());
-    let status = timeout(Duration::from_secs(10), ended).await.expect("within 10 s").expect("waited for");
+    let status = timeout(Duration::from_secs(10), ended)
+        .await
+        .expect("within 10 s")
+        .expect("waited for");
     assert_eq!(status.code(), Some(0));
     for device in [arm, camera] {
         device.signal("TERM");
-        let ended = tokio::task::spawn_blocking(move || device.wait()).await.expect("waited for");
+        let ended = tokio::task::spawn_blocking(move || device.wait())
+            .await
+            .expect("waited for");
         assert_eq!(ended.code(), Some(0));
     }
 }
@@ -204,13 +305,31 @@ async fn end(lab: Lab) {
 async fn the_lab_in_one_process() {
     let lab = Running::start("mom", &["lab", "--listen", "127.0.0.1:0"], &[]);
     let line = lab.line_with("bin://");
-    let hub = line.split_whitespace().find(|word| word.starts_with("bin://")).expect("an address").to_owned();
+    let hub = line
+        .split_whitespace()
+        .find(|word| word.starts_with("bin://"))
+        .expect("an address")
+        .to_owned();
     lab.line_with("as bob");
-    let as_alice = [("MOM_HUB", hub.as_str()), ("MOM_USER", "alice"), ("MOM_PASSWORD", "alice")];
+    let as_alice = [
+        ("MOM_HUB", hub.as_str()),
+        ("MOM_USER", "alice"),
+        ("MOM_PASSWORD", "alice"),
+    ];
     let tree = run("mom", &["tree"], &as_alice);
     assert_eq!(tree.status.code(), Some(0), "{}", text(&tree.stderr));
-    for word in ["robot", "token", "camera", "chat", "command guarded by /robot/token"] {
-        assert!(text(&tree.stdout).contains(word), "{word} is in {}", text(&tree.stdout));
+    for word in [
+        "robot",
+        "token",
+        "camera",
+        "chat",
+        "command guarded by /robot/token",
+    ] {
+        assert!(
+            text(&tree.stdout).contains(word),
+            "{word} is in {}",
+            text(&tree.stdout)
+        );
     }
     // Said twice while the robot rests: both are answered at once.
     for _ in 0..2 {
@@ -218,7 +337,9 @@ async fn the_lab_in_one_process() {
         assert!(snap.stdout.starts_with(&[0xff, 0xd8]), "{}", text(&snap.stderr));
     }
     lab.signal("INT");
-    let status = tokio::task::spawn_blocking(move || lab.wait()).await.expect("waited for");
+    let status = tokio::task::spawn_blocking(move || lab.wait())
+        .await
+        .expect("waited for");
     assert_eq!(status.code(), Some(0));
     assert!(program("mom").exists());
 }
