@@ -1,0 +1,32 @@
+//! The measurements of MOM: what the hub decides, what the codecs carry, and the broker from end to end
+//! beside a relay that parses length prefixes.
+//!
+//! A [`Driver`] speaks one protocol as raw bytes. A [`Hub`] is a running program under measurement and its
+//! driver. [`Stream`] and [`RoundTrips`] load any hub in the same way: the same flush policy, a closed window
+//! of outstanding parcels, and every parcel numbered, so that a loss or a changed order is an [`Error`] and
+//! never a better figure. [`scenario`] puts hubs beside each other in one run, [`report`] makes the table.
+//!
+//! Another broker is measured by one more driver and the function that starts it.
+
+pub mod codecs;
+pub mod decisions;
+mod driver;
+mod error;
+mod hub;
+pub mod machine;
+mod one_core;
+mod pace;
+mod process;
+pub mod report;
+mod round_trip;
+pub mod scenario;
+mod stream;
+mod window;
+
+pub use driver::{Driver, Link, MomDriver, RelayDriver, Scan, Scanner, Template};
+pub use error::Error;
+pub use hub::{Hub, broker_folder, start_broker, start_relay};
+pub use pace::{Pace, Rate, measure};
+pub use process::Process;
+pub use round_trip::{Delays, RoundTrips};
+pub use stream::{Stream, Streamed};
