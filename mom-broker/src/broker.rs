@@ -164,17 +164,7 @@ impl Broker {
         // Nobody is listening any more if all tasks have ended.
         let _ = self.stopping.send(true);
         self.connections.close();
-        let outboxes: Vec<_> = self
-            .context
-            .board
-            .outboxes
-            .iter()
-            .map(|outbox| Arc::clone(&outbox))
-            .collect();
-        for outbox in outboxes {
-            let error = WireError::new(Code::SHUTDOWN, "the hub is shutting down; connect again later");
-            self.context.board.close(&outbox, Some(error));
-        }
+        self.context.board.shut_down();
         if timeout_at(deadline, self.context.board.wait_empty())
             .await
             .is_err()

@@ -52,7 +52,7 @@ pub(crate) async fn serve(
         writer,
         context.limits.outbox,
     ));
-    context.board.outboxes.insert(peer, Arc::clone(&outbox));
+    context.board.add_outbox(&outbox);
     let mut session = Session {
         context,
         peer,

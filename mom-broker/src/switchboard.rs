@@ -1,7 +1,7 @@
 //! All that connections share: the hub, the channels, the outboxes, and how effects are carried out.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use dashmap::DashMap;
 use mom_hub::{Admission, Effect, Hub, Input, PeerId, admit};
@@ -32,6 +32,7 @@ pub(crate) struct Switchboard {
     pub(crate) deadline_changed: Notify,
     /// The last connection has ended.
     empty: Notify,
+    stopping: AtomicBool,
 }
 
 /// Outboxes that were given something in the present turn and have to be flushed at its end.
@@ -50,6 +51,7 @@ impl Switchboard {
             last_peer: AtomicU64::new(0),
             deadline_changed: Notify::new(),
             empty: Notify::new(),
+            stopping: AtomicBool::new(false),
         };
         routes.into_iter().for_each(|route| board.swap_route(route));
         board
@@ -136,6 +138,24 @@ impl Switchboard {
             Some(control(encodings.get(outbox.form()), origin))
         });
         outbox.close(error, farewell);
+    }
+
+    /// Takes in a new connection; one that comes while the broker stops is told so at once.
+    pub(crate) fn add_outbox(&self, outbox: &Arc<Outbox>) {
+        self.outboxes.insert(outbox.peer, Arc::clone(outbox));
+        if self.stopping.load(Ordering::SeqCst) {
+            self.close(outbox, Some(shutdown()));
+        }
+    }
+
+    /// Tells all connections that the broker stops, now and from now on.
+    pub(crate) fn shut_down(&self) {
+        // The flag first: a connection that the walk misses sees it after its own arrival.
+        self.stopping.store(true, Ordering::SeqCst);
+        let outboxes: Vec<Arc<Outbox>> = self.outboxes.iter().map(|outbox| Arc::clone(&outbox)).collect();
+        outboxes
+            .iter()
+            .for_each(|outbox| self.close(outbox, Some(shutdown())));
     }
 
     /// Forgets a connection that has ended.
@@ -225,11 +245,7 @@ impl Switchboard {
             self.by_path
                 .remove_if(&inner.route.path, |_, known| *known == number);
             // A reader that found the channel just before gets what it would get after.
-            let gone = mom_hub::Route {
-                members: Vec::new(),
-                ..(*inner.route).clone()
-            };
-            inner.route = Arc::new(gone);
+            inner.end();
         }
     }
 
@@ -338,6 +354,10 @@ impl Switchboard {
             self.close(outbox, Some(WireError::new(Code::SLOW_RECEIVER, text)));
         }
     }
+}
+
+fn shutdown() -> WireError {
+    WireError::new(Code::SHUTDOWN, "the hub is shutting down; connect again later")
 }
 
 /// Flushes every outbox of a turn.

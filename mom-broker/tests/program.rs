@@ -152,8 +152,15 @@ fn sigterm_tells_the_peers_and_exits_with_0() {
         say_login(peer, "alice", "alice");
         assert!(hear(peer).contains("<family>reply</family>"));
     }
-    // One that has not logged in, and one that has not even said how it speaks.
-    peers[3].write_all(b"Content-").expect("written");
+    // One that has not logged in, and one that has not even said how it speaks. Once its ping is answered the
+    // broker knows of the former.
+    let ping = "<parcel><family>time</family><name>ping</name><id>1</id></parcel>";
+    let head = format!(
+        "Content-Type: application/xml\r\nContent-Length: {}\r\n\r\n",
+        ping.len()
+    );
+    peers[3].write_all((head + ping).as_bytes()).expect("written");
+    assert!(hear(&mut peers[3]).contains("<name>pong</name>"));
     let pid = broker.child.id().to_string();
     let begin = Instant::now();
     let killed = Command::new("kill")
