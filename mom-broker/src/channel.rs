@@ -90,6 +90,17 @@ impl Channel {
 }
 
 impl Inner {
+    /// Empties the route of a channel that is no more: nobody sends there, and no guarded message that still
+    /// waits leaves any outbox, because nobody will tell this channel when its token changes hands.
+    pub(crate) fn end(&mut self) {
+        self.gate.store(0, Ordering::Release);
+        self.outboxes.clear();
+        self.route = Arc::new(Route {
+            members: Vec::new(),
+            ..(*self.route).clone()
+        });
+    }
+
     /// Encodes an admitted message once per form and puts it into the outboxes.
     ///
     /// # Errors

@@ -90,20 +90,20 @@ impl Logins {
             .read()?;
         if let Some(nickname) = &credentials.nickname {
             check_name(nickname).map_err(|error| error.slot("content/nickname"))?;
-            if *nickname != credentials.name && self.users.contains_key(nickname) {
-                let text = format!("the nickname {nickname:?} is another user's name");
-                return Err(WireError::new(Code::BAD_NAME, text).slot("content/nickname"));
-            }
         }
         let known = self.users.get(&credentials.name);
         let expected = known.map_or(&self.dummy, |user| &user.password).clone();
         let matches = self.verify(credentials.password, expected).await?;
-        match known.filter(|_| matches) {
-            Some(user) => Ok((user.to_user(), credentials.nickname)),
-            None => Err(WireError::new(
-                Code::BAD_LOGIN,
-                "no user has this name and password",
-            )),
+        let user = known
+            .filter(|_| matches)
+            .ok_or_else(|| WireError::new(Code::BAD_LOGIN, "no user has this name and password"))?;
+        // Only now: before, it would tell anybody which users there are.
+        match credentials.nickname {
+            Some(nickname) if nickname != user.name && self.users.contains_key(&nickname) => {
+                let text = format!("the nickname {nickname:?} is another user's name");
+                Err(WireError::new(Code::BAD_NAME, text).slot("content/nickname"))
+            }
+            nickname => Ok((user.to_user(), nickname)),
         }
     }
 
@@ -168,6 +168,31 @@ impl UserEntry {
             level: self.level,
             groups: self.groups.clone(),
             details,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Config;
+    use mom_proto::{Family, Map};
+
+    /// Threat 15: who cannot log in does not learn who can.
+    #[tokio::test]
+    async fn a_nickname_does_not_tell_who_exists() {
+        let config = Config::lab();
+        let logins = Logins::new(config.users.clone(), config.login.clone());
+        for nickname in ["bob", "nobody"] {
+            let content = Map::new()
+                .with("name", "eve")
+                .with("password", "x")
+                .with("nickname", nickname);
+            let parcel = Parcel::new(Family::Login, "login").content(content);
+            match logins.check(&parcel, None).await {
+                Attempt::Refused(error) => assert_eq!(error.code, Code::BAD_LOGIN, "{nickname}"),
+                Attempt::Granted { .. } => panic!("eve has no password"),
+            }
         }
     }
 }

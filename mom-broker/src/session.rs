@@ -18,6 +18,10 @@ use crate::switchboard::{Switchboard, Touched, flush};
 /// How long an ending connection may take to hear why.
 const FAREWELL: Duration = Duration::from_secs(1);
 
+/// Frames after which a turn flushes and lets others run: a peer inside this process may never pause, and
+/// whoever adds to an outbox that somebody has touched leaves the flush to that one, a stop included.
+const TURN: usize = 256;
+
 /// What a connection has to know of its broker.
 #[derive(Clone, Debug)]
 pub(crate) struct Context {
@@ -128,7 +132,7 @@ impl Session {
         }
     }
 
-    /// Handles a frame and all that arrived with it, then flushes what they caused.
+    /// Handles a frame and all that arrived with it, and flushes what they caused.
     async fn take_turn(
         &mut self,
         reader: &mut Reader,
@@ -136,7 +140,7 @@ impl Session {
     ) -> Result<(), Option<WireError>> {
         self.outbox.heard.store(true, Ordering::Relaxed);
         let mut touched = Touched::new();
-        let mut next = first;
+        let (mut next, mut handled) = (first, 0);
         let result = loop {
             match next {
                 Ok(Some(frame)) => {
@@ -150,6 +154,11 @@ impl Session {
                     tracing::debug!(peer = self.peer.0, %error, "link failed");
                     break Err(None);
                 }
+            }
+            handled += 1;
+            if handled % TURN == 0 {
+                flush(&mut touched);
+                tokio::task::yield_now().await;
             }
             next = match reader.try_next() {
                 Ok(None) => break Ok(()),

@@ -1,5 +1,6 @@
 //! Whether a message may pass, and to whom: one truth for the hub and for the broker's fast path.
 
+use std::collections::HashSet;
 use std::time::Duration;
 
 use mom_managers::{Answer, Denial, Micros, PeerFacts};
@@ -17,7 +18,7 @@ const PRIORITY: std::ops::RangeInclusive<i32> = -100..=100;
 pub enum Admission {
     /// It may pass, stamped, to these.
     Pass(Receivers),
-    /// No verdict stands for it: the channel's manager has to be asked.
+    /// The hub has to decide: no verdict stands, or a deadline has come on which it has not acted yet.
     Consult,
 }
 
@@ -45,7 +46,11 @@ pub fn admit(
     wall: Time,
 ) -> Result<Admission, WireError> {
     let member = sender(route, peer)?;
-    match member.standing(&parcel.name, now) {
+    let owner = route.guard.as_ref().and_then(|guard| guard.owner.as_ref());
+    let overdue = owner
+        .and_then(|owner| owner.lost_at)
+        .is_some_and(|lost| now >= lost);
+    match member.standing(&parcel.name, now).filter(|_| !overdue) {
         None => Ok(Admission::Consult),
         Some(answer) => admit_with(route, peer, answer, parcel, now, wall).map(Admission::Pass),
     }
@@ -202,8 +207,10 @@ fn receivers(route: &Route, peer: PeerId, parcel: &Parcel) -> Result<Receivers, 
             _ => Receivers::All,
         });
     };
-    let mut places = Vec::with_capacity(address.len());
-    for name in address {
+    let mut places = Vec::new();
+    // A parcel holds millions of names, and all who send here wait: each is looked for once.
+    let mut seen = HashSet::new();
+    for name in address.iter().filter(|name| seen.insert(&***name)) {
         let place = route
             .members
             .iter()
@@ -217,9 +224,7 @@ fn receivers(route: &Route, peer: PeerId, parcel: &Parcel) -> Result<Receivers, 
                 .slot("address")
                 .nearest_opt(nearest(name, names))
             })?;
-        if !places.contains(&place) {
-            places.push(place);
-        }
+        places.push(place);
     }
     Ok(Receivers::These(places))
 }

@@ -128,7 +128,7 @@ impl Hub {
         self.timers.first().map(|(deadline, _)| *deadline)
     }
 
-    /// The facts of a peer that has logged in.
+    /// The name of a peer that has logged in.
     pub fn peer_name(&self, peer: PeerId) -> Option<Arc<str>> {
         self.peers.get(peer).map(|peer| Arc::clone(&peer.facts.name))
     }

@@ -78,10 +78,13 @@ impl Hub {
         }
     }
 
-    /// Deletes a context with all below it, deepest first.
+    /// Deletes a context with all below it, deepest first. All tokens are lost before: first everything is
+    /// safe, while the channels that lead to the devices are still there.
     pub(crate) fn delete(&mut self, number: ContextNumber, by: Option<PeerId>, out: &mut Vec<Effect>) {
-        for below in self.tree.subtree(number) {
-            self.lose(below, Reason::Deleted, by, out);
+        let all = self.tree.subtree(number);
+        all.iter()
+            .for_each(|below| self.lose(*below, Reason::Deleted, by, out));
+        for below in all {
             let Some(context) = self.tree.get(below) else {
                 continue;
             };
@@ -152,6 +155,7 @@ impl Hub {
                         name,
                         level: facts.level,
                         lease_end: owner.lease_end,
+                        lost_at: token.and_then(|token| token.deadline()),
                     })
                 }),
                 fence: token.map_or(0, |token| token.fence),

@@ -34,7 +34,7 @@ impl Hub {
         self.change_owner(number, None, reason, by, out);
     }
 
-    /// Begins a new lease for the owner; gives its end.
+    /// Begins a new lease for the owner.
     pub(crate) fn renew_lease(&mut self, number: ContextNumber) {
         self.drop_timer(number);
         let now = self.now;

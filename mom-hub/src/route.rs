@@ -46,6 +46,8 @@ pub struct GuardOwner {
     pub level: i32,
     /// When its lease ends if it does not renew.
     pub lease_end: Option<Micros>,
+    /// When the hub takes the token from it by itself: the lease's end where the expiry is eager.
+    pub lost_at: Option<Micros>,
 }
 
 impl Route {

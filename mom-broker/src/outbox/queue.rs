@@ -4,7 +4,7 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, HashMap, VecDeque};
 
 use mom_managers::Micros;
-use mom_proto::{ContextNumber, Delivery};
+use mom_proto::{ContextNumber, Delivery, event};
 
 use super::entry::{DropReason, Entry, Lane, Origin};
 
@@ -18,6 +18,9 @@ pub(crate) enum Taken {
     /// It may not be dropped and there is no room: the receiver is too slow.
     Overflow,
 }
+
+/// Holes that a lane may keep before they are closed.
+const HOLES: usize = 64;
 
 /// The queue of one peer.
 #[derive(Debug)]
@@ -37,6 +40,7 @@ pub(crate) struct Queue {
 #[derive(Debug, Default)]
 struct DataLane {
     first: u64,
+    holes: usize,
     entries: VecDeque<Option<Entry>>,
 }
 
@@ -100,8 +104,18 @@ impl Queue {
         self.data_bytes
     }
 
-    // One pending per context: a second stop says nothing that the first does not.
+    // One pending per context: a second stop says nothing that the first does not. But it overrules an unstop
+    // that still waits: stops leave first, so that would undo the later word by the earlier one.
     fn push_stop(&mut self, entry: Entry) -> Taken {
+        let overruled = |waiting: &Entry| {
+            waiting.origin.context == entry.origin.context && &*waiting.origin.name == event::UNSTOP
+        };
+        while let Some(at) = self.control.iter().position(overruled) {
+            if let Some(unstop) = self.control.remove(at) {
+                self.control_bytes -= unstop.size();
+                self.note(&unstop.origin, DropReason::Replaced);
+            }
+        }
         let same = |waiting: &Entry| {
             waiting.origin.context == entry.origin.context && waiting.origin.name == entry.origin.name
         };
@@ -125,7 +139,7 @@ impl Queue {
         if entry.delivery == Delivery::Latest && self.replace(&entry, priority) {
             return Taken::Yes;
         }
-        if self.data_bytes + entry.size() > self.limit && !self.make_room(&entry) {
+        if !self.fits(entry.size()) && !self.make_room(&entry) {
             return match entry.delivery {
                 Delivery::Reliable => Taken::Overflow,
                 Delivery::Latest | Delivery::Fleeting => {
@@ -161,6 +175,10 @@ impl Queue {
             self.data_bytes -= old;
             self.latest.remove(&entry.origin);
             self.note(&entry.origin, DropReason::Replaced);
+            if let Some(lane) = self.data.get_mut(&waits_at) {
+                lane.holes += 1;
+            }
+            self.close_holes(waits_at);
             return false;
         }
         if self.data_bytes - old + entry.size() > self.limit {
@@ -182,7 +200,7 @@ impl Queue {
             }
             let priorities: Vec<Reverse<i32>> = self.data.keys().rev().copied().collect();
             for priority in priorities {
-                while self.data_bytes + need > self.limit {
+                while !self.fits(need) {
                     let Some(dropped) = self
                         .data
                         .get_mut(&priority)
@@ -195,10 +213,34 @@ impl Queue {
                         self.latest.remove(&dropped.origin);
                     }
                     self.note(&dropped.origin, DropReason::Full);
+                    self.close_holes(priority);
                 }
             }
         }
-        self.data_bytes + need <= self.limit
+        self.fits(need)
+    }
+
+    /// Whether so many bytes may be added. An empty queue takes anything: one parcel may be larger than the
+    /// bound, and its receiver is not slow for that.
+    fn fits(&self, need: usize) -> bool {
+        self.data_bytes == 0 || self.data_bytes + need <= self.limit
+    }
+
+    /// Closes the holes of a lane once they are most of it, or a link that stands still would collect them.
+    fn close_holes(&mut self, priority: Reverse<i32>) {
+        let Some(lane) = self.data.get_mut(&priority) else {
+            return;
+        };
+        if lane.holes < HOLES || lane.holes * 2 < lane.entries.len() {
+            return;
+        }
+        lane.entries.retain(Option::is_some);
+        lane.holes = 0;
+        for (number, entry) in (lane.first..).zip(lane.entries.iter().flatten()) {
+            if entry.delivery == Delivery::Latest {
+                self.latest.insert(entry.origin.clone(), (priority, number));
+            }
+        }
     }
 
     fn pop_any(&mut self) -> Option<Entry> {
@@ -246,6 +288,7 @@ impl DataLane {
             if entry.is_some() {
                 return entry;
             }
+            self.holes -= 1;
         }
         None
     }
@@ -258,7 +301,9 @@ impl DataLane {
     fn take_first(&mut self, class: Delivery) -> Option<Entry> {
         let of_class =
             |entry: &&mut Option<Entry>| entry.as_ref().is_some_and(|entry| entry.delivery == class);
-        self.entries.iter_mut().find(of_class).and_then(Option::take)
+        let taken = self.entries.iter_mut().find(of_class).and_then(Option::take);
+        self.holes += usize::from(taken.is_some());
+        taken
     }
 }
 
@@ -413,5 +458,63 @@ mod tests {
             .map(|(_, _, reason)| reason)
             .collect();
         assert_eq!(reasons, [DropReason::Expired, DropReason::Fence]);
+    }
+
+    /// Whatever waits in which order, a device that was stopped last stays stopped.
+    #[test]
+    fn a_stop_overrules_an_unstop_that_waits() {
+        let mut queue = Queue::new(100_000);
+        let stop = entry("stop", Lane::Stop, Delivery::Reliable);
+        let unstop = entry("unstop", Lane::Control, Delivery::Reliable);
+        for each in [&stop, &unstop, &stop] {
+            assert_eq!(queue.push(each.clone()), Taken::Yes);
+        }
+        assert_eq!(names(&mut queue), ["stop"]);
+        assert_eq!(queue.take_drops().values().sum::<u64>(), 1, "the unstop is told");
+        queue.push(stop.clone());
+        queue.push(unstop.clone());
+        assert_eq!(names(&mut queue), ["stop", "unstop"]);
+        queue.push(unstop);
+        queue.push(Entry {
+            origin: Origin {
+                context: ContextNumber(2),
+                ..stop.origin.clone()
+            },
+            ..stop
+        });
+        assert_eq!(names(&mut queue), ["stop", "unstop"], "of another channel");
+    }
+
+    /// A parcel may be larger than the bound; a receiver that is not behind gets it.
+    #[test]
+    fn an_empty_queue_takes_any_parcel() {
+        for class in [Delivery::Reliable, Delivery::Latest, Delivery::Fleeting] {
+            let mut queue = Queue::new(900);
+            assert_eq!(queue.push(data("large", class)), Taken::Yes, "{class:?}");
+            assert_eq!(
+                queue.push(data("more", Delivery::Reliable)),
+                match class {
+                    Delivery::Reliable => Taken::Overflow,
+                    _ => Taken::Yes,
+                }
+            );
+        }
+    }
+
+    /// What was dropped leaves nothing behind, however long the link stands still.
+    #[test]
+    fn a_queue_that_stands_still_does_not_grow() {
+        let mut queue = Queue::new(3000);
+        queue.push(data("first", Delivery::Reliable));
+        for turn in 0..10_000 {
+            queue.push(data("fleeting", Delivery::Fleeting));
+            queue.push(entry("pose", Lane::Data(turn % 2), Delivery::Latest));
+        }
+        let places: usize = queue.data.values().map(|lane| lane.entries.len()).sum();
+        assert!(places < 500, "{places} places for 3 parcels");
+        assert_eq!(
+            queue.pop(0).map(|entry| entry.origin.name.to_string()).as_deref(),
+            Some("pose")
+        );
     }
 }

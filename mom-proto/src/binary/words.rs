@@ -87,9 +87,14 @@ pub(crate) struct NameCache(HashMap<Box<str>, Arc<str>>);
 
 impl NameCache {
     const MOST: usize = 256;
+    /// As long as a message's name may be. What is longer is refused soon, and must not stay here.
+    const LONGEST: usize = 128;
 
     /// The shared form of a name.
     pub(crate) fn share(&mut self, name: &str) -> Arc<str> {
+        if name.len() > Self::LONGEST {
+            return Arc::from(name);
+        }
         if let Some(shared) = self.0.get(name) {
             return Arc::clone(shared);
         }
@@ -120,6 +125,9 @@ mod tests {
             cache.share(&number.to_string());
         }
         assert!(cache.0.len() <= NameCache::MOST);
+        let kept = cache.0.len();
+        cache.share(&"x".repeat(NameCache::LONGEST + 1));
+        assert_eq!(cache.0.len(), kept, "a long name is not kept");
         let (one, two) = (cache.share("bob"), cache.share("bob"));
         assert!(Arc::ptr_eq(&one, &two));
     }
