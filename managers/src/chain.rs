@@ -12,6 +12,9 @@ struct Params {
     of: Vec<Value>,
 }
 
+/// Managers of one chain: they are built for each context anew, also where a peer names them.
+const MOST: usize = 16;
+
 /// Asks each in turn; the first denial is the answer.
 #[derive(Debug)]
 struct Chain {
@@ -26,6 +29,9 @@ pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
             "of",
             "a chain needs at least one manager; to allow all, name the manager open",
         ));
+    }
+    if params.of.len() > MOST {
+        return Err(setup.error("of", &format!("a chain has at most {MOST} managers")));
     }
     let links: Result<_, WireError> = params
         .of

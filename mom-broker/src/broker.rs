@@ -14,6 +14,7 @@ use tokio::time::{Instant, timeout_at};
 
 use crate::clock::Clock;
 use crate::config::{Config, ConfigError};
+use crate::encodings::Bounds;
 use crate::login::Logins;
 use crate::session::{self, Context};
 use crate::switchboard::{Switchboard, Touched, flush};
@@ -22,7 +23,7 @@ use crate::switchboard::{Switchboard, Touched, flush};
 const REPORTS: Duration = Duration::from_millis(250);
 
 /// A stop lets what waits go out for at most so long.
-const DRAIN: Duration = Duration::from_secs(10);
+pub(crate) const DRAIN: Duration = Duration::from_secs(10);
 
 /// A broker that cannot start.
 #[derive(Debug, thiserror::Error)]
@@ -66,7 +67,7 @@ pub struct Broker {
     addresses: Vec<SocketAddr>,
     stopping: watch::Sender<bool>,
     tasks: JoinSet<()>,
-    /// Held by sessions inside this process, as those of listeners are by their tasks.
+    /// The places for connections from outside; closed when the broker stops.
     connections: Arc<Semaphore>,
 }
 
@@ -91,8 +92,12 @@ impl Broker {
             ..Settings::default()
         };
         let hub = config.make_hub(settings)?;
+        let bounds = Bounds {
+            depth: config.limits.depth,
+            parcel: config.limits.parcel,
+        };
         let context = Context {
-            board: Arc::new(Switchboard::new(hub, clock, config.limits.depth)),
+            board: Arc::new(Switchboard::new(hub, clock, bounds)),
             logins: Arc::new(Logins::new(config.users.clone(), config.login.clone())),
             limits: config.limits.clone(),
         };

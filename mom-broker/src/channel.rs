@@ -9,7 +9,7 @@ use mom_proto::codec::Scratch;
 use mom_proto::{ContextNumber, Delivery, Parcel, Time, Verb, WireError};
 use parking_lot::{Mutex, MutexGuard};
 
-use crate::encodings::Encodings;
+use crate::encodings::{Bounds, Encodings};
 use crate::outbox::{Entry, Gate, Lane, Origin, Outbox, Taken};
 
 /// The critical section of a channel: who holds it decides the one order for all receivers (M27).
@@ -24,8 +24,7 @@ pub(crate) struct Inner {
     /// In the order of the route's members.
     outboxes: Vec<Option<Arc<Outbox>>>,
     gate: Gate,
-    /// How deep content may nest that has to be opened.
-    depth: usize,
+    bounds: Bounds,
     scratch: Scratch,
 }
 
@@ -43,7 +42,7 @@ pub(crate) struct Delivered {
 impl Channel {
     pub(crate) fn new(
         route: Arc<Route>,
-        depth: usize,
+        bounds: Bounds,
         outbox: impl Fn(PeerId) -> Option<Arc<Outbox>>,
     ) -> Channel {
         let outboxes = route.members.iter().map(|member| outbox(member.peer)).collect();
@@ -53,7 +52,7 @@ impl Channel {
                 route,
                 outboxes,
                 gate,
-                depth,
+                bounds,
                 scratch: Scratch::pooled(),
             }),
         }
@@ -135,7 +134,7 @@ impl Inner {
         let outboxes = &self.outboxes;
         let form = |place: usize| outboxes[place].as_ref().map(|outbox| outbox.form());
         let forms = places.iter().filter_map(form);
-        let encodings = Encodings::with(parcel, forms, self.depth, &mut self.scratch)?;
+        let encodings = Encodings::with(parcel, forms, self.bounds, &mut self.scratch)?;
         let mut result = Delivered::default();
         for place in places.iter() {
             let name = || Arc::clone(&self.route.members[place].facts.name);
@@ -190,6 +189,7 @@ struct Template {
 impl Template {
     fn entry(&self, frame: Outgoing) -> Entry {
         Entry {
+            length: frame.len(),
             frame,
             lane: self.lane,
             delivery: self.delivery,
@@ -231,6 +231,7 @@ pub(crate) fn hub_origin(parcel: &Parcel) -> Origin {
 /// An entry for the control lane.
 pub(crate) fn control(frame: Outgoing, origin: Origin) -> Entry {
     Entry {
+        length: frame.len(),
         frame,
         lane: Lane::Control,
         delivery: Delivery::Reliable,

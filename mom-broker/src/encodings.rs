@@ -4,7 +4,16 @@ use std::sync::Arc;
 
 use mom_net::Outgoing;
 use mom_proto::codec::{Encoded, Form, Scratch};
-use mom_proto::{Content, HARD_DEPTH, Parcel, WireError, msgpack};
+use mom_proto::{Code, Content, HARD_DEPTH, Limit, Parcel, WireError, msgpack};
+
+/// What a parcel may become for a receiver of another form.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Bounds {
+    /// How deep content may nest that has to be opened.
+    pub(crate) depth: usize,
+    /// The size of a parcel that receivers were promised.
+    pub(crate) parcel: Limit,
+}
 
 /// A parcel encoded once for each form among its receivers.
 #[derive(Debug, Default)]
@@ -20,14 +29,18 @@ impl Encodings {
         parcel: Parcel,
         forms: impl Iterator<Item = Option<Form>>,
     ) -> Result<Encodings, WireError> {
-        Encodings::with(parcel, forms, HARD_DEPTH, &mut Scratch::default())
+        let bounds = Bounds {
+            depth: HARD_DEPTH,
+            parcel: Limit::Unlimited,
+        };
+        Encodings::with(parcel, forms, bounds, &mut Scratch::default())
     }
 
-    /// Encodes what a peer says: content that has to be opened nests at most `depth` deep.
+    /// Encodes what a peer says, within the bounds of what receivers take.
     pub(crate) fn with(
         parcel: Parcel,
         forms: impl Iterator<Item = Option<Form>>,
-        depth: usize,
+        bounds: Bounds,
         scratch: &mut Scratch,
     ) -> Result<Encodings, WireError> {
         let mut encodings = Encodings::default();
@@ -36,7 +49,7 @@ impl Encodings {
             match form {
                 None => local = true,
                 Some(Form::Xml) if encodings.xml.is_none() => {
-                    encodings.xml = Some(encode_xml(&parcel, depth)?);
+                    encodings.xml = Some(encode_xml(&parcel, bounds)?);
                 }
                 Some(Form::Binary) if encodings.binary.is_none() => {
                     encodings.binary = Some(Form::Binary.encode_with(&parcel, scratch)?);
@@ -60,17 +73,26 @@ impl Encodings {
 }
 
 /// Content that is encoded already was looked at by nobody so far.
-fn encode_xml(parcel: &Parcel, depth: usize) -> Result<Encoded, WireError> {
-    match &parcel.content {
+fn encode_xml(parcel: &Parcel, bounds: Bounds) -> Result<Encoded, WireError> {
+    let encoded = match &parcel.content {
         Some(Content::Encoded(bytes)) => {
-            let content = Some(Content::Value(msgpack::decode(bytes, depth)?));
+            let content = Some(Content::Value(msgpack::decode(bytes, bounds.depth)?));
             Form::Xml.encode(&Parcel {
                 content,
                 ..parcel.clone()
             })
         }
         _ => Form::Xml.encode(parcel),
+    }?;
+    if bounds.parcel.allows(encoded.len()) {
+        return Ok(encoded);
     }
+    let text = format!(
+        "in XML, which a receiver here speaks, this parcel has {} bytes; the limit is {}",
+        encoded.len(),
+        bounds.parcel
+    );
+    Err(WireError::new(Code::NOT_ENCODABLE, text))
 }
 
 /// Stands for a form that `with` was not told of, which its callers never ask for.

@@ -54,7 +54,7 @@ pub(crate) async fn serve(
         peer,
         context.board.clock.clone(),
         writer,
-        context.limits.outbox,
+        context.limits.before_login,
     ));
     context.board.add_outbox(&outbox);
     let mut session = Session {
@@ -73,17 +73,22 @@ pub(crate) async fn serve(
     let error = session.read(&mut reader, login_by).await;
     heartbeat.abort();
     session.end(error);
-    // The error gets a second to go out; a link that does not take it is cut. What the peer still says is read
-    // meanwhile and thrown away: closing with unread bytes would reset the link, and the error with it.
-    let farewell = async {
-        let _ = (&mut writer).await;
-        reader.drain().await;
+    // The error gets a second to go out, and when the broker stops all that waits gets its time; a link that does
+    // not take it is cut.
+    let patience = if session.context.board.is_stopping() {
+        crate::broker::DRAIN
+    } else {
+        FAREWELL
     };
-    if timeout(FAREWELL, farewell).await.is_err() {
-        tracing::debug!(peer = peer.0, "not closed from the other side within 1 s");
+    if timeout(patience, &mut writer).await.is_err() {
+        tracing::debug!(peer = peer.0, "what waited for it was not taken in time");
         writer.abort();
+    } else if timeout(FAREWELL, reader.drain()).await.is_err() {
+        // What the peer still said was read and thrown away so long: closing with unread bytes would have reset
+        // the link, and the error with it.
+        tracing::debug!(peer = peer.0, "not closed from the other side in time");
     }
-    session.context.board.remove_outbox(peer);
+    session.context.board.remove_outbox(&session.outbox);
 }
 
 /// Asks a peer that says or hears nothing else whether it is there.
@@ -256,6 +261,8 @@ impl Session {
                     },
                     touched,
                 );
+                let name = self.context.board.peer_name(peer).unwrap_or_default();
+                self.outbox.admit(self.context.limits.outbox, name);
                 Ok(())
             }
             Attempt::Refused(error) => {

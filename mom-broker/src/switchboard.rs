@@ -12,7 +12,7 @@ use tokio::sync::Notify;
 
 use crate::channel::{Channel, Delivered, control, hub_origin, stamped};
 use crate::clock::Clock;
-use crate::encodings::Encodings;
+use crate::encodings::{Bounds, Encodings};
 use crate::outbox::{Outbox, Taken};
 
 /// The switchboard of one broker.
@@ -24,8 +24,7 @@ pub(crate) struct Switchboard {
     hub: Mutex<Hub>,
     channels: DashMap<ContextNumber, Arc<Channel>>,
     by_path: DashMap<Path, ContextNumber>,
-    /// How deep content may nest that has to be opened.
-    depth: usize,
+    bounds: Bounds,
     pub(crate) outboxes: DashMap<PeerId, Arc<Outbox>>,
     last_peer: AtomicU64,
     /// The hub's deadline may have come closer.
@@ -39,14 +38,14 @@ pub(crate) struct Switchboard {
 pub(crate) type Touched = Vec<Arc<Outbox>>;
 
 impl Switchboard {
-    pub(crate) fn new(hub: Hub, clock: Clock, depth: usize) -> Switchboard {
+    pub(crate) fn new(hub: Hub, clock: Clock, bounds: Bounds) -> Switchboard {
         let routes = hub.routes();
         let board = Switchboard {
             clock,
             hub: Mutex::new(hub),
             channels: DashMap::new(),
             by_path: DashMap::new(),
-            depth,
+            bounds,
             outboxes: DashMap::new(),
             last_peer: AtomicU64::new(0),
             deadline_changed: Notify::new(),
@@ -104,8 +103,9 @@ impl Switchboard {
             self.decide(Input::Request { peer, parcel }, touched);
             return Ok(());
         };
-        let now = self.clock.now();
         let mut inner = channel.lock();
+        // Inside the critical section, so that hub time never runs against the channel's order.
+        let now = self.clock.now();
         match admit(&inner.route, peer, &mut parcel, now, self.clock.wall_at(now))? {
             Admission::Consult => {
                 drop(inner);
@@ -137,7 +137,9 @@ impl Switchboard {
             let encodings = Encodings::new(parcel, std::iter::once(outbox.form())).ok()?;
             Some(control(encodings.get(outbox.form()), origin))
         });
-        outbox.close(error, farewell);
+        // Whoever goes by its own wish, or because the broker stops, gets all that waits; whoever is put out does not.
+        let drain = error.as_ref().is_none_or(|error| error.code == Code::SHUTDOWN);
+        outbox.close(error, farewell, drain);
     }
 
     /// Takes in a new connection; one that comes while the broker stops is told so at once.
@@ -158,9 +160,18 @@ impl Switchboard {
             .for_each(|outbox| self.close(outbox, Some(shutdown())));
     }
 
-    /// Forgets a connection that has ended.
-    pub(crate) fn remove_outbox(&self, peer: PeerId) {
-        self.outboxes.remove(&peer);
+    /// Whether the broker stops.
+    pub(crate) fn is_stopping(&self) -> bool {
+        self.stopping.load(Ordering::SeqCst)
+    }
+
+    /// Forgets a connection that has ended; what still waited for it is told to its senders.
+    pub(crate) fn remove_outbox(&self, outbox: &Outbox) {
+        outbox.abandon();
+        let mut touched = Touched::new();
+        self.report_drops_of(outbox, &mut touched);
+        flush(&mut touched);
+        self.outboxes.remove(&outbox.peer);
         if self.outboxes.is_empty() {
             self.empty.notify_one();
         }
@@ -181,36 +192,39 @@ impl Switchboard {
     pub(crate) fn report_drops(&self, touched: &mut Touched) {
         let outboxes: Vec<Arc<Outbox>> = self.outboxes.iter().map(|outbox| Arc::clone(&outbox)).collect();
         for outbox in outboxes {
-            let drops = outbox.take_drops();
-            if drops.is_empty() {
+            self.report_drops_of(&outbox, touched);
+        }
+    }
+
+    fn report_drops_of(&self, outbox: &Outbox, touched: &mut Touched) {
+        let drops = outbox.take_drops();
+        for ((context, sender, reason), count) in drops {
+            let channel = self.channels.get(&context).map(|channel| Arc::clone(&channel));
+            let Some(path) = channel.map(|channel| channel.lock().route.path.clone()) else {
                 continue;
-            }
-            let receiver = self.peer_name(outbox.peer).unwrap_or_default();
-            for ((context, sender, reason), count) in drops {
-                let Some(path) = self
-                    .channels
-                    .get(&context)
-                    .map(|channel| channel.lock().route.path.clone())
-                else {
-                    continue;
-                };
-                let content = Map::new()
-                    .with("reason", reason.word())
-                    .with("count", i64::try_from(count).unwrap_or(i64::MAX))
-                    .with("receiver", &*receiver)
-                    .with("sender", &*self.peer_name(sender).unwrap_or_default());
-                let mut parcel = Parcel::new(Family::Event, event::DROPPED)
-                    .context(path)
-                    .content(content);
-                parcel.number = Some(context);
-                let told = if sender == outbox.peer {
-                    vec![sender]
-                } else {
-                    vec![sender, outbox.peer]
-                };
-                told.into_iter()
-                    .for_each(|peer| self.tell(peer, parcel.clone(), touched));
-            }
+            };
+            let content = Map::new()
+                .with("reason", reason.word())
+                .with("count", i64::try_from(count).unwrap_or(i64::MAX))
+                .with("receiver", &*outbox.name())
+                .with(
+                    "sender",
+                    &*self
+                        .outbox(sender)
+                        .map(|sender| sender.name())
+                        .unwrap_or_default(),
+                );
+            let mut parcel = Parcel::new(Family::Event, event::DROPPED)
+                .context(path)
+                .content(content);
+            parcel.number = Some(context);
+            let told = if sender == outbox.peer {
+                vec![sender]
+            } else {
+                vec![sender, outbox.peer]
+            };
+            told.into_iter()
+                .for_each(|peer| self.tell(peer, parcel.clone(), touched));
         }
     }
 
@@ -233,7 +247,7 @@ impl Switchboard {
                 self.by_path.insert(route.path.clone(), number);
                 self.channels.insert(
                     number,
-                    Arc::new(Channel::new(route, self.depth, |peer| self.outbox(peer))),
+                    Arc::new(Channel::new(route, self.bounds, |peer| self.outbox(peer))),
                 );
             }
         }

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use mom_managers::Terms;
+use mom_proto::event;
 use mom_proto::nearest::nearest;
 use mom_proto::{Code, Content, ContextKind, ContextNumber, Path, WireError};
 
@@ -49,7 +50,11 @@ impl Hub {
             Some(manager) => manager.terms(),
             None => self.terms_above(parent),
         };
-        let role = self.make_role(spec, managed_terms)?;
+        let mut role = self.make_role(spec, managed_terms)?;
+        if let Role::Token(token) = &mut role {
+            // Above all fences that were ever given out at this path.
+            token.fence = self.deleted_fence;
+        }
         let number = self.tree.next_number();
         self.tree.insert(Context {
             number,
@@ -282,6 +287,10 @@ fn make_token(spec: &ContextSpec, terms: Terms) -> Result<Token, WireError> {
         None => None,
         Some(safe) => {
             mom_proto::check_message_name(&safe.name).map_err(|error| error.slot("content/safe/name"))?;
+            if matches!(&*safe.name, event::STOP | event::UNSTOP) {
+                let text = "stop and unstop are for peers with a right to them; leave safe out for halt";
+                return Err(args::bad("safe/name", text.to_owned()));
+            }
             Some(SafeState {
                 channel: args::path(&safe.channel, "safe/channel")?,
                 name: safe.name.clone(),

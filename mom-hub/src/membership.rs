@@ -158,7 +158,7 @@ impl Hub {
                         lost_at: token.and_then(|token| token.deadline()),
                     })
                 }),
-                fence: token.map_or(0, |token| token.fence),
+                fence: token.map_or(self.deleted_fence, |token| token.fence),
             }
         });
         Some(Route {

@@ -110,9 +110,13 @@ impl Hub {
             None => token.guarded.iter().filter_map(halt).collect(),
         };
         for (path, name, content) in messages {
-            let Some(channel) = self.tree.find(&path) else {
-                continue;
-            };
+            // Only where the token guards: a safe state speaks in the hub's name, which nobody may borrow to talk
+            // to other devices.
+            let channel = self
+                .tree
+                .find(&path)
+                .filter(|channel| token.guarded.contains(&channel.number));
+            let Some(channel) = channel else { continue };
             let to = self.members_of(channel.number);
             if to.is_empty() {
                 continue;

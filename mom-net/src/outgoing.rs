@@ -21,7 +21,7 @@ impl Outgoing {
         match self {
             Outgoing::Encoded(encoded) => encoded.len(),
             // Shared with all other receivers; a fixed charge keeps the bound a bound.
-            Outgoing::Parcel(parcel) => 256 + content_len(parcel),
+            Outgoing::Parcel(parcel) => 256 + parcel.content.as_ref().map_or(0, |content| content.size()),
         }
     }
 
@@ -43,24 +43,14 @@ impl Outgoing {
     }
 }
 
-fn content_len(parcel: &Parcel) -> usize {
-    match &parcel.content {
-        Some(mom_proto::Content::Encoded(bytes)) => bytes.len(),
-        Some(mom_proto::Content::Value(value)) => value_len(value),
-        None => 0,
+impl AsRef<Outgoing> for Outgoing {
+    fn as_ref(&self) -> &Outgoing {
+        self
     }
 }
 
-fn value_len(value: &mom_proto::Value) -> usize {
-    use mom_proto::Value;
-    match value {
-        Value::String(text) => text.len(),
-        Value::Binary(bytes) => bytes.len(),
-        Value::List(list) => list.iter().map(|item| 8 + value_len(item)).sum(),
-        Value::Map(map) => map
-            .iter()
-            .map(|(key, item)| 8 + key.len() + value_len(item))
-            .sum(),
-        _ => 8,
+impl AsMut<Outgoing> for Outgoing {
+    fn as_mut(&mut self) -> &mut Outgoing {
+        self
     }
 }

@@ -65,7 +65,10 @@ impl Writer {
     ///
     /// # Errors
     /// A failed link.
-    pub fn try_write(&self, queue: &mut VecDeque<Outgoing>) -> Result<Progress, NetError> {
+    pub fn try_write<T>(&self, queue: &mut VecDeque<T>) -> Result<Progress, NetError>
+    where
+        T: AsRef<Outgoing> + AsMut<Outgoing>,
+    {
         while !queue.is_empty() {
             let blocked = match &self.sink {
                 Sink::Stream { stream, .. } => write_stream(stream, queue)?,
@@ -110,10 +113,13 @@ impl Writer {
     }
 }
 
-fn write_stream(stream: &TcpStream, queue: &mut VecDeque<Outgoing>) -> Result<bool, NetError> {
+fn write_stream<T>(stream: &TcpStream, queue: &mut VecDeque<T>) -> Result<bool, NetError>
+where
+    T: AsRef<Outgoing> + AsMut<Outgoing>,
+{
     let mut slices = Vec::with_capacity(GATHER.min(queue.len() * 2));
     for outgoing in queue.iter() {
-        if let Outgoing::Encoded(encoded) = outgoing {
+        if let Outgoing::Encoded(encoded) = outgoing.as_ref() {
             let pieces = [&encoded.head, &encoded.body];
             slices.extend(
                 pieces
@@ -132,8 +138,8 @@ fn write_stream(stream: &TcpStream, queue: &mut VecDeque<Outgoing>) -> Result<bo
         Err(error) => return Err(error.into()),
     };
     while let Some(front) = queue.front_mut() {
-        written = front.advance(written);
-        if !front.is_empty() {
+        written = front.as_mut().advance(written);
+        if !front.as_ref().is_empty() {
             break;
         }
         queue.pop_front();
@@ -141,16 +147,19 @@ fn write_stream(stream: &TcpStream, queue: &mut VecDeque<Outgoing>) -> Result<bo
     Ok(false)
 }
 
-fn write_local(sender: &mpsc::Sender<Arc<Parcel>>, queue: &mut VecDeque<Outgoing>) -> Result<bool, NetError> {
-    while let Some(Outgoing::Parcel(parcel)) = queue.pop_front() {
-        match sender.try_send(parcel) {
-            Ok(()) => {}
-            Err(TrySendError::Full(parcel)) => {
-                queue.push_front(Outgoing::Parcel(parcel));
-                return Ok(true);
+fn write_local<T>(sender: &mpsc::Sender<Arc<Parcel>>, queue: &mut VecDeque<T>) -> Result<bool, NetError>
+where
+    T: AsRef<Outgoing>,
+{
+    while let Some(front) = queue.front() {
+        if let Outgoing::Parcel(parcel) = front.as_ref() {
+            match sender.try_send(Arc::clone(parcel)) {
+                Ok(()) => {}
+                Err(TrySendError::Full(_)) => return Ok(true),
+                Err(TrySendError::Closed(_)) => return Err(closed()),
             }
-            Err(TrySendError::Closed(_)) => return Err(closed()),
         }
+        queue.pop_front();
     }
     Ok(false)
 }

@@ -48,6 +48,14 @@ impl Content {
         }
     }
 
+    /// Its size in bytes: exact where it is encoded, else about what MessagePack would take.
+    pub fn size(&self) -> usize {
+        match self {
+            Content::Encoded(bytes) => bytes.len(),
+            Content::Value(value) => size(value),
+        }
+    }
+
     /// Reads the content as any `serde` type.
     ///
     /// # Errors
@@ -69,6 +77,21 @@ impl Content {
                 Ok(out.into())
             }
         }
+    }
+}
+
+fn size(value: &Value) -> usize {
+    match value {
+        Value::String(text) => 5 + text.len(),
+        Value::Binary(bytes) => 5 + bytes.len(),
+        Value::List(list) => 5 + list.iter().map(size).sum::<usize>(),
+        Value::Map(map) => {
+            5 + map
+                .iter()
+                .map(|(key, item)| 5 + key.len() + size(item))
+                .sum::<usize>()
+        }
+        _ => 9,
     }
 }
 

@@ -22,6 +22,8 @@ pub(crate) struct Entry {
     pub(crate) expires_at: Option<Micros>,
     /// The gate of its channel, and the fence it was admitted with.
     pub(crate) gate: Option<(Gate, u64)>,
+    /// The length of the whole frame; what is left of one that the link has begun to take is shorter.
+    pub(crate) length: usize,
 }
 
 /// Which lane a parcel waits in (design §7).
@@ -50,6 +52,8 @@ pub(crate) enum DropReason {
     Replaced,
     /// The receiver's queue was full.
     Full,
+    /// The receiver's connection ended.
+    Closed,
     /// Its time was over before the link took it.
     Expired,
     /// The token changed hands before the link took it.
@@ -61,6 +65,7 @@ impl DropReason {
         match self {
             DropReason::Replaced => "replaced",
             DropReason::Full => "queue-full",
+            DropReason::Closed => "receiver-gone",
             DropReason::Expired => "expired",
             DropReason::Fence => "older-fence",
         }
@@ -73,6 +78,11 @@ impl Entry {
         self.frame.len() + 64
     }
 
+    /// Whether the link has taken some of it already.
+    pub(crate) fn begun(&self) -> bool {
+        self.frame.len() != self.length
+    }
+
     /// Whether it may still leave: its time is not over and its owner still owns.
     pub(crate) fn stale(&self, now: Micros) -> Option<DropReason> {
         if self.expires_at.is_some_and(|end| now >= end) {
@@ -83,5 +93,17 @@ impl Entry {
             .as_ref()
             .is_some_and(closed)
             .then_some(DropReason::Fence)
+    }
+}
+
+impl AsRef<Outgoing> for Entry {
+    fn as_ref(&self) -> &Outgoing {
+        &self.frame
+    }
+}
+
+impl AsMut<Outgoing> for Entry {
+    fn as_mut(&mut self) -> &mut Outgoing {
+        &mut self.frame
     }
 }

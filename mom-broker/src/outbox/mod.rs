@@ -7,10 +7,11 @@ mod entry;
 mod queue;
 
 use std::collections::VecDeque;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering, fence};
 
 use mom_hub::PeerId;
-use mom_net::{NetError, Outgoing, Progress, Writer};
+use mom_net::{NetError, Progress, Writer};
 use mom_proto::WireError;
 use mom_proto::codec::Form;
 use parking_lot::{Mutex, MutexGuard};
@@ -30,11 +31,12 @@ const BATCH_BYTES: usize = 64 * 1024;
 #[derive(Debug)]
 pub(crate) struct Outbox {
     pub(crate) peer: PeerId,
+    name: Mutex<Arc<str>>,
     clock: Clock,
     queue: Mutex<Queue>,
     writer: Writer,
     /// Held by whoever writes; what was taken from the queue and is not written yet.
-    batch: Mutex<VecDeque<Outgoing>>,
+    batch: Mutex<VecDeque<Entry>>,
     /// Something waits that nobody has tried to write yet.
     touched: AtomicBool,
     wake: Notify,
@@ -57,6 +59,7 @@ impl Outbox {
     pub(crate) fn new(peer: PeerId, clock: Clock, writer: Writer, limit: usize) -> Outbox {
         Outbox {
             peer,
+            name: Mutex::new("".into()),
             clock,
             queue: Mutex::new(Queue::new(limit)),
             writer,
@@ -82,7 +85,10 @@ impl Outbox {
             return (Taken::Dropped, false);
         }
         let taken = self.queue.lock().push(entry);
-        (taken, !self.touched.swap(true, Ordering::AcqRel))
+        let first = !self.touched.swap(true, Ordering::SeqCst);
+        // Pairs with the fence in `flush_batch`: either that flush sees this parcel, or this one gets the lock.
+        fence(Ordering::SeqCst);
+        (taken, first)
     }
 
     /// Writes what waits as far as the link takes it, and leaves the rest to the writer task.
@@ -94,23 +100,40 @@ impl Outbox {
         }
     }
 
-    /// Ends the connection: nothing more is taken in, an error still goes out.
-    pub(crate) fn close(&self, error: Option<WireError>, farewell: Option<Entry>) {
+    /// Ends the connection: nothing more is taken in; what waits still goes out if `drain` says so, the error in
+    /// any case, last.
+    pub(crate) fn close(&self, error: Option<WireError>, farewell: Option<Entry>, drain: bool) {
         if self.closed.swap(true, Ordering::AcqRel) {
             return;
         }
         let mut queue = self.queue.lock();
-        if error.is_some() {
+        if !drain {
             queue.drop_data();
         }
         if let Some(entry) = farewell {
-            queue.push(entry);
+            queue.push_farewell(entry);
         }
         drop(queue);
         *self.closing.lock() = Some(Closing { error });
         self.touched.store(true, Ordering::Release);
         self.wake.notify_one();
         self.end.notify_one();
+    }
+
+    /// Changes the bound and notes the peer's name, as after login.
+    pub(crate) fn admit(&self, limit: usize, name: Arc<str>) {
+        self.queue.lock().set_limit(limit);
+        *self.name.lock() = name;
+    }
+
+    /// The peer's name, empty before login; it is known here also when the hub has forgotten the peer.
+    pub(crate) fn name(&self) -> Arc<str> {
+        Arc::clone(&self.name.lock())
+    }
+
+    /// Gives up what still waits, for an end at which nobody takes it any more.
+    pub(crate) fn abandon(&self) {
+        self.queue.lock().drop_data();
     }
 
     /// Whether the connection is to end.
@@ -178,18 +201,16 @@ impl Outbox {
     }
 
     /// Writes what waits; none if there is more by now.
-    fn flush_batch(
-        &self,
-        mut batch: MutexGuard<'_, VecDeque<Outgoing>>,
-    ) -> Result<Option<Progress>, NetError> {
+    fn flush_batch(&self, mut batch: MutexGuard<'_, VecDeque<Entry>>) -> Result<Option<Progress>, NetError> {
         self.touched.store(false, Ordering::Release);
         let progress = self.write_all(&mut batch)?;
         drop(batch);
+        fence(Ordering::SeqCst);
         let settled = progress == Progress::Blocked || !self.touched.load(Ordering::Acquire);
         Ok(settled.then_some(progress))
     }
 
-    fn write_all(&self, batch: &mut VecDeque<Outgoing>) -> Result<Progress, NetError> {
+    fn write_all(&self, batch: &mut VecDeque<Entry>) -> Result<Progress, NetError> {
         loop {
             if batch.is_empty() {
                 self.take_batch(batch);
@@ -199,24 +220,37 @@ impl Outbox {
             }
             self.active.store(true, Ordering::Relaxed);
             if self.writer.try_write(batch)? == Progress::Blocked {
+                self.put_back(batch);
                 return Ok(Progress::Blocked);
             }
         }
     }
 
-    fn take_batch(&self, batch: &mut VecDeque<Outgoing>) {
+    fn take_batch(&self, batch: &mut VecDeque<Entry>) {
         let now = self.clock.now();
         let mut queue = self.queue.lock();
         let mut bytes = 0;
         while batch.len() < BATCH_PARCELS && bytes < BATCH_BYTES {
             let Some(entry) = queue.pop(now) else { break };
             bytes += entry.frame.len();
-            batch.push_back(entry.frame);
+            batch.push_back(entry);
+        }
+    }
+
+    /// Only what the link has begun to take stays out of the queue: the rest may be overtaken, replaced, or
+    /// lose its owner before the link takes more.
+    fn put_back(&self, batch: &mut VecDeque<Entry>) {
+        let begun = usize::from(batch.front().is_some_and(Entry::begun));
+        let mut queue = self.queue.lock();
+        while batch.len() > begun {
+            if let Some(entry) = batch.pop_back() {
+                queue.put_back(entry);
+            }
         }
     }
 
     fn broken(&self, error: &NetError) {
         tracing::debug!(peer = self.peer.0, %error, "link failed");
-        self.close(None, None);
+        self.close(None, None, false);
     }
 }

@@ -37,8 +37,9 @@ pub(crate) struct Queue {
 }
 
 /// One priority: holes are left where an entry was replaced or dropped, so that numbers stay.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct DataLane {
+    /// The number of the entry in front; it goes down again where entries are put back.
     first: u64,
     holes: usize,
     entries: VecDeque<Option<Entry>>,
@@ -82,9 +83,64 @@ impl Queue {
         self.stop.is_empty() && self.control.is_empty() && self.data_bytes == 0
     }
 
+    /// Puts back, in front, what was taken and could not be written: so that it is looked at again, and what
+    /// is more urgent can overtake it.
+    pub(crate) fn put_back(&mut self, entry: Entry) {
+        match entry.lane {
+            Lane::Stop => {
+                if !self.stop.iter().any(|waiting| waiting.origin == entry.origin) {
+                    self.stop.push_front(entry);
+                }
+            }
+            Lane::Control => {
+                let context = entry.origin.context;
+                if &*entry.origin.name == event::UNSTOP
+                    && self.stop.iter().any(|stop| stop.origin.context == context)
+                {
+                    return self.note(&entry.origin, DropReason::Replaced);
+                }
+                self.control_bytes += entry.size();
+                self.control.push_front(entry);
+            }
+            Lane::Data(priority) => self.put_back_data(entry, Reverse(priority)),
+        }
+    }
+
+    fn put_back_data(&mut self, entry: Entry, priority: Reverse<i32>) {
+        let latest = entry.delivery == Delivery::Latest;
+        if latest && self.latest.contains_key(&entry.origin) {
+            return self.note(&entry.origin, DropReason::Replaced);
+        }
+        self.data_bytes += entry.size();
+        let lane = self.data.entry(priority).or_default();
+        lane.first -= 1;
+        if latest {
+            self.latest.insert(entry.origin.clone(), (priority, lane.first));
+        }
+        lane.entries.push_front(Some(entry));
+    }
+
+    /// Takes in the last word to a connection, however much waits: it leaves after all else.
+    pub(crate) fn push_farewell(&mut self, entry: Entry) {
+        self.data_bytes += entry.size();
+        self.data
+            .entry(Reverse(i32::MIN))
+            .or_default()
+            .entries
+            .push_back(Some(entry));
+    }
+
+    /// Changes the bound, as after login.
+    pub(crate) fn set_limit(&mut self, limit: usize) {
+        self.limit = limit;
+    }
+
     /// Forgets all messages, for a connection that is to hear only why it ends.
     pub(crate) fn drop_data(&mut self) {
-        self.data.clear();
+        let data = std::mem::take(&mut self.data);
+        for entry in data.into_values().flat_map(|lane| lane.entries).flatten() {
+            self.note(&entry.origin, DropReason::Closed);
+        }
         self.latest.clear();
         self.data_bytes = 0;
     }
@@ -281,6 +337,16 @@ impl Queue {
     }
 }
 
+impl Default for DataLane {
+    fn default() -> DataLane {
+        DataLane {
+            first: u64::MAX / 2,
+            holes: 0,
+            entries: VecDeque::new(),
+        }
+    }
+}
+
 impl DataLane {
     fn pop(&mut self) -> Option<Entry> {
         while let Some(entry) = self.entries.pop_front() {
@@ -308,213 +374,4 @@ impl DataLane {
 }
 
 #[cfg(test)]
-mod tests {
-    use std::sync::Arc;
-    use std::sync::atomic::{AtomicU64, Ordering};
-
-    use bytes::Bytes;
-    use mom_hub::PeerId;
-    use mom_net::Outgoing;
-    use mom_proto::codec::Encoded;
-
-    use super::*;
-
-    /// 936 bytes and the queue's own 64 make 1000.
-    const SIZE: usize = 936;
-
-    fn entry(name: &str, lane: Lane, delivery: Delivery) -> Entry {
-        let head = Bytes::from(name.as_bytes().repeat(SIZE)[..SIZE].to_vec());
-        let origin = Origin {
-            context: ContextNumber(1),
-            sender: PeerId(1),
-            name: name.into(),
-        };
-        let frame = Outgoing::Encoded(Encoded {
-            head,
-            body: Bytes::new(),
-        });
-        Entry {
-            frame,
-            lane,
-            delivery,
-            origin,
-            expires_at: None,
-            gate: None,
-        }
-    }
-
-    fn data(name: &str, delivery: Delivery) -> Entry {
-        entry(name, Lane::Data(0), delivery)
-    }
-
-    fn names(queue: &mut Queue) -> Vec<String> {
-        std::iter::from_fn(|| queue.pop(0))
-            .map(|entry| entry.origin.name.to_string())
-            .collect()
-    }
-
-    #[test]
-    fn lanes_leave_in_their_order() {
-        let mut queue = Queue::new(100_000);
-        for (name, lane) in [
-            ("low", Lane::Data(-1)),
-            ("first", Lane::Data(0)),
-            ("second", Lane::Data(0)),
-            ("high", Lane::Data(7)),
-            ("reply", Lane::Control),
-            ("stop", Lane::Stop),
-            ("stop", Lane::Stop),
-        ] {
-            assert_eq!(queue.push(entry(name, lane, Delivery::Reliable)), Taken::Yes);
-        }
-        assert_eq!(
-            names(&mut queue),
-            ["stop", "reply", "high", "first", "second", "low"]
-        );
-        assert!(queue.is_empty());
-    }
-
-    #[test]
-    fn a_full_queue_drops_by_class() {
-        let mut queue = Queue::new(3000);
-        for name in ["a", "b", "c"] {
-            assert_eq!(queue.push(data(name, Delivery::Fleeting)), Taken::Yes);
-        }
-        assert_eq!(
-            queue.push(data("d", Delivery::Fleeting)),
-            Taken::Yes,
-            "the oldest went"
-        );
-        assert_eq!(
-            queue.push(data("l", Delivery::Latest)),
-            Taken::Yes,
-            "fleeting makes room"
-        );
-        assert_eq!(queue.push(data("r", Delivery::Reliable)), Taken::Yes);
-        assert_eq!(queue.push(data("r", Delivery::Reliable)), Taken::Yes);
-        assert_eq!(
-            queue.push(data("f", Delivery::Fleeting)),
-            Taken::Dropped,
-            "latest is not dropped for fleeting"
-        );
-        assert_eq!(
-            queue.push(data("r", Delivery::Reliable)),
-            Taken::Yes,
-            "latest is dropped for reliable"
-        );
-        assert_eq!(queue.push(data("r", Delivery::Reliable)), Taken::Overflow);
-        assert_eq!(queue.data_bytes(), 3000);
-        assert_eq!(queue.take_drops().values().sum::<u64>(), 6);
-        assert_eq!(names(&mut queue), ["r", "r", "r"]);
-        assert_eq!(queue.data_bytes(), 0);
-    }
-
-    #[test]
-    fn latest_replaces_in_place() {
-        let mut queue = Queue::new(3000);
-        queue.push(data("pose", Delivery::Latest));
-        queue.push(data("chat", Delivery::Reliable));
-        for _ in 0..1000 {
-            assert_eq!(queue.push(data("pose", Delivery::Latest)), Taken::Yes);
-        }
-        assert_eq!(queue.data_bytes(), 2000);
-        assert_eq!(names(&mut queue), ["pose", "chat"]);
-        assert!(queue.latest.is_empty());
-        let drops: Vec<_> = queue.take_drops().into_iter().collect();
-        assert_eq!(
-            drops,
-            [((ContextNumber(1), PeerId(1), DropReason::Replaced), 1000)]
-        );
-    }
-
-    #[test]
-    fn stale_parcels_do_not_leave() {
-        let mut queue = Queue::new(10_000);
-        let gate = Arc::new(AtomicU64::new(7));
-        let guarded = Entry {
-            gate: Some((Arc::clone(&gate), 7)),
-            ..data("command", Delivery::Reliable)
-        };
-        queue.push(guarded.clone());
-        queue.push(Entry {
-            expires_at: Some(50),
-            ..data("old", Delivery::Reliable)
-        });
-        queue.push(data("chat", Delivery::Reliable));
-        assert_eq!(
-            queue.pop(49).map(|entry| entry.origin.name.to_string()),
-            Some("command".into())
-        );
-        queue.push(guarded);
-        gate.store(8, Ordering::Release);
-        assert_eq!(
-            queue.pop(50).map(|entry| entry.origin.name.to_string()),
-            Some("chat".into())
-        );
-        assert!(queue.pop(50).is_none());
-        let reasons: Vec<_> = queue
-            .take_drops()
-            .into_keys()
-            .map(|(_, _, reason)| reason)
-            .collect();
-        assert_eq!(reasons, [DropReason::Expired, DropReason::Fence]);
-    }
-
-    /// Whatever waits in which order, a device that was stopped last stays stopped.
-    #[test]
-    fn a_stop_overrules_an_unstop_that_waits() {
-        let mut queue = Queue::new(100_000);
-        let stop = entry("stop", Lane::Stop, Delivery::Reliable);
-        let unstop = entry("unstop", Lane::Control, Delivery::Reliable);
-        for each in [&stop, &unstop, &stop] {
-            assert_eq!(queue.push(each.clone()), Taken::Yes);
-        }
-        assert_eq!(names(&mut queue), ["stop"]);
-        assert_eq!(queue.take_drops().values().sum::<u64>(), 1, "the unstop is told");
-        queue.push(stop.clone());
-        queue.push(unstop.clone());
-        assert_eq!(names(&mut queue), ["stop", "unstop"]);
-        queue.push(unstop);
-        queue.push(Entry {
-            origin: Origin {
-                context: ContextNumber(2),
-                ..stop.origin.clone()
-            },
-            ..stop
-        });
-        assert_eq!(names(&mut queue), ["stop", "unstop"], "of another channel");
-    }
-
-    /// A parcel may be larger than the bound; a receiver that is not behind gets it.
-    #[test]
-    fn an_empty_queue_takes_any_parcel() {
-        for class in [Delivery::Reliable, Delivery::Latest, Delivery::Fleeting] {
-            let mut queue = Queue::new(900);
-            assert_eq!(queue.push(data("large", class)), Taken::Yes, "{class:?}");
-            assert_eq!(
-                queue.push(data("more", Delivery::Reliable)),
-                match class {
-                    Delivery::Reliable => Taken::Overflow,
-                    _ => Taken::Yes,
-                }
-            );
-        }
-    }
-
-    /// What was dropped leaves nothing behind, however long the link stands still.
-    #[test]
-    fn a_queue_that_stands_still_does_not_grow() {
-        let mut queue = Queue::new(3000);
-        queue.push(data("first", Delivery::Reliable));
-        for turn in 0..10_000 {
-            queue.push(data("fleeting", Delivery::Fleeting));
-            queue.push(entry("pose", Lane::Data(turn % 2), Delivery::Latest));
-        }
-        let places: usize = queue.data.values().map(|lane| lane.entries.len()).sum();
-        assert!(places < 500, "{places} places for 3 parcels");
-        assert_eq!(
-            queue.pop(0).map(|entry| entry.origin.name.to_string()).as_deref(),
-            Some("pose")
-        );
-    }
-}
+mod tests;

@@ -34,6 +34,13 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
         ..Wish::new(Verb::Create, at)
     };
     hub.ask(request.peer, &wish)?;
+    if let Some(guard) = &spec.guard {
+        // The members of a guarded channel hear who owns the token, so its manager decides who may guard by it.
+        let token = args::path(&guard.token, "guard/token")?;
+        if let Some(token) = hub.tree.find(&token).map(|token| token.number) {
+            hub.ask(request.peer, &Wish::new(Verb::Join, token))?;
+        }
+    }
     let parent = hub.parent_for(&request.path)?;
     if !hub.is_member(request.peer, parent) {
         let above = request

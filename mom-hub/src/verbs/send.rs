@@ -45,10 +45,7 @@ pub(crate) fn on(hub: &mut Hub, request: Request, out: &mut Vec<Effect>) -> Resu
 }
 
 fn verdict(hub: &mut Hub, peer: PeerId, verb: Verb, number: ContextNumber, parcel: &Parcel) -> Verdict {
-    let size = match &parcel.content {
-        Some(Content::Encoded(bytes)) => bytes.len(),
-        _ => 0,
-    };
+    let size = parcel.content.as_ref().map_or(0, Content::size);
     let wish = Wish {
         message: Some(&parcel.name),
         size,
