@@ -89,7 +89,7 @@ fn contexts() -> Vec<(&'static str, Map)> {
     let of = |kind: &str| Map::new().with("kind", kind);
     let guard = |token: &str, name: &str| Map::new().with("token", token).with("names", vec![name.into()]);
     let lease = |kind: &str, lease: i64, expiry: &str| of(kind).with("lease", lease).with("expiry", expiry);
-    let safe = Map::new().with("channel", "/yard/press").with("name", "lift");
+    let safe = Map::new().with("channel", "/yard/work").with("name", "lift");
     vec![
         ("/lab", of("session").with("manager", "lab")),
         ("/lab/token", of("token").with("manager", "lab-token")),
