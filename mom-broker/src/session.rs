@@ -39,6 +39,7 @@ struct Session {
     from: Option<IpAddr>,
     logged_in: bool,
     failures: u32,
+    ended: bool,
 }
 
 /// Serves a connection until it ends.
@@ -64,6 +65,7 @@ pub(crate) async fn serve(
         from,
         logged_in: false,
         failures: 0,
+        ended: false,
     };
     let mut writer = tokio::spawn({
         let outbox = Arc::clone(&session.outbox);
@@ -91,11 +93,25 @@ pub(crate) async fn serve(
     session.context.board.remove_outbox(&session.outbox);
 }
 
+/// However a session ends, cut off or by a fault of its own, its peer must not stay behind as the owner of
+/// anything.
+impl Drop for Session {
+    fn drop(&mut self) {
+        if !self.ended {
+            self.end(None);
+            self.context.board.remove_outbox(&self.outbox);
+        }
+    }
+}
+
 /// Asks a peer that says or hears nothing else whether it is there.
 async fn beat(context: Context, outbox: Arc<Outbox>) {
     let every = Duration::from_millis(context.limits.heartbeat);
     loop {
         tokio::time::sleep(every).await;
+        if outbox.is_closed() {
+            return;
+        }
         let quiet = !outbox.active.swap(false, Ordering::Relaxed);
         // A peer that only listens has to be asked too, or it would be taken for gone.
         let silent = !outbox.heard.swap(false, Ordering::Relaxed);
@@ -294,6 +310,7 @@ impl Session {
 
     /// Ends the connection: the hub first, so that tokens are free before anything else.
     fn end(&mut self, error: Option<WireError>) {
+        self.ended = true;
         let mut touched = Touched::new();
         if self.logged_in {
             let name = self.context.board.peer_name(self.peer).unwrap_or_default();

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use mom_managers::{Manager, Micros};
-use mom_proto::{ContextKind, ContextNumber, Delivery, Map, Path};
+use mom_proto::{ContextKind, ContextNumber, Delivery, Map, Path, Value};
 use serde::Deserialize;
 
 use crate::token::Token;
@@ -63,6 +63,14 @@ pub(crate) struct Channel {
 pub(crate) struct GuardSpec {
     pub(crate) token: Path,
     pub(crate) names: Arc<[String]>,
+}
+
+impl GuardSpec {
+    /// The token and the messages, for replies; added to what is known of the token's owner.
+    pub(crate) fn describe(&self, known: Map) -> Map {
+        let names: Vec<Value> = self.names.iter().map(|name| Value::from(name.as_str())).collect();
+        known.with("token", self.token.as_str()).with("names", names)
+    }
 }
 
 impl Context {

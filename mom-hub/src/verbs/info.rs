@@ -1,6 +1,6 @@
 //! `context info` and `token info`: all about one context (M33).
 
-use mom_proto::{Map, Value, WireError};
+use mom_proto::{Map, WireError};
 
 use super::Request;
 use crate::context::{Presence, Role};
@@ -33,17 +33,7 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
         Role::Channel(channel) => {
             info.set("delivery", channel.delivery.word());
             if let Some(guard) = &channel.guard {
-                let names: Vec<Value> = guard
-                    .names
-                    .iter()
-                    .map(|name| Value::from(name.as_str()))
-                    .collect();
-                info.set(
-                    "guard",
-                    Map::new()
-                        .with("token", guard.token.as_str())
-                        .with("names", names),
-                );
+                info.set("guard", guard.describe(Map::new()));
             }
         }
         Role::Token(token) => {

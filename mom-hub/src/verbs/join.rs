@@ -1,6 +1,6 @@
 //! `context join`: entered through its parent (M23). Joining again is answered, and changes nothing.
 
-use mom_proto::{Code, Value, WireError};
+use mom_proto::{Code, WireError};
 
 use super::Request;
 use crate::context::Role;
@@ -32,18 +32,10 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
         Role::Channel(channel) => {
             content.set("delivery", channel.delivery.word());
             if let Some(guard) = &channel.guard {
-                let names: Vec<Value> = guard
-                    .names
-                    .iter()
-                    .map(|name| Value::from(name.as_str()))
-                    .collect();
                 // The owner and fence now: who joins late has to know them to check what comes (M33).
                 let token = hub.tree.find(&guard.token).and_then(|context| context.token());
                 let known = token.map(|token| hub.token_map(token)).unwrap_or_default();
-                content.set(
-                    "guard",
-                    known.with("token", guard.token.as_str()).with("names", names),
-                );
+                content.set("guard", guard.describe(known));
             }
         }
     }

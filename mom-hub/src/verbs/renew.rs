@@ -28,7 +28,11 @@ impl Hub {
             None => format!("{} has no owner", request.path),
             Some(owner) => format!("{} is held by {}", request.path, self.name_of(owner)),
         };
-        let error = WireError::new(Code::NOT_OWNER, text);
+        let error = WireError::new(Code::NOT_OWNER, text).rule("one owner at most");
+        let error = match self.peers.get(request.peer) {
+            Some(asked) => error.level(asked.facts.level),
+            None => error,
+        };
         Err(match owner.and_then(|owner| self.peers.get(owner)) {
             Some(owner) => error.owner(&owner.facts.name, owner.facts.level),
             None => error,
