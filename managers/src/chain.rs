@@ -3,7 +3,7 @@
 use mom_proto::{Value, WireError};
 use serde::Deserialize;
 
-use crate::{Answer, Grant, Manager, Question, Setup, Standing, Terms, Verdict};
+use crate::{Answer, Grant, Manager, Question, Setup, Terms, Verdict};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -47,18 +47,19 @@ impl Manager for Chain {
         let mut all = Verdict::allow_always();
         for link in &mut self.links {
             let verdict = link.decide(question);
-            match (&mut all.answer, &verdict.answer) {
-                (_, Answer::Deny(_)) => {
-                    // The links before allowed; the denial stands no longer than they do.
-                    return Verdict {
-                        standing: all.standing.and(verdict.standing),
-                        ..verdict
-                    };
-                }
-                (Answer::Allow(Grant { displace }), Answer::Allow(grant)) => *displace |= grant.displace,
-                (Answer::Deny(_), Answer::Allow(_)) => all.standing = Standing::Once,
+            let Answer::Allow(grant) = verdict.answer else {
+                // The links before allowed; the answer stands no longer than they do.
+                return Verdict {
+                    standing: all.standing.and(verdict.standing),
+                    ..verdict
+                };
+            };
+            if let Answer::Allow(Grant { displace, until }) = &mut all.answer {
+                *displace |= grant.displace;
+                *until = [*until, grant.until].into_iter().flatten().min();
             }
             all.standing = all.standing.and(verdict.standing);
+            all.rule = all.rule.or(verdict.rule);
         }
         all
     }

@@ -29,6 +29,7 @@ pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
     let terms = Terms {
         lease,
         expiry: params.expiry,
+        ..Terms::default()
     };
     Ok(Box::new(FirstCome {
         label: setup.label.to_owned(),

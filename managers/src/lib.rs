@@ -28,7 +28,9 @@ mod verdict;
 
 pub use question::{Micros, Owner, PeerFacts, Question, TokenFacts};
 pub use registry::{Factory, Registry, Setup};
-pub use verdict::{Answer, Denial, Expiry, Grant, Scope, Standing, Terms, Verdict};
+pub use verdict::{
+    Answer, Ask, Bucket, Defer, Denial, Expiry, Given, Grant, Rate, Scope, Standing, Terms, Verdict, Wait,
+};
 
 /// Decides who may do what in the contexts it manages; consulted on all requests (M24).
 pub trait Manager: Send + std::fmt::Debug {

@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 
-use mom_proto::{ContextKind, Path, Verb};
+use mom_proto::{ContextKind, Path, Time, Verb};
+
+use crate::Given;
 
 /// Monotonic time in µs since the hub's start.
 pub type Micros = u64;
@@ -38,6 +40,10 @@ pub struct TokenFacts<'a> {
     pub owner: Option<Owner<'a>>,
     /// When the lease ends if nobody renews; none = without end.
     pub lease_end: Option<Micros>,
+    /// When the present ownership began.
+    pub since: Micros,
+    /// How many wait for it, the asking peer not among them.
+    pub waiting: usize,
 }
 
 /// One request, without its content.
@@ -59,6 +65,21 @@ pub struct Question<'a> {
     pub age: Option<(i64, u64)>,
     /// The state of the token, if the context is one.
     pub token: Option<TokenFacts<'a>>,
+    /// Whether a member has invited the peer to this context lately.
+    pub invited: bool,
+    /// Whether the peer made this context.
+    pub created: bool,
+    /// What was answered to earlier deferrals of this same request; the last of a label holds.
+    pub answers: &'a [Given],
     /// The time.
     pub now: Micros,
+    /// Wall time, for rules that name times of the day; it does not jump.
+    pub wall: Time,
+}
+
+impl Question<'_> {
+    /// What was answered to this manager's earlier deferral of the same request.
+    pub fn given(&self, label: &str) -> Option<&Given> {
+        self.answers.iter().rev().find(|given| &*given.label == label)
+    }
 }

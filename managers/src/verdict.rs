@@ -1,5 +1,7 @@
 //! What a manager answers.
 
+use std::sync::Arc;
+
 use mom_proto::Code;
 use serde::Deserialize;
 
@@ -12,15 +14,73 @@ pub struct Verdict {
     pub answer: Answer,
     /// Whether the same question may be answered so without asking again.
     pub standing: Standing,
+    /// The rule that decided, by its name in the configuration; none = the manager as a whole.
+    pub rule: Option<Arc<str>>,
 }
 
-/// Yes or no.
+/// Yes, no, or not yet.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Answer {
     /// Yes; for `grab` with what it grants.
     Allow(Grant),
     /// No, because.
     Deny(Denial),
+    /// Peers have to be asked first; then the same question comes again with their answer.
+    Defer(Defer),
+    /// Not yet, but there is a queue for a free place.
+    Queue(Wait),
+}
+
+/// Whom to ask, and how long to wait.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Defer {
+    /// Tells this question's answer from those of other managers of a chain; the manager's label mostly.
+    pub label: Arc<str>,
+    /// Whom.
+    pub ask: Ask,
+    /// How long an answer may take, µs; after that the request is denied.
+    pub within: Micros,
+}
+
+/// Peers that can be asked for a verdict.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Ask {
+    /// The peer that made the context.
+    Creator,
+    /// The members of the context, or of its parent, that these facts fit: one of the users, or in one of the
+    /// groups, and of at least this level. The first answer holds.
+    Chairs {
+        /// Names of users.
+        users: Arc<[String]>,
+        /// Names of groups.
+        groups: Arc<[String]>,
+        /// The least level; none = any.
+        min_level: Option<i32>,
+    },
+}
+
+/// What a deferred question was answered.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Given {
+    /// The label of the [`Defer`].
+    pub label: Arc<str>,
+    /// The peer that answered; none if nobody did in time, or nobody could be asked.
+    pub by: Option<Arc<str>>,
+    /// Yes or no.
+    pub allow: bool,
+    /// Whether it may stand for later questions of the same kind.
+    pub stands: bool,
+    /// Plain words, for a no.
+    pub text: String,
+}
+
+/// A place in the queue instead of a free token.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Wait {
+    /// What a grab that does not want to wait hears.
+    pub denial: Denial,
+    /// When the present owner is done at the latest if it does not renew, as far as the manager knows.
+    pub expected: Option<Micros>,
 }
 
 /// What an allowed `grab` grants beyond a free token.
@@ -28,6 +88,8 @@ pub enum Answer {
 pub struct Grant {
     /// The token is taken from its present owner.
     pub displace: bool,
+    /// When the ownership ends, whatever its lease; none = as the lease says.
+    pub until: Option<Micros>,
 }
 
 /// Why not.
@@ -54,7 +116,53 @@ pub enum Standing {
         scope: Scope,
         /// Up to, but not at, this time; none = until something changes.
         until: Option<Micros>,
+        /// How much; none = without limit.
+        rate: Option<Rate>,
     },
+}
+
+/// How much a peer may send, as two token buckets that both have to have enough.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Rate {
+    /// Parcels.
+    pub parcels: Bucket,
+    /// Bytes of content.
+    pub bytes: Bucket,
+}
+
+/// A bucket: what is taken from it comes back with time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Bucket {
+    /// What comes back each second; `u64::MAX` = no limit.
+    pub per_second: u64,
+    /// What it holds when full.
+    pub burst: u64,
+}
+
+impl Bucket {
+    /// No limit.
+    pub const UNLIMITED: Bucket = Bucket {
+        per_second: u64::MAX,
+        burst: u64::MAX,
+    };
+
+    fn and(self, other: Bucket) -> Bucket {
+        Bucket {
+            per_second: self.per_second.min(other.per_second),
+            burst: self.burst.min(other.burst),
+        }
+    }
+}
+
+impl Rate {
+    /// A rate that is within both.
+    #[must_use]
+    pub fn and(self, other: Rate) -> Rate {
+        Rate {
+            parcels: self.parcels.and(other.parcels),
+            bytes: self.bytes.and(other.bytes),
+        }
+    }
 }
 
 /// Which messages a standing verdict covers.
@@ -84,6 +192,12 @@ pub struct Terms {
     pub lease: Option<Micros>,
     /// What happens at its end.
     pub expiry: Expiry,
+    /// The owner loses the token if it shows no life for so long; none = it need not.
+    pub deadman: Option<Micros>,
+    /// The longest ownership while others wait; none = as long as it renews.
+    pub hold: Option<Micros>,
+    /// How long an owner keeps the token at least once the first begins to wait, where `hold` is over already.
+    pub notice: Micros,
 }
 
 impl Verdict {
@@ -92,6 +206,7 @@ impl Verdict {
         Verdict {
             answer: Answer::Allow(Grant::default()),
             standing: Standing::Once,
+            rule: None,
         }
     }
 
@@ -103,23 +218,49 @@ impl Verdict {
     /// Yes, and an owner in the way loses the token.
     pub fn displace() -> Verdict {
         Verdict {
-            answer: Answer::Allow(Grant { displace: true }),
-            standing: Standing::Once,
+            answer: Answer::Allow(Grant {
+                displace: true,
+                until: None,
+            }),
+            ..Verdict::allow()
         }
     }
 
     /// No.
     pub fn deny(code: Code, rule: impl Into<String>, text: impl Into<String>) -> Verdict {
+        let rule = rule.into();
         let denial = Denial {
             code,
             text: text.into(),
-            rule: rule.into(),
+            rule: rule.clone(),
             earliest: None,
         };
         Verdict {
             answer: Answer::Deny(denial),
             standing: Standing::Once,
+            rule: Some(rule.into()),
         }
+    }
+
+    /// Not before these were asked.
+    pub fn defer(label: impl Into<Arc<str>>, ask: Ask, within: Micros) -> Verdict {
+        let label = label.into();
+        Verdict {
+            answer: Answer::Defer(Defer {
+                label: Arc::clone(&label),
+                ask,
+                within,
+            }),
+            standing: Standing::Once,
+            rule: Some(label),
+        }
+    }
+
+    /// Names the rule that decided.
+    #[must_use]
+    pub fn by(mut self, rule: &Arc<str>) -> Verdict {
+        self.rule = Some(Arc::clone(rule));
+        self
     }
 
     /// Adds the earliest time at which asking again may help, to a denial.
@@ -134,7 +275,11 @@ impl Verdict {
     /// Lets the verdict stand until something changes.
     #[must_use]
     pub fn stands(mut self, scope: Scope) -> Verdict {
-        self.standing = Standing::Stands { scope, until: None };
+        self.standing = Standing::Stands {
+            scope,
+            until: None,
+            rate: None,
+        };
         self
     }
 
@@ -153,22 +298,35 @@ impl Standing {
                 Standing::Stands {
                     scope: one,
                     until: first,
+                    rate: slow,
                 },
                 Standing::Stands {
                     scope: two,
                     until: second,
+                    rate: other_rate,
                 },
-            ) => {
-                let until = match (first, second) {
-                    (Some(first), Some(second)) => Some(first.min(second)),
-                    (until, None) | (None, until) => until,
-                };
-                Standing::Stands {
-                    scope: one.min(two),
-                    until,
-                }
-            }
+            ) => Standing::Stands {
+                scope: one.min(two),
+                until: both(first, second, Micros::min),
+                rate: both(slow, other_rate, Rate::and),
+            },
             _ => Standing::Once,
         }
+    }
+
+    /// How much a verdict allows; none = without limit.
+    pub fn rate(&self) -> Option<Rate> {
+        match self {
+            Standing::Once => None,
+            Standing::Stands { rate, .. } => *rate,
+        }
+    }
+}
+
+fn both<T>(one: Option<T>, other: Option<T>, merge: impl FnOnce(T, T) -> T) -> Option<T> {
+    match (one, other) {
+        (Some(one), Some(other)) => Some(merge(one, other)),
+        (one, None) => one,
+        (None, other) => other,
     }
 }

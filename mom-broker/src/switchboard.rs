@@ -275,6 +275,7 @@ impl Switchboard {
                     parcel,
                     receivers,
                     route,
+                    rate: _,
                 } => {
                     let Some(channel) = self
                         .channels
@@ -292,6 +293,7 @@ impl Switchboard {
                         Err(error) => self.tell(from, error.to_parcel(reference), touched),
                     }
                 }
+                Effect::Store { .. } | Effect::Audit(_) => {}
                 Effect::Close { peer, error } => {
                     if let Some(outbox) = self.outbox(peer) {
                         self.close(&outbox, error);

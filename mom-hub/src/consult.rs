@@ -40,6 +40,10 @@ impl Hub {
         match self.consult(peer, wish).answer {
             Answer::Allow(grant) => Ok(grant),
             Answer::Deny(denial) => Err(self.explain(peer, wish, &denial)),
+            Answer::Queue(wait) => Err(self.explain(peer, wish, &wait.denial)),
+            Answer::Defer(defer) => {
+                Err(WireError::new(Code::DENIED, "nobody can be asked").rule(&defer.label))
+            }
         }
     }
 
@@ -77,7 +81,11 @@ impl Hub {
                 size: wish.size,
                 age: None,
                 token: self.token_facts(context, peer),
+                invited: false,
+                created: false,
+                answers: &[],
                 now,
+                wall: self.wall(),
             }),
             None => nobody(),
         };
@@ -109,6 +117,8 @@ impl Hub {
                 asks: ownership.peer == asks,
             }),
             lease_end: ownership.lease_end,
+            since: ownership.since,
+            waiting: 0,
         })
     }
 
@@ -126,6 +136,7 @@ impl Hub {
             Some(TokenFacts {
                 owner: Some(owner),
                 lease_end,
+                ..
             }) if denial.code == Code::HELD => held(error, &owner, lease_end, asked, self.now),
             _ => error,
         }

@@ -304,6 +304,7 @@ fn make_token(spec: &ContextSpec, terms: Terms) -> Result<Token, WireError> {
         terms: Terms {
             lease,
             expiry: spec.expiry.unwrap_or(terms.expiry),
+            ..terms
         },
         safe,
         guarded: std::collections::BTreeSet::new(),

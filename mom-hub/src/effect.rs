@@ -4,7 +4,9 @@ use std::sync::Arc;
 
 use mom_proto::{ContextNumber, Parcel, WireError};
 
-use crate::{PeerId, Receivers, Route};
+use mom_managers::Rate;
+
+use crate::{Audit, PeerId, Receivers, Record, Route, Ticket};
 
 /// One effect. Effects of one input are carried out in their order.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,7 +40,19 @@ pub enum Effect {
         receivers: Receivers,
         /// The channel as it stands.
         route: Arc<Route>,
+        /// How much the sender may send there; the broker counts, on this path and on the fast one alike.
+        rate: Option<Rate>,
     },
+    /// Make a record durable. With a ticket the hub waits for [`Input::Stored`](crate::Input::Stored) before it
+    /// changes the token.
+    Store {
+        /// What.
+        record: Record,
+        /// Whose durability is awaited; none = nobody's.
+        ticket: Option<Ticket>,
+    },
+    /// Note a fact for whoever asks later who decided what.
+    Audit(Box<Audit>),
     /// End a connection, after an error that says why.
     Close {
         /// Which.

@@ -118,7 +118,7 @@ impl Hub {
             } => self.handle_login(peer, user, nickname, id, out),
             Input::Gone { peer } => self.handle_gone(peer, out),
             Input::Request { peer, parcel } => self.handle_request(peer, *parcel, out),
-            Input::Tick => {}
+            Input::Stored { .. } | Input::Configure(_) | Input::Tick => {}
         }
         self.push_changed_routes(start, out);
     }

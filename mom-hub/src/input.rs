@@ -1,11 +1,12 @@
 //! What the hub is told.
 
-use mom_proto::{Map, Parcel};
+use mom_managers::Registry;
+use mom_proto::{Limits, Map, Parcel, Value};
 
-use crate::PeerId;
+use crate::{ContextSpec, PeerId, Ticket};
 
 /// One input; all that the hub ever reacts to, besides time.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub enum Input {
     /// A peer proved who it is: for the first time, or again on a live connection (M13).
     Login {
@@ -30,8 +31,32 @@ pub enum Input {
         /// What.
         parcel: Box<Parcel>,
     },
+    /// A record is durable, or will never be.
+    Stored {
+        /// Of which [`Effect::Store`](crate::Effect::Store).
+        ticket: Ticket,
+        /// Whether it is.
+        ok: bool,
+    },
+    /// The configuration was changed; it has been checked with [`Hub::new`](crate::Hub::new) before.
+    Configure(Box<Configuration>),
     /// Time has passed.
     Tick,
+}
+
+/// A new configuration.
+#[derive(Clone, Debug)]
+pub struct Configuration {
+    /// The kinds of manager and those with names.
+    pub registry: Registry,
+    /// The manager of the root.
+    pub root: Value,
+    /// The contexts that are always there, parents first. One that was there before and is no more is deleted.
+    pub contexts: Vec<ContextSpec>,
+    /// What the hub takes from now on.
+    pub limits: Limits,
+    /// The peers whose user has changed, as it is now; none = there is no such user any more.
+    pub users: Vec<(PeerId, Option<User>)>,
 }
 
 /// A user as the login found it (M13).

@@ -22,6 +22,7 @@
 
 mod admit;
 mod args;
+mod audit;
 mod check;
 mod consult;
 mod context;
@@ -34,6 +35,7 @@ mod member;
 mod membership;
 mod ownership;
 mod peers;
+mod record;
 mod route;
 mod settings;
 mod token;
@@ -42,11 +44,13 @@ mod verbs;
 
 pub use admit::{Admission, Receivers, admit, admit_with};
 pub use args::ContextSpec;
+pub use audit::Audit;
 pub use context::Presence;
 pub use create::SetupError;
 pub use effect::Effect;
 pub use hub::Hub;
-pub use input::{Input, User};
+pub use input::{Configuration, Input, User};
 pub use member::{Member, PeerId, StandingVerdict};
+pub use record::{Holder, Record, Ticket};
 pub use route::{Guard, GuardOwner, Route};
 pub use settings::Settings;

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use mom_managers::{Answer, Micros, PeerFacts};
+use mom_managers::{Answer, Micros, PeerFacts, Rate};
 use mom_proto::event;
 
 /// A peer's connection; the broker gives each a number and never the same twice.
@@ -30,6 +30,8 @@ pub struct StandingVerdict {
     pub name: Option<Arc<str>>,
     /// Up to, but not at, this time.
     pub until: Option<Micros>,
+    /// How much of them; none = without limit.
+    pub rate: Option<Rate>,
     /// The answer.
     pub answer: Answer,
 }

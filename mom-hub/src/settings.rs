@@ -3,6 +3,8 @@
 use mom_managers::Micros;
 use mom_proto::{Limits, Time};
 
+use crate::Record;
+
 /// The hub's constants.
 #[derive(Clone, Debug)]
 pub struct Settings {
@@ -10,6 +12,10 @@ pub struct Settings {
     pub anchor: Time,
     /// The upper part of every fence: Unix seconds at start, so that fences rise over restarts.
     pub epoch: u64,
+    /// Whether changes of ownership wait until they are durable ([`Effect::Store`](crate::Effect::Store)).
+    pub durable: bool,
+    /// What was durable before the start.
+    pub records: Vec<Record>,
     /// The limits that the login reply advertises.
     pub limits: Limits,
     /// For how long another user cannot have the name of a peer that left, in µs.
@@ -26,6 +32,8 @@ impl Default for Settings {
         Settings {
             anchor: Time::default(),
             epoch: 0,
+            durable: false,
+            records: Vec::new(),
             limits: Limits::default(),
             name_rest: 60_000_000,
             counts_above: 200,

@@ -29,6 +29,14 @@ impl Code {
     pub const TIMED_OUT: Code = Code::new(102, "timed-out");
     /// A bound of the hub (contexts, peers, members) is reached.
     pub const FULL: Code = Code::new(103, "full");
+    /// Who was asked for it declined.
+    pub const DECLINED: Code = Code::new(104, "declined");
+    /// The request was taken back while it waited.
+    pub const WITHDRAWN: Code = Code::new(105, "withdrawn");
+    /// More than the peer's share of parcels or bytes.
+    pub const OVER_QUOTA: Code = Code::new(106, "over-quota");
+    /// What must be durable first could not be stored.
+    pub const STORAGE_FAILED: Code = Code::new(107, "storage-failed");
 
     /// A manager refused the request.
     pub const DENIED: Code = Code::new(200, "denied");
@@ -46,6 +54,8 @@ impl Code {
     pub const BAD_FENCE: Code = Code::new(206, "bad-fence");
     /// The parcel's time is over.
     pub const EXPIRED: Code = Code::new(207, "expired");
+    /// The device has moved since the state that the command was based on (M35).
+    pub const STALE_STATE: Code = Code::new(208, "stale-state");
     /// No context has this path.
     pub const UNKNOWN_PATH: Code = Code::new(210, "unknown-path");
     /// No peer has this name here.
@@ -60,6 +70,10 @@ impl Code {
     pub const WRONG_KIND: Code = Code::new(215, "wrong-kind");
     /// The context belongs to the configuration file and stays.
     pub const PERMANENT: Code = Code::new(216, "permanent");
+    /// There is no such offer or request to answer, any more or at all.
+    pub const NO_OFFER: Code = Code::new(217, "no-offer");
+    /// The answer to a question that is answered, over or was never asked.
+    pub const TOO_LATE: Code = Code::new(218, "too-late");
     /// A slot is missing, has another type or a value outside its range.
     pub const BAD_SLOT: Code = Code::new(220, "bad-slot");
     /// A path that is not in the one canonical form.
@@ -106,6 +120,8 @@ impl Code {
     pub const INSECURE: Code = Code::new(404, "insecure");
     /// Too many failed logins on one connection.
     pub const TOO_MANY_LOGINS: Code = Code::new(405, "too-many-logins");
+    /// The user was removed, or its rights to be here were.
+    pub const REVOKED: Code = Code::new(406, "revoked");
 
     /// Every code, in the order of its number.
     pub const TABLE: &[Code] = &[
@@ -113,6 +129,10 @@ impl Code {
         Code::HELD,
         Code::TIMED_OUT,
         Code::FULL,
+        Code::DECLINED,
+        Code::WITHDRAWN,
+        Code::OVER_QUOTA,
+        Code::STORAGE_FAILED,
         Code::DENIED,
         Code::BAD_LOGIN,
         Code::NOT_LOGGED_IN,
@@ -121,6 +141,7 @@ impl Code {
         Code::OLDER_FENCE,
         Code::BAD_FENCE,
         Code::EXPIRED,
+        Code::STALE_STATE,
         Code::UNKNOWN_PATH,
         Code::UNKNOWN_PEER,
         Code::UNKNOWN_VERB,
@@ -128,6 +149,8 @@ impl Code {
         Code::EXISTS,
         Code::WRONG_KIND,
         Code::PERMANENT,
+        Code::NO_OFFER,
+        Code::TOO_LATE,
         Code::BAD_SLOT,
         Code::BAD_PATH,
         Code::BAD_NAME,
@@ -150,6 +173,7 @@ impl Code {
         Code::TOO_LARGE,
         Code::INSECURE,
         Code::TOO_MANY_LOGINS,
+        Code::REVOKED,
     ];
 
     const fn new(number: u16, word: &'static str) -> Code {

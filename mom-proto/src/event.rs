@@ -12,6 +12,22 @@ pub const DELETED: &str = "deleted";
 pub const GRABBED: &str = "grabbed";
 /// A token's owner lost it.
 pub const RELEASED: &str = "released";
+/// A peer asks a token's owner to hand over.
+pub const REQUESTED: &str = "requested";
+/// A token's owner offers it to a peer.
+pub const OFFER: &str = "offer";
+/// An offer or a request is over without a change of owner.
+pub const LAPSED: &str = "lapsed";
+/// A grab waits, and at which place.
+pub const QUEUED: &str = "queued";
+/// Several peers hold a token together, and nobody owns it.
+pub const INHIBITED: &str = "inhibited";
+/// One of them holds it no longer.
+pub const UNINHIBITED: &str = "uninhibited";
+/// A peer was told of a context by one of its members.
+pub const INVITED: &str = "invited";
+/// A peer was put out of a context.
+pub const EXPELLED: &str = "expelled";
 /// Parcels were dropped on their way.
 pub const DROPPED: &str = "dropped";
 
@@ -35,16 +51,28 @@ pub enum Reason {
     Disconnected,
     /// The token was deleted.
     Deleted,
+    /// Somebody with the right to it took it away.
+    Broken,
+    /// Its rights ended: its user was changed or removed, or it was expelled.
+    Revoked,
+    /// It gave the token to another peer (M41).
+    Given,
+    /// What was given for a time or a number of commands went back to the giver.
+    Returned,
 }
 
 impl Reason {
     /// All reasons.
-    pub const ALL: [Reason; 5] = [
+    pub const ALL: [Reason; 9] = [
         Reason::Released,
         Reason::Expired,
         Reason::Preempted,
         Reason::Disconnected,
         Reason::Deleted,
+        Reason::Broken,
+        Reason::Revoked,
+        Reason::Given,
+        Reason::Returned,
     ];
 
     /// The word on the wire.
@@ -55,6 +83,10 @@ impl Reason {
             Reason::Preempted => "preempted",
             Reason::Disconnected => "disconnected",
             Reason::Deleted => "deleted",
+            Reason::Broken => "broken",
+            Reason::Revoked => "revoked",
+            Reason::Given => "given",
+            Reason::Returned => "returned",
         }
     }
 

@@ -12,6 +12,8 @@ use crate::{Code, Family, WireError};
 pub enum Verb {
     /// `login login`: authenticate, for the first time or again (M12, M13).
     Login,
+    /// `login answer`: prove a key by signing the hub's challenge.
+    Answer,
     /// `login logout`: leave for good.
     Logout,
     /// `context create`: make a session, channel or token (M22, M24).
@@ -30,18 +32,38 @@ pub enum Verb {
     Delete,
     /// `context members`.
     Members,
+    /// `context invite`: tell a peer of a context, and its manager of the invitation.
+    Invite,
+    /// `context expel`: put a peer out of a context and all below it.
+    Expel,
     /// `token grab` (M28, M29).
     Grab,
     /// `token release`.
     Release,
     /// `token renew` (M29).
     Renew,
+    /// `token give`: offer what one owns to another peer (M41).
+    Give,
+    /// `token accept`: take what is offered, or hand over to who asked.
+    Accept,
+    /// `token decline`: refuse an offer, or a peer that asked.
+    Decline,
+    /// `token request`: ask the owner to hand over.
+    Request,
+    /// `token break`: take a token away from its owner.
+    Break,
+    /// `token inhibit`: hold together with others, so that nobody owns.
+    Inhibit,
+    /// `token uninhibit`: end that hold.
+    Uninhibit,
     /// Any message (M27).
     Send,
     /// `message stop`: to halt a device without owning its token (M43).
     Stop,
     /// `message unstop`: to let it move again.
     Unstop,
+    /// `manager verdict`: a managing peer's answer to a `consult` (M24).
+    Verdict,
     /// `time ping`.
     Ping,
     /// `time pong`.
@@ -50,8 +72,9 @@ pub enum Verb {
 
 impl Verb {
     /// All verbs.
-    pub const ALL: [Verb; 18] = [
+    pub const ALL: [Verb; 29] = [
         Verb::Login,
+        Verb::Answer,
         Verb::Logout,
         Verb::Create,
         Verb::Lookup,
@@ -61,12 +84,22 @@ impl Verb {
         Verb::Leave,
         Verb::Delete,
         Verb::Members,
+        Verb::Invite,
+        Verb::Expel,
         Verb::Grab,
         Verb::Release,
         Verb::Renew,
+        Verb::Give,
+        Verb::Accept,
+        Verb::Decline,
+        Verb::Request,
+        Verb::Break,
+        Verb::Inhibit,
+        Verb::Uninhibit,
         Verb::Send,
         Verb::Stop,
         Verb::Unstop,
+        Verb::Verdict,
         Verb::Ping,
         Verb::Pong,
     ];
@@ -75,6 +108,7 @@ impl Verb {
     pub fn word(self) -> &'static str {
         match self {
             Verb::Login => "login",
+            Verb::Answer => "answer",
             Verb::Logout => "logout",
             Verb::Create => "create",
             Verb::Lookup => "lookup",
@@ -84,9 +118,19 @@ impl Verb {
             Verb::Leave => "leave",
             Verb::Delete => "delete",
             Verb::Members => "members",
+            Verb::Invite => "invite",
+            Verb::Expel => "expel",
             Verb::Grab => "grab",
             Verb::Release => "release",
             Verb::Renew => "renew",
+            Verb::Give => "give",
+            Verb::Accept => "accept",
+            Verb::Decline => "decline",
+            Verb::Request => "request",
+            Verb::Break => "break",
+            Verb::Inhibit => "inhibit",
+            Verb::Uninhibit => "uninhibit",
+            Verb::Verdict => "verdict",
             Verb::Send => "send",
             Verb::Stop => "stop",
             Verb::Unstop => "unstop",
@@ -98,10 +142,14 @@ impl Verb {
     /// The family whose parcels ask for this.
     pub fn family(self) -> Family {
         match self {
-            Verb::Login | Verb::Logout => Family::Login,
+            Verb::Login | Verb::Answer | Verb::Logout => Family::Login,
             Verb::Create | Verb::Lookup | Verb::List | Verb::Info => Family::Context,
             Verb::Join | Verb::Leave | Verb::Delete | Verb::Members => Family::Context,
+            Verb::Invite | Verb::Expel => Family::Context,
             Verb::Grab | Verb::Release | Verb::Renew => Family::Token,
+            Verb::Give | Verb::Accept | Verb::Decline | Verb::Request => Family::Token,
+            Verb::Break | Verb::Inhibit | Verb::Uninhibit => Family::Token,
+            Verb::Verdict => Family::Manager,
             Verb::Send | Verb::Stop | Verb::Unstop => Family::Message,
             Verb::Ping | Verb::Pong => Family::Time,
         }
@@ -151,7 +199,13 @@ impl Verb {
     pub fn gives_up(self) -> bool {
         matches!(
             self,
-            Verb::Leave | Verb::Release | Verb::Logout | Verb::Ping | Verb::Pong
+            Verb::Leave
+                | Verb::Release
+                | Verb::Decline
+                | Verb::Uninhibit
+                | Verb::Logout
+                | Verb::Ping
+                | Verb::Pong
         )
     }
 }

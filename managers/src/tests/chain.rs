@@ -76,7 +76,11 @@ fn until(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
     Ok(Box::new(Until(if once {
         Standing::Once
     } else {
-        Standing::Stands { scope, until }
+        Standing::Stands {
+            scope,
+            until,
+            rate: None,
+        }
     })))
 }
 
@@ -85,7 +89,11 @@ fn a_chain_stands_as_long_as_all_its_links() {
     let mut registry = Registry::builtin();
     registry.add_kind("until", until);
     let until = |time: i64| of("until").with("until", time);
-    let stands = |scope, until| Standing::Stands { scope, until };
+    let stands = |scope, until| Standing::Stands {
+        scope,
+        until,
+        rate: None,
+    };
     for (links, expected) in [
         (vec![of("open")], stands(Scope::AnyName, None)),
         (

@@ -107,7 +107,11 @@ fn first_come_knows_no_level() {
 
 #[test]
 fn terms_are_those_of_the_file() {
-    let terms = |lease: Option<u64>, expiry| Terms { lease, expiry };
+    let terms = |lease: Option<u64>, expiry| Terms {
+        lease,
+        expiry,
+        ..Terms::default()
+    };
     for (spec, expected) in [
         (of("level-or-lease"), terms(Some(LEASE), Expiry::Lazy)),
         (

@@ -56,8 +56,14 @@ fn ask(manager: &mut dyn Manager, ask: &Ask<'_>) -> Verdict {
         token: Some(TokenFacts {
             owner,
             lease_end: ask.lease_end,
+            since: 0,
+            waiting: 0,
         }),
+        invited: false,
+        created: false,
+        answers: &[],
         now: ask.now,
+        wall: mom_proto::Time::default(),
     })
 }
 
@@ -81,6 +87,8 @@ fn short(verdict: &Verdict) -> String {
                 .unwrap_or_default();
             format!("{}: {}{earliest}", denial.rule, denial.code)
         }
+        Answer::Defer(defer) => format!("ask by {}", defer.label),
+        Answer::Queue(wait) => format!("queue: {}", wait.denial.rule),
     }
 }
 

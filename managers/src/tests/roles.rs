@@ -144,7 +144,11 @@ fn verdicts_stand_for_the_messages_they_know_of() {
         let verdict = ask(&mut *build(roles(rules)), &question);
         assert_eq!(
             verdict.standing,
-            Standing::Stands { scope, until: None },
+            Standing::Stands {
+                scope,
+                until: None,
+                rate: None
+            },
             "{verdict:?}"
         );
     }

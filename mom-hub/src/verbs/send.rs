@@ -40,6 +40,7 @@ pub(crate) fn on(hub: &mut Hub, request: Request, out: &mut Vec<Effect>) -> Resu
         parcel: Box::new(parcel),
         receivers,
         route: Arc::new(route),
+        rate: verdict.standing.rate(),
     });
     Ok(())
 }
@@ -57,7 +58,7 @@ fn verdict(hub: &mut Hub, peer: PeerId, verb: Verb, number: ContextNumber, parce
 impl Hub {
     /// Puts a verdict that stands into the route, so that the broker need not ask again.
     fn keep_standing(&mut self, peer: PeerId, number: ContextNumber, parcel: &Parcel, verdict: &Verdict) {
-        let Standing::Stands { scope, until } = verdict.standing else {
+        let Standing::Stands { scope, until, rate } = verdict.standing else {
             return;
         };
         // Stop has rights of its own, so what stands for it stands for no other message.
@@ -68,6 +69,7 @@ impl Hub {
         let standing = StandingVerdict {
             name,
             until,
+            rate,
             answer: verdict.answer.clone(),
         };
         let Some(context) = self.tree.get_mut(number) else {

@@ -153,7 +153,7 @@ impl Observer {
         let asked = match input {
             Input::Login { peer, id, .. } => Some((*peer, *id)),
             Input::Request { peer, parcel } => Some((*peer, parcel.id)),
-            Input::Gone { .. } | Input::Tick => None,
+            Input::Gone { .. } | Input::Stored { .. } | Input::Configure(_) | Input::Tick => None,
         };
         let message = matches!(input, Input::Request { parcel, .. } if parcel.family == Family::Message);
         match asked {
@@ -214,7 +214,7 @@ impl Observer {
                 }
                 Effect::Reply { parcel, .. } => self.granted(parcel, input),
                 Effect::Send { receivers, route, .. } => self.check_send(receivers, route),
-                Effect::Close { .. } => {}
+                Effect::Close { .. } | Effect::Store { .. } | Effect::Audit(_) => {}
             }
         }
         assert!(!unsaid, "a safe state comes before the loss that it is for");

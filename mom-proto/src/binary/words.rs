@@ -59,6 +59,8 @@ pub const WORDS: &[&str] = &[
     "ping",
     "pong",
     "hub",
+    "inhibited",
+    "uninhibited",
 ];
 
 static NUMBERS: LazyLock<HashMap<&'static str, u64>> =

@@ -1,0 +1,34 @@
+//! What outlives the hub (design §6).
+
+use mom_managers::Micros;
+use mom_proto::Path;
+
+/// The number of an awaited store; never given twice.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Ticket(pub u64);
+
+/// A user under a nickname: who may have a token back after a restart.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Holder {
+    /// The user.
+    pub user: String,
+    /// The peer's name.
+    pub name: String,
+}
+
+/// What is kept of a token, so that no fence falls and nobody is granted it in the time of another's lease.
+///
+/// The latest record of a path holds; it is kept when the token is deleted.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Record {
+    /// The token.
+    pub path: Path,
+    /// The highest fence given out, or about to be.
+    pub fence: u64,
+    /// Who owns it, or is about to.
+    pub owner: Option<Holder>,
+    /// Who owned it until then, as long as the change may not have happened.
+    pub before: Option<Holder>,
+    /// The longest lease that either of them may have, µs; none = without end.
+    pub lease: Option<Micros>,
+}
