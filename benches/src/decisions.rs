@@ -161,7 +161,7 @@ impl Admissions {
         let route = route.ok_or_else(|| WireError::new(Code::UNKNOWN_PATH, "the channel is gone"))?;
         let mut admissions = Admissions { route, message };
         match admissions.admit() {
-            Ok(Admission::Pass(_)) => Ok(admissions),
+            Ok(Admission::Pass(..)) => Ok(admissions),
             Ok(Admission::Consult) => Err(WireError::new(Code::DENIED, "no verdict stands")),
             Err(error) => Err(error),
         }
