@@ -100,7 +100,7 @@ fn grab(
         return wait_or(hub, request, number, patience, error, out);
     };
     // Its own part of a shared hold becomes ownership.
-    hub.uninhibit(number, peer, "grabbed", out);
+    hub.end_hold(number, peer, "grabbed", out);
     let change = Change {
         until: grant.until,
         rule,
