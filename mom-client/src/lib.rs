@@ -35,6 +35,7 @@ mod gate;
 mod guard;
 mod guards;
 mod info;
+mod key;
 mod link;
 mod login;
 mod membership;
@@ -42,6 +43,7 @@ mod message;
 mod outbox;
 mod pending;
 mod places;
+mod proof;
 mod reconnect;
 mod session;
 mod shared;
@@ -56,12 +58,14 @@ pub use events::Event;
 pub use gate::{FenceGate, GuardState, Stale};
 pub use guard::{Lost, TokenGuard};
 pub use info::{ContextInfo, Member};
+pub use key::Key;
 pub use message::{Message, Receipt};
 pub use mom_net::Address;
 pub use mom_proto::{
     Code, Content, ContextKind, Delivery, Family, Map, Parcel, Path, Time, Value, WireError, event,
     from_value, to_value,
 };
+pub use proof::Proof;
 pub use reconnect::{Link, Reconnect};
 pub use session::Session;
 pub use subscribe::Events;

@@ -4,6 +4,7 @@
 mod common;
 mod concurrency;
 mod events;
+mod login;
 mod reconnect;
 mod requests;
 mod tokens;
