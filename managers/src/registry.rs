@@ -58,6 +58,11 @@ impl Registry {
         self.named.insert(name.to_owned(), spec);
     }
 
+    /// The kinds that there are.
+    pub fn kinds(&self) -> impl Iterator<Item = &'static str> {
+        self.kinds.keys().copied()
+    }
+
     /// The names that were given.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.named.keys().map(String::as_str)
