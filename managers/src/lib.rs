@@ -17,14 +17,18 @@
 mod chain;
 mod closed;
 mod first_come;
+mod held;
 mod level_or_lease;
 mod open;
+mod params;
 mod question;
+mod queue;
 mod registry;
 mod roles;
 #[cfg(test)]
 mod tests;
 mod verdict;
+mod who;
 
 pub use question::{Micros, Owner, PeerFacts, Question, TokenFacts};
 pub use registry::{Factory, Registry, Setup};
@@ -37,7 +41,7 @@ pub trait Manager: Send + std::fmt::Debug {
     /// Answers one question. Whatever it does not know to be allowed, it denies.
     fn decide(&mut self, question: &Question<'_>) -> Verdict;
 
-    /// The lease of the tokens it manages, where their creator names none.
+    /// The lease and other terms of the tokens it manages, where their creator names none.
     fn terms(&self) -> Terms {
         Terms::default()
     }

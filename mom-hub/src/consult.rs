@@ -113,6 +113,8 @@ impl Hub {
         Some(TokenFacts {
             owner: Some(Owner {
                 name: &facts.name,
+                user: &facts.user,
+                groups: &facts.groups,
                 level: facts.level,
                 asks: ownership.peer == asks,
             }),
