@@ -17,14 +17,17 @@
 mod chain;
 mod closed;
 mod first_come;
+mod given;
 mod held;
 mod level_or_lease;
+mod moderated;
 mod open;
 mod params;
 mod question;
 mod queue;
 mod registry;
 mod roles;
+mod self_managed;
 #[cfg(test)]
 mod tests;
 mod verdict;

@@ -7,7 +7,9 @@ use mom_proto::nearest::nearest;
 use mom_proto::{Code, Map, Value, WireError, from_value};
 use serde::de::DeserializeOwned;
 
-use crate::{Manager, chain, closed, first_come, level_or_lease, open, queue, roles};
+use crate::{
+    Manager, chain, closed, first_come, level_or_lease, moderated, open, queue, roles, self_managed,
+};
 
 /// Makes a manager of one kind.
 pub type Factory = fn(&Setup<'_>) -> Result<Box<dyn Manager>, WireError>;
@@ -37,13 +39,15 @@ pub struct Setup<'a> {
 impl Registry {
     /// The built-in kinds, no named manager.
     pub fn builtin() -> Registry {
-        let kinds: [(&'static str, Factory); 7] = [
+        let kinds: [(&'static str, Factory); 9] = [
             ("open", open::make),
             ("closed", closed::make),
             ("roles", roles::make),
             ("first-come", first_come::make),
             ("level-or-lease", level_or_lease::make),
             ("queue", queue::make),
+            ("moderated", moderated::make),
+            ("self", self_managed::make),
             ("chain", chain::make),
         ];
         Registry {

@@ -2,9 +2,11 @@
 
 mod chain;
 mod lease;
+mod moderated;
 mod queue;
 mod registry;
 mod roles;
+mod self_managed;
 
 use mom_proto::{Code, ContextKind, Map, Path, Time, Value, Verb};
 
