@@ -14,6 +14,7 @@
 //! assert!(registry.build(&Value::Map(spec)).is_ok());
 //! ```
 
+mod calendar;
 mod chain;
 mod closed;
 mod first_come;
@@ -27,6 +28,7 @@ mod question;
 mod queue;
 mod registry;
 mod roles;
+mod schedule;
 mod self_managed;
 #[cfg(test)]
 mod tests;

@@ -8,7 +8,7 @@ use mom_proto::{Code, Map, Value, WireError, from_value};
 use serde::de::DeserializeOwned;
 
 use crate::{
-    Manager, chain, closed, first_come, level_or_lease, moderated, open, queue, roles, self_managed,
+    Manager, chain, closed, first_come, level_or_lease, moderated, open, queue, roles, schedule, self_managed,
 };
 
 /// Makes a manager of one kind.
@@ -39,7 +39,7 @@ pub struct Setup<'a> {
 impl Registry {
     /// The built-in kinds, no named manager.
     pub fn builtin() -> Registry {
-        let kinds: [(&'static str, Factory); 9] = [
+        let kinds: [(&'static str, Factory); 10] = [
             ("open", open::make),
             ("closed", closed::make),
             ("roles", roles::make),
@@ -47,6 +47,7 @@ impl Registry {
             ("level-or-lease", level_or_lease::make),
             ("queue", queue::make),
             ("moderated", moderated::make),
+            ("schedule", schedule::make),
             ("self", self_managed::make),
             ("chain", chain::make),
         ];

@@ -6,6 +6,7 @@ mod moderated;
 mod queue;
 mod registry;
 mod roles;
+mod schedule;
 mod self_managed;
 
 use mom_proto::{Code, ContextKind, Map, Path, Time, Value, Verb};
