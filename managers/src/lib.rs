@@ -14,6 +14,7 @@
 //! assert!(registry.build(&Value::Map(spec)).is_ok());
 //! ```
 
+mod bucket;
 mod calendar;
 mod chain;
 mod closed;
@@ -26,6 +27,7 @@ mod open;
 mod params;
 mod question;
 mod queue;
+mod quota;
 mod registry;
 mod roles;
 mod schedule;

@@ -8,7 +8,8 @@ use mom_proto::{Code, Map, Value, WireError, from_value};
 use serde::de::DeserializeOwned;
 
 use crate::{
-    Manager, chain, closed, first_come, level_or_lease, moderated, open, queue, roles, schedule, self_managed,
+    Manager, chain, closed, first_come, level_or_lease, moderated, open, queue, quota, roles, schedule,
+    self_managed,
 };
 
 /// Makes a manager of one kind.
@@ -39,7 +40,7 @@ pub struct Setup<'a> {
 impl Registry {
     /// The built-in kinds, no named manager.
     pub fn builtin() -> Registry {
-        let kinds: [(&'static str, Factory); 10] = [
+        let kinds: [(&'static str, Factory); 11] = [
             ("open", open::make),
             ("closed", closed::make),
             ("roles", roles::make),
@@ -48,6 +49,7 @@ impl Registry {
             ("queue", queue::make),
             ("moderated", moderated::make),
             ("schedule", schedule::make),
+            ("quota", quota::make),
             ("self", self_managed::make),
             ("chain", chain::make),
         ];

@@ -4,10 +4,12 @@ mod chain;
 mod lease;
 mod moderated;
 mod queue;
+mod quota;
 mod registry;
 mod roles;
 mod schedule;
 mod self_managed;
+mod unknown;
 
 use mom_proto::{Code, ContextKind, Map, Path, Time, Value, Verb};
 
