@@ -43,6 +43,11 @@ pub use verdict::{
     Answer, Ask, Bucket, Defer, Denial, Expiry, Given, Grant, Rate, Scope, Standing, Terms, Verdict, Wait,
 };
 
+// The examples of the guide are compiled and run with the doctests.
+#[cfg(doctest)]
+#[doc = include_str!("../../docs/managers.md")]
+mod guide {}
+
 /// Decides who may do what in the contexts it manages; consulted on all requests (M24).
 pub trait Manager: Send + std::fmt::Debug {
     /// Answers one question. Whatever it does not know to be allowed, it denies.

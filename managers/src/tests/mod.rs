@@ -1,6 +1,7 @@
 //! Tables of questions and answers.
 
 mod chain;
+mod guide;
 mod lease;
 mod moderated;
 mod queue;
