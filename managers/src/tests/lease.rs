@@ -174,12 +174,13 @@ proptest! {
 fn terms_are_those_of_the_file() {
     let terms = |lease: Option<u64>, expiry| Terms { lease, expiry, ..Terms::default() };
     let noticed = |lease, expiry| Terms { notice: 10_000_000, ..terms(lease, expiry) };
+    let levels = |lease, expiry| Terms { by_level: true, ..noticed(lease, expiry) };
     for (spec, expected) in [
-        (of("level-or-lease"), noticed(Some(LEASE), Expiry::Lazy)),
-        (of("level-or-lease").with("lease", 1).with("expiry", "eager"), noticed(Some(1000), Expiry::Eager)),
+        (of("level-or-lease"), levels(Some(LEASE), Expiry::Lazy)),
+        (of("level-or-lease").with("lease", 1).with("expiry", "eager"), levels(Some(1000), Expiry::Eager)),
         (
             of("level-or-lease").with("deadman", 5).with("hold", 6),
-            Terms { deadman: Some(5000), hold: Some(6000), ..noticed(Some(LEASE), Expiry::Lazy) },
+            Terms { deadman: Some(5000), hold: Some(6000), ..levels(Some(LEASE), Expiry::Lazy) },
         ),
         (
             of("queue").with("lease", 9).with("deadman", 5).with("hold", 6).with("notice", 0),
