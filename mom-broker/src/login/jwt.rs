@@ -227,3 +227,6 @@ fn read_key(family: AlgorithmFamily, text: &str) -> Result<DecodingKey, String> 
     }
     Ok(key)
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,6 +1,7 @@
 //! All tests of the whole system, in one binary.
 
 mod dialogues;
+mod login;
 mod programs;
 mod protocol;
 mod python;
