@@ -161,7 +161,7 @@ impl Admissions {
         let route = route.ok_or_else(|| WireError::new(Code::UNKNOWN_PATH, "the channel is gone"))?;
         let mut admissions = Admissions { route, message };
         match admissions.admit() {
-            Ok(Admission::Pass(_)) => Ok(admissions),
+            Ok(Admission::Pass(..)) => Ok(admissions),
             Ok(Admission::Consult) => Err(WireError::new(Code::DENIED, "no verdict stands")),
             Err(error) => Err(error),
         }
@@ -208,7 +208,7 @@ mod tests {
             (100, true, Receivers::These(vec![99])),
         ] {
             let admitted = Admissions::new(members, addressed).unwrap().admit();
-            assert_eq!(admitted, Ok(Admission::Pass(receivers)));
+            assert_eq!(admitted, Ok(Admission::Pass(receivers, None)));
         }
     }
 }

@@ -34,6 +34,7 @@ pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
     let terms = Terms {
         lease: Some(micros(params.lease, "lease")?),
         expiry: params.expiry,
+        by_level: true,
         ..Terms::default()
     };
     Ok(Box::new(LevelOrLease {

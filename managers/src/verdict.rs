@@ -196,6 +196,8 @@ pub struct Terms {
     pub deadman: Option<Micros>,
     /// The longest ownership while others wait; none = as long as it renews.
     pub hold: Option<Micros>,
+    /// Whether those who wait come in the order of their levels, and only among equals in that of their arrival.
+    pub by_level: bool,
     /// How long an owner keeps the token at least once the first begins to wait, where `hold` is over already.
     pub notice: Micros,
 }

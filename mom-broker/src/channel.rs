@@ -1,12 +1,14 @@
 //! A channel as the broker holds it: its route with the outboxes of its members.
 
+use std::collections::HashMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use mom_hub::{PeerId, Receivers, Route};
+use mom_hub::{PeerId, Receivers, Route, Usage};
+use mom_managers::Rate;
 use mom_net::Outgoing;
 use mom_proto::codec::Scratch;
-use mom_proto::{ContextNumber, Delivery, Parcel, Time, Verb, WireError};
+use mom_proto::{Content, ContextNumber, Delivery, Parcel, Time, Verb, WireError};
 use parking_lot::{Mutex, MutexGuard};
 
 use crate::encodings::{Bounds, Encodings};
@@ -26,6 +28,8 @@ pub(crate) struct Inner {
     gate: Gate,
     bounds: Bounds,
     scratch: Scratch,
+    /// What members have used of the rates that their manager set.
+    used: HashMap<PeerId, Usage>,
 }
 
 /// Where a delivered parcel went.
@@ -54,6 +58,7 @@ impl Channel {
                 gate,
                 bounds,
                 scratch: Scratch::pooled(),
+                used: HashMap::new(),
             }),
         }
     }
@@ -84,6 +89,7 @@ impl Channel {
         });
         let outboxes = outboxes.collect();
         inner.outboxes = outboxes;
+        inner.used.retain(|peer, _| route.member(*peer).is_some());
         inner.route = route;
     }
 }
@@ -103,12 +109,14 @@ impl Inner {
     /// Encodes an admitted message once per form and puts it into the outboxes.
     ///
     /// # Errors
-    /// Content that cannot be opened for a receiver of another form: nobody gets the message then.
+    /// More than the sender's rate, or content that cannot be opened for a receiver of another form: nobody gets
+    /// the message then.
     pub(crate) fn deliver(
         &mut self,
         sender: PeerId,
         parcel: Parcel,
         receivers: &Receivers,
+        rate: Option<Rate>,
         now: u64,
     ) -> Result<Delivered, WireError> {
         let places = Places {
@@ -120,6 +128,11 @@ impl Inner {
             Ok(Verb::Unstop) => Lane::Control,
             _ => Lane::Data(parcel.priority.unwrap_or_default()),
         };
+        // Stops and unstops are never refused for load.
+        if let (Some(rate), Lane::Data(_)) = (rate, lane) {
+            let size = parcel.content.as_ref().map_or(0, Content::size);
+            self.used.entry(sender).or_default().charge(&rate, size, now)?;
+        }
         let template = Template {
             lane,
             delivery: parcel.delivery.unwrap_or(self.route.delivery),

@@ -111,9 +111,9 @@ impl Switchboard {
                 drop(inner);
                 self.decide(Input::Request { peer, parcel }, touched);
             }
-            Admission::Pass(receivers) => {
+            Admission::Pass(receivers, rate) => {
                 let receipt = receipt_of(&parcel);
-                let delivered = inner.deliver(peer, *parcel, &receivers, now)?;
+                let delivered = inner.deliver(peer, *parcel, &receivers, rate, now)?;
                 let path = inner.route.path.clone();
                 drop(inner);
                 self.settle(peer, receipt, &path, delivered, touched);
@@ -275,7 +275,7 @@ impl Switchboard {
                     parcel,
                     receivers,
                     route,
-                    rate: _,
+                    rate,
                 } => {
                     let Some(channel) = self
                         .channels
@@ -287,7 +287,7 @@ impl Switchboard {
                     let (receipt, reference) = (receipt_of(&parcel), parcel.id);
                     let delivered = channel
                         .lock()
-                        .deliver(from, *parcel, &receivers, self.clock.now());
+                        .deliver(from, *parcel, &receivers, rate, self.clock.now());
                     match delivered {
                         Ok(delivered) => self.settle(from, receipt, &route.path, delivered, touched),
                         Err(error) => self.tell(from, error.to_parcel(reference), touched),

@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 use std::time::Duration;
 
-use mom_managers::{Answer, Denial, Micros, PeerFacts};
+use mom_managers::{Answer, Denial, Micros, PeerFacts, Rate};
 use mom_proto::nearest::nearest;
 use mom_proto::{Code, Family, Parcel, Time, Verb, WireError, event};
 
@@ -16,8 +16,8 @@ const PRIORITY: std::ops::RangeInclusive<i32> = -100..=100;
 /// What became of a message.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Admission {
-    /// It may pass, stamped, to these.
-    Pass(Receivers),
+    /// It may pass, stamped, to these, if its sender has not used up this rate.
+    Pass(Receivers, Option<Rate>),
     /// The hub has to decide: no verdict stands, or a deadline has come on which it has not acted yet.
     Consult,
 }
@@ -50,9 +50,19 @@ pub fn admit(
     let overdue = owner
         .and_then(|owner| owner.lost_at)
         .is_some_and(|lost| now >= lost);
-    match member.standing(&parcel.name, now).filter(|_| !overdue) {
+    // Commands that are counted are counted by the hub.
+    let counted = owner.is_some_and(|owner| owner.peer == peer && owner.commands.is_some())
+        && route
+            .guard
+            .as_ref()
+            .is_some_and(|guard| guard.covers(&parcel.name));
+    match member
+        .standing(&parcel.name, now)
+        .filter(|_| !overdue && !counted)
+    {
         None => Ok(Admission::Consult),
-        Some(answer) => admit_with(route, peer, answer, parcel, now, wall).map(Admission::Pass),
+        Some(standing) => admit_with(route, peer, &standing.answer, parcel, now, wall)
+            .map(|receivers| Admission::Pass(receivers, standing.rate)),
     }
 }
 
@@ -158,7 +168,7 @@ fn check_guard(
         return Err(error.detail("fence", fence_value(guard.fence)));
     }
     match &guard.owner {
-        Some(owner) if owner.peer == member.peer => Ok(Some(guard.fence)),
+        Some(owner) if owner.peer == member.peer && owner.commands != Some(0) => Ok(Some(guard.fence)),
         owner => Err(not_owner(route, guard, owner.as_ref(), member, name, now)),
     }
 }
@@ -174,6 +184,9 @@ fn not_owner(
     let (path, token) = (&route.path, &guard.token);
     let text = match owner {
         None => format!("{name} on {path} needs {token}, which nobody holds: grab it first"),
+        Some(owner) if owner.peer == member.peer => {
+            format!("the commands for which {token} was given are used up; it goes back")
+        }
         Some(owner) => format!(
             "{name} on {path} needs {token}, which {} (level {}) holds",
             owner.name, owner.level

@@ -5,7 +5,7 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
 use crate::Presence;
-use mom_managers::Expiry;
+use mom_managers::{Expiry, Micros};
 
 /// A context to be made: the content of `context create`, or an entry of the configuration file.
 ///
@@ -47,6 +47,12 @@ pub struct ContextSpec {
     /// Tokens: what happens at the lease's end; absent = as the manager says.
     #[serde(default)]
     pub expiry: Option<Expiry>,
+    /// Tokens: the owner loses it if it does not renew for so long, in ms; absent = as the manager says.
+    #[serde(default)]
+    pub deadman: Option<u64>,
+    /// Tokens: whether the safe state is sent also when the owner gives it away.
+    #[serde(default)]
+    pub safe_on_give: bool,
 }
 
 /// The guard of a channel.
@@ -105,4 +111,20 @@ pub(crate) fn path(text: &str, slot: &str) -> Result<Path, WireError> {
 /// An error about a member of the content.
 pub(crate) fn bad(slot: &str, text: String) -> WireError {
     WireError::new(Code::BAD_CONTENT, text).slot(&format!("content/{slot}"))
+}
+
+/// The content of a request that may have none.
+pub(crate) fn read_or_default<T: DeserializeOwned + Default>(parcel: &Parcel) -> Result<T, WireError> {
+    match &parcel.content {
+        Some(_) => read(parcel),
+        None => Ok(T::default()),
+    }
+}
+
+/// A duration in ms as µs, from 1 ms on.
+pub(crate) fn micros(millis: u64, slot: &str) -> Result<Micros, WireError> {
+    let micros = millis.checked_mul(1000);
+    micros
+        .filter(|micros| *micros > 0 && *micros < 1 << 53)
+        .ok_or_else(|| bad(slot, format!("{slot} is a number of ms from 1 on")))
 }

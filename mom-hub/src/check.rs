@@ -4,8 +4,10 @@ use std::collections::BTreeSet;
 
 use mom_proto::ContextNumber;
 
-use crate::Hub;
 use crate::context::Context;
+use crate::hub::Timer;
+use crate::token::Token;
+use crate::{Hub, PeerId};
 
 impl Hub {
     /// Asserts what holds after every input; every test calls it after each.
@@ -15,7 +17,10 @@ impl Hub {
     /// - An owner is a member of its token's parent.
     /// - A fence is 0 or above all of the epochs before, and an owned token has one.
     /// - Guards and the tokens they name know each other.
-    /// - A timer waits for exactly each eager lease.
+    /// - A timer waits for exactly each deadline of a token.
+    /// - Nobody owns what several hold; who waits, asks, is offered or holds is in the token's parent, and knows it.
+    /// - Requests on a token are held back only while a change of it is being stored.
+    /// - Questions that wait have somebody to answer them, and a timer.
     ///
     /// # Panics
     /// If one of them does not hold: the hub's own fault.
@@ -46,6 +51,13 @@ impl Hub {
                 );
             }
         }
+        for (question, pending) in &self.pending {
+            assert!(self.peers.get(pending.peer).is_some(), "who asks is there");
+            assert!(!pending.asked.is_empty(), "somebody is asked");
+            let timer = (pending.until, Timer::Answer(*question));
+            assert!(self.timers.contains(&timer), "question {question} ends");
+        }
+        assert!(self.answers.is_empty(), "answers belong to one request");
         assert!(
             self.changed.is_empty() && self.grown.is_empty(),
             "changed routes were given out"
@@ -114,19 +126,19 @@ impl Hub {
             .filter(|channel| self.tree.get(*channel).is_some())
             .collect();
         assert_eq!(guarded, token.guarded, "{path} guards channels that exist");
-        let deadline = token
-            .deadline()
-            .map(|deadline| (deadline, crate::hub::Timer::Lease(context.number)));
+        assert_eq!(
+            token.timer,
+            token.deadline(),
+            "the timer of {path} is its deadline"
+        );
+        let timer = token.timer.map(|at| (at, Timer::Lease(context.number)));
         let timers: Vec<_> = self
             .timers
             .iter()
-            .filter(|(_, timer)| *timer == crate::hub::Timer::Lease(context.number))
+            .filter(|(_, timer)| *timer == Timer::Lease(context.number))
             .collect();
-        assert_eq!(
-            timers,
-            deadline.iter().collect::<Vec<_>>(),
-            "one timer for the eager lease of {path}"
-        );
+        assert_eq!(timers, timer.iter().collect::<Vec<_>>(), "one timer for {path}");
+        self.check_waiting(context, token);
         let Some(owner) = &token.owner else { return };
         assert!(token.fence > 0, "an owned token has a fence");
         let peer = self.peers.get(owner.peer).expect("an owner is there");
@@ -140,6 +152,60 @@ impl Hub {
             peer.joined.contains(&parent),
             "{} is in the parent of {path}",
             peer.facts.name
+        );
+    }
+
+    fn check_waiting(&self, context: &Context, token: &Token) {
+        let path = &context.path;
+        assert!(
+            token.owner.is_none() || token.holders.is_empty(),
+            "{path} is owned or shared"
+        );
+        let parent = context.parent.expect("a token has a parent");
+        let waiting = token.queue.iter().map(|waiter| waiter.peer);
+        let asking = token.asking.iter().map(|asking| asking.peer);
+        let offered = token.offer.iter().map(|offer| offer.to);
+        let held_back = token.held_back.iter().map(|(peer, _)| *peer);
+        let all = waiting.clone().chain(asking).chain(offered);
+        for peer in all.chain(token.holders.keys().copied()).chain(held_back) {
+            let known = self.peers.get(peer).expect("who waits is there");
+            assert!(
+                known.involved.contains(&context.number),
+                "{} knows that it waits for {path}",
+                known.facts.name
+            );
+        }
+        for peer in waiting.chain(token.holders.keys().copied()) {
+            assert!(
+                self.is_member(peer, parent),
+                "who waits for {path} is in its parent"
+            );
+        }
+        let peers: BTreeSet<PeerId> = token.queue.iter().map(|waiter| waiter.peer).collect();
+        assert_eq!(peers.len(), token.queue.len(), "each waits once for {path}");
+        for waiter in token.queue.iter().filter(|waiter| waiter.until.is_some()) {
+            let timer = (
+                waiter.until.unwrap_or_default(),
+                Timer::Wait(context.number, waiter.ticket),
+            );
+            assert!(self.timers.contains(&timer), "the wait for {path} ends");
+        }
+        let owned = token.owner.is_some();
+        assert!(owned || token.offer.is_none(), "only an owner offers {path}");
+        assert!(
+            owned || token.asking.is_empty(),
+            "only an owner is asked for {path}"
+        );
+        let storing = token.storing.as_ref().map(|storing| storing.ticket);
+        assert!(
+            storing.is_some() || token.held_back.is_empty(),
+            "nothing waits for {path} without cause"
+        );
+        let known = storing.and_then(|ticket| self.storing.get(&ticket));
+        assert_eq!(
+            known.copied(),
+            storing.map(|_| context.number),
+            "the store of {path} is awaited"
         );
     }
 }

@@ -35,6 +35,14 @@ pub(crate) struct Context {
     pub(crate) manager: Option<Box<dyn Manager>>,
     /// How it was named, for `info`.
     pub(crate) manager_word: Option<String>,
+    /// What it was made from, for a new configuration.
+    pub(crate) manager_spec: Option<Value>,
+    /// The peer that made it.
+    pub(crate) creator: Option<PeerId>,
+    /// Peers that were invited, and until when it counts.
+    pub(crate) invited: BTreeMap<PeerId, Micros>,
+    /// Users that were put out, and until when they may not join again.
+    pub(crate) expelled: BTreeMap<Arc<str>, Micros>,
     pub(crate) presence: Presence,
     pub(crate) next_count: Micros,
     pub(crate) count_due: bool,

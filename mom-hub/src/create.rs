@@ -28,7 +28,7 @@ impl Hub {
         &mut self,
         path: Path,
         spec: &ContextSpec,
-        permanent: bool,
+        creator: Option<PeerId>,
     ) -> Result<ContextNumber, WireError> {
         let parent = self.parent_for(&path)?;
         if self.tree.find(&path).is_some() {
@@ -53,7 +53,7 @@ impl Hub {
         let mut role = self.make_role(spec, managed_terms)?;
         if let Role::Token(token) = &mut role {
             // Above all fences that were ever given out at this path.
-            token.fence = self.deleted_fence;
+            self.restore(&path, token);
         }
         let number = self.tree.next_number();
         self.tree.insert(Context {
@@ -64,11 +64,16 @@ impl Hub {
             members: BTreeMap::new(),
             manager,
             manager_word: spec.manager.as_ref().map(manager_word),
+            manager_spec: spec.manager.clone(),
+            creator,
+            invited: BTreeMap::new(),
+            expelled: BTreeMap::new(),
             presence: spec.presence.unwrap_or_default(),
             next_count: 0,
             count_due: false,
             transient: spec.transient,
-            permanent,
+            // Of the configuration, which nobody made and nobody deletes.
+            permanent: creator.is_none(),
             role,
         });
         self.link_guards(number);
@@ -77,7 +82,7 @@ impl Hub {
 
     /// Lets a new channel's token know what it guards, and a new token the channels that wait for one at
     /// its path since it was deleted there.
-    fn link_guards(&mut self, number: ContextNumber) {
+    pub(crate) fn link_guards(&mut self, number: ContextNumber) {
         let Some(made) = self.tree.get(number) else { return };
         let guards = |channel: &Context| {
             channel
@@ -135,7 +140,7 @@ impl Hub {
         }
     }
 
-    fn terms_above(&self, parent: ContextNumber) -> Terms {
+    pub(crate) fn terms_above(&self, parent: ContextNumber) -> Terms {
         let managing = self.managing(parent).and_then(|number| self.tree.get(number));
         managing
             .and_then(|context| context.manager.as_ref())
@@ -143,7 +148,7 @@ impl Hub {
             .unwrap_or_default()
     }
 
-    fn make_role(&self, spec: &ContextSpec, terms: Terms) -> Result<Role, WireError> {
+    pub(crate) fn make_role(&self, spec: &ContextSpec, terms: Terms) -> Result<Role, WireError> {
         let kind = ContextKind::from_word(&spec.kind).ok_or_else(|| {
             let near = nearest(&spec.kind, ContextKind::ALL.map(ContextKind::word));
             args::bad(
@@ -161,6 +166,8 @@ impl Hub {
         only(spec.safe.is_some(), "safe", ContextKind::Token)?;
         only(spec.lease.is_some(), "lease", ContextKind::Token)?;
         only(spec.expiry.is_some(), "expiry", ContextKind::Token)?;
+        only(spec.deadman.is_some(), "deadman", ContextKind::Token)?;
+        only(spec.safe_on_give, "safe-on-give", ContextKind::Token)?;
         match kind {
             ContextKind::Session => Ok(Role::Session),
             ContextKind::Channel => Ok(Role::Channel(Channel {
@@ -229,14 +236,22 @@ impl Hub {
     }
 
     /// Tells the members of a session about a new child.
-    pub(crate) fn push_created(&self, number: ContextNumber, by: PeerId, out: &mut Vec<crate::Effect>) {
+    pub(crate) fn push_created(
+        &self,
+        number: ContextNumber,
+        by: Option<PeerId>,
+        out: &mut Vec<crate::Effect>,
+    ) {
         let Some(context) = self.tree.get(number) else {
             return;
         };
         let Some(parent) = context.parent.and_then(|parent| self.tree.get(parent)) else {
             return;
         };
-        let content = context.summary().with("by", self.name_of(by));
+        let mut content = context.summary();
+        if let Some(by) = by {
+            content.set("by", self.name_of(by));
+        }
         let to = parent.members.keys().copied().collect();
         self.push_event(mom_proto::event::CREATED, &parent.path, to, content, out);
     }
@@ -256,6 +271,10 @@ pub(crate) fn make_root(
         members: BTreeMap::new(),
         manager: Some(manager),
         manager_word: Some(word),
+        manager_spec: None,
+        creator: None,
+        invited: BTreeMap::new(),
+        expelled: BTreeMap::new(),
         presence: Presence::None,
         next_count: 0,
         count_due: false,
@@ -276,12 +295,7 @@ pub(crate) fn manager_word(spec: &mom_proto::Value) -> String {
 fn make_token(spec: &ContextSpec, terms: Terms) -> Result<Token, WireError> {
     let lease = match spec.lease {
         None => terms.lease,
-        Some(millis) => {
-            let micros = millis
-                .checked_mul(1000)
-                .filter(|micros| *micros > 0 && *micros < 1 << 53);
-            Some(micros.ok_or_else(|| args::bad("lease", "a lease is a number of ms from 1 on".to_owned()))?)
-        }
+        Some(millis) => Some(args::micros(millis, "lease")?),
     };
     let safe = match &spec.safe {
         None => None,
@@ -291,23 +305,25 @@ fn make_token(spec: &ContextSpec, terms: Terms) -> Result<Token, WireError> {
                 let text = "stop and unstop are for peers with a right to them; leave safe out for halt";
                 return Err(args::bad("safe/name", text.to_owned()));
             }
-            Some(SafeState {
-                channel: args::path(&safe.channel, "safe/channel")?,
-                name: safe.name.clone(),
-                content: safe.content.clone().map(Content::Value),
-            })
+            let channel = args::path(&safe.channel, "safe/channel")?;
+            let content = safe.content.clone().map(Content::Value);
+            Some(SafeState::new(channel, safe.name.clone(), content))
         }
     };
+    let deadman = match spec.deadman {
+        None => terms.deadman,
+        Some(millis) => Some(args::micros(millis, "deadman")?),
+    };
     Ok(Token {
-        owner: None,
-        fence: 0,
         terms: Terms {
             lease,
             expiry: spec.expiry.unwrap_or(terms.expiry),
+            deadman,
             ..terms
         },
         safe,
-        guarded: std::collections::BTreeSet::new(),
+        safe_on_give: spec.safe_on_give,
+        ..Token::default()
     })
 }
 

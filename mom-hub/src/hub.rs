@@ -1,18 +1,20 @@
 //! The hub: its state, and the way in.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use mom_managers::{Micros, Registry};
+use mom_managers::{Given, Micros, Registry};
 use mom_proto::event::Reason;
-use mom_proto::{Code, ContextNumber, Map, PROTOCOL_VERSION, Parcel, Path, Value, WireError};
+use mom_proto::{Code, ContextNumber, Family, Map, PROTOCOL_VERSION, Parcel, Path, Value, Verb, WireError};
 
 use crate::args::{self, ContextSpec};
 use crate::create::{SetupError, make_root, manager_word};
 use crate::peers::Peers;
+use crate::pending::{Pending, Refusal};
 use crate::token::Token;
 use crate::tree::Tree;
-use crate::{Effect, Input, Member, PeerId, Settings, User, verbs};
+use crate::verbs::{self, Request};
+use crate::{Effect, Input, Member, PeerId, Record, Settings, Ticket, User};
 
 /// The deterministic state machine that decides everything.
 #[derive(Debug)]
@@ -29,15 +31,36 @@ pub struct Hub {
     pub(crate) changed: BTreeSet<ContextNumber>,
     /// Channels to whose routes it has only added.
     pub(crate) grown: BTreeSet<ContextNumber>,
+    /// Changes of owner that wait until they are durable.
+    pub(crate) storing: BTreeMap<Ticket, ContextNumber>,
+    pub(crate) last_ticket: u64,
+    /// Of each path what was durable before the start.
+    pub(crate) records: BTreeMap<Path, Record>,
+    pub(crate) last_waiter: u64,
+    /// Requests that wait for a verdict, by the number of the question.
+    pub(crate) pending: BTreeMap<u64, Pending>,
+    pub(crate) last_question: u64,
+    /// What was answered about the request that is carried out just now.
+    pub(crate) answers: Vec<Given>,
 }
 
 /// What the hub does by itself at some time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Timer {
-    /// Ends the ownership of a token whose expiry is eager.
+    /// Ends the ownership of a token.
     Lease(ContextNumber),
     /// Sends a count of members that was held back.
     Count(ContextNumber),
+    /// Ends the waiting of a grab.
+    Wait(ContextNumber, u64),
+    /// Ends an offer.
+    Offer(ContextNumber),
+    /// Ends a request to an owner.
+    Request(ContextNumber, u64),
+    /// Ends the waiting for a verdict.
+    Answer(u64),
+    /// Lets the queue of a token go on that was kept for its owner of before a restart.
+    Reserved(ContextNumber),
 }
 
 impl Hub {
@@ -46,7 +69,7 @@ impl Hub {
     /// # Errors
     /// The entry at fault and what is wrong with it.
     pub fn new(
-        settings: Settings,
+        mut settings: Settings,
         registry: Registry,
         root: &Value,
         contexts: &[ContextSpec],
@@ -54,6 +77,7 @@ impl Hub {
         let manager = registry
             .build(root)
             .map_err(|error| SetupError { entry: None, error })?;
+        let records = std::mem::take(&mut settings.records);
         let mut hub = Hub {
             settings,
             registry,
@@ -64,6 +88,16 @@ impl Hub {
             deleted_fence: 0,
             changed: BTreeSet::new(),
             grown: BTreeSet::new(),
+            storing: BTreeMap::new(),
+            last_ticket: 0,
+            records: records
+                .into_iter()
+                .map(|record| (record.path.clone(), record))
+                .collect(),
+            last_waiter: 0,
+            pending: BTreeMap::new(),
+            last_question: 0,
+            answers: Vec::new(),
         };
         let number = hub.tree.next_number();
         hub.tree.insert(make_root(number, manager, manager_word(root)));
@@ -76,14 +110,14 @@ impl Hub {
         Ok(hub)
     }
 
-    fn make_configured(&mut self, spec: &ContextSpec) -> Result<(), WireError> {
+    pub(crate) fn make_configured(&mut self, spec: &ContextSpec) -> Result<(), WireError> {
         let Some(path) = &spec.path else {
             return Err(args::bad(
                 "path",
                 "a context of the configuration needs its path".to_owned(),
             ));
         };
-        self.make(args::path(path, "path")?, spec, true).map(|_| ())
+        self.make(args::path(path, "path")?, spec, None).map(|_| ())
     }
 
     /// The routes of all channels, for a broker that has just made the hub.
@@ -117,8 +151,10 @@ impl Hub {
                 id,
             } => self.handle_login(peer, user, nickname, id, out),
             Input::Gone { peer } => self.handle_gone(peer, out),
-            Input::Request { peer, parcel } => self.handle_request(peer, *parcel, out),
-            Input::Stored { .. } | Input::Configure(_) | Input::Tick => {}
+            Input::Request { peer, parcel } => self.handle_request(peer, *parcel, Vec::new(), out),
+            Input::Stored { ticket, ok } => self.handle_stored(ticket, ok, out),
+            Input::Configure(configuration) => self.handle_configuration(*configuration, out),
+            Input::Tick => {}
         }
         self.push_changed_routes(start, out);
     }
@@ -135,8 +171,13 @@ impl Hub {
 
     fn handle_timer(&mut self, timer: Timer, out: &mut Vec<Effect>) {
         match timer {
-            Timer::Lease(token) => self.lose(token, Reason::Expired, None, out),
+            Timer::Lease(token) => self.handle_deadline(token, out),
             Timer::Count(context) => self.push_count(context, out),
+            Timer::Wait(token, ticket) => self.handle_waited(token, ticket, out),
+            Timer::Offer(token) => self.end_offer(token, "timed-out", out),
+            Timer::Request(token, ticket) => self.handle_asked(token, ticket, out),
+            Timer::Answer(question) => self.handle_unanswered(question, out),
+            Timer::Reserved(token) => self.advance_queue(token, out),
         }
     }
 
@@ -148,6 +189,16 @@ impl Hub {
         id: Option<u64>,
         out: &mut Vec<Effect>,
     ) {
+        if let Some(error) = self.kept_out(&user.name) {
+            let parcel = Parcel::new(Family::Login, "login");
+            let parcel = id.into_iter().fold(parcel, Parcel::id);
+            self.push_refusal(peer, &parcel, &error, out);
+            out.push(Effect::Close {
+                peer,
+                error: Some(error),
+            });
+            return;
+        }
         let details = user.details.clone();
         let same_user = self.peers.get(peer).map(|known| *known.facts.user == *user.name);
         match same_user {
@@ -169,10 +220,12 @@ impl Hub {
             .into_iter()
             .for_each(|(key, value)| content.set(&key, value));
         self.push_ok(peer, id, &Path::root(), Some(content), out);
+        let fact = self.fact("login", peer);
+        self.audit(fact, out);
     }
 
     /// Puts the facts of a repeated login everywhere; verdicts about the old ones stand no more.
-    fn refresh(&mut self, peer: PeerId, user: User) {
+    pub(crate) fn refresh(&mut self, peer: PeerId, user: User) {
         let Some(facts) = self.peers.update(peer, user) else {
             return;
         };
@@ -224,32 +277,60 @@ impl Hub {
     }
 
     pub(crate) fn handle_gone(&mut self, peer: PeerId, out: &mut Vec<Effect>) {
+        if self.peers.get(peer).is_none() {
+            return;
+        }
+        let fact = self.fact("gone", peer);
         if let Some(root) = self.tree.find(&Path::root()).map(|root| root.number) {
             self.leave(root, peer, Reason::Disconnected, out);
         }
+        self.end_pending(peer, out);
+        self.audit(fact, out);
         self.peers
             .remove(peer, self.now.saturating_add(self.settings.name_rest));
     }
 
-    fn handle_request(&mut self, peer: PeerId, parcel: Parcel, out: &mut Vec<Effect>) {
-        let (reference, start) = (parcel.id, out.len());
-        let result = match self.peers.get(peer) {
-            Some(_) => verbs::carry_out(self, peer, parcel, out),
-            None => Err(WireError::new(
-                Code::NOT_LOGGED_IN,
-                "log in first: family login, name login",
-            )),
+    pub(crate) fn handle_request(
+        &mut self,
+        peer: PeerId,
+        parcel: Parcel,
+        answers: Vec<Given>,
+        out: &mut Vec<Effect>,
+    ) {
+        let start = out.len();
+        let (verb, path) = match self.read_request(peer, &parcel) {
+            Ok(read) => read,
+            Err(error) => return self.push_refusal(peer, &parcel, &error, out),
         };
-        if let Err(error) = result {
-            debug_assert_eq!(out.len(), start, "a refused request has no effects: {error}");
-            let mut parcel = error.to_parcel(reference);
-            parcel.sender = Some(mom_proto::HUB.into());
-            parcel.timestamp = Some(self.wall());
-            out.push(Effect::Reply {
-                to: peer,
-                parcel: Arc::new(parcel),
-            });
+        let mut request = Request {
+            peer,
+            verb,
+            path,
+            parcel,
+        };
+        self.answers = answers;
+        let result = verbs::carry_out(self, &mut request, out);
+        let answers = std::mem::take(&mut self.answers);
+        match result {
+            Ok(()) => {}
+            Err(Refusal::Error(error)) => {
+                debug_assert_eq!(out.len(), start, "a refused request has no effects: {error}");
+                self.push_refusal(peer, &request.parcel, &error, out);
+            }
+            Err(Refusal::Defer(deferred)) => {
+                debug_assert_eq!(out.len(), start, "a deferred request has no effects");
+                self.postpone(peer, request.parcel, answers, &deferred, out);
+            }
         }
+    }
+
+    fn read_request(&self, peer: PeerId, parcel: &Parcel) -> Result<(Verb, Path), WireError> {
+        if self.peers.get(peer).is_none() {
+            let text = "log in first: family login, name login";
+            return Err(WireError::new(Code::NOT_LOGGED_IN, text));
+        }
+        let verb = Verb::of(parcel.family, &parcel.name)?;
+        Ok((verb, self.path_of(parcel, verb)?))
     }
 
     /// Puts the routes that an input changed around its other effects: what takes away comes first, so that
@@ -277,6 +358,10 @@ impl Hub {
             None if self.tree.get(number).is_none() => Some(Effect::RouteGone(number)),
             None => None,
         }
+    }
+
+    pub(crate) fn token_mut(&mut self, number: ContextNumber) -> Option<&mut Token> {
+        self.tree.get_mut(number).and_then(|context| context.token_mut())
     }
 
     pub(crate) fn token(&self, number: ContextNumber) -> Option<&Token> {

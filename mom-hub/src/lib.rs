@@ -16,7 +16,7 @@
 //! let mut effects = Vec::new();
 //! let alice = User { name: "alice".into(), level: 1, groups: vec![], details: Map::new() };
 //! hub.handle(0, Input::Login { peer: PeerId(1), user: alice, nickname: None, id: Some(1) }, &mut effects);
-//! assert!(matches!(&effects[..], [Effect::Reply { to: PeerId(1), .. }]));
+//! assert!(matches!(&effects[..], [Effect::Reply { to: PeerId(1), .. }, Effect::Audit(_)]));
 //! hub.check();
 //! ```
 
@@ -24,23 +24,31 @@ mod admit;
 mod args;
 mod audit;
 mod check;
+mod configure;
 mod consult;
 mod context;
 mod create;
+mod describe;
+mod durable;
 mod effect;
 mod events;
+mod facts;
+mod handover;
 mod hub;
 mod input;
 mod member;
 mod membership;
 mod ownership;
 mod peers;
+mod pending;
+mod rate;
 mod record;
 mod route;
 mod settings;
 mod token;
 mod tree;
 mod verbs;
+mod waiting;
 
 pub use admit::{Admission, Receivers, admit, admit_with};
 pub use args::ContextSpec;
@@ -51,6 +59,7 @@ pub use effect::Effect;
 pub use hub::Hub;
 pub use input::{Configuration, Input, User};
 pub use member::{Member, PeerId, StandingVerdict};
+pub use rate::Usage;
 pub use record::{Holder, Record, Ticket};
 pub use route::{Guard, GuardOwner, Route};
 pub use settings::Settings;

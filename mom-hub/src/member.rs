@@ -20,6 +20,8 @@ pub struct Member {
     /// What the hub knows of it.
     pub facts: Arc<PeerFacts>,
     standing: Vec<StandingVerdict>,
+    // An earlier message of it waits for a verdict, so that none may pass it by.
+    held: bool,
 }
 
 /// An answer that holds for later messages.
@@ -48,11 +50,25 @@ impl Member {
             peer,
             facts,
             standing: Vec::new(),
+            held: false,
         }
     }
 
-    /// The answer that stands for a message of this name.
-    pub fn standing(&self, name: &str, now: Micros) -> Option<&Answer> {
+    /// This member, with its messages coming to the hub one by one, or not any more.
+    pub(crate) fn holding(&self, held: bool) -> Member {
+        Member { held, ..self.clone() }
+    }
+
+    /// Whether they do.
+    pub(crate) fn is_held(&self) -> bool {
+        self.held
+    }
+
+    /// The verdict that stands for a message of this name.
+    pub fn standing(&self, name: &str, now: Micros) -> Option<&StandingVerdict> {
+        if self.held {
+            return None;
+        }
         self.standing
             .iter()
             .find(|verdict| match verdict.name.as_deref() {
@@ -60,7 +76,6 @@ impl Member {
                 None => !has_own_right(name),
             })
             .filter(|verdict| verdict.until.is_none_or(|until| now < until))
-            .map(|verdict| &verdict.answer)
     }
 
     /// This member with one standing verdict more; `None` if there is no room for it.
@@ -88,6 +103,7 @@ impl Member {
             peer: self.peer,
             facts: Arc::clone(&self.facts),
             standing,
+            held: self.held,
         })
     }
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use mom_proto::event::{self, Reason};
-use mom_proto::{ContextNumber, Map};
+use mom_proto::{Code, ContextNumber, Map, Verb, WireError};
 
 use crate::context::Presence;
 use crate::events::peer_map;
@@ -51,7 +51,12 @@ impl Hub {
             // A child's number is higher than its parent's, so this order is deepest first.
             places.iter().rev().copied().filter(inside).collect()
         };
-        let (owned, joined) = (within(&known.owns), within(&known.joined));
+        let (involved, owned) = (within(&known.involved), within(&known.owns));
+        let joined = within(&known.joined);
+        // What it waits for first, or it would be granted what others lose on its way out.
+        for token in involved {
+            self.end_involvement(token, peer, reason.word(), out);
+        }
         for token in owned {
             self.lose(token, reason, None, out);
         }
@@ -82,8 +87,7 @@ impl Hub {
     /// safe, while the channels that lead to the devices are still there.
     pub(crate) fn delete(&mut self, number: ContextNumber, by: Option<PeerId>, out: &mut Vec<Effect>) {
         let all = self.tree.subtree(number);
-        all.iter()
-            .for_each(|below| self.lose(*below, Reason::Deleted, by, out));
+        all.iter().for_each(|below| self.end_token(*below, by, out));
         for below in all {
             let Some(context) = self.tree.get(below) else {
                 continue;
@@ -92,6 +96,7 @@ impl Hub {
             let mut to: BTreeSet<PeerId> = context.members.keys().copied().collect();
             to.extend(parent.map(|parent| self.members_of(parent)).unwrap_or_default());
             let mut content = Map::new().with("path", path.as_str()).with("kind", kind.word());
+            self.audit_context("deleted", &path, by, out);
             if let Some(by) = by {
                 content.set("by", self.name_of(by));
             }
@@ -112,11 +117,54 @@ impl Hub {
                 // So that a token made anew at this path starts above all fences of this one.
                 self.deleted_fence = self.deleted_fence.max(token.fence);
                 self.changed.extend(&token.guarded);
+                self.change_orphaned_routes();
             }
         }
     }
 
-    fn unguard(&mut self, channel: ContextNumber) {
+    /// Notes that the routes of all channels have changed whose token is no more: they show the fence of today.
+    fn change_orphaned_routes(&mut self) {
+        let orphaned = self.tree.iter().filter(|context| {
+            let guard = context.channel().and_then(|channel| channel.guard.as_ref());
+            guard.is_some_and(|guard| self.tree.find(&guard.token).is_none())
+        });
+        let orphaned: Vec<ContextNumber> = orphaned.map(|context| context.number).collect();
+        self.changed.extend(orphaned);
+    }
+
+    /// Ends all ownership of a token that is about to go, and all waiting for it.
+    fn end_token(&mut self, number: ContextNumber, by: Option<PeerId>, out: &mut Vec<Effect>) {
+        let Some(token) = self.token_mut(number) else {
+            return;
+        };
+        let storing = token.storing.take();
+        let held_back = std::mem::take(&mut token.held_back);
+        let waiting: Vec<PeerId> = token.queue.iter().map(|waiter| waiter.peer).collect();
+        let holders: Vec<PeerId> = token.holders.keys().copied().collect();
+        let path = self.tree.get(number).map(|context| context.path.to_string());
+        let text = format!("{} was deleted", path.unwrap_or_default());
+        let error = WireError::new(Code::UNKNOWN_PATH, text).slot("context");
+        if let Some(storing) = storing {
+            self.storing.remove(&storing.ticket);
+            self.refuse_all(&storing.change.answers, &error, Verb::Grab, number, out);
+        }
+        for peer in waiting {
+            self.withdraw(number, peer, &error, out);
+        }
+        for (peer, parcel) in held_back {
+            if self.peers.get(peer).is_some() {
+                self.push_refusal(peer, &parcel, &error, out);
+            }
+            self.uninvolve(peer, number);
+        }
+        for peer in holders {
+            self.uninhibit(number, peer, Reason::Deleted.word(), out);
+        }
+        self.end_handover(number, None, out);
+        self.lose(number, Reason::Deleted, by, out);
+    }
+
+    pub(crate) fn unguard(&mut self, channel: ContextNumber) {
         let token = self
             .tree
             .get(channel)
@@ -153,9 +201,12 @@ impl Hub {
                     Some(GuardOwner {
                         peer: owner.peer,
                         name,
-                        level: facts.level,
+                        level: token
+                            .and_then(|token| self.owner_level(token))
+                            .unwrap_or(facts.level),
                         lease_end: owner.lease_end,
                         lost_at: token.and_then(|token| token.deadline()),
+                        commands: owner.delegation.as_ref().and_then(|given| given.commands),
                     })
                 }),
                 fence: token.map_or(self.deleted_fence, |token| token.fence),

@@ -10,20 +10,30 @@ use mom_managers::{Expiry, Micros};
 use mom_proto::event::{self, Reason};
 use mom_proto::{Content, ContextNumber, Family, Map, Path, Value};
 
+use crate::durable::Change;
 use crate::hub::Timer;
-use crate::token::{Ownership, Token};
+use crate::token::{Delegation, Ownership, Token};
 use crate::{Effect, Hub, PeerId};
 
 /// Numbers of one epoch; grants beyond run into the next, which is why epochs are seconds apart.
 const EPOCH_BITS: u32 = 20;
 
-impl Hub {
-    /// Gives a token to a peer, taking it from its owner if it has one.
-    pub(crate) fn grant(&mut self, number: ContextNumber, to: PeerId, reason: Reason, out: &mut Vec<Effect>) {
-        self.change_owner(number, Some(to), reason, Some(to), out);
-    }
+/// A new owner, and what its ownership depends on.
+#[derive(Clone, Debug)]
+pub(crate) struct Grantee {
+    pub(crate) peer: PeerId,
+    /// When it ends, whatever the lease.
+    pub(crate) until: Option<Micros>,
+    pub(crate) delegation: Option<Delegation>,
+    /// The rule that allowed it.
+    pub(crate) rule: Option<Arc<str>>,
+    /// When the turn began that it continues.
+    pub(crate) turn: Option<Micros>,
+}
 
-    /// Ends the ownership of a token, if there is one.
+impl Hub {
+    /// Ends the ownership of a token, if there is one. What was given for a time returns to its giver; else the
+    /// next of the queue has it.
     pub(crate) fn lose(
         &mut self,
         number: ContextNumber,
@@ -31,33 +41,60 @@ impl Hub {
         by: Option<PeerId>,
         out: &mut Vec<Effect>,
     ) {
+        let owner = self.token(number).and_then(|token| token.owner.as_ref());
+        let Some(owner) = owner else { return };
+        let giver = owner.delegation.as_ref().map(|delegation| delegation.from);
+        let turn = Some(owner.turn);
+        let returns = !matches!(reason, Reason::Deleted | Reason::Broken | Reason::Preempted);
+        // A delegate that gives the token back does what was agreed.
+        let reason = match reason {
+            Reason::Released if giver.is_some() => Reason::Returned,
+            reason => reason,
+        };
         self.change_owner(number, None, reason, by, out);
-    }
-
-    /// Begins a new lease for the owner.
-    pub(crate) fn renew_lease(&mut self, number: ContextNumber) {
-        self.drop_timer(number);
-        let now = self.now;
-        if let Some(token) = self.tree.get_mut(number).and_then(|context| context.token_mut()) {
-            let end = token.lease_from(now);
-            if let Some(owner) = &mut token.owner {
-                owner.lease_end = end;
+        let parent = self.tree.get(number).and_then(|context| context.parent);
+        let giver = giver
+            .filter(|_| returns)
+            .filter(|giver| parent.is_some_and(|parent| self.is_member(*giver, parent)));
+        match giver {
+            Some(giver) if self.token(number).is_some_and(Token::is_free) => {
+                let change = Change {
+                    turn,
+                    ..Change::to(giver, Reason::Returned)
+                };
+                self.hand(number, change, out);
+            }
+            _ => {
+                self.correct_record(number, out);
+                self.advance_queue(number, out);
             }
         }
-        self.set_timer(number);
+    }
+
+    /// Begins a new lease for the owner, who has shown that it is there.
+    pub(crate) fn renew_lease(&mut self, number: ContextNumber) {
+        let now = self.now;
+        if let Some(token) = self.token_mut(number) {
+            let (end, deadman) = (token.lease_from(now), token.terms.deadman);
+            if let Some(owner) = &mut token.owner {
+                owner.lease_end = end;
+                owner.alive_until = deadman.map(|deadman| now.saturating_add(deadman));
+            }
+        }
+        self.retime(number);
         // The routes tell refused senders how much of the lease is left.
         self.change_guarded_routes(number);
     }
 
-    fn change_owner(
+    /// The one place where a token's owner changes.
+    pub(crate) fn change_owner(
         &mut self,
         number: ContextNumber,
-        to: Option<PeerId>,
+        to: Option<Grantee>,
         reason: Reason,
         by: Option<PeerId>,
         out: &mut Vec<Effect>,
     ) {
-        self.drop_timer(number);
         let (now, floor) = (self.now, self.fence_floor());
         let Some(context) = self.tree.get_mut(number) else {
             return;
@@ -66,27 +103,68 @@ impl Hub {
         let Some(token) = context.token_mut() else { return };
         let old = token.owner.take();
         let old_fence = token.fence;
-        if let Some(peer) = to {
-            token.fence = (token.fence + 1).max(floor + 1);
-            token.owner = Some(Ownership {
-                peer,
-                since: now,
-                lease_end: token.lease_from(now),
-            });
-        }
         if old.is_none() && to.is_none() {
             return;
         }
-        self.note_owner(number, old.as_ref(), to);
-        self.set_timer(number);
+        let (new, rule) = match to {
+            Some(grantee) => {
+                token.fence = (token.fence + 1).max(floor + 1);
+                token.reserved = None;
+                token.owner = Some(Ownership {
+                    peer: grantee.peer,
+                    since: now,
+                    turn: grantee.turn.unwrap_or(now),
+                    lease_end: token.lease_from(now),
+                    alive_until: token.terms.deadman.map(|deadman| now.saturating_add(deadman)),
+                    until: grantee.until,
+                    delegation: grantee.delegation,
+                });
+                (Some(grantee.peer), grantee.rule)
+            }
+            None => (None, None),
+        };
+        self.note_owner(number, old.as_ref(), new);
+        self.retime(number);
         self.change_guarded_routes(number);
         if let Some(old) = old {
-            self.push_safe_state(number, out);
-            self.push_released(number, &path, old.peer, old_fence, reason, by, out);
+            // Who hands over by agreement has the device in hand until the other has it.
+            let agreed = matches!(reason, Reason::Given | Reason::Returned) && by.is_some();
+            if !agreed || self.token(number).is_some_and(|token| token.safe_on_give) {
+                self.push_safe_state(number, out);
+            }
+            let ended = Ended {
+                path: &path,
+                peer: old.peer,
+                fence: old_fence,
+                reason,
+                by,
+            };
+            self.push_released(number, &ended, out);
+            self.audit_lost(&ended, out);
         }
-        if let Some(peer) = to {
-            self.push_grabbed(number, &path, peer, out);
+        if let Some(peer) = new {
+            self.push_grabbed(number, &path, peer, reason == Reason::Returned, out);
+            self.audit_granted(number, &path, peer, reason, rule, out);
         }
+        self.end_handover(number, new, out);
+    }
+
+    /// The deadline of a token has come.
+    pub(crate) fn handle_deadline(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
+        let now = self.now;
+        let Some(token) = self.token_mut(number) else {
+            return;
+        };
+        token.timer = None;
+        let over = |at: Option<Micros>| at.is_some_and(|at| now >= at);
+        let delegation = token.owner.as_ref().and_then(|owner| owner.delegation.as_ref());
+        let returned =
+            delegation.is_some_and(|delegation| over(delegation.until) || over(delegation.return_at));
+        let reason = match returned {
+            true => Reason::Returned,
+            false => Reason::Expired,
+        };
+        self.lose(number, reason, None, out);
     }
 
     fn note_owner(&mut self, number: ContextNumber, old: Option<&Ownership>, new: Option<PeerId>) {
@@ -98,7 +176,7 @@ impl Hub {
         }
     }
 
-    fn fence_floor(&self) -> u64 {
+    pub(crate) fn fence_floor(&self) -> u64 {
         (self.settings.epoch << EPOCH_BITS).max(self.deleted_fence)
     }
 
@@ -131,51 +209,52 @@ impl Hub {
         }
     }
 
-    #[expect(clippy::too_many_arguments, reason = "all of them are what the event says")]
-    fn push_released(
-        &self,
-        number: ContextNumber,
-        path: &Path,
-        old: PeerId,
-        fence: u64,
-        reason: Reason,
-        by: Option<PeerId>,
-        out: &mut Vec<Effect>,
-    ) {
+    fn push_released(&self, number: ContextNumber, ended: &Ended<'_>, out: &mut Vec<Effect>) {
         let mut content = Map::new()
-            .with("owner", self.name_of(old))
-            .with("reason", reason.word());
-        if let Some(by) = by {
+            .with("owner", self.name_of(ended.peer))
+            .with("reason", ended.reason.word());
+        if let Some(by) = ended.by {
             content.set("by", self.name_of(by));
         }
-        content.set("fence", fence_value(fence));
+        content.set("fence", fence_value(ended.fence));
         let mut to = self.concerned(number);
         // Always the old owner; one that is gone already cannot be told.
-        if self.peers.get(old).is_some() {
-            to.insert(old);
+        if self.peers.get(ended.peer).is_some() {
+            to.insert(ended.peer);
         }
-        self.push_event(event::RELEASED, path, to.into_iter().collect(), content, out);
-    }
-
-    fn push_grabbed(&self, number: ContextNumber, path: &Path, new: PeerId, out: &mut Vec<Effect>) {
-        let Some(token) = self.token(number) else { return };
-        let mut content = Map::new().with("owner", self.name_of(new));
-        if let Some(peer) = self.peers.get(new) {
-            content.set("level", peer.facts.level);
-        }
-        content.set("fence", fence_value(token.fence));
-        content.set("lease", self.lease_value(token));
         self.push_event(
-            event::GRABBED,
-            path,
-            self.concerned(number).into_iter().collect(),
+            event::RELEASED,
+            ended.path,
+            to.into_iter().collect(),
             content,
             out,
         );
     }
 
+    fn push_grabbed(
+        &self,
+        number: ContextNumber,
+        path: &Path,
+        new: PeerId,
+        returned: bool,
+        out: &mut Vec<Effect>,
+    ) {
+        let Some(token) = self.token(number) else { return };
+        let mut content = Map::new().with("owner", self.name_of(new));
+        content.set("level", self.owner_level(token).unwrap_or_default());
+        for (key, value) in self.granted(number) {
+            content.set(&key, value);
+        }
+        let mut to = self.concerned(number);
+        // What returns by itself nobody has asked for, so no reply says it.
+        if returned {
+            to.insert(new);
+        }
+        self.push_event(event::GRABBED, path, to.into_iter().collect(), content, out);
+    }
+
     /// The members of a token and of the channels that it guards.
-    fn concerned(&self, number: ContextNumber) -> BTreeSet<PeerId> {
+    pub(crate) fn concerned(&self, number: ContextNumber) -> BTreeSet<PeerId> {
         let mut peers: BTreeSet<PeerId> = self.members_of(number).into_iter().collect();
         for channel in self.token(number).into_iter().flat_map(|token| &token.guarded) {
             peers.extend(self.members_of(*channel));
@@ -183,28 +262,43 @@ impl Hub {
         peers
     }
 
-    /// What is known of a token's owner, for replies: fence, and with an owner who, since when, lease left.
-    pub(crate) fn token_map(&self, token: &Token) -> Map {
-        let mut map = Map::new();
-        if let Some(owner) = &token.owner {
-            map.set("owner", self.name_of(owner.peer));
-            if let Some(peer) = self.peers.get(owner.peer) {
-                map.set("owner-level", peer.facts.level);
-            }
-            let held = i64::try_from((self.now - owner.since) / 1000).unwrap_or(i64::MAX);
-            map.set("held", held);
-            map.set(
-                "lease-left",
-                owner.lease_end.map_or(Value::Null, |end| self.millis_until(end)),
-            );
+    /// What an owner is told: fence, lease, deadman time, and from whom it has the token for how long.
+    pub(crate) fn granted(&self, number: ContextNumber) -> Map {
+        let Some(token) = self.token(number) else {
+            return Map::new();
+        };
+        let mut map = Map::new()
+            .with("fence", fence_value(token.fence))
+            .with("lease", self.lease_value(token));
+        if let Some(deadman) = token.terms.deadman {
+            map.set("deadman", millis(deadman));
         }
-        map.set("fence", fence_value(token.fence));
+        let delegation = token.owner.as_ref().and_then(|owner| owner.delegation.as_ref());
+        if let Some(delegation) = delegation {
+            map.set("from", self.name_of(delegation.from));
+            if let Some(until) = delegation.until {
+                map.set("for", self.millis_until(until));
+            }
+            if let Some(commands) = delegation.commands {
+                map.set("commands", fence_value(commands));
+            }
+        }
         map
+    }
+
+    /// The level with which the owner of a token defends it: that of the giver too, if it was given.
+    pub(crate) fn owner_level(&self, token: &Token) -> Option<i32> {
+        let owner = token.owner.as_ref()?;
+        let level = |peer: PeerId| self.peers.get(peer).map(|peer| peer.facts.level);
+        let giver = owner
+            .delegation
+            .as_ref()
+            .and_then(|delegation| level(delegation.from));
+        level(owner.peer).map(|own| giver.map_or(own, |giver| own.max(giver)))
     }
 
     /// The whole lease in ms, null without end.
     pub(crate) fn lease_value(&self, token: &Token) -> Value {
-        let millis = |lease: Micros| Value::Int(i64::try_from(lease / 1000).unwrap_or(i64::MAX));
         token.terms.lease.map_or(Value::Null, millis)
     }
 
@@ -215,17 +309,32 @@ impl Hub {
             .unwrap_or_default()
     }
 
-    fn set_timer(&mut self, number: ContextNumber) {
-        if let Some(deadline) = self.token(number).and_then(Token::deadline) {
-            self.timers.insert((deadline, Timer::Lease(number)));
+    /// Sets the token's timer to its deadline as it is now.
+    pub(crate) fn retime(&mut self, number: ContextNumber) {
+        let Some(token) = self.tree.get_mut(number).and_then(|context| context.token_mut()) else {
+            return;
+        };
+        let (old, new) = (token.timer, token.deadline());
+        token.timer = new;
+        if old == new {
+            return;
+        }
+        if let Some(old) = old {
+            self.timers.remove(&(old, Timer::Lease(number)));
+        }
+        if let Some(new) = new {
+            self.timers.insert((new, Timer::Lease(number)));
         }
     }
+}
 
-    fn drop_timer(&mut self, number: ContextNumber) {
-        if let Some(deadline) = self.token(number).and_then(Token::deadline) {
-            self.timers.remove(&(deadline, Timer::Lease(number)));
-        }
-    }
+/// An ownership that has ended.
+pub(crate) struct Ended<'a> {
+    pub(crate) path: &'a Path,
+    pub(crate) peer: PeerId,
+    pub(crate) fence: u64,
+    pub(crate) reason: Reason,
+    pub(crate) by: Option<PeerId>,
 }
 
 /// The word for what happens at a lease's end.
@@ -239,4 +348,9 @@ pub(crate) fn expiry_word(expiry: Expiry) -> &'static str {
 /// A fence as a value.
 pub(crate) fn fence_value(fence: u64) -> i64 {
     i64::try_from(fence).unwrap_or(i64::MAX)
+}
+
+/// A duration in whole ms.
+pub(crate) fn millis(duration: Micros) -> Value {
+    Value::Int(i64::try_from(duration / 1000).unwrap_or(i64::MAX))
 }

@@ -14,6 +14,8 @@ pub(crate) struct Peer {
     pub(crate) facts: Arc<PeerFacts>,
     pub(crate) joined: BTreeSet<ContextNumber>,
     pub(crate) owns: BTreeSet<ContextNumber>,
+    /// Tokens that it waits for, asks for, is offered, or holds together with others.
+    pub(crate) involved: BTreeSet<ContextNumber>,
 }
 
 /// All peers by connection and by name.
@@ -60,6 +62,7 @@ impl Peers {
                 facts: Arc::clone(&facts),
                 joined: BTreeSet::new(),
                 owns: BTreeSet::new(),
+                involved: BTreeSet::new(),
             },
         );
         facts

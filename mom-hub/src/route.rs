@@ -46,8 +46,10 @@ pub struct GuardOwner {
     pub level: i32,
     /// When its lease ends if it does not renew.
     pub lease_end: Option<Micros>,
-    /// When the hub takes the token from it by itself: the lease's end where the expiry is eager.
+    /// When the hub takes the token from it by itself: the end of an eager lease, of its deadman time, of its turn.
     pub lost_at: Option<Micros>,
+    /// How many commands it still has, where the token was given for a number of them.
+    pub commands: Option<u64>,
 }
 
 impl Route {

@@ -1,22 +1,43 @@
 //! The state of a token (M28, M29, design §6). Only `ownership.rs` changes its owner.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use mom_managers::{Expiry, Micros, Terms};
-use mom_proto::{Content, ContextNumber, Path};
+use mom_managers::{Expiry, Given, Micros, Terms};
+use mom_proto::{Content, ContextNumber, Parcel, Path};
 
-use crate::PeerId;
+use crate::durable::Storing;
+use crate::{Holder, PeerId, Record};
 
 /// A token.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Token {
     pub(crate) owner: Option<Ownership>,
+    /// Who holds it together with others, and since when; while somebody does, nobody owns it.
+    pub(crate) holders: BTreeMap<PeerId, Micros>,
     /// Of the latest grant; 0 before the first. Only rises.
     pub(crate) fence: u64,
     pub(crate) terms: Terms,
     pub(crate) safe: Option<SafeState>,
+    /// Whether the safe state is sent also where the owner gave the token away.
+    pub(crate) safe_on_give: bool,
     /// The channels that it guards.
     pub(crate) guarded: BTreeSet<ContextNumber>,
+    /// Who waits for it, in the order in which they will have it.
+    pub(crate) queue: Vec<Waiter>,
+    /// What the owner offers.
+    pub(crate) offer: Option<Offer>,
+    /// Who has asked the owner to hand over.
+    pub(crate) asking: Vec<Asking>,
+    /// A change of owner that waits until it is durable.
+    pub(crate) storing: Option<Storing>,
+    /// Requests that wait for the end of that.
+    pub(crate) held_back: VecDeque<(PeerId, Parcel)>,
+    /// What was stored last.
+    pub(crate) record: Option<Record>,
+    /// Who alone may have it, since a restart.
+    pub(crate) reserved: Option<Reserved>,
+    /// When the hub's timer for it goes off.
+    pub(crate) timer: Option<Micros>,
 }
 
 /// Who owns a token, since when, until when.
@@ -24,7 +45,72 @@ pub(crate) struct Token {
 pub(crate) struct Ownership {
     pub(crate) peer: PeerId,
     pub(crate) since: Micros,
+    /// When its turn began: who gives and returns within a turn gains no time by that.
+    pub(crate) turn: Micros,
     pub(crate) lease_end: Option<Micros>,
+    /// The end of the deadman time.
+    pub(crate) alive_until: Option<Micros>,
+    /// The end that the manager set, whatever the lease.
+    pub(crate) until: Option<Micros>,
+    pub(crate) delegation: Option<Delegation>,
+}
+
+/// An ownership that returns to who gave it (M41).
+#[derive(Clone, Debug)]
+pub(crate) struct Delegation {
+    pub(crate) from: PeerId,
+    /// When the time is over.
+    pub(crate) until: Option<Micros>,
+    /// How many commands are left.
+    pub(crate) commands: Option<u64>,
+    /// When the token returns, once they are used up.
+    pub(crate) return_at: Option<Micros>,
+}
+
+/// A grab that waits.
+#[derive(Clone, Debug)]
+pub(crate) struct Waiter {
+    pub(crate) peer: PeerId,
+    /// Tells it from all others that ever waited.
+    pub(crate) ticket: u64,
+    /// The id of its request.
+    pub(crate) id: Option<u64>,
+    pub(crate) level: i32,
+    pub(crate) since: Micros,
+    /// When it gives up.
+    pub(crate) until: Option<Micros>,
+    /// What chairs and managing peers said of it.
+    pub(crate) answers: Vec<Given>,
+    /// The place that it was told last.
+    pub(crate) told: usize,
+}
+
+/// An offer of the owner to one peer.
+#[derive(Clone, Debug)]
+pub(crate) struct Offer {
+    pub(crate) to: PeerId,
+    pub(crate) until: Micros,
+    /// For how long, once accepted; none = for good.
+    pub(crate) time: Option<Micros>,
+    /// For how many commands.
+    pub(crate) commands: Option<u64>,
+}
+
+/// A peer that has asked the owner to hand over.
+#[derive(Clone, Debug)]
+pub(crate) struct Asking {
+    pub(crate) peer: PeerId,
+    pub(crate) ticket: u64,
+    pub(crate) id: Option<u64>,
+    pub(crate) until: Micros,
+}
+
+/// After a restart: who may have the token before a lease of then could have ended.
+#[derive(Clone, Debug)]
+pub(crate) struct Reserved {
+    /// None: a change was under way, so nobody may.
+    pub(crate) holder: Option<Holder>,
+    pub(crate) until: Micros,
 }
 
 /// What is sent when ownership ends; without one, `halt` to every guarded channel.
@@ -52,6 +138,61 @@ impl Token {
     /// When the hub has to end the ownership by itself.
     pub(crate) fn deadline(&self) -> Option<Micros> {
         let owner = self.owner.as_ref()?;
-        owner.lease_end.filter(|_| self.terms.expiry == Expiry::Eager)
+        let lease = owner
+            .lease_end
+            .filter(|_| self.terms.expiry == Expiry::Eager || !self.queue.is_empty());
+        let delegated = owner.delegation.as_ref();
+        let ends = [
+            lease,
+            owner.alive_until,
+            owner.until,
+            self.hold_end(),
+            delegated.and_then(|delegation| delegation.until),
+            delegated.and_then(|delegation| delegation.return_at),
+        ];
+        ends.into_iter().flatten().min()
+    }
+
+    /// When the owner has had its turn, because others wait.
+    pub(crate) fn hold_end(&self) -> Option<Micros> {
+        let owner = self.owner.as_ref()?;
+        let hold = self.terms.hold?;
+        let first = self.queue.iter().map(|waiter| waiter.since).min()?;
+        let noticed = first.saturating_add(self.terms.notice);
+        Some(owner.turn.saturating_add(hold).max(noticed))
+    }
+
+    /// Whether nobody has it in any way, and no change is under way.
+    pub(crate) fn is_free(&self) -> bool {
+        self.owner.is_none() && self.holders.is_empty() && self.storing.is_none()
+    }
+
+    /// The place in the queue at which a waiter of this level would come, from 0.
+    pub(crate) fn place_for(&self, level: i32) -> usize {
+        if !self.terms.by_level {
+            return self.queue.len();
+        }
+        let before = |waiter: &&Waiter| waiter.level >= level;
+        self.queue.iter().take_while(before).count()
+    }
+
+    /// Whether a peer has something to do with it besides owning it.
+    pub(crate) fn involves(&self, peer: PeerId) -> bool {
+        self.holders.contains_key(&peer)
+            || self.queue.iter().any(|waiter| waiter.peer == peer)
+            || self.asking.iter().any(|asking| asking.peer == peer)
+            || self.offer.as_ref().is_some_and(|offer| offer.to == peer)
+            || self.held_back.iter().any(|(held, _)| *held == peer)
+    }
+}
+
+impl SafeState {
+    /// A safe state of the configuration or of a request; its content goes as it came.
+    pub(crate) fn new(channel: Path, name: String, content: Option<Content>) -> SafeState {
+        SafeState {
+            channel,
+            name,
+            content,
+        }
     }
 }

@@ -5,23 +5,17 @@ use mom_proto::{Code, ContextKind, Verb, WireError};
 use super::Request;
 use crate::args::{self, ContextSpec};
 use crate::consult::Wish;
+use crate::pending::Refusal;
 use crate::{Effect, Hub};
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), WireError> {
+pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
     let spec: ContextSpec = args::read(&request.parcel)?;
     if spec.path.is_some() {
         return Err(args::bad(
             "path",
             "the path to be made stands in the slot context".to_owned(),
-        ));
-    }
-    if spec
-        .manager
-        .as_ref()
-        .is_some_and(|manager| manager.as_str() == Some("self"))
-    {
-        let text = "a context that its creator manages itself is not built yet; name a manager of the hub";
-        return Err(WireError::new(Code::UNKNOWN_MANAGER, text).slot("content/manager"));
+        )
+        .into());
     }
     let above = hub
         .tree
@@ -52,11 +46,13 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
             Code::NOT_MEMBER,
             format!("join {above} before making something in it"),
         )
-        .slot("context"));
+        .slot("context")
+        .into());
     }
-    let number = hub.make(request.path.clone(), &spec, false)?;
+    let number = hub.make(request.path.clone(), &spec, Some(request.peer))?;
     hub.grown.insert(number);
-    hub.push_created(number, request.peer, out);
+    hub.audit_context("created", &request.path, Some(request.peer), out);
+    hub.push_created(number, Some(request.peer), out);
     let content = hub.tree.get(number).map(|context| context.summary());
     hub.push_ok(request.peer, request.parcel.id, &request.path, content, out);
     Ok(())

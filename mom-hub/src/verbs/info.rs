@@ -1,16 +1,17 @@
 //! `context info` and `token info`: all about one context (M33).
 
-use mom_proto::{Map, WireError};
+use mom_proto::Map;
 
 use super::Request;
 use crate::context::{Presence, Role};
 use crate::ownership::expiry_word;
+use crate::pending::Refusal;
 use crate::{Effect, Hub};
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), WireError> {
+pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
     let number = hub.allowed(request)?;
     let Some(context) = hub.tree.get(number) else {
-        return Err(hub.unknown_path(&request.path, None));
+        return Err(hub.unknown_path(&request.path, None).into());
     };
     let mut info = context.summary().with(
         "members",
@@ -39,7 +40,7 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
         Role::Token(token) => {
             info.set("lease", hub.lease_value(token));
             info.set("expiry", expiry_word(token.terms.expiry));
-            for (key, value) in hub.token_map(token) {
+            for (key, value) in hub.token_map(token).into_iter().chain(hub.waiting_map(number)) {
                 info.set(&key, value);
             }
         }

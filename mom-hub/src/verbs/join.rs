@@ -4,21 +4,23 @@ use mom_proto::{Code, WireError};
 
 use super::Request;
 use crate::context::Role;
+use crate::pending::Refusal;
 use crate::{Effect, Hub};
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), WireError> {
+pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
     let number = hub.allowed(request)?;
     hub.check_parent_joined(request.peer, number)?;
     if !hub.is_member(request.peer, number) {
+        hub.check_not_expelled(request.peer, number)?;
         let joined = hub.peers.get(request.peer).map_or(0, |peer| peer.joined.len());
         if !hub.settings.limits.joined.allows(joined + 1) {
             let text = format!("a peer joins at most {} contexts", hub.settings.limits.joined);
-            return Err(WireError::new(Code::FULL, text));
+            return Err(WireError::new(Code::FULL, text).into());
         }
         hub.add_member(number, request.peer, out);
     }
     let Some(context) = hub.tree.get(number) else {
-        return Err(hub.unknown_path(&request.path, None));
+        return Err(hub.unknown_path(&request.path, None).into());
     };
     let mut content = context.summary();
     match &context.role {

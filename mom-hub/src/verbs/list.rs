@@ -1,15 +1,16 @@
 //! `context list`: the children of a session.
 
-use mom_proto::{ContextKind, ContextNumber, Map, Value, Verb, WireError};
+use mom_proto::{ContextKind, ContextNumber, Map, Value, Verb};
 
 use super::{Request, of_kind};
 use crate::consult::Wish;
+use crate::pending::Refusal;
 use crate::{Effect, Hub};
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), WireError> {
+pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
     let number = hub.allowed(request)?;
     let Some(context) = hub.tree.get(number) else {
-        return Err(hub.unknown_path(&request.path, None));
+        return Err(hub.unknown_path(&request.path, None).into());
     };
     of_kind(context, ContextKind::Session, Verb::List)?;
     let children: Vec<ContextNumber> = context.children.values().copied().collect();

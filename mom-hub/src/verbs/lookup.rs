@@ -1,11 +1,10 @@
 //! `context lookup`: what is at a path (M32).
 
-use mom_proto::WireError;
-
 use super::Request;
+use crate::pending::Refusal;
 use crate::{Effect, Hub};
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), WireError> {
+pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
     let number = hub.allowed(request)?;
     let content = hub.tree.get(number).map(|context| context.summary());
     hub.push_ok(request.peer, request.parcel.id, &request.path, content, out);

@@ -1,12 +1,13 @@
 //! `context members`: who is in a context.
 
-use mom_proto::{Map, Value, WireError};
+use mom_proto::{Map, Value};
 
 use super::Request;
 use crate::events::peer_map;
+use crate::pending::Refusal;
 use crate::{Effect, Hub};
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), WireError> {
+pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
     let number = hub.allowed(request)?;
     let members = hub
         .tree

@@ -1,9 +1,12 @@
 //! One verb per file: what it needs, what it changes, what it answers.
 
+mod accept;
 mod create;
 mod delete;
+mod give;
 mod grab;
 mod info;
+mod invite;
 mod join;
 mod leave;
 mod list;
@@ -11,12 +14,17 @@ mod lookup;
 mod members;
 mod release;
 mod renew;
+mod request;
 mod send;
+mod shared;
+mod verdict;
 
-use mom_proto::{Code, ContextKind, ContextNumber, Parcel, Path, Verb, WireError};
+use mom_proto::{Code, ContextKind, ContextNumber, Family, Parcel, Path, Verb, WireError};
 
-use crate::consult::Wish;
+use crate::consult::{Allowed, Wish};
 use crate::context::Context;
+use crate::pending::{Refusal, take_parcel};
+use crate::waiting::MOST;
 use crate::{Effect, Hub, PeerId};
 
 /// A request with its context's path resolved.
@@ -27,44 +35,47 @@ pub(crate) struct Request {
     pub(crate) parcel: Parcel,
 }
 
-/// Carries out a request. An error has changed nothing and has had no effect.
-pub(crate) fn carry_out(
-    hub: &mut Hub,
-    peer: PeerId,
-    parcel: Parcel,
-    out: &mut Vec<Effect>,
-) -> Result<(), WireError> {
-    let verb = Verb::of(parcel.family, &parcel.name)?;
-    let path = hub.path_of(&parcel, verb)?;
-    let request = Request {
-        peer,
-        verb,
-        path,
-        parcel,
-    };
-    match verb {
-        Verb::Create => create::on(hub, &request, out),
-        Verb::Lookup => lookup::on(hub, &request, out),
-        Verb::List => list::on(hub, &request, out),
-        Verb::Info => info::on(hub, &request, out),
-        Verb::Join => join::on(hub, &request, out),
-        Verb::Leave => leave::on(hub, &request, out),
-        Verb::Delete => delete::on(hub, &request, out),
-        Verb::Members => members::on(hub, &request, out),
-        Verb::Grab => grab::on(hub, &request, out),
-        Verb::Release => release::on(hub, &request, out),
-        Verb::Renew => renew::on(hub, &request, out),
+/// Carries out a request. A refusal has changed nothing and has had no effect.
+pub(crate) fn carry_out(hub: &mut Hub, request: &mut Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+    if hub.hold_back(request)? {
+        return Ok(());
+    }
+    match request.verb {
+        Verb::Create => create::on(hub, request, out),
+        Verb::Lookup => lookup::on(hub, request, out),
+        Verb::List => list::on(hub, request, out),
+        Verb::Info => info::on(hub, request, out),
+        Verb::Join => join::on(hub, request, out),
+        Verb::Leave => leave::on(hub, request, out),
+        Verb::Delete => delete::on(hub, request, out),
+        Verb::Members => members::on(hub, request, out),
+        Verb::Invite => invite::on_invite(hub, request, out),
+        Verb::Expel => invite::on_expel(hub, request, out),
+        Verb::Grab => grab::on(hub, request, out),
+        Verb::Release => release::on(hub, request, out),
+        Verb::Renew => renew::on(hub, request, out),
+        Verb::Give => give::on(hub, request, out),
+        Verb::Accept => accept::on_accept(hub, request, out),
+        Verb::Decline => accept::on_decline(hub, request, out),
+        Verb::Request => request::on(hub, request, out),
+        Verb::Break => shared::on_break(hub, request, out),
+        Verb::Inhibit => shared::on_inhibit(hub, request, out),
+        Verb::Uninhibit => shared::on_uninhibit(hub, request, out),
         Verb::Send | Verb::Stop | Verb::Unstop => send::on(hub, request, out),
-        Verb::Logout => logout(hub, &request, out),
-        // Those need what the hub does not have: passwords and clocks. The broker answers them.
-        _ => Err(WireError::new(
-            Code::UNKNOWN_VERB,
-            format!("{verb} is not answered here"),
-        )),
+        Verb::Verdict => verdict::on(hub, request, out),
+        Verb::Logout => {
+            logout(hub, request, out);
+            Ok(())
+        }
+        // Those need what the hub does not have: passwords, keys and clocks. The broker answers them.
+        verb @ (Verb::Login | Verb::Answer | Verb::Ping | Verb::Pong) => {
+            let text = format!("{verb} is not answered here");
+            Err(WireError::new(Code::UNKNOWN_VERB, text).into())
+        }
     }
 }
 
-fn logout(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), WireError> {
+fn logout(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) {
     // The departure first: whoever reads `ok` has left everything and owns nothing.
     hub.handle_gone(request.peer, out);
     hub.push_ok(request.peer, request.parcel.id, &Path::root(), None, out);
@@ -72,11 +83,34 @@ fn logout(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(),
         peer: request.peer,
         error: None,
     });
-    Ok(())
 }
 
 impl Hub {
-    fn path_of(&self, parcel: &Parcel, verb: Verb) -> Result<Path, WireError> {
+    /// Puts a request on a token aside while a change of its owner is being stored.
+    fn hold_back(&mut self, request: &mut Request) -> Result<bool, WireError> {
+        let about_token = matches!(request.verb.family(), Family::Token);
+        let storing = self
+            .tree
+            .find(&request.path)
+            .filter(|context| about_token && context.token().is_some_and(|token| token.storing.is_some()));
+        let Some(number) = storing.map(|context| context.number) else {
+            return Ok(false);
+        };
+        let Some(token) = self.token_mut(number) else {
+            return Ok(false);
+        };
+        if token.held_back.len() >= MOST {
+            let text = "too many requests wait for this token";
+            return Err(WireError::new(Code::TRY_LATER, text));
+        }
+        token
+            .held_back
+            .push_back((request.peer, take_parcel(&mut request.parcel)));
+        self.involve(request.peer, number);
+        Ok(true)
+    }
+
+    pub(crate) fn path_of(&self, parcel: &Parcel, verb: Verb) -> Result<Path, WireError> {
         if let Some(path) = &parcel.context {
             return Ok(path.clone());
         }
@@ -89,7 +123,7 @@ impl Hub {
                     let text = format!("there is no context of number {}", number.0);
                     WireError::new(Code::UNKNOWN_PATH, text).slot("context")
                 }),
-            None if verb == Verb::Logout => Ok(Path::root()),
+            None if matches!(verb, Verb::Logout | Verb::Verdict) => Ok(Path::root()),
             None => {
                 let text = format!("{verb} needs the slot context");
                 Err(WireError::new(Code::BAD_SLOT, text).slot("context"))
@@ -100,7 +134,7 @@ impl Hub {
     /// The context of a request, once its manager has allowed the verb there.
     ///
     /// Where nothing is, the manager of the nearest context above decides whether the peer may know.
-    pub(crate) fn allowed(&mut self, request: &Request) -> Result<ContextNumber, WireError> {
+    pub(crate) fn allowed(&mut self, request: &Request) -> Result<ContextNumber, Refusal> {
         match self.tree.find(&request.path).map(|context| context.number) {
             Some(number) => {
                 self.ask(request.peer, &Wish::new(request.verb, number))?;
@@ -119,7 +153,7 @@ impl Hub {
                         ..Wish::new(request.verb, at)
                     },
                 )?;
-                Err(self.unknown_to(request.peer, &request.path))
+                Err(self.unknown_to(request.peer, &request.path).into())
             }
         }
     }
@@ -139,11 +173,27 @@ impl Hub {
     }
 
     /// As [`Hub::allowed`], for verbs of tokens.
-    pub(crate) fn allowed_token(&mut self, request: &Request) -> Result<ContextNumber, WireError> {
+    pub(crate) fn allowed_token(&mut self, request: &Request) -> Result<ContextNumber, Refusal> {
         if let Some(context) = self.tree.find(&request.path) {
             of_kind(context, ContextKind::Token, request.verb)?;
         }
         self.allowed(request)
+    }
+
+    /// The token of a request; its manager is asked only where there is none, whether the peer may know.
+    pub(crate) fn find_token(&mut self, request: &Request) -> Result<ContextNumber, Refusal> {
+        match self.tree.find(&request.path) {
+            Some(context) => {
+                of_kind(context, ContextKind::Token, request.verb)?;
+                Ok(context.number)
+            }
+            None => self.allowed(request),
+        }
+    }
+
+    /// Asks the manager of a token, after all that can be wrong with the request itself.
+    pub(crate) fn allow(&mut self, request: &Request, number: ContextNumber) -> Result<Allowed, Refusal> {
+        self.ask(request.peer, &Wish::new(request.verb, number))
     }
 
     /// Whether a peer is a member of a context.

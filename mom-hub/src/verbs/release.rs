@@ -1,15 +1,23 @@
-//! `token release`: the owner gives the token back.
+//! `token release`: the owner gives the token back, or who waits takes that back.
 
-use mom_proto::WireError;
 use mom_proto::event::Reason;
+use mom_proto::{Code, WireError};
 
 use super::Request;
+use crate::pending::Refusal;
 use crate::{Effect, Hub};
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), WireError> {
+pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
     let number = hub.allowed_token(request)?;
-    hub.check_owner(request, number)?;
-    hub.lose(number, Reason::Released, Some(request.peer), out);
-    hub.push_ok(request.peer, request.parcel.id, &request.path, None, out);
+    let peer = request.peer;
+    if hub.owner_of(number) == Some(peer) {
+        hub.lose(number, Reason::Released, Some(peer), out);
+    } else {
+        let error = WireError::new(Code::WITHDRAWN, "released while it waited");
+        if !hub.withdraw(number, peer, &error, out) {
+            hub.check_owner(request, number)?;
+        }
+    }
+    hub.push_ok(peer, request.parcel.id, &request.path, None, out);
     Ok(())
 }

@@ -1,15 +1,18 @@
 //! `token renew`: the owner begins a new lease (M29); commands do not renew.
 
+use std::time::Duration;
+
 use mom_proto::{Code, ContextNumber, WireError};
 
-use super::{Request, grab};
+use super::Request;
+use crate::pending::Refusal;
 use crate::{Effect, Hub};
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), WireError> {
+pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
     let number = hub.allowed_token(request)?;
     hub.check_owner(request, number)?;
     hub.renew_lease(number);
-    let content = grab::granted(hub, number);
+    let content = hub.granted(number);
     hub.push_ok(request.peer, request.parcel.id, &request.path, Some(content), out);
     Ok(())
 }
@@ -33,8 +36,16 @@ impl Hub {
             Some(asked) => error.level(asked.facts.level),
             None => error,
         };
-        Err(match owner.and_then(|owner| self.peers.get(owner)) {
-            Some(owner) => error.owner(&owner.facts.name, owner.facts.level),
+        let level = self.token(number).and_then(|token| self.owner_level(token));
+        let error = match owner {
+            Some(owner) => error.owner(&self.name_of(owner), level.unwrap_or_default()),
+            None => error,
+        };
+        let end = self
+            .token(number)
+            .and_then(|token| token.owner.as_ref()?.lease_end);
+        Err(match end.filter(|end| *end > self.now) {
+            Some(end) => error.retry_after(Duration::from_micros(end - self.now)),
             None => error,
         })
     }

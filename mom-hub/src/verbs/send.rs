@@ -2,39 +2,48 @@
 
 use std::sync::Arc;
 
-use mom_managers::{Scope, Standing, Verdict};
-use mom_proto::{Content, ContextKind, ContextNumber, Parcel, Verb, WireError};
+use mom_managers::{Answer, Micros, Scope, Standing, Verdict};
+use mom_proto::{Content, ContextKind, ContextNumber, Parcel, Verb};
 
 use super::{Request, of_kind};
 use crate::admit::admit_with;
 use crate::consult::Wish;
 use crate::member::has_own_right;
-use crate::{Effect, Hub, PeerId, StandingVerdict};
+use crate::pending::{Refusal, take_parcel};
+use crate::{Effect, Hub, PeerId, Route, StandingVerdict};
 
-pub(crate) fn on(hub: &mut Hub, request: Request, out: &mut Vec<Effect>) -> Result<(), WireError> {
-    let Request {
-        peer,
-        verb,
-        path,
-        mut parcel,
-    } = request;
-    let Some(context) = hub.tree.find(&path) else {
-        let lookup = Request {
-            peer,
-            verb,
-            path,
-            parcel,
-        };
-        return hub.allowed(&lookup).map(|_| ());
+pub(crate) fn on(hub: &mut Hub, request: &mut Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+    let Some(context) = hub.tree.find(&request.path) else {
+        return hub.allowed(request).map(|_| ());
     };
-    of_kind(context, ContextKind::Channel, verb)?;
-    let number = context.number;
-    let verdict = verdict(hub, peer, verb, number, &parcel);
-    hub.keep_standing(peer, number, &parcel, &verdict);
+    of_kind(context, ContextKind::Channel, request.verb)?;
+    let (number, peer) = (context.number, request.peer);
+    if hub.answers.is_empty() && request.verb == Verb::Send {
+        // Messages of one sender stay in their order, also where one has to be asked about.
+        if hub.wait_behind(peer, number, &mut request.parcel)? {
+            return Ok(());
+        }
+    }
+    let wish = Wish {
+        message: Some(&request.parcel.name),
+        size: request.parcel.content.as_ref().map_or(0, Content::size),
+        ..Wish::new(request.verb, number)
+    };
+    let verdict = hub.consult(peer, &wish);
+    if let Answer::Defer(defer) = verdict.answer {
+        return Err(hub.defer(peer, &wish, defer));
+    }
+    hub.keep_standing(peer, number, &request.parcel, &verdict);
     let Some(route) = hub.route(number) else {
-        return Err(hub.unknown_path(&path, Some(ContextKind::Channel)));
+        return Err(hub.unknown_path(&request.path, Some(ContextKind::Channel)).into());
     };
-    let receivers = admit_with(&route, peer, &verdict.answer, &mut parcel, hub.now, hub.wall())?;
+    let (now, wall) = (hub.now, hub.wall());
+    let receivers = admit_with(&route, peer, &verdict.answer, &mut request.parcel, now, wall)?;
+    let parcel = take_parcel(&mut request.parcel);
+    let route = match hub.count_command(peer, &route, &parcel) {
+        true => hub.route(number).unwrap_or(route),
+        false => route,
+    };
     out.push(Effect::Send {
         from: peer,
         parcel: Box::new(parcel),
@@ -45,17 +54,37 @@ pub(crate) fn on(hub: &mut Hub, request: Request, out: &mut Vec<Effect>) -> Resu
     Ok(())
 }
 
-fn verdict(hub: &mut Hub, peer: PeerId, verb: Verb, number: ContextNumber, parcel: &Parcel) -> Verdict {
-    let size = parcel.content.as_ref().map_or(0, Content::size);
-    let wish = Wish {
-        message: Some(&parcel.name),
-        size,
-        ..Wish::new(verb, number)
-    };
-    hub.consult(peer, &wish)
-}
+/// How long a token that was given for a number of commands stays after the last one, µs: a change of owner at once
+/// would overtake that command and take it back.
+const AFTER_LAST: Micros = 1_000_000;
 
 impl Hub {
+    /// Counts a command of an owner that has only so many; whether it was one.
+    fn count_command(&mut self, peer: PeerId, route: &Route, parcel: &Parcel) -> bool {
+        let guard = route.guard.as_ref().filter(|guard| guard.covers(&parcel.name));
+        let counted = guard.and_then(|guard| guard.owner.as_ref());
+        let counted = counted.is_some_and(|owner| owner.peer == peer && owner.commands.is_some());
+        let token = guard.filter(|_| counted && !has_own_right(&parcel.name));
+        let Some(number) = token
+            .and_then(|guard| self.tree.find(&guard.token))
+            .map(|context| context.number)
+        else {
+            return false;
+        };
+        let return_at = self.after(AFTER_LAST);
+        let owner = self.token_mut(number).and_then(|token| token.owner.as_mut());
+        if let Some(delegation) = owner.and_then(|owner| owner.delegation.as_mut()) {
+            let left = delegation.commands.map(|left| left.saturating_sub(1));
+            delegation.commands = left;
+            if left == Some(0) {
+                delegation.return_at = Some(return_at);
+            }
+        }
+        self.retime(number);
+        self.change_guarded_routes(number);
+        true
+    }
+
     /// Puts a verdict that stands into the route, so that the broker need not ask again.
     fn keep_standing(&mut self, peer: PeerId, number: ContextNumber, parcel: &Parcel, verdict: &Verdict) {
         let Standing::Stands { scope, until, rate } = verdict.standing else {

@@ -43,6 +43,8 @@ pub(crate) struct Observer {
     members: Members,
     names: BTreeMap<PeerId, String>,
     routes_before: Vec<Arc<Route>>,
+    /// Requests without an answer.
+    open: BTreeSet<(PeerId, u64)>,
     pub(crate) effects: Vec<Vec<Effect>>,
     pub(crate) seen: Seen,
 }
@@ -65,6 +67,7 @@ impl Observer {
             members: BTreeMap::new(),
             names: BTreeMap::new(),
             routes_before: Vec::new(),
+            open: BTreeSet::new(),
             effects: Vec::new(),
             seen: Seen::default(),
         };
@@ -82,12 +85,13 @@ impl Observer {
             self.hub.deadline().is_none_or(|deadline| deadline > now),
             "deadlines have acted"
         );
+        self.check_answers(None, &effects);
         self.follow(&effects, None);
         let by_route = self.admit_by_route(input);
         let start = effects.len();
         self.hub.handle(now, input.clone(), &mut effects);
         self.hub.check();
-        self.check_answers(input, &effects[start..]);
+        self.check_answers(Some(input), &effects[start..]);
         self.follow(&effects[start..], Some(input));
         if let Some(by_route) = by_route {
             self.check_one_truth(by_route, &effects[start..]);
@@ -114,7 +118,7 @@ impl Observer {
                 self.seen.note("passed by the hub");
                 None
             }
-            Ok(Admission::Pass(receivers)) => {
+            Ok(Admission::Pass(receivers, _)) => {
                 self.seen.note("passed by its route");
                 Some(Ok((receivers, parcel)))
             }
@@ -137,47 +141,58 @@ impl Observer {
         assert_eq!(by_hub, Some(by_route), "the route and the hub say the same");
     }
 
-    /// Every request is answered exactly once, and nobody else is.
-    fn check_answers(&mut self, input: &Input, effects: &[Effect]) {
-        let replies: Vec<(PeerId, &Parcel)> = effects
-            .iter()
-            .filter_map(|effect| match effect {
-                Effect::Reply { to, parcel } => Some((*to, &**parcel)),
-                _ => None,
-            })
-            .collect();
-        let sends = effects
-            .iter()
-            .filter(|effect| matches!(effect, Effect::Send { .. }))
-            .count();
+    /// Every request is answered exactly once, at once or later, and nobody else is.
+    fn check_answers(&mut self, input: Option<&Input>, effects: &[Effect]) {
         let asked = match input {
-            Input::Login { peer, id, .. } => Some((*peer, *id)),
-            Input::Request { peer, parcel } => Some((*peer, parcel.id)),
-            Input::Gone { .. } | Input::Stored { .. } | Input::Configure(_) | Input::Tick => None,
+            Some(Input::Login { peer, id, .. }) => Some((*peer, *id)),
+            Some(Input::Request { peer, parcel }) => Some((*peer, parcel.id)),
+            _ => None,
         };
-        let message = matches!(input, Input::Request { parcel, .. } if parcel.family == Family::Message);
-        match asked {
-            None => assert_eq!((replies.len(), sends), (0, 0), "nobody asked"),
-            Some((peer, id)) => {
-                assert_eq!(replies.len() + sends, 1, "one answer");
-                assert!(message || sends == 0, "only messages are sent on");
-                if let [(to, reply)] = replies[..] {
-                    assert_eq!((to, reply.reference), (peer, id), "answered to whom asked");
-                    assert!(matches!(reply.family, Family::Reply | Family::Error));
-                    assert!(
-                        !message || reply.family == Family::Error,
-                        "receipts are the broker's"
-                    );
-                    self.seen.note(reply.name());
-                }
-            }
+        if let Some((peer, id)) = asked {
+            assert!(
+                self.open.insert((peer, id.unwrap())),
+                "ids rise in a log, so no two requests are the same"
+            );
         }
+        let message =
+            matches!(input, Some(Input::Request { parcel, .. }) if parcel.family == Family::Message);
+        for effect in effects {
+            let (to, id) = match effect {
+                Effect::Reply { to, parcel } => {
+                    assert!(matches!(parcel.family, Family::Reply | Family::Error));
+                    self.seen.note(parcel.name());
+                    (*to, parcel.reference.unwrap())
+                }
+                Effect::Send { from, parcel, .. } => (*from, parcel.id.unwrap()),
+                _ => continue,
+            };
+            assert!(
+                self.open.remove(&(to, id)),
+                "{to:?} has asked {id}, and was not answered before: {effect:?}"
+            );
+            let later = asked != Some((to, Some(id)));
+            if later {
+                self.seen.note("answered later");
+            }
+            assert!(
+                later
+                    || !message
+                    || !matches!(effect, Effect::Reply { parcel, .. } if parcel.family == Family::Reply),
+                "receipts are the broker's"
+            );
+        }
+        // Of a peer that is gone nobody waits for an answer.
+        let hub = &self.hub;
+        self.open.retain(|(peer, _)| hub.peer_name(*peer).is_some());
     }
 
     /// Follows the effects in their order, as a broker and its peers would.
     fn follow(&mut self, effects: &[Effect], input: Option<&Input>) {
         // A refusal changes nothing, as the routes tell; all else may have changed who is where.
-        let refused = |effect: &Effect| matches!(effect, Effect::Reply { parcel, .. } if parcel.family == Family::Error);
+        let refused = |effect: &Effect| {
+            matches!(effect, Effect::Audit(_))
+                || matches!(effect, Effect::Reply { parcel, .. } if parcel.family == Family::Error)
+        };
         let after = match effects.iter().all(refused) {
             true => self.members.clone(),
             false => self.look_at_members(),
@@ -187,7 +202,8 @@ impl Observer {
         let mut others = false;
         for effect in effects {
             // With timers several things happen at once, each with its own routes.
-            others |= input.is_some() && !matches!(effect, Effect::Route(_) | Effect::RouteGone(_));
+            others |= input.is_some()
+                && !matches!(effect, Effect::Route(_) | Effect::RouteGone(_) | Effect::Audit(_));
             match effect {
                 Effect::Route(route) => {
                     let known = self.routes.insert(route.number, Arc::clone(route));
@@ -409,6 +425,7 @@ impl Observer {
             parcel: Box::new(Parcel::new(family, verb).context(path.clone())),
         };
         self.hub.handle(self.now, request, &mut effects);
+        effects.retain(|effect| !matches!(effect, Effect::Audit(_)));
         match &effects[..] {
             [Effect::Reply { parcel, .. }] if parcel.family == Family::Reply => Ok(parcel.value()),
             [Effect::Reply { parcel, .. }] => Err(WireError::from_parcel(parcel)),

@@ -1,0 +1,344 @@
+//! Handing over by agreement: offers, requests to the owner, and what is shared instead of owned.
+
+use mom_managers::Micros;
+use mom_proto::event;
+use mom_proto::{Code, ContextNumber, Map, Value, Verb, WireError};
+
+use crate::hub::Timer;
+use crate::ownership::{fence_value, millis};
+use crate::token::{Asking, Offer};
+use crate::{Effect, Hub, PeerId};
+
+/// Peers that may ask one owner at a time.
+pub(crate) const ASKING: usize = 16;
+
+impl Hub {
+    /// Shows an offer to its receiver and to the owner.
+    pub(crate) fn push_offer(
+        &mut self,
+        number: ContextNumber,
+        owner: PeerId,
+        offer: Offer,
+        out: &mut Vec<Effect>,
+    ) {
+        self.end_offer(number, "withdrawn", out);
+        let (to, until) = (offer.to, offer.until);
+        let mut content = Map::new()
+            .with("by", self.name_of(owner))
+            .with("to", self.name_of(to))
+            .with("within", self.millis_until(until));
+        if let Some(owner) = self.peers.get(owner) {
+            content.set("level", owner.facts.level);
+        }
+        if let Some(time) = offer.time {
+            content.set("for", millis(time));
+        }
+        if let Some(commands) = offer.commands {
+            content.set("commands", fence_value(commands));
+        }
+        let Some(path) = self.tree.get(number).map(|context| context.path.clone()) else {
+            return;
+        };
+        if let Some(token) = self.token_mut(number) {
+            content.set("fence", fence_value(token.fence));
+            token.offer = Some(offer);
+        }
+        self.timers.insert((until, Timer::Offer(number)));
+        self.involve(to, number);
+        self.push_event(event::OFFER, &path, vec![owner, to], content, out);
+    }
+
+    /// Takes an offer away; who had it, if there was one.
+    pub(crate) fn take_offer(&mut self, number: ContextNumber) -> Option<Offer> {
+        let offer = self.token_mut(number)?.offer.take()?;
+        self.timers.remove(&(offer.until, Timer::Offer(number)));
+        self.uninvolve(offer.to, number);
+        Some(offer)
+    }
+
+    /// Ends an offer that was not accepted, and says so to both.
+    pub(crate) fn end_offer(&mut self, number: ContextNumber, reason: &str, out: &mut Vec<Effect>) {
+        let owner = self.owner_of(number);
+        let Some(offer) = self.take_offer(number) else {
+            return;
+        };
+        self.push_lapsed(number, "offer", owner, Some(offer.to), reason, out);
+    }
+
+    /// Tells both sides that an offer or a request is over.
+    fn push_lapsed(
+        &self,
+        number: ContextNumber,
+        what: &str,
+        by: Option<PeerId>,
+        to: Option<PeerId>,
+        reason: &str,
+        out: &mut Vec<Effect>,
+    ) {
+        let Some(path) = self.tree.get(number).map(|context| context.path.clone()) else {
+            return;
+        };
+        let mut content = Map::new().with("what", what);
+        for (key, peer) in [("by", by), ("to", to)] {
+            if let Some(peer) = peer {
+                content.set(key, self.name_of(peer));
+            }
+        }
+        content.set("reason", reason);
+        let told = [by, to].into_iter().flatten();
+        let told = told.filter(|peer| self.peers.get(*peer).is_some()).collect();
+        self.push_event(event::LAPSED, &path, told, content, out);
+    }
+
+    /// Shows a request to the owner and to who asks.
+    pub(crate) fn push_requested(
+        &mut self,
+        number: ContextNumber,
+        asking: Asking,
+        text: Option<&str>,
+        out: &mut Vec<Effect>,
+    ) {
+        let (peer, ticket, until) = (asking.peer, asking.ticket, asking.until);
+        let Some(path) = self.tree.get(number).map(|context| context.path.clone()) else {
+            return;
+        };
+        let mut content = match self.peers.get(peer) {
+            Some(known) => crate::events::peer_map(&known.facts),
+            None => return,
+        };
+        content.set("within", self.millis_until(until));
+        if let Some(text) = text {
+            content.set("text", text);
+        }
+        let owner = self.owner_of(number);
+        if let Some(token) = self.token_mut(number) {
+            token.asking.push(asking);
+        }
+        self.timers.insert((until, Timer::Request(number, ticket)));
+        self.involve(peer, number);
+        let told = owner.into_iter().chain([peer]).collect();
+        self.push_event(event::REQUESTED, &path, told, content, out);
+    }
+
+    /// Takes a request to the owner away.
+    pub(crate) fn take_asking(&mut self, number: ContextNumber, peer: PeerId) -> Option<Asking> {
+        let token = self.token_mut(number)?;
+        let place = token.asking.iter().position(|asking| asking.peer == peer)?;
+        let asking = token.asking.remove(place);
+        self.timers
+            .remove(&(asking.until, Timer::Request(number, asking.ticket)));
+        self.uninvolve(asking.peer, number);
+        Some(asking)
+    }
+
+    /// Refuses a request to the owner; `reason` goes to both sides, if it is not the owner's own word.
+    pub(crate) fn end_asking(
+        &mut self,
+        number: ContextNumber,
+        peer: PeerId,
+        error: &WireError,
+        reason: Option<&str>,
+        out: &mut Vec<Effect>,
+    ) {
+        let owner = self.owner_of(number);
+        let Some(asking) = self.take_asking(number, peer) else {
+            return;
+        };
+        if let Some(reason) = reason {
+            self.push_lapsed(number, "request", Some(peer), owner, reason, out);
+        }
+        self.refuse_all(&[(asking.peer, asking.id)], error, Verb::Request, number, out);
+    }
+
+    /// The owner did not answer in time.
+    pub(crate) fn handle_asked(&mut self, number: ContextNumber, ticket: u64, out: &mut Vec<Effect>) {
+        let asking = self
+            .token(number)
+            .and_then(|token| token.asking.iter().find(|asking| asking.ticket == ticket));
+        let Some(peer) = asking.map(|asking| asking.peer) else {
+            return;
+        };
+        let mut error = self.held(peer, number);
+        error.code = Code::TIMED_OUT;
+        error.text = format!("the owner did not answer in time; {}", error.text);
+        self.end_asking(number, peer, &error, Some("timed-out"), out);
+    }
+
+    /// Ends what was about an ownership that is over: offers, requests, and the waiting of who owns now.
+    pub(crate) fn end_handover(&mut self, number: ContextNumber, new: Option<PeerId>, out: &mut Vec<Effect>) {
+        self.end_offer(number, "lost", out);
+        let path = self.tree.get(number).map(|context| context.path.to_string());
+        let asking: Vec<PeerId> = self
+            .token(number)
+            .map(|token| token.asking.iter().map(|asking| asking.peer).collect())
+            .unwrap_or_default();
+        for peer in asking {
+            if Some(peer) == new {
+                if let Some(asking) = self.take_asking(number, peer) {
+                    self.answer_owner(number, peer, asking.id, out);
+                }
+                continue;
+            }
+            let text = format!(
+                "the owner whom this peer asked has lost {}; grab it, or ask again",
+                path.as_deref().unwrap_or_default()
+            );
+            let error = WireError::new(Code::WITHDRAWN, text);
+            self.end_asking(number, peer, &error, Some("lost"), out);
+        }
+        // Who has it waits no more.
+        let waiting = self.token(number).and_then(|token| {
+            let waiter = token.queue.iter().find(|waiter| Some(waiter.peer) == new)?;
+            Some(waiter.ticket)
+        });
+        if let Some(waiter) = waiting.and_then(|ticket| self.take_waiter(number, ticket)) {
+            self.answer_owner(number, waiter.peer, waiter.id, out);
+            self.told_places(number, out);
+        }
+    }
+
+    fn answer_owner(&mut self, number: ContextNumber, peer: PeerId, id: Option<u64>, out: &mut Vec<Effect>) {
+        if let Some(path) = self.tree.get(number).map(|context| context.path.clone()) {
+            let content = self.granted(number);
+            self.push_ok(peer, id, &path, Some(content), out);
+        }
+    }
+
+    /// Begins a shared hold.
+    pub(crate) fn inhibit(&mut self, number: ContextNumber, peer: PeerId, out: &mut Vec<Effect>) {
+        let now = self.now;
+        let Some(token) = self.token_mut(number) else {
+            return;
+        };
+        if token.holders.insert(peer, now).is_some() {
+            return;
+        }
+        self.involve(peer, number);
+        self.push_shared(number, event::INHIBITED, peer, None, out);
+    }
+
+    /// Ends a shared hold; with the last one the next of the queue has the token.
+    pub(crate) fn uninhibit(
+        &mut self,
+        number: ContextNumber,
+        peer: PeerId,
+        reason: &str,
+        out: &mut Vec<Effect>,
+    ) -> bool {
+        let ended = self.end_hold(number, peer, reason, out);
+        if ended {
+            self.advance_queue(number, out);
+        }
+        ended
+    }
+
+    /// Ends a shared hold, and leaves to the caller who is next.
+    pub(crate) fn end_hold(
+        &mut self,
+        number: ContextNumber,
+        peer: PeerId,
+        reason: &str,
+        out: &mut Vec<Effect>,
+    ) -> bool {
+        let removed = self
+            .token_mut(number)
+            .and_then(|token| token.holders.remove(&peer));
+        if removed.is_none() {
+            return false;
+        }
+        self.uninvolve(peer, number);
+        self.push_shared(number, event::UNINHIBITED, peer, Some(reason), out);
+        true
+    }
+
+    fn push_shared(
+        &self,
+        number: ContextNumber,
+        name: &'static str,
+        peer: PeerId,
+        reason: Option<&str>,
+        out: &mut Vec<Effect>,
+    ) {
+        let Some(path) = self.tree.get(number).map(|context| context.path.clone()) else {
+            return;
+        };
+        let mut content = Map::new()
+            .with("peer", self.name_of(peer))
+            .with("holders", self.holders_value(number));
+        if let Some(reason) = reason {
+            content.set("reason", reason);
+        }
+        let mut to = self.concerned(number);
+        if self.peers.get(peer).is_some() {
+            to.insert(peer);
+        }
+        self.push_event(name, &path, to.into_iter().collect(), content, out);
+        self.audit_shared(name, &path, peer, out);
+    }
+
+    /// The names of those who hold a token together.
+    pub(crate) fn holders_value(&self, number: ContextNumber) -> Vec<Value> {
+        let holders = self
+            .token(number)
+            .into_iter()
+            .flat_map(|token| token.holders.keys());
+        holders.map(|peer| Value::from(self.name_of(*peer))).collect()
+    }
+
+    /// Ends all that a peer has to do with a token besides owning it.
+    pub(crate) fn end_involvement(
+        &mut self,
+        number: ContextNumber,
+        peer: PeerId,
+        reason: &str,
+        out: &mut Vec<Effect>,
+    ) {
+        let path = self.tree.get(number).map(|context| context.path.to_string());
+        let text = format!("this peer has left where {} is", path.unwrap_or_default());
+        let error = WireError::new(Code::NOT_MEMBER, text);
+        self.withdraw(number, peer, &error, out);
+        self.end_asking(number, peer, &error, Some("left"), out);
+        let offered = self.token(number).and_then(|token| token.offer.as_ref());
+        if offered.is_some_and(|offer| offer.to == peer) {
+            self.end_offer(number, "left", out);
+        }
+        self.uninhibit(number, peer, reason, out);
+        let Some(token) = self.token_mut(number) else {
+            return;
+        };
+        let (left, kept): (Vec<_>, Vec<_>) = token.held_back.drain(..).partition(|(held, _)| *held == peer);
+        token.held_back = kept.into();
+        for (peer, parcel) in left {
+            if self.peers.get(peer).is_some() {
+                self.push_refusal(peer, &parcel, &error, out);
+            }
+        }
+        self.uninvolve(peer, number);
+    }
+
+    /// Who owns a token.
+    pub(crate) fn owner_of(&self, number: ContextNumber) -> Option<PeerId> {
+        self.token(number)?.owner.as_ref().map(|owner| owner.peer)
+    }
+
+    /// Notes that a peer has something to do with a token, so that its end is not forgotten.
+    pub(crate) fn involve(&mut self, peer: PeerId, number: ContextNumber) {
+        if let Some(peer) = self.peers.get_mut(peer) {
+            peer.involved.insert(number);
+        }
+    }
+
+    pub(crate) fn uninvolve(&mut self, peer: PeerId, number: ContextNumber) {
+        if self.token(number).is_some_and(|token| token.involves(peer)) {
+            return;
+        }
+        if let Some(peer) = self.peers.get_mut(peer) {
+            peer.involved.remove(&number);
+        }
+    }
+
+    /// The end of a time that begins now.
+    pub(crate) fn after(&self, time: Micros) -> Micros {
+        self.now.saturating_add(time)
+    }
+}

@@ -1,0 +1,340 @@
+//! Requests that wait for the verdict of a managing peer or a chair (M24, M25).
+//!
+//! A manager that has to ask defers. The whole request is then carried out again once there is an answer, with the
+//! answers at hand: so everything else about it is decided by what holds then, not by what held when it was asked.
+
+use std::collections::{BTreeSet, VecDeque};
+use std::sync::Arc;
+
+use mom_managers::{Ask, Defer, Given, Micros, PeerFacts};
+use mom_proto::{Code, ContextNumber, Family, Map, Parcel, Path, Value, Verb, WireError};
+
+use crate::hub::Timer;
+use crate::{Effect, Hub, PeerId};
+
+/// Questions of one peer that may wait, and of all.
+const MOST_OF_ONE: usize = 16;
+const MOST: usize = 4096;
+
+/// Sends to one channel that wait behind a deferred one of the same peer.
+const MOST_SENDS: usize = 16;
+
+/// A deferred send waits no longer than this, µs.
+const SEND_TIME: Micros = 2_000_000;
+
+/// Why a request was not carried out.
+#[derive(Debug)]
+pub(crate) enum Refusal {
+    /// For good.
+    Error(WireError),
+    /// Not before somebody was asked.
+    Defer(Box<Deferred>),
+}
+
+impl From<WireError> for Refusal {
+    fn from(error: WireError) -> Refusal {
+        Refusal::Error(error)
+    }
+}
+
+/// What is to be asked.
+#[derive(Debug)]
+pub(crate) struct Deferred {
+    pub(crate) defer: Defer,
+    pub(crate) verb: Verb,
+    /// The context whose manager asks.
+    pub(crate) managing: ContextNumber,
+    /// The context acted on, or the nearest above it.
+    pub(crate) at: ContextNumber,
+    pub(crate) path: Path,
+    pub(crate) message: Option<String>,
+    pub(crate) size: usize,
+    pub(crate) kind: &'static str,
+}
+
+/// A request that waits.
+#[derive(Debug)]
+pub(crate) struct Pending {
+    pub(crate) peer: PeerId,
+    pub(crate) parcel: Parcel,
+    pub(crate) answers: Vec<Given>,
+    label: Arc<str>,
+    pub(crate) asked: BTreeSet<PeerId>,
+    pub(crate) until: Micros,
+    /// The channel, if it is a send.
+    pub(crate) channel: Option<ContextNumber>,
+    /// Later sends of the same peer to the same channel.
+    pub(crate) behind: VecDeque<Parcel>,
+}
+
+impl Hub {
+    /// Lets a request wait for an answer, or runs it again at once if there is nobody to ask.
+    pub(crate) fn postpone(
+        &mut self,
+        peer: PeerId,
+        parcel: Parcel,
+        answers: Vec<Given>,
+        deferred: &Deferred,
+        out: &mut Vec<Effect>,
+    ) {
+        let asked = self.whom_to_ask(peer, deferred);
+        let label = Arc::clone(&deferred.defer.label);
+        if asked.is_empty() {
+            self.resume(peer, parcel, answers, unanswered(label), out);
+            return;
+        }
+        let mine = self
+            .pending
+            .values()
+            .filter(|pending| pending.peer == peer)
+            .count();
+        if mine >= MOST_OF_ONE || self.pending.len() >= MOST {
+            let text = "too many requests wait for somebody's answer";
+            let error = WireError::new(Code::TRY_LATER, text).rule(&label);
+            self.push_refusal(peer, &parcel, &error, out);
+            return;
+        }
+        let send = parcel.family == Family::Message;
+        let within = match send {
+            true => deferred.defer.within.min(SEND_TIME),
+            false => deferred.defer.within,
+        };
+        self.last_question += 1;
+        let (question, until) = (self.last_question, self.after(within));
+        self.push_consult(question, peer, deferred, until, &asked, out);
+        self.timers.insert((until, Timer::Answer(question)));
+        let channel = send.then_some(deferred.at);
+        if let Some(channel) = channel {
+            self.hold_sends(channel, peer, true);
+        }
+        let pending = Pending {
+            peer,
+            parcel,
+            answers,
+            label,
+            asked,
+            until,
+            channel,
+            behind: VecDeque::new(),
+        };
+        self.pending.insert(question, pending);
+    }
+
+    fn whom_to_ask(&self, peer: PeerId, deferred: &Deferred) -> BTreeSet<PeerId> {
+        match &deferred.defer.ask {
+            Ask::Creator => {
+                let creator = self
+                    .tree
+                    .get(deferred.managing)
+                    .and_then(|context| context.creator);
+                creator
+                    .into_iter()
+                    .filter(|creator| self.peers.get(*creator).is_some())
+                    .collect()
+            }
+            Ask::Chairs {
+                users,
+                groups,
+                min_level,
+            } => {
+                let fits = |facts: &PeerFacts| {
+                    let user = users.iter().any(|user| **user == *facts.user);
+                    let group = groups.iter().any(|group| facts.groups.contains(group));
+                    let anyone = users.is_empty() && groups.is_empty();
+                    (anyone || user || group) && min_level.is_none_or(|least| facts.level >= least)
+                };
+                let Some(at) = self.tree.get(deferred.at) else {
+                    return BTreeSet::new();
+                };
+                let parent = at.parent.and_then(|parent| self.tree.get(parent));
+                let members = at
+                    .members
+                    .values()
+                    .chain(parent.into_iter().flat_map(|parent| parent.members.values()));
+                let chairs = members.filter(|member| member.peer != peer && fits(&member.facts));
+                chairs.map(|member| member.peer).collect()
+            }
+        }
+    }
+
+    fn push_consult(
+        &self,
+        question: u64,
+        peer: PeerId,
+        deferred: &Deferred,
+        until: Micros,
+        asked: &BTreeSet<PeerId>,
+        out: &mut Vec<Effect>,
+    ) {
+        let Some(facts) = self.peers.get(peer).map(|peer| &peer.facts) else {
+            return;
+        };
+        let mut content = Map::new().with("verb", deferred.verb.word());
+        for (key, value) in crate::events::peer_map(facts) {
+            content.set(&key, value);
+        }
+        let groups: Vec<Value> = facts
+            .groups
+            .iter()
+            .map(|group| Value::from(group.as_str()))
+            .collect();
+        content.set("groups", groups);
+        if let Some(message) = &deferred.message {
+            content.set("message", message.as_str());
+            content.set("size", i64::try_from(deferred.size).unwrap_or(i64::MAX));
+        }
+        content.set("kind", deferred.kind);
+        content.set("within", self.millis_until(until));
+        content.set("rule", &*deferred.defer.label);
+        let mut parcel = self.hub_parcel(Family::Manager, "consult", &deferred.path);
+        parcel.id = Some(question);
+        out.push(Effect::Deliver {
+            to: asked.iter().copied().collect(),
+            parcel: Arc::new(parcel.content(content)),
+        });
+    }
+
+    /// Takes the answer of a peer to a question; false if it was not asked, or not any more.
+    pub(crate) fn answer(&mut self, question: u64, given: Given, by: PeerId, out: &mut Vec<Effect>) -> bool {
+        let asked = self.pending.get(&question);
+        if !asked.is_some_and(|pending| pending.asked.contains(&by)) {
+            return false;
+        }
+        if let Some(pending) = self.take_pending(question) {
+            let label = Arc::clone(&pending.label);
+            self.finish(pending, Given { label, ..given }, out);
+        }
+        true
+    }
+
+    /// Nobody has answered in time.
+    pub(crate) fn handle_unanswered(&mut self, question: u64, out: &mut Vec<Effect>) {
+        let Some(pending) = self.take_pending(question) else {
+            return;
+        };
+        let given = unanswered(Arc::clone(&pending.label));
+        self.finish(pending, given, out);
+    }
+
+    fn finish(&mut self, pending: Pending, given: Given, out: &mut Vec<Effect>) {
+        let Pending {
+            peer,
+            parcel,
+            answers,
+            channel,
+            behind,
+            ..
+        } = pending;
+        if let Some(channel) = channel {
+            self.hold_sends(channel, peer, false);
+        }
+        if channel.is_some() && given.by.is_none() && !given.allow {
+            let text = "who manages this channel did not answer in time";
+            let error = WireError::new(Code::TRY_LATER, text).rule(&given.label);
+            self.push_refusal(peer, &parcel, &error, out);
+        } else {
+            self.resume(peer, parcel, answers, given, out);
+        }
+        // They come in their order; what has to be asked for again holds back those after it.
+        for parcel in behind {
+            self.handle_request(peer, parcel, Vec::new(), out);
+        }
+    }
+
+    fn resume(
+        &mut self,
+        peer: PeerId,
+        parcel: Parcel,
+        mut answers: Vec<Given>,
+        given: Given,
+        out: &mut Vec<Effect>,
+    ) {
+        // A manager that defers again although it has its answer would do so forever.
+        if answers.len() >= MOST_OF_ONE {
+            let error = WireError::new(Code::DENIED, "the manager asks without end").rule(&given.label);
+            self.push_refusal(peer, &parcel, &error, out);
+            return;
+        }
+        answers.push(given);
+        self.handle_request(peer, parcel, answers, out);
+    }
+
+    fn take_pending(&mut self, question: u64) -> Option<Pending> {
+        let pending = self.pending.remove(&question)?;
+        self.timers.remove(&(pending.until, Timer::Answer(question)));
+        Some(pending)
+    }
+
+    /// Lets a send wait behind a deferred one of the same peer, if there is one.
+    ///
+    /// # Errors
+    /// `try-later` if too many wait there already.
+    pub(crate) fn wait_behind(
+        &mut self,
+        peer: PeerId,
+        channel: ContextNumber,
+        parcel: &mut Parcel,
+    ) -> Result<bool, WireError> {
+        let mut waiting = self.pending.values_mut();
+        let Some(pending) = waiting.find(|pending| pending.peer == peer && pending.channel == Some(channel))
+        else {
+            return Ok(false);
+        };
+        if pending.behind.len() >= MOST_SENDS {
+            let text = "an earlier message to this channel still waits for who manages it";
+            return Err(WireError::new(Code::TRY_LATER, text));
+        }
+        pending.behind.push_back(take_parcel(parcel));
+        Ok(true)
+    }
+
+    /// Forgets what a peer that is gone has asked, and answers what it was asked itself.
+    pub(crate) fn end_pending(&mut self, peer: PeerId, out: &mut Vec<Effect>) {
+        let own: Vec<u64> = self
+            .pending
+            .iter()
+            .filter(|(_, pending)| pending.peer == peer)
+            .map(|(question, _)| *question)
+            .collect();
+        for question in own {
+            self.take_pending(question);
+        }
+        let mut alone = Vec::new();
+        for (question, pending) in &mut self.pending {
+            if pending.asked.remove(&peer) && pending.asked.is_empty() {
+                alone.push(*question);
+            }
+        }
+        for question in alone {
+            self.handle_unanswered(question, out);
+        }
+    }
+
+    /// Lets all sends of a peer to a channel come to the hub, or not any more.
+    fn hold_sends(&mut self, channel: ContextNumber, peer: PeerId, held: bool) {
+        let Some(context) = self.tree.get_mut(channel) else {
+            return;
+        };
+        let Some(member) = context.members.get(&peer) else {
+            return;
+        };
+        let member = member.holding(held);
+        context.members.insert(peer, Arc::new(member));
+        self.changed.insert(channel);
+    }
+}
+
+/// The parcel of a request that needs it no more.
+pub(crate) fn take_parcel(parcel: &mut Parcel) -> Parcel {
+    std::mem::replace(parcel, Parcel::new(Family::Message, ""))
+}
+
+fn unanswered(label: Arc<str>) -> Given {
+    Given {
+        label,
+        by: None,
+        allow: false,
+        stands: false,
+        text: String::new(),
+    }
+}

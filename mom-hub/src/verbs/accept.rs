@@ -1,0 +1,98 @@
+//! `token accept` and `token decline`: the answers to an offer, and those of an owner to who asks.
+
+use mom_proto::event::Reason;
+use mom_proto::{Code, WireError};
+use serde::Deserialize;
+
+use super::Request;
+use crate::args;
+use crate::consult::Allowed;
+use crate::durable::Change;
+use crate::pending::Refusal;
+use crate::{Effect, Hub, PeerId};
+
+#[derive(Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct Args {
+    /// Whose request the owner answers; absent = the offer made to this peer.
+    peer: Option<String>,
+    /// Plain words for who is declined.
+    text: Option<String>,
+}
+
+pub(crate) fn on_accept(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+    let number = hub.find_token(request)?;
+    let args: Args = args::read_or_default(&request.parcel)?;
+    let Allowed { rule, grant } = hub.allow(request, number)?;
+    let (peer, answers) = (request.peer, vec![(request.peer, request.parcel.id)]);
+    if let Some(name) = &args.peer {
+        hub.check_owner(request, number)?;
+        let to = asking(hub, request, name)?;
+        let change = Change {
+            from: Some(peer),
+            rule,
+            until: grant.until,
+            answers,
+            ..Change::to(to, Reason::Given)
+        };
+        hub.hand(number, change, out);
+        return Ok(());
+    }
+    offered(hub, request)?;
+    let owner = hub.owner_of(number);
+    let Some(offer) = hub.take_offer(number) else {
+        return Ok(());
+    };
+    let change = Change {
+        from: owner,
+        given: Some((offer.time, offer.commands)),
+        rule,
+        until: grant.until,
+        answers,
+        ..Change::to(peer, Reason::Given)
+    };
+    hub.hand(number, change, out);
+    Ok(())
+}
+
+pub(crate) fn on_decline(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+    let number = hub.find_token(request)?;
+    let args: Args = args::read_or_default(&request.parcel)?;
+    hub.allow(request, number)?;
+    if let Some(name) = &args.peer {
+        hub.check_owner(request, number)?;
+        let to = asking(hub, request, name)?;
+        let text = args.text.as_deref().unwrap_or("not now");
+        let text = format!("{} declined: {text}", hub.name_of(request.peer));
+        let error = WireError::new(Code::DECLINED, text).rule("the owner's word");
+        hub.end_asking(number, to, &error, None, out);
+    } else {
+        offered(hub, request)?;
+        hub.end_offer(number, "declined", out);
+    }
+    hub.push_ok(request.peer, request.parcel.id, &request.path, None, out);
+    Ok(())
+}
+
+/// The peer of this name that has asked the owner.
+fn asking(hub: &Hub, request: &Request, name: &str) -> Result<PeerId, WireError> {
+    let token = hub.tree.find(&request.path).and_then(|context| context.token());
+    let peer = hub.peers.id_of(name);
+    let asks =
+        |peer: &PeerId| token.is_some_and(|token| token.asking.iter().any(|asking| asking.peer == *peer));
+    peer.filter(asks).ok_or_else(|| {
+        let text = format!("{name:?} does not ask for {}, or not any more", request.path);
+        WireError::new(Code::NO_OFFER, text).slot("content/peer")
+    })
+}
+
+/// Checks that there is an offer to the peer.
+fn offered(hub: &Hub, request: &Request) -> Result<(), WireError> {
+    let token = hub.tree.find(&request.path).and_then(|context| context.token());
+    let offer = token.and_then(|token| token.offer.as_ref());
+    if offer.is_some_and(|offer| offer.to == request.peer) {
+        return Ok(());
+    }
+    let text = format!("nobody offers {} to this peer, or not any more", request.path);
+    Err(WireError::new(Code::NO_OFFER, text))
+}

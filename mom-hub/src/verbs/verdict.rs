@@ -1,0 +1,52 @@
+//! `manager verdict`: a managing peer or a chair answers a `consult`.
+
+use std::sync::Arc;
+
+use mom_managers::Given;
+use mom_proto::{Code, WireError};
+use serde::Deserialize;
+
+use super::Request;
+use crate::args;
+use crate::pending::Refusal;
+use crate::{Effect, Hub};
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Args {
+    /// The number of the question.
+    consult: u64,
+    allow: bool,
+    /// Plain words for a no.
+    #[serde(default)]
+    text: String,
+    /// Whether it holds for later questions of the same kind.
+    #[serde(default)]
+    stands: bool,
+}
+
+pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+    let args: Args = args::read(&request.parcel)?;
+    let by = hub
+        .peers
+        .get(request.peer)
+        .map(|peer| Arc::clone(&peer.facts.name));
+    let given = Given {
+        label: Arc::from(""),
+        by,
+        allow: args.allow,
+        stands: args.stands,
+        text: args.text,
+    };
+    if !hub.answer(args.consult, given, request.peer, out) {
+        let text = format!(
+            "question {} is answered, over, or was never asked of this peer",
+            args.consult
+        );
+        return Err(WireError::new(Code::TOO_LATE, text)
+            .slot("content/consult")
+            .into());
+    }
+    hub.push_ok(request.peer, request.parcel.id, &request.path, None, out);
+    Ok(())
+}
