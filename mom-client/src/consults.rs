@@ -175,9 +175,8 @@ impl Consult {
         for (key, value) in content {
             verdict.set(&key, value);
         }
-        let parcel = Parcel::new(Family::Manager, "verdict")
-            .context(self.context)
-            .content(verdict);
+        // By its number the hub knows what it is about.
+        let parcel = Parcel::new(Family::Manager, "verdict").content(verdict);
         self.client.request(parcel).await.map(drop)
     }
 }

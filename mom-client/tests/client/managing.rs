@@ -218,7 +218,7 @@ async fn consult(peer: &mut Peer, number: u64) {
 }
 
 async fn verdict(peer: &mut Peer, answer: Map) {
-    let request = peer.expect("manager verdict /robot/arm").await;
+    let request = peer.expect("manager verdict").await;
     assert_eq!(request.value(), answer.into());
     peer.ok(&request, Map::new()).await;
 }
@@ -262,7 +262,7 @@ async fn questions_of_the_hub_are_answered() {
     said.unwrap();
     let fourth = consults.next().await.unwrap();
     let (late, ()) = tokio::join!(fourth.deny(""), async {
-        let request = peer.expect("manager verdict /robot/arm").await;
+        let request = peer.expect("manager verdict").await;
         assert_eq!(request.value(), answer(4, false).into());
         peer.refuse(&request, &WireError::new(Code::TOO_LATE, "answered"))
             .await;

@@ -66,7 +66,6 @@ async fn find<T>(events: &mut Events, what: &str, find: impl Fn(Event) -> Option
 }
 
 #[tokio::test]
-#[ignore = "needs the hub's verbs"]
 async fn who_waits_is_told_its_place_and_has_its_turn() {
     let desk = Desk::start().await;
     let (alice, bob) = desk.tokens().await;
@@ -94,7 +93,6 @@ async fn who_waits_is_told_its_place_and_has_its_turn() {
 }
 
 #[tokio::test]
-#[ignore = "needs the hub's verbs"]
 async fn a_wait_ends_in_time_or_when_it_is_given_up() {
     let desk = Desk::start().await;
     let (alice, bob) = desk.tokens().await;
@@ -105,10 +103,13 @@ async fn a_wait_ends_in_time_or_when_it_is_given_up() {
         (late.code(), late.refusal().and_then(|refusal| refusal.owner)),
         (Some(&Code::TIMED_OUT), Some("alice"))
     );
-    let mut events = bob.events();
+    let (places, mut told) = mpsc::unbounded_channel();
+    let wait = bob.grab().wait_forever().on_place(move |place| {
+        let _ = places.send(place.place);
+    });
     tokio::select! {
-        _ = bob.grab().wait_forever() => panic!("alice holds it"),
-        () = find(&mut events, "a place", |event| matches!(event, Event::Queued { .. }).then_some(())) => {}
+        _ = wait => panic!("alice holds it"),
+        place = told.recv() => assert_eq!(place, Some(1)),
     }
     // The withdrawal goes before this question.
     assert_eq!(bob.status().await.expect("a member may ask").queue, []);
@@ -116,7 +117,6 @@ async fn a_wait_ends_in_time_or_when_it_is_given_up() {
 }
 
 #[tokio::test]
-#[ignore = "needs the hub's verbs"]
 async fn what_is_given_for_a_time_comes_back() {
     let desk = Desk::start().await;
     let (alice, bob) = desk.tokens().await;
@@ -145,7 +145,6 @@ async fn what_is_given_for_a_time_comes_back() {
 }
 
 #[tokio::test]
-#[ignore = "needs the hub's verbs"]
 async fn an_offer_is_declined_or_in_vain() {
     let desk = Desk::start().await;
     let (alice, bob) = desk.tokens().await;
@@ -168,7 +167,6 @@ async fn an_offer_is_declined_or_in_vain() {
 }
 
 #[tokio::test]
-#[ignore = "needs the hub's verbs"]
 async fn an_owner_hands_over_to_who_asks_or_does_not() {
     let desk = Desk::start().await;
     let (alice, bob) = desk.tokens().await;
@@ -194,7 +192,6 @@ async fn an_owner_hands_over_to_who_asks_or_does_not() {
 }
 
 #[tokio::test]
-#[ignore = "needs the hub's verbs"]
 async fn a_shared_hold_keeps_everybody_off_until_it_ends() {
     let desk = Desk::start().await;
     let (alice, bob) = desk.tokens().await;
@@ -214,10 +211,9 @@ async fn a_shared_hold_keeps_everybody_off_until_it_ends() {
 }
 
 #[tokio::test]
-#[ignore = "needs the hub's verbs"]
 async fn who_is_expelled_is_out_and_who_is_invited_is_told() {
     let desk = Desk::start().await;
-    let (_alice, bob) = desk.tokens().await;
+    let bob = desk.bob.token(TOKEN).await.expect("the desk is open");
     let mut guard = bob.grab().await.expect("free");
     let mut events = bob.events();
     let minute = Some(Duration::from_secs(60));
@@ -238,7 +234,7 @@ async fn who_is_expelled_is_out_and_who_is_invited_is_told() {
 }
 
 #[tokio::test]
-#[ignore = "needs the hub's verbs"]
+#[ignore = "needs the manager `self`"]
 async fn the_creator_of_a_context_answers_for_it() {
     let desk = Desk::start().await;
     let mut consults = desk.carol.consults();
