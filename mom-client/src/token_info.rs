@@ -65,6 +65,10 @@ pub struct Offered {
     pub to: String,
     /// How long it may still take to accept.
     pub within: Duration,
+    /// It goes back by itself after this time.
+    pub time: Option<Duration>,
+    /// It goes back by itself after so many messages that need it.
+    pub commands: Option<u64>,
 }
 
 /// A peer that has asked a token's owner for it.
@@ -72,11 +76,9 @@ pub struct Offered {
 #[non_exhaustive]
 pub struct Asking {
     /// Who.
-    pub member: Member,
+    pub peer: String,
     /// How long the owner may still take to answer.
     pub within: Duration,
-    /// Why, in its words.
-    pub text: Option<String>,
 }
 
 /// An ownership that goes back to who gave it.
@@ -95,8 +97,10 @@ pub struct Delegated {
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Reserved {
-    /// The user.
-    pub user: String,
+    /// That peer; none = for nobody, as it is not known who it was.
+    pub peer: Option<String>,
+    /// Its user.
+    pub user: Option<String>,
     /// For how long.
     pub time: Duration,
 }
@@ -118,7 +122,7 @@ impl TokenInfo {
             offer: map(info, "offer").and_then(Offered::read),
             requests: list(info, "requests", Asking::read),
             delegated: map(info, "delegated").and_then(Delegated::read),
-            reserved: map(info, "reserved").and_then(Reserved::read),
+            reserved: map(info, "reserved").map(Reserved::read),
         }
     }
 }
@@ -137,6 +141,8 @@ impl Offered {
         Some(Offered {
             to: owned(map, "to")?,
             within: millis_of(map, "within").unwrap_or_default(),
+            time: millis_of(map, "for"),
+            commands: number(map, "commands"),
         })
     }
 }
@@ -144,9 +150,8 @@ impl Offered {
 impl Asking {
     fn read(map: &Map) -> Option<Asking> {
         Some(Asking {
-            member: Member::from_map(map)?,
+            peer: owned(map, "peer")?,
             within: millis_of(map, "within").unwrap_or_default(),
-            text: owned(map, "text"),
         })
     }
 }
@@ -162,11 +167,12 @@ impl Delegated {
 }
 
 impl Reserved {
-    fn read(map: &Map) -> Option<Reserved> {
-        Some(Reserved {
-            user: owned(map, "user")?,
+    fn read(map: &Map) -> Reserved {
+        Reserved {
+            peer: owned(map, "peer"),
+            user: owned(map, "user"),
             time: millis_of(map, "for").unwrap_or_default(),
-        })
+        }
     }
 }
 
@@ -205,15 +211,16 @@ mod tests {
             .with("fence", 9)
             .with("holders", vec!["carol".into(), "dan".into()])
             .with("queue", vec![peer("bob", 1).with("waiting", 4000).into()])
-            .with("offer", Map::new().with("to", "bob").with("within", 9000))
+            .with(
+                "offer",
+                Map::new()
+                    .with("to", "bob")
+                    .with("within", 9000)
+                    .with("for", 60_000),
+            )
             .with(
                 "requests",
-                vec![
-                    peer("bob~2", 1)
-                        .with("within", 7000)
-                        .with("text", "please")
-                        .into(),
-                ],
+                vec![Map::new().with("peer", "bob~2").with("within", 7000).into()],
             )
             .with(
                 "delegated",
@@ -222,7 +229,13 @@ mod tests {
                     .with("left", 5000)
                     .with("commands", 3),
             )
-            .with("reserved", Map::new().with("user", "dan").with("for", 30_000));
+            .with(
+                "reserved",
+                Map::new()
+                    .with("user", "dan")
+                    .with("peer", "dan~2")
+                    .with("for", 30_000),
+            );
         let seconds = Duration::from_secs;
         let bob = |name: &str| Member {
             peer: name.to_owned(),
@@ -246,11 +259,12 @@ mod tests {
             offer: Some(Offered {
                 to: "bob".to_owned(),
                 within: seconds(9),
+                time: Some(seconds(60)),
+                commands: None,
             }),
             requests: vec![Asking {
-                member: bob("bob~2"),
+                peer: "bob~2".to_owned(),
                 within: seconds(7),
-                text: Some("please".to_owned()),
             }],
             delegated: Some(Delegated {
                 from: "carol".to_owned(),
@@ -258,7 +272,8 @@ mod tests {
                 commands: Some(3),
             }),
             reserved: Some(Reserved {
-                user: "dan".to_owned(),
+                peer: Some("dan~2".to_owned()),
+                user: Some("dan".to_owned()),
                 time: seconds(30),
             }),
         };

@@ -133,10 +133,17 @@ async fn what_is_given_for_a_time_comes_back() {
         _ => None,
     });
     assert_eq!(commands.await, Some(5));
+    let offer = alice.status().await.expect("a member may ask").offer;
+    let offer = offer.map(|offer| (offer.to, offer.time, offer.commands));
+    let time = Some(Duration::from_millis(100));
+    assert_eq!(offer, Some(("bob".to_owned(), time, Some(5))));
     let mut theirs = bob.accept().await.expect("offered");
     assert_eq!(theirs.delegation().map(|from| from.from.as_str()), Some("alice"));
     given.accepted().await.expect("bob has it");
     assert!(guard.is_lost());
+    let status = alice.status().await.expect("a member may ask");
+    let from = status.delegated.map(|delegated| delegated.from);
+    assert!(status.owner.as_deref() != Some("bob") || from.as_deref() == Some("alice"));
     assert_eq!(theirs.lost().await.reason, "returned");
     let again = given.returned().await.expect("it comes back");
     assert!(again.fence() > theirs.fence());
@@ -179,6 +186,8 @@ async fn an_owner_hands_over_to_who_asks_or_does_not() {
     let (declined, ()) = tokio::join!(bob.request().text("please"), async {
         let (peer, text) = find(&mut asked, "the request", request).await;
         assert_eq!((peer.as_str(), text.as_deref()), ("bob", Some("please")));
+        let requests = alice.status().await.expect("a member may ask").requests;
+        assert_eq!((requests.len(), requests[0].peer.as_str()), (1, "bob"));
         alice.decline_request(&peer, "soon").await.expect("asked");
     });
     assert_eq!(declined.expect_err("declined").code(), Some(&Code::DECLINED));
