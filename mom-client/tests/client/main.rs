@@ -4,6 +4,9 @@
 mod common;
 mod concurrency;
 mod events;
+mod handover;
+mod managing;
 mod reconnect;
 mod requests;
 mod tokens;
+mod waiting;
