@@ -2,6 +2,7 @@
 
 mod control;
 mod dialogues;
+mod login;
 mod programs;
 mod protocol;
 mod python;

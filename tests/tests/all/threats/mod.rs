@@ -3,6 +3,7 @@
 mod framing;
 mod identity;
 mod load;
+mod login;
 mod markup;
 mod mime;
 mod names;
@@ -11,7 +12,7 @@ mod tokens;
 use std::net::SocketAddr;
 
 use bytes::Bytes;
-use mom_broker::{Broker, Config};
+use mom_broker::{Broker, Clock, Config};
 use mom_proto::codec::Form;
 use mom_proto::{Content, Family, Parcel, Value, WireError};
 use mom_tests::canary::Canary;
@@ -42,7 +43,11 @@ impl World {
     }
 
     async fn start_with(change: impl FnOnce(&mut Config)) -> World {
-        let broker = lab::start_with(change).await;
+        World::start_at(Clock::system(), change).await
+    }
+
+    async fn start_at(clock: Clock, change: impl FnOnce(&mut Config)) -> World {
+        let broker = lab::start_at(clock, change).await;
         let address = broker.local_addr();
         let mut canary = Canary::start(address).await;
         canary.check().await;
