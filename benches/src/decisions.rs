@@ -208,7 +208,7 @@ mod tests {
             (100, true, Receivers::These(vec![99])),
         ] {
             let admitted = Admissions::new(members, addressed).unwrap().admit();
-            assert_eq!(admitted, Ok(Admission::Pass(receivers)));
+            assert_eq!(admitted, Ok(Admission::Pass(receivers, None)));
         }
     }
 }

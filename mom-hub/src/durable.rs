@@ -251,7 +251,7 @@ impl Hub {
             let mut parcel = Parcel::new(Family::Token, verb.word());
             parcel.context.clone_from(&path);
             parcel.id = *id;
-            self.push_refusal(*peer, &parcel, error.clone(), out);
+            self.push_refusal(*peer, &parcel, error, out);
         }
     }
 

@@ -82,7 +82,7 @@ impl Hub {
         &self,
         peer: PeerId,
         request: &Parcel,
-        error: WireError,
+        error: &WireError,
         out: &mut Vec<Effect>,
     ) {
         let word = |key: &str| error.get(key).and_then(Value::as_str).map(Arc::from);

@@ -296,7 +296,7 @@ impl Hub {
         token.held_back = kept.into();
         for (peer, parcel) in left {
             if self.peers.get(peer).is_some() {
-                self.push_refusal(peer, &parcel, error.clone(), out);
+                self.push_refusal(peer, &parcel, &error, out);
             }
         }
         self.uninvolve(peer, number);

@@ -192,7 +192,7 @@ impl Hub {
         if let Some(error) = self.kept_out(&user.name) {
             let parcel = Parcel::new(Family::Login, "login");
             let parcel = id.into_iter().fold(parcel, Parcel::id);
-            self.push_refusal(peer, &parcel, error.clone(), out);
+            self.push_refusal(peer, &parcel, &error, out);
             out.push(Effect::Close {
                 peer,
                 error: Some(error),
@@ -298,9 +298,15 @@ impl Hub {
         out: &mut Vec<Effect>,
     ) {
         let start = out.len();
-        let mut request = match self.read_request(peer, parcel) {
-            Ok(request) => request,
-            Err((parcel, error)) => return self.push_refusal(peer, &parcel, error, out),
+        let (verb, path) = match self.read_request(peer, &parcel) {
+            Ok(read) => read,
+            Err(error) => return self.push_refusal(peer, &parcel, &error, out),
+        };
+        let mut request = Request {
+            peer,
+            verb,
+            path,
+            parcel,
         };
         self.answers = answers;
         let result = verbs::carry_out(self, &mut request, out);
@@ -309,7 +315,7 @@ impl Hub {
             Ok(()) => {}
             Err(Refusal::Error(error)) => {
                 debug_assert_eq!(out.len(), start, "a refused request has no effects: {error}");
-                self.push_refusal(peer, &request.parcel, error, out);
+                self.push_refusal(peer, &request.parcel, &error, out);
             }
             Err(Refusal::Defer(deferred)) => {
                 debug_assert_eq!(out.len(), start, "a deferred request has no effects");
@@ -318,22 +324,13 @@ impl Hub {
         }
     }
 
-    fn read_request(&self, peer: PeerId, parcel: Parcel) -> Result<Request, (Parcel, WireError)> {
+    fn read_request(&self, peer: PeerId, parcel: &Parcel) -> Result<(Verb, Path), WireError> {
         if self.peers.get(peer).is_none() {
             let text = "log in first: family login, name login";
-            return Err((parcel, WireError::new(Code::NOT_LOGGED_IN, text)));
+            return Err(WireError::new(Code::NOT_LOGGED_IN, text));
         }
-        let found = Verb::of(parcel.family, &parcel.name)
-            .and_then(|verb| self.path_of(&parcel, verb).map(|path| (verb, path)));
-        match found {
-            Ok((verb, path)) => Ok(Request {
-                peer,
-                verb,
-                path,
-                parcel,
-            }),
-            Err(error) => Err((parcel, error)),
-        }
+        let verb = Verb::of(parcel.family, &parcel.name)?;
+        Ok((verb, self.path_of(parcel, verb)?))
     }
 
     /// Puts the routes that an input changed around its other effects: what takes away comes first, so that

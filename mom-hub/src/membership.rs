@@ -153,7 +153,7 @@ impl Hub {
         }
         for (peer, parcel) in held_back {
             if self.peers.get(peer).is_some() {
-                self.push_refusal(peer, &parcel, error.clone(), out);
+                self.push_refusal(peer, &parcel, &error, out);
             }
             self.uninvolve(peer, number);
         }

@@ -91,7 +91,7 @@ impl Hub {
         if mine >= MOST_OF_ONE || self.pending.len() >= MOST {
             let text = "too many requests wait for somebody's answer";
             let error = WireError::new(Code::TRY_LATER, text).rule(&label);
-            self.push_refusal(peer, &parcel, error, out);
+            self.push_refusal(peer, &parcel, &error, out);
             return;
         }
         let send = parcel.family == Family::Message;
@@ -231,7 +231,7 @@ impl Hub {
         if channel.is_some() && given.by.is_none() && !given.allow {
             let text = "who manages this channel did not answer in time";
             let error = WireError::new(Code::TRY_LATER, text).rule(&given.label);
-            self.push_refusal(peer, &parcel, error, out);
+            self.push_refusal(peer, &parcel, &error, out);
         } else {
             self.resume(peer, parcel, answers, given, out);
         }
@@ -252,7 +252,7 @@ impl Hub {
         // A manager that defers again although it has its answer would do so forever.
         if answers.len() >= MOST_OF_ONE {
             let error = WireError::new(Code::DENIED, "the manager asks without end").rule(&given.label);
-            self.push_refusal(peer, &parcel, error, out);
+            self.push_refusal(peer, &parcel, &error, out);
             return;
         }
         answers.push(given);
@@ -265,24 +265,27 @@ impl Hub {
         Some(pending)
     }
 
-    /// Lets a send wait behind a deferred one of the same peer; gives it back if there is none.
+    /// Lets a send wait behind a deferred one of the same peer, if there is one.
+    ///
+    /// # Errors
+    /// `try-later` if too many wait there already.
     pub(crate) fn wait_behind(
         &mut self,
         peer: PeerId,
         channel: ContextNumber,
-        parcel: Parcel,
-    ) -> Result<Option<Parcel>, (Parcel, WireError)> {
+        parcel: &mut Parcel,
+    ) -> Result<bool, WireError> {
         let mut waiting = self.pending.values_mut();
         let Some(pending) = waiting.find(|pending| pending.peer == peer && pending.channel == Some(channel))
         else {
-            return Ok(Some(parcel));
+            return Ok(false);
         };
         if pending.behind.len() >= MOST_SENDS {
             let text = "an earlier message to this channel still waits for who manages it";
-            return Err((parcel, WireError::new(Code::TRY_LATER, text)));
+            return Err(WireError::new(Code::TRY_LATER, text));
         }
-        pending.behind.push_back(parcel);
-        Ok(None)
+        pending.behind.push_back(take_parcel(parcel));
+        Ok(true)
     }
 
     /// Forgets what a peer that is gone has asked, and answers what it was asked itself.
@@ -319,6 +322,11 @@ impl Hub {
         context.members.insert(peer, Arc::new(member));
         self.changed.insert(channel);
     }
+}
+
+/// The parcel of a request that needs it no more.
+pub(crate) fn take_parcel(parcel: &mut Parcel) -> Parcel {
+    std::mem::replace(parcel, Parcel::new(Family::Message, ""))
 }
 
 fn unanswered(label: Arc<str>) -> Given {

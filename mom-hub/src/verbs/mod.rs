@@ -23,7 +23,7 @@ use mom_proto::{Code, ContextKind, ContextNumber, Family, Parcel, Path, Verb, Wi
 
 use crate::consult::{Allowed, Wish};
 use crate::context::Context;
-use crate::pending::Refusal;
+use crate::pending::{Refusal, take_parcel};
 use crate::waiting::MOST;
 use crate::{Effect, Hub, PeerId};
 
@@ -103,8 +103,9 @@ impl Hub {
             let text = "too many requests wait for this token";
             return Err(WireError::new(Code::TRY_LATER, text));
         }
-        let parcel = std::mem::replace(&mut request.parcel, Parcel::new(Family::Token, ""));
-        token.held_back.push_back((request.peer, parcel));
+        token
+            .held_back
+            .push_back((request.peer, take_parcel(&mut request.parcel)));
         self.involve(request.peer, number);
         Ok(true)
     }

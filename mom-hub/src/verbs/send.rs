@@ -3,13 +3,13 @@
 use std::sync::Arc;
 
 use mom_managers::{Answer, Micros, Scope, Standing, Verdict};
-use mom_proto::{Content, ContextKind, ContextNumber, Family, Parcel, Verb};
+use mom_proto::{Content, ContextKind, ContextNumber, Parcel, Verb};
 
 use super::{Request, of_kind};
 use crate::admit::admit_with;
 use crate::consult::Wish;
 use crate::member::has_own_right;
-use crate::pending::Refusal;
+use crate::pending::{Refusal, take_parcel};
 use crate::{Effect, Hub, PeerId, Route, StandingVerdict};
 
 pub(crate) fn on(hub: &mut Hub, request: &mut Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
@@ -20,14 +20,8 @@ pub(crate) fn on(hub: &mut Hub, request: &mut Request, out: &mut Vec<Effect>) ->
     let (number, peer) = (context.number, request.peer);
     if hub.answers.is_empty() && request.verb == Verb::Send {
         // Messages of one sender stay in their order, also where one has to be asked about.
-        let parcel = std::mem::replace(&mut request.parcel, Parcel::new(Family::Message, ""));
-        match hub.wait_behind(peer, number, parcel) {
-            Ok(None) => return Ok(()),
-            Ok(Some(parcel)) => request.parcel = parcel,
-            Err((parcel, error)) => {
-                request.parcel = parcel;
-                return Err(error.into());
-            }
+        if hub.wait_behind(peer, number, &mut request.parcel)? {
+            return Ok(());
         }
     }
     let wish = Wish {
@@ -45,7 +39,7 @@ pub(crate) fn on(hub: &mut Hub, request: &mut Request, out: &mut Vec<Effect>) ->
     };
     let (now, wall) = (hub.now, hub.wall());
     let receivers = admit_with(&route, peer, &verdict.answer, &mut request.parcel, now, wall)?;
-    let parcel = std::mem::replace(&mut request.parcel, Parcel::new(Family::Message, ""));
+    let parcel = take_parcel(&mut request.parcel);
     let route = match hub.count_command(peer, &route, &parcel) {
         true => hub.route(number).unwrap_or(route),
         false => route,
