@@ -51,12 +51,13 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
         return Err(args::bad("to", "this peer has it already".to_owned()).into());
     }
     let offer = Offer {
+        by: peer,
         to,
         until: hub.after(within),
         time,
         commands: args.commands,
     };
-    hub.push_offer(number, peer, offer, out);
+    hub.push_offer(number, offer, out);
     let content = Map::new().with("within", millis(within));
     hub.push_ok(peer, request.parcel.id, &request.path, Some(content), out);
     Ok(())
