@@ -215,6 +215,21 @@ impl Hub {
         reason: &str,
         out: &mut Vec<Effect>,
     ) -> bool {
+        let ended = self.end_hold(number, peer, reason, out);
+        if ended {
+            self.advance_queue(number, out);
+        }
+        ended
+    }
+
+    /// Ends a shared hold, without a look at the queue; whether there was one.
+    pub(crate) fn end_hold(
+        &mut self,
+        number: ContextNumber,
+        peer: PeerId,
+        reason: &str,
+        out: &mut Vec<Effect>,
+    ) -> bool {
         let removed = self
             .token_mut(number)
             .and_then(|token| token.holders.remove(&peer));
@@ -223,7 +238,6 @@ impl Hub {
         }
         self.uninvolve(peer, number);
         self.push_shared(number, event::UNINHIBITED, peer, Some(reason), out);
-        self.advance_queue(number, out);
         true
     }
 
