@@ -11,7 +11,7 @@ use tempfile::TempDir;
 use crate::{Driver, Error, MomDriver, Process, RelayDriver};
 
 /// The one user of a broker under measurement; its password is its name.
-const USER: &str = "peer";
+pub const USER: &str = "peer";
 const CHANNEL: &str = "/bench";
 
 // Peers here only listen or only send, for as long as it takes: heartbeats would be noise.
@@ -29,6 +29,21 @@ gone = 1200000
 path = "/bench"
 kind = "channel"
 presence = "none"
+
+[[contexts]]
+path = "/cell"
+kind = "session"
+presence = "none"
+
+[[contexts]]
+path = "/cell/token"
+kind = "token"
+
+[[contexts]]
+path = "/cell/arm"
+kind = "channel"
+presence = "none"
+guard = { token = "/cell/token", names = ["command"] }
 "#;
 
 /// A hub under measurement.

@@ -9,6 +9,7 @@
 //! Another broker is measured by one more driver and the function that starts it.
 
 pub mod codecs;
+pub mod control;
 pub mod decisions;
 mod driver;
 mod error;
@@ -25,7 +26,7 @@ mod window;
 
 pub use driver::{Driver, Link, MomDriver, RelayDriver, Scan, Scanner, Template};
 pub use error::Error;
-pub use hub::{Hub, broker_folder, start_broker, start_relay};
+pub use hub::{Hub, USER, broker_folder, start_broker, start_relay};
 pub use pace::{Pace, Rate, measure};
 pub use process::Process;
 pub use round_trip::{Delays, RoundTrips};

@@ -17,6 +17,12 @@ pub struct Pace {
     pub connections: usize,
     /// Round trips before a hub's turn ends and the other's begins.
     pub block: usize,
+    /// Peers that contend for one token, and that log in at once.
+    pub crowd: usize,
+    /// Grants among them.
+    pub grants: u64,
+    /// The time with nobody else there, before they log in.
+    pub calm: Duration,
     /// The measured time of one row of [`crate::decisions`] or [`crate::codecs`].
     pub inside: Duration,
 }
@@ -31,6 +37,9 @@ impl Pace {
             rounds: 20_000,
             connections: 20,
             block: 250,
+            crowd: 1000,
+            grants: 5000,
+            calm: Duration::from_secs(3),
             inside: Duration::from_millis(150),
         }
     }
@@ -44,6 +53,9 @@ impl Pace {
             rounds: 1000,
             connections: 2,
             block: 250,
+            crowd: 40,
+            grants: 200,
+            calm: Duration::from_millis(200),
             inside: Duration::from_millis(20),
         }
     }

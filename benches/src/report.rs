@@ -10,7 +10,7 @@ use crate::codecs::{Coding, SIZES};
 use crate::decisions::{Admissions, Decisions};
 use crate::pace::median;
 use crate::scenario::{Figures, Goal, Scenario};
-use crate::{Pace, machine, measure};
+use crate::{Delays, Error, Pace, control, machine, measure};
 
 /// What stands before the table in a document.
 pub const BEGIN: &str = "<!-- mom-bench: begin -->";
@@ -116,6 +116,50 @@ pub fn hub(pace: &Pace) -> Result<String, WireError> {
     row("admit by the route, to one of 1000 members by name", &mut || {
         admitted(&mut one)
     });
+    Ok(out)
+}
+
+/// The part about control under load.
+///
+/// # Errors
+/// As [`control::contention`] and [`control::storm`].
+pub fn control(address: &str, user: &str, pace: &Pace) -> Result<String, Error> {
+    let contended = control::contention(address, user, pace.crowd, pace.grants)?;
+    let alone = control::contention(address, user, 1, pace.grants)?;
+    let storm = control::storm(address, user, pace.crowd, pace.calm)?;
+    let times = |delays: &Delays| format!("{:.0} / {:.0}", delays.quantile(0.5), delays.quantile(0.99));
+    let ratio = |[calm, busy]: &[Delays; 2]| short(busy.quantile(0.99) / calm.quantile(0.99));
+    let mut out = String::new();
+    let _ = writeln!(
+        out,
+        "| one token, binary over sockets | grants per second | release → next grant, p50 / p99 in µs | Jain's index |\n\
+         |---|---:|---:|---:|\n\
+         | 1 peer, grab and release | {} | | |\n\
+         | {} peers, all waiting | {} | {} | {:.3} |\n",
+        amount(alone.per_second),
+        contended.peers,
+        amount(contended.per_second),
+        times(&contended.handover),
+        contended.fairness,
+    );
+    let _ = writeln!(
+        out,
+        "{} peers logged in at once, with passwords, within {:.1} s, after {} answers `try-later`.\n\n\
+         | meanwhile, p50 / p99 in µs | nobody logs in | {} log in | ratio of p99 |\n\
+         |---|---:|---:|---:|\n\
+         | renewals of the owner | {} | {} | {} |\n\
+         | stops, from sender to robot | {} | {} | {} |",
+        storm.logins,
+        storm.took.as_secs_f64(),
+        storm.put_off,
+        storm.logins,
+        times(&storm.renewals[0]),
+        times(&storm.renewals[1]),
+        ratio(&storm.renewals),
+        times(&storm.stops[0]),
+        times(&storm.stops[1]),
+        ratio(&storm.stops),
+    );
     Ok(out)
 }
 

@@ -183,6 +183,13 @@ impl Delays {
         self.nanos.extend_from_slice(&more.nanos);
     }
 
+    /// Those that were taken elsewhere.
+    pub(crate) fn of(delays: Vec<Duration>) -> Delays {
+        let mut all = Delays::default();
+        delays.into_iter().for_each(|delay| all.add(delay));
+        all
+    }
+
     /// How many there are.
     pub fn count(&self) -> usize {
         self.nanos.len()

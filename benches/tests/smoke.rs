@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::time::Duration;
 
+use mom_benches::control;
 use mom_benches::scenario::{self, Figures, Load};
 use mom_benches::{
     Driver, Error, Hub, Link, Pace, Process, RelayDriver, Scan, Scanner, Stream, Template, broker_folder,
@@ -58,6 +59,9 @@ fn pace() -> Pace {
         rounds: 100,
         connections: 2,
         block: 30,
+        crowd: 10,
+        grants: 50,
+        calm: Duration::from_millis(50),
         inside: Duration::from_millis(1),
     }
 }
@@ -166,4 +170,25 @@ fn a_lost_parcel_is_no_figure() {
     };
     let lost = stream.run(&hub);
     assert!(matches!(lost, Err(Error::Order { .. })), "{lost:?}");
+}
+
+#[test]
+fn a_crowd_takes_turns_and_logs_in() {
+    let bench = Bench::start();
+    let address = bench.broker.local_addr().to_string();
+    let pace = pace();
+    let contended = control::contention(&address, "peer", pace.crowd, pace.grants).unwrap();
+    assert!(contended.fairness > 0.9, "{contended:?}");
+    assert!(contended.handover.count() > 0);
+    let storm = control::storm(&address, "peer", pace.crowd, pace.calm).unwrap();
+    assert_eq!(storm.logins, pace.crowd);
+    assert!(
+        storm
+            .renewals
+            .iter()
+            .chain(&storm.stops)
+            .all(|delays| delays.count() > 0),
+        "{storm:?}"
+    );
+    bench.stop();
 }

@@ -10,7 +10,7 @@ use std::{env, fs, io, thread};
 use anyhow::{Context, Result, bail};
 use clap::Parser;
 use mom_benches::scenario::{self, Scenario};
-use mom_benches::{Hub, Pace, broker_folder, report, start_broker, start_relay};
+use mom_benches::{Hub, Pace, USER, broker_folder, report, start_broker, start_relay};
 use mom_proto::codec::Form;
 
 const EXAMPLES: &str = "Examples:
@@ -29,7 +29,7 @@ struct Cli {
     /// Seconds instead of minutes; the figures mean little and are not written.
     #[arg(long)]
     quick: bool,
-    /// Only the parts whose name contains one of these; not written then. The parts: hub, codec, and the
+    /// Only the parts whose name contains one of these; not written then. The parts: hub, codec, control, and the
     /// scenarios of the table.
     #[arg(long)]
     only: Vec<String>,
@@ -70,13 +70,19 @@ fn run(cli: &Cli) -> Result<()> {
         .into_iter()
         .filter(|scenario| wanted(scenario.name))
         .collect();
-    if scenarios.is_empty() && !wanted("hub") && !wanted("codec") {
+    if scenarios.is_empty() && !["hub", "codec", "control"].into_iter().any(&wanted) {
         let names = scenario::ALL.map(|scenario| scenario.name).join("\n  ");
-        bail!("nothing is called so; there are\n  hub\n  codec\n  {names}");
+        bail!("nothing is called so; there are\n  hub\n  codec\n  control\n  {names}");
     }
     let mut parts = vec![report::conditions(&pace)];
     if !scenarios.is_empty() {
         parts.push(end_to_end(cli, &scenarios, &pace)?);
+    }
+    if wanted("control") {
+        say("control");
+        let broker = program(cli.broker.as_deref(), "mom-broker", "mom-broker")?;
+        let broker = start_broker(&broker, &broker_folder()?)?;
+        parts.push(report::control(broker.address(), USER, &pace)?);
     }
     if wanted("hub") {
         say("hub");
