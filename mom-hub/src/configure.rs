@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use mom_managers::Answer;
 use mom_proto::event::Reason;
-use mom_proto::{Code, ContextNumber, Path, Verb, WireError};
+use mom_proto::{ContextNumber, Path, Verb, WireError};
 
 use crate::args::ContextSpec;
 use crate::consult::Wish;
@@ -238,9 +238,9 @@ impl Hub {
         }
     }
 
-    /// Whether a manager says no; one that has to ask first leaves what is as it is.
+    /// Whether a manager says no for good; one that has to ask first, or says later, leaves what is as it is.
     fn refused(&mut self, peer: PeerId, verb: Verb, at: ContextNumber) -> bool {
         let verdict = self.consult(peer, &Wish::new(verb, at));
-        matches!(verdict.answer, Answer::Deny(denial) if denial.code != Code::HELD)
+        matches!(verdict.answer, Answer::Deny(denial) if !denial.code.may_retry())
     }
 }

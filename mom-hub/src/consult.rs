@@ -121,7 +121,9 @@ impl Hub {
         wish: &'a Wish<'_>,
     ) -> Option<Question<'a>> {
         let context = self.tree.get(wish.at)?;
-        let invited = context.invited.get(&peer).is_some_and(|until| self.now < *until);
+        // Who came in by an invitation needs no other to stay.
+        let invited = context.members.contains_key(&peer)
+            || context.invited.get(&peer).is_some_and(|until| self.now < *until);
         let creator = self.tree.get(managing).and_then(|managing| managing.creator);
         Some(Question {
             peer: facts,

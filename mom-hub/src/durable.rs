@@ -33,6 +33,8 @@ pub(crate) struct Change {
     pub(crate) given: Option<(Option<Micros>, Option<u64>)>,
     /// The rule that allowed it.
     pub(crate) rule: Option<Arc<str>>,
+    /// When the turn began that it continues; none = a new one.
+    pub(crate) turn: Option<Micros>,
     /// The requests that it answers.
     pub(crate) answers: Vec<(PeerId, Option<u64>)>,
 }
@@ -47,6 +49,7 @@ impl Change {
             until: None,
             given: None,
             rule: None,
+            turn: None,
             answers: Vec::new(),
         }
     }
@@ -217,6 +220,12 @@ impl Hub {
             until: change.until,
             delegation,
             rule: change.rule,
+            turn: match change.reason {
+                Reason::Given => token
+                    .and_then(|token| token.owner.as_ref())
+                    .map(|owner| owner.turn),
+                _ => change.turn,
+            },
         };
         self.change_owner(number, Some(grantee), change.reason, Some(change.to), out);
         self.answer_grant(number, &path, &change.answers, out);

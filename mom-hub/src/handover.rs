@@ -222,7 +222,7 @@ impl Hub {
         ended
     }
 
-    /// Ends a shared hold, without a look at the queue; whether there was one.
+    /// Ends a shared hold, and leaves to the caller who is next.
     pub(crate) fn end_hold(
         &mut self,
         number: ContextNumber,

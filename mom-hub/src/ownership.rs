@@ -27,6 +27,8 @@ pub(crate) struct Grantee {
     pub(crate) delegation: Option<Delegation>,
     /// The rule that allowed it.
     pub(crate) rule: Option<Arc<str>>,
+    /// When the turn began that it continues.
+    pub(crate) turn: Option<Micros>,
 }
 
 impl Hub {
@@ -42,6 +44,7 @@ impl Hub {
         let owner = self.token(number).and_then(|token| token.owner.as_ref());
         let Some(owner) = owner else { return };
         let giver = owner.delegation.as_ref().map(|delegation| delegation.from);
+        let turn = Some(owner.turn);
         let returns = !matches!(reason, Reason::Deleted | Reason::Broken | Reason::Preempted);
         // A delegate that gives the token back does what was agreed.
         let reason = match reason {
@@ -55,7 +58,11 @@ impl Hub {
             .filter(|giver| parent.is_some_and(|parent| self.is_member(*giver, parent)));
         match giver {
             Some(giver) if self.token(number).is_some_and(Token::is_free) => {
-                self.hand(number, Change::to(giver, Reason::Returned), out);
+                let change = Change {
+                    turn,
+                    ..Change::to(giver, Reason::Returned)
+                };
+                self.hand(number, change, out);
             }
             _ => {
                 self.correct_record(number, out);
@@ -106,6 +113,7 @@ impl Hub {
                 token.owner = Some(Ownership {
                     peer: grantee.peer,
                     since: now,
+                    turn: grantee.turn.unwrap_or(now),
                     lease_end: token.lease_from(now),
                     alive_until: token.terms.deadman.map(|deadman| now.saturating_add(deadman)),
                     until: grantee.until,

@@ -45,6 +45,8 @@ pub(crate) struct Token {
 pub(crate) struct Ownership {
     pub(crate) peer: PeerId,
     pub(crate) since: Micros,
+    /// When its turn began: who gives and returns within a turn gains no time by that.
+    pub(crate) turn: Micros,
     pub(crate) lease_end: Option<Micros>,
     /// The end of the deadman time.
     pub(crate) alive_until: Option<Micros>,
@@ -160,7 +162,7 @@ impl Token {
         let hold = self.terms.hold?;
         let first = self.queue.iter().map(|waiter| waiter.since).min()?;
         let noticed = first.saturating_add(self.terms.notice);
-        Some(owner.since.saturating_add(hold).max(noticed))
+        Some(owner.turn.saturating_add(hold).max(noticed))
     }
 
     /// Whether nobody has it in any way, and no change is under way.
