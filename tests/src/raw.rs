@@ -23,6 +23,8 @@ pub struct Raw {
     decoder: Decoder,
     form: Form,
     last_id: u64,
+    /// As the hub calls it.
+    name: String,
 }
 
 impl Raw {
@@ -66,6 +68,7 @@ impl Raw {
             decoder,
             form,
             last_id: 0,
+            name: String::new(),
         };
         if form == Form::Binary {
             raw.send(&PREFACE).await;
@@ -80,7 +83,14 @@ impl Raw {
     pub async fn log_in(&mut self, user: &str) {
         let content = Map::new().with("name", user).with("password", user);
         let login = Parcel::new(Family::Login, "login").content(content);
-        self.ask(login).await.expect("a user of the lab");
+        let welcome = self.ask(login).await.expect("a user of the lab").value();
+        let name = welcome.get("peer").and_then(Value::as_str);
+        self.name = name.expect("the hub gives a name").to_owned();
+    }
+
+    /// The name that the hub gave at login.
+    pub fn name(&self) -> &str {
+        &self.name
     }
 
     /// The wire form.
