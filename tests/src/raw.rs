@@ -269,6 +269,14 @@ impl Raw {
         }
     }
 
+    /// Ends the connection so that the broker sees a reset, as of a machine that was switched off and on.
+    ///
+    /// # Panics
+    /// If the system does not know how.
+    pub fn reset(self) {
+        self.stream.set_zero_linger().expect("a socket option");
+    }
+
     /// Whether the broker has closed; what it said before is kept, to be read.
     ///
     /// # Panics

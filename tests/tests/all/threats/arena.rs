@@ -3,7 +3,7 @@
 use std::net::SocketAddr;
 
 use mom_proto::codec::Form;
-use mom_proto::{Family, Map, Parcel, Value, WireError};
+use mom_proto::{Family, Map, Parcel, Value};
 use mom_tests::canary::fence_of;
 use mom_tests::raw::{Raw, at, message};
 
@@ -71,14 +71,6 @@ pub(super) fn about(verb: &str) -> Parcel {
 pub(super) async fn grab(peer: &mut Raw) -> u64 {
     let granted = peer.ask(about("grab")).await;
     fence_of(&granted.unwrap_or_else(|error| panic!("{error}")).value())
-}
-
-/// Asks about the token; gives the code of the refusal.
-pub(super) async fn refused(peer: &mut Raw, verb: &str) -> WireError {
-    match peer.ask(about(verb)).await {
-        Err(error) => error,
-        Ok(reply) => panic!("{verb} is not refused: {reply:?}"),
-    }
 }
 
 /// A command for the robot.

@@ -8,6 +8,7 @@ mod load;
 mod markup;
 mod mime;
 mod names;
+mod owner_lost;
 mod tokens;
 
 use std::net::SocketAddr;
