@@ -6,7 +6,7 @@
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
 
-use mom_managers::{Ask, Defer, Given, Micros, PeerFacts};
+use mom_managers::{Ask, Defer, Given, Micros};
 use mom_proto::{Code, ContextNumber, Family, Map, Parcel, Path, Value, Verb, WireError};
 
 use crate::hub::Timer;
@@ -41,6 +41,8 @@ impl From<WireError> for Refusal {
 #[derive(Debug)]
 pub(crate) struct Deferred {
     pub(crate) defer: Defer,
+    /// The rule that asks, for people.
+    pub(crate) rule: Arc<str>,
     pub(crate) verb: Verb,
     /// The context whose manager asks.
     pub(crate) managing: ContextNumber,
@@ -80,7 +82,8 @@ impl Hub {
         let asked = self.whom_to_ask(peer, deferred);
         let label = Arc::clone(&deferred.defer.label);
         if asked.is_empty() {
-            self.resume(peer, parcel, answers, unanswered(label), out);
+            let given = unanswered(label, "there is nobody to ask");
+            self.resume(peer, parcel, answers, given, out);
             return;
         }
         let mine = self
@@ -132,17 +135,7 @@ impl Hub {
                     .filter(|creator| self.peers.get(*creator).is_some())
                     .collect()
             }
-            Ask::Chairs {
-                users,
-                groups,
-                min_level,
-            } => {
-                let fits = |facts: &PeerFacts| {
-                    let user = users.iter().any(|user| **user == *facts.user);
-                    let group = groups.iter().any(|group| facts.groups.contains(group));
-                    let anyone = users.is_empty() && groups.is_empty();
-                    (anyone || user || group) && min_level.is_none_or(|least| facts.level >= least)
-                };
+            ask @ Ask::Chairs { .. } => {
                 let Some(at) = self.tree.get(deferred.at) else {
                     return BTreeSet::new();
                 };
@@ -151,7 +144,7 @@ impl Hub {
                     .members
                     .values()
                     .chain(parent.into_iter().flat_map(|parent| parent.members.values()));
-                let chairs = members.filter(|member| member.peer != peer && fits(&member.facts));
+                let chairs = members.filter(|member| member.peer != peer && ask.is_chair(&member.facts));
                 chairs.map(|member| member.peer).collect()
             }
         }
@@ -185,7 +178,7 @@ impl Hub {
         }
         content.set("kind", deferred.kind);
         content.set("within", self.millis_until(until));
-        content.set("rule", &*deferred.defer.label);
+        content.set("rule", &*deferred.rule);
         let mut parcel = self.hub_parcel(Family::Manager, "consult", &deferred.path);
         parcel.id = Some(question);
         out.push(Effect::Deliver {
@@ -212,7 +205,7 @@ impl Hub {
         let Some(pending) = self.take_pending(question) else {
             return;
         };
-        let given = unanswered(Arc::clone(&pending.label));
+        let given = unanswered(Arc::clone(&pending.label), "");
         self.finish(pending, given, out);
     }
 
@@ -329,12 +322,12 @@ pub(crate) fn take_parcel(parcel: &mut Parcel) -> Parcel {
     std::mem::replace(parcel, Parcel::new(Family::Message, ""))
 }
 
-fn unanswered(label: Arc<str>) -> Given {
+fn unanswered(label: Arc<str>, why: &str) -> Given {
     Given {
         label,
         by: None,
         allow: false,
         stands: false,
-        text: String::new(),
+        text: why.to_owned(),
     }
 }
