@@ -8,11 +8,13 @@ use mom_proto::{ContextKind, Family, Map, Parcel, Path};
 use tokio::sync::watch;
 use tokio::time::timeout;
 
-use crate::info::map_of;
+use crate::info::{map_of, millis};
 use crate::login::Welcome;
 use crate::proof::{Credentials, is_challenge};
 use crate::shared::{Shared, verb};
-use crate::{Builder, Channel, ClientError, ContextInfo, Events, Link, Member, Proof, Session, Token};
+use crate::{
+    Builder, Channel, ClientError, Consults, ContextInfo, Events, Link, Member, Proof, Session, Token,
+};
 
 /// How long a good-bye may take.
 const CLOSE: Duration = Duration::from_secs(1);
@@ -182,6 +184,49 @@ impl Client {
     /// `Refused` with `unknown-path`, `permanent` or `denied`.
     pub async fn delete(&self, path: &str) -> Result<(), ClientError> {
         self.ask(Family::Context, "delete", path, None).await.map(drop)
+    }
+
+    /// Tells a peer of a context, and that it is welcome there as far as its manager says so; joins the context for
+    /// as long as that takes. The peer gets [`Event::Invited`](crate::Event::Invited).
+    ///
+    /// # Errors
+    /// `Refused` with `unknown-path`, `unknown-peer` or `denied`.
+    pub async fn invite(&self, path: &str, peer: &str) -> Result<(), ClientError> {
+        let _member = self.enter(&Path::parse(path)?).await?;
+        let content = Map::new().with("peer", peer);
+        self.ask(Family::Context, "invite", path, Some(content))
+            .await
+            .map(drop)
+    }
+
+    /// Puts a peer out of a context and all below it, and keeps it out for a time, 1 min unless told; `text` tells
+    /// it why and may be empty. Its tokens there are lost. From `/` it is put off the hub.
+    ///
+    /// # Errors
+    /// `Refused` with `unknown-path`, `unknown-peer` or `denied`.
+    pub async fn expel(
+        &self,
+        path: &str,
+        peer: &str,
+        text: &str,
+        time: Option<Duration>,
+    ) -> Result<(), ClientError> {
+        let mut content = Map::new().with("peer", peer);
+        if !text.is_empty() {
+            content.set("text", text);
+        }
+        if let Some(time) = time {
+            content.set("for", millis(time));
+        }
+        self.ask(Family::Context, "expel", path, Some(content))
+            .await
+            .map(drop)
+    }
+
+    /// The hub's questions to this peer, from now on: about contexts that it manages, made with the manager `self`,
+    /// and those where it has the chair.
+    pub fn consults(&self) -> Consults {
+        Consults::new(self.clone(), self.shared().subscribe_consults())
     }
 
     /// Joins a session, parents first.

@@ -94,9 +94,7 @@ impl Shared {
     fn lose_link(&self, why: &str) {
         let mut state = self.lock();
         state.status = Status::Down;
-        state
-            .guards
-            .lose_all(&Lost::new(names::Reason::Disconnected.word(), None));
+        state.lose_holds(&Lost::new(names::Reason::Disconnected.word(), None));
         let unsent = state.outbox.clear();
         let room = unsent.iter().map(|message| message.room as usize).sum();
         for (path, count) in count_unsent(&unsent) {
@@ -153,9 +151,7 @@ impl Shared {
     fn close(&self, error: Option<WireError>) {
         let mut state = self.lock();
         state.status = Status::Closed(error.clone());
-        state
-            .guards
-            .lose_all(&Lost::new(names::Reason::Disconnected.word(), None));
+        state.lose_holds(&Lost::new(names::Reason::Disconnected.word(), None));
         state.outbox.clear();
         state.subscribers.close_all();
         let joins = state.places.lose_link();

@@ -231,13 +231,18 @@ impl Hub {
         let (rule, text) = match (holders.is_empty(), kept) {
             (false, _) => (
                 "shared hold",
-                format!("{path} is held by several, so that nobody owns it"),
+                format!("{path} is inhibited: as long as somebody holds it so, nobody owns it"),
             ),
             (true, Some(_)) => (
                 "restart",
                 format!("{path} waits for who owned it before the hub was started anew"),
             ),
-            (true, None) => ("one owner at most", format!("{path} is held")),
+            (true, None) => {
+                let owner = found.and_then(|found| found.owner.as_ref());
+                let by = owner.map(|owner| format!(" by {}", self.name_of(owner.peer)));
+                let text = format!("{path} is held{}", by.unwrap_or_default());
+                ("one owner at most", text)
+            }
         };
         let lease_end = found.and_then(|found| found.owner.as_ref()?.lease_end);
         let denial = Denial {

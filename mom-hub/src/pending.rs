@@ -62,11 +62,20 @@ pub(crate) struct Pending {
     pub(crate) answers: Vec<Given>,
     label: Arc<str>,
     pub(crate) asked: BTreeSet<PeerId>,
+    whom: Whom,
     pub(crate) until: Micros,
     /// The channel, if it is a send.
     pub(crate) channel: Option<ContextNumber>,
     /// Later sends of the same peer to the same channel.
     pub(crate) behind: VecDeque<Parcel>,
+}
+
+/// Who may answer a question.
+#[derive(Clone, Debug)]
+struct Whom {
+    ask: Ask,
+    managing: ContextNumber,
+    at: ContextNumber,
 }
 
 impl Hub {
@@ -79,7 +88,12 @@ impl Hub {
         deferred: &Deferred,
         out: &mut Vec<Effect>,
     ) {
-        let asked = self.whom_to_ask(peer, deferred);
+        let whom = Whom {
+            ask: deferred.defer.ask.clone(),
+            managing: deferred.managing,
+            at: deferred.at,
+        };
+        let asked = self.whom_to_ask(peer, &whom);
         let label = Arc::clone(&deferred.defer.label);
         if asked.is_empty() {
             let given = unanswered(label, "there is nobody to ask");
@@ -116,6 +130,7 @@ impl Hub {
             answers,
             label,
             asked,
+            whom,
             until,
             channel,
             behind: VecDeque::new(),
@@ -123,20 +138,17 @@ impl Hub {
         self.pending.insert(question, pending);
     }
 
-    fn whom_to_ask(&self, peer: PeerId, deferred: &Deferred) -> BTreeSet<PeerId> {
-        match &deferred.defer.ask {
+    fn whom_to_ask(&self, peer: PeerId, whom: &Whom) -> BTreeSet<PeerId> {
+        match &whom.ask {
             Ask::Creator => {
-                let creator = self
-                    .tree
-                    .get(deferred.managing)
-                    .and_then(|context| context.creator);
+                let creator = self.tree.get(whom.managing).and_then(|context| context.creator);
                 creator
                     .into_iter()
                     .filter(|creator| self.peers.get(*creator).is_some())
                     .collect()
             }
             ask @ Ask::Chairs { .. } => {
-                let Some(at) = self.tree.get(deferred.at) else {
+                let Some(at) = self.tree.get(whom.at) else {
                     return BTreeSet::new();
                 };
                 let parent = at.parent.and_then(|parent| self.tree.get(parent));
@@ -190,7 +202,11 @@ impl Hub {
     /// Takes the answer of a peer to a question; false if it was not asked, or not any more.
     pub(crate) fn answer(&mut self, question: u64, given: Given, by: PeerId, out: &mut Vec<Effect>) -> bool {
         let asked = self.pending.get(&question);
-        if !asked.is_some_and(|pending| pending.asked.contains(&by)) {
+        // Who was a chair when it was asked may have left the room meanwhile, or been put out of it.
+        let may = |pending: &Pending| {
+            pending.asked.contains(&by) && self.whom_to_ask(pending.peer, &pending.whom).contains(&by)
+        };
+        if !asked.is_some_and(may) {
             return false;
         }
         if let Some(pending) = self.take_pending(question) {

@@ -3,6 +3,7 @@
 use std::net::SocketAddr;
 
 use mom_broker::{Broker, Clock, Config};
+use mom_proto::Time;
 
 /// Starts the lab's broker on a free port of loopback.
 pub async fn start() -> Broker {
@@ -17,10 +18,10 @@ pub async fn start_with(change: impl FnOnce(&mut Config)) -> Broker {
     start_at(Clock::system(), change).await
 }
 
-/// The same, by another clock.
+/// The same, with a clock of the test's own.
 ///
 /// # Panics
-/// As [`start_with`].
+/// If the configuration is refused: the test's own fault.
 pub async fn start_at(clock: Clock, change: impl FnOnce(&mut Config)) -> Broker {
     let mut config = Config::lab();
     config.listen = vec![SocketAddr::from(([127, 0, 0, 1], 0)).to_string()];
@@ -28,4 +29,13 @@ pub async fn start_at(clock: Clock, change: impl FnOnce(&mut Config)) -> Broker 
     Broker::start_at(config, clock)
         .await
         .expect("the lab is a right configuration")
+}
+
+/// A clock that stands still until the test moves it: a lease is over at once.
+///
+/// # Panics
+/// Never.
+pub fn clock() -> Clock {
+    let morning = "2026-11-21T10:00:00Z".parse::<Time>();
+    Clock::manual(morning.expect("a time"))
 }

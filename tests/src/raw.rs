@@ -23,6 +23,8 @@ pub struct Raw {
     decoder: Decoder,
     form: Form,
     last_id: u64,
+    /// As the hub calls it.
+    name: String,
 }
 
 impl Raw {
@@ -79,6 +81,7 @@ impl Raw {
             decoder,
             form,
             last_id: 0,
+            name: String::new(),
         };
         if form == Form::Binary {
             raw.send(&PREFACE).await;
@@ -93,7 +96,14 @@ impl Raw {
     pub async fn log_in(&mut self, user: &str) {
         let content = Map::new().with("name", user).with("password", user);
         let login = Parcel::new(Family::Login, "login").content(content);
-        self.ask(login).await.expect("a user of the lab");
+        let welcome = self.ask(login).await.expect("a user of the lab").value();
+        let name = welcome.get("peer").and_then(Value::as_str);
+        self.name = name.expect("the hub gives a name").to_owned();
+    }
+
+    /// The name that the hub gave at login.
+    pub fn name(&self) -> &str {
+        &self.name
     }
 
     /// The wire form.
@@ -270,6 +280,14 @@ impl Raw {
         while let Some(parcel) = self.next().await {
             assert_eq!(parcel.family, Family::Event, "after the last error: {parcel:?}");
         }
+    }
+
+    /// Ends the connection so that the broker sees a reset, as of a machine that was switched off and on.
+    ///
+    /// # Panics
+    /// If the system does not know how.
+    pub fn reset(self) {
+        self.stream.set_zero_linger().expect("a socket option");
     }
 
     /// Whether the broker has closed; what it said before is kept, to be read.

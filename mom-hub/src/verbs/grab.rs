@@ -102,7 +102,7 @@ fn grab(
         let error = hub.held(peer, number);
         return wait_or(hub, request, number, patience, error, out);
     };
-    // Its own part of a shared hold becomes ownership.
+    // Its own part of a shared hold becomes ownership, before anybody of the queue could have the token.
     hub.end_hold(number, peer, "grabbed", out);
     let change = Change {
         until: grant.until,

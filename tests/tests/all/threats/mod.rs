@@ -1,12 +1,15 @@
 //! Ways to hurt a hub, over real sockets, with a canary beside that must not notice.
 
+mod arena;
 mod framing;
 mod identity;
+mod leases;
 mod load;
 mod login;
 mod markup;
 mod mime;
 mod names;
+mod owner_lost;
 mod tokens;
 
 use std::net::SocketAddr;
@@ -46,6 +49,7 @@ impl World {
         World::start_at(Clock::system(), change).await
     }
 
+    /// With a clock of the test's own.
     async fn start_at(clock: Clock, change: impl FnOnce(&mut Config)) -> World {
         let broker = lab::start_at(clock, change).await;
         let address = broker.local_addr();
