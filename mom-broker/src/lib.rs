@@ -17,5 +17,5 @@ mod switchboard;
 
 pub use broker::{Broker, BrokerError};
 pub use clock::Clock;
-pub use config::{Config, ConfigError, LoginConfig, UserEntry};
+pub use config::{Config, ConfigError, LoginConfig, StoreConfig, UserEntry};
 pub use login::hash;

@@ -33,7 +33,7 @@ fn the_annotated_default_has_every_key() {
     let keys = |table: &toml::Table| table.keys().cloned().collect::<BTreeSet<_>>();
     let limits = toml::Table::try_from(Limits::default()).expect("limits are a table");
     assert_eq!(keys(table["limits"].as_table().expect("a table")), keys(&limits));
-    for key in ["users", "managers.staff", "contexts"] {
+    for key in ["users", "store", "managers.staff", "contexts"] {
         assert!(
             text.contains(&format!("# {key} = "))
                 || text.contains(&format!("# [{key}]"))
@@ -101,6 +101,30 @@ fn wrong_keys_and_types() {
     );
     check("[limits]\nparcel = 1\n¦parcel = 2\n", "parcel", "duplicate");
     check("log = \"a\"\n¦log \"b\"\n", "log \"b\"", "");
+}
+
+/// The store lies relative to the file, as the users do.
+#[test]
+fn the_store_is_a_directory() {
+    let folder = TempDir::new().expect("a folder");
+    let file = folder.path().join("mom.toml");
+    let path_of = |text: &str| {
+        fs::write(&file, text).expect("written");
+        Config::load(&file).expect("right").store.path
+    };
+    assert_eq!(path_of(""), None);
+    assert_eq!(path_of("[store]\n"), None);
+    assert_eq!(
+        path_of("[store]\npath = \"state\"\n"),
+        Some(folder.path().join("state"))
+    );
+    assert_eq!(
+        path_of("[store]\npath = \"/var/lib/mom\"\n"),
+        Some(PathBuf::from("/var/lib/mom"))
+    );
+    check("[store]\n¦path = \"\"\n", "store.path", "directory");
+    check("[store]\n¦path = 4\n", "path", "invalid type");
+    check("[store]\n¦paht = \"state\"\n", "paht", "unknown field");
 }
 
 #[test]

@@ -8,7 +8,7 @@ use mom_proto::{HARD_DEPTH, Limits, Value};
 use serde::Deserialize;
 
 use super::locate::Source;
-use super::{Config, ConfigError, LoginConfig, users};
+use super::{Config, ConfigError, LoginConfig, StoreConfig, users};
 
 const LAB: &str = include_str!("../../../config/lab.toml");
 const LAB_USERS: &str = include_str!("../../../config/lab-users.toml");
@@ -23,6 +23,7 @@ struct File {
     root: Value,
     limits: Limits,
     login: LoginConfig,
+    store: StoreConfig,
     managers: BTreeMap<String, Value>,
     contexts: Vec<ContextSpec>,
 }
@@ -35,6 +36,7 @@ impl Default for File {
             log,
             limits,
             login,
+            store,
             root,
             managers,
             contexts,
@@ -48,6 +50,7 @@ impl Default for File {
             root,
             limits,
             login,
+            store,
             managers,
             contexts,
         }
@@ -55,14 +58,15 @@ impl Default for File {
 }
 
 impl Config {
-    /// Reads a configuration file and the users file that it names, which lies relative to it.
+    /// Reads a configuration file and the users file that it names, which lies relative to it, as does the store.
     ///
     /// # Errors
     /// What is wrong, with file, line and key.
     pub fn load(path: &Path) -> Result<Config, ConfigError> {
-        Config::parse(read(path)?, |users| {
-            read(&path.parent().unwrap_or(Path::new(".")).join(users)).map(Some)
-        })
+        let folder = path.parent().unwrap_or(Path::new("."));
+        let mut config = Config::parse(read(path)?, |users| read(&folder.join(users)).map(Some))?;
+        config.store.path = config.store.path.map(|store| folder.join(store));
+        Ok(config)
     }
 
     /// The demonstration lab that is built in, with its users; for loopback only, its passwords are public.
@@ -99,6 +103,7 @@ impl Config {
             log: file.log,
             limits: file.limits,
             login: file.login,
+            store: file.store,
             root: file.root,
             managers: file.managers,
             contexts: file.contexts,
@@ -147,6 +152,15 @@ fn check(file: &File, source: &Source) -> Result<(), ConfigError> {
             &["listen"],
             "a broker needs an address to listen at, such as 127.0.0.1:7666".into(),
         ));
+    }
+    if file
+        .store
+        .path
+        .as_ref()
+        .is_some_and(|path| path.as_os_str().is_empty())
+    {
+        let text = "path is a directory such as \"state\", relative to this file";
+        return Err(source.error(&["store", "path"], text.into()));
     }
     if !(1..=HARD_DEPTH).contains(&file.limits.depth) {
         return Err(source.error(

@@ -6,6 +6,7 @@ mod locate;
 mod users;
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 use mom_hub::ContextSpec;
 use mom_managers::Registry;
@@ -37,6 +38,8 @@ pub struct Config {
     pub limits: Limits,
     /// How logins are checked.
     pub login: LoginConfig,
+    /// What outlives the broker.
+    pub store: StoreConfig,
     /// The manager of the root.
     pub root: Value,
     /// The managers that have names.
@@ -60,6 +63,14 @@ pub struct LoginConfig {
     pub attempts: u32,
 }
 
+/// What outlives the broker: who owns which token, and the fences.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct StoreConfig {
+    /// A directory of this broker's own; it is made if it is not there. None = nothing outlives it.
+    pub path: Option<PathBuf>,
+}
+
 impl Default for LoginConfig {
     fn default() -> LoginConfig {
         LoginConfig {
@@ -78,6 +89,7 @@ impl Default for Config {
             log: "info".to_owned(),
             limits: Limits::default(),
             login: LoginConfig::default(),
+            store: StoreConfig::default(),
             root: Value::from("closed"),
             managers: BTreeMap::new(),
             contexts: Vec::new(),
