@@ -13,9 +13,11 @@ mod encodings;
 mod login;
 mod outbox;
 mod session;
+mod store;
 mod switchboard;
 
 pub use broker::{Broker, BrokerError};
 pub use clock::Clock;
 pub use config::{Config, ConfigError, LoginConfig, StoreConfig, UserEntry};
 pub use login::hash;
+pub use store::StoreError;
