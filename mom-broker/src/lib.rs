@@ -15,14 +15,16 @@ mod outbox;
 mod reload;
 mod schema;
 mod session;
+mod store;
 mod switchboard;
 
 pub use broker::{Broker, BrokerError};
 pub use clock::Clock;
 pub use config::{
     Asked, Config, ConfigError, Explanation, FailureRate, JwtConfig, JwtKey, JwtUsers, LoginConfig, Place,
-    ReloadOn, Supposed, ThrottleConfig, UserEntry,
+    ReloadOn, StoreConfig, Supposed, ThrottleConfig, UserEntry,
 };
 pub use login::{LoginStats, hash};
 pub use reload::{Changes, ReloadReport};
 pub use schema::{config_schema, users_schema};
+pub use store::StoreError;

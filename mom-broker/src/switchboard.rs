@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use dashmap::DashMap;
-use mom_hub::{Admission, Effect, Hub, Input, PeerId, admit};
+use mom_hub::{Admission, Effect, Hub, Input, PeerId, Record, Ticket, admit};
 use mom_managers::Micros;
 use mom_proto::{Code, ContextNumber, Family, Map, Parcel, Path, Value, WireError, event};
 use parking_lot::Mutex;
@@ -14,10 +14,12 @@ use crate::channel::{Channel, Delivered, control, hub_origin, stamped};
 use crate::clock::Clock;
 use crate::encodings::{Bounds, Encodings};
 use crate::outbox::{Outbox, Taken};
+use crate::store::Store;
 
 /// The switchboard of one broker.
 ///
-/// Locks are taken in the order hub, channel, outbox, and none is held over an await.
+/// Locks are taken in the order hub, channel, outbox, and none is held over an await. The store's is taken under
+/// the hub's and takes no other.
 #[derive(Debug)]
 pub(crate) struct Switchboard {
     pub(crate) clock: Clock,
@@ -25,6 +27,8 @@ pub(crate) struct Switchboard {
     channels: DashMap<ContextNumber, Arc<Channel>>,
     by_path: DashMap<Path, ContextNumber>,
     bounds: Bounds,
+    /// None where nothing outlives the broker; the hub knows, and stores nothing.
+    pub(crate) store: Option<Store>,
     pub(crate) outboxes: DashMap<PeerId, Arc<Outbox>>,
     last_peer: AtomicU64,
     /// The hub's deadline may have come closer.
@@ -38,7 +42,7 @@ pub(crate) struct Switchboard {
 pub(crate) type Touched = Vec<Arc<Outbox>>;
 
 impl Switchboard {
-    pub(crate) fn new(hub: Hub, clock: Clock, bounds: Bounds) -> Switchboard {
+    pub(crate) fn new(hub: Hub, clock: Clock, bounds: Bounds, store: Option<Store>) -> Switchboard {
         let routes = hub.routes();
         let board = Switchboard {
             clock,
@@ -46,6 +50,7 @@ impl Switchboard {
             channels: DashMap::new(),
             by_path: DashMap::new(),
             bounds,
+            store,
             outboxes: DashMap::new(),
             last_peer: AtomicU64::new(0),
             deadline_changed: Notify::new(),
@@ -293,13 +298,23 @@ impl Switchboard {
                         Err(error) => self.tell(from, error.to_parcel(reference), touched),
                     }
                 }
-                Effect::Store { .. } | Effect::Audit(_) => {}
+                Effect::Store { record, ticket } => self.keep(record, ticket),
+                Effect::Audit(_) => {}
                 Effect::Close { peer, error } => {
                     if let Some(outbox) = self.outbox(peer) {
                         self.close(&outbox, error);
                     }
                 }
             }
+        }
+    }
+
+    /// Hands a record to the store, which answers by [`Input::Stored`] later and never waits here.
+    pub(crate) fn keep(&self, record: Record, ticket: Option<Ticket>) {
+        match &self.store {
+            Some(store) => store.put(record, ticket),
+            // Its settings tell the hub that nothing is durable here, so it awaits nothing.
+            None => tracing::error!(token = %record.path, ?ticket, "a record without a store"),
         }
     }
 

@@ -115,6 +115,30 @@ fn wrong_keys_and_types() {
     check("log = \"a\"\n¦log \"b\"\n", "log \"b\"", "");
 }
 
+/// The store lies relative to the file, as the users do.
+#[test]
+fn the_store_is_a_directory() {
+    let folder = TempDir::new().expect("a folder");
+    let file = folder.path().join("mom.toml");
+    let path_of = |text: &str| {
+        fs::write(&file, text).expect("written");
+        Config::load(&file).expect("right").store.path
+    };
+    assert_eq!(path_of(""), None);
+    assert_eq!(path_of("[store]\n"), None);
+    assert_eq!(
+        path_of("[store]\npath = \"state\"\n"),
+        Some(folder.path().join("state"))
+    );
+    assert_eq!(
+        path_of("[store]\npath = \"/var/lib/mom\"\n"),
+        Some(PathBuf::from("/var/lib/mom"))
+    );
+    check("[store]\n¦path = \"\"\n", "store.path", "directory");
+    check("[store]\n¦path = 4\n", "path", "invalid type");
+    check("[store]\n¦paht = \"state\"\n", "paht", "unknown field");
+}
+
 #[test]
 fn numbers_that_cannot_be() {
     for key in [

@@ -9,7 +9,7 @@ use serde::Deserialize;
 use tracing_subscriber::EnvFilter;
 
 use super::locate::Source;
-use super::{Config, ConfigError, LoginConfig, ReloadOn, users};
+use super::{Config, ConfigError, LoginConfig, ReloadOn, StoreConfig, users};
 
 const LAB: &str = include_str!("../../../config/lab.toml");
 const LAB_USERS: &str = include_str!("../../../config/lab-users.toml");
@@ -25,6 +25,7 @@ struct File {
     root: Value,
     limits: Limits,
     login: LoginConfig,
+    store: StoreConfig,
     managers: BTreeMap<String, Value>,
     contexts: Vec<ContextSpec>,
 }
@@ -38,6 +39,7 @@ impl Default for File {
             reload,
             limits,
             login,
+            store,
             root,
             managers,
             contexts,
@@ -52,6 +54,7 @@ impl Default for File {
             root,
             limits,
             login,
+            store,
             managers,
             contexts,
         }
@@ -59,14 +62,15 @@ impl Default for File {
 }
 
 impl Config {
-    /// Reads a configuration file and the users file that it names, which lies relative to it.
+    /// Reads a configuration file and the users file that it names, which lies relative to it, as does the store.
     ///
     /// # Errors
     /// What is wrong, with file, line and key.
     pub fn load(path: &Path) -> Result<Config, ConfigError> {
-        Config::parse(read(path)?, |name| {
-            read(&path.parent().unwrap_or(Path::new(".")).join(name))
-        })
+        let folder = path.parent().unwrap_or(Path::new("."));
+        let mut config = Config::parse(read(path)?, |name| read(&folder.join(name)))?;
+        config.store.path = config.store.path.map(|store| folder.join(store));
+        Ok(config)
     }
 
     /// The demonstration lab that is built in, with its users; for loopback only, its passwords are public.
@@ -107,6 +111,7 @@ impl Config {
             reload: file.reload,
             limits: file.limits,
             login: file.login,
+            store: file.store,
             root: file.root,
             managers: file.managers,
             contexts: file.contexts,
@@ -159,6 +164,15 @@ fn check(file: &File, source: &Source) -> Result<(), ConfigError> {
             &["listen"],
             "a broker needs an address to listen at, such as 127.0.0.1:7666".into(),
         ));
+    }
+    if file
+        .store
+        .path
+        .as_ref()
+        .is_some_and(|path| path.as_os_str().is_empty())
+    {
+        let text = "path is a directory such as \"state\", relative to this file";
+        return Err(source.error(&["store", "path"], text.into()));
     }
     if !(1..=HARD_DEPTH).contains(&file.limits.depth) {
         return Err(source.error(

@@ -10,6 +10,7 @@ mod review;
 mod users;
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 use mom_hub::{ContextSpec, Hub, Settings};
 use mom_managers::Registry;
@@ -46,6 +47,8 @@ pub struct Config {
     pub limits: Limits,
     /// How logins are checked.
     pub login: LoginConfig,
+    /// What outlives the broker.
+    pub store: StoreConfig,
     /// The manager of the root.
     pub root: Value,
     /// The managers that have names.
@@ -68,6 +71,14 @@ pub enum ReloadOn {
     Signal,
 }
 
+/// What outlives the broker: who owns which token, and the fences.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct StoreConfig {
+    /// A directory of this broker's own; it is made if it is not there. None = nothing outlives it.
+    pub path: Option<PathBuf>,
+}
+
 impl Default for Config {
     fn default() -> Config {
         Config {
@@ -77,6 +88,7 @@ impl Default for Config {
             reload: ReloadOn::default(),
             limits: Limits::default(),
             login: LoginConfig::default(),
+            store: StoreConfig::default(),
             root: Value::from("closed"),
             managers: BTreeMap::new(),
             contexts: Vec::new(),

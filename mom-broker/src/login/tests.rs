@@ -41,7 +41,7 @@ impl House {
         };
         let clock = Clock::manual(mom_proto::Time::from_micros(0).expect("1970"));
         let logins = Logins::new(config.users, config.login, clock.clone()).expect("right");
-        let board = Switchboard::new(hub.expect("right"), clock, bounds);
+        let board = Switchboard::new(hub.expect("right"), clock, bounds, None);
         House {
             context: Context::new(board, logins, config.limits),
         }
