@@ -20,6 +20,7 @@ use crate::login::{LoginStats, Logins};
 use crate::session::{self, Context};
 use crate::store::{self, Answer, StoreError};
 use crate::switchboard::{Switchboard, Touched, flush};
+use crate::witness::Witness;
 
 /// What is dropped is told to senders and receivers this often at most.
 const REPORTS: Duration = Duration::from_millis(250);
@@ -39,6 +40,16 @@ pub enum BrokerError {
     /// Its store cannot be used.
     #[error(transparent)]
     Store(#[from] StoreError),
+    /// A file that it shall write and cannot.
+    #[error("cannot write the {what} {path}: {error}")]
+    Write {
+        /// What it is for.
+        what: &'static str,
+        /// The file.
+        path: String,
+        /// What the system says.
+        error: std::io::Error,
+    },
     /// An address that cannot be listened at.
     #[error("cannot listen at {address}: {error}{}", hint(error))]
     Listen {
@@ -109,13 +120,14 @@ impl Broker {
             settings.records = opened.records;
             (store, answers) = (Some(opened.store), Some(opened.answers));
         }
-        let hub = config.make_hub(settings)?;
+        let hub = config.make_hub(settings.clone())?;
+        let witness = Witness::start(&config, &settings, &clock)?;
         let bounds = Bounds {
             depth: config.limits.depth,
             parcel: config.limits.parcel,
         };
         let logins = Logins::new(config.users.clone(), config.login.clone(), clock.clone())?;
-        let board = Switchboard::new(hub, clock, bounds, store);
+        let board = Switchboard::new(hub, clock, bounds, store, witness);
         let context = Context::new(board, logins, config.limits.clone());
         let (stopping, stop) = watch::channel(false);
         let connections = Arc::new(Semaphore::new(config.connections));
@@ -211,6 +223,7 @@ impl Broker {
         }
         // What is left are connections that have not said in which form they speak.
         self.tasks.shutdown().await;
+        self.context.board.witness.stop().await;
         tracing::info!("broker stopped");
     }
 }

@@ -51,12 +51,15 @@ fn the_annotated_default_has_every_key() {
     for key in named(&schema) {
         assert!(table.contains_key(&key) || stands(&key), "{key}");
     }
-    for key in named(&schema["properties"]["login"]) {
-        let login = table["login"].as_table().expect("a table");
-        assert!(
-            login.contains_key(&key) || stands(&format!("login.{key}")),
-            "login.{key}"
-        );
+    for name in ["login", "audit", "record"] {
+        let inner = table[name].as_table().expect("a table");
+        for key in named(&schema["properties"][name]) {
+            let alone = key == "path" && text.contains(&format!("\n[{name}]\n# path = "));
+            assert!(
+                inner.contains_key(&key) || alone || stands(&format!("{name}.{key}")),
+                "{name}.{key}"
+            );
+        }
     }
 }
 
@@ -162,6 +165,13 @@ fn numbers_that_cannot_be() {
     }
     for key in ["parcel", "contexts", "joined"] {
         check(&format!("[limits]\n¦{key} = 0\n"), key, "unlimited");
+    }
+    for table in ["audit", "record"] {
+        check(
+            &format!("[{table}]\n¦size = 4095\n"),
+            &format!("{table}.size"),
+            "from 4096",
+        );
     }
     for key in ["hashers", "waiting", "attempts", "challenge-time"] {
         check(

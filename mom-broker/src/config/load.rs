@@ -10,6 +10,8 @@ use tracing_subscriber::EnvFilter;
 
 use super::locate::Source;
 use super::{Config, ConfigError, LoginConfig, ReloadOn, StoreConfig, users};
+use crate::audit::AuditConfig;
+use crate::record::RecordConfig;
 
 const LAB: &str = include_str!("../../../config/lab.toml");
 const LAB_USERS: &str = include_str!("../../../config/lab-users.toml");
@@ -26,6 +28,8 @@ struct File {
     limits: Limits,
     login: LoginConfig,
     store: StoreConfig,
+    audit: AuditConfig,
+    record: RecordConfig,
     managers: BTreeMap<String, Value>,
     contexts: Vec<ContextSpec>,
 }
@@ -40,6 +44,8 @@ impl Default for File {
             limits,
             login,
             store,
+            audit,
+            record,
             root,
             managers,
             contexts,
@@ -55,6 +61,8 @@ impl Default for File {
             limits,
             login,
             store,
+            audit,
+            record,
             managers,
             contexts,
         }
@@ -93,6 +101,9 @@ impl Config {
     ) -> Result<Config, ConfigError> {
         let mut file: File = toml::from_str(&source.text).map_err(|error| source.syntax(&error))?;
         check(&file, &source)?;
+        let folder = Path::new(&source.name).parent().unwrap_or(Path::new("."));
+        file.audit.resolve(folder);
+        file.record.resolve(folder);
         let users = match &file.users {
             Some(name) => {
                 let users = beside(name).map_err(|error| source.error(&["users"], error.to_string()))?;
@@ -112,6 +123,8 @@ impl Config {
             limits: file.limits,
             login: file.login,
             store: file.store,
+            audit: file.audit,
+            record: file.record,
             root: file.root,
             managers: file.managers,
             contexts: file.contexts,
@@ -158,6 +171,15 @@ fn check(file: &File, source: &Source) -> Result<(), ConfigError> {
             file.log
         );
         return Err(source.error(&["log"], text));
+    }
+    for (table, size, least) in [
+        ("audit", file.audit.size, AuditConfig::LEAST),
+        ("record", file.record.size, RecordConfig::LEAST),
+    ] {
+        if size < least {
+            let text = format!("size is a number of bytes from {least}");
+            return Err(source.error(&[table, "size"], text));
+        }
     }
     if file.listen.is_empty() {
         return Err(source.error(

@@ -6,6 +6,7 @@ mod load;
 mod locate;
 mod login;
 mod managers;
+mod origin;
 mod review;
 mod users;
 
@@ -23,6 +24,8 @@ pub use locate::Place;
 pub use login::{FailureRate, JwtConfig, JwtKey, JwtUsers, LoginConfig, ThrottleConfig};
 pub use users::UserEntry;
 
+use crate::audit::AuditConfig;
+use crate::record::RecordConfig;
 use locate::Source;
 
 /// All that a broker can be told.
@@ -49,6 +52,10 @@ pub struct Config {
     pub login: LoginConfig,
     /// What outlives the broker.
     pub store: StoreConfig,
+    /// Where the audit log goes.
+    pub audit: AuditConfig,
+    /// Where control inputs are recorded.
+    pub record: RecordConfig,
     /// The manager of the root.
     pub root: Value,
     /// The managers that have names.
@@ -89,6 +96,8 @@ impl Default for Config {
             limits: Limits::default(),
             login: LoginConfig::default(),
             store: StoreConfig::default(),
+            audit: AuditConfig::default(),
+            record: RecordConfig::default(),
             root: Value::from("closed"),
             managers: BTreeMap::new(),
             contexts: Vec::new(),
