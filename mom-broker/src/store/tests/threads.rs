@@ -218,3 +218,16 @@ fn a_store_closes_when_all_is_written() {
         "all lanes have ended"
     );
 }
+
+#[test]
+fn a_store_that_closes_gives_up_no_release() {
+    let slow = slowly();
+    slow.store.put(free("/a", 1), None);
+    let first = slow.writes(&["/a"]);
+    let mut closing = std::pin::pin!(slow.store.close());
+    let mut context = Context::from_waker(Waker::noop());
+    assert_eq!(closing.as_mut().poll(&mut context), Poll::Pending);
+    slow.end(first, End::Failed);
+    let second = slow.writes(&["/a"]);
+    slow.end(second, End::Durable);
+}
