@@ -15,7 +15,7 @@ use tokio::time::{Instant, timeout_at};
 use crate::clock::Clock;
 use crate::config::{Config, ConfigError};
 use crate::encodings::Bounds;
-use crate::login::Logins;
+use crate::login::{LoginStats, Logins};
 use crate::session::{self, Context};
 use crate::switchboard::{Switchboard, Touched, flush};
 
@@ -91,14 +91,19 @@ impl Broker {
             limits: config.limits.clone(),
             ..Settings::default()
         };
+        config.check_login()?;
         let hub = config.make_hub(settings)?;
         let bounds = Bounds {
             depth: config.limits.depth,
             parcel: config.limits.parcel,
         };
         let context = Context {
+            logins: Arc::new(Logins::new(
+                config.users.clone(),
+                config.login.clone(),
+                clock.clone(),
+            )?),
             board: Arc::new(Switchboard::new(hub, clock, bounds)),
-            logins: Arc::new(Logins::new(config.users.clone(), config.login.clone())),
             limits: config.limits.clone(),
         };
         let (stopping, stop) = watch::channel(false);
@@ -153,6 +158,11 @@ impl Broker {
         let login_by = Instant::now() + login_time(&self.context.limits);
         tokio::spawn(session::serve(self.context.clone(), here, None, login_by));
         there
+    }
+
+    /// What the hashing of passwords has come to.
+    pub fn login_stats(&self) -> LoginStats {
+        self.context.logins.stats()
     }
 
     /// Asserts the invariants of the hub (design §4), as tests do after each step.
@@ -298,6 +308,7 @@ impl Config {
             let built = self.registry().build(&mom_proto::Value::from(name.as_str()));
             built.map_err(|error| self.locate_manager(name, &error))?;
         }
+        self.check_login()?;
         self.make_hub(Settings::default()).map(|_| ())
     }
 }

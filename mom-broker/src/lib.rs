@@ -17,5 +17,7 @@ mod switchboard;
 
 pub use broker::{Broker, BrokerError};
 pub use clock::Clock;
-pub use config::{Config, ConfigError, LoginConfig, UserEntry};
-pub use login::hash;
+pub use config::{
+    Config, ConfigError, FailureRate, JwtConfig, JwtKey, JwtUsers, LoginConfig, ThrottleConfig, UserEntry,
+};
+pub use login::{LoginStats, hash};

@@ -4,16 +4,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use mom_proto::{Code, Family, Parcel, Path, WireError};
-use tokio::sync::oneshot;
 use tokio::time::Instant;
 
-use crate::error::bad_reply;
-use crate::info::{map_of, number};
-use crate::membership::Membership;
+use crate::guards::Terms;
+use crate::info::map_of;
 use crate::pending::Waiter;
 use crate::places::Phase;
 use crate::shared::{Shared, verb};
-use crate::{ClientError, Event, Lost, TokenGuard};
+use crate::{ClientError, Event, Lost};
 
 type Answer = Result<Parcel, ClientError>;
 
@@ -23,6 +21,7 @@ const RETRY: Duration = Duration::from_secs(1);
 impl Shared {
     /// Gives an answer to the one who waits for it. Without the lock: see [`Waiter`].
     pub(crate) fn complete(&self, waiter: Waiter, parcel: Parcel) {
+        let id = parcel.reference;
         let answer = match parcel.family {
             Family::Error => Err(ClientError::Refused(WireError::from_parcel(&parcel))),
             _ => Ok(parcel),
@@ -30,10 +29,19 @@ impl Shared {
         match waiter {
             // One that went away needs no answer.
             Waiter::Caller(sender) => drop(sender.send(answer)),
-            Waiter::Grab {
+            Waiter::Obtain {
                 member,
                 answer: sender,
-            } => self.complete_grab(member, sender, answer),
+            } => self.complete_obtain(id, member, sender, answer),
+            Waiter::Inhibit {
+                member,
+                answer: sender,
+            } => self.complete_inhibit(member, sender, answer),
+            Waiter::Give {
+                member,
+                handover,
+                answer: sender,
+            } => self.complete_give(member, handover, sender, answer),
             Waiter::Join(path, serial) => self.complete_join(&path, serial, answer),
             Waiter::Renewal(path, fence) => self.complete_renewal(&path, fence, answer),
             Waiter::Nobody => {}
@@ -44,36 +52,12 @@ impl Shared {
     pub(crate) fn fail(&self, waiter: Waiter, error: &ClientError) {
         match waiter {
             Waiter::Caller(sender) => drop(sender.send(Err(error.clone()))),
-            Waiter::Grab { answer, .. } => drop(answer.send(Err(error.clone()))),
+            Waiter::Obtain { answer, .. } => drop(answer.send(Err(error.clone()))),
+            Waiter::Inhibit { answer, .. } => drop(answer.send(Err(error.clone()))),
+            Waiter::Give { answer, .. } => drop(answer.send(Err(error.clone()))),
             // The places and guards know already.
             Waiter::Join(..) | Waiter::Renewal(..) | Waiter::Nobody => {}
         }
-    }
-
-    fn complete_grab(
-        &self,
-        member: Membership,
-        sender: oneshot::Sender<Result<TokenGuard, ClientError>>,
-        answer: Answer,
-    ) {
-        let path = member.path().clone();
-        let granted = answer.and_then(|parcel| {
-            let fence = number(&map_of(&parcel), "fence").ok_or_else(|| bad_reply("fence"))?;
-            Ok((fence, lease_of(&parcel)))
-        });
-        let mut state = self.lock();
-        let now = Instant::now();
-        let hold = granted.map(|(fence, lease)| state.guards.hold(&path, fence, lease, now));
-        if state.guards.answered(&path) {
-            let release = verb(Family::Token, "release", &path);
-            let _ = self.ask_in(&mut state, release, &mut Some(Waiter::Nobody));
-        }
-        drop(state);
-        self.outgoing.notify_one();
-        self.keeping.notify_one();
-        let guard = hold.map(|hold| TokenGuard::new(hold, member));
-        // Dropping the guard of one that went away gives the token back.
-        drop(sender.send(guard));
     }
 
     fn complete_join(&self, path: &Path, serial: u64, answer: Answer) {
@@ -117,7 +101,9 @@ impl Shared {
         let now = Instant::now();
         let mut state = self.lock();
         match answer {
-            Ok(parcel) => state.guards.renewed(path, fence, lease_of(&parcel), now),
+            Ok(parcel) => state
+                .guards
+                .renewed(path, fence, Terms::read(&map_of(&parcel)), now),
             Err(error) => {
                 let Some(error) = error.wire() else { return };
                 if error.code.may_retry() {
@@ -154,8 +140,4 @@ impl crate::shared::State {
             self.subscribers.deliver_unaddressed(Event::Rejoined);
         }
     }
-}
-
-fn lease_of(parcel: &Parcel) -> Option<Duration> {
-    number(&map_of(parcel), "lease").map(Duration::from_millis)
 }

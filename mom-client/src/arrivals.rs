@@ -3,10 +3,9 @@
 use mom_proto::event as names;
 use mom_proto::{Family, Parcel, Path, WireError};
 
-use crate::guards::Guards;
-use crate::info::{map_of, number, text};
+use crate::Event;
+use crate::info::{map_of, text};
 use crate::shared::{Shared, State};
-use crate::{Event, Lost};
 
 impl Shared {
     /// Takes one parcel of the hub.
@@ -16,6 +15,7 @@ impl Shared {
             Family::Time if parcel.name() == "ping" => self.pong(parcel.id),
             Family::Time => self.receive_pong(&parcel),
             Family::Event => self.receive_event(parcel),
+            Family::Manager if parcel.name() == "consult" => self.receive_consult(parcel),
             _ => {
                 let paths: Vec<Path> = parcel.context.iter().cloned().collect();
                 self.lock()
@@ -73,6 +73,15 @@ impl Shared {
         drop(waiter);
     }
 
+    fn receive_consult(&self, parcel: Parcel) {
+        let mut state = self.lock();
+        let paths: Vec<Path> = parcel.context.iter().cloned().collect();
+        // Nobody here answers: the hub asks others, or says no when the time is over.
+        if let Some(question) = state.subscribers.deliver_consult(Event::Other(parcel)) {
+            state.subscribers.deliver(&paths, question);
+        }
+    }
+
     fn receive_event(&self, parcel: Parcel) {
         let mut state = self.lock();
         let Some(path) = parcel.context.clone() else {
@@ -81,7 +90,7 @@ impl Shared {
         match parcel.name() {
             names::JOINED if state.is_own_arrival(&path, &parcel) => {}
             names::GRABBED | names::RELEASED => {
-                note_ownership(&mut state.guards, &path, &parcel);
+                self.note_ownership(&mut state, &path, &parcel);
                 let paths = state.learn_ownership(&path, &parcel);
                 state.subscribers.deliver(&paths, Event::from_parcel(parcel));
             }
@@ -95,7 +104,21 @@ impl Shared {
                 state.places.remove_within(&path);
                 state.subscribers.close_within(&path);
             }
-            _ => state.subscribers.deliver(&[path], Event::from_parcel(parcel)),
+            names::EXPELLED if state.is_me(&parcel) => {
+                let paths = std::slice::from_ref(&path);
+                state.subscribers.deliver(paths, Event::from_parcel(parcel));
+                state.places.remove_within(&path);
+                state.subscribers.close_within(&path);
+            }
+            name => {
+                match name {
+                    names::QUEUED => self.note_place(&mut state, &path, &parcel),
+                    names::LAPSED => state.note_lapsed(&path, &parcel),
+                    names::UNINHIBITED => state.note_uninhibited(&path, &parcel),
+                    _ => {}
+                }
+                state.subscribers.deliver(&[path], Event::from_parcel(parcel));
+            }
         }
     }
 }
@@ -114,7 +137,12 @@ impl State {
 
     /// Whether this is what the reply to our own join says too.
     fn is_own_arrival(&self, path: &Path, parcel: &Parcel) -> bool {
-        self.places.is_joining(path) && text(&map_of(parcel), "peer") == Some(self.me.peer.as_str())
+        self.places.is_joining(path) && self.is_me(parcel)
+    }
+
+    /// Whether an event is about this peer.
+    fn is_me(&self, parcel: &Parcel) -> bool {
+        text(&map_of(parcel), "peer") == Some(self.me.peer.as_str())
     }
 
     /// Tells the gates of the channels which the token guards; gives all contexts concerned.
@@ -125,23 +153,5 @@ impl State {
             paths.push(path.clone());
         }
         paths
-    }
-}
-
-/// Tells our own guards.
-fn note_ownership(guards: &mut Guards, token: &Path, parcel: &Parcel) {
-    let map = map_of(parcel);
-    let Some(fence) = number(&map, "fence") else {
-        return;
-    };
-    if parcel.name() == names::RELEASED {
-        let by = text(&map, "by").map(str::to_owned);
-        guards.lose(
-            token,
-            fence,
-            Lost::new(text(&map, "reason").unwrap_or_default(), by),
-        );
-    } else {
-        guards.outdate(token, fence, text(&map, "owner").unwrap_or_default());
     }
 }

@@ -8,9 +8,13 @@ use mom_proto::{ContextKind, Family, Map, Parcel, Path};
 use tokio::sync::watch;
 use tokio::time::timeout;
 
-use crate::info::map_of;
+use crate::info::{map_of, millis};
+use crate::login::Welcome;
+use crate::proof::{Credentials, is_challenge};
 use crate::shared::{Shared, verb};
-use crate::{Builder, Channel, ClientError, ContextInfo, Events, Link, Member, Session, Token};
+use crate::{
+    Builder, Channel, ClientError, Consults, ContextInfo, Events, Link, Member, Proof, Session, Token,
+};
 
 /// How long a good-bye may take.
 const CLOSE: Duration = Duration::from_secs(1);
@@ -87,6 +91,26 @@ impl Client {
         self.shared().lock().me.content.clone()
     }
 
+    /// Proves again who this is, as before a token expires; also after a lost link this proof is used from now on.
+    /// Level and groups are taken over as they are now. With a token of another user this becomes another peer:
+    /// [`Event::LinkDown`](crate::Event::LinkDown) and all else that a lost link brings follow.
+    ///
+    /// # Errors
+    /// `Refused` with `bad-login` and all else that the hub says; then all stays as it is.
+    pub async fn authenticate_again(&self, proof: Proof) -> Result<(), ClientError> {
+        let shared = self.shared();
+        let known = shared.credentials.lock().clone();
+        let credentials = Credentials { proof, ..known };
+        let mut reply = self.request(credentials.login()).await?;
+        if is_challenge(&reply) {
+            reply = self.request(credentials.answer(&reply)?).await?;
+        }
+        let welcome = Welcome::read(map_of(&reply))?;
+        *shared.credentials.lock() = credentials;
+        shared.renew_login(welcome);
+        Ok(())
+    }
+
     /// Sends a request, with a new id and, unless it has one, a timestamp, and waits for the reply.
     ///
     /// A message is answered by the hub only if its `receipt` is true; see
@@ -160,6 +184,49 @@ impl Client {
     /// `Refused` with `unknown-path`, `permanent` or `denied`.
     pub async fn delete(&self, path: &str) -> Result<(), ClientError> {
         self.ask(Family::Context, "delete", path, None).await.map(drop)
+    }
+
+    /// Tells a peer of a context, and that it is welcome there as far as its manager says so; joins the context for
+    /// as long as that takes. The peer gets [`Event::Invited`](crate::Event::Invited).
+    ///
+    /// # Errors
+    /// `Refused` with `unknown-path`, `unknown-peer` or `denied`.
+    pub async fn invite(&self, path: &str, peer: &str) -> Result<(), ClientError> {
+        let _member = self.enter(&Path::parse(path)?).await?;
+        let content = Map::new().with("peer", peer);
+        self.ask(Family::Context, "invite", path, Some(content))
+            .await
+            .map(drop)
+    }
+
+    /// Puts a peer out of a context and all below it, and keeps it out for a time, 1 min unless told; `text` tells
+    /// it why and may be empty. Its tokens there are lost. From `/` it is put off the hub.
+    ///
+    /// # Errors
+    /// `Refused` with `unknown-path`, `unknown-peer` or `denied`.
+    pub async fn expel(
+        &self,
+        path: &str,
+        peer: &str,
+        text: &str,
+        time: Option<Duration>,
+    ) -> Result<(), ClientError> {
+        let mut content = Map::new().with("peer", peer);
+        if !text.is_empty() {
+            content.set("text", text);
+        }
+        if let Some(time) = time {
+            content.set("for", millis(time));
+        }
+        self.ask(Family::Context, "expel", path, Some(content))
+            .await
+            .map(drop)
+    }
+
+    /// The hub's questions to this peer, from now on: about contexts that it manages, made with the manager `self`,
+    /// and those where it has the chair.
+    pub fn consults(&self) -> Consults {
+        Consults::new(self.clone(), self.shared().subscribe_consults())
     }
 
     /// Joins a session, parents first.

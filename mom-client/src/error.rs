@@ -5,6 +5,8 @@ use std::time::Duration;
 use mom_net::NetError;
 use mom_proto::{Code, WireError};
 
+use crate::Refusal;
+
 /// Why a request failed.
 ///
 /// ```
@@ -72,6 +74,14 @@ impl ClientError {
             ClientError::Refused(error) | ClientError::Local(error) => Some(error),
             ClientError::Closed(error) => error.as_ref(),
             ClientError::Connection(_) | ClientError::TimedOut { .. } => None,
+        }
+    }
+
+    /// What the hub's refusal says, typed, and in words for people; none if it is no refusal.
+    pub fn refusal(&self) -> Option<Refusal<'_>> {
+        match self {
+            ClientError::Refused(error) => Some(Refusal::of(error)),
+            _ => None,
         }
     }
 

@@ -3,10 +3,13 @@
 use std::time::Duration;
 
 use mom_proto::event as names;
-use mom_proto::{Family, Parcel, Path, WireError};
+use mom_proto::{ContextKind, Family, Map, Parcel, Path, WireError};
 
-use crate::info::{level, map_of, number, text};
+use crate::info::{level, map_of, millis_of, name_list, number, owned, text};
 use crate::{ContextInfo, Member};
+
+#[cfg(test)]
+mod tests;
 
 /// Something that happened in a context or to the link.
 ///
@@ -59,6 +62,101 @@ pub enum Event {
         /// The token.
         path: Path,
     },
+    /// A peer asks the owner of a token for it: answer with
+    /// [`Token::accept_request`](crate::Token::accept_request) or
+    /// [`Token::decline_request`](crate::Token::decline_request).
+    Requested {
+        /// Who asks.
+        member: Member,
+        /// How long the owner may take to answer.
+        within: Duration,
+        /// Why, in its words.
+        text: Option<String>,
+        /// The token.
+        path: Path,
+    },
+    /// A token's owner offers it to a peer: that one answers with [`Token::accept`](crate::Token::accept) or
+    /// [`Token::decline`](crate::Token::decline).
+    Offer {
+        /// The owner.
+        by: String,
+        /// The peer that it is offered to.
+        to: String,
+        /// The owner's level.
+        level: i32,
+        /// How long the other may take to accept.
+        within: Duration,
+        /// The fence of the owner.
+        fence: u64,
+        /// It goes back by itself after this time.
+        time: Option<Duration>,
+        /// It goes back by itself after so many messages that need it.
+        commands: Option<u64>,
+        /// The token.
+        path: Path,
+    },
+    /// An offer or a request came to nothing.
+    Lapsed {
+        /// `offer` or `request`.
+        what: String,
+        /// Who offered or asked.
+        by: String,
+        /// Who was to accept.
+        to: String,
+        /// `declined`, `timed-out`, `withdrawn`, `lost` or `left`.
+        reason: String,
+        /// The token.
+        path: Path,
+    },
+    /// A grab of this peer waits in the queue of a token.
+    Queued {
+        /// 1 for the next.
+        place: u64,
+        /// Until its turn, if nobody before it renews.
+        expected: Option<Duration>,
+        /// The token.
+        path: Path,
+    },
+    /// Several peers hold a token together, this one anew, and nobody owns it.
+    Inhibited {
+        /// The peer that takes part now.
+        peer: String,
+        /// All that do.
+        holders: Vec<String>,
+        /// The token.
+        path: Path,
+    },
+    /// A peer takes part in the shared hold of a token no more.
+    Uninhibited {
+        /// The peer that took part.
+        peer: String,
+        /// All that still do.
+        holders: Vec<String>,
+        /// Why it ended.
+        reason: String,
+        /// The token.
+        path: Path,
+    },
+    /// This peer is invited to a context.
+    Invited {
+        /// By whom.
+        by: String,
+        /// What it is, where the hub says so.
+        kind: Option<ContextKind>,
+        /// Where it is.
+        path: Path,
+    },
+    /// A peer was put out of a context; if it is this one, its proxies there are of no use any more.
+    Expelled {
+        /// The peer.
+        peer: String,
+        /// By whom.
+        by: Option<String>,
+        /// Why, in that one's words.
+        text: Option<String>,
+        /// The context.
+        path: Path,
+    },
     /// What this peer sent was dropped on its way.
     Dropped {
         /// Why.
@@ -97,123 +195,90 @@ impl Event {
 fn known(parcel: &Parcel) -> Option<Event> {
     let map = map_of(parcel);
     let path = parcel.context.clone();
-    let owned = |key| text(&map, key).map(str::to_owned);
     Some(match parcel.name() {
         names::JOINED | names::LEFT if map.contains_key("count") => Event::Count(number(&map, "count")?),
         names::JOINED => Event::Joined(Member::from_map(&map)?),
         names::LEFT => Event::Left(Member::from_map(&map)?),
         names::CREATED => Event::Created(ContextInfo::from_map(&map)?),
         names::DELETED => Event::Deleted { path: path? },
-        names::GRABBED => Event::Grabbed {
-            owner: owned("owner")?,
-            level: level(&map, "level").unwrap_or_default(),
-            fence: number(&map, "fence")?,
-            lease: number(&map, "lease").map(Duration::from_millis),
-            path: path?,
+        names::INVITED => Event::Invited {
+            by: owned(&map, "by")?,
+            kind: text(&map, "kind").and_then(ContextKind::from_word),
+            // The parcel's own context may be one that this peer is in.
+            path: text(&map, "path")
+                .and_then(|path| Path::parse(path).ok())
+                .or(path)?,
         },
-        names::RELEASED => Event::Released {
-            owner: owned("owner")?,
-            reason: owned("reason").unwrap_or_default(),
-            by: owned("by"),
-            fence: number(&map, "fence")?,
+        names::EXPELLED => Event::Expelled {
+            peer: owned(&map, "peer")?,
+            by: owned(&map, "by"),
+            text: owned(&map, "text"),
             path: path?,
         },
         names::DROPPED => Event::Dropped {
-            reason: owned("reason").unwrap_or_default(),
+            reason: owned(&map, "reason").unwrap_or_default(),
             count: number(&map, "count")?,
             parcel: parcel.clone(),
         },
-        _ => return None,
+        name => return of_token(name, &map, path?),
     })
 }
 
-#[cfg(test)]
-mod tests {
-    use mom_proto::Map;
-
-    use super::*;
-
-    fn check(name: &str, content: Map, expected: impl FnOnce(Parcel) -> Event) {
-        let path = Path::parse("/robot/token").unwrap();
-        let parcel = Parcel::new(Family::Event, name).context(path).content(content);
-        assert_eq!(Event::from_parcel(parcel.clone()), expected(parcel), "{name}");
-    }
-
-    #[test]
-    fn events_are_read() {
-        let path = || Path::parse("/robot/token").unwrap();
-        let alice = || {
-            Map::new()
-                .with("peer", "ally")
-                .with("user", "alice")
-                .with("level", 1)
-        };
-        let member = || Member {
-            peer: "ally".to_owned(),
-            user: "alice".to_owned(),
-            level: 1,
-        };
-        check("joined", alice(), |_| Event::Joined(member()));
-        check("left", alice(), |_| Event::Left(member()));
-        check("joined", Map::new().with("count", 201), |_| Event::Count(201));
-        check("deleted", Map::new(), |_| Event::Deleted { path: path() });
-        let created = Map::new()
-            .with("path", "/robot/arm")
-            .with("kind", "channel")
-            .with("number", 7);
-        check("created", created, |_| {
-            Event::Created(ContextInfo {
-                path: Path::parse("/robot/arm").unwrap(),
-                kind: mom_proto::ContextKind::Channel,
-                number: 7,
-                members: None,
-            })
-        });
-        let grabbed = Map::new()
-            .with("owner", "ally")
-            .with("level", 1)
-            .with("fence", 3)
-            .with("lease", 50);
-        check("grabbed", grabbed, |_| Event::Grabbed {
-            owner: "ally".to_owned(),
-            level: 1,
-            fence: 3,
-            lease: Some(Duration::from_millis(50)),
-            path: path(),
-        });
-        let released = Map::new()
-            .with("owner", "ally")
-            .with("reason", "preempted")
-            .with("by", "carol")
-            .with("fence", 3);
-        check("released", released, |_| Event::Released {
-            owner: "ally".to_owned(),
-            reason: "preempted".to_owned(),
-            by: Some("carol".to_owned()),
-            fence: 3,
-            path: path(),
-        });
-        check(
-            "dropped",
-            Map::new().with("reason", "expired").with("count", 4),
-            |parcel| Event::Dropped {
-                reason: "expired".to_owned(),
-                count: 4,
-                parcel,
-            },
-        );
-    }
-
-    #[test]
-    fn what_is_not_understood_stays_a_parcel() {
-        for (name, content) in [
-            ("from-the-future", Map::new()),
-            ("joined", Map::new().with("peer", 3)),
-            ("grabbed", Map::new().with("owner", "ally").with("fence", -1)),
-            ("released", Map::new().with("fence", 3)),
-            ("dropped", Map::new()),
-        ] {
-            check(name, content, Event::Other);
-        }
-    }
+fn of_token(name: &str, map: &Map, path: Path) -> Option<Event> {
+    Some(match name {
+        names::GRABBED => Event::Grabbed {
+            owner: owned(map, "owner")?,
+            level: level(map, "level").unwrap_or_default(),
+            fence: number(map, "fence")?,
+            lease: millis_of(map, "lease"),
+            path,
+        },
+        names::RELEASED => Event::Released {
+            owner: owned(map, "owner")?,
+            reason: owned(map, "reason").unwrap_or_default(),
+            by: owned(map, "by"),
+            fence: number(map, "fence")?,
+            path,
+        },
+        names::REQUESTED => Event::Requested {
+            member: Member::from_map(map)?,
+            within: millis_of(map, "within").unwrap_or_default(),
+            text: owned(map, "text"),
+            path,
+        },
+        names::OFFER => Event::Offer {
+            by: owned(map, "by")?,
+            to: owned(map, "to")?,
+            level: level(map, "level").unwrap_or_default(),
+            within: millis_of(map, "within").unwrap_or_default(),
+            fence: number(map, "fence").unwrap_or_default(),
+            time: millis_of(map, "for"),
+            commands: number(map, "commands"),
+            path,
+        },
+        names::LAPSED => Event::Lapsed {
+            what: owned(map, "what")?,
+            by: owned(map, "by").unwrap_or_default(),
+            to: owned(map, "to").unwrap_or_default(),
+            reason: owned(map, "reason").unwrap_or_default(),
+            path,
+        },
+        names::QUEUED => Event::Queued {
+            place: number(map, "place")?,
+            expected: millis_of(map, "expected"),
+            path,
+        },
+        names::INHIBITED => Event::Inhibited {
+            peer: owned(map, "peer")?,
+            holders: name_list(map, "holders"),
+            path,
+        },
+        names::UNINHIBITED => Event::Uninhibited {
+            peer: owned(map, "peer")?,
+            holders: name_list(map, "holders"),
+            reason: owned(map, "reason").unwrap_or_default(),
+            path,
+        },
+        _ => return None,
+    })
 }

@@ -4,17 +4,18 @@ use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::sync::watch;
+use mom_proto::Path;
 
-use crate::ClientError;
 use crate::guards::Hold;
+use crate::holding::{Holding, Kind};
 use crate::membership::Membership;
+use crate::{ClientError, Delegation, Give};
 
 /// Exclusive control of what a token guards (M28), from [`Token::grab`](crate::Token::grab) on.
 ///
-/// It renews its lease at a third of it, for as long as it lives; dropping it gives the token back. It is
-/// lost when the hub says so, when a renewal is refused, and with the link. The guards of one ownership
-/// (grabbed again while held) share it: the last one dropped gives it back.
+/// It renews its lease, or its deadman time if that is shorter, at a third of it, for as long as it lives;
+/// dropping it gives the token back. It is lost when the hub says so, when a renewal is refused, and with the
+/// link. The guards of one ownership (grabbed again while held) share it: the last one dropped gives it back.
 ///
 /// ```no_run
 /// # async fn example(client: mom_client::Client) -> Result<(), mom_client::ClientError> {
@@ -29,10 +30,7 @@ use crate::membership::Membership;
 /// # }
 /// ```
 pub struct TokenGuard {
-    hold: Arc<Hold>,
-    lost: watch::Receiver<Option<Lost>>,
-    member: Membership,
-    held: bool,
+    holding: Holding,
 }
 
 /// Why and through whom an ownership ended.
@@ -57,35 +55,49 @@ impl Lost {
 impl TokenGuard {
     pub(crate) fn new(hold: Arc<Hold>, member: Membership) -> TokenGuard {
         TokenGuard {
-            lost: hold.watch(),
-            hold,
-            member,
-            held: true,
+            holding: Holding::new(hold, Kind::Ownership, member),
         }
+    }
+
+    /// The token.
+    pub fn path(&self) -> &Path {
+        &self.holding.hold().path
     }
 
     /// The fence of this ownership, for [`Message::fence`](crate::Message::fence).
     pub fn fence(&self) -> u64 {
-        self.hold.fence
+        self.holding.hold().fence
     }
 
     /// How long the ownership lasts without renewal; none = without end.
     pub fn lease(&self) -> Option<Duration> {
-        self.hold.lease()
+        self.holding.hold().terms().lease
+    }
+
+    /// After how long without a renewal it ends by itself; none = it has no such bound.
+    pub fn deadman(&self) -> Option<Duration> {
+        self.holding.hold().terms().deadman
+    }
+
+    /// From whom it is and for how long, if another peer gave it for a time or a number of commands.
+    pub fn delegation(&self) -> Option<&Delegation> {
+        self.holding.hold().delegation.as_ref()
     }
 
     /// Whether it is over.
     pub fn is_lost(&self) -> bool {
-        self.hold.is_lost()
+        self.holding.hold().is_lost()
     }
 
     /// Waits until it is over. Safe to cancel.
     pub async fn lost(&mut self) -> Lost {
-        match self.lost.wait_for(Option::is_some).await {
-            Ok(lost) => lost.clone().unwrap_or_else(|| Lost::new("released", None)),
-            // The sender lives in `hold`.
-            Err(_) => Lost::new("released", None),
-        }
+        self.holding.lost().await
+    }
+
+    /// Offers the token to another peer (M41), for good unless the offer says otherwise. This guard owns it until
+    /// the other accepts; then it is lost with the reason `given`.
+    pub fn give(&self, to: impl Into<String>) -> Give<'_> {
+        Give::new(self.holding.hold(), self.holding.member(), to.into())
     }
 
     /// Gives the token back, after all messages sent before, and waits for the hub to say so. What is lost
@@ -93,17 +105,8 @@ impl TokenGuard {
     ///
     /// # Errors
     /// The hub's refusal, a lost link, a time-out.
-    pub async fn release(mut self) -> Result<(), ClientError> {
-        self.held = false;
-        self.member.shared().release(&self.hold).await
-    }
-}
-
-impl Drop for TokenGuard {
-    fn drop(&mut self) {
-        if self.held {
-            self.member.shared().let_go(&self.hold);
-        }
+    pub async fn release(self) -> Result<(), ClientError> {
+        self.holding.release().await
     }
 }
 
@@ -111,7 +114,7 @@ impl fmt::Debug for TokenGuard {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter
             .debug_struct("TokenGuard")
-            .field("hold", &self.hold)
+            .field("hold", self.holding.hold())
             .finish_non_exhaustive()
     }
 }

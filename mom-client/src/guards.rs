@@ -4,28 +4,93 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_proto::Path;
+use mom_proto::{Map, Path};
 use parking_lot::Mutex;
 use tokio::sync::watch;
 use tokio::time::Instant;
 
 use crate::Lost;
+use crate::info::{millis_of, number, text};
 
 /// A lease is renewed when this part of it is over, so that two renewals may fail.
 const RENEW_AT: u32 = 3;
 
-/// One ownership, from a grab to its loss.
+/// For how long an ownership lasts without a renewal.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Terms {
+    /// Until others may take it.
+    pub(crate) lease: Option<Duration>,
+    /// Until it ends by itself.
+    pub(crate) deadman: Option<Duration>,
+}
+
+/// What the hub says to an owner.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Grant {
+    pub(crate) fence: u64,
+    pub(crate) terms: Terms,
+    pub(crate) delegation: Option<Delegation>,
+}
+
+/// What an ownership is that another peer gave, and that goes back to it (M41).
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Delegation {
+    /// The peer that gave it, and that has it again afterwards.
+    pub from: String,
+    /// For how long, from the grant on; none = no bound of time.
+    pub time: Option<Duration>,
+    /// For how many guarded messages; none = any number.
+    pub commands: Option<u64>,
+}
+
+/// One ownership, from a grab to its loss; or a part in a shared hold, which has the fence 0.
 #[derive(Debug)]
 pub(crate) struct Hold {
     pub(crate) path: Path,
     pub(crate) fence: u64,
-    lease: Mutex<Option<Duration>>,
+    pub(crate) delegation: Option<Delegation>,
+    terms: Mutex<Terms>,
     lost: watch::Sender<Option<Lost>>,
 }
 
+impl Terms {
+    pub(crate) fn read(map: &Map) -> Terms {
+        Terms {
+            lease: millis_of(map, "lease"),
+            deadman: millis_of(map, "deadman"),
+        }
+    }
+
+    /// Until the next renewal; none = none is needed.
+    fn renewal(self) -> Option<Duration> {
+        let shorter = self.lease.into_iter().chain(self.deadman).min();
+        shorter.map(|time| time / RENEW_AT)
+    }
+}
+
+impl Grant {
+    /// Reads `{fence, lease?, deadman?, from?, for?, commands?}`.
+    pub(crate) fn read(map: &Map) -> Option<Grant> {
+        Some(Grant {
+            fence: number(map, "fence")?,
+            terms: Terms::read(map),
+            delegation: text(map, "from").map(|from| Delegation {
+                from: from.to_owned(),
+                time: millis_of(map, "for"),
+                commands: number(map, "commands"),
+            }),
+        })
+    }
+}
+
 impl Hold {
-    pub(crate) fn lease(&self) -> Option<Duration> {
-        *self.lease.lock()
+    pub(crate) fn terms(&self) -> Terms {
+        *self.terms.lock()
+    }
+
+    pub(crate) fn lost(&self) -> Option<Lost> {
+        self.lost.borrow().clone()
     }
 
     pub(crate) fn is_lost(&self) -> bool {
@@ -62,26 +127,16 @@ struct Entry {
 
 impl Guards {
     /// Notes a grab; asking again for what one has is the same ownership (M29).
-    pub(crate) fn hold(
-        &mut self,
-        path: &Path,
-        fence: u64,
-        lease: Option<Duration>,
-        now: Instant,
-    ) -> Arc<Hold> {
-        if let Some(entry) = self
-            .entries
-            .get_mut(path)
-            .filter(|entry| entry.hold.fence == fence)
-        {
-            entry.guards += 1;
-            entry.renew(lease, now);
-            return Arc::clone(&entry.hold);
+    pub(crate) fn hold(&mut self, path: &Path, grant: Grant, now: Instant) -> Arc<Hold> {
+        if let Some(hold) = self.share(path, grant.fence) {
+            self.renewed(path, grant.fence, grant.terms, now);
+            return hold;
         }
         let hold = Arc::new(Hold {
             path: path.clone(),
-            fence,
-            lease: Mutex::new(lease),
+            fence: grant.fence,
+            delegation: grant.delegation,
+            terms: Mutex::new(grant.terms),
             lost: watch::Sender::new(None),
         });
         let mut entry = Entry {
@@ -89,11 +144,24 @@ impl Guards {
             guards: 1,
             renew_at: None,
         };
-        entry.renew(lease, now);
+        entry.renew(now);
         if let Some(older) = self.entries.insert(path.clone(), entry) {
             older.hold.lose(Lost::new("grabbed", None));
         }
         hold
+    }
+
+    /// One guard more of the ownership with this fence, if there is one.
+    pub(crate) fn share(&mut self, path: &Path, fence: u64) -> Option<Arc<Hold>> {
+        let entry = self.entry(path, fence)?;
+        entry.guards += 1;
+        Some(Arc::clone(&entry.hold))
+    }
+
+    fn entry(&mut self, path: &Path, fence: u64) -> Option<&mut Entry> {
+        self.entries
+            .get_mut(path)
+            .filter(|entry| entry.hold.fence == fence)
     }
 
     /// A grab was sent.
@@ -162,24 +230,16 @@ impl Guards {
     }
 
     /// A renewal was granted.
-    pub(crate) fn renewed(&mut self, path: &Path, fence: u64, lease: Option<Duration>, now: Instant) {
-        if let Some(entry) = self
-            .entries
-            .get_mut(path)
-            .filter(|entry| entry.hold.fence == fence)
-        {
-            *entry.hold.lease.lock() = lease;
-            entry.renew(lease, now);
+    pub(crate) fn renewed(&mut self, path: &Path, fence: u64, terms: Terms, now: Instant) {
+        if let Some(entry) = self.entry(path, fence) {
+            *entry.hold.terms.lock() = terms;
+            entry.renew(now);
         }
     }
 
     /// A renewal was put off.
     pub(crate) fn retry(&mut self, path: &Path, fence: u64, at: Instant) {
-        if let Some(entry) = self
-            .entries
-            .get_mut(path)
-            .filter(|entry| entry.hold.fence == fence)
-        {
+        if let Some(entry) = self.entry(path, fence) {
             entry.renew_at = Some(entry.renew_at.map_or(at, |planned| planned.min(at)));
         }
     }
@@ -196,7 +256,7 @@ impl Guards {
             .values_mut()
             .filter(|entry| entry.renew_at.is_some_and(|at| at <= now));
         due.map(|entry| {
-            entry.renew(entry.hold.lease(), now);
+            entry.renew(now);
             (entry.hold.path.clone(), entry.hold.fence)
         })
         .collect()
@@ -204,7 +264,7 @@ impl Guards {
 }
 
 impl Entry {
-    fn renew(&mut self, lease: Option<Duration>, now: Instant) {
-        self.renew_at = lease.map(|lease| now + lease / RENEW_AT);
+    fn renew(&mut self, now: Instant) {
+        self.renew_at = self.hold.terms().renewal().map(|after| now + after);
     }
 }

@@ -1,6 +1,8 @@
 //! What the hub says about contexts and peers, typed.
 
-use mom_proto::{ContextKind, Map, Parcel, Path, Value};
+use std::time::Duration;
+
+use mom_proto::{ContextKind, MAX_ID, Map, Parcel, Path, Value};
 
 use crate::ClientError;
 use crate::error::bad_reply;
@@ -83,6 +85,31 @@ pub(crate) fn number(map: &Map, key: &str) -> Option<u64> {
     map.get(key)
         .and_then(Value::as_int)
         .and_then(|number| u64::try_from(number).ok())
+}
+
+/// A duration in ms.
+pub(crate) fn millis_of(map: &Map, key: &str) -> Option<Duration> {
+    number(map, key).map(Duration::from_millis)
+}
+
+/// Whole ms, rounded up: never less time than was asked for.
+pub(crate) fn millis(duration: Duration) -> i64 {
+    let millis = duration.as_micros().div_ceil(1000).min(u128::from(MAX_ID));
+    i64::try_from(millis).unwrap_or(i64::MAX)
+}
+
+pub(crate) fn owned(map: &Map, key: &str) -> Option<String> {
+    text(map, key).map(str::to_owned)
+}
+
+/// The strings of a list, and the names in it where it holds maps of peers.
+pub(crate) fn name_list(map: &Map, key: &str) -> Vec<String> {
+    let list = map.get(key).and_then(Value::as_list).unwrap_or_default();
+    let name = |item: &Value| {
+        let name = item.as_str().or_else(|| item.get("peer").and_then(Value::as_str));
+        name.map(str::to_owned)
+    };
+    list.iter().filter_map(name).collect()
 }
 
 pub(crate) fn level(map: &Map, key: &str) -> Option<i32> {

@@ -2,9 +2,11 @@
 //!
 //! A [`Client`] is one peer: it connects to a hub, logs in, joins contexts and exchanges parcels there. Its
 //! proxies are a [`Session`] (a directory of contexts), a [`Channel`] (where messages are exchanged) and a
-//! [`Token`] (exclusive control of a device). A [`TokenGuard`] holds a token and renews its lease; a
-//! [`FenceGate`] lets a device refuse what an earlier owner sent. A lost link is made anew and everything
-//! joined is joined again; tokens are not, as somebody else may drive by then.
+//! [`Token`] (exclusive control of a device). A [`TokenGuard`] holds a token, renews its lease and gives it to
+//! another peer; an [`InhibitGuard`] keeps everybody from it; a [`FenceGate`] lets a device refuse what an earlier
+//! owner sent, and a [`StateGate`] what was meant for an earlier state of it. [`Consults`] are the hub's questions
+//! to who manages contexts. A lost link is made anew and everything joined is joined again; tokens are not, as
+//! somebody else may drive by then.
 //!
 //! ```no_run
 //! # async fn example() -> Result<(), mom_client::ClientError> {
@@ -25,44 +27,69 @@
 
 mod answers;
 mod arrivals;
+mod ask_owner;
 mod builder;
 mod channel;
 mod client;
+mod consults;
 mod driver;
 mod error;
 mod events;
 mod gate;
+mod give;
+mod grab;
 mod guard;
 mod guards;
+mod handover;
+mod holding;
 mod info;
+mod inhibit;
+mod key;
 mod link;
 mod login;
 mod membership;
 mod message;
 mod outbox;
+mod owning;
 mod pending;
 mod places;
+mod proof;
 mod reconnect;
+mod refusal;
 mod session;
 mod shared;
+mod state_gate;
 mod subscribe;
 mod token;
+mod token_info;
+mod waits;
 
+pub use ask_owner::AskOwner;
 pub use builder::Builder;
 pub use channel::Channel;
 pub use client::Client;
+pub use consults::{Consult, Consults};
 pub use error::{ClientError, ErrorKind};
 pub use events::Event;
 pub use gate::{FenceGate, GuardState, Stale};
+pub use give::{Give, Given, Lapsed};
+pub use grab::{Grab, Place};
 pub use guard::{Lost, TokenGuard};
+pub use guards::Delegation;
 pub use info::{ContextInfo, Member};
+pub use inhibit::InhibitGuard;
+pub use key::Key;
 pub use message::{Message, Receipt};
 pub use mom_net::Address;
 pub use mom_proto::{
     Code, Content, ContextKind, Delivery, Family, Map, Parcel, Path, Time, Value, WireError, event,
     from_value, to_value,
 };
+pub use proof::Proof;
 pub use reconnect::{Link, Reconnect};
+pub use refusal::{Refusal, ordinal, plain_duration};
 pub use session::Session;
+pub use state_gate::{BASED_ON, StateGate};
 pub use subscribe::Events;
 pub use token::Token;
+pub use token_info::{Asking, Delegated, Offered, Reserved, TokenInfo, Waiting};

@@ -7,8 +7,8 @@ use mom_proto::{Content, Delivery, Family, MAX_ID, Parcel, Path, Value, check_me
 use serde::Serialize;
 
 use crate::error::bad_reply;
-use crate::info::{map_of, number};
-use crate::{Client, ClientError};
+use crate::info::{map_of, millis, number};
+use crate::{BASED_ON, Client, ClientError};
 
 /// A message to a channel, from [`Channel::message`](crate::Channel::message).
 ///
@@ -79,8 +79,7 @@ impl Message {
 
     /// Worthless after this time; in whole ms, rounded up.
     pub fn expires(mut self, after: Duration) -> Message {
-        let millis = after.as_micros().div_ceil(1000).min(u128::from(MAX_ID));
-        self.parcel.expires = u64::try_from(millis).ok();
+        self.parcel.expires = u64::try_from(millis(after)).ok();
         self
     }
 
@@ -100,6 +99,13 @@ impl Message {
     pub fn fence(mut self, fence: u64) -> Message {
         self.parcel.fence = Some(fence);
         self
+    }
+
+    /// Only if the device has not moved since it told this state, by the id of the state's parcel (M35): refused
+    /// by the device with `stale-state` if it has.
+    pub fn based_on(self, state: u64) -> Message {
+        let state = i64::try_from(state.min(MAX_ID)).unwrap_or(i64::MAX);
+        self.slot(BASED_ON, state)
     }
 
     /// The id of the message that this one replies to (M9).

@@ -96,10 +96,13 @@ impl Outbox {
 }
 
 fn gives_up(parcel: &Parcel) -> bool {
-    matches!(
-        (parcel.family, parcel.name()),
-        (Family::Context, "leave" | "delete") | (Family::Token, "release") | (Family::Login, "logout")
-    )
+    match (parcel.family, parcel.name()) {
+        (Family::Context, "leave" | "delete") | (Family::Login, "logout") => true,
+        (Family::Token, "release" | "give") => true,
+        // An owner's answer to who asked; that to an offer gives nothing up.
+        (Family::Token, "accept") => parcel.value().get("peer").is_some(),
+        _ => false,
+    }
 }
 
 #[cfg(test)]
@@ -159,6 +162,12 @@ mod tests {
                 "join a logout",
                 1,
             ),
+            (
+                vec![(Message, "a"), (Token, "decline"), (Token, "give")],
+                "decline a give",
+                1,
+            ),
+            (vec![(Message, "a"), (Token, "accept")], "accept a", 1),
             (vec![(Context, "delete")], "delete", 0),
         ] {
             let mut outbox = Outbox::default();

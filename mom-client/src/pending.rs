@@ -1,15 +1,20 @@
 //! Requests without an answer yet, and recent sends that need none.
 
 use std::collections::{HashMap, VecDeque};
+use std::sync::Arc;
 
 use mom_proto::{Parcel, Path};
 use tokio::sync::oneshot;
 
+use crate::handover::Handover;
 use crate::membership::Membership;
-use crate::{ClientError, TokenGuard};
+use crate::{ClientError, Given, InhibitGuard, TokenGuard};
 
 /// Sends remembered, to tell a refusal to the right subscribers.
 const RECENT: usize = 1024;
+
+/// Where an answer goes.
+pub(crate) type Answering<T> = oneshot::Sender<Result<T, ClientError>>;
 
 /// Who waits for an answer.
 ///
@@ -18,12 +23,23 @@ const RECENT: usize = 1024;
 #[derive(Debug)]
 pub(crate) enum Waiter {
     /// A caller.
-    Caller(oneshot::Sender<Result<Parcel, ClientError>>),
+    Caller(Answering<Parcel>),
     /// A caller that wants a token. The guard is made before the next parcel is read, so it misses no event;
     /// a caller that went away drops it, which gives the token back.
-    Grab {
+    Obtain {
         member: Membership,
-        answer: oneshot::Sender<Result<TokenGuard, ClientError>>,
+        answer: Answering<TokenGuard>,
+    },
+    /// A caller that wants a part in a shared hold; likewise.
+    Inhibit {
+        member: Membership,
+        answer: Answering<InhibitGuard>,
+    },
+    /// An owner that offers its token; likewise.
+    Give {
+        member: Membership,
+        handover: Arc<Handover>,
+        answer: Answering<Given>,
     },
     /// All who want to be in a context, by its place's serial.
     Join(Path, u64),

@@ -11,12 +11,15 @@ use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::{Notify, Semaphore, oneshot, watch};
 use tokio::time::timeout;
 
-use crate::guards::{Guards, Hold};
+use crate::guards::Guards;
+use crate::handover::Handovers;
 use crate::login::Welcome;
 use crate::outbox::{Message, Outbox};
 use crate::pending::{Pending, Waiter};
 use crate::places::{Places, Want};
+use crate::proof::Credentials;
 use crate::subscribe::{Queue, Subscribers};
+use crate::waits::Waits;
 use crate::{ClientError, Link, Reconnect};
 
 /// Room for messages that wait to be written: 4 MiB in units of 1 KiB.
@@ -35,10 +38,12 @@ pub(crate) struct Settings {
 #[derive(Debug)]
 pub(crate) struct Shared {
     pub(crate) settings: Settings,
+    /// As whom it logs in, also after a lost link.
+    pub(crate) credentials: Mutex<Credentials>,
     /// What the link speaks, none within a process; the same for every link of one client.
     form: Option<Form>,
     state: Mutex<State>,
-    ids: AtomicU64,
+    pub(crate) ids: AtomicU64,
     room: Semaphore,
     /// Wakes the writer.
     pub(crate) outgoing: Notify,
@@ -58,6 +63,10 @@ pub(crate) struct State {
     pub(crate) places: Places,
     pub(crate) subscribers: Subscribers,
     pub(crate) guards: Guards,
+    /// Parts in shared holds.
+    pub(crate) inhibits: Guards,
+    pub(crate) waits: Waits,
+    pub(crate) handovers: Handovers,
     /// Joins after a lost link that are not answered yet.
     pub(crate) rejoining: usize,
     /// What the hub said before it closed the link.
@@ -72,7 +81,13 @@ pub(crate) enum Status {
 }
 
 impl Shared {
-    pub(crate) fn new(settings: Settings, form: Option<Form>, first_id: u64, me: Welcome) -> Shared {
+    pub(crate) fn new(
+        settings: Settings,
+        credentials: Credentials,
+        form: Option<Form>,
+        ids: AtomicU64,
+        me: Welcome,
+    ) -> Shared {
         let state = State {
             status: Status::Up,
             me: Arc::new(me),
@@ -81,14 +96,18 @@ impl Shared {
             places: Places::default(),
             subscribers: Subscribers::default(),
             guards: Guards::default(),
+            inhibits: Guards::default(),
+            waits: Waits::default(),
+            handovers: Handovers::default(),
             rejoining: 0,
             closing: None,
         };
         Shared {
             settings,
+            credentials: Mutex::new(credentials),
             form,
             state: Mutex::new(state),
-            ids: AtomicU64::new(first_id),
+            ids,
             room: Semaphore::new(ROOM as usize),
             outgoing: Notify::new(),
             keeping: Notify::new(),
@@ -272,44 +291,6 @@ impl Shared {
         asked.map(drop)
     }
 
-    /// Asks for a token.
-    pub(crate) fn grab(&self, path: &Path, waiter: Waiter) -> Result<(), ClientError> {
-        let mut waiter = Some(waiter);
-        let mut state = self.lock();
-        let asked = self.ask_in(&mut state, verb(Family::Token, "grab", path), &mut waiter);
-        if asked.is_ok() {
-            state.guards.ask(path);
-        }
-        drop(state);
-        self.outgoing.notify_one();
-        asked
-    }
-
-    /// Gives a token back and waits for the hub to say so.
-    pub(crate) async fn release(&self, hold: &Arc<Hold>) -> Result<(), ClientError> {
-        let lost = hold.is_lost();
-        self.lock().guards.let_go(hold);
-        match lost {
-            true => Ok(()),
-            false => self
-                .request(verb(Family::Token, "release", &hold.path))
-                .await
-                .map(drop),
-        }
-    }
-
-    /// Gives a token back, if this was its last guard, without waiting.
-    pub(crate) fn let_go(&self, hold: &Arc<Hold>) {
-        let mut state = self.lock();
-        if state.guards.let_go(hold) {
-            // Without a link the token is lost anyway.
-            let release = verb(Family::Token, "release", &hold.path);
-            let _ = self.ask_in(&mut state, release, &mut Some(Waiter::Nobody));
-        }
-        drop(state);
-        self.outgoing.notify_one();
-    }
-
     pub(crate) fn subscribe(&self, path: &Path) -> Arc<Queue> {
         let mut state = self.lock();
         let queue = state.subscribers.subscribe(path, self.settings.event_buffer);
@@ -324,6 +305,15 @@ impl Shared {
         let queue = state
             .subscribers
             .subscribe_unaddressed(self.settings.event_buffer);
+        if matches!(state.status, Status::Closed(_)) {
+            queue.close();
+        }
+        queue
+    }
+
+    pub(crate) fn subscribe_consults(&self) -> Arc<Queue> {
+        let mut state = self.lock();
+        let queue = state.subscribers.subscribe_consults(self.settings.event_buffer);
         if matches!(state.status, Status::Closed(_)) {
             queue.close();
         }

@@ -52,14 +52,7 @@ impl Events {
 
     /// The next event; `None` once the context is left or deleted or the client is closed. Safe to cancel.
     pub async fn next(&mut self) -> Option<Event> {
-        loop {
-            match self.queue.take() {
-                Ok(event) => return Some(event),
-                Err(Empty::ForEver) => return None,
-                // One taker only, as this borrows mutably, so a stored permit cannot go to another.
-                Err(Empty::Yet) => self.queue.wake.notified().await,
-            }
-        }
+        self.queue.next().await
     }
 
     /// The next event, if one waits.
@@ -142,6 +135,17 @@ impl Queue {
         self.wake.notify_one();
     }
 
+    /// The next event; for one taker only, as a stored permit must not go to another.
+    pub(crate) async fn next(&self) -> Option<Event> {
+        loop {
+            match self.take() {
+                Ok(event) => return Some(event),
+                Err(Empty::ForEver) => return None,
+                Err(Empty::Yet) => self.wake.notified().await,
+            }
+        }
+    }
+
     fn take(&self) -> Result<Event, Empty> {
         let mut waiting = self.waiting.lock();
         if waiting.lost > 0 {
@@ -190,6 +194,7 @@ pub(crate) struct Subscribers {
     by_path: HashMap<Path, Vec<Arc<Queue>>>,
     early: HashMap<Path, Arc<Queue>>,
     unaddressed: Vec<Arc<Queue>>,
+    consults: Vec<Arc<Queue>>,
 }
 
 impl Subscribers {
@@ -223,8 +228,15 @@ impl Subscribers {
         queue
     }
 
+    pub(crate) fn subscribe_consults(&mut self, most: usize) -> Arc<Queue> {
+        let queue = Arc::new(Queue::new(most));
+        self.consults.push(Arc::clone(&queue));
+        queue
+    }
+
     pub(crate) fn unsubscribe(&mut self, queue: &Arc<Queue>) {
         self.unaddressed.retain(|known| !Arc::ptr_eq(known, queue));
+        self.consults.retain(|known| !Arc::ptr_eq(known, queue));
         self.by_path.retain(|_, queues| {
             queues.retain(|known| !Arc::ptr_eq(known, queue));
             !queues.is_empty()
@@ -259,6 +271,15 @@ impl Subscribers {
         push_all(&self.unaddressed, event);
     }
 
+    /// Gives a question of the hub to those who answer such; gives it back if nobody does.
+    pub(crate) fn deliver_consult(&self, question: Event) -> Option<Event> {
+        if self.consults.is_empty() {
+            return Some(question);
+        }
+        push_all(&self.consults, question);
+        None
+    }
+
     /// Gives an event to every subscriber of all.
     pub(crate) fn deliver_all(&self, event: &Event) {
         let all = self
@@ -284,7 +305,8 @@ impl Subscribers {
 
     pub(crate) fn close_all(&mut self) {
         self.close_within(&Path::root());
-        self.unaddressed.drain(..).for_each(|queue| queue.close());
+        let others = self.unaddressed.drain(..).chain(self.consults.drain(..));
+        others.for_each(|queue| queue.close());
     }
 
     /// The queue that waits for a first subscriber; given up if that one does not come.

@@ -1,25 +1,25 @@
 //! A token: what one peer at a time owns (M28).
 
-use mom_proto::{Map, Path};
+use mom_proto::{Family, Map, Path};
 use tokio::sync::oneshot;
-use tokio::time::timeout;
 
 use crate::membership::Membership;
 use crate::pending::Waiter;
-use crate::{ClientError, Events, TokenGuard};
+use crate::shared::verb;
+use crate::{AskOwner, ClientError, Events, Grab, InhibitGuard, TokenGuard, TokenInfo};
 
 /// A token that this peer has joined, until the last of its clones, its events and its guards goes.
 ///
 /// ```no_run
 /// # async fn example(client: mom_client::Client) -> Result<(), mom_client::ClientError> {
-/// use mom_client::{ClientError, Code};
 /// let token = client.token("/robot/token").await?;
 /// match token.grab().await {
 ///     Ok(guard) => println!("driving with fence {}", guard.fence()),
-///     Err(ClientError::Refused(error)) if error.code == Code::HELD => {
-///         println!("{}, free in {:?} at the latest", error.text, error.retry_in());
-///     }
-///     Err(error) => return Err(error),
+///     Err(error) => match error.refusal() {
+///         // bob (level 1) holds it for 2 min 3 s more; you would be 2nd in the queue
+///         Some(refusal) => println!("{refusal}"),
+///         None => return Err(error),
+///     },
 /// }
 /// # Ok(())
 /// # }
@@ -39,12 +39,13 @@ impl Token {
         self.member.path()
     }
 
-    /// Its events from now on; the first subscriber gets those since the join too, if they are few.
+    /// Its events from now on; the first subscriber gets those since the join too, if they are few. Offers to this
+    /// peer and requests to it as the owner are among them.
     pub fn events(&self) -> Events {
         self.member.events()
     }
 
-    /// All about it: owner, fence, lease (M33).
+    /// All about it as the hub says it (M33); typed: [`Token::status`].
     ///
     /// # Errors
     /// As [`Client::info`](crate::Client::info).
@@ -52,27 +53,103 @@ impl Token {
         self.member.client().info(self.path().as_str()).await
     }
 
-    /// Grabs it (M28, M29). A grab that is given up while it waits is given back should it be granted.
+    /// Who owns it, who waits for it, and what is offered and asked about it (M33).
     ///
     /// # Errors
-    /// `Refused` with `held` (owner, level, retry-after) or `denied` (rule), a lost link, a time-out.
-    pub async fn grab(&self) -> Result<TokenGuard, ClientError> {
+    /// As [`Client::info`](crate::Client::info).
+    pub async fn status(&self) -> Result<TokenInfo, ClientError> {
+        self.info().await.map(|info| TokenInfo::read(&info))
+    }
+
+    /// Grabs it (M28, M29), at once or, with [`Grab::wait`], when it is its turn. A grab that is given up is taken
+    /// out of the queue, or given back should it be granted.
+    ///
+    /// # Errors
+    /// `Refused` with `held` (owner, level, retry-after, place), `timed-out` after the wait, or `denied` (rule), a
+    /// lost link, a time-out.
+    pub fn grab(&self) -> Grab<'_> {
+        Grab::new(&self.member)
+    }
+
+    /// Asks its owner to hand it over, and waits for the answer; a free token is granted at once. A request that is
+    /// given up stays with the owner; what it brings is given back.
+    ///
+    /// # Errors
+    /// `Refused` with `declined` (the owner's words), `timed-out`, `withdrawn` or `denied`, a lost link, a time-out.
+    pub fn request(&self) -> AskOwner<'_> {
+        AskOwner::new(&self.member)
+    }
+
+    /// Takes it from its owner, who has offered it ([`Event::Offer`](crate::Event::Offer)).
+    ///
+    /// # Errors
+    /// `Refused` with `no-offer` or `denied`, a lost link, a time-out.
+    pub async fn accept(&self) -> Result<TokenGuard, ClientError> {
         let (sender, receiver) = oneshot::channel();
-        let waiter = Waiter::Grab {
+        let waiter = Waiter::Obtain {
             member: self.member.clone(),
             answer: sender,
         };
         let shared = self.member.shared();
-        shared.grab(self.path(), waiter)?;
-        let after = shared.settings.request_timeout;
-        match timeout(after, receiver).await {
-            Ok(Ok(guard)) => guard,
-            Ok(Err(_)) => Err(ClientError::Connection("the link was lost".to_owned())),
-            Err(_) => Err(ClientError::TimedOut {
-                what: format!("token grab {}", self.path()),
-                after,
-            }),
+        shared.obtain(verb(Family::Token, "accept", self.path()), waiter)?;
+        shared
+            .answer(receiver, format!("token accept {}", self.path()))
+            .await
+    }
+
+    /// Says no to what is offered.
+    ///
+    /// # Errors
+    /// `Refused` with `no-offer`, a lost link, a time-out.
+    pub async fn decline(&self) -> Result<(), ClientError> {
+        self.ask("decline", Map::new()).await
+    }
+
+    /// Hands it over to a peer that has asked for it ([`Event::Requested`](crate::Event::Requested)). The owner's
+    /// guard is lost with the reason `given`.
+    ///
+    /// # Errors
+    /// `Refused` with `no-offer` or `not-owner`, a lost link, a time-out.
+    pub async fn accept_request(&self, peer: &str) -> Result<(), ClientError> {
+        self.ask("accept", Map::new().with("peer", peer)).await
+    }
+
+    /// Keeps it from a peer that has asked for it; `text` tells why and may be empty.
+    ///
+    /// # Errors
+    /// `Refused` with `no-offer`, a lost link, a time-out.
+    pub async fn decline_request(&self, peer: &str, text: &str) -> Result<(), ClientError> {
+        let mut content = Map::new().with("peer", peer);
+        if !text.is_empty() {
+            content.set("text", text);
         }
+        self.ask("decline", content).await
+    }
+
+    /// Takes it away from its owner, or ends all parts in its shared hold; nobody has it then but the first of its
+    /// queue. This needs a right of its own.
+    ///
+    /// # Errors
+    /// `Refused` with `denied`, a lost link, a time-out.
+    pub async fn break_hold(&self) -> Result<(), ClientError> {
+        self.ask("break", Map::new()).await
+    }
+
+    /// Takes part in its shared hold: nobody can grab it meanwhile. Who owns it gives it up by this.
+    ///
+    /// # Errors
+    /// `Refused` with `held` if another peer owns it, or `denied`, a lost link, a time-out.
+    pub async fn inhibit(&self) -> Result<InhibitGuard, ClientError> {
+        let (sender, receiver) = oneshot::channel();
+        let waiter = Waiter::Inhibit {
+            member: self.member.clone(),
+            answer: sender,
+        };
+        let shared = self.member.shared();
+        shared.inhibit(verb(Family::Token, "inhibit", self.path()), waiter)?;
+        shared
+            .answer(receiver, format!("token inhibit {}", self.path()))
+            .await
     }
 
     /// Leaves it, whatever other proxies of it there are. Ownership ends with it.
@@ -81,5 +158,13 @@ impl Token {
     /// `Refused` with `not-member`, a lost link, a time-out.
     pub async fn leave(self) -> Result<(), ClientError> {
         self.member.leave().await
+    }
+
+    async fn ask(&self, name: &str, content: Map) -> Result<(), ClientError> {
+        let mut parcel = verb(Family::Token, name, self.path());
+        if !content.is_empty() {
+            parcel.content = Some(content.into());
+        }
+        self.member.shared().request(parcel).await.map(drop)
     }
 }

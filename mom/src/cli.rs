@@ -26,7 +26,8 @@ Examples:
   echo 'move 100 50 200 0 0; grip close' | mom run -
   mom watch /robot/arm                     what happens there
 
-The password comes from MOM_PASSWORD, or is asked for; it is never an argument.
+The password comes from MOM_PASSWORD, or is asked for; it is never an argument. Devices use keys:
+see mom keygen --help.
 Exit codes: 0 done, 1 failed or refused, 2 a command line that makes no sense.";
 
 /// Options of every command.
@@ -45,6 +46,15 @@ pub(crate) struct Global {
     /// Who you are
     #[arg(long, short, global = true, value_name = "NAME", env = "MOM_USER")]
     pub(crate) user: Option<String>,
+    /// Prove it with the private key in this file, not with a password
+    #[arg(long, global = true, value_name = "FILE", conflicts_with_all = ["token", "guest"])]
+    pub(crate) key: Option<PathBuf>,
+    /// Prove it with the token (JWT) in this file, which names you
+    #[arg(long, global = true, value_name = "FILE", conflicts_with = "guest")]
+    pub(crate) token: Option<PathBuf>,
+    /// Come as a guest, where the hub lets them in
+    #[arg(long, global = true)]
+    pub(crate) guest: bool,
     /// Write JSON, one object per line
     #[arg(long, global = true)]
     pub(crate) json: bool,
@@ -74,6 +84,9 @@ pub(crate) enum Command {
     /// Talk: lines of the input are sent, those of others shown
     #[command(after_help = CHAT)]
     Chat(Chat),
+    /// Make a key pair, so that a device needs no password
+    #[command(after_help = KEYGEN)]
+    Keygen(Keygen),
     /// Ask a camera for an image and save it
     #[command(after_help = SNAP)]
     Snap(Snap),
@@ -256,6 +269,26 @@ Examples:
   mom snap                                 camera x
   mom snap x --output table.jpg
   mom snap --output - | feh -";
+
+/// `mom keygen`
+#[derive(Args, Debug)]
+pub(crate) struct Keygen {
+    /// The file for the private key
+    #[arg(long, short, value_name = "FILE", default_value = "mom.key")]
+    pub(crate) out: PathBuf,
+    /// Replace the file if it exists
+    #[arg(long)]
+    pub(crate) force: bool,
+}
+
+const KEYGEN: &str = "\
+Examples:
+  mom keygen                               the private key in mom.key, the public one printed
+  mom keygen --user arm --out arm.key
+  mom keygen --json --out arm.key | jq -r .public
+
+The public key goes into the hub's users file: keys = [\"ed25519 ...\"]. With the private one the device
+logs in from anywhere: mom --user arm --key arm.key tree";
 
 /// `250ms`, `5s`, `2m`, `1h`; a number without a unit is refused, because nobody knows which one was meant.
 fn duration(text: &str) -> Result<Duration, String> {

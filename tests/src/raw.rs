@@ -1,7 +1,7 @@
 //! A connection that sends whatever bytes it is told to, and reads what comes back.
 
 use std::io::{self, ErrorKind};
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::time::Duration;
 
 use bytes::BytesMut;
@@ -44,6 +44,19 @@ impl Raw {
     pub async fn connect_small(address: SocketAddr, form: Form) -> Raw {
         let socket = TcpSocket::new_v4().expect("a socket");
         socket.set_recv_buffer_size(4096).expect("a socket option");
+        let stream = socket.connect(address).await.expect("the broker listens");
+        Raw::start(stream, form).await
+    }
+
+    /// Connects from another address of this machine: all of 127.0.0.0/8 is loopback.
+    ///
+    /// # Panics
+    /// If the broker cannot be reached from there.
+    pub async fn connect_from(from: IpAddr, address: SocketAddr, form: Form) -> Raw {
+        let socket = TcpSocket::new_v4().expect("a socket");
+        socket
+            .bind(SocketAddr::new(from, 0))
+            .expect("an address of loopback");
         let stream = socket.connect(address).await.expect("the broker listens");
         Raw::start(stream, form).await
     }

@@ -60,8 +60,8 @@ impl Config {
     /// # Errors
     /// What is wrong, with file, line and key.
     pub fn load(path: &Path) -> Result<Config, ConfigError> {
-        Config::parse(read(path)?, |users| {
-            read(&path.parent().unwrap_or(Path::new(".")).join(users)).map(Some)
+        Config::parse(read(path)?, |name| {
+            read(&path.parent().unwrap_or(Path::new(".")).join(name))
         })
     }
 
@@ -75,24 +75,27 @@ impl Config {
             text: text.to_owned(),
         };
         let users = source("config/lab-users.toml", LAB_USERS);
-        Config::parse(source("config/lab.toml", LAB), |_| Ok(Some(users)))
+        Config::parse(source("config/lab.toml", LAB), |_| Ok(users.clone()))
             .expect("the built-in lab is tested")
     }
 
     fn parse(
         source: Source,
-        read_users: impl FnOnce(&str) -> Result<Option<Source>, ConfigError>,
+        beside: impl Fn(&str) -> Result<Source, ConfigError>,
     ) -> Result<Config, ConfigError> {
-        let file: File = toml::from_str(&source.text).map_err(|error| source.syntax(&error))?;
+        let mut file: File = toml::from_str(&source.text).map_err(|error| source.syntax(&error))?;
         check(&file, &source)?;
         let users = match &file.users {
-            Some(name) => read_users(name).map_err(|error| source.error(&["users"], error.to_string()))?,
-            None => None,
+            Some(name) => {
+                let users = beside(name).map_err(|error| source.error(&["users"], error.to_string()))?;
+                users::parse(&users, file.login.guests)?
+            }
+            None => Vec::new(),
         };
-        let users = users
-            .map(|users| users::parse(&users))
-            .transpose()?
-            .unwrap_or_default();
+        if let Some(jwt) = &mut file.login.jwt {
+            let unread = |error: ConfigError| source.error(&["login", "jwt", "key"], error.to_string());
+            jwt.key.read(|name| beside(name).map_err(unread))?;
+        }
         let config = Config {
             listen: file.listen,
             connections: file.connections,
@@ -132,9 +135,6 @@ fn check(file: &File, source: &Source) -> Result<(), ConfigError> {
         ("limits", file.limits.path_levels as u64, "path-levels"),
         ("limits", file.limits.header as u64, "header"),
         ("limits", file.limits.parts as u64, "parts"),
-        ("login", file.login.waiting as u64, "waiting"),
-        ("login", file.login.hashers as u64, "hashers"),
-        ("login", u64::from(file.login.attempts), "attempts"),
     ];
     for (table, value, key) in at_least_one {
         if value == 0 {

@@ -120,7 +120,7 @@ impl Config {
         self.at(&["managers", name], error)
     }
 
-    fn at(&self, keys: &[&str], error: &WireError) -> ConfigError {
+    pub(super) fn at(&self, keys: &[&str], error: &WireError) -> ConfigError {
         let slot = error.get("slot").and_then(Value::as_str).unwrap_or_default();
         // A request names the path in the slot `context`, a file in the key `path`.
         let slot = if slot == "context" {

@@ -3,6 +3,7 @@
 mod error;
 mod load;
 mod locate;
+mod login;
 mod users;
 
 use std::collections::BTreeMap;
@@ -10,9 +11,9 @@ use std::collections::BTreeMap;
 use mom_hub::ContextSpec;
 use mom_managers::Registry;
 use mom_proto::{Limits, Value};
-use serde::Deserialize;
 
 pub use error::ConfigError;
+pub use login::{FailureRate, JwtConfig, JwtKey, JwtUsers, LoginConfig, ThrottleConfig};
 pub use users::UserEntry;
 
 use locate::Source;
@@ -46,28 +47,6 @@ pub struct Config {
     /// The users.
     pub users: Vec<UserEntry>,
     source: Option<Source>,
-}
-
-/// How logins are checked.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
-pub struct LoginConfig {
-    /// Passwords hashed at once.
-    pub hashers: usize,
-    /// Logins that may wait for that; more are told to try later.
-    pub waiting: usize,
-    /// Failed logins after which a connection is closed.
-    pub attempts: u32,
-}
-
-impl Default for LoginConfig {
-    fn default() -> LoginConfig {
-        LoginConfig {
-            hashers: 2,
-            waiting: 64,
-            attempts: 3,
-        }
-    }
 }
 
 impl Default for Config {

@@ -4,6 +4,10 @@
 mod common;
 mod concurrency;
 mod events;
+mod handover;
+mod login;
+mod managing;
 mod reconnect;
 mod requests;
 mod tokens;
+mod waiting;

@@ -249,6 +249,7 @@ async fn a_message_carries_its_slots_and_gets_a_receipt() {
         .no_echo()
         .fence(7)
         .reference(12)
+        .based_on(41)
         .slot("colour", "red");
     let (receipt, parcel) = tokio::join!(message.send_acknowledged(), async {
         let parcel = peer.expect("message command /robot/arm").await;
@@ -268,7 +269,10 @@ async fn a_message_carries_its_slots_and_gets_a_receipt() {
         (parcel.echo, parcel.fence, parcel.reference),
         (Some(false), Some(7), Some(12))
     );
-    assert_eq!(parcel.extra, Map::new().with("colour", "red"));
+    assert_eq!(
+        parcel.extra,
+        Map::new().with("based-on", 41).with("colour", "red")
+    );
     assert_eq!(parcel.receipt, Some(true));
     assert_eq!(
         parcel.value(),

@@ -7,9 +7,9 @@ use tokio::time::Instant;
 
 use crate::common::{Peer, local, logged_in_with};
 
-const TOKEN: &str = "/robot/token";
+pub(crate) const TOKEN: &str = "/robot/token";
 
-async fn token() -> (Client, Token, Peer) {
+pub(crate) async fn token() -> (Client, Token, Peer) {
     let (mut hub, builder) = local();
     // So long that no heartbeat mixes with the renewals.
     let limits = Map::new().with("heartbeat", 10_000_000).with("gone", 30_000_000);
@@ -20,13 +20,13 @@ async fn token() -> (Client, Token, Peer) {
     (client, token.unwrap(), peer)
 }
 
-async fn grab(token: &Token, peer: &mut Peer, fence: i64, lease: i64) -> TokenGuard {
+pub(crate) async fn grab(token: &Token, peer: &mut Peer, fence: i64, lease: i64) -> TokenGuard {
     let (guard, ()) = tokio::join!(token.grab(), peer.granted(TOKEN, fence, lease));
     guard.unwrap()
 }
 
 /// Waits until the client has handled all that the hub said.
-async fn settled(client: &Client, peer: &mut Peer) {
+pub(crate) async fn settled(client: &Client, peer: &mut Peer) {
     let (answer, ()) = tokio::join!(client.info("/settled"), async {
         let request = peer.expect("context info /settled").await;
         peer.ok(&request, Map::new()).await;
@@ -34,7 +34,7 @@ async fn settled(client: &Client, peer: &mut Peer) {
     answer.unwrap();
 }
 
-fn released(reason: &str, by: &str, fence: i64) -> Map {
+pub(crate) fn released(reason: &str, by: &str, fence: i64) -> Map {
     Map::new()
         .with("owner", "ally")
         .with("reason", reason)
@@ -139,6 +139,34 @@ async fn a_lease_is_renewed_at_a_third_of_it() {
     }
     assert!(!guard.is_lost());
     assert_eq!(guard.lease(), Some(Duration::from_secs(30)));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_deadman_time_shorter_than_the_lease_is_fed_at_a_third_of_it() {
+    let (_client, token, mut peer) = token().await;
+    let start = Instant::now();
+    let (guard, ()) = tokio::join!(token.grab(), async {
+        let request = peer.expect("token grab /robot/token").await;
+        let terms = Map::new().with("fence", 7).with("lease", 180_000);
+        peer.ok(&request, terms.with("deadman", 6000)).await;
+    });
+    let guard = guard.unwrap();
+    assert_eq!(
+        (guard.lease(), guard.deadman()),
+        (Some(Duration::from_secs(180)), Some(Duration::from_secs(6)))
+    );
+    for (at, terms) in [
+        (2, Map::new().with("lease", 3000).with("deadman", 6000)),
+        // Without a lease, as with the hub's null, the deadman time alone counts.
+        (3, Map::new().with("deadman", 9000)),
+        (6, Map::new().with("lease", 30_000)),
+        (16, Map::new().with("lease", 30_000)),
+    ] {
+        let renew = peer.expect("token renew /robot/token").await;
+        assert_eq!(start.elapsed().as_secs(), at);
+        peer.ok(&renew, terms.with("fence", 7)).await;
+    }
+    assert_eq!(guard.deadman(), None);
 }
 
 #[tokio::test(start_paused = true)]

@@ -2,6 +2,7 @@
 
 mod chat;
 mod grab;
+mod keygen;
 mod lab;
 mod run;
 mod send;
@@ -24,6 +25,7 @@ pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Grab(args) => grab::run(args, global, output).await,
         Command::Run(args) => run::run(args, global, output).await,
         Command::Chat(args) => chat::run(args, global, output).await,
+        Command::Keygen(args) => keygen::run(args, global, output),
         Command::Snap(args) => snap::run(args, global, output).await,
     }
 }

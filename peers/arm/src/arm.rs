@@ -174,6 +174,12 @@ impl Arm {
         })
     }
 
+    /// Whether a command is being carried out or waits, so that the arm may be elsewhere soon.
+    #[must_use]
+    pub fn is_busy(&self) -> bool {
+        self.active.is_some() || !self.waiting.is_empty()
+    }
+
     /// Stops the hand and the jaws where they are and drops every command with the error `halted`.
     /// Not latched: the next command is taken. A block in the jaws stays there.
     pub fn halt(&mut self, now: Micros, reason: &str, events: &mut Vec<ArmEvent>) {

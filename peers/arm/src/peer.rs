@@ -2,9 +2,9 @@
 
 use std::future::{Future, pending};
 use std::pin::pin;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
-use mom_client::{Client, ClientError, Code, Event, Link, Parcel, WireError};
+use mom_client::{Client, ClientError, Code, Event, Link, Parcel, Time, WireError};
 use tokio::time::{Instant, sleep_until, timeout};
 
 use crate::arm::Arm;
@@ -57,7 +57,7 @@ pub async fn run(
     let channel = client.channel(&options.channel).await?;
     let (mut events, gate) = (channel.events(), channel.gate());
     let begin = Instant::now();
-    let mut server = RobotServer::new(Arm::new(0), channel.path().clone());
+    let mut server = RobotServer::new(Arm::new(0), channel.path().clone()).starting_at(time_of_day());
     let mut outlet = Outlet::new(sender(&client));
     let mut out = Vec::new();
     let mut shutdown = pin!(shutdown);
@@ -124,6 +124,12 @@ async fn sleep_or_wait(wake: Option<Instant>) {
         Some(wake) => sleep_until(wake).await,
         None => pending().await,
     }
+}
+
+fn time_of_day() -> Time {
+    let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
+    let micros = since.ok().and_then(|since| i64::try_from(since.as_micros()).ok());
+    micros.and_then(Time::from_micros).unwrap_or_default()
 }
 
 fn micros(begin: Instant) -> Micros {

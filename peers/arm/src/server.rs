@@ -3,13 +3,15 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use mom_client::event::Reason;
 use mom_client::{
-    Content, Delivery, Event, Family, FenceGate, Map, Parcel, Path, Value, WireError, event, to_value,
+    Delivery, Event, Family, FenceGate, Map, Parcel, Path, StateGate, Time, Value, WireError, event, to_value,
 };
 
 use crate::arm::Arm;
 use crate::error::{ArmError, ErrorName};
 use crate::motion::Micros;
+use crate::pose::Pose;
 use crate::state::{ArmEvent, ArmState, CommandState, Executing, Progress};
 use crate::status::{Refusal, Status};
 
@@ -31,9 +33,11 @@ const HUB: &str = "hub";
 /// `halt` ends everything. What is to be sent is pushed to `out`, in order. The driver calls `advance` whenever
 /// [`RobotServer::next_wake`] is due.
 ///
-/// - A command is obeyed if the fence gate lets it pass, and if the arm takes its script. Otherwise, and at
-///   every later change, a `status` is broadcast (M42).
+/// - A command is obeyed if the fence gate lets it pass, if the state that it was based on (where it names one)
+///   still holds (M35), and if the arm takes its script. Otherwise, and at every later change, a `status` is
+///   broadcast (M42).
 /// - A command of a newer fence, or the event that the token changed hands, ends all that an older owner ordered.
+///   Where owners hand over by agreement, only such a command does, or the hub's `halt` if the token asks for it.
 /// - `halt` of the hub ends all commands; `stop` of anyone does, and latches until `unstop`. A gap in the events
 ///   latches too, because a `stop` may have been in it.
 /// - A lost link ends all commands; after it, the state is told again.
@@ -45,6 +49,19 @@ pub struct RobotServer {
     /// What the arm has accepted and not ended, by the arm's own ids: those of senders may coincide.
     orders: BTreeMap<u64, Order>,
     last_id: u64,
+    states: StateGate,
+    /// How the arm was in the state told last.
+    told: Option<Position>,
+    /// Whether the owner is about to change by agreement.
+    handing_over: bool,
+}
+
+/// What a motion changes, and what commands are based on: the hand, the jaws, and what they hold.
+#[derive(Debug, Clone, PartialEq)]
+struct Position {
+    pose: Pose,
+    opening: f64,
+    holding: Option<String>,
 }
 
 /// Whose command it is.
@@ -64,7 +81,17 @@ impl RobotServer {
             channel,
             orders: BTreeMap::new(),
             last_id: 0,
+            states: StateGate::new(Time::default()),
+            told: None,
+            handing_over: false,
         }
+    }
+
+    /// This server, started at this time of day: no state of an earlier start passes for one of this.
+    #[must_use]
+    pub fn starting_at(mut self, time: Time) -> Self {
+        self.states = StateGate::new(time);
+        self
     }
 
     /// Does what an event asks for. `gate` is that of the channel: it knows the fence of the present owner.
@@ -78,8 +105,15 @@ impl RobotServer {
             })),
             // Without names of who joined, all are told.
             Event::Count(_) | Event::Rejoined => self.report(out),
-            Event::Grabbed { fence, .. } => self.drop_below(*fence, now, out),
-            Event::Released { fence, .. } => self.drop_below(fence.saturating_add(1), now, out),
+            Event::Grabbed { fence, .. } => {
+                let agreed = std::mem::take(&mut self.handing_over);
+                self.change_owner(agreed, *fence, now, out);
+            }
+            Event::Released { fence, reason, .. } => {
+                let reason = Reason::from_word(reason);
+                self.handing_over = matches!(reason, Some(Reason::Given | Reason::Returned));
+                self.change_owner(self.handing_over, fence.saturating_add(1), now, out);
+            }
             Event::LinkDown => self.halt("the link to the hub was lost", now, out),
             Event::Lagged(count) => {
                 let reason = format!("{count} events of the hub were lost, and a stop may be among them");
@@ -106,7 +140,7 @@ impl RobotServer {
     }
 
     /// Tells all members of the channel the state.
-    pub fn report(&self, out: &mut Vec<Parcel>) {
+    pub fn report(&mut self, out: &mut Vec<Parcel>) {
         out.extend(self.state_message());
     }
 
@@ -122,7 +156,7 @@ impl RobotServer {
                 let obeyed = gate
                     .check(parcel)
                     .map_err(Refusal::from)
-                    .and_then(|()| self.obey(order.clone(), parcel.content.as_ref(), now, out));
+                    .and_then(|()| self.obey(order.clone(), parcel, now, out));
                 if let Err(refusal) = obeyed {
                     let status = order.status().because(Some(&refusal));
                     out.extend(self.status_message(&status));
@@ -148,12 +182,15 @@ impl RobotServer {
     fn obey(
         &mut self,
         order: Order,
-        content: Option<&Content>,
+        command: &Parcel,
         now: Micros,
         out: &mut Vec<Parcel>,
     ) -> Result<(), Refusal> {
         // The events of the token may be on their way still; the fence of the command tells as much.
         self.drop_below(order.fence.unwrap_or(0), now, out);
+        self.states.set_moving(self.arm.is_busy());
+        self.states.check(command)?;
+        let content = command.content.as_ref();
         let script = content.and_then(|content| content.to_value().ok());
         let script = script.as_ref().and_then(Value::as_str).ok_or_else(|| {
             let text =
@@ -178,6 +215,13 @@ impl RobotServer {
             self.orders.remove(&id);
         }
         Ok(taken?)
+    }
+
+    /// The token changes hands. Where both sides agree, the hub halts the arm if the token asks for it.
+    fn change_owner(&mut self, agreed: bool, fence: u64, now: Micros, out: &mut Vec<Parcel>) {
+        if !agreed {
+            self.drop_below(fence, now, out);
+        }
     }
 
     /// Ends all commands if one of them carries a lower fence: its sender owns the token no more.
@@ -228,12 +272,12 @@ impl RobotServer {
         Some(parcel)
     }
 
-    fn state_message(&self) -> Option<Parcel> {
+    fn state_message(&mut self) -> Option<Parcel> {
         self.message_of_state(&self.arm.state())
     }
 
     /// The state as the channel knows it: the command being carried out has its sender's id.
-    fn message_of_state(&self, state: &ArmState) -> Option<Parcel> {
+    fn message_of_state(&mut self, state: &ArmState) -> Option<Parcel> {
         let content = to_value(state).map(|mut content| {
             if let (Value::Map(map), Some(executing)) = (&mut content, state.executing) {
                 map.set("executing", self.executing(&executing));
@@ -242,6 +286,14 @@ impl RobotServer {
         });
         let mut parcel = self.message(STATE, content)?;
         parcel.delivery = Some(Delivery::Latest);
+        let position = Position {
+            pose: state.pose,
+            opening: state.gripper.opening,
+            holding: state.holding.clone(),
+        };
+        let moved = self.told.as_ref() != Some(&position);
+        self.told = Some(position);
+        self.states.stamp(&mut parcel, moved);
         Some(parcel)
     }
 

@@ -1,6 +1,6 @@
 //! What the commander hears about one command: the content of `status` messages (M42).
 
-use mom_client::{Code, Map, Stale, Value, to_value};
+use mom_client::{Code, Map, Stale, Value, WireError, to_value};
 use serde::{Deserialize, Serialize};
 
 use crate::error::ArmError;
@@ -62,14 +62,17 @@ pub(crate) enum Refusal {
     Arm(ArmError),
     /// The command was not sent by the token's present owner.
     Stale(Stale),
+    /// What the command was based on holds no more, or is no state.
+    State(WireError),
 }
 
 impl Refusal {
-    /// A map of code word, number, plain words, and the owner where there is one.
+    /// A map of code word, number, plain words, and what else applies.
     fn content(&self) -> Option<Value> {
         match self {
             Refusal::Arm(error) => to_value(error).ok(),
             Refusal::Stale(stale) => Some(stale_map(stale).into()),
+            Refusal::State(error) => Some(error_map(error).into()),
         }
     }
 }
@@ -84,6 +87,23 @@ impl From<Stale> for Refusal {
     fn from(stale: Stale) -> Self {
         Refusal::Stale(stale)
     }
+}
+
+impl From<WireError> for Refusal {
+    fn from(error: WireError) -> Self {
+        Refusal::State(error)
+    }
+}
+
+fn error_map(error: &WireError) -> Map {
+    let mut map = Map::new()
+        .with("name", error.code.word())
+        .with("code", u32::from(error.code.number()))
+        .with("text", error.text.as_str());
+    for (key, value) in error.details() {
+        map.set(key, value.clone());
+    }
+    map
 }
 
 fn stale_map(stale: &Stale) -> Map {

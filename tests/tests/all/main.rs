@@ -1,6 +1,8 @@
 //! All tests of the whole system, in one binary.
 
+mod control;
 mod dialogues;
+mod login;
 mod programs;
 mod protocol;
 mod python;

@@ -13,6 +13,8 @@ struct Stage {
     now: Micros,
     gate: FenceGate,
     out: Vec<Parcel>,
+    /// The ids of the states that were told, in order.
+    states: Vec<u64>,
 }
 
 impl Stage {
@@ -23,6 +25,7 @@ impl Stage {
             now: 0,
             gate: FenceGate::new(),
             out: Vec::new(),
+            states: Vec::new(),
         }
     }
 
@@ -76,25 +79,56 @@ impl Stage {
                 lease: None,
                 path: Path::parse("/robot/token").unwrap(),
             }),
-            ["released", fence] => self.tell(&Event::Released {
-                owner: "somebody".to_owned(),
-                reason: "released".to_owned(),
-                by: None,
-                fence: fence.parse().unwrap(),
-                path: Path::parse("/robot/token").unwrap(),
-            }),
-            [sender, "command", id, fence] => {
-                let mut parcel = said(sender, COMMAND).content(script);
-                (parcel.id, parcel.fence) = (id.parse().ok(), fence.parse().ok());
-                self.tell(&Event::Message(parcel));
+            ["released", fence] => self.released("released", fence),
+            ["given", fence] => self.released("given", fence),
+            ["returned", fence] => self.released("returned", fence),
+            ["report"] => self.server.report(&mut self.out),
+            [sender, "command", id, fence] => self.command(sender, id, fence, script, None),
+            [sender, "command", id, fence, "on", state] => {
+                let told = |back: usize| self.states[self.states.len() - back];
+                let state = match state {
+                    "newest" => Value::Int(told(1) as i64),
+                    "next" => Value::Int(told(1) as i64 + 1),
+                    "before" => Value::Int(told(2) as i64),
+                    other => other.into(),
+                };
+                self.command(sender, id, fence, script, Some(state));
             }
             [sender, name] => self.tell(&Event::Message(said(sender, name))),
             _ => panic!("no such line: {line}"),
         }
     }
 
+    fn command(&mut self, sender: &str, id: &str, fence: &str, script: &str, based_on: Option<Value>) {
+        let mut parcel = said(sender, COMMAND).content(script);
+        (parcel.id, parcel.fence) = (id.parse().ok(), fence.parse().ok());
+        if let Some(based_on) = based_on {
+            parcel.extra.set("based-on", based_on);
+        }
+        self.tell(&Event::Message(parcel));
+    }
+
+    fn released(&mut self, reason: &str, fence: &str) {
+        self.tell(&Event::Released {
+            owner: "somebody".to_owned(),
+            reason: reason.to_owned(),
+            by: None,
+            fence: fence.parse().unwrap(),
+            path: Path::parse("/robot/token").unwrap(),
+        });
+    }
+
     /// What was said since, one line each; states while the arm moves are left out.
     fn heard(&mut self) -> Vec<String> {
+        let states = self.out.iter().filter(|parcel| parcel.name() == STATE);
+        let ids: Vec<u64> = states.map(|state| state.id.unwrap()).collect();
+        for id in ids {
+            assert!(
+                self.states.last().is_none_or(|last| *last < id),
+                "ids of states rise"
+            );
+            self.states.push(id);
+        }
         self.out.drain(..).filter_map(|parcel| line_of(&parcel)).collect()
     }
 }
@@ -313,6 +347,112 @@ fn a_stop_latches_until_it_is_released() {
          > status alice/2 waiting 0/1
          > status alice/2 executing 1/1",
     );
+}
+
+#[test]
+fn a_hand_over_by_agreement_ends_nothing_until_the_new_owner_commands() {
+    for word in ["given", "returned"] {
+        check(&format!(
+            "alice command 1 5: wait 100
+             > status alice/1 waiting 0/1
+             > status alice/1 executing 1/1
+             {word} 5
+             grabbed 6
+             after 50
+             bob command 1 6: wait 10
+             > state free
+             > status alice/1 error 1/1 halted 5101
+             > status bob/1 waiting 0/1
+             > status bob/1 executing 1/1"
+        ));
+        // What comes after it ends everything, whoever ordered it.
+        for line in ["hub halt", "released 6", "grabbed 7"] {
+            check(&format!(
+                "alice command 1 5: wait 100
+                 > status alice/1 waiting 0/1
+                 > status alice/1 executing 1/1
+                 {word} 5
+                 grabbed 6
+                 {line}
+                 > state free
+                 > status alice/1 error 1/1 halted 5101"
+            ));
+        }
+    }
+}
+
+#[test]
+fn what_was_meant_for_an_earlier_state_is_refused() {
+    check(
+        "report
+         > state free
+         report
+         > state free
+         alice command 1 5 on before: move 0 0 270 0 0
+         > status alice/1 waiting 0/1
+         > status alice/1 executing 1/1
+         alice command 2 5 on newest: home
+         > status alice/2 error 0/0 stale-state 208
+         alice command 3 5: wait 10
+         > status alice/3 waiting 0/1
+         after 1000
+         > state free
+         > status alice/1 finished 1/1
+         > status alice/3 executing 1/1
+         > state free
+         > status alice/3 finished 1/1
+         alice command 4 5 on before: wait 10
+         > status alice/4 waiting 0/1
+         > status alice/4 executing 1/1
+         after 10
+         > state free
+         > status alice/4 finished 1/1
+         alice command 5 5: home
+         > status alice/5 waiting 0/1
+         > status alice/5 executing 1/1
+         after 1000
+         > state free
+         > status alice/5 finished 1/1
+         alice command 6 5 on before: home
+         > status alice/6 error 0/0 stale-state 208
+         alice command 7 5 on next: home
+         > status alice/7 error 0/0 stale-state 208
+         alice command 8 5 on red: home
+         > status alice/8 error 0/0 bad-slot 220
+         alice command 9 5 on newest: wait 10
+         > status alice/9 waiting 0/1
+         > status alice/9 executing 1/1",
+    );
+}
+
+#[test]
+fn the_jaws_move_too_and_a_refusal_names_the_newest_state() {
+    let mut stage = Stage::new();
+    stage.act("report");
+    stage.heard();
+    stage.act("alice command 1 5: grip close");
+    stage.pass(1000);
+    stage.heard();
+    let newest = *stage.states.last().unwrap();
+    let first = stage.states[0];
+    stage.command("alice", "2", "5", "home", Some(Value::Int(first as i64)));
+    let error = stage.out[0].value().get("error").cloned().unwrap();
+    assert_eq!(error.get("state"), Some(&Value::Int(newest as i64)));
+    assert_eq!(stage.heard(), ["status alice/2 error 0/0 stale-state 208"]);
+}
+
+#[test]
+fn a_state_of_an_earlier_start_is_no_state_of_this_one() {
+    let mut before = Stage::new();
+    before.act("report");
+    before.heard();
+    let mut stage = Stage::new();
+    stage.server = stage.server.starting_at(Time::from_micros(1_000_000).unwrap());
+    stage.act("report");
+    stage.heard();
+    let old = Value::Int(before.states[0] as i64);
+    stage.command("alice", "1", "5", "home", Some(old));
+    assert_eq!(stage.heard(), ["status alice/1 error 0/0 stale-state 208"]);
 }
 
 #[test]

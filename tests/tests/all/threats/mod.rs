@@ -5,6 +5,8 @@ mod framing;
 mod identity;
 mod leases;
 mod load;
+mod login;
+mod managing;
 mod markup;
 mod mime;
 mod names;

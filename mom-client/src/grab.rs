@@ -1,0 +1,195 @@
+//! Grabbing a token, with or without waiting for it.
+
+use std::fmt;
+use std::future::{Future, IntoFuture, pending};
+use std::pin::{Pin, pin};
+use std::time::Duration;
+
+use mom_proto::{Family, Map, Path};
+use tokio::sync::{oneshot, watch};
+use tokio::time::sleep;
+
+use crate::info::millis;
+use crate::membership::Membership;
+use crate::pending::Waiter;
+use crate::shared::{Shared, verb};
+use crate::{ClientError, TokenGuard};
+
+/// Where a grab stands in the queue of its token.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Place {
+    /// 1 for the next.
+    pub place: u64,
+    /// Until its turn, if nobody before it renews; none = nobody can tell.
+    pub expected: Option<Duration>,
+}
+
+/// A grab in the making, from [`Token::grab`](crate::Token::grab): await it.
+///
+/// ```no_run
+/// # async fn example(token: mom_client::Token) -> Result<(), mom_client::ClientError> {
+/// use std::time::Duration;
+/// let guard = token
+///     .grab()
+///     .wait(Duration::from_secs(30))
+///     .on_place(|place| println!("{} in the queue", place.place))
+///     .await?;
+/// # Ok(())
+/// # }
+/// ```
+#[must_use = "a grab does nothing until it is awaited"]
+pub struct Grab<'a> {
+    member: &'a Membership,
+    wait: Wait,
+    on_place: Option<OnPlace<'a>>,
+}
+
+type OnPlace<'a> = Box<dyn FnMut(Place) + Send + 'a>;
+
+/// For how long a grab waits in the queue.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Wait {
+    No,
+    For(Duration),
+    Forever,
+}
+
+impl<'a> Grab<'a> {
+    pub(crate) fn new(member: &'a Membership) -> Grab<'a> {
+        Grab {
+            member,
+            wait: Wait::No,
+            on_place: None,
+        }
+    }
+
+    /// Waits in the queue for so long, in whole ms; after it the grab is refused with `timed-out`.
+    pub fn wait(mut self, most: Duration) -> Grab<'a> {
+        self.wait = Wait::For(most);
+        self
+    }
+
+    /// Waits in the queue for as long as it takes.
+    pub fn wait_forever(mut self) -> Grab<'a> {
+        self.wait = Wait::Forever;
+        self
+    }
+
+    /// Told whenever the place in the queue changes; of places that follow each other quickly, the newest.
+    pub fn on_place(mut self, told: impl FnMut(Place) + Send + 'a) -> Grab<'a> {
+        self.on_place = Some(Box::new(told));
+        self
+    }
+
+    async fn run(self) -> Result<TokenGuard, ClientError> {
+        let (shared, path) = (self.member.shared(), self.member.path());
+        let (sender, receiver) = oneshot::channel();
+        let waiter = Waiter::Obtain {
+            member: self.member.clone(),
+            answer: sender,
+        };
+        let id = shared.next_id();
+        let mut parcel = verb(Family::Token, "grab", path).id(id);
+        parcel.content = self.wait.content().map(Into::into);
+        let places = match self.wait {
+            Wait::No => {
+                shared.obtain(parcel, waiter)?;
+                None
+            }
+            _ => Some(shared.obtain_waiting(parcel, id, waiter)?),
+        };
+        let _withdraw = places.is_some().then_some(Withdraw { shared, path, id });
+        let follow = follow(shared, places, self.wait, self.on_place);
+        tokio::select! {
+            // First: an answer that is there ends the wait, however late it is.
+            biased;
+            answer = receiver => {
+                answer.unwrap_or_else(|_| Err(ClientError::Connection("the link was lost".to_owned())))
+            }
+            after = follow => Err(ClientError::TimedOut {
+                what: format!("token grab {path}"),
+                after,
+            }),
+        }
+    }
+}
+
+/// Tells the places; ends, with the time that it took, when an answer is overdue.
+async fn follow(
+    shared: &Shared,
+    places: Option<watch::Receiver<Option<Place>>>,
+    wait: Wait,
+    mut on_place: Option<OnPlace<'_>>,
+) -> Duration {
+    let answer = shared.settings.request_timeout;
+    let after = match wait {
+        Wait::No | Wait::Forever => answer,
+        Wait::For(most) => answer.saturating_add(most),
+    };
+    let mut overdue = pin!(sleep(after));
+    let mut patient = false;
+    let Some(mut places) = places else {
+        overdue.await;
+        return after;
+    };
+    loop {
+        tokio::select! {
+            changed = places.changed() => {
+                if changed.is_err() {
+                    // Answered; whoever waits for that is woken by it.
+                    return pending().await;
+                }
+                // Once it is in the queue the hub has heard of it, and only the link's end can end it.
+                patient = wait == Wait::Forever;
+                let place = *places.borrow_and_update();
+                if let (Some(place), Some(told)) = (place, &mut on_place) {
+                    told(place);
+                }
+            }
+            () = &mut overdue, if !patient => return after,
+        }
+    }
+}
+
+impl Wait {
+    fn content(self) -> Option<Map> {
+        match self {
+            Wait::No => None,
+            Wait::For(most) => Some(Map::new().with("wait", millis(most))),
+            Wait::Forever => Some(Map::new().with("wait", "unlimited")),
+        }
+    }
+}
+
+impl<'a> IntoFuture for Grab<'a> {
+    type Output = Result<TokenGuard, ClientError>;
+    type IntoFuture = Pin<Box<dyn Future<Output = Self::Output> + Send + 'a>>;
+
+    fn into_future(self) -> Self::IntoFuture {
+        Box::pin(self.run())
+    }
+}
+
+impl fmt::Debug for Grab<'_> {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter
+            .debug_struct("Grab")
+            .field("path", self.member.path())
+            .field("wait", &self.wait)
+            .finish_non_exhaustive()
+    }
+}
+
+/// Takes the grab back if its caller goes before the answer is there.
+struct Withdraw<'a> {
+    shared: &'a Shared,
+    path: &'a Path,
+    id: u64,
+}
+
+impl Drop for Withdraw<'_> {
+    fn drop(&mut self) {
+        self.shared.give_up(self.path, self.id);
+    }
+}

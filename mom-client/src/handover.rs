@@ -1,0 +1,218 @@
+//! Tokens that this client has offered to other peers, and what became of them.
+
+use std::sync::Arc;
+
+use mom_proto::Path;
+use mom_proto::event::Reason;
+use tokio::sync::watch;
+
+use crate::Lost;
+use crate::guards::Hold;
+
+/// One offer, from the hub's word that it is made to its end.
+#[derive(Debug)]
+pub(crate) struct Handover {
+    pub(crate) path: Path,
+    pub(crate) to: String,
+    /// Whether the token comes back by itself.
+    pub(crate) delegated: bool,
+    /// The ownership that is offered.
+    pub(crate) hold: Arc<Hold>,
+    phase: watch::Sender<Phase>,
+}
+
+/// How far it has come.
+#[derive(Clone, Debug)]
+pub(crate) enum Phase {
+    /// The other peer has not answered.
+    Offered,
+    /// It will not have it, and why.
+    Lapsed(String),
+    /// It has it.
+    Taken,
+    /// It had it, and this client has it again: one guard of this.
+    Back(Arc<Hold>),
+    /// It has it or had it, and the token does not come back.
+    Over(Lost),
+}
+
+impl Handover {
+    pub(crate) fn new(path: &Path, to: String, delegated: bool, hold: Arc<Hold>) -> Handover {
+        Handover {
+            path: path.clone(),
+            to,
+            delegated,
+            hold,
+            phase: watch::Sender::new(Phase::Offered),
+        }
+    }
+
+    pub(crate) fn watch(&self) -> watch::Receiver<Phase> {
+        self.phase.subscribe()
+    }
+
+    pub(crate) fn phase(&self) -> Phase {
+        self.phase.borrow().clone()
+    }
+
+    pub(crate) fn back(&self, hold: Arc<Hold>) {
+        self.phase.send_replace(Phase::Back(hold));
+    }
+
+    fn enter(&self, phase: Phase) {
+        self.phase.send_replace(phase);
+    }
+}
+
+/// All that are not over.
+#[derive(Debug, Default)]
+pub(crate) struct Handovers {
+    entries: Vec<Entry>,
+}
+
+#[derive(Debug)]
+struct Entry {
+    handover: Arc<Handover>,
+    stage: Stage,
+    /// Whether somebody still has a use for the token.
+    wanted: bool,
+}
+
+/// What the hub has told so far.
+#[derive(Debug)]
+enum Stage {
+    Offered,
+    /// This client's ownership is over, in favour of a peer that is about to be named.
+    Leaving,
+    /// The other peer owns it with this fence.
+    With(u64),
+    /// The other peer's ownership is over; who has it next is about to be told.
+    Ended(u64, Lost),
+}
+
+/// What an event means for one offer.
+enum Turn {
+    Keep(Stage),
+    End(Phase),
+    Back,
+}
+
+impl Handovers {
+    pub(crate) fn offer(&mut self, handover: Arc<Handover>) {
+        self.entries.push(Entry {
+            handover,
+            stage: Stage::Offered,
+            wanted: true,
+        });
+    }
+
+    /// Nobody waits any more for the token to come back.
+    pub(crate) fn unwant(&mut self, handover: &Arc<Handover>) {
+        let entries = self.entries.iter_mut();
+        entries
+            .filter(|entry| Arc::ptr_eq(&entry.handover, handover))
+            .for_each(|entry| entry.wanted = false);
+    }
+
+    /// The hub said that an offer came to nothing.
+    pub(crate) fn lapsed(&mut self, path: &Path, to: &str, reason: &str) {
+        // A second offer to the same peer withdraws the first, so it is the oldest that is meant.
+        let place = self.entries.iter().position(|entry| {
+            entry.handover.path == *path && entry.handover.to == to && matches!(entry.stage, Stage::Offered)
+        });
+        if let Some(place) = place {
+            let entry = self.entries.remove(place);
+            entry.handover.enter(Phase::Lapsed(reason.to_owned()));
+        }
+    }
+
+    /// An ownership of this token ended.
+    pub(crate) fn released(&mut self, path: &Path, fence: u64, lost: &Lost) {
+        self.turn(path, |entry, stage| match stage {
+            Stage::Offered if fence == entry.hold.fence => match Reason::from_word(&lost.reason) {
+                Some(Reason::Given) => Turn::Keep(Stage::Leaving),
+                _ => Turn::End(Phase::Lapsed("lost".to_owned())),
+            },
+            Stage::With(theirs) if fence == theirs => match Reason::from_word(&lost.reason) {
+                Some(Reason::Preempted | Reason::Broken | Reason::Deleted) => {
+                    Turn::End(Phase::Over(lost.clone()))
+                }
+                // However else the other's ownership ends, the token comes back.
+                _ => Turn::Keep(Stage::Ended(theirs, lost.clone())),
+            },
+            stage => Turn::Keep(stage),
+        });
+    }
+
+    /// The token has a new owner. Gives the offer after which it is this client's again, and whether anybody wants
+    /// it: the caller notes the ownership.
+    pub(crate) fn grabbed(
+        &mut self,
+        path: &Path,
+        fence: u64,
+        owner: &str,
+        me: &str,
+    ) -> Option<(Arc<Handover>, bool)> {
+        self.turn(path, |entry, stage| match stage {
+            Stage::Leaving if owner == entry.to && entry.delegated => {
+                entry.enter(Phase::Taken);
+                Turn::Keep(Stage::With(fence))
+            }
+            Stage::Leaving if owner == entry.to => {
+                let lost = Lost::new(Reason::Given.word(), Some(owner.to_owned()));
+                Turn::End(Phase::Over(lost))
+            }
+            Stage::Leaving => Turn::End(Phase::Lapsed("lost".to_owned())),
+            Stage::With(theirs) | Stage::Ended(theirs, _) if owner == me && fence > theirs => Turn::Back,
+            Stage::With(theirs) if fence > theirs => {
+                Turn::End(Phase::Over(Lost::new("grabbed", Some(owner.to_owned()))))
+            }
+            Stage::Ended(theirs, lost) if fence > theirs => Turn::End(Phase::Over(lost)),
+            stage => Turn::Keep(stage),
+        })
+    }
+
+    /// The link is gone, and this client's part in all of them with it.
+    pub(crate) fn lose_all(&mut self, lost: &Lost) {
+        for entry in self.entries.drain(..) {
+            entry.handover.enter(match entry.stage {
+                Stage::Offered => Phase::Lapsed(lost.reason.clone()),
+                _ => Phase::Over(lost.clone()),
+            });
+        }
+    }
+
+    /// Lets each offer of a token take its turn; gives the one that is back.
+    fn turn(
+        &mut self,
+        path: &Path,
+        turn: impl Fn(&Handover, Stage) -> Turn,
+    ) -> Option<(Arc<Handover>, bool)> {
+        let mut back = None;
+        for entry in std::mem::take(&mut self.entries) {
+            let Entry {
+                handover,
+                stage,
+                wanted,
+            } = entry;
+            if handover.path != *path {
+                self.entries.push(Entry {
+                    handover,
+                    stage,
+                    wanted,
+                });
+                continue;
+            }
+            match turn(&handover, stage) {
+                Turn::Keep(stage) => self.entries.push(Entry {
+                    handover,
+                    stage,
+                    wanted,
+                }),
+                Turn::End(phase) => handover.enter(phase),
+                Turn::Back => back = Some((handover, wanted)),
+            }
+        }
+        back
+    }
+}

@@ -1,0 +1,81 @@
+//! What a guard keeps: a hold on a token, ended when the guard goes.
+
+use std::sync::Arc;
+
+use tokio::sync::watch;
+
+use crate::guards::Hold;
+use crate::membership::Membership;
+use crate::{ClientError, Lost};
+
+/// How a token is held.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Kind {
+    /// By one peer, which drives.
+    Ownership,
+    /// By several, so that nobody drives.
+    Shared,
+}
+
+impl Kind {
+    /// The verb that ends it.
+    pub(crate) fn end(self) -> &'static str {
+        match self {
+            Kind::Ownership => "release",
+            Kind::Shared => "uninhibit",
+        }
+    }
+}
+
+/// A part in a hold. The last one that goes ends the hold.
+#[derive(Debug)]
+pub(crate) struct Holding {
+    hold: Arc<Hold>,
+    kind: Kind,
+    lost: watch::Receiver<Option<Lost>>,
+    member: Membership,
+    held: bool,
+}
+
+impl Holding {
+    pub(crate) fn new(hold: Arc<Hold>, kind: Kind, member: Membership) -> Holding {
+        Holding {
+            lost: hold.watch(),
+            hold,
+            kind,
+            member,
+            held: true,
+        }
+    }
+
+    pub(crate) fn hold(&self) -> &Arc<Hold> {
+        &self.hold
+    }
+
+    pub(crate) fn member(&self) -> &Membership {
+        &self.member
+    }
+
+    /// Waits until it is over. Safe to cancel.
+    pub(crate) async fn lost(&mut self) -> Lost {
+        match self.lost.wait_for(Option::is_some).await {
+            Ok(lost) => lost.clone().unwrap_or_else(|| Lost::new("released", None)),
+            // The sender lives in `hold`.
+            Err(_) => Lost::new("released", None),
+        }
+    }
+
+    /// Ends the hold and waits for the hub to say so.
+    pub(crate) async fn release(mut self) -> Result<(), ClientError> {
+        self.held = false;
+        self.member.shared().release(&self.hold, self.kind).await
+    }
+}
+
+impl Drop for Holding {
+    fn drop(&mut self) {
+        if self.held {
+            self.member.shared().let_go(&self.hold, self.kind);
+        }
+    }
+}

@@ -1,0 +1,291 @@
+//! Getting tokens, giving them back, and what the hub's events and answers mean for those that are held.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use mom_proto::event as names;
+use mom_proto::{Family, Map, Parcel, Path};
+use tokio::sync::{oneshot, watch};
+use tokio::time::{Instant, timeout};
+
+use crate::error::bad_reply;
+use crate::guards::{Grant, Guards, Hold};
+use crate::handover::{Handover, Phase};
+use crate::holding::Kind;
+use crate::info::{map_of, millis_of, number, text};
+use crate::membership::Membership;
+use crate::pending::{Answering, Waiter};
+use crate::shared::{Shared, State, verb};
+use crate::{ClientError, Given, InhibitGuard, Lost, Place, TokenGuard};
+
+type Answer = Result<Parcel, ClientError>;
+
+impl Shared {
+    /// Sends what may be answered with an ownership.
+    pub(crate) fn obtain(&self, parcel: Parcel, waiter: Waiter) -> Result<(), ClientError> {
+        self.begin(parcel, waiter, Kind::Ownership, |_| ())
+    }
+
+    /// Sends a grab that may wait in the queue; gives its places there.
+    pub(crate) fn obtain_waiting(
+        &self,
+        parcel: Parcel,
+        id: u64,
+        waiter: Waiter,
+    ) -> Result<watch::Receiver<Option<Place>>, ClientError> {
+        let path = parcel.context.clone().unwrap_or_else(Path::root);
+        self.begin(parcel, waiter, Kind::Ownership, |state| {
+            state.waits.add(&path, id)
+        })
+    }
+
+    /// Sends what may be answered with a part in a shared hold.
+    pub(crate) fn inhibit(&self, parcel: Parcel, waiter: Waiter) -> Result<(), ClientError> {
+        self.begin(parcel, waiter, Kind::Shared, |_| ())
+    }
+
+    fn begin<T>(
+        &self,
+        parcel: Parcel,
+        waiter: Waiter,
+        kind: Kind,
+        note: impl FnOnce(&mut State) -> T,
+    ) -> Result<T, ClientError> {
+        let path = parcel.context.clone().unwrap_or_else(Path::root);
+        // The waiter may hold the last handle: on an error it is dropped after the lock is given back.
+        let mut waiter = Some(waiter);
+        let mut state = self.lock();
+        let asked = self.ask_in(&mut state, parcel, &mut waiter);
+        let noted = asked.map(|()| {
+            state.holds(kind).ask(&path);
+            note(&mut state)
+        });
+        drop(state);
+        self.outgoing.notify_one();
+        noted
+    }
+
+    /// Waits for an answer.
+    pub(crate) async fn answer<T>(
+        &self,
+        receiver: oneshot::Receiver<Result<T, ClientError>>,
+        what: String,
+    ) -> Result<T, ClientError> {
+        self.late_answer(receiver, Duration::ZERO, what).await
+    }
+
+    /// Waits for an answer that may come so much later than others.
+    pub(crate) async fn late_answer<T>(
+        &self,
+        receiver: oneshot::Receiver<Result<T, ClientError>>,
+        later: Duration,
+        what: String,
+    ) -> Result<T, ClientError> {
+        let after = self.settings.request_timeout.saturating_add(later);
+        match timeout(after, receiver).await {
+            Ok(Ok(answer)) => answer,
+            Ok(Err(_)) => Err(ClientError::Connection("the link was lost".to_owned())),
+            Err(_) => Err(ClientError::TimedOut { what, after }),
+        }
+    }
+
+    /// Nobody waits any more for what a grab brings.
+    pub(crate) fn give_up(&self, path: &Path, id: u64) {
+        let mut state = self.lock();
+        if state.waits.give_up(path, id) {
+            self.end_in(&mut state, Kind::Ownership, path);
+        }
+        drop(state);
+        self.outgoing.notify_one();
+    }
+
+    /// Ends a hold and waits for the hub to say so.
+    pub(crate) async fn release(&self, hold: &Arc<Hold>, kind: Kind) -> Result<(), ClientError> {
+        let lost = hold.is_lost();
+        self.lock().holds(kind).let_go(hold);
+        match lost {
+            true => Ok(()),
+            false => self
+                .request(verb(Family::Token, kind.end(), &hold.path))
+                .await
+                .map(drop),
+        }
+    }
+
+    /// Ends a hold, if this was its last guard, without waiting.
+    pub(crate) fn let_go(&self, hold: &Arc<Hold>, kind: Kind) {
+        let mut state = self.lock();
+        if state.holds(kind).let_go(hold) {
+            self.end_in(&mut state, kind, &hold.path);
+        }
+        drop(state);
+        self.outgoing.notify_one();
+    }
+
+    /// Nobody waits any more for a token to come back.
+    pub(crate) fn forget(&self, handover: &Arc<Handover>) {
+        self.lock().handovers.unwant(handover);
+        if let Phase::Back(hold) = handover.phase() {
+            self.let_go(&hold, Kind::Ownership);
+        }
+    }
+
+    fn end_in(&self, state: &mut State, kind: Kind, path: &Path) {
+        // Without a link the token is lost anyway.
+        let end = verb(Family::Token, kind.end(), path);
+        let _ = self.ask_in(state, end, &mut Some(Waiter::Nobody));
+    }
+
+    /// What the hub said about an owner.
+    pub(crate) fn note_ownership(&self, state: &mut State, path: &Path, parcel: &Parcel) {
+        let map = map_of(parcel);
+        let Some(fence) = number(&map, "fence") else {
+            return;
+        };
+        if parcel.name() == names::RELEASED {
+            let by = text(&map, "by").map(str::to_owned);
+            let lost = Lost::new(text(&map, "reason").unwrap_or_default(), by);
+            state.handovers.released(path, fence, &lost);
+            state.guards.lose(path, fence, lost);
+        } else {
+            let owner = text(&map, "owner").unwrap_or_default();
+            state.guards.outdate(path, fence, owner);
+            let me = state.me.peer.clone();
+            if let Some((handover, wanted)) = state.handovers.grabbed(path, fence, owner, &me) {
+                self.take_back(state, &handover, wanted, &map);
+            }
+        }
+    }
+
+    /// What was given is this client's again.
+    fn take_back(&self, state: &mut State, handover: &Handover, wanted: bool, map: &Map) {
+        let Some(grant) = Grant::read(map) else { return };
+        let hold = state.guards.hold(&handover.path, grant, Instant::now());
+        if wanted {
+            handover.back(hold);
+        } else if state.guards.let_go(&hold) {
+            self.end_in(state, Kind::Ownership, &handover.path);
+        }
+        self.outgoing.notify_one();
+        self.keeping.notify_one();
+    }
+
+    /// The hub said which place a waiting grab has.
+    pub(crate) fn note_place(&self, state: &mut State, path: &Path, parcel: &Parcel) {
+        let map = map_of(parcel);
+        let Some(place) = number(&map, "place") else {
+            return;
+        };
+        let place = Place {
+            place,
+            expected: millis_of(&map, "expected"),
+        };
+        if state.waits.queued(path, place) {
+            self.end_in(state, Kind::Ownership, path);
+            self.outgoing.notify_one();
+        }
+    }
+
+    /// A request that may bring an ownership was answered.
+    pub(crate) fn complete_obtain(
+        &self,
+        id: Option<u64>,
+        member: Membership,
+        sender: Answering<TokenGuard>,
+        answer: Answer,
+    ) {
+        let path = member.path().clone();
+        let granted =
+            answer.and_then(|parcel| Grant::read(&map_of(&parcel)).ok_or_else(|| bad_reply("fence")));
+        let mut state = self.lock();
+        let withdrawn = id.is_some_and(|id| state.waits.answered(&path, id));
+        let hold = match granted {
+            // What it brought is given back already: the hub was told while the grant was on its way.
+            Ok(_) if withdrawn => Err(ClientError::Connection("the grab was taken back".to_owned())),
+            Ok(grant) => Ok(state.guards.hold(&path, grant, Instant::now())),
+            Err(error) => Err(error),
+        };
+        self.answered(state, Kind::Ownership, &path);
+        let guard = hold.map(|hold| TokenGuard::new(hold, member));
+        // Dropping the guard of one that went away gives the token back.
+        drop(sender.send(guard));
+    }
+
+    /// A request for a part in a shared hold was answered.
+    pub(crate) fn complete_inhibit(
+        &self,
+        member: Membership,
+        sender: Answering<InhibitGuard>,
+        answer: Answer,
+    ) {
+        let path = member.path().clone();
+        let mut state = self.lock();
+        let hold = answer.map(|_| state.inhibits.hold(&path, Grant::default(), Instant::now()));
+        self.answered(state, Kind::Shared, &path);
+        let guard = hold.map(|hold| InhibitGuard::new(hold, member));
+        // As above.
+        drop(sender.send(guard));
+    }
+
+    /// An offer was made or refused.
+    pub(crate) fn complete_give(
+        &self,
+        member: Membership,
+        handover: Arc<Handover>,
+        sender: Answering<Given>,
+        answer: Answer,
+    ) {
+        let given = answer.map(|_| {
+            self.lock().handovers.offer(Arc::clone(&handover));
+            Given::new(handover, member)
+        });
+        drop(sender.send(given));
+    }
+
+    fn answered(&self, mut state: parking_lot::MutexGuard<'_, State>, kind: Kind, path: &Path) {
+        if state.holds(kind).answered(path) {
+            self.end_in(&mut state, kind, path);
+        }
+        drop(state);
+        self.outgoing.notify_one();
+        self.keeping.notify_one();
+    }
+}
+
+impl State {
+    /// The holds of a kind.
+    pub(crate) fn holds(&mut self, kind: Kind) -> &mut Guards {
+        match kind {
+            Kind::Ownership => &mut self.guards,
+            Kind::Shared => &mut self.inhibits,
+        }
+    }
+
+    /// All holds are over, and all that might have become one.
+    pub(crate) fn lose_holds(&mut self, lost: &Lost) {
+        self.guards.lose_all(lost);
+        self.inhibits.lose_all(lost);
+        self.handovers.lose_all(lost);
+        self.waits.clear();
+    }
+
+    /// A part in a shared hold is over; if it is this client's, its guards are told.
+    pub(crate) fn note_uninhibited(&mut self, path: &Path, parcel: &Parcel) {
+        let map = map_of(parcel);
+        if text(&map, "peer") == Some(self.me.peer.as_str()) {
+            let by = text(&map, "by").map(str::to_owned);
+            let lost = Lost::new(text(&map, "reason").unwrap_or_default(), by);
+            self.inhibits.lose(path, Grant::default().fence, lost);
+        }
+    }
+
+    /// An offer or a request came to nothing.
+    pub(crate) fn note_lapsed(&mut self, path: &Path, parcel: &Parcel) {
+        let map = map_of(parcel);
+        if text(&map, "what") == Some("offer") && text(&map, "by") == Some(self.me.peer.as_str()) {
+            let (to, reason) = (text(&map, "to"), text(&map, "reason"));
+            self.handovers
+                .lapsed(path, to.unwrap_or_default(), reason.unwrap_or_default());
+        }
+    }
+}

@@ -1,0 +1,137 @@
+//! Grabs that the hub may let wait: their places in the queue, and taking them back.
+
+use std::collections::{HashMap, VecDeque};
+
+use mom_proto::Path;
+use tokio::sync::watch;
+
+use crate::Place;
+
+/// The grabs without an answer that are willing to wait, by token, the oldest first.
+///
+/// The hub's word of a place names no request. It lets one grab of a peer wait for a token at a time and answers in
+/// order, so it means the oldest.
+#[derive(Debug, Default)]
+pub(crate) struct Waits {
+    tokens: HashMap<Path, VecDeque<Wait>>,
+}
+
+#[derive(Debug)]
+struct Wait {
+    id: u64,
+    place: watch::Sender<Option<Place>>,
+    stage: Stage,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    /// Somebody waits for it.
+    Wanted,
+    /// Nobody does, but whether it is in the queue is not known: `release` might end an ownership instead.
+    GivenUp,
+    /// The hub was told.
+    Withdrawn,
+}
+
+impl Waits {
+    /// A grab that may wait is about to be sent.
+    pub(crate) fn add(&mut self, path: &Path, id: u64) -> watch::Receiver<Option<Place>> {
+        let (place, places) = watch::channel(None);
+        self.tokens.entry(path.clone()).or_default().push_back(Wait {
+            id,
+            place,
+            stage: Stage::Wanted,
+        });
+        places
+    }
+
+    /// The hub told a place; whether the grab is to be withdrawn now.
+    pub(crate) fn queued(&mut self, path: &Path, place: Place) -> bool {
+        let Some(wait) = self.tokens.get_mut(path).and_then(VecDeque::front_mut) else {
+            return false;
+        };
+        wait.place.send_replace(Some(place));
+        wait.stage == Stage::GivenUp && wait.withdraw()
+    }
+
+    /// Nobody waits any more for what a grab brings; whether it is to be withdrawn now.
+    pub(crate) fn give_up(&mut self, path: &Path, id: u64) -> bool {
+        let waits = self.tokens.get_mut(path).into_iter().flatten();
+        let Some(wait) = waits.into_iter().find(|wait| wait.id == id) else {
+            return false;
+        };
+        wait.stage = Stage::GivenUp;
+        let is_queued = wait.place.borrow().is_some();
+        is_queued && wait.withdraw()
+    }
+
+    /// A grab was answered; whether it was withdrawn before, so that what it brought is given back already.
+    pub(crate) fn answered(&mut self, path: &Path, id: u64) -> bool {
+        let Some(waits) = self.tokens.get_mut(path) else {
+            return false;
+        };
+        let position = waits.iter().position(|wait| wait.id == id);
+        let wait = position.and_then(|position| waits.remove(position));
+        if waits.is_empty() {
+            self.tokens.remove(path);
+        }
+        wait.is_some_and(|wait| wait.stage == Stage::Withdrawn)
+    }
+
+    /// The link is gone, and with it the queue.
+    pub(crate) fn clear(&mut self) {
+        self.tokens.clear();
+    }
+}
+
+impl Wait {
+    fn withdraw(&mut self) -> bool {
+        self.stage = Stage::Withdrawn;
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn path() -> Path {
+        Path::parse("/t").unwrap()
+    }
+
+    fn place(place: u64) -> Place {
+        Place {
+            place,
+            expected: None,
+        }
+    }
+
+    #[test]
+    fn a_place_is_that_of_the_oldest_grab() {
+        let mut waits = Waits::default();
+        let (one, two) = (waits.add(&path(), 1), waits.add(&path(), 2));
+        assert!(!waits.queued(&path(), place(3)));
+        assert_eq!((*one.borrow(), *two.borrow()), (Some(place(3)), None));
+        assert!(!waits.answered(&path(), 1));
+        assert!(!waits.queued(&path(), place(4)));
+        assert_eq!(*two.borrow(), Some(place(4)));
+        assert!(!waits.answered(&path(), 2));
+        assert!(!waits.queued(&path(), place(1)), "of nobody here");
+    }
+
+    #[test]
+    fn only_what_is_in_the_queue_is_withdrawn_and_once() {
+        let mut waits = Waits::default();
+        let _one = waits.add(&path(), 1);
+        assert!(!waits.give_up(&path(), 1), "it may be granted at once");
+        assert!(waits.queued(&path(), place(2)), "now it waits");
+        assert!(!waits.queued(&path(), place(1)), "withdrawn already");
+        assert!(waits.answered(&path(), 1));
+
+        let _two = waits.add(&path(), 2);
+        assert!(!waits.queued(&path(), place(2)));
+        assert!(waits.give_up(&path(), 2));
+        assert!(waits.answered(&path(), 2));
+        assert!(!waits.give_up(&path(), 2), "answered");
+    }
+}
