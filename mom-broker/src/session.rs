@@ -12,6 +12,7 @@ use mom_managers::Micros;
 use mom_net::{NetError, Reader, Transceiver};
 use mom_proto::codec::Frame;
 use mom_proto::{Code, Family, Limits, Map, Parcel, Path, Verb, WireError};
+use parking_lot::RwLock;
 use tokio::time::{Instant, timeout, timeout_at};
 
 use crate::login::{Challenge, Logins};
@@ -30,7 +31,30 @@ const TURN: usize = 256;
 pub(crate) struct Context {
     pub(crate) board: Arc<Switchboard>,
     pub(crate) logins: Arc<Logins>,
+    /// What holds for this connection as long as it lasts: it was told so.
     pub(crate) limits: Limits,
+    /// What holds for the next one.
+    pub(crate) next_limits: Arc<RwLock<Limits>>,
+}
+
+impl Context {
+    pub(crate) fn new(board: Switchboard, logins: Logins, limits: Limits) -> Context {
+        Context {
+            board: Arc::new(board),
+            logins: Arc::new(logins),
+            next_limits: Arc::new(RwLock::new(limits.clone())),
+            limits,
+        }
+    }
+
+    /// For a new connection.
+    pub(crate) fn fresh(&self) -> Context {
+        let limits = self.next_limits.read().clone();
+        Context {
+            limits,
+            ..self.clone()
+        }
+    }
 }
 
 /// One connection as its reader sees it.

@@ -47,11 +47,11 @@ pub(crate) struct Global {
     #[arg(long, short, global = true, value_name = "NAME", env = "MOM_USER")]
     pub(crate) user: Option<String>,
     /// Prove it with the private key in this file, not with a password
-    #[arg(long, global = true, value_name = "FILE", conflicts_with_all = ["token", "guest"])]
+    #[arg(long, global = true, value_name = "FILE", conflicts_with_all = ["jwt", "guest"])]
     pub(crate) key: Option<PathBuf>,
     /// Prove it with the token (JWT) in this file, which names you
     #[arg(long, global = true, value_name = "FILE", conflicts_with = "guest")]
-    pub(crate) token: Option<PathBuf>,
+    pub(crate) jwt: Option<PathBuf>,
     /// Come as a guest, where the hub lets them in
     #[arg(long, global = true)]
     pub(crate) guest: bool,
@@ -330,6 +330,32 @@ mod tests {
                 command.get_name()
             );
         }
+    }
+
+    /// What holds for all commands must not take a name that one of them has for something else.
+    #[test]
+    fn every_way_to_log_in_goes_with_every_command() {
+        let login: [&[&str]; 4] = [&[], &["--key", "f"], &["--jwt", "f"], &["--guest"]];
+        for login in login {
+            for command in [
+                &["tree"][..],
+                &["watch", "/a"],
+                &["send", "/a", "b"],
+                &["grab", "/token"],
+                &["run", "f", "--token", "/token"],
+                &["chat"],
+                &["snap"],
+                &["keygen"],
+            ] {
+                let line = [&["mom"], command, login].concat();
+                let cli = Cli::try_parse_from(&line).unwrap_or_else(|error| panic!("{line:?}: {error}"));
+                if let Command::Grab(Grab { token, .. }) | Command::Run(Run { token, .. }) = cli.command {
+                    assert_eq!(token, "/token");
+                }
+            }
+        }
+        assert!(Cli::try_parse_from(["mom", "tree", "--key", "f", "--guest"]).is_err());
+        assert!(Cli::try_parse_from(["mom", "tree", "--key", "f", "--jwt", "f"]).is_err());
     }
 
     #[test]

@@ -44,7 +44,7 @@ impl<'a> Who<'a> {
                 proof: Proof::Guest,
             });
         }
-        if let Some(file) = &global.token {
+        if let Some(file) = &global.jwt {
             let token = fs::read_to_string(file)
                 .map_err(|error| Failure::plain(format!("cannot read {}: {error}", file.display())))?;
             return Ok(Who {

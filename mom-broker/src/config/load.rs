@@ -6,9 +6,10 @@ use std::path::Path;
 use mom_hub::ContextSpec;
 use mom_proto::{HARD_DEPTH, Limits, Value};
 use serde::Deserialize;
+use tracing_subscriber::EnvFilter;
 
 use super::locate::Source;
-use super::{Config, ConfigError, LoginConfig, users};
+use super::{Config, ConfigError, LoginConfig, ReloadOn, users};
 
 const LAB: &str = include_str!("../../../config/lab.toml");
 const LAB_USERS: &str = include_str!("../../../config/lab-users.toml");
@@ -19,6 +20,7 @@ struct File {
     listen: Vec<String>,
     connections: usize,
     log: String,
+    reload: ReloadOn,
     users: Option<String>,
     root: Value,
     limits: Limits,
@@ -33,6 +35,7 @@ impl Default for File {
             listen,
             connections,
             log,
+            reload,
             limits,
             login,
             root,
@@ -44,6 +47,7 @@ impl Default for File {
             listen,
             connections,
             log,
+            reload,
             users: None,
             root,
             limits,
@@ -100,6 +104,7 @@ impl Config {
             listen: file.listen,
             connections: file.connections,
             log: file.log,
+            reload: file.reload,
             limits: file.limits,
             login: file.login,
             root: file.root,
@@ -141,6 +146,13 @@ fn check(file: &File, source: &Source) -> Result<(), ConfigError> {
             let keys = if table == key { vec![key] } else { vec![table, key] };
             return Err(source.error(&keys, format!("{key} is a number from 1")));
         }
+    }
+    if let Err(error) = EnvFilter::try_new(&file.log) {
+        let text = format!(
+            "{:?} is no filter, such as info or mom_broker=debug: {error}",
+            file.log
+        );
+        return Err(source.error(&["log"], text));
     }
     if file.listen.is_empty() {
         return Err(source.error(

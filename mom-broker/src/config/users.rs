@@ -1,5 +1,6 @@
 //! The users file (M13).
 
+use mom_hub::User;
 use mom_proto::{Map, check_name};
 use serde::Deserialize;
 
@@ -51,6 +52,19 @@ pub(crate) struct Fault {
 }
 
 impl UserEntry {
+    /// The user as the hub knows it.
+    pub(crate) fn to_user(&self) -> User {
+        let details = Map::new()
+            .with("preferences", self.preferences.clone())
+            .with("personal", self.personal.clone());
+        User {
+            name: self.name.clone(),
+            level: self.level,
+            groups: self.groups.clone(),
+            details,
+        }
+    }
+
     /// What is wrong with it by itself.
     pub(crate) fn fault(&self, guests: bool) -> Option<Fault> {
         let fault = |keys: &[&str], text: String| {

@@ -195,23 +195,16 @@ impl Entry {
             .iter()
             .map(|key| parse_key(key).map_err(|text| wrong("users", format!("{}: {text}", user.name))))
             .collect::<Result<_, _>>()?;
-        let details = Map::new()
-            .with("preferences", user.preferences)
-            .with("personal", user.personal);
         Ok(Entry {
-            user: User {
-                name: user.name,
-                level: user.level,
-                groups: user.groups,
-                details,
-            },
+            user: user.to_user(),
             password: user.password,
             keys,
         })
     }
 }
 
-fn guest() -> User {
+/// The user that all guests are.
+pub(crate) fn guest() -> User {
     User {
         name: GUEST.to_owned(),
         level: 0,

@@ -24,7 +24,7 @@ use self::throttle::Throttle;
 use crate::clock::Clock;
 use crate::config::{ConfigError, LoginConfig, UserEntry};
 
-pub(crate) use book::GUEST;
+pub(crate) use book::{GUEST, guest};
 pub(crate) use jwt::Verifier;
 pub(crate) use key::{Challenge, parse_key};
 pub(crate) use password::is_hash;
@@ -85,10 +85,6 @@ impl Logins {
     ///
     /// # Errors
     /// As [`Logins::new`]; then all stays as it is.
-    #[allow(
-        dead_code,
-        reason = "a new configuration is not read yet while the broker runs"
-    )]
     pub(crate) fn replace(
         &self,
         users: Vec<UserEntry>,
@@ -103,10 +99,7 @@ impl Logins {
     }
 
     /// The user of this name in the users file.
-    #[allow(
-        dead_code,
-        reason = "a new configuration is not read yet while the broker runs"
-    )]
+    #[cfg(test)]
     pub(crate) fn lookup(&self, user: &str) -> Option<User> {
         self.book().users.get(user).map(|entry| entry.user.clone())
     }

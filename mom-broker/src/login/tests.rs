@@ -1,7 +1,6 @@
 //! Logins inside a broker without a listener, so that a peer may come from anywhere.
 
 use std::net::IpAddr;
-use std::sync::Arc;
 use std::time::Duration;
 
 use base64::Engine;
@@ -44,11 +43,7 @@ impl House {
         let logins = Logins::new(config.users, config.login, clock.clone()).expect("right");
         let board = Switchboard::new(hub.expect("right"), clock, bounds);
         House {
-            context: Context {
-                board: Arc::new(board),
-                logins: Arc::new(logins),
-                limits: config.limits,
-            },
+            context: Context::new(board, logins, config.limits),
         }
     }
 
