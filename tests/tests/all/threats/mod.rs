@@ -12,6 +12,7 @@ mod mime;
 mod names;
 mod owner_lost;
 mod tokens;
+mod wall_clock;
 
 use std::net::SocketAddr;
 
