@@ -177,7 +177,11 @@ fn rules_are_found_by_their_names() {
         [[managers.lab.rules]]\nallow = [\"join\"]\n[managers.token]\nkind = \"chain\"\nof = [\n  \"lab\",\n  { kind = \"first-come\" },\n]\n\
         [[contexts]]\npath = \"/t\"\nkind = \"token\"\nmanager = \"token\"\n\
         [[contexts]]\npath = \"/u\"\nkind = \"token\"\nmanager = { kind = \"roles\", rules = [{ allow = [\"grab\"] }] }\n\
-        [[contexts]]\npath = \"/c\"\nkind = \"channel\"\nguard = { token = \"/t\", names = [\"x\"] }\n";
+        [[contexts]]\npath = \"/c\"\nkind = \"channel\"\nguard = { token = \"/t\", names = [\"x\"] }\n\
+        [[contexts]]\npath = \"/d\"\nkind = \"channel\"\n[contexts.manager]\nkind = \"chain\"\nof = [\n\
+          { kind = \"quota\", limits = [{ parcels = 1 }] },\n\
+          { kind = \"quota\", limits = [{ parcels = 2 }] },\n\
+        ]\n";
     let config = load(text);
     for (rule, at, line, key) in [
         ("lab/staff", "/", 4, "managers.lab.rules[0]"),
@@ -189,6 +193,18 @@ fn rules_are_found_by_their_names() {
         ("roles/rule 1", "/u", 22, "contexts[1].manager.rules[0]"),
         ("roles", "/u", 22, "contexts[1].manager"),
         ("guard of /c", "/", 26, "contexts[2].guard"),
+        (
+            "chain/quota/limit 1",
+            "/d",
+            33,
+            "contexts[3].manager.of[0].limits[0]",
+        ),
+        (
+            "chain/quota~2/limit 1",
+            "/d",
+            34,
+            "contexts[3].manager.of[1].limits[0]",
+        ),
         // What cannot be told closer.
         ("lab/gone", "/", 2, "managers.lab"),
     ] {

@@ -109,6 +109,50 @@ fn they_have_the_keys_that_the_parser_knows() {
     }
 }
 
+#[test]
+fn every_key_is_documented() {
+    let page = |name: &str| {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs").join(name);
+        fs::read_to_string(path).expect("readable")
+    };
+    let pages = page("configuration.md") + &page("managers.md");
+    let mut missing = Vec::new();
+    for schema in [config_schema(), users_schema()] {
+        collect_missing(&schema, &pages, &mut missing);
+    }
+    assert!(
+        missing.is_empty(),
+        "neither in docs/configuration.md nor in docs/managers.md: {missing:?}"
+    );
+}
+
+fn collect_missing(schema: &Value, pages: &str, missing: &mut Vec<String>) {
+    for key in schema["properties"]
+        .as_object()
+        .into_iter()
+        .flatten()
+        .map(|(key, _)| key)
+    {
+        // In backticks, as a table's head, or among the keys of a small map.
+        let stands = ["`", "[", "{ ", ", "].iter().any(|before| {
+            let mut ends = ["`", "]", ",", " }", ".NAME"].iter();
+            ends.any(|after| pages.contains(&format!("{before}{key}{after}")))
+        });
+        if !stands {
+            missing.push(key.clone());
+        }
+    }
+    match schema {
+        Value::Object(map) => map
+            .values()
+            .for_each(|inner| collect_missing(inner, pages, missing)),
+        Value::Array(list) => list
+            .iter()
+            .for_each(|inner| collect_missing(inner, pages, missing)),
+        _ => {}
+    }
+}
+
 const UNKNOWN: &str = "nobody-knows-this";
 
 /// Checks a schema's table by giving the parser a key that is not there, and goes into all its keys. `wrap` puts a

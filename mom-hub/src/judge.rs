@@ -1,6 +1,6 @@
 //! What the hub would say: the verdict about a request that nobody makes, for people who ask why.
 
-use mom_managers::{Answer, Terms, Verdict};
+use mom_managers::{Answer, Micros, Terms, Verdict};
 use mom_proto::event::Reason;
 use mom_proto::{Code, ContextKind, ContextNumber, Family, Path, Verb, WireError};
 
@@ -29,6 +29,8 @@ pub struct Case<'a> {
     pub message: Option<&'a str>,
     /// Who owns the token meanwhile, from now on and with the token's lease.
     pub owner: Option<&'a User>,
+    /// Whether a member has invited the user there.
+    pub invited: bool,
 }
 
 /// What the hub would say to it.
@@ -124,8 +126,12 @@ impl Hub {
     fn suppose(&mut self, case: &Case<'_>) {
         self.peers
             .add(ASKER, case.user.clone(), &case.user.name, self.now);
-        let token = self.tree.find(case.path).map(|context| context.number);
-        let Some((owner, token)) = case.owner.zip(token) else {
+        let found = self.tree.find(case.path).map(|context| context.number);
+        let Some(number) = found else { return };
+        if let Some(context) = self.tree.get_mut(number).filter(|_| case.invited) {
+            context.invited.insert(ASKER, Micros::MAX);
+        }
+        let Some(owner) = case.owner.filter(|_| self.token(number).is_some()) else {
             return;
         };
         let peer = if owner.name == case.user.name {
@@ -144,7 +150,7 @@ impl Hub {
             turn: None,
         };
         let mut nobody_hears = Vec::new();
-        self.change_owner(token, Some(grantee), Reason::Released, None, &mut nobody_hears);
+        self.change_owner(number, Some(grantee), Reason::Released, None, &mut nobody_hears);
     }
 
     fn refusal_of(&mut self, verdict: &Verdict, case: &Case<'_>, wish: &Wish<'_>) -> Option<WireError> {

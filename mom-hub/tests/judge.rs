@@ -90,6 +90,7 @@ fn judge(verb: Verb, path: &str, message: Option<&str>, owner: Option<&User>) ->
         kind: None,
         message,
         owner,
+        invited: false,
     })
 }
 

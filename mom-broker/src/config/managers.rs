@@ -1,5 +1,7 @@
 //! The managers of a configuration as they stand in it: which there are, and where their rules are.
 
+use std::collections::BTreeSet;
+
 use mom_proto::{Map, Path, Value};
 
 use super::{Config, Place};
@@ -56,7 +58,7 @@ impl Config {
         for entry in 0..self.contexts.len() {
             all.extend(self.managers_of_context(entry));
         }
-        let mut known = std::collections::BTreeSet::new();
+        let mut known = BTreeSet::new();
         all.retain(|node| known.insert(node.keys.clone()));
         all
     }
@@ -127,12 +129,23 @@ impl Config {
                 };
                 out.push(node.clone());
                 let inner = spec.get("of").and_then(Value::as_list).unwrap_or_default();
+                let mut used = BTreeSet::new();
                 for (index, spec) in inner.iter().enumerate() {
-                    let label = kind_of(spec).map(|kind| format!("{}/{kind}", node.label));
+                    let label = kind_of(spec).map(|kind| self.inner_label(&node.label, kind, &mut used));
                     self.walk(spec, label, node.at(&["of", &index.to_string()]), depth, out);
                 }
             }
         }
+    }
+
+    fn inner_label(&self, outer: &str, kind: &str, used: &mut BTreeSet<String>) -> String {
+        let plain = format!("{outer}/{kind}");
+        let numbered = (2..).map(|number| format!("{plain}~{number}"));
+        let mut labels = std::iter::once(plain.clone()).chain(numbered);
+        let free = labels.find(|label| !used.contains(label) && !self.managers.contains_key(label));
+        let label = free.unwrap_or(plain);
+        used.insert(label.clone());
+        label
     }
 
     /// Where a rule stands, by the name that a verdict or an audit record gives it; where that is a part of a

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::{Result, bail};
 use mom_broker::{Config, Explanation, Supposed};
 use mom_proto::nearest::nearest;
-use mom_proto::{ContextKind, Path, Value, Verb};
+use mom_proto::{ContextKind, Path, Time, Value, Verb};
 
 use super::words;
 
@@ -30,6 +30,12 @@ pub(super) struct Args {
     /// Who owns the token meanwhile.
     #[arg(long)]
     owner: Option<String>,
+    /// As if a member had invited the user there.
+    #[arg(long)]
+    invited: bool,
+    /// As if it were this time, such as 2026-11-23T09:30:00Z.
+    #[arg(long)]
+    at: Option<Time>,
     /// The kind to be made, for create: session, channel or token.
     #[arg(long)]
     kind: Option<String>,
@@ -53,6 +59,8 @@ pub(super) fn run(args: &Args) -> Result<()> {
         context: Path::parse(&args.context)?,
         kind: args.kind.as_deref().map(kind).transpose()?,
         owner: args.owner.clone(),
+        invited: args.invited,
+        at: args.at,
     };
     let mut out = std::io::stdout().lock();
     match &args.verb {
@@ -145,6 +153,12 @@ fn tell(out: &mut impl Write, explained: &Explanation, owner: Option<&str>) -> R
         };
         let seconds = asks.within.div_ceil(1000);
         line(out, "asks", &format!("{}{users}; within {seconds} s", asks.who))?;
+    }
+    if explained.displaces {
+        line(out, "takes it", &format!("from {}", owner.unwrap_or_default()))?;
+    }
+    if let Some(until) = explained.until {
+        line(out, "until", &format!("{until}, whatever the lease"))?;
     }
     line(out, "holds", &explained.stands)?;
     if !explained.needs.is_empty() && explained.answer != "deny" {

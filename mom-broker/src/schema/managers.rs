@@ -8,7 +8,6 @@ use super::{flag, list, millis, names, number, table, text, with_default, words}
 
 /// `manager`, one definition for each kind, and what they share.
 ///
-/// Only of kinds that the hub has: what is described here and is not there would be completed and then refused.
 pub(super) fn definitions() -> Map<String, Value> {
     let registry = Registry::builtin();
     let mut all = Map::new();
@@ -54,7 +53,7 @@ fn parameters(kind: &str) -> Option<(&'static str, Value, &'static [&'static str
         ),
         "first-come" => (
             "Whoever grabs a free token keeps it until giving it back.",
-            json!({ "lease": millis("How long without renewal, in ms; absent = without end."), "expiry": expiry() }),
+            json!({ "lease": lease(), "expiry": expiry() }),
             &[],
         ),
         "level-or-lease" => (
@@ -62,104 +61,126 @@ fn parameters(kind: &str) -> Option<(&'static str, Value, &'static [&'static str
             level_or_lease(),
             &[],
         ),
+        "queue" => (
+            "A token goes from one to the next, in the order of asking.",
+            queue(),
+            &[],
+        ),
+        "moderated" => ("A chair has to approve.", moderated(), &["chairs"]),
+        "schedule" => ("Reserved slots of the calendar.", schedule(), &["slots"]),
+        "quota" => ("How often, and how much, by peer.", quota(), &["limits"]),
+        "self" => (
+            "The peer that made the context decides.",
+            json!({
+                "verbs": verbs_for("About what it is asked; absent = everything."),
+                "within": with_default(within("Its silence"), 5_000),
+            }),
+            &[],
+        ),
         "chain" => (
             "Several managers that all have to allow; the first refusal is the answer.",
             json!({ "of": list("The managers, in order.", json!({ "$ref": "#/definitions/manager" })) }),
             &["of"],
-        ),
-        "queue" => ("Whoever waits gets the token in turn.", queue(), &[]),
-        "moderated" => (
-            "Chairs are asked before what they moderate is allowed.",
-            moderated(),
-            &["chairs"],
-        ),
-        "schedule" => (
-            "Who may when: slots of time that belong to users or groups.",
-            schedule(),
-            &["slots"],
-        ),
-        "quota" => ("How much may be sent, by level.", quota(), &["limits"]),
-        "self" => (
-            "The peer that made the context answers for it.",
-            json!({ "within": within(), "verbs": verbs_for("The verbs about which it is asked.") }),
-            &[],
         ),
         _ => return None,
     })
 }
 
 fn rule() -> Value {
-    let properties = json!({
-        "name": text("What an answer calls the rule; absent = its number."),
-        "allow": verbs_for("The verbs that it allows; * stands for all."),
-        "deny": verbs_for("The verbs that it refuses; * stands for all."),
-        "users": names("It is for these users …"),
-        "groups": names("… or for users in one of these groups; neither = everybody."),
-        "min-level": number("It is for users of at least this level."),
+    let mut properties = json!({
+        "name": text("What answers call the rule; absent = its number."),
+        "allow": verbs_for("The verbs that it allows; * stands for all. Either this or deny."),
+        "deny": verbs_for("The verbs that it refuses; * stands for all. Either this or allow."),
         "where": names("Patterns of paths: /robot/arm, /camera/* (one level), /robot/** (the place and all below); absent = everywhere."),
         "messages": names("Names of messages, for send; absent = all."),
+        "invited": flag("Only peers that a member has invited lately, or only those that nobody has; absent = both."),
     });
+    add(&mut properties, peers());
     table("A rule.", &properties, &[])
 }
 
 fn level_or_lease() -> Value {
-    json!({
-        "lease": with_default(millis("How long without renewal, in ms."), 180_000),
-        "expiry": expiry(),
-    })
+    let mut properties = terms();
+    add(
+        &mut properties,
+        json!({
+            "lease": with_default(lease(), 180_000),
+            "equal": with_default(flag("Whether an equal level takes the token, too."), false),
+            "queue": flag("Whether a refused grab may stand in line; absent = if there is hold."),
+        }),
+    );
+    properties
 }
 
 fn queue() -> Value {
-    json!({
-        "lease": millis("How long without renewal, in ms."),
-        "expiry": expiry(),
-        "deadman": deadman(),
-        "hold": millis("The longest ownership while others wait, in ms."),
-        "notice": millis("How long an owner keeps the token at least once the first begins to wait, in ms."),
-    })
+    let mut properties = terms();
+    add(&mut properties, json!({ "lease": lease() }));
+    properties
 }
 
 fn moderated() -> Value {
-    let chairs = json!({
-        "users": names("These users …"),
-        "groups": names("… or users in one of these groups."),
-        "min-level": number("Of at least this level."),
-    });
     json!({
-        "chairs": table("Who is asked.", &chairs, &[]),
-        "verbs": verbs_for("The verbs about which they are asked."),
-        "within": within(),
-        "messages": names("The messages about which they are asked, for send; absent = all."),
-        "displace": flag("Whether a grab that they allow takes the token from its owner."),
+        "chairs": table("Who is asked; at least one key. Chairs need no approval themselves.", &peers(), &[]),
+        "verbs": verbs_for("What is moderated; absent = grab, accept, inhibit."),
+        "messages": names("Of sends, only these names; absent = all."),
+        "within": with_default(within("Nobody's answer"), 30_000),
+        "displace": with_default(flag("Whether an approved grab takes the token from its owner, whatever its lease."), false),
     })
 }
 
 fn schedule() -> Value {
     let day = json!({ "type": "string", "enum": ["mon", "tue", "wed", "thu", "fri", "sat", "sun"] });
-    let slot = json!({
-        "from": text("When it begins, such as 08:00, UTC."),
-        "to": text("When it ends, such as 12:30, UTC."),
-        "users": names("It belongs to these users …"),
-        "groups": names("… and to users in one of these groups."),
-        "days": list("The days of the week; absent = every day.", day),
+    let mut slot = json!({
+        "name": text("What answers call the slot; absent = its number."),
+        "from": text("A time of the day such as 09:00, or an instant such as 2026-11-23T09:00:00Z; UTC."),
+        "to": text("The same; no part of the slot. Of times of the day, one before from is on the next day."),
+        "days": list("The days on which a daily slot begins; absent = every day.", day),
     });
+    add(&mut slot, peers());
     json!({
-        "slots": list("The slots.", table("A slot of time.", &slot, &["from", "to"])),
-        "free": flag("Whether anybody may outside all slots."),
-        "verbs": verbs_for("The verbs that it is about."),
+        "slots": list("The slots.", table("A slot.", &slot, &["from", "to"])),
+        "free": with_default(words("What holds where no slot is.", &["allow", "deny"]), "allow"),
+        "verbs": verbs_for("What is kept for the slots; absent = grab, accept, inhibit."),
     })
 }
 
 fn quota() -> Value {
-    let limit = json!({
-        "min-level": number("It is for users of at least this level."),
-        "parcels": number("Parcels per second."),
-        "burst": number("Parcels at once."),
-        "bytes": number("Bytes per second."),
-        "bytes-burst": number("Bytes at once."),
-        "verbs": verbs_for("The verbs that it is about."),
+    let mut limit = json!({
+        "name": text("What answers call the limit; absent = its number."),
+        "verbs": verbs_for("What is counted, all listed verbs together; absent = send."),
+        "parcels": number("So many a second; absent = as many as one likes."),
+        "burst": number("So many at once; absent = those of one second."),
+        "bytes": number("So many bytes of content a second; absent = as many as one likes."),
+        "bytes-burst": number("So many bytes at once, and nothing larger passes; absent = those of one second."),
     });
-    json!({ "limits": list("The limits.", table("How much a user may send.", &limit, &[])) })
+    add(&mut limit, peers());
+    json!({ "limits": list("The first that is about the peer and the verb counts.", table("A limit.", &limit, &[])) })
+}
+
+/// The keys that stand for peers wherever something is about some.
+fn peers() -> Value {
+    json!({
+        "users": names("The user is among these …"),
+        "groups": names("… or in one of these groups; with neither anybody."),
+        "min-level": number("And the user's level is at least this."),
+    })
+}
+
+/// How a token may be had.
+fn terms() -> Value {
+    json!({
+        "expiry": expiry(),
+        "deadman": millis("The owner loses the token when it neither renews nor grabs for so long, in ms."),
+        "hold": millis("The longest ownership while others wait, in ms."),
+        "notice": with_default(
+            number("How long an owner keeps the token at least once the first begins to wait, in ms."),
+            10_000
+        ),
+    })
+}
+
+fn lease() -> Value {
+    millis("How long ownership lasts without renewal, in ms; absent = without end.")
 }
 
 fn expiry() -> Value {
@@ -167,14 +188,17 @@ fn expiry() -> Value {
     with_default(words(description, &["lazy", "eager"]), "lazy")
 }
 
-fn deadman() -> Value {
-    millis("The owner loses the token if it does not renew for so long, in ms.")
-}
-
-fn within() -> Value {
-    millis("How long an answer may take, in ms; after that the request is refused.")
+fn within(silence: &str) -> Value {
+    let description = format!("How long an answer may take, in ms. {silence} is a no.");
+    millis(&description)
 }
 
 fn verbs_for(description: &str) -> Value {
     json!({ "description": description, "$ref": "#/definitions/verbs" })
+}
+
+fn add(properties: &mut Value, more: Value) {
+    if let (Value::Object(properties), Value::Object(more)) = (properties, more) {
+        properties.extend(more);
+    }
 }

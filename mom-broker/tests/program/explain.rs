@@ -1,6 +1,7 @@
 //! `check` shows what a file makes, `explain` says who may what and by which rule, `schema` prints their shape.
 
 use std::fs;
+use std::path::Path;
 
 use serde_json::Value;
 use tempfile::TempDir;
@@ -69,8 +70,12 @@ fn check_warns_of_what_looks_like_a_mistake() {
 }
 
 fn explain(arguments: &[&str]) -> Result<String, String> {
+    explain_of(&lab(), arguments)
+}
+
+fn explain_of(file: &Path, arguments: &[&str]) -> Result<String, String> {
     let mut command = program();
-    let asked = run(command.arg("explain").arg("--config").arg(lab()).args(arguments));
+    let asked = run(command.arg("explain").arg("--config").arg(file).args(arguments));
     match asked.status.success() {
         true => Ok(text(&asked.stdout)),
         false => Err(text(&asked.stderr)),
@@ -130,7 +135,14 @@ fn explain_says_why() {
         takes.starts_with("carol (level 5, operator) may grab /robot/token while bob owns it.\n"),
         "{takes}"
     );
-    assert!(takes.contains("  needs      membership of /robot\n"), "{takes}");
+    for words in [
+        "  rule       lab/operators may all\n",
+        "lab.toml:38, managers.lab.rules[4]\n",
+        "  takes it   from bob\n",
+        "  needs      membership of /robot\n",
+    ] {
+        assert!(takes.contains(words), "{words:?} in {takes}");
+    }
     let other = explain(&[
         "--user",
         "zoe",
@@ -217,6 +229,136 @@ fn explain_shows_all_that_can_be_asked() {
     assert!(line("expel ").contains("lab (no rule)"), "{table}");
 }
 
+/// A club with a timetable, a chair, a line and a limit.
+const CLUB: &str = r#"users = "users.toml"
+root = "club"
+
+[managers.club]
+kind = "roles"
+[[managers.club.rules]]
+name = "guests by invitation"
+invited = true
+allow = ["join"]
+[[managers.club.rules]]
+name = "staff may all"
+groups = ["operator", "device"]
+allow = ["*"]
+[[managers.club.rules]]
+name = "people take part"
+min-level = 1
+allow = ["lookup", "info", "join", "grab", "renew", "request", "send"]
+
+[managers.robot]
+kind = "chain"
+of = ["club", "timetable", "chair", "fair"]
+
+[managers.timetable]
+kind = "schedule"
+slots = [
+    { name = "course", from = "09:00", to = "12:00", groups = ["operator"] },
+    { from = "22:00", to = "02:00", users = ["alice"] },
+]
+
+[managers.chair]
+kind = "moderated"
+chairs = { groups = ["operator"] }
+verbs = ["request", "give"]
+within = 60000
+
+[managers.fair]
+kind = "queue"
+lease = 60000
+hold = 300000
+
+[managers.polite]
+kind = "chain"
+of = ["club", { kind = "quota", limits = [{ parcels = 10, burst = 20, bytes = 1000000 }] }]
+
+[[contexts]]
+path = "/robot"
+kind = "session"
+
+[[contexts]]
+path = "/robot/token"
+kind = "token"
+manager = "robot"
+
+[[contexts]]
+path = "/chat"
+kind = "channel"
+manager = "polite"
+"#;
+
+/// Asks about the club; each answer has to hold all of the words.
+fn check_club(asked: &str, more: &[&str], words: &[&str]) {
+    let folder = TempDir::new().expect("a folder");
+    let file = folder.path().join("mom.toml");
+    fs::write(&file, CLUB).expect("written");
+    let users = lab().with_file_name("lab-users.toml");
+    fs::copy(users, folder.path().join("users.toml")).expect("copied");
+    let asked: Vec<&str> = asked.split(' ').chain(more.iter().copied()).collect();
+    let said = explain_of(&file, &asked).expect("explained");
+    for words in words {
+        assert!(said.contains(words), "{words:?} in {said}");
+    }
+}
+
+#[test]
+fn explain_knows_times_lines_and_chairs() {
+    let grab = "--user alice --verb grab --context /robot/token";
+    check_club(
+        grab,
+        &["--at", "2026-11-23T10:00:00Z"],
+        &[
+            "may not grab",
+            "until 2026-11-23T12:00:00Z",
+            "rule       timetable/course",
+            "managers.timetable.slots[0]",
+        ],
+    );
+    check_club(
+        grab,
+        &["--at", "2026-11-23T23:00:00Z"],
+        &[
+            "may grab",
+            "until      2026-11-24T02:00:00.000000Z, whatever the lease",
+        ],
+    );
+    check_club(
+        grab,
+        &["--at", "2026-11-23T13:00:00Z", "--owner", "bob"],
+        &["has to wait to grab", "place=1 expected=60000", "rule       fair"],
+    );
+    check_club(
+        "--user alice --verb request --context /robot/token",
+        &["--at", "2026-11-23T13:00:00Z"],
+        &[
+            "if those who are asked allow it",
+            "above it: carol; within 60 s",
+            "rule       chair",
+        ],
+    );
+}
+
+#[test]
+fn explain_knows_limits_and_invitations() {
+    check_club(
+        "--user alice --verb send --context /chat",
+        &[],
+        &[
+            "at most 10 parcels per second and 20 at once",
+            "rule       club/people take part",
+        ],
+    );
+    let join = "--user eve --level 0 --verb join --context /chat";
+    check_club(join, &[], &["may not join", "none of club covers it"]);
+    check_club(
+        join,
+        &["--invited"],
+        &["may join", "club/guests by invitation", "managers.club.rules[0]"],
+    );
+}
+
 #[test]
 fn explain_refuses_what_cannot_be_asked() {
     for (arguments, words) in [
@@ -266,5 +408,24 @@ fn schema_prints_what_is_shipped() {
         let printed = run(program().args(arguments));
         let shipped = fs::read_to_string(lab().with_file_name(file)).expect("readable");
         assert_eq!(text(&printed.stdout), shipped, "{file}");
+    }
+}
+
+/// What the documentation shows is what is printed.
+#[test]
+fn the_examples_in_the_documentation_are_real() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let page = fs::read_to_string(root.join("docs/configuration.md")).expect("readable");
+    let examples: Vec<&str> = page.split("```console\n$ mom-broker ").skip(1).collect();
+    assert!(examples.len() > 3);
+    for example in examples {
+        let (arguments, rest) = example.split_once('\n').expect("a line");
+        let (expected, _) = rest.split_once("```").expect("an end");
+        let shown = run(program().args(arguments.split(' ')).current_dir(&root));
+        assert_eq!(
+            text(&shown.stdout),
+            expected,
+            "docs/configuration.md: mom-broker {arguments}"
+        );
     }
 }

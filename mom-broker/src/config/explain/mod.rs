@@ -2,15 +2,16 @@
 
 mod words;
 
-use mom_hub::{Case, Judgement, User};
+use mom_hub::{Case, Judgement, Settings, User};
 use mom_managers::{Answer, Ask, Defer};
 use mom_proto::nearest::nearest;
-use mom_proto::{ContextKind, Family, Map, Path, Pattern, Value, Verb};
+use mom_proto::{ContextKind, Family, Map, Path, Pattern, Time, Value, Verb};
 use serde::Serialize;
 
 use super::{Config, ConfigError, Place};
+use crate::clock::Clock;
 use crate::login::{GUEST, guest};
-use words::{error_map, needs, stands};
+use words::{error_map, later, needs, stands};
 
 /// Stands for every message that no rule names.
 const ANY_OTHER: &str = "*";
@@ -30,6 +31,10 @@ pub struct Supposed {
     pub kind: Option<ContextKind>,
     /// The user who owns the token meanwhile, if it is one.
     pub owner: Option<String>,
+    /// Whether a member has invited the user there.
+    pub invited: bool,
+    /// When; none = now.
+    pub at: Option<Time>,
 }
 
 /// What would be said, and by which rule.
@@ -66,6 +71,10 @@ pub struct Explanation {
     pub error: Option<Map>,
     /// Whom it would ask first.
     pub asks: Option<Asked>,
+    /// Whether the owner loses the token by it.
+    pub displaces: bool,
+    /// When the ownership would end, whatever the lease.
+    pub until: Option<Time>,
     /// For how long the answer stands.
     pub stands: String,
     /// What the hub wants besides, whoever it is.
@@ -181,13 +190,20 @@ impl Config {
             Verb::Stop | Verb::Unstop => Some(verb.word()),
             _ => message,
         };
-        let judgement = self.hub()?.judge(&Case {
+        let anchor = supposed.at.unwrap_or_else(|| Clock::system().wall());
+        let hub = self.make_hub(Settings {
+            anchor,
+            limits: self.limits.clone(),
+            ..Settings::default()
+        });
+        let judgement = hub?.judge(&Case {
             user: &user,
             verb,
             path: &supposed.context,
             kind: supposed.kind,
             message,
             owner: owner.as_ref(),
+            invited: supposed.invited,
         });
         let kind = judgement.place.as_ref().map(|place| place.kind);
         if owner.is_some() && kind != Some(ContextKind::Token) {
@@ -195,7 +211,7 @@ impl Config {
             return Err(plain(text));
         }
         let message = message.filter(|_| verb == Verb::Send).map(str::to_owned);
-        Ok(self.explanation(user, supposed, verb, message, &judgement))
+        Ok(self.explanation(user, supposed, verb, message, &judgement, anchor))
     }
 
     fn explanation(
@@ -205,6 +221,7 @@ impl Config {
         verb: Verb,
         message: Option<String>,
         judgement: &Judgement,
+        anchor: Time,
     ) -> Explanation {
         let Judgement {
             verdict,
@@ -218,6 +235,10 @@ impl Config {
             (_, Some(_)) => "deny",
             (Answer::Allow(_) | Answer::Deny(_), None) => "allow",
         };
+        let grant = match &verdict.answer {
+            Answer::Allow(grant) => Some(grant),
+            _ => None,
+        };
         // What the manager allowed and the hub refuses all the same is no matter of the configuration.
         let by_hub = answer == "deny" && verdict.is_allow();
         let rule = match refusal.as_ref().and_then(|error| error.get("rule")?.as_str()) {
@@ -229,7 +250,8 @@ impl Config {
             .and_then(|rule| self.locate_rule(rule, managed_at))
             .or_else(|| self.locate_manager_of(managed_at))
             .filter(|_| !by_hub);
-        let uncovered = rule.as_ref().is_some_and(|rule| {
+        let refused = rule.as_ref().filter(|_| answer == "deny");
+        let uncovered = refused.is_some_and(|rule| {
             let managers = self.managers_at(managed_at);
             let mut rules = managers.iter().filter(|manager| manager.kind == "roles");
             rules.any(|manager| manager.label == *rule)
@@ -253,6 +275,10 @@ impl Config {
                 Answer::Defer(defer) => Some(self.asked(defer)),
                 _ => None,
             },
+            displaces: grant.is_some_and(|grant| grant.displace)
+                && answer == "allow"
+                && supposed.owner.is_some(),
+            until: grant.and_then(|grant| later(anchor, grant.until?)),
             stands: stands(verdict.standing),
             needs: needs(&supposed.context, verb, judgement),
         }

@@ -1,8 +1,8 @@
 //! An answer's parts in words.
 
 use mom_hub::Judgement;
-use mom_managers::{Bucket, Standing};
-use mom_proto::{Map, Path, Verb, WireError};
+use mom_managers::{Bucket, Micros, Standing};
+use mom_proto::{Map, Path, Time, Verb, WireError};
 
 pub(super) fn error_map(error: &WireError) -> Map {
     let mut map = Map::new()
@@ -13,6 +13,11 @@ pub(super) fn error_map(error: &WireError) -> Map {
         map.set(key, value.clone());
     }
     map
+}
+
+/// The wall time at a time of the hub.
+pub(super) fn later(anchor: Time, at: Micros) -> Option<Time> {
+    Time::from_micros(anchor.micros().checked_add(i64::try_from(at).ok()?)?)
 }
 
 pub(super) fn stands(standing: Standing) -> String {
