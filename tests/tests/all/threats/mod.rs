@@ -11,6 +11,7 @@ mod markup;
 mod mime;
 mod names;
 mod owner_lost;
+mod revocation;
 mod storm;
 mod tokens;
 mod wall_clock;
