@@ -6,6 +6,7 @@ mod identity;
 mod leases;
 mod load;
 mod login;
+mod look_alikes;
 mod managing;
 mod markup;
 mod mime;
