@@ -9,7 +9,7 @@ use mom_net::Transceiver;
 use mom_proto::{Code, Limits, WireError};
 use parking_lot::Mutex;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, watch};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, timeout_at};
 
@@ -18,7 +18,9 @@ use crate::config::{Config, ConfigError};
 use crate::encodings::Bounds;
 use crate::login::{LoginStats, Logins};
 use crate::session::{self, Context};
+use crate::store::{self, Answer, StoreError};
 use crate::switchboard::{Switchboard, Touched, flush};
+use crate::witness::Witness;
 
 /// What is dropped is told to senders and receivers this often at most.
 const REPORTS: Duration = Duration::from_millis(250);
@@ -26,12 +28,28 @@ const REPORTS: Duration = Duration::from_millis(250);
 /// A stop lets what waits go out for at most so long.
 pub(crate) const DRAIN: Duration = Duration::from_secs(10);
 
+/// Of which the last part is for the records of what the peers' going changed.
+const LAST_RECORDS: Duration = Duration::from_secs(1);
+
 /// A broker that cannot start.
 #[derive(Debug, thiserror::Error)]
 pub enum BrokerError {
     /// Its configuration is wrong.
     #[error(transparent)]
     Config(#[from] ConfigError),
+    /// Its store cannot be used.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// A file that it shall write and cannot.
+    #[error("cannot write the {what} {path}: {error}")]
+    Write {
+        /// What it is for.
+        what: &'static str,
+        /// The file.
+        path: String,
+        /// What the system says.
+        error: std::io::Error,
+    },
     /// An address that cannot be listened at.
     #[error("cannot listen at {address}: {error}{}", hint(error))]
     Listen {
@@ -78,7 +96,7 @@ impl Broker {
     /// Starts listening. Returns when connections are taken.
     ///
     /// # Errors
-    /// A wrong configuration, or an address that cannot be listened at.
+    /// A wrong configuration, a store that cannot be used, or an address that cannot be listened at.
     pub async fn start(config: Config) -> Result<Broker, BrokerError> {
         Broker::start_at(config, Clock::system()).await
     }
@@ -88,20 +106,28 @@ impl Broker {
     /// # Errors
     /// As [`Broker::start`].
     pub async fn start_at(config: Config, clock: Clock) -> Result<Broker, BrokerError> {
-        let settings = Settings {
+        let mut settings = Settings {
             anchor: clock.anchor(),
             epoch: u64::try_from(clock.anchor().micros() / 1_000_000).unwrap_or_default(),
             limits: config.limits.clone(),
             ..Settings::default()
         };
         config.check_login()?;
-        let hub = config.make_hub(settings)?;
+        let (mut store, mut answers) = (None, None);
+        if let Some(opened) = store::open(config.store.path.as_deref(), clock.anchor()).await? {
+            settings.durable = true;
+            settings.epoch = opened.epoch;
+            settings.records = opened.records;
+            (store, answers) = (Some(opened.store), Some(opened.answers));
+        }
+        let hub = config.make_hub(settings.clone())?;
+        let witness = Witness::start(&config, &settings, &clock)?;
         let bounds = Bounds {
             depth: config.limits.depth,
             parcel: config.limits.parcel,
         };
         let logins = Logins::new(config.users.clone(), config.login.clone(), clock.clone())?;
-        let board = Switchboard::new(hub, clock, bounds);
+        let board = Switchboard::new(hub, clock, bounds, store, witness);
         let context = Context::new(board, logins, config.limits.clone());
         let (stopping, stop) = watch::channel(false);
         let connections = Arc::new(Semaphore::new(config.connections));
@@ -120,6 +146,9 @@ impl Broker {
                 stop: stop.clone(),
             };
             tasks.spawn(listen.run(listener));
+        }
+        if let Some(answers) = answers {
+            tasks.spawn(take_answers(Arc::clone(&context.board), answers));
         }
         tasks.spawn(keep_deadlines(Arc::clone(&context.board), stop.clone()));
         tasks.spawn(report_drops(Arc::clone(&context.board), stop));
@@ -172,21 +201,29 @@ impl Broker {
         self.context.board.check();
     }
 
-    /// Takes no more connections, tells all peers, lets what waits go out, at most 10 s.
+    /// Takes no more connections, tells all peers, lets what waits go out and the store write, at most 10 s.
     pub async fn stop(mut self) {
         let deadline = Instant::now() + DRAIN;
+        let store = &self.context.board.store;
+        let peers_by = store.as_ref().map_or(deadline, |_| deadline - LAST_RECORDS);
         // Nobody is listening any more if all tasks have ended.
         let _ = self.stopping.send(true);
         self.connections.close();
         self.context.board.shut_down();
-        if timeout_at(deadline, self.context.board.wait_empty())
+        if timeout_at(peers_by, self.context.board.wait_empty())
             .await
             .is_err()
         {
             tracing::warn!("some connections did not end in time and are cut");
         }
+        if let Some(store) = store
+            && timeout_at(deadline, store.close()).await.is_err()
+        {
+            tracing::warn!("the store did not write all in time; what it had not answered may be lost");
+        }
         // What is left are connections that have not said in which form they speak.
         self.tasks.shutdown().await;
+        self.context.board.witness.stop().await;
         tracing::info!("broker stopped");
     }
 }
@@ -279,6 +316,15 @@ async fn keep_deadlines(board: Arc<Switchboard>, mut stop: watch::Receiver<bool>
     }
 }
 
+/// Tells the hub which of its records are durable; ends with the store.
+async fn take_answers(board: Arc<Switchboard>, mut answers: mpsc::UnboundedReceiver<Answer>) {
+    while let Some((ticket, ok)) = answers.recv().await {
+        let mut touched = Touched::new();
+        board.decide(Input::Stored { ticket, ok }, &mut touched);
+        flush(&mut touched);
+    }
+}
+
 async fn report_drops(board: Arc<Switchboard>, mut stop: watch::Receiver<bool>) {
     loop {
         tokio::select! {
@@ -291,3 +337,6 @@ async fn report_drops(board: Arc<Switchboard>, mut stop: watch::Receiver<bool>) 
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -5,24 +5,32 @@
 //! a codec of `mom-proto` makes a parcel, `session` hands it to the `switchboard`, which admits it by the
 //! channel's route or asks `mom-hub`, encodes it once per wire form and puts it into outboxes; they write.
 
+mod audit;
 mod broker;
 mod channel;
 mod clock;
 mod config;
 mod encodings;
+mod files;
 mod login;
 mod outbox;
+mod record;
 mod reload;
 mod schema;
 mod session;
+mod store;
 mod switchboard;
+mod witness;
 
+pub use audit::AuditConfig;
 pub use broker::{Broker, BrokerError};
 pub use clock::Clock;
 pub use config::{
     Asked, Config, ConfigError, Explanation, FailureRate, JwtConfig, JwtKey, JwtUsers, LoginConfig, Place,
-    ReloadOn, Supposed, ThrottleConfig, UserEntry,
+    ReloadOn, StoreConfig, Supposed, ThrottleConfig, UserEntry,
 };
 pub use login::{LoginStats, hash};
+pub use record::{Decision, Difference, Outcome, RecordConfig, RecordError, Replay, Summary};
 pub use reload::{Changes, ReloadReport};
 pub use schema::{config_schema, users_schema};
+pub use store::StoreError;

@@ -56,6 +56,7 @@ impl Broker {
             report.peers = users.len();
             let configuration = configuration(&config, users);
             let input = Input::Configure(Box::new(configuration));
+            self.context.board.witness.configuring(&config);
             self.context.board.decide(input, &mut touched);
         };
         let (users, login) = (config.users.clone(), config.login.clone());
@@ -85,6 +86,9 @@ fn keep_fixed(running: &Config, mut config: Config) -> (Config, Vec<String>) {
     let (limits, new) = (&running.limits, &mut config.limits);
     keep(&limits.parcel, &mut new.parcel, "limits.parcel", &mut different);
     keep(&limits.depth, &mut new.depth, "limits.depth", &mut different);
+    // Files that are open.
+    keep(&running.audit, &mut config.audit, "audit", &mut different);
+    keep(&running.record, &mut config.record, "record", &mut different);
     (config, different)
 }
 

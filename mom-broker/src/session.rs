@@ -89,6 +89,7 @@ pub(crate) async fn serve(
         writer,
         context.limits.before_login,
     ));
+    context.board.witness.audit.arrived(peer, from);
     context.board.add_outbox(&outbox);
     let mut session = Session {
         context,
@@ -287,7 +288,8 @@ impl Session {
     }
 
     fn refuse(&self, error: &WireError, reference: Option<u64>, touched: &mut Touched) {
-        tracing::debug!(peer = self.peer.0, code = %error.code, text = error.text, "refused");
+        // Not its words: they quote what was said, and that may have been a password.
+        tracing::debug!(peer = self.peer.0, code = %error.code, "refused");
         self.context
             .board
             .tell(self.peer, error.to_parcel(reference), touched);
@@ -305,7 +307,7 @@ impl Session {
                 .decide(Input::Gone { peer: self.peer }, &mut touched);
             tracing::info!(peer = self.peer.0, %name, code = ?error.as_ref().map(|error| error.code.word()), "gone");
         } else if let Some(error) = &error {
-            tracing::info!(peer = self.peer.0, from = ?self.from, code = %error.code, text = error.text, "closed");
+            tracing::info!(peer = self.peer.0, from = ?self.from, code = %error.code, "closed");
         }
         self.context.board.close(&self.outbox, error);
         flush(&mut touched);

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use dashmap::DashMap;
-use mom_hub::{Admission, Effect, Hub, Input, PeerId, admit};
+use mom_hub::{Admission, Effect, Hub, Input, PeerId, Record, Route, Ticket, admit};
 use mom_managers::Micros;
 use mom_proto::{Code, ContextNumber, Family, Map, Parcel, Path, Value, WireError, event};
 use parking_lot::Mutex;
@@ -14,17 +14,23 @@ use crate::channel::{Channel, Delivered, control, hub_origin, stamped};
 use crate::clock::Clock;
 use crate::encodings::{Bounds, Encodings};
 use crate::outbox::{Outbox, Taken};
+use crate::store::Store;
+use crate::witness::Witness;
 
 /// The switchboard of one broker.
 ///
-/// Locks are taken in the order hub, channel, outbox, and none is held over an await.
+/// Locks are taken in the order hub, channel, outbox, and none is held over an await. The store's is taken under
+/// the hub's and takes no other.
 #[derive(Debug)]
 pub(crate) struct Switchboard {
     pub(crate) clock: Clock,
     hub: Mutex<Hub>,
+    pub(crate) witness: Witness,
     channels: DashMap<ContextNumber, Arc<Channel>>,
     by_path: DashMap<Path, ContextNumber>,
     bounds: Bounds,
+    /// None where nothing outlives the broker; the hub knows, and stores nothing.
+    pub(crate) store: Option<Store>,
     pub(crate) outboxes: DashMap<PeerId, Arc<Outbox>>,
     last_peer: AtomicU64,
     /// The hub's deadline may have come closer.
@@ -38,14 +44,22 @@ pub(crate) struct Switchboard {
 pub(crate) type Touched = Vec<Arc<Outbox>>;
 
 impl Switchboard {
-    pub(crate) fn new(hub: Hub, clock: Clock, bounds: Bounds) -> Switchboard {
+    pub(crate) fn new(
+        hub: Hub,
+        clock: Clock,
+        bounds: Bounds,
+        store: Option<Store>,
+        witness: Witness,
+    ) -> Switchboard {
         let routes = hub.routes();
         let board = Switchboard {
             clock,
             hub: Mutex::new(hub),
+            witness,
             channels: DashMap::new(),
             by_path: DashMap::new(),
             bounds,
+            store,
             outboxes: DashMap::new(),
             last_peer: AtomicU64::new(0),
             deadline_changed: Notify::new(),
@@ -81,7 +95,7 @@ impl Switchboard {
         let mut effects = Vec::new();
         let mut hub = self.hub.lock();
         let before = hub.deadline();
-        hub.handle(self.clock.now(), input, &mut effects);
+        self.witness.handle(&mut hub, input, &mut effects);
         if hub.deadline() != before {
             self.deadline_changed.notify_one();
         }
@@ -106,20 +120,32 @@ impl Switchboard {
         let mut inner = channel.lock();
         // Inside the critical section, so that hub time never runs against the channel's order.
         let now = self.clock.now();
-        match admit(&inner.route, peer, &mut parcel, now, self.clock.wall_at(now))? {
+        let wall = self.clock.wall_at(now);
+        let message = Arc::clone(&parcel.name);
+        let admission = admit(&inner.route, peer, &mut parcel, now, wall);
+        let admission = admission.inspect_err(|error| self.note_refused(peer, &inner.route, &message, error));
+        match admission? {
             Admission::Consult => {
                 drop(inner);
                 self.decide(Input::Request { peer, parcel }, touched);
             }
             Admission::Pass(receivers, rate) => {
                 let receipt = receipt_of(&parcel);
-                let delivered = inner.deliver(peer, *parcel, &receivers, rate, now)?;
+                let delivered = inner.deliver(peer, *parcel, &receivers, rate, now);
+                let delivered =
+                    delivered.inspect_err(|error| self.note_refused(peer, &inner.route, &message, error))?;
                 let path = inner.route.path.clone();
                 drop(inner);
                 self.settle(peer, receipt, &path, delivered, touched);
             }
         }
         Ok(())
+    }
+
+    /// Writes down a message that was refused without the hub.
+    fn note_refused(&self, peer: PeerId, route: &Route, message: &Arc<str>, error: &WireError) {
+        let name = self.outbox(peer).map(|outbox| outbox.name());
+        self.witness.refused((peer, name), route, message, error);
     }
 
     /// Says something of the broker's own to a peer.
@@ -172,6 +198,7 @@ impl Switchboard {
         self.report_drops_of(outbox, &mut touched);
         flush(&mut touched);
         self.outboxes.remove(&outbox.peer);
+        self.witness.audit.left(outbox.peer);
         if self.outboxes.is_empty() {
             self.empty.notify_one();
         }
@@ -285,21 +312,35 @@ impl Switchboard {
                         continue;
                     };
                     let (receipt, reference) = (receipt_of(&parcel), parcel.id);
+                    let message = Arc::clone(&parcel.name);
                     let delivered = channel
                         .lock()
                         .deliver(from, *parcel, &receivers, rate, self.clock.now());
                     match delivered {
                         Ok(delivered) => self.settle(from, receipt, &route.path, delivered, touched),
-                        Err(error) => self.tell(from, error.to_parcel(reference), touched),
+                        Err(error) => {
+                            self.note_refused(from, &route, &message, &error);
+                            self.tell(from, error.to_parcel(reference), touched);
+                        }
                     }
                 }
-                Effect::Store { .. } | Effect::Audit(_) => {}
+                Effect::Store { record, ticket } => self.keep(record, ticket),
+                Effect::Audit(_) => {}
                 Effect::Close { peer, error } => {
                     if let Some(outbox) = self.outbox(peer) {
                         self.close(&outbox, error);
                     }
                 }
             }
+        }
+    }
+
+    /// Hands a record to the store, which answers by [`Input::Stored`] later and never waits here.
+    pub(crate) fn keep(&self, record: Record, ticket: Option<Ticket>) {
+        match &self.store {
+            Some(store) => store.put(record, ticket),
+            // Its settings tell the hub that nothing is durable here, so it awaits nothing.
+            None => tracing::error!(token = %record.path, ?ticket, "a record without a store"),
         }
     }
 

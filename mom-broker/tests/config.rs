@@ -51,12 +51,15 @@ fn the_annotated_default_has_every_key() {
     for key in named(&schema) {
         assert!(table.contains_key(&key) || stands(&key), "{key}");
     }
-    for key in named(&schema["properties"]["login"]) {
-        let login = table["login"].as_table().expect("a table");
-        assert!(
-            login.contains_key(&key) || stands(&format!("login.{key}")),
-            "login.{key}"
-        );
+    for name in ["login", "audit", "record"] {
+        let inner = table[name].as_table().expect("a table");
+        for key in named(&schema["properties"][name]) {
+            let alone = key == "path" && text.contains(&format!("\n[{name}]\n# path = "));
+            assert!(
+                inner.contains_key(&key) || alone || stands(&format!("{name}.{key}")),
+                "{name}.{key}"
+            );
+        }
     }
 }
 
@@ -115,6 +118,30 @@ fn wrong_keys_and_types() {
     check("log = \"a\"\n¦log \"b\"\n", "log \"b\"", "");
 }
 
+/// The store lies relative to the file, as the users do.
+#[test]
+fn the_store_is_a_directory() {
+    let folder = TempDir::new().expect("a folder");
+    let file = folder.path().join("mom.toml");
+    let path_of = |text: &str| {
+        fs::write(&file, text).expect("written");
+        Config::load(&file).expect("right").store.path
+    };
+    assert_eq!(path_of(""), None);
+    assert_eq!(path_of("[store]\n"), None);
+    assert_eq!(
+        path_of("[store]\npath = \"state\"\n"),
+        Some(folder.path().join("state"))
+    );
+    assert_eq!(
+        path_of("[store]\npath = \"/var/lib/mom\"\n"),
+        Some(PathBuf::from("/var/lib/mom"))
+    );
+    check("[store]\n¦path = \"\"\n", "store.path", "directory");
+    check("[store]\n¦path = 4\n", "path", "invalid type");
+    check("[store]\n¦paht = \"state\"\n", "paht", "unknown field");
+}
+
 #[test]
 fn numbers_that_cannot_be() {
     for key in [
@@ -138,6 +165,13 @@ fn numbers_that_cannot_be() {
     }
     for key in ["parcel", "contexts", "joined"] {
         check(&format!("[limits]\n¦{key} = 0\n"), key, "unlimited");
+    }
+    for table in ["audit", "record"] {
+        check(
+            &format!("[{table}]\n¦size = 4095\n"),
+            &format!("{table}.size"),
+            "from 4096",
+        );
     }
     for key in ["hashers", "waiting", "attempts", "challenge-time"] {
         check(

@@ -164,6 +164,11 @@ impl Hub {
         self.timers.first().map(|(deadline, _)| *deadline)
     }
 
+    /// The path of a context.
+    pub fn path(&self, number: ContextNumber) -> Option<&Path> {
+        self.tree.get(number).map(|context| &context.path)
+    }
+
     /// The name of a peer that has logged in.
     pub fn peer_name(&self, peer: PeerId) -> Option<Arc<str>> {
         self.peers.get(peer).map(|peer| Arc::clone(&peer.facts.name))

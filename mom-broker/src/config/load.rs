@@ -9,7 +9,9 @@ use serde::Deserialize;
 use tracing_subscriber::EnvFilter;
 
 use super::locate::Source;
-use super::{Config, ConfigError, LoginConfig, ReloadOn, users};
+use super::{Config, ConfigError, LoginConfig, ReloadOn, StoreConfig, users};
+use crate::audit::AuditConfig;
+use crate::record::RecordConfig;
 
 const LAB: &str = include_str!("../../../config/lab.toml");
 const LAB_USERS: &str = include_str!("../../../config/lab-users.toml");
@@ -25,6 +27,9 @@ struct File {
     root: Value,
     limits: Limits,
     login: LoginConfig,
+    store: StoreConfig,
+    audit: AuditConfig,
+    record: RecordConfig,
     managers: BTreeMap<String, Value>,
     contexts: Vec<ContextSpec>,
 }
@@ -38,6 +43,9 @@ impl Default for File {
             reload,
             limits,
             login,
+            store,
+            audit,
+            record,
             root,
             managers,
             contexts,
@@ -52,6 +60,9 @@ impl Default for File {
             root,
             limits,
             login,
+            store,
+            audit,
+            record,
             managers,
             contexts,
         }
@@ -59,14 +70,15 @@ impl Default for File {
 }
 
 impl Config {
-    /// Reads a configuration file and the users file that it names, which lies relative to it.
+    /// Reads a configuration file and the users file that it names, which lies relative to it, as does the store.
     ///
     /// # Errors
     /// What is wrong, with file, line and key.
     pub fn load(path: &Path) -> Result<Config, ConfigError> {
-        Config::parse(read(path)?, |name| {
-            read(&path.parent().unwrap_or(Path::new(".")).join(name))
-        })
+        let folder = path.parent().unwrap_or(Path::new("."));
+        let mut config = Config::parse(read(path)?, |name| read(&folder.join(name)))?;
+        config.store.path = config.store.path.map(|store| folder.join(store));
+        Ok(config)
     }
 
     /// The demonstration lab that is built in, with its users; for loopback only, its passwords are public.
@@ -89,6 +101,9 @@ impl Config {
     ) -> Result<Config, ConfigError> {
         let mut file: File = toml::from_str(&source.text).map_err(|error| source.syntax(&error))?;
         check(&file, &source)?;
+        let folder = Path::new(&source.name).parent().unwrap_or(Path::new("."));
+        file.audit.resolve(folder);
+        file.record.resolve(folder);
         let users = match &file.users {
             Some(name) => {
                 let users = beside(name).map_err(|error| source.error(&["users"], error.to_string()))?;
@@ -107,6 +122,9 @@ impl Config {
             reload: file.reload,
             limits: file.limits,
             login: file.login,
+            store: file.store,
+            audit: file.audit,
+            record: file.record,
             root: file.root,
             managers: file.managers,
             contexts: file.contexts,
@@ -154,11 +172,29 @@ fn check(file: &File, source: &Source) -> Result<(), ConfigError> {
         );
         return Err(source.error(&["log"], text));
     }
+    for (table, size, least) in [
+        ("audit", file.audit.size, AuditConfig::LEAST),
+        ("record", file.record.size, RecordConfig::LEAST),
+    ] {
+        if size < least {
+            let text = format!("size is a number of bytes from {least}");
+            return Err(source.error(&[table, "size"], text));
+        }
+    }
     if file.listen.is_empty() {
         return Err(source.error(
             &["listen"],
             "a broker needs an address to listen at, such as 127.0.0.1:7666".into(),
         ));
+    }
+    if file
+        .store
+        .path
+        .as_ref()
+        .is_some_and(|path| path.as_os_str().is_empty())
+    {
+        let text = "path is a directory such as \"state\", relative to this file";
+        return Err(source.error(&["store", "path"], text.into()));
     }
     if !(1..=HARD_DEPTH).contains(&file.limits.depth) {
         return Err(source.error(

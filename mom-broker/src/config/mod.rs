@@ -6,10 +6,12 @@ mod load;
 mod locate;
 mod login;
 mod managers;
+mod origin;
 mod review;
 mod users;
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 use mom_hub::{ContextSpec, Hub, Settings};
 use mom_managers::Registry;
@@ -22,6 +24,8 @@ pub use locate::Place;
 pub use login::{FailureRate, JwtConfig, JwtKey, JwtUsers, LoginConfig, ThrottleConfig};
 pub use users::UserEntry;
 
+use crate::audit::AuditConfig;
+use crate::record::RecordConfig;
 use locate::Source;
 
 /// All that a broker can be told.
@@ -46,6 +50,12 @@ pub struct Config {
     pub limits: Limits,
     /// How logins are checked.
     pub login: LoginConfig,
+    /// What outlives the broker.
+    pub store: StoreConfig,
+    /// Where the audit log goes.
+    pub audit: AuditConfig,
+    /// Where control inputs are recorded.
+    pub record: RecordConfig,
     /// The manager of the root.
     pub root: Value,
     /// The managers that have names.
@@ -68,6 +78,14 @@ pub enum ReloadOn {
     Signal,
 }
 
+/// What outlives the broker: who owns which token, and the fences.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct StoreConfig {
+    /// A directory of this broker's own; it is made if it is not there. None = nothing outlives it.
+    pub path: Option<PathBuf>,
+}
+
 impl Default for Config {
     fn default() -> Config {
         Config {
@@ -77,6 +95,9 @@ impl Default for Config {
             reload: ReloadOn::default(),
             limits: Limits::default(),
             login: LoginConfig::default(),
+            store: StoreConfig::default(),
+            audit: AuditConfig::default(),
+            record: RecordConfig::default(),
             root: Value::from("closed"),
             managers: BTreeMap::new(),
             contexts: Vec::new(),

@@ -50,6 +50,11 @@ impl Challenge {
         })
     }
 
+    /// The user that it was asked for, whether there is one or not.
+    pub(crate) fn user(&self) -> &str {
+        &self.user
+    }
+
     /// The content of `reply challenge`.
     pub(crate) fn content(&self) -> Map {
         Map::new()

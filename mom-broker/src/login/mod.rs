@@ -118,6 +118,11 @@ impl Logins {
         changed
     }
 
+    /// Whether the users file has a user of this name.
+    pub(crate) fn knows(&self, user: &str) -> bool {
+        self.book().users.contains_key(user)
+    }
+
     /// Failed logins after which a connection is closed.
     pub(crate) fn attempts(&self) -> u32 {
         self.book().settings.attempts

@@ -19,6 +19,7 @@ use crate::config::{Config, UserEntry};
 use crate::encodings::Bounds;
 use crate::session::{Context, serve};
 use crate::switchboard::Switchboard;
+use crate::witness::Witness;
 
 /// The lab without a listener.
 struct House {
@@ -29,8 +30,9 @@ impl House {
     fn open(change: impl FnOnce(&mut Config)) -> House {
         let mut config = Config::lab();
         change(&mut config);
+        let settings = Settings::default();
         let hub = Hub::new(
-            Settings::default(),
+            settings.clone(),
             config.registry(),
             &config.root,
             &config.contexts,
@@ -40,8 +42,9 @@ impl House {
             parcel: config.limits.parcel,
         };
         let clock = Clock::manual(mom_proto::Time::from_micros(0).expect("1970"));
+        let witness = Witness::start(&config, &settings, &clock).expect("no files to write");
         let logins = Logins::new(config.users, config.login, clock.clone()).expect("right");
-        let board = Switchboard::new(hub.expect("right"), clock, bounds);
+        let board = Switchboard::new(hub.expect("right"), clock, bounds, None, witness);
         House {
             context: Context::new(board, logins, config.limits),
         }

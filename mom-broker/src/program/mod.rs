@@ -6,6 +6,7 @@ mod passwd;
 mod schema;
 mod serve;
 mod watch;
+mod what_if;
 
 use std::io::Write;
 use std::process::ExitCode;
@@ -20,7 +21,9 @@ const EXAMPLES: &str = "Examples:
                                              say what alice may do there, and by which rules
   mom-broker passwd alice                    ask for a password, print its line for the users file
   mom-broker passwd alice --users users.toml change or add the user in the file
-  mom-broker schema > mom.schema.json        the shape of the configuration, for editors";
+  mom-broker schema > mom.schema.json        the shape of the configuration, for editors
+  mom-broker what-if new.toml --log control.jsonl
+                                             say what would have been decided by new.toml";
 
 /// The MOM broker: the hub to which robots, cameras, agents and people connect.
 #[derive(Parser)]
@@ -42,6 +45,8 @@ enum Command {
     Passwd(passwd::Args),
     /// Print the JSON schema of the configuration file, by which editors complete and check it.
     Schema(schema::Args),
+    /// Decide a recording again by a changed configuration, and list what differs.
+    WhatIf(what_if::Args),
 }
 
 /// Runs what the command line says.
@@ -52,6 +57,7 @@ pub(crate) fn main() -> ExitCode {
         Some(Command::Explain(args)) => explain::run(args),
         Some(Command::Passwd(args)) => passwd::run(args),
         Some(Command::Schema(args)) => schema::run(args),
+        Some(Command::WhatIf(args)) => return report(what_if::run(args)),
         None => serve::run(&cli.serve),
     };
     report(result.map(|()| ExitCode::SUCCESS))

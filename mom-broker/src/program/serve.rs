@@ -18,6 +18,9 @@ pub(super) struct Args {
     /// Listen here instead of where the configuration says; port 0 takes any free one.
     #[arg(long)]
     listen: Vec<String>,
+    /// Record what the hub is told and decides in this file, for what-if.
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
     /// Log as JSON lines.
     #[arg(long)]
     log_json: bool,
@@ -46,6 +49,9 @@ impl Args {
         };
         if !self.listen.is_empty() {
             config.listen.clone_from(&self.listen);
+        }
+        if self.record.is_some() {
+            config.record.path.clone_from(&self.record);
         }
         Ok(config)
     }

@@ -3,6 +3,7 @@
 //! Written by hand, because descriptions are for people; a test holds its keys equal to those that the parser
 //! takes. Draft 4 is what editors' TOML plugins understand.
 
+mod audit;
 mod contexts;
 mod login;
 mod managers;
@@ -38,6 +39,13 @@ pub fn config_schema() -> Value {
         },
         "limits": limits(),
         "login": login::login(),
+        "store": table(
+            "What outlives the broker: who owns which token, and the fences.",
+            &json!({ "path": text("A directory of this broker's own, relative to this file; absent = nothing outlives it.") }),
+            &[]
+        ),
+        "audit": audit::audit(),
+        "record": audit::record(),
         "managers": {
             "description": "Managers that have a name, for the root, for contexts and for each other.",
             "type": "object", "additionalProperties": { "$ref": "#/definitions/manager" }

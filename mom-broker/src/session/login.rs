@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use mom_hub::Input;
 use mom_net::Reader;
-use mom_proto::{Code, Family, Parcel, Path, Verb, WireError};
+use mom_proto::{Code, Family, Parcel, Path, Value, Verb, WireError};
 
 use super::Session;
 use crate::login::{Challenge, Granted, Step};
@@ -33,6 +33,7 @@ impl Session {
         // What was caused so far must not wait for a password to be hashed.
         flush(touched);
         let logins = Arc::clone(&self.context.logins);
+        let claimed = self.claimed(parcel);
         // Whatever comes now, the last challenge is over.
         let challenge = self.challenge.take();
         let step = if parcel.name() == Verb::Answer.word() {
@@ -48,7 +49,7 @@ impl Session {
             Ok(Step::Granted(granted)) => self.admit(reader, granted, parcel.id, touched),
             Err(error) => Err(error),
         };
-        refused.or_else(|error| self.refuse_login(error, parcel.id, touched))
+        refused.or_else(|error| self.refuse_login(error, claimed, parcel.id, touched))
     }
 
     /// Waits until the proof of who the peer is, if it is one for a time, is over.
@@ -105,9 +106,11 @@ impl Session {
     fn refuse_login(
         &mut self,
         error: WireError,
+        claimed: Option<Arc<str>>,
         reference: Option<u64>,
         touched: &mut Touched,
     ) -> Result<(), WireError> {
+        self.audit_login(claimed.clone(), &error.code);
         tracing::info!(peer = self.peer.0, from = ?self.from, code = %error.code, "login refused");
         if error.code == Code::BAD_LOGIN {
             self.failures += 1;
@@ -116,12 +119,32 @@ impl Session {
             return Err(error);
         }
         self.refuse(&error, reference, touched);
-        match self.failures >= self.context.logins.attempts() {
-            true => Err(WireError::new(
-                Code::TOO_MANY_LOGINS,
-                "too many failed logins on one connection",
-            )),
-            false => Ok(()),
+        if self.failures < self.context.logins.attempts() {
+            return Ok(());
         }
+        self.audit_login(claimed, &Code::TOO_MANY_LOGINS);
+        Err(WireError::new(
+            Code::TOO_MANY_LOGINS,
+            "too many failed logins on one connection",
+        ))
+    }
+
+    /// The user that a peer claims to be, if there is one of that name: others may be secrets in the wrong place.
+    fn claimed(&self, parcel: &Parcel) -> Option<Arc<str>> {
+        let content = parcel.value();
+        let name = match &self.challenge {
+            Some(challenge) if parcel.name() == Verb::Answer.word() => Some(challenge.user()),
+            _ => content.get("name").and_then(Value::as_str),
+        };
+        let known = |name: &&str| self.context.logins.knows(name);
+        name.filter(known).map(Arc::from)
+    }
+
+    /// Notes a login that was refused.
+    fn audit_login(&self, claimed: Option<Arc<str>>, code: &Code) {
+        // Only who was here before, as another user perhaps, has a name.
+        let name = Some(self.outbox.name()).filter(|name| !name.is_empty());
+        let witness = &self.context.board.witness;
+        witness.login_refused(self.peer, name, claimed, code);
     }
 }

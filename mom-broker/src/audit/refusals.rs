@@ -1,0 +1,235 @@
+//! Refusals that come by the hundred thousand a second: the first at once, then one line a second with a count.
+//!
+//! Whoever is refused decides how often, and may vary the message and the place: so there is a bound to what is told
+//! apart, of one peer and of all. What goes beyond is still counted.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use mom_hub::Audit;
+use mom_proto::{Code, Path, Verb};
+
+use super::Fact;
+
+/// Refusals of one peer that are told apart.
+const OF_ONE: usize = 8;
+
+/// Refusals that are told apart.
+const OF_ALL: usize = 1024;
+
+/// Said of refusals that are not told apart any more.
+const MANY: &str = "more than can be told apart";
+
+/// Who was refused: a peer, or an address where there is none yet.
+type Who = Arc<str>;
+
+/// What makes two refusals alike.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+struct Key {
+    who: Who,
+    user: Option<Arc<str>>,
+    verb: Option<Verb>,
+    context: Option<Path>,
+    message: Option<Arc<str>>,
+    code: Option<Code>,
+    rule: Option<Arc<str>>,
+}
+
+/// Refusals of the present and the last second.
+#[derive(Debug, Default)]
+pub(super) struct Refusals {
+    alike: HashMap<Key, Alike>,
+    /// How many keys one peer has.
+    keys: HashMap<Who, usize>,
+    /// One of those beyond all bounds, and how many they are.
+    others: Option<(Fact, u64)>,
+}
+
+#[derive(Debug)]
+struct Alike {
+    last: Fact,
+    /// Those that no line was written for yet.
+    count: u64,
+}
+
+impl Refusals {
+    /// Takes a refusal in; gives it back if it is the first of its kind and wants a line at once.
+    pub(super) fn take(&mut self, mut fact: Fact) -> Option<Fact> {
+        let mut key = key_of(&fact);
+        if self.count(&key, &fact) {
+            return None;
+        }
+        if self.keys.get(&key.who).is_some_and(|keys| *keys >= OF_ONE) {
+            key = reduced(key);
+            fact.audit = reduced_fact(fact.audit);
+            if self.count(&key, &fact) {
+                return None;
+            }
+        }
+        if self.alike.len() >= OF_ALL {
+            let (last, count) = self.others.get_or_insert_with(|| (fact.clone(), 0));
+            last.at = fact.at;
+            *count += 1;
+            return None;
+        }
+        *self.keys.entry(Arc::clone(&key.who)).or_default() += 1;
+        let last = fact.clone();
+        self.alike.insert(key, Alike { last, count: 0 });
+        Some(fact)
+    }
+
+    fn count(&mut self, key: &Key, fact: &Fact) -> bool {
+        let Some(alike) = self.alike.get_mut(key) else {
+            return false;
+        };
+        alike.count += 1;
+        alike.last.at = fact.at;
+        true
+    }
+
+    /// What was counted since the last call; what has come to rest since then is forgotten. To be called each second.
+    pub(super) fn drain(&mut self) -> Vec<Fact> {
+        let mut counted = Vec::new();
+        let keys = &mut self.keys;
+        self.alike.retain(|key, alike| {
+            if alike.count > 0 {
+                let count = Some(std::mem::take(&mut alike.count));
+                counted.push(Fact {
+                    count,
+                    ..alike.last.clone()
+                });
+                return true;
+            }
+            if let Some(left) = keys.get_mut(&key.who) {
+                *left -= 1;
+                if *left == 0 {
+                    keys.remove(&key.who);
+                }
+            }
+            false
+        });
+        if let Some((fact, count)) = self.others.take() {
+            let mut others = Fact::new(fact.at, Audit::new("refused"));
+            others.audit.text = Some(MANY.to_owned());
+            others.count = Some(count);
+            counted.push(others);
+        }
+        counted.sort_by_key(|fact| fact.at);
+        counted
+    }
+}
+
+fn key_of(fact: &Fact) -> Key {
+    let Audit {
+        peer,
+        user,
+        verb,
+        context,
+        message,
+        code,
+        rule,
+        ..
+    } = fact.audit.clone();
+    let address = || fact.from.map(|from| from.to_string().into());
+    Key {
+        who: peer.or_else(address).unwrap_or_else(|| "".into()),
+        user,
+        verb,
+        context,
+        message,
+        code,
+        rule,
+    }
+}
+
+fn reduced(key: Key) -> Key {
+    Key {
+        user: None,
+        verb: None,
+        context: None,
+        message: None,
+        rule: None,
+        ..key
+    }
+}
+
+fn reduced_fact(audit: Audit) -> Audit {
+    Audit {
+        verb: None,
+        context: None,
+        message: None,
+        rule: None,
+        fence: None,
+        by: None,
+        text: Some(MANY.to_owned()),
+        ..audit
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use mom_proto::Time;
+
+    fn refusal(peer: &str, message: &str, at: i64) -> Fact {
+        let audit = Audit {
+            peer: Some(peer.into()),
+            message: Some(message.into()),
+            code: Some(Code::DENIED),
+            ..Audit::new("refused")
+        };
+        Fact::new(Time::from_micros(at).unwrap(), audit)
+    }
+
+    #[test]
+    fn the_first_comes_at_once_the_others_as_a_count() {
+        let mut refusals = Refusals::default();
+        assert!(refusals.take(refusal("eve", "jump", 1)).is_some());
+        for at in 2..100_002 {
+            assert!(refusals.take(refusal("eve", "jump", at)).is_none());
+        }
+        assert!(refusals.take(refusal("eve", "run", 3)).is_some());
+        let counted = refusals.drain();
+        assert_eq!(counted.len(), 1);
+        assert_eq!(
+            (counted[0].count, counted[0].at.micros()),
+            (Some(100_000), 100_001)
+        );
+        // It goes on: still no line of its own, and none at all where nothing came.
+        assert!(refusals.take(refusal("eve", "jump", 100_002)).is_none());
+        assert!(
+            refusals.take(refusal("eve", "run", 5)).is_some(),
+            "a second without one has passed"
+        );
+        assert_eq!(refusals.drain()[0].count, Some(1));
+        assert!(refusals.drain().is_empty());
+        assert!(refusals.alike.is_empty() && refusals.keys.is_empty());
+    }
+
+    #[test]
+    fn one_peer_cannot_fill_the_log() {
+        let mut refusals = Refusals::default();
+        let lines = (0..10_000).filter_map(|n| refusals.take(refusal("eve", &format!("m{n}"), n)));
+        assert_eq!(lines.count(), OF_ONE + 1, "the last says that there are more");
+        assert!(
+            refusals.take(refusal("bob", "m0", 0)).is_some(),
+            "others are heard"
+        );
+        let counted = refusals.drain();
+        assert_eq!(counted.len(), 1);
+        assert_eq!(counted[0].count, Some(10_000 - OF_ONE as u64 - 1));
+        assert_eq!(counted[0].audit.text.as_deref(), Some(MANY));
+        assert_eq!(counted[0].audit.peer.as_deref(), Some("eve"));
+    }
+
+    #[test]
+    fn all_peers_together_cannot_fill_the_memory() {
+        let mut refusals = Refusals::default();
+        let lines = (0..10_000).filter_map(|n| refusals.take(refusal(&format!("eve~{n}"), "m", n)));
+        assert_eq!(lines.count(), OF_ALL);
+        let counted = refusals.drain();
+        assert_eq!(counted.len(), 1);
+        assert_eq!(counted[0].count, Some(10_000 - OF_ALL as u64));
+        assert_eq!(counted[0].audit.peer, None);
+    }
+}

@@ -1,0 +1,61 @@
+//! A store that cannot be used: which file, why, and what to do.
+
+use std::io;
+use std::path::PathBuf;
+
+/// A store with which the broker does not start.
+///
+/// Starting without it could let fences fall or grant a token in the time of another's lease.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// The directory cannot be made or used.
+    #[error("[store] {}: {error}; path has to be a directory that this user may write to", path.display())]
+    Directory {
+        /// The directory.
+        path: PathBuf,
+        /// What the system says.
+        error: io::Error,
+    },
+    /// Another broker uses the directory.
+    #[error(
+        "[store] {} is in use: another broker runs on it; stop that one, or give this one a path of its own",
+        path.display()
+    )]
+    InUse {
+        /// The directory.
+        path: PathBuf,
+    },
+    /// A file does not hold what was written to it.
+    #[error(
+        "[store] {}: {reason}; the broker does not start, so that no fence falls and no token is granted in the \
+         time of another's lease. To go on without what the store held: halt what the tokens guard, wait for the \
+         longest lease, see that this machine's clock is right, move {} away, and start again",
+        file.display(),
+        directory(file)
+    )]
+    Damaged {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A file cannot be read or written.
+    #[error("[store] {}: {reason}; see that the disk is well, has room, and that this user may write to it", file.display())]
+    Unwritable {
+        /// The file.
+        file: PathBuf,
+        /// What the system says.
+        reason: String,
+    },
+    /// The wall clock is beyond all fences.
+    #[error("[store] fences of the epoch {epoch} are beyond 2^53; see that this machine's clock is right")]
+    Clock {
+        /// The epoch that would follow.
+        epoch: u64,
+    },
+}
+
+fn directory(file: &std::path::Path) -> String {
+    let directory = file.parent().unwrap_or(file);
+    format!("the directory {}", directory.display())
+}

@@ -1,0 +1,6 @@
+//! What a broker writes down: its audit log, and recordings that are decided again.
+
+mod audit;
+mod lab;
+mod secrets;
+mod what_if;
