@@ -49,7 +49,9 @@ pub use error::WireError;
 pub use family::Family;
 pub use limits::{HARD_DEPTH, Limit, Limits, PROTOCOL_VERSION};
 pub use map::Map;
-pub use names::{HUB, check_message_name, check_name, check_text, is_xml_char, numbered_name, xml_violation};
+pub use names::{
+    HUB, check_message_name, check_name, check_text, is_xml_char, looks_of, numbered_name, xml_violation,
+};
 pub use parcel::{ContextNumber, MAX_ID, Parcel};
 pub use path::Path;
 pub use pattern::Pattern;

@@ -2,6 +2,7 @@
 
 use unicode_normalization::char::is_combining_mark;
 use unicode_normalization::{IsNormalized, is_nfc_quick};
+use unicode_security::{GeneralSecurityProfile, RestrictionLevel, RestrictionLevelDetection};
 
 use crate::{Code, WireError};
 
@@ -53,7 +54,8 @@ pub fn check_text(text: &str) -> Result<(), WireError> {
 /// Checks a user name or nickname: 1–64 bytes of letters, digits, marks and `-_.@+=`, in NFC, not `hub`.
 ///
 /// Everything that looks like nothing (zero width), like something else (controls, directions) or like an
-/// operator of paths and patterns (`/ ~ * # % \`) is outside that set.
+/// operator of paths and patterns (`/ ~ * # % \`) is outside that set. So are letters out of use, and letters
+/// together of scripts that are not written together (UTS 39, highly restrictive).
 ///
 /// # Errors
 /// `bad-name` in plain words.
@@ -83,7 +85,21 @@ pub fn check_name(name: &str) -> Result<(), WireError> {
     if !is_nfc(name) {
         return refused("is not in Unicode's composed form (NFC)".to_owned());
     }
+    if mixes_scripts(name) {
+        return refused("has letters of different scripts, so that it could be taken for another".to_owned());
+    }
     Ok(())
+}
+
+/// What a name looks like: two names that look the same could be taken for one another (the skeleton of UTS 39).
+///
+/// ```
+/// use mom_proto::looks_of;
+/// assert_eq!(looks_of("\u{430}\u{441}\u{435}"), looks_of("ace"), "all of it Cyrillic");
+/// assert_ne!(looks_of("Ace"), looks_of("ace"));
+/// ```
+pub fn looks_of(name: &str) -> String {
+    unicode_security::skeleton(name).collect()
 }
 
 /// Checks the name of a message: 1–128 bytes, no controls, no blanks at its ends.
@@ -115,7 +131,26 @@ pub fn numbered_name(nickname: &str, count: u32) -> String {
 
 /// Whether a path segment may hold this character.
 pub(crate) fn is_segment_char(c: char) -> bool {
-    c.is_alphanumeric() || matches!(c, '-' | '_' | '.' | '@' | '+' | '=' | '~') || is_combining_mark(c)
+    match c.is_ascii() {
+        true => c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.' | '@' | '+' | '=' | '~'),
+        // There are letters and marks that show nothing, such as fillers and variations.
+        false => {
+            (c.is_alphanumeric() || is_combining_mark(c)) && GeneralSecurityProfile::identifier_allowed(c)
+        }
+    }
+}
+
+/// Whether a name or segment has letters of scripts that are not written together, such as a Cyrillic one among
+/// Latin ones.
+pub(crate) fn mixes_scripts(text: &str) -> bool {
+    if text.is_ascii() {
+        return false;
+    }
+    let letters: String = text
+        .chars()
+        .filter(|c| !c.is_ascii() || c.is_ascii_alphanumeric())
+        .collect();
+    !letters.check_restriction_level(RestrictionLevel::HighlyRestrictive)
 }
 
 pub(crate) fn is_nfc(text: &str) -> bool {
@@ -132,7 +167,15 @@ mod tests {
 
     #[test]
     fn names() {
-        for good in ["alice", "Zoë", "arm-2", "x.y_z@lab", "名前"] {
+        for good in [
+            "alice",
+            "Zoë",
+            "arm-2",
+            "x.y_z@lab",
+            "名前",
+            "арм-2",
+            "Tokyo東京タワー",
+        ] {
             assert!(check_name(good).is_ok(), "{good}");
         }
         let long = "a".repeat(65);
@@ -148,6 +191,11 @@ mod tests {
             "a\u{200b}",
             "a\u{202e}b",
             "Zoe\u{308}",
+            "\u{430}lice",
+            "alice\u{fe0f}",
+            "alice\u{34f}",
+            "alice\u{3164}",
+            "\u{ff41}lice",
             "a\0",
             long.as_str(),
         ] {

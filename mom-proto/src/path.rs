@@ -3,7 +3,7 @@
 use std::fmt;
 use std::sync::Arc;
 
-use crate::names::{is_nfc, is_segment_char};
+use crate::names::{is_nfc, is_segment_char, mixes_scripts};
 use crate::{Code, WireError};
 
 const BYTES: usize = 1024;
@@ -13,7 +13,8 @@ const LEVELS: usize = 32;
 ///
 /// Segments hold letters, digits, marks and `-_.@+=~`, in NFC; `.` and `..` are refused, as are empty
 /// segments, escapes and a slash at the end. So two paths are the same context only if they are equal, and
-/// rules that match a path cannot be led around it. At most 1 KiB and 32 levels.
+/// rules that match a path cannot be led around it. A segment that looks like another by letters of different
+/// scripts, or by what shows nothing, is refused as well. At most 1 KiB and 32 levels.
 ///
 /// ```
 /// use mom_proto::Path;
@@ -140,6 +141,11 @@ fn check(text: &str) -> Result<(), WireError> {
         }
         if let Some((at, c)) = segment.char_indices().find(|&(_, c)| !is_segment_char(c)) {
             return bad(&format!("a path may not contain {c:?}"), position + at);
+        }
+        if mixes_scripts(segment) {
+            let why =
+                "a segment of a path has no letters of different scripts: it could be taken for another";
+            return bad(why, position);
         }
         position += segment.len() + 1;
     }

@@ -6,3 +6,4 @@ pub mod lab;
 pub mod login;
 pub mod programs;
 pub mod raw;
+pub mod service;

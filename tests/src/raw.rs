@@ -94,11 +94,23 @@ impl Raw {
     /// # Panics
     /// If that is refused.
     pub async fn log_in(&mut self, user: &str) {
+        self.try_log_in(user).await.expect("a user of the lab");
+    }
+
+    /// Tries to log in with the password of a user of the lab.
+    ///
+    /// # Errors
+    /// What the broker answered.
+    ///
+    /// # Panics
+    /// If the connection ends before.
+    pub async fn try_log_in(&mut self, user: &str) -> Result<(), WireError> {
         let content = Map::new().with("name", user).with("password", user);
         let login = Parcel::new(Family::Login, "login").content(content);
-        let welcome = self.ask(login).await.expect("a user of the lab").value();
+        let welcome = self.ask(login).await?.value();
         let name = welcome.get("peer").and_then(Value::as_str);
         self.name = name.expect("the hub gives a name").to_owned();
+        Ok(())
     }
 
     /// The name that the hub gave at login.

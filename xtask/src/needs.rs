@@ -52,6 +52,12 @@ pub(crate) const FOR_TESTS: &[Need] = &[
         source: Source::Debian("git"),
         why: "the checkout is a git repository",
     },
+    Need {
+        what: "faketime",
+        detect: ("faketime", &["--version"]),
+        source: Source::Debian("faketime"),
+        why: "a test moves the wall clock of a broker, and nobody else's",
+    },
 ];
 
 /// What the other steps of `cargo xtask ci` need.

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use ed25519_dalek::VerifyingKey;
 use mom_hub::User;
 use mom_managers::Micros;
-use mom_proto::{Code, Map, Time, WireError};
+use mom_proto::{Code, Map, Time, WireError, looks_of};
 
 use super::jwt::{Proven, Verifier};
 use super::key::parse_key;
@@ -31,6 +31,8 @@ pub(crate) enum Origin {
 #[derive(Debug)]
 pub(super) struct Book {
     pub(super) users: BTreeMap<String, Entry>,
+    /// Of each look of a user's name whose it is; none = of several.
+    looks: BTreeMap<String, Option<String>>,
     /// The most keys that a user has.
     pub(super) keys: usize,
     pub(super) settings: LoginConfig,
@@ -81,7 +83,15 @@ impl Book {
             .into_iter()
             .map(|user| Ok((user.name.clone(), Entry::new(user)?)))
             .collect::<Result<BTreeMap<_, _>, ConfigError>>()?;
+        let mut looks: BTreeMap<String, Option<String>> = BTreeMap::new();
+        for name in users.keys() {
+            looks
+                .entry(looks_of(name))
+                .and_modify(|whose| *whose = None)
+                .or_insert_with(|| Some(name.clone()));
+        }
         Ok(Book {
+            looks,
             keys: users
                 .values()
                 .map(|user| user.keys.len())
@@ -138,18 +148,23 @@ impl Book {
         Ok((standing, until))
     }
 
-    /// Refuses the name of another user, who could be taken for this one.
+    /// Refuses the name of another user, and what looks like it: this one could be taken for that.
     pub(super) fn check_nickname(&self, user: &User, nickname: Option<&str>) -> Result<(), WireError> {
-        match nickname {
-            Some(nickname)
-                if nickname != user.name
-                    && (self.users.contains_key(nickname) || self.is_guest(nickname)) =>
-            {
-                let text = format!("the nickname {nickname:?} is another user's name");
-                Err(WireError::new(Code::BAD_NAME, text).slot("content/nickname"))
-            }
-            _ => Ok(()),
+        let Some(nickname) = nickname.filter(|nickname| *nickname != user.name) else {
+            return Ok(());
+        };
+        let looks = looks_of(nickname);
+        let whose = self.looks.get(&looks);
+        let anothers = whose.is_some_and(|whose| whose.as_ref() != Some(&user.name));
+        let guests = self.settings.guests && looks == looks_of(GUEST);
+        if !anothers && !guests {
+            return Ok(());
         }
+        let text = match self.users.contains_key(nickname) || self.is_guest(nickname) {
+            true => format!("the nickname {nickname:?} is another user's name"),
+            false => format!("the nickname {nickname:?} looks like another user's name"),
+        };
+        Err(WireError::new(Code::BAD_NAME, text).slot("content/nickname"))
     }
 
     fn is_guest(&self, name: &str) -> bool {

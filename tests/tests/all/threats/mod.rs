@@ -6,11 +6,16 @@ mod identity;
 mod leases;
 mod load;
 mod login;
+mod look_alikes;
+mod managing;
 mod markup;
 mod mime;
 mod names;
 mod owner_lost;
+mod revocation;
+mod storm;
 mod tokens;
+mod wall_clock;
 
 use std::net::SocketAddr;
 

@@ -6,7 +6,7 @@ use mom_tests::raw::Raw;
 
 use super::{After, World, entity, frame};
 
-fn join_xml(path: &str) -> Vec<u8> {
+pub(super) fn join_xml(path: &str) -> Vec<u8> {
     let path = path.replace('&', "&amp;").replace('<', "&lt;");
     entity(format!(
         "<parcel><family>context</family><name>join</name><id>7</id><context>{path}</context></parcel>"
@@ -14,7 +14,7 @@ fn join_xml(path: &str) -> Vec<u8> {
 }
 
 /// `join`, id 7, the path: bits name, id, family, context by path.
-fn join_binary(path: &str) -> Vec<u8> {
+pub(super) fn join_binary(path: &str) -> Vec<u8> {
     let mut bytes = vec![0, 0x92, 0x88, 0x10, 17 << 1 | 1, 7, 2];
     let mut length = path.len();
     while length >= 0x80 {
@@ -91,15 +91,8 @@ async fn threat_11_look_alikes_lead_nowhere() {
     let world = World::start().await;
     for form in [Form::Xml, Form::Binary] {
         let mut bob = Raw::login(world.address(), form, "bob").await;
-        // Cyrillic а, capitals, full width: letters, so paths, but of nothing.
-        for path in [
-            "/ch\u{430}t",
-            "/CHAT",
-            "/Chat",
-            "/\u{ff43}hat",
-            "/chat.",
-            "/chat/x",
-        ] {
+        // Capitals and dots: paths, but of nothing. What cannot be told from another by the eye is no path at all.
+        for path in ["/CHAT", "/Chat", "/chat.", "/chat/x"] {
             let error = bob
                 .ask_about(Family::Context, "join", path)
                 .await
