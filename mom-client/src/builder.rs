@@ -11,6 +11,10 @@ use crate::login::{Connector, Credentials};
 use crate::shared::{Settings, Shared};
 use crate::{ClientError, Reconnect, driver};
 
+/// Longer than chairs usually have for their answer (M24).
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(40);
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
+
 /// What a client needs to know before it connects.
 ///
 /// ```no_run
@@ -59,7 +63,8 @@ impl Builder {
                 nickname: None,
             },
             settings: Settings {
-                request_timeout: Duration::from_secs(10),
+                request_timeout: REQUEST_TIMEOUT,
+                connect_timeout: CONNECT_TIMEOUT,
                 reconnect: Some(Reconnect::default()),
                 event_buffer: 1024,
             },
@@ -84,9 +89,11 @@ impl Builder {
         self
     }
 
-    /// How long to wait for a reply, and for a connection with its login; 10 s unless told.
+    /// How long to wait for a reply, and for a connection with its login; unless told, 40 s for the one, because a
+    /// manager may have to ask somebody, and 10 s for the other. A lost link ends the wait sooner.
     pub fn request_timeout(mut self, timeout: Duration) -> Builder {
         self.settings.request_timeout = timeout;
+        self.settings.connect_timeout = timeout;
         self
     }
 
@@ -117,7 +124,7 @@ impl Builder {
     pub async fn connect(self) -> Result<Client, ClientError> {
         let connector = self.connector?;
         let connected = connector
-            .connect(&self.credentials, 1, self.settings.request_timeout)
+            .connect(&self.credentials, 1, self.settings.connect_timeout)
             .await?;
         let shared = Arc::new(Shared::new(self.settings, connector.form(), 2, connected.welcome));
         let drive = driver::run(

@@ -67,7 +67,7 @@ async fn again(
             sleep(backoff.wait(at_least)).await;
             let id = shared.next_id();
             connector
-                .connect(credentials, id, shared.settings.request_timeout)
+                .connect(credentials, id, shared.settings.connect_timeout)
                 .await
         };
         let error = tokio::select! {
