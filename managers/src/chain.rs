@@ -3,7 +3,7 @@
 use mom_proto::{Value, WireError};
 use serde::Deserialize;
 
-use crate::{Answer, Grant, Manager, Question, Setup, Terms, Verdict};
+use crate::{Answer, Expiry, Grant, Manager, Question, Setup, Standing, Terms, Verdict};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -15,7 +15,7 @@ struct Params {
 /// Managers of one chain: they are built for each context anew, also where a peer names them.
 const MOST: usize = 16;
 
-/// Asks each in turn; the first denial is the answer.
+/// Asks each in turn; the first denial is the answer, else the first that cannot say yes yet.
 #[derive(Debug)]
 struct Chain {
     links: Vec<Box<dyn Manager>>,
@@ -45,31 +45,60 @@ pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
 impl Manager for Chain {
     fn decide(&mut self, question: &Question<'_>) -> Verdict {
         let mut all = Verdict::allow_always();
+        let mut deferred: Option<Verdict> = None;
+        let mut queued: Option<Verdict> = None;
         for link in &mut self.links {
             let verdict = link.decide(question);
-            let Answer::Allow(grant) = verdict.answer else {
-                // The links before allowed; the answer stands no longer than they do.
-                return Verdict {
-                    standing: all.standing.and(verdict.standing),
-                    ..verdict
-                };
-            };
-            if let Answer::Allow(Grant { displace, until }) = &mut all.answer {
-                *displace |= grant.displace;
-                *until = [*until, grant.until].into_iter().flatten().min();
-            }
             all.standing = all.standing.and(verdict.standing);
-            all.rule = all.rule.or(verdict.rule);
+            match &verdict.answer {
+                Answer::Allow(grant) => {
+                    all.answer = also(&all.answer, grant);
+                    all.rule = all.rule.or(verdict.rule);
+                }
+                // The links before may change their minds, so it stands no longer than what they said.
+                Answer::Deny(_) => {
+                    return Verdict {
+                        standing: all.standing.without_rate(),
+                        ..verdict
+                    };
+                }
+                // A link behind may still deny, and nobody should be asked in vain.
+                Answer::Defer(_) => deferred = deferred.or(Some(verdict)),
+                Answer::Queue(_) => queued = queued.or(Some(verdict)),
+            }
         }
-        all
+        match deferred.or(queued) {
+            Some(verdict) => Verdict {
+                standing: Standing::Once,
+                ..verdict
+            },
+            None => all,
+        }
     }
 
     fn terms(&self) -> Terms {
-        let named = self
-            .links
-            .iter()
-            .map(|link| link.terms())
-            .find(|terms| terms.lease.is_some());
-        named.unwrap_or_default()
+        let mut all = Terms::default();
+        for terms in self.links.iter().map(|link| link.terms()) {
+            // What belongs together comes from one link: the first that names it, by its leading half if any does.
+            if all.lease.is_none() && (terms.lease.is_some() || all.expiry == Expiry::Lazy) {
+                (all.lease, all.expiry) = (terms.lease, terms.expiry);
+            }
+            if all.hold.is_none() && (terms.hold.is_some() || all.notice == 0) {
+                (all.hold, all.notice, all.by_level) = (terms.hold, terms.notice, terms.by_level);
+            }
+            all.deadman = all.deadman.or(terms.deadman);
+        }
+        all
+    }
+}
+
+/// What two links grant together.
+fn also(answer: &Answer, grant: &Grant) -> Answer {
+    match answer {
+        Answer::Allow(all) => Answer::Allow(Grant {
+            displace: all.displace || grant.displace,
+            until: [all.until, grant.until].into_iter().flatten().min(),
+        }),
+        other => other.clone(),
     }
 }

@@ -1,5 +1,7 @@
 //! `closed`: nobody may do anything; what holds where nothing is configured (M25).
 
+use std::sync::Arc;
+
 use mom_proto::{Code, WireError};
 use serde::Deserialize;
 
@@ -12,25 +14,25 @@ struct Params {}
 /// Denies all but giving up.
 #[derive(Debug)]
 struct Closed {
-    label: String,
+    label: Arc<str>,
 }
 
 pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
     let Params {} = setup.params()?;
     Ok(Box::new(Closed {
-        label: setup.label.to_owned(),
+        label: setup.label.into(),
     }))
 }
 
 impl Manager for Closed {
     fn decide(&mut self, question: &Question<'_>) -> Verdict {
         if question.verb.gives_up() {
-            return Verdict::allow();
+            return Verdict::allow().by(&self.label);
         }
         let text = format!(
             "{} is closed: its configuration allows nobody to {}",
             question.context, question.verb
         );
-        Verdict::deny(Code::DENIED, &self.label, text).stands(Scope::AnyName)
+        Verdict::deny(Code::DENIED, &*self.label, text).stands(Scope::AnyName)
     }
 }

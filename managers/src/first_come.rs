@@ -1,9 +1,11 @@
 //! `first-come`: whoever grabs a free token keeps it until giving it back.
 
-use mom_proto::{Code, Verb, WireError};
+use std::sync::Arc;
+
+use mom_proto::{Verb, WireError};
 use serde::Deserialize;
 
-use crate::level_or_lease::{held_text, micros};
+use crate::held::{held, lasting_owner, other_owner};
 use crate::{Expiry, Manager, Question, Setup, Terms, Verdict};
 
 #[derive(Deserialize)]
@@ -19,36 +21,37 @@ struct Params {
 /// Denies a grab while somebody else owns the token and its lease lasts.
 #[derive(Debug)]
 struct FirstCome {
-    label: String,
+    label: Arc<str>,
     terms: Terms,
 }
 
 pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
     let params: Params = setup.params()?;
-    let lease = params.lease.map(|lease| micros(lease, "lease")).transpose()?;
+    let lease = params
+        .lease
+        .map(|lease| setup.micros("lease", lease))
+        .transpose()?;
     let terms = Terms {
         lease,
         expiry: params.expiry,
         ..Terms::default()
     };
     Ok(Box::new(FirstCome {
-        label: setup.label.to_owned(),
+        label: setup.label.into(),
         terms,
     }))
 }
 
 impl Manager for FirstCome {
     fn decide(&mut self, question: &Question<'_>) -> Verdict {
-        if question.verb != Verb::Grab {
-            return Verdict::allow_always();
-        }
-        let token = question.token.unwrap_or_default();
-        match token.owner {
-            Some(owner) if !owner.asks && token.lease_end.is_none_or(|end| question.now < end) => {
-                Verdict::deny(Code::HELD, &self.label, held_text(question, owner.name))
-                    .earliest(token.lease_end)
-            }
-            _ => Verdict::allow(),
+        let in_the_way = match question.verb {
+            Verb::Grab => lasting_owner(question),
+            Verb::Inhibit => other_owner(question),
+            _ => return Verdict::allow_always().by(&self.label),
+        };
+        match in_the_way {
+            Some(owner) => held(question, &self.label, &owner),
+            None => Verdict::allow().by(&self.label),
         }
     }
 

@@ -1,9 +1,13 @@
 //! `level-or-lease`: the rule of the papers' robot token (M29).
 
-use mom_proto::{Code, Verb, WireError};
+use std::sync::Arc;
+
+use mom_proto::{Verb, WireError};
 use serde::Deserialize;
 
-use crate::{Expiry, Manager, Micros, Question, Setup, Terms, Verdict};
+use crate::held::{done_by, held, lasting_owner, other_owner};
+use crate::params::TermParams;
+use crate::{Expiry, Manager, Owner, Question, Setup, Terms, Verdict};
 
 /// 3 minutes, as in M29; in ms.
 const DEFAULT_LEASE: u64 = 180_000;
@@ -16,6 +20,17 @@ struct Params {
     lease: u64,
     #[serde(default)]
     expiry: Expiry,
+    /// Whether an equal level takes the token, too.
+    #[serde(default)]
+    equal: bool,
+    /// Whether a refused grab may stand in line; without the key, where `hold` bounds the line.
+    queue: Option<bool>,
+    /// ms
+    deadman: Option<u64>,
+    /// ms
+    hold: Option<u64>,
+    /// ms
+    notice: Option<u64>,
 }
 
 fn default_lease() -> u64 {
@@ -25,38 +40,43 @@ fn default_lease() -> u64 {
 /// Free: granted. Strictly higher level: taken. Otherwise only after the lease, which only renewals prolong.
 #[derive(Debug)]
 struct LevelOrLease {
-    label: String,
+    label: Arc<str>,
+    equal: bool,
+    queue: bool,
     terms: Terms,
 }
 
 pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
     let params: Params = setup.params()?;
-    let terms = Terms {
-        lease: Some(micros(params.lease, "lease")?),
+    let queue = params.queue.unwrap_or(params.hold.is_some());
+    let equal = params.equal;
+    let terms = TermParams {
+        lease: Some(params.lease),
         expiry: params.expiry,
-        by_level: true,
-        ..Terms::default()
+        deadman: params.deadman,
+        hold: params.hold,
+        notice: params.notice,
     };
     Ok(Box::new(LevelOrLease {
-        label: setup.label.to_owned(),
-        terms,
+        label: setup.label.into(),
+        equal,
+        queue,
+        terms: Terms {
+            by_level: true,
+            ..terms.read(setup)?
+        },
     }))
 }
 
 impl Manager for LevelOrLease {
     fn decide(&mut self, question: &Question<'_>) -> Verdict {
-        if question.verb != Verb::Grab {
-            return Verdict::allow_always();
-        }
-        let token = question.token.unwrap_or_default();
-        let Some(owner) = token.owner else {
-            return Verdict::allow();
+        let verdict = match (question.verb, other_owner(question)) {
+            (Verb::Grab, Some(owner)) => self.grab(question, &owner),
+            (Verb::Inhibit, Some(owner)) => held(question, &self.label, &owner),
+            (Verb::Grab | Verb::Inhibit, None) => Verdict::allow(),
+            _ => Verdict::allow_always(),
         };
-        let lapsed = token.lease_end.is_some_and(|end| question.now >= end);
-        if owner.asks || lapsed || question.peer.level > owner.level {
-            return Verdict::displace();
-        }
-        Verdict::deny(Code::HELD, &self.label, held_text(question, owner.name)).earliest(token.lease_end)
+        verdict.by(&self.label)
     }
 
     fn terms(&self) -> Terms {
@@ -64,24 +84,17 @@ impl Manager for LevelOrLease {
     }
 }
 
-/// A duration of the configuration in µs.
-pub(crate) fn micros(millis: u64, key: &str) -> Result<Micros, WireError> {
-    match millis
-        .checked_mul(1000)
-        .filter(|micros| *micros > 0 && *micros < 1 << 53)
-    {
-        Some(micros) => Ok(micros),
-        None => {
-            let text = format!(
-                "{key} is a number of ms from 1 to {}; leave it out for the default",
-                (1_u64 << 53) / 1000
-            );
-            Err(WireError::new(Code::BAD_CONTENT, text).slot(key))
+impl LevelOrLease {
+    fn grab(&self, question: &Question<'_>, owner: &Owner<'_>) -> Verdict {
+        let level = question.peer.level;
+        let outranks = level > owner.level || self.equal && level == owner.level;
+        if outranks || lasting_owner(question).is_none() {
+            return Verdict::displace();
+        }
+        let denied = held(question, &self.label, owner);
+        match self.queue {
+            true => denied.or_wait(done_by(question, &self.terms)),
+            false => denied,
         }
     }
-}
-
-/// The words of a refusal because somebody else owns the token.
-pub(crate) fn held_text(question: &Question<'_>, owner: &str) -> String {
-    format!("{} is held by {owner}", question.context)
 }

@@ -14,17 +14,28 @@
 //! assert!(registry.build(&Value::Map(spec)).is_ok());
 //! ```
 
+mod bucket;
+mod calendar;
 mod chain;
 mod closed;
 mod first_come;
+mod given;
+mod held;
 mod level_or_lease;
+mod moderated;
 mod open;
+mod params;
 mod question;
+mod queue;
+mod quota;
 mod registry;
 mod roles;
+mod schedule;
+mod self_managed;
 #[cfg(test)]
 mod tests;
 mod verdict;
+mod who;
 
 pub use question::{Micros, Owner, PeerFacts, Question, TokenFacts};
 pub use registry::{Factory, Registry, Setup};
@@ -32,12 +43,17 @@ pub use verdict::{
     Answer, Ask, Bucket, Defer, Denial, Expiry, Given, Grant, Rate, Scope, Standing, Terms, Verdict, Wait,
 };
 
+// The examples of the guide are compiled and run with the doctests.
+#[cfg(doctest)]
+#[doc = include_str!("../../docs/managers.md")]
+mod guide {}
+
 /// Decides who may do what in the contexts it manages; consulted on all requests (M24).
 pub trait Manager: Send + std::fmt::Debug {
     /// Answers one question. Whatever it does not know to be allowed, it denies.
     fn decide(&mut self, question: &Question<'_>) -> Verdict;
 
-    /// The lease of the tokens it manages, where their creator names none.
+    /// The lease and other terms of the tokens it manages, where their creator names none.
     fn terms(&self) -> Terms {
         Terms::default()
     }

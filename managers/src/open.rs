@@ -1,5 +1,7 @@
 //! `open`: everybody may do everything.
 
+use std::sync::Arc;
+
 use mom_proto::WireError;
 use serde::Deserialize;
 
@@ -11,15 +13,19 @@ struct Params {}
 
 /// Allows all; a token's owner is still safe from others.
 #[derive(Debug)]
-struct Open;
+struct Open {
+    label: Arc<str>,
+}
 
 pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
     let Params {} = setup.params()?;
-    Ok(Box::new(Open))
+    Ok(Box::new(Open {
+        label: setup.label.into(),
+    }))
 }
 
 impl Manager for Open {
     fn decide(&mut self, _question: &Question<'_>) -> Verdict {
-        Verdict::allow_always()
+        Verdict::allow_always().by(&self.label)
     }
 }

@@ -27,6 +27,10 @@ pub struct PeerFacts {
 pub struct Owner<'a> {
     /// The peer's name.
     pub name: &'a str,
+    /// The user it is logged in as.
+    pub user: &'a str,
+    /// The groups of that user.
+    pub groups: &'a [String],
     /// The peer's level now.
     pub level: i32,
     /// Whether it is the peer that asks.

@@ -1,12 +1,16 @@
 //! Makes managers from their configuration.
 
-use std::collections::BTreeMap;
+use std::cell::RefCell;
+use std::collections::{BTreeMap, BTreeSet};
 
 use mom_proto::nearest::nearest;
 use mom_proto::{Code, Map, Value, WireError, from_value};
 use serde::de::DeserializeOwned;
 
-use crate::{Manager, chain, closed, first_come, level_or_lease, open, roles};
+use crate::{
+    Manager, chain, closed, first_come, level_or_lease, moderated, open, queue, quota, roles, schedule,
+    self_managed,
+};
 
 /// Makes a manager of one kind.
 pub type Factory = fn(&Setup<'_>) -> Result<Box<dyn Manager>, WireError>;
@@ -29,17 +33,24 @@ pub struct Setup<'a> {
     params: &'a Map,
     registry: &'a Registry,
     depth: usize,
+    /// The labels of the managers inside this one that have no name of their own.
+    inner_labels: RefCell<BTreeSet<String>>,
 }
 
 impl Registry {
     /// The built-in kinds, no named manager.
     pub fn builtin() -> Registry {
-        let kinds: [(&'static str, Factory); 6] = [
+        let kinds: [(&'static str, Factory); 11] = [
             ("open", open::make),
             ("closed", closed::make),
             ("roles", roles::make),
             ("first-come", first_come::make),
             ("level-or-lease", level_or_lease::make),
+            ("queue", queue::make),
+            ("moderated", moderated::make),
+            ("schedule", schedule::make),
+            ("quota", quota::make),
+            ("self", self_managed::make),
             ("chain", chain::make),
         ];
         Registry {
@@ -56,6 +67,11 @@ impl Registry {
     /// Gives a manager a name. It is checked when it is built: it may name ones that come later.
     pub fn define(&mut self, name: &str, spec: Value) {
         self.named.insert(name.to_owned(), spec);
+    }
+
+    /// The kinds that there are, in the order of their words.
+    pub fn kinds(&self) -> impl Iterator<Item = &str> {
+        self.kinds.keys().copied()
     }
 
     /// The names that were given.
@@ -113,7 +129,7 @@ impl Registry {
         depth: usize,
     ) -> Result<Box<dyn Manager>, WireError> {
         let Some(factory) = self.kinds.get(kind) else {
-            let known = self.kinds.keys().copied().chain(self.names());
+            let known = self.kinds().chain(self.names());
             let error = WireError::new(Code::UNKNOWN_MANAGER, format!("there is no manager {kind:?}"));
             return Err(error.slot("kind").nearest_opt(nearest(kind, known)));
         };
@@ -122,6 +138,7 @@ impl Registry {
             params,
             registry: self,
             depth,
+            inner_labels: RefCell::default(),
         })
     }
 }
@@ -144,7 +161,10 @@ impl Setup<'_> {
                 .trim_start_matches('/')
                 .to_owned();
             let text = format!("in the manager {}: {}", self.label, error.text);
-            WireError::new(error.code, text).slot(&key)
+            let nearest = error.get("nearest").and_then(Value::as_str);
+            WireError::new(error.code.clone(), text)
+                .slot(&key)
+                .nearest_opt(nearest)
         })
     }
 
@@ -154,7 +174,7 @@ impl Setup<'_> {
     /// As [`Registry::build`], the slot prefixed with `key`.
     pub fn inner(&self, key: &str, spec: &Value) -> Result<Box<dyn Manager>, WireError> {
         let kind = spec.get("kind").and_then(Value::as_str);
-        let label = kind.map(|kind| format!("{}/{kind}", self.label));
+        let label = kind.map(|kind| self.inner_label(kind));
         self.registry
             .build_inner(spec, label.as_deref(), self.depth)
             .map_err(|error| {
@@ -165,6 +185,21 @@ impl Setup<'_> {
                     .unwrap_or_default();
                 error.slot(&format!("{key}{inner}"))
             })
+    }
+
+    /// A label that no other manager has: answers to deferred questions are told apart by it, and one chair's
+    /// word must not count for another's.
+    fn inner_label(&self, kind: &str) -> String {
+        let plain = format!("{}/{kind}", self.label);
+        let mut used = self.inner_labels.borrow_mut();
+        let mut label = plain.clone();
+        let mut number = 2;
+        while used.contains(&label) || self.registry.named.contains_key(&label) {
+            label = format!("{plain}~{number}");
+            number += 1;
+        }
+        used.insert(label.clone());
+        label
     }
 
     /// An error about the parameter `key`.

@@ -1,10 +1,13 @@
 //! `roles`: who may do which verb where, by user, group and level.
 
-use mom_proto::nearest::nearest;
-use mom_proto::{Code, Pattern, Verb, WireError};
+use std::sync::Arc;
+
+use mom_proto::{Code, Pattern, WireError};
 use serde::Deserialize;
 
-use crate::{Manager, PeerFacts, Question, Scope, Setup, Verdict};
+use crate::params::Verbs;
+use crate::who::Who;
+use crate::{Manager, Question, Scope, Setup, Standing, Verdict};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -29,12 +32,13 @@ struct RuleParams {
     r#where: Vec<Pattern>,
     #[serde(default)]
     messages: Vec<String>,
+    invited: Option<bool>,
 }
 
 /// Asks its rules in order: the first that covers the question decides, and no rule is a denial.
 #[derive(Debug)]
 struct Roles {
-    label: String,
+    label: Arc<str>,
     rules: Vec<Rule>,
     // A rule that tells messages apart makes every verdict one for that message alone.
     scope: Scope,
@@ -42,20 +46,14 @@ struct Roles {
 
 #[derive(Debug)]
 struct Rule {
-    name: String,
+    name: Arc<str>,
     allow: bool,
     verbs: Verbs,
-    users: Vec<String>,
-    groups: Vec<String>,
-    min_level: Option<i32>,
+    who: Who,
     places: Vec<Pattern>,
     messages: Vec<String>,
-}
-
-#[derive(Debug)]
-enum Verbs {
-    All,
-    These(Vec<Verb>),
+    /// Whether only those who were invited, or only those who were not; none = both.
+    invited: Option<bool>,
 }
 
 pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
@@ -72,7 +70,7 @@ pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
         false => Scope::ThisName,
     };
     Ok(Box::new(Roles {
-        label: setup.label.to_owned(),
+        label: setup.label.into(),
         rules,
         scope,
     }))
@@ -95,70 +93,61 @@ fn make_rule(setup: &Setup<'_>, index: usize, params: RuleParams) -> Result<Rule
             "{}/{}",
             setup.label,
             params.name.unwrap_or_else(|| format!("rule {}", index + 1))
-        ),
+        )
+        .into(),
         allow,
-        verbs: make_verbs(setup, &key(word_key), &words)?,
-        users: params.users,
-        groups: params.groups,
-        min_level: params.min_level,
+        verbs: Verbs::read(setup, &key(word_key), &words)?,
+        who: Who::new(params.users, params.groups, params.min_level),
         places: params.r#where,
         messages: params.messages,
+        invited: params.invited,
     })
-}
-
-fn make_verbs(setup: &Setup<'_>, key: &str, words: &[String]) -> Result<Verbs, WireError> {
-    if words.iter().any(|word| word == "*") {
-        return Ok(Verbs::All);
-    }
-    let verbs: Result<Vec<Verb>, WireError> = words
-        .iter()
-        .map(|word| {
-            Verb::from_word(word).ok_or_else(|| {
-                let near = nearest(word, Verb::ALL.iter().map(|verb| verb.word()));
-                setup
-                    .error(key, &format!("there is no verb {word:?}; * stands for all"))
-                    .nearest_opt(near)
-            })
-        })
-        .collect();
-    verbs.map(Verbs::These)
 }
 
 impl Manager for Roles {
     fn decide(&mut self, question: &Question<'_>) -> Verdict {
         if question.verb.gives_up() {
-            return Verdict::allow();
+            return Verdict::allow().by(&self.label);
         }
-        let rule = match self.rules.iter().find(|rule| rule.covers(question)) {
-            Some(rule) if rule.allow => return Verdict::allow().stands(self.scope),
-            Some(rule) => &rule.name,
-            None => &self.label,
+        let mut by_invitation = false;
+        let rule = self
+            .rules
+            .iter()
+            .filter(|rule| rule.covers(question))
+            .find(|rule| {
+                by_invitation |= rule.invited.is_some();
+                rule.invited.is_none_or(|invited| invited == question.invited)
+            });
+        let mut verdict = match rule {
+            Some(rule) if rule.allow => Verdict::allow().stands(self.scope).by(&rule.name),
+            Some(rule) => deny(question, &rule.name),
+            None => deny(question, &self.label),
         };
-        // A refusal names the message, so it stands for no other.
-        Verdict::deny(Code::DENIED, rule, refusal(question)).stands(Scope::ThisName)
+        if by_invitation {
+            // An invitation comes and goes while the peer's membership stays.
+            verdict.standing = Standing::Once;
+        }
+        verdict
     }
 }
 
 impl Rule {
+    /// Whether the rule is about this question, but for invitations.
     fn covers(&self, question: &Question<'_>) -> bool {
-        let verb = match &self.verbs {
-            Verbs::All => true,
-            Verbs::These(verbs) => verbs.contains(&question.verb),
-        };
         let place = self.places.is_empty() || self.places.iter().any(|place| place.matches(question.context));
         let message = self.messages.is_empty()
             || question
                 .message
                 .is_some_and(|name| self.messages.iter().any(|listed| listed == name));
-        verb && place && message && self.means(question.peer)
+        self.verbs.covers(question.verb) && place && message && self.who.fits(question.peer)
     }
+}
 
-    fn means(&self, peer: &PeerFacts) -> bool {
-        let named = self.users.is_empty() && self.groups.is_empty();
-        let user = self.users.iter().any(|user| **user == *peer.user);
-        let group = self.groups.iter().any(|group| peer.groups.contains(group));
-        (named || user || group) && self.min_level.is_none_or(|least| peer.level >= least)
-    }
+/// A refusal names the message, so it stands for no other.
+fn deny(question: &Question<'_>, rule: &Arc<str>) -> Verdict {
+    Verdict::deny(Code::DENIED, &**rule, refusal(question))
+        .stands(Scope::ThisName)
+        .by(rule)
 }
 
 fn refusal(question: &Question<'_>) -> String {

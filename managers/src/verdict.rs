@@ -5,7 +5,8 @@ use std::sync::Arc;
 use mom_proto::Code;
 use serde::Deserialize;
 
-use crate::Micros;
+use crate::who::fits;
+use crate::{Micros, PeerFacts};
 
 /// An answer, and for how long it stands.
 #[derive(Clone, Debug, PartialEq)]
@@ -48,7 +49,7 @@ pub enum Ask {
     /// The peer that made the context.
     Creator,
     /// The members of the context, or of its parent, that these facts fit: one of the users, or in one of the
-    /// groups, and of at least this level. The first answer holds.
+    /// groups, where either is named, and of at least this level. The first answer holds.
     Chairs {
         /// Names of users.
         users: Arc<[String]>,
@@ -57,6 +58,20 @@ pub enum Ask {
         /// The least level; none = any.
         min_level: Option<i32>,
     },
+}
+
+impl Ask {
+    /// Whether a peer of these facts is one of the chairs; the creator is none by its facts.
+    pub fn is_chair(&self, peer: &PeerFacts) -> bool {
+        match self {
+            Ask::Creator => false,
+            Ask::Chairs {
+                users,
+                groups,
+                min_level,
+            } => fits(users, groups, *min_level, &peer.user, &peer.groups, peer.level),
+        }
+    }
 }
 
 /// What a deferred question was answered.
@@ -274,14 +289,48 @@ impl Verdict {
         self
     }
 
+    /// Makes a denial one for those who do not want to wait; the others stand in line.
+    #[must_use]
+    pub fn or_wait(mut self, expected: Option<Micros>) -> Verdict {
+        if let Answer::Deny(denial) = self.answer {
+            self.answer = Answer::Queue(Wait { denial, expected });
+            self.standing = Standing::Once;
+        }
+        self
+    }
+
+    /// Ends an ownership that is granted at this time, whatever its lease.
+    #[must_use]
+    pub fn until(mut self, time: Option<Micros>) -> Verdict {
+        if let Answer::Allow(grant) = &mut self.answer {
+            grant.until = time;
+        }
+        self
+    }
+
     /// Lets the verdict stand until something changes.
     #[must_use]
-    pub fn stands(mut self, scope: Scope) -> Verdict {
+    pub fn stands(self, scope: Scope) -> Verdict {
+        self.stands_until(scope, None)
+    }
+
+    /// Lets the verdict stand up to, but not at, this time.
+    #[must_use]
+    pub fn stands_until(mut self, scope: Scope, until: Option<Micros>) -> Verdict {
         self.standing = Standing::Stands {
             scope,
-            until: None,
+            until,
             rate: None,
         };
+        self
+    }
+
+    /// Lets a yes stand for no more than this much.
+    #[must_use]
+    pub fn at_rate(mut self, limit: Rate) -> Verdict {
+        if let Standing::Stands { rate, .. } = &mut self.standing {
+            *rate = Some(limit);
+        }
         self
     }
 
@@ -314,6 +363,15 @@ impl Standing {
             },
             _ => Standing::Once,
         }
+    }
+
+    /// The same without a limit of how much; a no has none.
+    #[must_use]
+    pub fn without_rate(mut self) -> Standing {
+        if let Standing::Stands { rate, .. } = &mut self {
+            *rate = None;
+        }
+        self
     }
 
     /// How much a verdict allows; none = without limit.

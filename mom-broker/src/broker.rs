@@ -4,9 +4,10 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_hub::{Hub, Input, Settings};
+use mom_hub::{Input, Settings};
 use mom_net::Transceiver;
 use mom_proto::{Code, Limits, WireError};
+use parking_lot::Mutex;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio::task::JoinSet;
@@ -15,7 +16,7 @@ use tokio::time::{Instant, timeout_at};
 use crate::clock::Clock;
 use crate::config::{Config, ConfigError};
 use crate::encodings::Bounds;
-use crate::login::Logins;
+use crate::login::{LoginStats, Logins};
 use crate::session::{self, Context};
 use crate::switchboard::{Switchboard, Touched, flush};
 
@@ -63,12 +64,14 @@ fn hint(error: &std::io::Error) -> &'static str {
 /// ```
 #[derive(Debug)]
 pub struct Broker {
-    context: Context,
+    pub(crate) context: Context,
     addresses: Vec<SocketAddr>,
     stopping: watch::Sender<bool>,
     tasks: JoinSet<()>,
     /// The places for connections from outside; closed when the broker stops.
     connections: Arc<Semaphore>,
+    /// The configuration that it goes by; see [`Broker::reload`].
+    pub(crate) running: Mutex<Config>,
 }
 
 impl Broker {
@@ -91,16 +94,15 @@ impl Broker {
             limits: config.limits.clone(),
             ..Settings::default()
         };
+        config.check_login()?;
         let hub = config.make_hub(settings)?;
         let bounds = Bounds {
             depth: config.limits.depth,
             parcel: config.limits.parcel,
         };
-        let context = Context {
-            board: Arc::new(Switchboard::new(hub, clock, bounds)),
-            logins: Arc::new(Logins::new(config.users.clone(), config.login.clone())),
-            limits: config.limits.clone(),
-        };
+        let logins = Logins::new(config.users.clone(), config.login.clone(), clock.clone())?;
+        let board = Switchboard::new(hub, clock, bounds);
+        let context = Context::new(board, logins, config.limits.clone());
         let (stopping, stop) = watch::channel(false);
         let connections = Arc::new(Semaphore::new(config.connections));
         let mut tasks = JoinSet::new();
@@ -128,6 +130,7 @@ impl Broker {
             stopping,
             tasks,
             connections,
+            running: Mutex::new(config),
         })
     }
 
@@ -150,9 +153,15 @@ impl Broker {
     /// A connection from inside this process (M18). The peer still has to log in.
     pub fn connect_local(&self) -> Transceiver {
         let (here, there) = mom_net::pair();
-        let login_by = Instant::now() + login_time(&self.context.limits);
-        tokio::spawn(session::serve(self.context.clone(), here, None, login_by));
+        let context = self.context.fresh();
+        let login_by = Instant::now() + login_time(&context.limits);
+        tokio::spawn(session::serve(context, here, None, login_by));
         there
+    }
+
+    /// What the hashing of passwords has come to.
+    pub fn login_stats(&self) -> LoginStats {
+        self.context.logins.stats()
     }
 
     /// Asserts the invariants of the hub (design §4), as tests do after each step.
@@ -200,7 +209,7 @@ impl Listen {
             };
             match accepted {
                 Ok((stream, from)) => match Arc::clone(&self.connections).try_acquire_owned() {
-                    Ok(place) => drop(sessions.spawn(self.context.clone().take_in(stream, from, place))),
+                    Ok(place) => drop(sessions.spawn(self.context.fresh().take_in(stream, from, place))),
                     Err(_) => refuse(&stream).await,
                 },
                 Err(error) => {
@@ -280,24 +289,5 @@ async fn report_drops(board: Arc<Switchboard>, mut stop: watch::Receiver<bool>) 
                 flush(&mut touched);
             }
         }
-    }
-}
-
-impl Config {
-    /// The hub of this configuration.
-    fn make_hub(&self, settings: Settings) -> Result<Hub, ConfigError> {
-        Hub::new(settings, self.registry(), &self.root, &self.contexts).map_err(|error| self.locate(&error))
-    }
-
-    /// Checks all that can be checked without starting: managers, contexts, paths.
-    ///
-    /// # Errors
-    /// As [`Broker::start`], without listening.
-    pub fn check(&self) -> Result<(), ConfigError> {
-        for name in self.managers.keys() {
-            let built = self.registry().build(&mom_proto::Value::from(name.as_str()));
-            built.map_err(|error| self.locate_manager(name, &error))?;
-        }
-        self.make_hub(Settings::default()).map(|_| ())
     }
 }

@@ -12,10 +12,17 @@ mod config;
 mod encodings;
 mod login;
 mod outbox;
+mod reload;
+mod schema;
 mod session;
 mod switchboard;
 
 pub use broker::{Broker, BrokerError};
 pub use clock::Clock;
-pub use config::{Config, ConfigError, LoginConfig, UserEntry};
-pub use login::hash;
+pub use config::{
+    Asked, Config, ConfigError, Explanation, FailureRate, JwtConfig, JwtKey, JwtUsers, LoginConfig, Place,
+    ReloadOn, Supposed, ThrottleConfig, UserEntry,
+};
+pub use login::{LoginStats, hash};
+pub use reload::{Changes, ReloadReport};
+pub use schema::{config_schema, users_schema};

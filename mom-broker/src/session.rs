@@ -1,17 +1,21 @@
 //! One connection, from its first byte to its end.
 
+mod login;
+
 use std::net::IpAddr;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use mom_hub::{Input, PeerId};
+use mom_managers::Micros;
 use mom_net::{NetError, Reader, Transceiver};
 use mom_proto::codec::Frame;
 use mom_proto::{Code, Family, Limits, Map, Parcel, Path, Verb, WireError};
+use parking_lot::RwLock;
 use tokio::time::{Instant, timeout, timeout_at};
 
-use crate::login::{Attempt, Logins};
+use crate::login::{Challenge, Logins};
 use crate::outbox::Outbox;
 use crate::switchboard::{Switchboard, Touched, flush};
 
@@ -27,7 +31,30 @@ const TURN: usize = 256;
 pub(crate) struct Context {
     pub(crate) board: Arc<Switchboard>,
     pub(crate) logins: Arc<Logins>,
+    /// What holds for this connection as long as it lasts: it was told so.
     pub(crate) limits: Limits,
+    /// What holds for the next one.
+    pub(crate) next_limits: Arc<RwLock<Limits>>,
+}
+
+impl Context {
+    pub(crate) fn new(board: Switchboard, logins: Logins, limits: Limits) -> Context {
+        Context {
+            board: Arc::new(board),
+            logins: Arc::new(logins),
+            next_limits: Arc::new(RwLock::new(limits.clone())),
+            limits,
+        }
+    }
+
+    /// For a new connection.
+    pub(crate) fn fresh(&self) -> Context {
+        let limits = self.next_limits.read().clone();
+        Context {
+            limits,
+            ..self.clone()
+        }
+    }
 }
 
 /// One connection as its reader sees it.
@@ -38,7 +65,12 @@ struct Session {
     /// Where it comes from, none inside this process.
     from: Option<IpAddr>,
     logged_in: bool,
+    /// Logins that failed.
     failures: u32,
+    /// What a key has to answer.
+    challenge: Option<Challenge>,
+    /// When the proof of who it is will be over, none if it lasts.
+    proven_until: Option<Micros>,
     ended: bool,
 }
 
@@ -65,6 +97,8 @@ pub(crate) async fn serve(
         from,
         logged_in: false,
         failures: 0,
+        challenge: None,
+        proven_until: None,
         ended: false,
     };
     let mut writer = tokio::spawn({
@@ -140,6 +174,7 @@ impl Session {
             let frame = tokio::select! {
                 biased;
                 () = outbox.end.notified() => return outbox.closing().and_then(|closing| closing.error),
+                () = self.proof_over() => return Some(login::proof_over()),
                 frame = timeout_at(deadline, reader.next()) => frame,
             };
             let frame = match frame {
@@ -183,7 +218,7 @@ impl Session {
             }
             next = match reader.try_next() {
                 Ok(None) => break Ok(()),
-                Ok(_) if self.outbox.is_closed() => break Ok(()),
+                Ok(_) if self.outbox.is_closed() || self.is_proof_over() => break Ok(()),
                 next => next,
             };
         };
@@ -217,9 +252,7 @@ impl Session {
                 self.time(&parcel, touched);
                 Ok(())
             }
-            Family::Login if &*parcel.name == Verb::Login.word() => {
-                self.login(reader, &parcel, touched).await
-            }
+            Family::Login if login::concerns(&parcel) => self.login(reader, &parcel, touched).await,
             _ if self.logged_in => {
                 self.context.board.decide(
                     Input::Request {
@@ -253,54 +286,6 @@ impl Session {
         }
     }
 
-    async fn login(
-        &mut self,
-        reader: &mut Reader,
-        parcel: &Parcel,
-        touched: &mut Touched,
-    ) -> Result<(), WireError> {
-        let reference = parcel.id;
-        // What was caused so far must not wait for a password to be hashed.
-        flush(touched);
-        match self.context.logins.check(parcel, self.from).await {
-            Attempt::Granted { user, nickname } => {
-                tracing::info!(peer = self.peer.0, user = user.name, from = ?self.from, "logged in");
-                self.logged_in = true;
-                reader.set_limits(&self.context.limits);
-                let peer = self.peer;
-                self.context.board.decide(
-                    Input::Login {
-                        peer,
-                        user,
-                        nickname,
-                        id: reference,
-                    },
-                    touched,
-                );
-                let name = self.context.board.peer_name(peer).unwrap_or_default();
-                self.outbox.admit(self.context.limits.outbox, name);
-                Ok(())
-            }
-            Attempt::Refused(error) => {
-                tracing::info!(peer = self.peer.0, from = ?self.from, code = %error.code, "login refused");
-                if error.code == Code::BAD_LOGIN {
-                    self.failures += 1;
-                }
-                if error.code.closes() {
-                    return Err(error);
-                }
-                self.refuse(&error, reference, touched);
-                match self.failures >= self.context.logins.attempts() {
-                    true => Err(WireError::new(
-                        Code::TOO_MANY_LOGINS,
-                        "too many failed logins on one connection",
-                    )),
-                    false => Ok(()),
-                }
-            }
-        }
-    }
-
     fn refuse(&self, error: &WireError, reference: Option<u64>, touched: &mut Touched) {
         tracing::debug!(peer = self.peer.0, code = %error.code, text = error.text, "refused");
         self.context
@@ -312,6 +297,7 @@ impl Session {
     fn end(&mut self, error: Option<WireError>) {
         self.ended = true;
         let mut touched = Touched::new();
+        self.context.logins.forget(self.peer);
         if self.logged_in {
             let name = self.context.board.peer_name(self.peer).unwrap_or_default();
             self.context

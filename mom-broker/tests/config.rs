@@ -33,21 +33,31 @@ fn the_annotated_default_has_every_key() {
     let keys = |table: &toml::Table| table.keys().cloned().collect::<BTreeSet<_>>();
     let limits = toml::Table::try_from(Limits::default()).expect("limits are a table");
     assert_eq!(keys(table["limits"].as_table().expect("a table")), keys(&limits));
-    for key in ["users", "managers.staff", "contexts"] {
+    // What has no default is there as a comment.
+    let stands = |key: &str| {
+        let marks = [
+            format!("# {key} = "),
+            format!("# [{key}]"),
+            format!("# [[{key}]]"),
+            format!("# [{key}."),
+        ];
+        marks.iter().any(|mark| text.contains(mark.as_str()))
+    };
+    let schema = mom_broker::config_schema();
+    let named = |schema: &serde_json::Value| -> Vec<String> {
+        let properties = schema["properties"].as_object().expect("a table");
+        properties.keys().cloned().collect()
+    };
+    for key in named(&schema) {
+        assert!(table.contains_key(&key) || stands(&key), "{key}");
+    }
+    for key in named(&schema["properties"]["login"]) {
+        let login = table["login"].as_table().expect("a table");
         assert!(
-            text.contains(&format!("# {key} = "))
-                || text.contains(&format!("# [{key}]"))
-                || text.contains(&format!("# [[{key}]]")),
-            "{key}"
+            login.contains_key(&key) || stands(&format!("login.{key}")),
+            "login.{key}"
         );
     }
-    let top = ["connections", "limits", "listen", "log", "login", "root"].map(str::to_owned);
-    assert_eq!(keys(&table), BTreeSet::from(top));
-    let login = ["attempts", "hashers", "waiting"].map(str::to_owned);
-    assert_eq!(
-        keys(table["login"].as_table().expect("a table")),
-        BTreeSet::from(login)
-    );
 }
 
 #[test]
@@ -94,6 +104,8 @@ fn wrong_keys_and_types() {
         "invalid type",
     );
     check("¦connections = -1\n", "connections", "");
+    check("¦reload = \"never\"\n", "reload", "signal");
+    check("¦log = \"mom=loud\"\n", "log", "no filter");
     check(
         "[[contexts]]\npath = \"/a\"\nkind = \"channel\"\n¦color = 1\n",
         "color",
@@ -127,10 +139,22 @@ fn numbers_that_cannot_be() {
     for key in ["parcel", "contexts", "joined"] {
         check(&format!("[limits]\n¦{key} = 0\n"), key, "unlimited");
     }
-    for key in ["hashers", "waiting", "attempts"] {
+    for key in ["hashers", "waiting", "attempts", "challenge-time"] {
         check(
             &format!("[login]\n¦{key} = 0\n"),
             &format!("login.{key}"),
+            "from 1",
+        );
+    }
+    for key in ["per-address", "per-account"] {
+        check(
+            &format!("[login.throttle]\n¦{key} = {{ per-minute = 0, burst = 1 }}\n"),
+            &format!("login.throttle.{key}.per-minute"),
+            "from 1",
+        );
+        check(
+            &format!("[login.throttle]\n¦{key} = {{ per-minute = 1, burst = 0 }}\n"),
+            &format!("login.throttle.{key}.burst"),
             "from 1",
         );
     }
@@ -143,6 +167,118 @@ fn numbers_that_cannot_be() {
     );
     check("[limits]\n¦gone = 9999\n", "limits.gone", "longer than heartbeat");
     check("¦listen = []\n", "listen", "address");
+}
+
+/// The table of tokens, with one line of it changed and marked.
+fn jwt(key: &str, line: &str) -> String {
+    let mut text = "[login.jwt]\n".to_owned();
+    for (known, value) in [
+        ("issuer", "\"https://id.example.org\""),
+        ("audience", "\"mom\""),
+        ("algorithms", "[\"EdDSA\"]"),
+        ("key", "\"issuer.pem\""),
+    ] {
+        match known == key {
+            true => text.push_str(&format!("¦{line}\n")),
+            false => text.push_str(&format!("{known} = {value}\n")),
+        }
+    }
+    text
+}
+
+/// A wrong table of tokens beside this key.
+fn check_jwt(marked: &str, key_file: &str, key: &str, words: &str) {
+    let (before, after) = marked.split_once('¦').expect("a mark");
+    let line = before.matches('\n').count() + 1;
+    let files = [
+        ("mom.toml", &*format!("{before}{after}")),
+        ("issuer.pem", key_file),
+    ];
+    let error = load(&files).expect_err(marked);
+    assert_eq!(
+        (error.line, error.key.as_deref()),
+        (Some(line), Some(key)),
+        "{error}"
+    );
+    assert!(error.text.contains(words), "{words:?} in {error}");
+    assert!(!error.to_string().contains("0123456789"), "a secret in {error}");
+}
+
+/// The public key of RFC 8410, 10.1.
+const ED25519: &str = "-----BEGIN PUBLIC KEY-----\nMCowBQYDK2VwAyEAGb9ECWmEzf6FQbrBZ9w7lshQhqowtrbLDFw4rXAxZuE=\n-----END PUBLIC KEY-----\n";
+/// The private key of RFC 8410, 10.3.
+const PRIVATE: &str = "-----BEGIN PRIVATE KEY-----\nMC4CAQAwBQYDK2VwBCIEINTuctv5E1hK1bbY8fdp+K06/nwoy/HU++CXqI9EdVhC\n-----END PRIVATE KEY-----\n";
+
+#[test]
+fn wrong_tokens() {
+    let right = jwt("", "");
+    assert!(load(&[("mom.toml", &right), ("issuer.pem", ED25519)]).is_ok());
+    let secret = "0123456789".repeat(4);
+    let shared = right.replace("EdDSA", "HS256");
+    assert!(load(&[("mom.toml", &shared), ("issuer.pem", &secret)]).is_ok());
+    let missing = check_marked(&right.replace("key", "¦key"));
+    assert!(missing.text.contains("issuer.pem"), "{missing}");
+    let algorithms = |list: &str| jwt("algorithms", &format!("algorithms = [{list}]"));
+    for (list, key_file, key, words) in [
+        ("", ED25519, "algorithms", "EdDSA"),
+        ("\"none\"", ED25519, "algorithms", "no signature"),
+        ("\"ED25519\"", ED25519, "algorithms", "EdDSA"),
+        ("\"EdDSA\", \"HS256\"", ED25519, "algorithms", "different kinds"),
+    ] {
+        check_jwt(&algorithms(list), key_file, &format!("login.jwt.{key}"), words);
+    }
+    let key = |algorithm: &str| right.replace("EdDSA", algorithm).replace("key", "¦key");
+    for (algorithm, key_file, words) in [
+        ("EdDSA", "", "public key in PEM"),
+        ("EdDSA", secret.as_str(), "public key in PEM"),
+        ("EdDSA", PRIVATE, "private"),
+        ("ES256", ED25519, "ECDSA"),
+        ("RS256", ED25519, "RSA"),
+        ("HS256", ED25519, "must not be used"),
+        ("HS256", "0123456789", "at least 32"),
+    ] {
+        check_jwt(&key(algorithm), key_file, "login.jwt.key", words);
+    }
+    check_jwt(
+        &jwt("issuer", "issuer = \"\""),
+        ED25519,
+        "login.jwt.issuer",
+        "empty",
+    );
+    check_jwt(
+        &jwt("audience", "audience = \"\""),
+        ED25519,
+        "login.jwt.audience",
+        "empty",
+    );
+    check_jwt(
+        &(right.clone() + "¦users = \"claims\"\n"),
+        ED25519,
+        "users",
+        "from-claims",
+    );
+    check_jwt(
+        &right.replacen("[login", "¦[login", 1).replace("issuer = ", "# "),
+        ED25519,
+        "[login.jwt]",
+        "issuer",
+    );
+}
+
+/// The error of a file without those beside it.
+fn check_marked(marked: &str) -> ConfigError {
+    let (before, after) = marked.split_once('¦').expect("a mark");
+    let error = load(&[("mom.toml", &format!("{before}{after}"))]).expect_err(marked);
+    assert_eq!(error.line, Some(before.matches('\n').count() + 1), "{error}");
+    error
+}
+
+#[test]
+fn a_secret_is_not_shown() {
+    let secret = "0123456789".repeat(4);
+    let shared = jwt("", "").replace("EdDSA", "HS256");
+    let config = load(&[("mom.toml", &shared), ("issuer.pem", &secret)]).expect("right");
+    assert!(!format!("{config:?}").contains("0123456789"));
 }
 
 #[test]
@@ -287,8 +423,43 @@ fn wrong_users() {
     );
     check_users(&user("*").replace("name", "¦name"), "users[0].name", "'*'");
     check_users(&user("hub").replace("name", "¦name"), "users[0].name", "hub");
+    check_users(
+        "[[users]]\n¦name = \"ann\"\nlevel = 1\n",
+        "users[0].name",
+        "neither password nor keys",
+    );
     check_users(&(user("ann") + "¦rights = 1\n"), "rights", "unknown field");
     check_users(&(user("ann") + "¦level = \"high\"\n"), "level", "invalid type");
+    let key = "ed25519 Gb9ECWmEzf6FQbrBZ9w7lshQhqowtrbLDFw4rXAxZuE=";
+    let arm = |keys: &str| format!("[[users]]\nname = \"arm\"\n¦keys = [{keys}]\n");
+    let good = load(&[
+        ("mom.toml", "users = \"staff.toml\"\n"),
+        (
+            "staff.toml",
+            &arm(&format!("\"{key} arm of lab 3\"")).replace('¦', ""),
+        ),
+    ]);
+    assert_eq!(good.expect("right").users[0].password, None);
+    check_users(
+        &arm(&format!("\"{key}\", \"{}\"", &key[8..])),
+        "users[0].keys[1]",
+        "mom keygen",
+    );
+    check_users(&arm("\"ed25519 AAAA\""), "users[0].keys[0]", "3 bytes");
+    let many = vec![format!("\"{key}\""); 17].join(", ");
+    check_users(&arm(&many), "users[0].keys", "at most 16");
+    check_users(&arm("7"), "keys", "invalid type");
+    let error = load(&[
+        ("mom.toml", "users = \"staff.toml\"\n[login]\nguests = true\n"),
+        ("staff.toml", &user("guest")),
+    ]);
+    let error = error.expect_err("guests have the name");
+    assert_eq!(
+        (error.line, error.key.as_deref()),
+        (Some(2), Some("users[0].name")),
+        "{error}"
+    );
+    check("[login]\n¦hub = \"a/b\"\n", "login.hub", "a/b");
     let argon2i = hash.replace("argon2id", "argon2i");
     check_users(
         &user("ann")

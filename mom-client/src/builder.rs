@@ -1,15 +1,18 @@
 //! Making a client.
 
 use std::fmt;
+use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
 use std::time::Duration;
 
 use mom_net::{Address, Transceiver};
 
 use crate::client::{Client, Handle};
-use crate::login::{Connector, Credentials};
+use crate::login::Connector;
+use crate::proof::Credentials;
 use crate::shared::{Settings, Shared};
-use crate::{ClientError, Reconnect, driver};
+use crate::{ClientError, Key, Proof, Reconnect, driver};
 
 /// Longer than chairs usually have for their answer (M24).
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(40);
@@ -37,6 +40,8 @@ const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
 pub struct Builder {
     connector: Result<Connector, ClientError>,
     credentials: Credentials,
+    /// A key that could not be read.
+    fault: Option<ClientError>,
     settings: Settings,
 }
 
@@ -59,9 +64,11 @@ impl Builder {
             connector,
             credentials: Credentials {
                 user: String::new(),
-                password: String::new(),
+                proof: Proof::Password(String::new()),
                 nickname: None,
+                hub: None,
             },
+            fault: None,
             settings: Settings {
                 request_timeout: REQUEST_TIMEOUT,
                 connect_timeout: CONNECT_TIMEOUT,
@@ -78,8 +85,49 @@ impl Builder {
     }
 
     /// The user's password.
-    pub fn password(mut self, password: impl Into<String>) -> Builder {
-        self.credentials.password = password.into();
+    pub fn password(self, password: impl Into<String>) -> Builder {
+        self.proof(Proof::Password(password.into()))
+    }
+
+    /// A key of the user's, for devices: it needs no loopback, as no secret is on the wire.
+    pub fn key(self, key: Key) -> Builder {
+        self.proof(Proof::Key(key))
+    }
+
+    /// The same, from a file as `mom keygen` makes it; one that is no key is an error of
+    /// [`connect`](Builder::connect).
+    pub fn key_file(mut self, file: impl AsRef<Path>) -> Builder {
+        match Key::from_file(file) {
+            Ok(key) => self.key(key),
+            Err(error) => {
+                self.fault = Some(error);
+                self
+            }
+        }
+    }
+
+    /// A token (JWT) of an issuer that the hub trusts; it names the user itself. When it expires the hub closes
+    /// the link, unless [`Client::authenticate_again`] came before.
+    pub fn token(self, token: impl Into<String>) -> Builder {
+        self.proof(Proof::Token(token.into()))
+    }
+
+    /// Log in as a guest, where the hub lets them in.
+    pub fn guest(self) -> Builder {
+        self.proof(Proof::Guest)
+    }
+
+    /// How to prove who it is; the last of this and the like counts.
+    pub fn proof(mut self, proof: Proof) -> Builder {
+        self.credentials.proof = proof;
+        self.fault = None;
+        self
+    }
+
+    /// The hub for which a key may sign, by the name in the hub's configuration. Without it the key signs for
+    /// whichever hub it is connected to: one that is not to be trusted could then pass the signature on.
+    pub fn hub_name(mut self, hub: impl Into<String>) -> Builder {
+        self.credentials.hub = Some(hub.into());
         self
     }
 
@@ -119,31 +167,36 @@ impl Builder {
     /// the client lives from then on.
     ///
     /// # Errors
-    /// `Local` for a bad address, `Connection` and `TimedOut` for a hub that cannot be had, `Refused` with
+    /// `Local` for a bad address or key, `Connection` and `TimedOut` for a hub that cannot be had, `Refused` with
     /// `bad-login` and all else that the hub says.
     pub async fn connect(self) -> Result<Client, ClientError> {
         let connector = self.connector?;
+        if let Some(error) = self.fault {
+            return Err(error);
+        }
+        let ids = AtomicU64::new(1);
         let connected = connector
-            .connect(&self.credentials, 1, self.settings.connect_timeout)
+            .connect(&self.credentials, &ids, self.settings.connect_timeout)
             .await?;
-        let shared = Arc::new(Shared::new(self.settings, connector.form(), 2, connected.welcome));
-        let drive = driver::run(
-            Arc::clone(&shared),
-            connector,
+        let shared = Shared::new(
+            self.settings,
             self.credentials,
-            connected.transceiver,
+            connector.form(),
+            ids,
+            connected.welcome,
         );
+        let shared = Arc::new(shared);
+        let drive = driver::run(Arc::clone(&shared), connector, connected.transceiver);
         tokio::spawn(drive);
         Ok(Client::of(Arc::new(Handle { shared })))
     }
 }
 
 impl fmt::Debug for Builder {
-    // Passwords do not belong in logs.
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter
             .debug_struct("Builder")
-            .field("user", &self.credentials.user)
+            .field("credentials", &self.credentials)
             .field("settings", &self.settings)
             .finish_non_exhaustive()
     }

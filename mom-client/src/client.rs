@@ -9,8 +9,12 @@ use tokio::sync::watch;
 use tokio::time::timeout;
 
 use crate::info::{map_of, millis};
+use crate::login::Welcome;
+use crate::proof::{Credentials, is_challenge};
 use crate::shared::{Shared, verb};
-use crate::{Builder, Channel, ClientError, Consults, ContextInfo, Events, Link, Member, Session, Token};
+use crate::{
+    Builder, Channel, ClientError, Consults, ContextInfo, Events, Link, Member, Proof, Session, Token,
+};
 
 /// How long a good-bye may take.
 const CLOSE: Duration = Duration::from_secs(1);
@@ -85,6 +89,26 @@ impl Client {
     /// All that the hub said at login: peer, user, level, groups, protocol, limits, time.
     pub fn welcome(&self) -> Map {
         self.shared().lock().me.content.clone()
+    }
+
+    /// Proves again who this is, as before a token expires; also after a lost link this proof is used from now on.
+    /// Level and groups are taken over as they are now. With a token of another user this becomes another peer:
+    /// [`Event::LinkDown`](crate::Event::LinkDown) and all else that a lost link brings follow.
+    ///
+    /// # Errors
+    /// `Refused` with `bad-login` and all else that the hub says; then all stays as it is.
+    pub async fn authenticate_again(&self, proof: Proof) -> Result<(), ClientError> {
+        let shared = self.shared();
+        let known = shared.credentials.lock().clone();
+        let credentials = Credentials { proof, ..known };
+        let mut reply = self.request(credentials.login()).await?;
+        if is_challenge(&reply) {
+            reply = self.request(credentials.answer(&reply)?).await?;
+        }
+        let welcome = Welcome::read(map_of(&reply))?;
+        *shared.credentials.lock() = credentials;
+        shared.renew_login(welcome);
+        Ok(())
     }
 
     /// Sends a request, with a new id and, unless it has one, a timestamp, and waits for the reply.

@@ -7,7 +7,7 @@ use mom_proto::event as names;
 use mom_proto::{Code, Family, Map, Parcel, Path, WireError};
 use tokio::time::{Instant, sleep};
 
-use crate::login::{Connected, Connector, Credentials, Welcome};
+use crate::login::{Connected, Connector, Welcome};
 use crate::outbox::Message;
 use crate::pending::Waiter;
 use crate::reconnect::Backoff;
@@ -15,12 +15,7 @@ use crate::shared::{Shared, Status, verb};
 use crate::{ClientError, Event, Link, Lost, Reconnect, link};
 
 /// Drives links until the client is closed.
-pub(crate) async fn run(
-    shared: Arc<Shared>,
-    connector: Connector,
-    credentials: Credentials,
-    first: mom_net::Transceiver,
-) {
+pub(crate) async fn run(shared: Arc<Shared>, connector: Connector, first: mom_net::Transceiver) {
     let mut transceiver = first;
     loop {
         let why = link::run(&shared, transceiver).await;
@@ -36,7 +31,7 @@ pub(crate) async fn run(
             (Some(reconnect), _) => reconnect.clone(),
         };
         shared.lose_link(&why);
-        match again(&shared, &connector, &credentials, &reconnect).await {
+        match again(&shared, &connector, &reconnect).await {
             Ok(connected) => {
                 shared.raise_link(connected.welcome);
                 transceiver = connected.transceiver;
@@ -50,7 +45,6 @@ pub(crate) async fn run(
 async fn again(
     shared: &Shared,
     connector: &Connector,
-    credentials: &Credentials,
     reconnect: &Reconnect,
 ) -> Result<Connected, Option<WireError>> {
     let start = Instant::now();
@@ -65,9 +59,9 @@ async fn again(
         });
         let attempted = async {
             sleep(backoff.wait(at_least)).await;
-            let id = shared.next_id();
+            let credentials = shared.credentials.lock().clone();
             connector
-                .connect(credentials, id, shared.settings.connect_timeout)
+                .connect(&credentials, &shared.ids, shared.settings.connect_timeout)
                 .await
         };
         let error = tokio::select! {
@@ -118,6 +112,19 @@ impl Shared {
             drop(join.send(Err(error.clone())));
         }
         waiters.into_iter().for_each(|waiter| self.fail(waiter, &error));
+    }
+
+    /// The hub knows this link's peer anew. As another user it is another peer, to which nothing of the old one
+    /// belongs any more, as after a lost link.
+    pub(crate) fn renew_login(&self, welcome: Welcome) {
+        let mut state = self.lock();
+        if state.me.user == welcome.user {
+            state.me = Arc::new(welcome);
+            return;
+        }
+        drop(state);
+        self.lose_link("logged in as another user");
+        self.raise_link(welcome);
     }
 
     /// The link is back: everything wanted is joined again, before anything else is sent.

@@ -44,6 +44,7 @@ mod handover;
 mod holding;
 mod info;
 mod inhibit;
+mod key;
 mod link;
 mod login;
 mod membership;
@@ -52,6 +53,7 @@ mod outbox;
 mod owning;
 mod pending;
 mod places;
+mod proof;
 mod reconnect;
 mod refusal;
 mod session;
@@ -76,12 +78,14 @@ pub use guard::{Lost, TokenGuard};
 pub use guards::Delegation;
 pub use info::{ContextInfo, Member};
 pub use inhibit::InhibitGuard;
+pub use key::Key;
 pub use message::{Message, Receipt};
 pub use mom_net::Address;
 pub use mom_proto::{
     Code, Content, ContextKind, Delivery, Family, Map, Parcel, Path, Time, Value, WireError, event,
     from_value, to_value,
 };
+pub use proof::Proof;
 pub use reconnect::{Link, Reconnect};
 pub use refusal::{Refusal, ordinal, plain_duration};
 pub use session::Session;

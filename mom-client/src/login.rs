@@ -1,17 +1,18 @@
 //! From an address to a peer: connecting and logging in (M12, M13).
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use mom_net::{Address, Transceiver};
 use mom_proto::codec::{Form, Frame};
-use mom_proto::{Family, Limit, Limits, Map, Parcel, Path, Value, WireError};
+use mom_proto::{Family, Limit, Limits, Map, Value, WireError};
 use tokio::time::timeout;
 
 use crate::ClientError;
 use crate::error::bad_reply;
 use crate::info::{level, map_of, number, text};
-use crate::shared::now;
+use crate::proof::{Credentials, is_challenge};
 
 /// Gives one more end of an in-process pair whose other end the hub has.
 pub(crate) type Local = Arc<dyn Fn() -> Transceiver + Send + Sync>;
@@ -21,14 +22,6 @@ pub(crate) type Local = Arc<dyn Fn() -> Transceiver + Send + Sync>;
 pub(crate) enum Connector {
     Remote(Address),
     Local(Local),
-}
-
-/// Who connects.
-#[derive(Clone)]
-pub(crate) struct Credentials {
-    pub(crate) user: String,
-    pub(crate) password: String,
-    pub(crate) nickname: Option<String>,
 }
 
 /// What the hub said at login.
@@ -65,11 +58,11 @@ impl Connector {
         }
     }
 
-    /// Connects and logs in.
+    /// Connects and logs in; what it says takes its ids from `ids`.
     pub(crate) async fn connect(
         &self,
         credentials: &Credentials,
-        id: u64,
+        ids: &AtomicU64,
         after: Duration,
     ) -> Result<Connected, ClientError> {
         let login = async {
@@ -77,7 +70,7 @@ impl Connector {
                 Connector::Remote(address) => mom_net::connect(address, &Limits::default()).await?,
                 Connector::Local(connect) => connect(),
             };
-            log_in(transceiver, credentials, id).await
+            log_in(transceiver, credentials, ids).await
         };
         timeout(after, login).await.unwrap_or_else(|_| {
             Err(ClientError::TimedOut {
@@ -91,21 +84,13 @@ impl Connector {
 async fn log_in(
     mut transceiver: Transceiver,
     credentials: &Credentials,
-    id: u64,
+    ids: &AtomicU64,
 ) -> Result<Connected, ClientError> {
-    let mut content = Map::new()
-        .with("name", credentials.user.as_str())
-        .with("password", credentials.password.as_str());
-    if let Some(nickname) = &credentials.nickname {
-        content.set("nickname", nickname.as_str());
-    }
-    let mut login = Parcel::new(Family::Login, "login")
-        .context(Path::root())
-        .content(content)
-        .id(id);
-    login.timestamp = now();
+    let next = || ids.fetch_add(1, Ordering::Relaxed);
+    let mut id = next();
+    let mut asked = false;
     // A hub that refuses may close before it has read everything; what it says is worth more than that.
-    let sent = transceiver.writer.send(login).await;
+    let mut sent = transceiver.writer.send(credentials.login().id(id)).await;
     loop {
         let frame = match transceiver.reader.next().await? {
             Some(frame) => frame,
@@ -121,6 +106,10 @@ async fn log_in(
             Frame::Malformed { error, .. } => return Err(ClientError::Local(error)),
         };
         match parcel.family {
+            Family::Reply if parcel.reference == Some(id) && is_challenge(&parcel) && !asked => {
+                (id, asked) = (next(), true);
+                sent = transceiver.writer.send(credentials.answer(&parcel)?.id(id)).await;
+            }
             Family::Reply if parcel.reference == Some(id) => {
                 let welcome = Welcome::read(map_of(&parcel))?;
                 let limits = welcome.limits.for_decoder();
@@ -134,7 +123,7 @@ async fn log_in(
 }
 
 impl Welcome {
-    fn read(content: Map) -> Result<Welcome, ClientError> {
+    pub(crate) fn read(content: Map) -> Result<Welcome, ClientError> {
         let limits = content.get("limits").and_then(Value::as_map);
         Ok(Welcome {
             peer: text(&content, "peer")

@@ -17,6 +17,7 @@ use crate::login::Welcome;
 use crate::outbox::{Message, Outbox};
 use crate::pending::{Pending, Waiter};
 use crate::places::{Places, Want};
+use crate::proof::Credentials;
 use crate::subscribe::{Queue, Subscribers};
 use crate::waits::Waits;
 use crate::{ClientError, Link, Reconnect};
@@ -38,10 +39,12 @@ pub(crate) struct Settings {
 #[derive(Debug)]
 pub(crate) struct Shared {
     pub(crate) settings: Settings,
+    /// As whom it logs in, also after a lost link.
+    pub(crate) credentials: Mutex<Credentials>,
     /// What the link speaks, none within a process; the same for every link of one client.
     form: Option<Form>,
     state: Mutex<State>,
-    ids: AtomicU64,
+    pub(crate) ids: AtomicU64,
     room: Semaphore,
     /// Wakes the writer.
     pub(crate) outgoing: Notify,
@@ -79,7 +82,13 @@ pub(crate) enum Status {
 }
 
 impl Shared {
-    pub(crate) fn new(settings: Settings, form: Option<Form>, first_id: u64, me: Welcome) -> Shared {
+    pub(crate) fn new(
+        settings: Settings,
+        credentials: Credentials,
+        form: Option<Form>,
+        ids: AtomicU64,
+        me: Welcome,
+    ) -> Shared {
         let state = State {
             status: Status::Up,
             me: Arc::new(me),
@@ -96,9 +105,10 @@ impl Shared {
         };
         Shared {
             settings,
+            credentials: Mutex::new(credentials),
             form,
             state: Mutex::new(state),
-            ids: AtomicU64::new(first_id),
+            ids,
             room: Semaphore::new(ROOM as usize),
             outgoing: Notify::new(),
             keeping: Notify::new(),

@@ -15,7 +15,7 @@ use mom_managers::{Expiry, Micros};
 /// let spec: ContextSpec = from_value(Map::new().with("kind", "token").with("lease", 60_000).into()).unwrap();
 /// assert_eq!(spec.lease, Some(60_000));
 /// ```
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct ContextSpec {
     /// The path; in a request it is the slot `context` instead.
@@ -56,7 +56,7 @@ pub struct ContextSpec {
 }
 
 /// The guard of a channel.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GuardArgs {
     /// The token's path.
@@ -66,7 +66,7 @@ pub struct GuardArgs {
 }
 
 /// The safe state of a token.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SafeArgs {
     /// The channel's path.

@@ -58,12 +58,18 @@ impl Hub {
             }),
             Answer::Deny(denial) => Err(self.explain(peer, wish, &denial).into()),
             Answer::Queue(wait) => Err(self.explain(peer, wish, &wait.denial).into()),
-            Answer::Defer(defer) => Err(self.defer(peer, wish, defer)),
+            Answer::Defer(defer) => Err(self.defer(peer, wish, defer, verdict.rule)),
         }
     }
 
     /// What has to be asked before a request can be decided.
-    pub(crate) fn defer(&self, peer: PeerId, wish: &Wish<'_>, defer: Defer) -> Refusal {
+    pub(crate) fn defer(
+        &self,
+        peer: PeerId,
+        wish: &Wish<'_>,
+        defer: Defer,
+        rule: Option<Arc<str>>,
+    ) -> Refusal {
         let managing = self.managing(wish.at);
         let (Some(context), Some(managing)) = (self.tree.get(wish.at), managing) else {
             let text = "nobody manages this context, so it is closed";
@@ -71,6 +77,7 @@ impl Hub {
         };
         debug_assert!(self.peers.get(peer).is_some(), "who asks is there");
         Refusal::Defer(Box::new(Deferred {
+            rule: rule.unwrap_or_else(|| Arc::clone(&defer.label)),
             defer,
             verb: wish.verb,
             managing,
@@ -161,8 +168,14 @@ impl Hub {
         let Some(ownership) = &token.owner else {
             return Some(facts);
         };
+        // Who was given it for a while has it on behalf of the giver.
+        let giver = ownership.delegation.as_ref().map(|delegation| delegation.from);
+        let peer = self.peers.get(ownership.peer)?;
+        let principal = giver.and_then(|giver| self.peers.get(giver)).unwrap_or(peer);
         facts.owner = Some(Owner {
-            name: &self.peers.get(ownership.peer)?.facts.name,
+            name: &peer.facts.name,
+            user: &principal.facts.user,
+            groups: &principal.facts.groups,
             level: self.owner_level(token)?,
             asks: ownership.peer == asks,
         });
@@ -218,13 +231,18 @@ impl Hub {
         let (rule, text) = match (holders.is_empty(), kept) {
             (false, _) => (
                 "shared hold",
-                format!("{path} is held by several, so that nobody owns it"),
+                format!("{path} is inhibited: as long as somebody holds it so, nobody owns it"),
             ),
             (true, Some(_)) => (
                 "restart",
                 format!("{path} waits for who owned it before the hub was started anew"),
             ),
-            (true, None) => ("one owner at most", format!("{path} is held")),
+            (true, None) => {
+                let owner = found.and_then(|found| found.owner.as_ref());
+                let by = owner.map(|owner| format!(" by {}", self.name_of(owner.peer)));
+                let text = format!("{path} is held{}", by.unwrap_or_default());
+                ("one owner at most", text)
+            }
         };
         let lease_end = found.and_then(|found| found.owner.as_ref()?.lease_end);
         let denial = Denial {

@@ -14,15 +14,9 @@ pub(crate) const ASKING: usize = 16;
 
 impl Hub {
     /// Shows an offer to its receiver and to the owner.
-    pub(crate) fn push_offer(
-        &mut self,
-        number: ContextNumber,
-        owner: PeerId,
-        offer: Offer,
-        out: &mut Vec<Effect>,
-    ) {
+    pub(crate) fn push_offer(&mut self, number: ContextNumber, offer: Offer, out: &mut Vec<Effect>) {
         self.end_offer(number, "withdrawn", out);
-        let (to, until) = (offer.to, offer.until);
+        let (owner, to, until) = (offer.by, offer.to, offer.until);
         let mut content = Map::new()
             .with("by", self.name_of(owner))
             .with("to", self.name_of(to))
@@ -58,11 +52,11 @@ impl Hub {
 
     /// Ends an offer that was not accepted, and says so to both.
     pub(crate) fn end_offer(&mut self, number: ContextNumber, reason: &str, out: &mut Vec<Effect>) {
-        let owner = self.owner_of(number);
         let Some(offer) = self.take_offer(number) else {
             return;
         };
-        self.push_lapsed(number, "offer", owner, Some(offer.to), reason, out);
+        // Not the owner of now: that may be another one already.
+        self.push_lapsed(number, "offer", offer.by, offer.to, reason, out);
     }
 
     /// Tells both sides that an offer or a request is over.
@@ -70,22 +64,20 @@ impl Hub {
         &self,
         number: ContextNumber,
         what: &str,
-        by: Option<PeerId>,
-        to: Option<PeerId>,
+        by: PeerId,
+        to: PeerId,
         reason: &str,
         out: &mut Vec<Effect>,
     ) {
         let Some(path) = self.tree.get(number).map(|context| context.path.clone()) else {
             return;
         };
-        let mut content = Map::new().with("what", what);
-        for (key, peer) in [("by", by), ("to", to)] {
-            if let Some(peer) = peer {
-                content.set(key, self.name_of(peer));
-            }
-        }
-        content.set("reason", reason);
-        let told = [by, to].into_iter().flatten();
+        let content = Map::new()
+            .with("what", what)
+            .with("by", self.name_of(by))
+            .with("to", self.name_of(to))
+            .with("reason", reason);
+        let told = [by, to].into_iter();
         let told = told.filter(|peer| self.peers.get(*peer).is_some()).collect();
         self.push_event(event::LAPSED, &path, told, content, out);
     }
@@ -98,7 +90,8 @@ impl Hub {
         text: Option<&str>,
         out: &mut Vec<Effect>,
     ) {
-        let (peer, ticket, until) = (asking.peer, asking.ticket, asking.until);
+        let (peer, owner) = (asking.peer, asking.owner);
+        let (ticket, until) = (asking.ticket, asking.until);
         let Some(path) = self.tree.get(number).map(|context| context.path.clone()) else {
             return;
         };
@@ -110,14 +103,12 @@ impl Hub {
         if let Some(text) = text {
             content.set("text", text);
         }
-        let owner = self.owner_of(number);
         if let Some(token) = self.token_mut(number) {
             token.asking.push(asking);
         }
         self.timers.insert((until, Timer::Request(number, ticket)));
         self.involve(peer, number);
-        let told = owner.into_iter().chain([peer]).collect();
-        self.push_event(event::REQUESTED, &path, told, content, out);
+        self.push_event(event::REQUESTED, &path, vec![owner, peer], content, out);
     }
 
     /// Takes a request to the owner away.
@@ -140,12 +131,11 @@ impl Hub {
         reason: Option<&str>,
         out: &mut Vec<Effect>,
     ) {
-        let owner = self.owner_of(number);
         let Some(asking) = self.take_asking(number, peer) else {
             return;
         };
         if let Some(reason) = reason {
-            self.push_lapsed(number, "request", Some(peer), owner, reason, out);
+            self.push_lapsed(number, "request", peer, asking.owner, reason, out);
         }
         self.refuse_all(&[(asking.peer, asking.id)], error, Verb::Request, number, out);
     }

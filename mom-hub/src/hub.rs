@@ -193,10 +193,8 @@ impl Hub {
             let parcel = Parcel::new(Family::Login, "login");
             let parcel = id.into_iter().fold(parcel, Parcel::id);
             self.push_refusal(peer, &parcel, &error, out);
-            out.push(Effect::Close {
-                peer,
-                error: Some(error),
-            });
+            // The refusal says why.
+            out.push(Effect::Close { peer, error: None });
             return;
         }
         let details = user.details.clone();

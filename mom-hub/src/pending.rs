@@ -6,7 +6,7 @@
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
 
-use mom_managers::{Ask, Defer, Given, Micros, PeerFacts};
+use mom_managers::{Ask, Defer, Given, Micros};
 use mom_proto::{Code, ContextNumber, Family, Map, Parcel, Path, Value, Verb, WireError};
 
 use crate::hub::Timer;
@@ -41,6 +41,8 @@ impl From<WireError> for Refusal {
 #[derive(Debug)]
 pub(crate) struct Deferred {
     pub(crate) defer: Defer,
+    /// The rule that asks, for people.
+    pub(crate) rule: Arc<str>,
     pub(crate) verb: Verb,
     /// The context whose manager asks.
     pub(crate) managing: ContextNumber,
@@ -60,11 +62,20 @@ pub(crate) struct Pending {
     pub(crate) answers: Vec<Given>,
     label: Arc<str>,
     pub(crate) asked: BTreeSet<PeerId>,
+    whom: Whom,
     pub(crate) until: Micros,
     /// The channel, if it is a send.
     pub(crate) channel: Option<ContextNumber>,
     /// Later sends of the same peer to the same channel.
     pub(crate) behind: VecDeque<Parcel>,
+}
+
+/// Who may answer a question.
+#[derive(Clone, Debug)]
+struct Whom {
+    ask: Ask,
+    managing: ContextNumber,
+    at: ContextNumber,
 }
 
 impl Hub {
@@ -77,10 +88,16 @@ impl Hub {
         deferred: &Deferred,
         out: &mut Vec<Effect>,
     ) {
-        let asked = self.whom_to_ask(peer, deferred);
+        let whom = Whom {
+            ask: deferred.defer.ask.clone(),
+            managing: deferred.managing,
+            at: deferred.at,
+        };
+        let asked = self.whom_to_ask(peer, &whom);
         let label = Arc::clone(&deferred.defer.label);
         if asked.is_empty() {
-            self.resume(peer, parcel, answers, unanswered(label), out);
+            let given = unanswered(label, "there is nobody to ask");
+            self.resume(peer, parcel, answers, given, out);
             return;
         }
         let mine = self
@@ -113,6 +130,7 @@ impl Hub {
             answers,
             label,
             asked,
+            whom,
             until,
             channel,
             behind: VecDeque::new(),
@@ -120,30 +138,17 @@ impl Hub {
         self.pending.insert(question, pending);
     }
 
-    fn whom_to_ask(&self, peer: PeerId, deferred: &Deferred) -> BTreeSet<PeerId> {
-        match &deferred.defer.ask {
+    fn whom_to_ask(&self, peer: PeerId, whom: &Whom) -> BTreeSet<PeerId> {
+        match &whom.ask {
             Ask::Creator => {
-                let creator = self
-                    .tree
-                    .get(deferred.managing)
-                    .and_then(|context| context.creator);
+                let creator = self.tree.get(whom.managing).and_then(|context| context.creator);
                 creator
                     .into_iter()
                     .filter(|creator| self.peers.get(*creator).is_some())
                     .collect()
             }
-            Ask::Chairs {
-                users,
-                groups,
-                min_level,
-            } => {
-                let fits = |facts: &PeerFacts| {
-                    let user = users.iter().any(|user| **user == *facts.user);
-                    let group = groups.iter().any(|group| facts.groups.contains(group));
-                    let anyone = users.is_empty() && groups.is_empty();
-                    (anyone || user || group) && min_level.is_none_or(|least| facts.level >= least)
-                };
-                let Some(at) = self.tree.get(deferred.at) else {
+            ask @ Ask::Chairs { .. } => {
+                let Some(at) = self.tree.get(whom.at) else {
                     return BTreeSet::new();
                 };
                 let parent = at.parent.and_then(|parent| self.tree.get(parent));
@@ -151,7 +156,7 @@ impl Hub {
                     .members
                     .values()
                     .chain(parent.into_iter().flat_map(|parent| parent.members.values()));
-                let chairs = members.filter(|member| member.peer != peer && fits(&member.facts));
+                let chairs = members.filter(|member| member.peer != peer && ask.is_chair(&member.facts));
                 chairs.map(|member| member.peer).collect()
             }
         }
@@ -185,7 +190,7 @@ impl Hub {
         }
         content.set("kind", deferred.kind);
         content.set("within", self.millis_until(until));
-        content.set("rule", &*deferred.defer.label);
+        content.set("rule", &*deferred.rule);
         let mut parcel = self.hub_parcel(Family::Manager, "consult", &deferred.path);
         parcel.id = Some(question);
         out.push(Effect::Deliver {
@@ -197,7 +202,11 @@ impl Hub {
     /// Takes the answer of a peer to a question; false if it was not asked, or not any more.
     pub(crate) fn answer(&mut self, question: u64, given: Given, by: PeerId, out: &mut Vec<Effect>) -> bool {
         let asked = self.pending.get(&question);
-        if !asked.is_some_and(|pending| pending.asked.contains(&by)) {
+        // Who was a chair when it was asked may have left the room meanwhile, or been put out of it.
+        let may = |pending: &Pending| {
+            pending.asked.contains(&by) && self.whom_to_ask(pending.peer, &pending.whom).contains(&by)
+        };
+        if !asked.is_some_and(may) {
             return false;
         }
         if let Some(pending) = self.take_pending(question) {
@@ -212,7 +221,7 @@ impl Hub {
         let Some(pending) = self.take_pending(question) else {
             return;
         };
-        let given = unanswered(Arc::clone(&pending.label));
+        let given = unanswered(Arc::clone(&pending.label), "");
         self.finish(pending, given, out);
     }
 
@@ -329,12 +338,12 @@ pub(crate) fn take_parcel(parcel: &mut Parcel) -> Parcel {
     std::mem::replace(parcel, Parcel::new(Family::Message, ""))
 }
 
-fn unanswered(label: Arc<str>) -> Given {
+fn unanswered(label: Arc<str>, why: &str) -> Given {
     Given {
         label,
         by: None,
         allow: false,
         stands: false,
-        text: String::new(),
+        text: why.to_owned(),
     }
 }

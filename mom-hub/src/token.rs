@@ -88,6 +88,7 @@ pub(crate) struct Waiter {
 /// An offer of the owner to one peer.
 #[derive(Clone, Debug)]
 pub(crate) struct Offer {
+    pub(crate) by: PeerId,
     pub(crate) to: PeerId,
     pub(crate) until: Micros,
     /// For how long, once accepted; none = for good.
@@ -100,6 +101,8 @@ pub(crate) struct Offer {
 #[derive(Clone, Debug)]
 pub(crate) struct Asking {
     pub(crate) peer: PeerId,
+    /// The owner that was asked.
+    pub(crate) owner: PeerId,
     pub(crate) ticket: u64,
     pub(crate) id: Option<u64>,
     pub(crate) until: Micros,

@@ -16,6 +16,7 @@
 #[cfg(test)]
 mod arbitrary;
 pub mod binary;
+mod challenge;
 pub mod codec;
 mod codes;
 mod content;
@@ -39,6 +40,7 @@ mod value;
 mod verb;
 pub mod xml;
 
+pub use challenge::{LOGIN_CONTEXT, NONCE_BYTES, login_challenge};
 pub use codes::Code;
 pub use content::Content;
 pub use context_kind::ContextKind;

@@ -30,7 +30,8 @@ Examples:
   echo 'move 100 50 200 0 0; grip close' | mom run -
   mom watch /robot/arm                     what happens there
 
-The password comes from MOM_PASSWORD, or is asked for; it is never an argument.
+The password comes from MOM_PASSWORD, or is asked for; it is never an argument. Devices use keys:
+see mom keygen --help.
 Exit codes: 0 done, 1 failed or refused, 2 a command line that makes no sense.";
 
 /// Options of every command.
@@ -49,6 +50,15 @@ pub(crate) struct Global {
     /// Who you are
     #[arg(long, short, global = true, value_name = "NAME", env = "MOM_USER")]
     pub(crate) user: Option<String>,
+    /// Prove it with the private key in this file, not with a password
+    #[arg(long, global = true, value_name = "FILE", conflicts_with_all = ["jwt", "guest"])]
+    pub(crate) key: Option<PathBuf>,
+    /// Prove it with the token (JWT) in this file, which names you
+    #[arg(long, global = true, value_name = "FILE", conflicts_with = "guest")]
+    pub(crate) jwt: Option<PathBuf>,
+    /// Come as a guest, where the hub lets them in
+    #[arg(long, global = true)]
+    pub(crate) guest: bool,
     /// Write JSON, one object per line
     #[arg(long, global = true)]
     pub(crate) json: bool,
@@ -108,6 +118,9 @@ pub(crate) enum Command {
     /// Talk: lines of the input are sent, those of others shown
     #[command(after_help = CHAT)]
     Chat(Chat),
+    /// Make a key pair, so that a device needs no password
+    #[command(after_help = KEYGEN)]
+    Keygen(Keygen),
     /// Ask a camera for an image and save it
     #[command(after_help = SNAP)]
     Snap(Snap),
@@ -280,6 +293,26 @@ Examples:
   mom snap x --output table.jpg
   mom snap --output - | feh -";
 
+/// `mom keygen`
+#[derive(Args, Debug)]
+pub(crate) struct Keygen {
+    /// The file for the private key
+    #[arg(long, short, value_name = "FILE", default_value = "mom.key")]
+    pub(crate) out: PathBuf,
+    /// Replace the file if it exists
+    #[arg(long)]
+    pub(crate) force: bool,
+}
+
+const KEYGEN: &str = "\
+Examples:
+  mom keygen                               the private key in mom.key, the public one printed
+  mom keygen --user arm --out arm.key
+  mom keygen --json --out arm.key | jq -r .public
+
+The public key goes into the hub's users file: keys = [\"ed25519 ...\"]. With the private one the device
+logs in from anywhere: mom --user arm --key arm.key tree";
+
 /// `250ms`, `5s`, `2m`, `1h`; a number without a unit is refused, because nobody knows which one was meant.
 pub(crate) fn duration(text: &str) -> Result<Duration, String> {
     let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
@@ -320,6 +353,43 @@ mod tests {
                 command.get_name()
             );
         }
+    }
+
+    /// What holds for all commands must not take a name that one of them has for something else.
+    #[test]
+    fn every_way_to_log_in_goes_with_every_command() {
+        let login: [&[&str]; 4] = [&[], &["--key", "f"], &["--jwt", "f"], &["--guest"]];
+        for login in login {
+            for command in [
+                &["tree"][..],
+                &["watch", "/a"],
+                &["send", "/a", "b"],
+                &["grab", "/token"],
+                &["request", "/token", "--text", "please"],
+                &["give", "bob", "/token", "--for", "1m"],
+                &["accept", "/token", "--peer", "bob"],
+                &["decline", "/token"],
+                &["break", "/token"],
+                &["inhibit", "/token"],
+                &["token", "/token"],
+                &["invite", "bob", "/a"],
+                &["expel", "bob", "/a", "--text", "out"],
+                &["manage", "/a", "--allow-all"],
+                &["run", "f", "--token", "/token"],
+                &["chat"],
+                &["snap"],
+                &["keygen"],
+            ] {
+                let line = [&["mom"], command, login].concat();
+                let cli = Cli::try_parse_from(&line).unwrap_or_else(|error| panic!("{line:?}: {error}"));
+                if let Command::Grab(Grab { path: token, .. }) | Command::Run(Run { token, .. }) = cli.command
+                {
+                    assert_eq!(token, "/token");
+                }
+            }
+        }
+        assert!(Cli::try_parse_from(["mom", "tree", "--key", "f", "--guest"]).is_err());
+        assert!(Cli::try_parse_from(["mom", "tree", "--key", "f", "--jwt", "f"]).is_err());
     }
 
     #[test]

@@ -1,8 +1,8 @@
 //! To the hub, as the user who asks.
 
-use std::env;
+use std::{env, fs};
 
-use mom_client::{Client, ClientError, Code};
+use mom_client::{Builder, Client, ClientError, Code, Key, Proof, WireError};
 
 use crate::cli::Global;
 use crate::failure::Failure;
@@ -18,18 +18,8 @@ pub(crate) enum Stay {
 
 /// Connects and logs in.
 pub(crate) async fn connect(global: &Global, stay: Stay) -> Result<Client, Failure> {
-    let user = global
-        .user
-        .as_deref()
-        .filter(|user| !user.is_empty())
-        .ok_or_else(|| {
-            Failure::usage(
-                "the hub has to know who you are",
-                "name yourself with --user alice, or once and for all: export MOM_USER=alice",
-            )
-        })?;
-    let password = password(user, &global.hub)?;
-    let builder = Client::builder(&global.hub).user(user).password(&password);
+    let who = Who::of(global)?;
+    let builder = who.prove(Client::builder(&global.hub));
     let builder = match stay {
         Stay::Once => builder.no_reconnect(),
         Stay::Reconnecting => builder,
@@ -37,7 +27,68 @@ pub(crate) async fn connect(global: &Global, stay: Stay) -> Result<Client, Failu
     builder
         .connect()
         .await
-        .map_err(|error| explain(&global.hub, user, error))
+        .map_err(|error| explain(&global.hub, &who, error))
+}
+
+/// Who asks, and how that is proven.
+struct Who<'a> {
+    user: Option<&'a str>,
+    proof: Proof,
+}
+
+impl<'a> Who<'a> {
+    fn of(global: &'a Global) -> Result<Who<'a>, Failure> {
+        if global.guest {
+            return Ok(Who {
+                user: None,
+                proof: Proof::Guest,
+            });
+        }
+        if let Some(file) = &global.jwt {
+            let token = fs::read_to_string(file)
+                .map_err(|error| Failure::plain(format!("cannot read {}: {error}", file.display())))?;
+            return Ok(Who {
+                user: None,
+                proof: Proof::Token(token.trim().to_owned()),
+            });
+        }
+        let user = global.user.as_deref().filter(|user| !user.is_empty());
+        let user = user.ok_or_else(|| {
+            Failure::usage(
+                "the hub has to know who you are",
+                "name yourself with --user alice, or once and for all: export MOM_USER=alice",
+            )
+        })?;
+        let proof = match &global.key {
+            Some(file) => Proof::Key(Key::from_file(file).map_err(|error| {
+                let text = error
+                    .wire()
+                    .map_or_else(|| error.to_string(), |error| error.text.clone());
+                Failure::usage(text, "make a key with: mom keygen --out FILE")
+            })?),
+            None => Proof::Password(password(user, &global.hub)?),
+        };
+        Ok(Who {
+            user: Some(user),
+            proof,
+        })
+    }
+
+    fn prove(&self, builder: Builder) -> Builder {
+        let builder = builder.proof(self.proof.clone());
+        match self.user {
+            Some(user) => builder.user(user),
+            None => builder,
+        }
+    }
+
+    /// As it stands in a sentence.
+    fn name(&self) -> &str {
+        self.user.unwrap_or(match self.proof {
+            Proof::Guest => "a guest",
+            _ => "the bearer of the token",
+        })
+    }
 }
 
 /// From the environment, or asked for at the terminal: as an argument everyone on the machine could read it.
@@ -53,7 +104,7 @@ fn password(user: &str, hub: &str) -> Result<String, Failure> {
     })
 }
 
-fn explain(hub: &str, user: &str, error: ClientError) -> Failure {
+fn explain(hub: &str, who: &Who<'_>, error: ClientError) -> Failure {
     match error {
         ClientError::Local(error) => Failure::usage(
             format!("--hub {hub}: {}", error.text),
@@ -66,10 +117,26 @@ fn explain(hub: &str, user: &str, error: ClientError) -> Failure {
             ),
             "start one with: mom lab\nor name another one: --hub bin://HOST:PORT, or MOM_HUB",
         ),
-        ClientError::Refused(error) if error.code == Code::BAD_LOGIN => Failure::new(
-            format!("the hub at {hub} does not know {user} with this password"),
+        ClientError::Refused(error) if error.code == Code::BAD_LOGIN => unknown(hub, who, &error),
+        other => Failure::of_client(format!("log in to {hub} as {}", who.name()), other),
+    }
+}
+
+/// The hub does not take the proof.
+fn unknown(hub: &str, who: &Who<'_>, error: &WireError) -> Failure {
+    let known = |what: &str| format!("the hub at {hub} does not know {} with this {what}", who.name());
+    match &who.proof {
+        Proof::Password(_) => Failure::new(
+            known("password"),
             "check --user and MOM_PASSWORD; in the lab of `mom lab` a password is its user's name",
         ),
-        other => Failure::of_client(format!("log in to {hub} as {user}"), other),
+        Proof::Key(key) => Failure::new(
+            known("key"),
+            format!(
+                "the user's entry in the hub's users file has to hold: keys = [\"{}\"]",
+                key.public()
+            ),
+        ),
+        _ => Failure::plain(format!("the hub at {hub} does not let you in: {}", error.text)),
     }
 }

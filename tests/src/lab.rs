@@ -2,7 +2,8 @@
 
 use std::net::SocketAddr;
 
-use mom_broker::{Broker, Config};
+use mom_broker::{Broker, Clock, Config};
+use mom_proto::Time;
 
 /// Starts the lab's broker on a free port of loopback.
 pub async fn start() -> Broker {
@@ -14,10 +15,27 @@ pub async fn start() -> Broker {
 /// # Panics
 /// If the configuration is refused: the test's own fault.
 pub async fn start_with(change: impl FnOnce(&mut Config)) -> Broker {
+    start_at(Clock::system(), change).await
+}
+
+/// The same, with a clock of the test's own.
+///
+/// # Panics
+/// If the configuration is refused: the test's own fault.
+pub async fn start_at(clock: Clock, change: impl FnOnce(&mut Config)) -> Broker {
     let mut config = Config::lab();
     config.listen = vec![SocketAddr::from(([127, 0, 0, 1], 0)).to_string()];
     change(&mut config);
-    Broker::start(config)
+    Broker::start_at(config, clock)
         .await
         .expect("the lab is a right configuration")
+}
+
+/// A clock that stands still until the test moves it: a lease is over at once.
+///
+/// # Panics
+/// Never.
+pub fn clock() -> Clock {
+    let morning = "2026-11-21T10:00:00Z".parse::<Time>();
+    Clock::manual(morning.expect("a time"))
 }

@@ -3,5 +3,6 @@
 pub mod canary;
 pub mod dialogue;
 pub mod lab;
+pub mod login;
 pub mod programs;
 pub mod raw;

@@ -1,7 +1,7 @@
 //! A connection that sends whatever bytes it is told to, and reads what comes back.
 
 use std::io::{self, ErrorKind};
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::time::Duration;
 
 use bytes::BytesMut;
@@ -23,6 +23,8 @@ pub struct Raw {
     decoder: Decoder,
     form: Form,
     last_id: u64,
+    /// As the hub calls it.
+    name: String,
 }
 
 impl Raw {
@@ -42,6 +44,19 @@ impl Raw {
     pub async fn connect_small(address: SocketAddr, form: Form) -> Raw {
         let socket = TcpSocket::new_v4().expect("a socket");
         socket.set_recv_buffer_size(4096).expect("a socket option");
+        let stream = socket.connect(address).await.expect("the broker listens");
+        Raw::start(stream, form).await
+    }
+
+    /// Connects from another address of this machine: all of 127.0.0.0/8 is loopback.
+    ///
+    /// # Panics
+    /// If the broker cannot be reached from there.
+    pub async fn connect_from(from: IpAddr, address: SocketAddr, form: Form) -> Raw {
+        let socket = TcpSocket::new_v4().expect("a socket");
+        socket
+            .bind(SocketAddr::new(from, 0))
+            .expect("an address of loopback");
         let stream = socket.connect(address).await.expect("the broker listens");
         Raw::start(stream, form).await
     }
@@ -66,6 +81,7 @@ impl Raw {
             decoder,
             form,
             last_id: 0,
+            name: String::new(),
         };
         if form == Form::Binary {
             raw.send(&PREFACE).await;
@@ -80,7 +96,14 @@ impl Raw {
     pub async fn log_in(&mut self, user: &str) {
         let content = Map::new().with("name", user).with("password", user);
         let login = Parcel::new(Family::Login, "login").content(content);
-        self.ask(login).await.expect("a user of the lab");
+        let welcome = self.ask(login).await.expect("a user of the lab").value();
+        let name = welcome.get("peer").and_then(Value::as_str);
+        self.name = name.expect("the hub gives a name").to_owned();
+    }
+
+    /// The name that the hub gave at login.
+    pub fn name(&self) -> &str {
+        &self.name
     }
 
     /// The wire form.
@@ -257,6 +280,14 @@ impl Raw {
         while let Some(parcel) = self.next().await {
             assert_eq!(parcel.family, Family::Event, "after the last error: {parcel:?}");
         }
+    }
+
+    /// Ends the connection so that the broker sees a reset, as of a machine that was switched off and on.
+    ///
+    /// # Panics
+    /// If the system does not know how.
+    pub fn reset(self) {
+        self.stream.set_zero_linger().expect("a socket option");
     }
 
     /// Whether the broker has closed; what it said before is kept, to be read.

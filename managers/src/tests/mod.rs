@@ -1,13 +1,23 @@
 //! Tables of questions and answers.
 
 mod chain;
+mod guide;
 mod lease;
+mod moderated;
+mod queue;
+mod quota;
 mod registry;
 mod roles;
+mod schedule;
+mod self_managed;
+mod unknown;
 
-use mom_proto::{Code, ContextKind, Map, Path, Value, Verb};
+use mom_proto::{Code, ContextKind, Map, Path, Time, Value, Verb};
 
-use crate::{Answer, Manager, Micros, Owner, PeerFacts, Question, Registry, TokenFacts, Verdict};
+use crate::{
+    Answer, Bucket, Given, Manager, Micros, Owner, PeerFacts, Question, Rate, Registry, Scope, Standing,
+    TokenFacts, Verdict,
+};
 
 /// A question with all that can matter.
 #[derive(Clone, Copy, Debug)]
@@ -18,10 +28,19 @@ struct Ask<'a> {
     verb: Verb,
     path: &'a str,
     message: Option<&'a str>,
-    /// Name, level, and whether it is the one that asks.
+    size: usize,
+    /// Name, which is also the user's, level, and whether it is the one that asks.
     owner: Option<(&'a str, i32, bool)>,
+    owner_groups: &'a [&'a str],
     lease_end: Option<Micros>,
+    since: Micros,
+    waiting: usize,
+    invited: bool,
+    created: bool,
+    answers: &'a [Given],
     now: Micros,
+    /// As text; empty = the epoch.
+    wall: &'a str,
 }
 
 /// Alice at level 1 asks for the token.
@@ -32,39 +51,80 @@ const GRAB: Ask<'_> = Ask {
     verb: Verb::Grab,
     path: "/robot/token",
     message: None,
+    size: 0,
     owner: None,
+    owner_groups: &[],
     lease_end: None,
+    since: 0,
+    waiting: 0,
+    invited: false,
+    created: false,
+    answers: &[],
     now: 0,
+    wall: "",
 };
 
 fn ask(manager: &mut dyn Manager, ask: &Ask<'_>) -> Verdict {
+    let strings = |words: &[&str]| -> Vec<String> { words.iter().map(|word| (*word).to_owned()).collect() };
     let peer = PeerFacts {
         name: ask.user.into(),
         user: ask.user.into(),
         level: ask.level,
-        groups: ask.groups.iter().map(|group| (*group).to_owned()).collect(),
+        groups: strings(ask.groups).into(),
     };
-    let owner = ask.owner.map(|(name, level, asks)| Owner { name, level, asks });
+    let owner_groups = strings(ask.owner_groups);
+    let owner = ask.owner.map(|(name, level, asks)| Owner {
+        name,
+        user: name,
+        groups: &owner_groups,
+        level,
+        asks,
+    });
+    let wall: Time = match ask.wall {
+        "" => Time::default(),
+        text => text.parse().unwrap(),
+    };
     manager.decide(&Question {
         peer: &peer,
         verb: ask.verb,
         context: &Path::parse(ask.path).unwrap(),
         kind: ContextKind::Token,
         message: ask.message,
-        size: 0,
+        size: ask.size,
         age: None,
         token: Some(TokenFacts {
             owner,
             lease_end: ask.lease_end,
-            since: 0,
-            waiting: 0,
+            since: ask.since,
+            waiting: ask.waiting,
         }),
-        invited: false,
-        created: false,
-        answers: &[],
+        invited: ask.invited,
+        created: ask.created,
+        answers: ask.answers,
         now: ask.now,
-        wall: mom_proto::Time::default(),
+        wall,
     })
+}
+
+/// Checks one manager against questions and the short form of their answers.
+fn check(spec: impl Into<Value>, table: &[(&str, Ask<'_>, &str)]) {
+    let mut manager = build(spec);
+    for (why, question, expected) in table {
+        assert_eq!(short(&ask(&mut *manager, question)), *expected, "{why}");
+    }
+}
+
+fn words(words: &[&str]) -> Vec<Value> {
+    words.iter().map(|word| Value::from(*word)).collect()
+}
+
+/// The text of a denial, also of one for those who do not wait.
+fn text(verdict: &Verdict) -> &str {
+    match &verdict.answer {
+        Answer::Deny(denial) => &denial.text,
+        Answer::Queue(wait) => &wait.denial.text,
+        other => panic!("{other:?}"),
+    }
 }
 
 fn build(spec: impl Into<Value>) -> Box<dyn Manager> {
@@ -77,18 +137,24 @@ fn of(kind: &str) -> Map {
 
 /// An answer in short: `allow`, `displace`, or the rule, code and earliest time of a denial.
 fn short(verdict: &Verdict) -> String {
+    let time = |word: &str, time: Option<Micros>| {
+        let time = time.map(|time| format!(" {word} {time}"));
+        time.unwrap_or_default()
+    };
     match &verdict.answer {
-        Answer::Allow(grant) if grant.displace => "displace".to_owned(),
-        Answer::Allow(_) => "allow".to_owned(),
-        Answer::Deny(denial) => {
-            let earliest = denial
-                .earliest
-                .map(|time| format!(" at {time}"))
-                .unwrap_or_default();
-            format!("{}: {}{earliest}", denial.rule, denial.code)
+        Answer::Allow(grant) => {
+            let word = if grant.displace { "displace" } else { "allow" };
+            format!("{word}{}", time("until", grant.until))
         }
+        Answer::Deny(denial) => format!("{}: {}{}", denial.rule, denial.code, time("at", denial.earliest)),
         Answer::Defer(defer) => format!("ask by {}", defer.label),
-        Answer::Queue(wait) => format!("queue: {}", wait.denial.rule),
+        Answer::Queue(wait) => format!(
+            "queue: {}: {}{}{}",
+            wait.denial.rule,
+            wait.denial.code,
+            time("at", wait.denial.earliest),
+            time("expected", wait.expected)
+        ),
     }
 }
 
@@ -114,4 +180,27 @@ fn open_allows_and_closed_denies_all_but_giving_up() {
         denial.text,
         "/robot/token is closed: its configuration allows nobody to grab"
     );
+}
+
+#[test]
+fn what_is_added_to_a_verdict_fits_its_answer() {
+    let denied = || Verdict::deny(Code::HELD, "rule", "text").stands(Scope::AnyName);
+    let waits = denied().earliest(Some(1)).or_wait(Some(2));
+    assert_eq!(short(&waits), "queue: rule: held at 1 expected 2");
+    assert_eq!(waits.standing, Standing::Once, "a place in line is for this once");
+    // What is no part of an answer changes nothing.
+    assert_eq!(denied().until(Some(1)), denied());
+    assert_eq!(Verdict::allow().earliest(Some(1)), Verdict::allow());
+    assert_eq!(Verdict::allow().or_wait(Some(1)), Verdict::allow());
+    let rate = Rate {
+        parcels: Bucket::UNLIMITED,
+        bytes: Bucket {
+            per_second: 1,
+            burst: 1,
+        },
+    };
+    assert_eq!(Verdict::allow().at_rate(rate), Verdict::allow());
+    let limited = Verdict::allow_always().at_rate(rate);
+    assert_eq!(limited.standing.rate(), Some(rate));
+    assert_eq!(limited.standing.without_rate(), Verdict::allow_always().standing);
 }

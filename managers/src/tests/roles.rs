@@ -2,12 +2,8 @@
 
 use mom_proto::{Map, Value, Verb};
 
-use super::{Ask, GRAB, ask, build, of, short};
-use crate::{Answer, Scope, Standing};
-
-fn words(words: &[&str]) -> Vec<Value> {
-    words.iter().map(|word| Value::from(*word)).collect()
-}
+use super::{Ask, GRAB, ask, build, of, short, words};
+use crate::{Answer, Scope, Standing, Verdict};
 
 fn rule(name: &str, what: &str, verbs: &[&str]) -> Map {
     Map::new().with("name", name).with(what, words(verbs))
@@ -151,5 +147,64 @@ fn verdicts_stand_for_the_messages_they_know_of() {
             },
             "{verdict:?}"
         );
+    }
+}
+
+#[test]
+#[rustfmt::skip]
+fn an_invitation_opens_what_a_rule_says() {
+    let rules = || {
+        roles(vec![
+            rule("guests", "allow", &["join"]).with("invited", true),
+            rule("no strangers", "deny", &["join"])
+                .with("invited", false)
+                .with("where", words(&["/back/**"])),
+            rule("all look", "allow", &["lookup", "send"]),
+        ])
+    };
+    let join = |path, invited| Ask { verb: Verb::Join, path, invited, ..GRAB };
+    super::check(
+        rules(),
+        &[
+            ("a guest", join("/back", true), "allow"),
+            ("a stranger", join("/back", false), "roles/no strangers: denied"),
+            ("a stranger elsewhere", join("/front", false), "roles: denied"),
+            ("what invitations are not about", Ask { verb: Verb::Lookup, ..GRAB }, "allow"),
+        ],
+    );
+    for (question, standing) in [
+        (join("/back", true), Standing::Once),
+        (join("/back", false), Standing::Once),
+        (send("state"), Verdict::allow_always().standing),
+    ] {
+        assert_eq!(ask(&mut *build(rules()), &question).standing, standing, "{question:?}");
+    }
+}
+
+#[test]
+fn allowances_name_their_rule_too() {
+    let mut manager = build(lab());
+    for (question, rule) in [
+        (GRAB, "roles/people drive"),
+        (DEVICE, "roles/bob and devices send"),
+        (Ask { level: 0, ..GRAB }, "roles"),
+        (send("state"), "roles/states are the arm's"),
+    ] {
+        assert_eq!(
+            ask(&mut *manager, &question).rule.as_deref(),
+            Some(rule),
+            "{question:?}"
+        );
+    }
+}
+
+#[test]
+fn every_verb_can_be_given_by_its_word() {
+    for verb in Verb::ALL.into_iter().filter(|verb| !verb.gives_up()) {
+        let mut manager = build(roles(vec![rule("one", "allow", &[verb.word()])]));
+        for asked in Verb::ALL.into_iter().filter(|asked| !asked.gives_up()) {
+            let allowed = ask(&mut *manager, &Ask { verb: asked, ..GRAB }).is_allow();
+            assert_eq!(allowed, asked == verb, "{asked} by a rule for {verb}");
+        }
     }
 }

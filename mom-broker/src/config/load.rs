@@ -6,9 +6,10 @@ use std::path::Path;
 use mom_hub::ContextSpec;
 use mom_proto::{HARD_DEPTH, Limits, Value};
 use serde::Deserialize;
+use tracing_subscriber::EnvFilter;
 
 use super::locate::Source;
-use super::{Config, ConfigError, LoginConfig, users};
+use super::{Config, ConfigError, LoginConfig, ReloadOn, users};
 
 const LAB: &str = include_str!("../../../config/lab.toml");
 const LAB_USERS: &str = include_str!("../../../config/lab-users.toml");
@@ -19,6 +20,7 @@ struct File {
     listen: Vec<String>,
     connections: usize,
     log: String,
+    reload: ReloadOn,
     users: Option<String>,
     root: Value,
     limits: Limits,
@@ -33,6 +35,7 @@ impl Default for File {
             listen,
             connections,
             log,
+            reload,
             limits,
             login,
             root,
@@ -44,6 +47,7 @@ impl Default for File {
             listen,
             connections,
             log,
+            reload,
             users: None,
             root,
             limits,
@@ -60,8 +64,8 @@ impl Config {
     /// # Errors
     /// What is wrong, with file, line and key.
     pub fn load(path: &Path) -> Result<Config, ConfigError> {
-        Config::parse(read(path)?, |users| {
-            read(&path.parent().unwrap_or(Path::new(".")).join(users)).map(Some)
+        Config::parse(read(path)?, |name| {
+            read(&path.parent().unwrap_or(Path::new(".")).join(name))
         })
     }
 
@@ -75,28 +79,32 @@ impl Config {
             text: text.to_owned(),
         };
         let users = source("config/lab-users.toml", LAB_USERS);
-        Config::parse(source("config/lab.toml", LAB), |_| Ok(Some(users)))
+        Config::parse(source("config/lab.toml", LAB), |_| Ok(users.clone()))
             .expect("the built-in lab is tested")
     }
 
     fn parse(
         source: Source,
-        read_users: impl FnOnce(&str) -> Result<Option<Source>, ConfigError>,
+        beside: impl Fn(&str) -> Result<Source, ConfigError>,
     ) -> Result<Config, ConfigError> {
-        let file: File = toml::from_str(&source.text).map_err(|error| source.syntax(&error))?;
+        let mut file: File = toml::from_str(&source.text).map_err(|error| source.syntax(&error))?;
         check(&file, &source)?;
         let users = match &file.users {
-            Some(name) => read_users(name).map_err(|error| source.error(&["users"], error.to_string()))?,
-            None => None,
+            Some(name) => {
+                let users = beside(name).map_err(|error| source.error(&["users"], error.to_string()))?;
+                users::parse(&users, file.login.guests)?
+            }
+            None => Vec::new(),
         };
-        let users = users
-            .map(|users| users::parse(&users))
-            .transpose()?
-            .unwrap_or_default();
+        if let Some(jwt) = &mut file.login.jwt {
+            let unread = |error: ConfigError| source.error(&["login", "jwt", "key"], error.to_string());
+            jwt.key.read(|name| beside(name).map_err(unread))?;
+        }
         let config = Config {
             listen: file.listen,
             connections: file.connections,
             log: file.log,
+            reload: file.reload,
             limits: file.limits,
             login: file.login,
             root: file.root,
@@ -132,15 +140,19 @@ fn check(file: &File, source: &Source) -> Result<(), ConfigError> {
         ("limits", file.limits.path_levels as u64, "path-levels"),
         ("limits", file.limits.header as u64, "header"),
         ("limits", file.limits.parts as u64, "parts"),
-        ("login", file.login.waiting as u64, "waiting"),
-        ("login", file.login.hashers as u64, "hashers"),
-        ("login", u64::from(file.login.attempts), "attempts"),
     ];
     for (table, value, key) in at_least_one {
         if value == 0 {
             let keys = if table == key { vec![key] } else { vec![table, key] };
             return Err(source.error(&keys, format!("{key} is a number from 1")));
         }
+    }
+    if let Err(error) = EnvFilter::try_new(&file.log) {
+        let text = format!(
+            "{:?} is no filter, such as info or mom_broker=debug: {error}",
+            file.log
+        );
+        return Err(source.error(&["log"], text));
     }
     if file.listen.is_empty() {
         return Err(source.error(

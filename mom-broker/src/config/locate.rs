@@ -1,10 +1,30 @@
 //! From a key of the configuration to its line.
 
+use std::fmt;
+
 use mom_hub::SetupError;
 use mom_proto::{Value, WireError};
+use serde::Serialize;
 use toml::de::{DeTable, DeValue};
 
 use super::{Config, ConfigError};
+
+/// Where something stands in the configuration.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Place {
+    /// The file.
+    pub file: String,
+    /// The line, from 1.
+    pub line: usize,
+    /// The key, such as `managers.lab.rules[2]`.
+    pub key: String,
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "{}:{}", self.file, self.line)
+    }
+}
 
 /// A file's name and text, for errors that come after it was read.
 #[derive(Clone, Debug)]
@@ -36,6 +56,15 @@ impl Source {
             key: Some(key_text(keys)),
             text,
         }
+    }
+
+    /// Where a key stands, or the nearest table above it.
+    pub(super) fn place(&self, keys: &[&str]) -> Option<Place> {
+        Some(Place {
+            file: self.name.clone(),
+            line: self.line_at(self.offset_of(keys)?),
+            key: key_text(keys),
+        })
     }
 
     fn line_at(&self, offset: usize) -> usize {
@@ -120,7 +149,7 @@ impl Config {
         self.at(&["managers", name], error)
     }
 
-    fn at(&self, keys: &[&str], error: &WireError) -> ConfigError {
+    pub(super) fn at(&self, keys: &[&str], error: &WireError) -> ConfigError {
         let slot = error.get("slot").and_then(Value::as_str).unwrap_or_default();
         // A request names the path in the slot `context`, a file in the key `path`.
         let slot = if slot == "context" {
@@ -135,12 +164,17 @@ impl Config {
             .map(|nearest| format!(" (did you mean {nearest}?)"))
             .unwrap_or_default();
         let text = format!("{}{hint}", error.text);
+        self.remark(&keys, text)
+    }
+
+    /// Words about a key, at its place.
+    pub(super) fn remark(&self, keys: &[&str], text: String) -> ConfigError {
         match &self.source {
-            Some(source) => source.error(&keys, text),
+            Some(source) => source.error(keys, text),
             None => ConfigError {
                 file: None,
                 line: None,
-                key: Some(key_text(&keys)),
+                key: Some(key_text(keys)),
                 text,
             },
         }

@@ -1,18 +1,25 @@
 //! The configuration: what the file may say, and its defaults.
 
 mod error;
+mod explain;
 mod load;
 mod locate;
+mod login;
+mod managers;
+mod review;
 mod users;
 
 use std::collections::BTreeMap;
 
-use mom_hub::ContextSpec;
+use mom_hub::{ContextSpec, Hub, Settings};
 use mom_managers::Registry;
 use mom_proto::{Limits, Value};
 use serde::Deserialize;
 
 pub use error::ConfigError;
+pub use explain::{Asked, Explanation, Supposed};
+pub use locate::Place;
+pub use login::{FailureRate, JwtConfig, JwtKey, JwtUsers, LoginConfig, ThrottleConfig};
 pub use users::UserEntry;
 
 use locate::Source;
@@ -33,6 +40,8 @@ pub struct Config {
     pub connections: usize,
     /// What to log, in the words of `tracing`'s filters.
     pub log: String,
+    /// When the file is read again.
+    pub reload: ReloadOn,
     /// What the hub takes.
     pub limits: Limits,
     /// How logins are checked.
@@ -48,26 +57,15 @@ pub struct Config {
     source: Option<Source>,
 }
 
-/// How logins are checked.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
-pub struct LoginConfig {
-    /// Passwords hashed at once.
-    pub hashers: usize,
-    /// Logins that may wait for that; more are told to try later.
-    pub waiting: usize,
-    /// Failed logins after which a connection is closed.
-    pub attempts: u32,
-}
-
-impl Default for LoginConfig {
-    fn default() -> LoginConfig {
-        LoginConfig {
-            hashers: 2,
-            waiting: 64,
-            attempts: 3,
-        }
-    }
+/// When the configuration file is read again.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ReloadOn {
+    /// When it or the users file has changed, and at SIGHUP.
+    #[default]
+    Change,
+    /// At SIGHUP only.
+    Signal,
 }
 
 impl Default for Config {
@@ -76,6 +74,7 @@ impl Default for Config {
             listen: vec!["127.0.0.1:7666".to_owned()],
             connections: 10_000,
             log: "info".to_owned(),
+            reload: ReloadOn::default(),
             limits: Limits::default(),
             login: LoginConfig::default(),
             root: Value::from("closed"),
@@ -88,6 +87,35 @@ impl Default for Config {
 }
 
 impl Config {
+    /// Checks all that can be checked without starting: managers, contexts, paths.
+    ///
+    /// # Errors
+    /// What is wrong, with file, line and key where it came from a file.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        for name in self.managers.keys() {
+            let built = self.registry().build(&Value::from(name.as_str()));
+            built.map_err(|error| self.locate_manager(name, &error))?;
+        }
+        self.check_login()?;
+        self.hub().map(|_| ())
+    }
+
+    /// A hub of this configuration to which nobody has come yet, to ask what it would say.
+    ///
+    /// # Errors
+    /// As [`Config::check`].
+    pub fn hub(&self) -> Result<Hub, ConfigError> {
+        self.make_hub(Settings {
+            limits: self.limits.clone(),
+            ..Settings::default()
+        })
+    }
+
+    /// The hub of this configuration.
+    pub(crate) fn make_hub(&self, settings: Settings) -> Result<Hub, ConfigError> {
+        Hub::new(settings, self.registry(), &self.root, &self.contexts).map_err(|error| self.locate(&error))
+    }
+
     /// The managers that contexts can name.
     pub(crate) fn registry(&self) -> Registry {
         let mut registry = Registry::builtin();

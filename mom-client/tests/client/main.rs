@@ -5,6 +5,7 @@ mod common;
 mod concurrency;
 mod events;
 mod handover;
+mod login;
 mod managing;
 mod reconnect;
 mod requests;

@@ -1,12 +1,12 @@
 //! `token accept` and `token decline`: the answers to an offer, and those of an owner to who asks.
 
 use mom_proto::event::Reason;
-use mom_proto::{Code, WireError};
+use mom_proto::{Code, Verb, WireError};
 use serde::Deserialize;
 
 use super::Request;
 use crate::args;
-use crate::consult::Allowed;
+use crate::consult::{Allowed, Wish};
 use crate::durable::Change;
 use crate::pending::Refusal;
 use crate::{Effect, Hub, PeerId};
@@ -28,6 +28,8 @@ pub(crate) fn on_accept(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>)
     if let Some(name) = &args.peer {
         hub.check_owner(request, number)?;
         let to = asking(hub, request, name)?;
+        // Whether who gains it may have it, as if it had been offered; the owner's word is not enough for that.
+        let Allowed { rule, grant } = hub.ask(to, &Wish::new(Verb::Accept, number))?;
         let change = Change {
             from: Some(peer),
             rule,

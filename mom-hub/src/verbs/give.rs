@@ -41,28 +41,35 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
     if args.commands == Some(0) || args.commands.is_some_and(|commands| commands >= 1 << 53) {
         return Err(args::bad("commands", "commands is a number from 1".to_owned()).into());
     }
-    let token = hub.token(number).and_then(|token| token.owner.as_ref());
-    if token.is_some_and(|owner| owner.delegation.is_some()) {
-        let text = "what was given for a while cannot be given on; release it, and it returns";
-        return Err(WireError::new(Code::DENIED, text).rule("delegation").into());
-    }
+    hub.check_not_lent(number, "given on")?;
     let to = hub.neighbour(number, &args.to, "to")?;
     if to == peer {
         return Err(args::bad("to", "this peer has it already".to_owned()).into());
     }
     let offer = Offer {
+        by: peer,
         to,
         until: hub.after(within),
         time,
         commands: args.commands,
     };
-    hub.push_offer(number, peer, offer, out);
+    hub.push_offer(number, offer, out);
     let content = Map::new().with("within", millis(within));
     hub.push_ok(peer, request.parcel.id, &request.path, Some(content), out);
     Ok(())
 }
 
 impl Hub {
+    /// Checks that the owner has the token for good, and not for a while from somebody else.
+    pub(crate) fn check_not_lent(&self, number: ContextNumber, what: &str) -> Result<(), WireError> {
+        let owner = self.token(number).and_then(|token| token.owner.as_ref());
+        if owner.is_some_and(|owner| owner.delegation.is_some()) {
+            let text = format!("what was given for a while cannot be {what}; release it, and it returns");
+            return Err(WireError::new(Code::DENIED, text).rule("delegation"));
+        }
+        Ok(())
+    }
+
     /// The peer of this name among those who could own a token.
     pub(crate) fn neighbour(
         &self,

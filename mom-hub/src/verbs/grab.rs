@@ -67,7 +67,7 @@ fn grab(
     let Verdict { answer, rule, .. } = verdict;
     let grant = match answer {
         Answer::Allow(grant) => grant,
-        Answer::Defer(defer) => return Err(hub.defer(peer, &wish, defer)),
+        Answer::Defer(defer) => return Err(hub.defer(peer, &wish, defer, rule)),
         Answer::Queue(wait) => {
             let error = hub.explain(peer, &wish, &wait.denial);
             return wait_or(hub, request, number, patience, error, out);
@@ -86,6 +86,9 @@ fn grab(
         None => Some(Reason::Released),
         // Asking again for what one has is a renewal (M29).
         Some(owner) if owner == peer => {
+            if let Some(owner) = hub.token_mut(number).and_then(|token| token.owner.as_mut()) {
+                owner.until = grant.until;
+            }
             hub.renew_lease(number);
             let content = hub.granted(number);
             hub.push_ok(peer, request.parcel.id, &request.path, Some(content), out);
@@ -99,7 +102,7 @@ fn grab(
         let error = hub.held(peer, number);
         return wait_or(hub, request, number, patience, error, out);
     };
-    // Its own part of a shared hold becomes ownership.
+    // Its own part of a shared hold becomes ownership, before anybody of the queue could have the token.
     hub.end_hold(number, peer, "grabbed", out);
     let change = Change {
         until: grant.until,

@@ -159,7 +159,7 @@ impl Hub {
     }
 
     /// The error for a path that nothing is at; what the peer may not look up is not suggested to it.
-    fn unknown_to(&mut self, peer: PeerId, path: &Path) -> WireError {
+    pub(crate) fn unknown_to(&mut self, peer: PeerId, path: &Path) -> WireError {
         let near = self
             .nearest_path(path)
             .and_then(|near| self.tree.find(&near))

@@ -52,6 +52,7 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
     hub.last_waiter += 1;
     let asking = Asking {
         peer: request.peer,
+        owner,
         ticket: hub.last_waiter,
         id: request.parcel.id,
         until: hub.after(within),

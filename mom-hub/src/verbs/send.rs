@@ -31,7 +31,7 @@ pub(crate) fn on(hub: &mut Hub, request: &mut Request, out: &mut Vec<Effect>) ->
     };
     let verdict = hub.consult(peer, &wish);
     if let Answer::Defer(defer) = verdict.answer {
-        return Err(hub.defer(peer, &wish, defer));
+        return Err(hub.defer(peer, &wish, defer, verdict.rule));
     }
     hub.keep_standing(peer, number, &request.parcel, &verdict);
     let Some(route) = hub.route(number) else {

@@ -43,6 +43,8 @@ pub(crate) fn on_inhibit(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>
     if owner.is_some_and(|owner| owner != request.peer) {
         return Err(hub.held(request.peer, number).into());
     }
+    // Or a loan would last as long as the borrower liked.
+    hub.check_not_lent(number, "inhibited")?;
     hub.inhibit(number, request.peer, out);
     if owner.is_some() {
         hub.lose(number, Reason::Released, Some(request.peer), out);

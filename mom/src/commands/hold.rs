@@ -7,12 +7,11 @@ use std::time::Duration;
 
 use mom_client::{Client, Event, Events, Lost, Member, Token, TokenGuard};
 use serde_json::{Value as Json, json};
-use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep, sleep_until};
 
 use crate::cli;
 use crate::failure::{Doing as _, Failure};
-use crate::input;
+use crate::input::Answers;
 use crate::interrupt::Interrupt;
 use crate::output::event::{lost_words, member_words};
 use crate::output::style::{Ink, ink};
@@ -52,7 +51,10 @@ pub(super) async fn hold(
         token,
         events,
         asking: VecDeque::new(),
-        lines: args.answer.then(input::lines),
+        answers: match args.answer {
+            true => Answers::new(),
+            false => Answers::none(),
+        },
         output,
     };
     let end = tokio::select! {
@@ -154,8 +156,7 @@ struct Visitors<'a> {
     token: &'a Token,
     events: Events,
     asking: VecDeque<String>,
-    /// Answers from the terminal.
-    lines: Option<mpsc::Receiver<io::Result<String>>>,
+    answers: Answers,
     output: Output,
 }
 
@@ -169,12 +170,9 @@ impl Visitors<'_> {
                     // The guard knows what that means.
                     None => return pending().await,
                 },
-                line = next_line(&mut self.lines), if !self.asking.is_empty() => match line {
+                line = self.answers.next(!self.asking.is_empty()) => match line {
                     Some(line) => self.answer(line).await,
-                    None => {
-                        self.lines = None;
-                        Ok(())
-                    }
+                    None => Ok(()),
                 },
             };
             if let Err(failure) = done {
@@ -212,7 +210,7 @@ impl Visitors<'_> {
             },
             || {
                 let text = text.map(|text| format!(": {}", words::visible(text)));
-                let how = match self.lines.is_some() {
+                let how = match self.answers.is_open() {
                     true => "y hands it over, n does not",
                     false => "Ctrl-C releases it; with --answer you can hand it over",
                 };
@@ -265,13 +263,6 @@ impl Visitors<'_> {
             || format!("{} {what}", ink(words::visible(peer), Ink::Peer)),
         )?;
         Ok(())
-    }
-}
-
-async fn next_line(lines: &mut Option<mpsc::Receiver<io::Result<String>>>) -> Option<io::Result<String>> {
-    match lines {
-        Some(lines) => lines.recv().await,
-        None => pending().await,
     }
 }
 

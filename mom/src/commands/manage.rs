@@ -12,7 +12,7 @@ use super::watch::events;
 use crate::cli::{self, Global};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
-use crate::input;
+use crate::input::Answers;
 use crate::interrupt::Interrupt;
 use crate::output::style::{Ink, ink};
 use crate::output::{Output, words};
@@ -40,14 +40,17 @@ pub(crate) async fn run(args: &cli::Manage, global: &Global, output: Output) -> 
         allow_all: args.allow_all,
         waiting: VecDeque::new(),
     };
-    let mut lines = (!args.allow_all).then(input::lines);
+    let mut answers = match args.allow_all {
+        true => Answers::none(),
+        false => Answers::new(),
+    };
     let result = loop {
         let done = tokio::select! {
             consult = consults.next() => match consult {
                 Some(consult) => desk.take(consult).await,
                 None => break Err(ended(&client)),
             },
-            line = next_line(&mut lines), if desk.asks() => match line {
+            line = answers.next(desk.asks()) => match line {
                 Some(line) => desk.answer(line).await,
                 None => break desk.leave(),
             },
@@ -61,15 +64,6 @@ pub(crate) async fn run(args: &cli::Manage, global: &Global, output: Output) -> 
     drop(joined);
     client.close().await;
     result
-}
-
-async fn next_line(
-    lines: &mut Option<tokio::sync::mpsc::Receiver<io::Result<String>>>,
-) -> Option<io::Result<String>> {
-    match lines {
-        Some(lines) => lines.recv().await,
-        None => std::future::pending().await,
-    }
 }
 
 /// Why there are no more questions.
@@ -167,7 +161,10 @@ impl Desk {
     /// No answers will come any more.
     fn leave(&self) -> Result<(), Failure> {
         match self.waiting.len() {
-            0 => Ok(()),
+            0 => {
+                self.output.remark(ink("no more answers", Ink::Faint));
+                Ok(())
+            }
             open => Err(Failure::plain(format!(
                 "the answers ended with {} open; the hub says no to them",
                 words::count(open as u64, "question")

@@ -10,6 +10,7 @@ mod grab;
 mod hold;
 mod inhibit;
 mod invite;
+mod keygen;
 mod lab;
 mod manage;
 mod offers;
@@ -46,6 +47,7 @@ pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Manage(args) => manage::run(args, global, output).await,
         Command::Run(args) => run::run(args, global, output).await,
         Command::Chat(args) => chat::run(args, global, output).await,
+        Command::Keygen(args) => keygen::run(args, global, output),
         Command::Snap(args) => snap::run(args, global, output).await,
     }
 }

@@ -43,13 +43,15 @@ impl Expected {
             "error" => (Family::Error, code(&terms.take_word("a code")?)?),
             "event" => (Family::Event, terms.take_word("an event")?),
             "message" => (Family::Message, terms.take_word("a message's name")?),
+            "consult" => (Family::Manager, word),
             other => {
                 return Err(format!(
-                    "nobody hears {other:?}: ok, error, event, message, pong, nothing, closed"
+                    "nobody hears {other:?}: ok, error, event, message, consult, pong, nothing, closed"
                 ));
             }
         };
-        let path = (family == Family::Event && !terms.words.is_empty()).then(|| terms.words.remove(0));
+        let about_context = matches!(family, Family::Event | Family::Manager);
+        let path = (about_context && !terms.words.is_empty()).then(|| terms.words.remove(0));
         let context = path.map(|path| Path::parse(&path)).transpose();
         let pattern = Pattern {
             family,
@@ -109,6 +111,8 @@ impl Pattern {
         self.fields.iter().try_for_each(|field| {
             let found = match self.family {
                 Family::Message => slot(parcel, &field.key),
+                // The number of the question, which its verdict names.
+                Family::Manager if field.key == "id" => slot(parcel, "id"),
                 _ => opened(parcel)?.get(&field.key).cloned(),
             };
             field.matches(found.as_ref())

@@ -15,19 +15,22 @@
 //! link eve                        a link without a login
 //! alice joins /robot /robot/arm   joins, each answered with ok
 //! ignore joined left              events that nobody waits for from here on
-//! clock +181s                     time passes: ms, s or m
+//! clock +181s                     time passes: ms, s, m or h
 //! alice gone                      the link is cut
 //!
 //! alice: grab /robot/token        says: the verb and the path; create also the kind
+//! alice: give /robot/token to=bob for=60000     further words are members of the content
 //! alice: create /lab channel guard={token=/robot/token names=[command]}
 //! alice: send /robot/arm command "grip open" to=[arm] fence=1 receipt no-echo colour=red
 //! eve: login eve password=guess
+//! carol: verdict consult=1 allow=true           the answer to a question of the hub
 //! eve: parcel context grib context=/robot       any family and name, any slots
 //!
 //! alice< ok fence=1               hears: a reply, with these members in its content
 //! bob< error held owner=alice retry-after=180000 text*="renews it"
 //! alice< event released /robot/token owner=alice reason=expired by=bob
 //! alice< message command "grip open" in=/robot/arm from=alice fence=1
+//! carol< consult /robot id=1 verb=join peer=bob        a question, and its number
 //! alice< pong
 //! alice< nothing                  two round trips bring nothing else
 //! eve< closed                     the link ends

@@ -82,14 +82,24 @@ fn create(terms: &mut Terms) -> Result<Parcel, String> {
         .content(content))
 }
 
-/// A verb whose parcel has no content.
+/// A verb whose parcel has the fields of the line as its content, or none.
 fn plain(word: &str, terms: &mut Terms) -> Result<Parcel, String> {
     let verb = Verb::from_word(word).ok_or_else(|| format!("{word} is no verb; write it as a parcel"))?;
     let parcel = Parcel::new(verb.family(), verb.word());
-    Ok(match verb {
+    let parcel = match verb {
+        // The number of its question says what a verdict is about.
+        Verb::Verdict => parcel,
         Verb::Logout | Verb::Ping | Verb::Pong => parcel.context(Path::root()),
         _ => parcel.context(path(terms)?),
-    })
+    };
+    if terms.fields.is_empty() {
+        return Ok(parcel);
+    }
+    let mut content = Map::new();
+    for Field { key, value, .. } in terms.fields.drain(..) {
+        content.set(&key, value);
+    }
+    Ok(parcel.content(content))
 }
 
 fn path(terms: &mut Terms) -> Result<Path, String> {

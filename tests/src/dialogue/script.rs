@@ -163,6 +163,7 @@ fn duration(text: &str) -> Result<Duration, String> {
             "ms" => Some(Duration::from_millis(number)),
             "s" => Some(Duration::from_secs(number)),
             "m" => Some(Duration::from_secs(number * 60)),
+            "h" => Some(Duration::from_secs(number * 3600)),
             _ => None,
         }
     };

@@ -13,12 +13,18 @@ pub(crate) fn parcel(parcel: &Parcel) -> String {
         Family::Error => format!("error {}", parcel.name()),
         Family::Event => format!("event {} {}", parcel.name(), context(parcel)),
         Family::Message => format!("message {}", parcel.name()),
+        Family::Manager => format!(
+            "{} {} id={}",
+            parcel.name(),
+            context(parcel),
+            parcel.id.unwrap_or_default()
+        ),
         family => format!("{family} {}", parcel.name()),
     };
     match (&content, parcel.family) {
         (Value::Null, Family::Message) if parcel.content.is_some() => line.push_str(" null"),
         (Value::Null, _) => {}
-        (Value::Map(map), Family::Reply | Family::Error | Family::Event) => {
+        (Value::Map(map), Family::Reply | Family::Error | Family::Event | Family::Manager) => {
             line.push_str(&format!(" {}", members(map)));
         }
         (Value::String(text), _) => line.push_str(&format!(" {text:?}")),

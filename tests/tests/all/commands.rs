@@ -1,12 +1,13 @@
 //! The commands about tokens, as processes beside each other.
 
-use std::io::Write as _;
-use std::process::{Command, Output, Stdio};
+use std::process::{Output, Stdio};
 
 use mom_broker::Broker;
 use mom_client::{Client, Event, Events, Map};
 use mom_tests::lab;
 use mom_tests::programs::{PATIENCE, Running, program, text};
+use tokio::io::AsyncWriteExt as _;
+use tokio::process::Command;
 use tokio::task::spawn_blocking;
 use tokio::time::timeout;
 
@@ -58,42 +59,46 @@ impl Desk {
 
     /// A command to its end; with this on its standard input.
     async fn run_as(&self, user: &str, args: &[&str], input: &'static str) -> Output {
-        let mut command = Command::new(program("mom"));
+        let program = spawn_blocking(|| program("mom")).await.expect("it is built");
+        let mut command = Command::new(program);
         command.args(args).envs(self.settings(user));
         command
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
-            .stderr(Stdio::piped());
-        let run = spawn_blocking(move || {
+            .stderr(Stdio::piped())
+            .kill_on_drop(true);
+        let run = async {
             let mut child = command.spawn().expect("the program starts");
             let mut stdin = child.stdin.take().expect("its input is piped");
             // One that needs no input may have ended already.
-            let _ = stdin.write_all(input.as_bytes());
+            let _ = stdin.write_all(input.as_bytes()).await;
             drop(stdin);
-            child.wait_with_output().expect("the program ends")
-        });
-        timeout(PATIENCE, run)
-            .await
-            .expect("the program ends in time")
-            .expect("it was waited for")
+            child.wait_with_output().await.expect("the program ends")
+        };
+        timeout(PATIENCE, run).await.expect("the program ends in time")
     }
 
     /// Waits until a peer has joined the token.
     async fn joined(&mut self, peer: &str) {
-        let joined = async {
-            while let Some(event) = self.events.next().await {
-                if matches!(&event, Event::Joined(member) if member.peer == peer) {
-                    return;
-                }
-            }
-        };
-        timeout(PATIENCE, joined).await.expect("it joins in time");
+        joined(&mut self.events, peer).await;
     }
 
     async fn end(self) {
         self.carol.close().await;
         self.broker.stop().await;
     }
+}
+
+/// Waits until a peer has joined a context.
+async fn joined(events: &mut Events, peer: &str) {
+    let joined = async {
+        while let Some(event) = events.next().await {
+            if matches!(&event, Event::Joined(member) if member.peer == peer) {
+                return;
+            }
+        }
+    };
+    timeout(PATIENCE, joined).await.expect("it joins in time");
 }
 
 /// The exit code of a program that was asked to end.
@@ -285,20 +290,17 @@ async fn peers_are_invited_and_expelled() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-#[ignore = "needs the manager `moderated`"]
 async fn a_chair_answers_the_hub_s_questions() {
-    let chairs = Map::new().with("users", vec!["carol".into()]);
+    let chairs = Map::new().with("users", vec!["alice".into()]);
     let moderated = Map::new().with("kind", "moderated").with("chairs", chairs);
     let desk = Desk::start(moderated).await;
-    let manage = desk.run_as("carol", &["manage", TOKEN], "n not now\ny\n");
+    let alone = desk.run_as("bob", &["grab", TOKEN], "").await;
+    check(&alone, 1, &["there is nobody to ask"]);
+    let mut events = desk.carol.token(TOKEN).await.expect("joined before").events();
+    let manage = desk.run_as("alice", &["manage", TOKEN], "n not now\ny\n");
     let asks = async {
-        let refused = loop {
-            let refused = desk.run_as("bob", &["grab", TOKEN], "").await;
-            // Until the chair is there, there is nobody to ask.
-            if text(&refused.stderr).contains("not now") {
-                break refused;
-            }
-        };
+        joined(&mut events, "alice").await;
+        let refused = desk.run_as("bob", &["grab", TOKEN], "").await;
         check(&refused, 1, &["not now"]);
         let bob = desk.start_as("bob", &["grab", TOKEN]);
         bob.line_with("holding /desk/token");

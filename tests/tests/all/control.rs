@@ -243,7 +243,6 @@ async fn who_is_expelled_is_out_and_who_is_invited_is_told() {
 }
 
 #[tokio::test]
-#[ignore = "needs the manager `self`"]
 async fn the_creator_of_a_context_answers_for_it() {
     let desk = Desk::start().await;
     let mut consults = desk.carol.consults();

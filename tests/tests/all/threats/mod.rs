@@ -1,17 +1,21 @@
 //! Ways to hurt a hub, over real sockets, with a canary beside that must not notice.
 
+mod arena;
 mod framing;
 mod identity;
+mod leases;
 mod load;
+mod login;
 mod markup;
 mod mime;
 mod names;
+mod owner_lost;
 mod tokens;
 
 use std::net::SocketAddr;
 
 use bytes::Bytes;
-use mom_broker::{Broker, Config};
+use mom_broker::{Broker, Clock, Config};
 use mom_proto::codec::Form;
 use mom_proto::{Content, Family, Parcel, Value, WireError};
 use mom_tests::canary::Canary;
@@ -42,7 +46,12 @@ impl World {
     }
 
     async fn start_with(change: impl FnOnce(&mut Config)) -> World {
-        let broker = lab::start_with(change).await;
+        World::start_at(Clock::system(), change).await
+    }
+
+    /// With a clock of the test's own.
+    async fn start_at(clock: Clock, change: impl FnOnce(&mut Config)) -> World {
+        let broker = lab::start_at(clock, change).await;
         let address = broker.local_addr();
         let mut canary = Canary::start(address).await;
         canary.check().await;

@@ -1,10 +1,14 @@
-//! The service's program: check, passwd, wrong files, and its end.
+//! The service's program: check, passwd, explain, wrong files, new ones while it runs, and its end.
+
+mod explain;
+mod reload;
 
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
+use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
@@ -27,29 +31,6 @@ fn run(command: &mut Command) -> Output {
 
 fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
-}
-
-#[test]
-fn check_says_whether_a_file_is_right() {
-    let right = run(program().arg("check").arg(lab()));
-    let said = text(&right.stdout);
-    assert!(
-        right.status.success() && said.contains("right") && said.contains("5 users"),
-        "{right:?}"
-    );
-
-    let folder = TempDir::new().expect("a folder");
-    let file = folder.path().join("mom.toml");
-    fs::write(&file, CONTEXT.replace("channel", "chanel")).expect("written");
-    let wrong = run(program().arg("check").arg(&file));
-    assert_eq!(wrong.status.code(), Some(1));
-    let said = text(&wrong.stderr);
-    assert!(
-        said.contains(&format!("{}:4: contexts[0].kind: ", file.display())),
-        "{said}"
-    );
-    assert!(said.contains("channel"), "the nearest kind: {said}");
-    assert!(wrong.stdout.is_empty());
 }
 
 #[test]
@@ -161,13 +142,8 @@ fn sigterm_tells_the_peers_and_exits_with_0() {
     );
     peers[3].write_all((head + ping).as_bytes()).expect("written");
     assert!(hear(&mut peers[3]).contains("<name>pong</name>"));
-    let pid = broker.child.id().to_string();
     let begin = Instant::now();
-    let killed = Command::new("kill")
-        .args(["-TERM", &pid])
-        .status()
-        .expect("kill runs");
-    assert!(killed.success());
+    broker.signal("-TERM");
     for peer in &mut peers[..4] {
         assert!(hear(peer).contains("<name>shutdown</name>"));
         let mut rest = Vec::new();
@@ -209,6 +185,7 @@ fn strangers_cost_little_memory() {
 struct Running {
     child: Child,
     address: SocketAddr,
+    log: mpsc::Receiver<String>,
 }
 
 impl Running {
@@ -224,9 +201,17 @@ impl Running {
             .args(["--listen", "127.0.0.1:0"]);
         let mut child = command
             .stdout(Stdio::piped())
-            .stderr(Stdio::null())
+            .stderr(Stdio::piped())
             .spawn()
             .expect("the program runs");
+        let (lines, log) = mpsc::channel();
+        let said = BufReader::new(child.stderr.take().expect("piped"));
+        std::thread::spawn(move || {
+            for line in said.lines().map_while(Result::ok) {
+                // A test that is over reads no more.
+                let _ = lines.send(line);
+            }
+        });
         let mut line = String::new();
         let out = child.stdout.as_mut().expect("piped");
         BufReader::new(out)
@@ -239,7 +224,25 @@ impl Running {
         let address = address
             .and_then(|address| address.parse().ok())
             .unwrap_or_else(|| panic!("{line:?}"));
-        Running { child, address }
+        Running { child, address, log }
+    }
+
+    /// The next line of the log that holds these words.
+    fn logged(&self, words: &str) -> String {
+        let mut before = Vec::new();
+        loop {
+            match self.log.recv_timeout(Duration::from_secs(30)) {
+                Ok(line) if line.contains(words) => return line,
+                Ok(line) => before.push(line),
+                Err(error) => panic!("{words:?} is not logged ({error}) after {before:#?}"),
+            }
+        }
+    }
+
+    fn signal(&self, name: &str) {
+        let pid = self.child.id().to_string();
+        let sent = Command::new("kill").args([name, &pid]).status();
+        assert!(sent.expect("kill runs").success());
     }
 
     fn connect(&self) -> TcpStream {
@@ -277,9 +280,14 @@ impl Drop for Running {
 }
 
 fn say_login(stream: &mut TcpStream, user: &str, password: &str) {
+    let content = format!("<name>{user}</name><password>{password}</password>");
+    say(stream, "login", "login", "/", &content);
+}
+
+fn say(stream: &mut TcpStream, family: &str, name: &str, context: &str, content: &str) {
     let body = format!(
-        "<parcel><family>login</family><name>login</name><id>1</id><content type=\"map\">\
-         <name>{user}</name><password>{password}</password></content></parcel>"
+        "<parcel><family>{family}</family><name>{name}</name><id>1</id><context>{context}</context>\
+         <content type=\"map\">{content}</content></parcel>"
     );
     let head = format!(
         "Content-Type: application/xml\r\nContent-Length: {}\r\n\r\n",

@@ -1,0 +1,61 @@
+//! An answer's parts in words.
+
+use mom_hub::Judgement;
+use mom_managers::{Bucket, Standing};
+use mom_proto::{Map, Path, Verb, WireError};
+
+pub(super) fn error_map(error: &WireError) -> Map {
+    let mut map = Map::new()
+        .with("name", error.code.word())
+        .with("code", u32::from(error.code.number()))
+        .with("text", error.text.as_str());
+    for (key, value) in error.details() {
+        map.set(key, value.clone());
+    }
+    map
+}
+
+pub(super) fn stands(standing: Standing) -> String {
+    let Standing::Stands { until, rate, .. } = standing else {
+        return "asked anew each time".to_owned();
+    };
+    let mut words = match until {
+        Some(until) => format!("for {} s", until.div_ceil(1_000_000)),
+        None => "until something changes".to_owned(),
+    };
+    let bucket = |bucket: Bucket, of: &str| {
+        let some = bucket.per_second != u64::MAX;
+        some.then(|| {
+            format!(
+                ", at most {} {of} per second and {} at once",
+                bucket.per_second, bucket.burst
+            )
+        })
+    };
+    if let Some(rate) = rate {
+        words.extend(bucket(rate.parcels, "parcels"));
+        words.extend(bucket(rate.bytes, "bytes"));
+    }
+    words
+}
+
+/// What the hub wants of any peer before its manager's word counts.
+pub(super) fn needs(context: &Path, verb: Verb, judgement: &Judgement) -> Vec<String> {
+    let above = context.parent().map(|above| format!("membership of {above}"));
+    let mut needs = match verb {
+        Verb::Create | Verb::Join | Verb::Grab | Verb::Inhibit | Verb::Request => above.into_iter().collect(),
+        Verb::Send | Verb::Stop | Verb::Unstop | Verb::Invite => vec![format!("membership of {context}")],
+        Verb::Renew | Verb::Give => vec![format!("ownership of {context}")],
+        Verb::Accept => vec![format!(
+            "an offer of {context}, or its ownership and a peer's request"
+        )],
+        _ => Vec::new(),
+    };
+    needs.extend(
+        judgement
+            .guard
+            .as_ref()
+            .map(|token| format!("ownership of {token}")),
+    );
+    needs
+}

@@ -1,0 +1,223 @@
+//! One configuration of logins: the users, and who else is let in.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use ed25519_dalek::VerifyingKey;
+use mom_hub::User;
+use mom_managers::Micros;
+use mom_proto::{Code, Map, Time, WireError};
+
+use super::jwt::{Proven, Verifier};
+use super::key::parse_key;
+use super::password::Hashing;
+use crate::config::{ConfigError, LoginConfig, UserEntry};
+
+/// The user and the group of guests.
+pub(crate) const GUEST: &str = "guest";
+
+/// Where a user comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Origin {
+    /// The users file.
+    File,
+    /// Nowhere: a guest.
+    Guest,
+    /// The claims of a token.
+    Claims,
+}
+
+/// All that logins go by.
+#[derive(Debug)]
+pub(super) struct Book {
+    pub(super) users: BTreeMap<String, Entry>,
+    /// The most keys that a user has.
+    pub(super) keys: usize,
+    pub(super) settings: LoginConfig,
+    pub(super) hashing: Arc<Hashing>,
+    verifier: Option<Arc<Verifier>>,
+}
+
+/// A user of the file.
+#[derive(Debug)]
+pub(super) struct Entry {
+    pub(super) user: User,
+    pub(super) password: Option<String>,
+    pub(super) keys: Vec<VerifyingKey>,
+}
+
+/// As whom a peer is here.
+#[derive(Clone, Debug)]
+pub(super) struct Standing {
+    pub(super) user: User,
+    pub(super) origin: Origin,
+    /// What its token was checked by.
+    verifier: Option<Arc<Verifier>>,
+}
+
+impl Book {
+    /// What an earlier one had and still holds is kept: the places at which passwords are hashed, and the
+    /// verifier, by which bearers of tokens are known to be still trusted.
+    pub(super) fn new(
+        users: Vec<UserEntry>,
+        settings: LoginConfig,
+        earlier: Option<&Book>,
+    ) -> Result<Book, ConfigError> {
+        let hashing = earlier
+            .map(|earlier| &earlier.hashing)
+            .filter(|hashing| hashing.hashers == settings.hashers)
+            .map_or_else(|| Arc::new(Hashing::new(settings.hashers)), Arc::clone);
+        let known = earlier
+            .and_then(|earlier| earlier.verifier.as_ref())
+            .filter(|verifier| settings.jwt.as_ref() == Some(&verifier.config));
+        let verifier = match (&settings.jwt, known) {
+            (_, Some(known)) => Some(Arc::clone(known)),
+            (Some(jwt), None) => Some(Arc::new(
+                Verifier::new(jwt).map_err(|(key, text)| wrong(&format!("login.jwt.{key}"), text))?,
+            )),
+            (None, None) => None,
+        };
+        let users = users
+            .into_iter()
+            .map(|user| Ok((user.name.clone(), Entry::new(user)?)))
+            .collect::<Result<BTreeMap<_, _>, ConfigError>>()?;
+        Ok(Book {
+            keys: users
+                .values()
+                .map(|user| user.keys.len())
+                .max()
+                .unwrap_or_default()
+                .max(1),
+            users,
+            settings,
+            hashing,
+            verifier,
+        })
+    }
+
+    pub(super) fn challenge_time(&self) -> Micros {
+        self.settings.challenge_time.saturating_mul(1000)
+    }
+
+    pub(super) fn guest(&self) -> Result<Standing, WireError> {
+        if !self.settings.guests {
+            return Err(WireError::new(Code::BAD_LOGIN, "this hub lets no guests in"));
+        }
+        Ok(Standing {
+            user: guest(),
+            origin: Origin::Guest,
+            verifier: None,
+        })
+    }
+
+    /// The bearer of a token, and when it must prove itself again.
+    pub(super) fn bearer(&self, token: &str, now: Time) -> Result<(Standing, Time), WireError> {
+        let refused = |text: &str| WireError::new(Code::BAD_LOGIN, text);
+        let verifier = self
+            .verifier
+            .as_ref()
+            .ok_or_else(|| refused("this hub takes no tokens"))?;
+        let Proven { name, claims, until } = verifier.verify(token, now)?;
+        let entry = self.users.get(&name);
+        let standing = match (entry, claims) {
+            (Some(entry), None) => Standing::of_file(entry, Some(verifier)),
+            (None, None) => return Err(refused("the token's user is none here")),
+            (None, Some((level, groups))) if !self.is_guest(&name) => Standing {
+                user: User {
+                    name,
+                    level,
+                    groups,
+                    details: Map::new(),
+                },
+                origin: Origin::Claims,
+                verifier: Some(Arc::clone(verifier)),
+            },
+            // Whoever is in the file has its rights from there, and those may be more.
+            (_, Some(_)) => return Err(refused("the token's user is one of this hub's own")),
+        };
+        Ok((standing, until))
+    }
+
+    /// Refuses the name of another user, who could be taken for this one.
+    pub(super) fn check_nickname(&self, user: &User, nickname: Option<&str>) -> Result<(), WireError> {
+        match nickname {
+            Some(nickname)
+                if nickname != user.name
+                    && (self.users.contains_key(nickname) || self.is_guest(nickname)) =>
+            {
+                let text = format!("the nickname {nickname:?} is another user's name");
+                Err(WireError::new(Code::BAD_NAME, text).slot("content/nickname"))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn is_guest(&self, name: &str) -> bool {
+        self.settings.guests && name == GUEST
+    }
+}
+
+impl Standing {
+    pub(super) fn of_file(entry: &Entry, verifier: Option<&Arc<Verifier>>) -> Standing {
+        Standing {
+            user: entry.user.clone(),
+            origin: Origin::File,
+            verifier: verifier.map(Arc::clone),
+        }
+    }
+
+    /// The user as another book has it; none = it is nobody there.
+    pub(super) fn as_of(&self, book: &Book) -> Option<User> {
+        if let Some(trusted) = &self.verifier
+            && !book
+                .verifier
+                .as_ref()
+                .is_some_and(|now| Arc::ptr_eq(now, trusted))
+        {
+            return None;
+        }
+        let entry = book.users.get(&self.user.name);
+        match self.origin {
+            Origin::File => entry.map(|entry| entry.user.clone()),
+            Origin::Guest => book.settings.guests.then(guest),
+            Origin::Claims => {
+                let free = entry.is_none() && !book.is_guest(&self.user.name);
+                free.then(|| self.user.clone())
+            }
+        }
+    }
+}
+
+impl Entry {
+    fn new(user: UserEntry) -> Result<Entry, ConfigError> {
+        let keys = user
+            .keys
+            .iter()
+            .map(|key| parse_key(key).map_err(|text| wrong("users", format!("{}: {text}", user.name))))
+            .collect::<Result<_, _>>()?;
+        Ok(Entry {
+            user: user.to_user(),
+            password: user.password,
+            keys,
+        })
+    }
+}
+
+/// The user that all guests are.
+pub(crate) fn guest() -> User {
+    User {
+        name: GUEST.to_owned(),
+        level: 0,
+        groups: vec![GUEST.to_owned()],
+        details: Map::new(),
+    }
+}
+
+fn wrong(key: &str, text: String) -> ConfigError {
+    ConfigError {
+        file: None,
+        line: None,
+        key: Some(key.to_owned()),
+        text,
+    }
+}

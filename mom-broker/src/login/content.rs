@@ -1,0 +1,203 @@
+//! What a login says. Its errors quote nothing of it: it may be a secret at a wrong place.
+
+use mom_proto::nearest::nearest;
+use mom_proto::{Code, Kind, Map, Parcel, Value, WireError, check_name};
+
+/// How a peer means to prove who it is.
+#[derive(Debug)]
+pub(super) struct Request {
+    pub(super) proof: Proof,
+    /// The name it wishes.
+    pub(super) nickname: Option<String>,
+}
+
+/// By what.
+pub(super) enum Proof {
+    Password { name: String, password: String },
+    Key { name: String },
+    Token(String),
+    Guest,
+}
+
+impl std::fmt::Debug for Proof {
+    // Without the secrets.
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.write_str(match self {
+            Proof::Password { .. } => "Password",
+            Proof::Key { .. } => "Key",
+            Proof::Token(_) => "Token",
+            Proof::Guest => "Guest",
+        })
+    }
+}
+
+const KEYS: [&str; 6] = ["name", "password", "key", "token", "guest", "nickname"];
+
+impl Request {
+    /// Reads the content of `login login`.
+    pub(super) fn read(parcel: &Parcel) -> Result<Request, WireError> {
+        let mut map = map_of(
+            parcel,
+            "a login needs content {name, password}, {name, key}, {token} or {guest}",
+        )?;
+        let name = take_text(&mut map, "name")?;
+        let password = take_text(&mut map, "password")?;
+        let key = take_true(&mut map, "key")?;
+        let token = take_text(&mut map, "token")?;
+        let guest = take_true(&mut map, "guest")?;
+        let nickname = take_text(&mut map, "nickname")?;
+        check_rest(&map, &KEYS)?;
+        if let Some(nickname) = &nickname {
+            check_name(nickname).map_err(|error| error.slot("content/nickname"))?;
+        }
+        let proof = match (name, password, key, token, guest) {
+            (Some(name), Some(password), false, None, false) => Proof::Password { name, password },
+            (Some(name), None, true, None, false) => Proof::Key { name },
+            (None, None, false, Some(token), false) => Proof::Token(token),
+            (None, None, false, None, true) => Proof::Guest,
+            (Some(_), None, false, None, false) => {
+                let text = "it is missing; who has a key says key, true, instead";
+                return Err(wrong("password", text));
+            }
+            (None, _, false, None, false) | (None, _, true, None, false) => {
+                return Err(wrong("name", "it is missing"));
+            }
+            (Some(_), None, false, _, _) => {
+                return Err(wrong("name", "a token or a guest names no user"));
+            }
+            _ => {
+                let text = "content: one of password, key, token and guest, not several";
+                return Err(WireError::new(Code::BAD_CONTENT, text).slot("content"));
+            }
+        };
+        Ok(Request { proof, nickname })
+    }
+}
+
+/// Reads the content of `login answer`.
+pub(super) fn read_signature(parcel: &Parcel) -> Result<[u8; 64], WireError> {
+    let mut map = map_of(parcel, "an answer needs content {signature}")?;
+    let signature = take(&mut map, "signature");
+    check_rest(&map, &["signature"])?;
+    let signature = signature.ok_or_else(|| wrong("signature", "it is missing"))?;
+    signature
+        .as_binary()
+        .and_then(|bytes| <[u8; 64]>::try_from(&bytes[..]).ok())
+        .ok_or_else(|| wrong("signature", "64 bytes, binary, are wanted"))
+}
+
+fn map_of(parcel: &Parcel, wanted: &str) -> Result<Map, WireError> {
+    let missing = || WireError::new(Code::BAD_CONTENT, wanted).slot("content");
+    match parcel.content.as_ref().ok_or_else(missing)?.to_value()? {
+        Value::Map(map) => Ok(map),
+        Value::Null => Err(missing()),
+        other => {
+            let text = format!("content: {} stands where a map is wanted", other.kind().word());
+            Err(WireError::new(Code::BAD_CONTENT, text).slot("content"))
+        }
+    }
+}
+
+/// A member; null is as good as none.
+fn take(map: &mut Map, key: &str) -> Option<Value> {
+    map.remove(key).filter(|value| value.kind() != Kind::Null)
+}
+
+fn take_text(map: &mut Map, key: &str) -> Result<Option<String>, WireError> {
+    match take(map, key) {
+        None => Ok(None),
+        Some(Value::String(text)) => Ok(Some(text)),
+        Some(other) => Err(wrong_kind(key, &other, "a string")),
+    }
+}
+
+fn take_true(map: &mut Map, key: &str) -> Result<bool, WireError> {
+    match take(map, key) {
+        None => Ok(false),
+        Some(Value::Bool(flag)) => Ok(flag),
+        Some(other) => Err(wrong_kind(key, &other, "a boolean")),
+    }
+}
+
+fn check_rest(map: &Map, known: &[&str]) -> Result<(), WireError> {
+    let Some(key) = map.keys().next() else {
+        return Ok(());
+    };
+    let error = wrong(key, &format!("it is not known; known are {}", known.join(", ")));
+    Err(error.nearest_opt(nearest(key, known.iter().copied())))
+}
+
+fn wrong_kind(key: &str, given: &Value, wanted: &str) -> WireError {
+    wrong(
+        key,
+        &format!("{} stands where {wanted} is wanted", given.kind().word()),
+    )
+}
+
+fn wrong(key: &str, text: &str) -> WireError {
+    // Keys come from outside; an error quotes what people can read, not megabytes.
+    let key: String = key.chars().take(64).collect();
+    let slot = format!("content/{key}");
+    WireError::new(Code::BAD_CONTENT, format!("{slot}: {text}")).slot(&slot)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use mom_proto::Family;
+
+    fn read(map: Map) -> Result<Request, WireError> {
+        Request::read(&Parcel::new(Family::Login, "login").content(map))
+    }
+
+    #[test]
+    fn what_is_no_login_is_refused_at_its_place() {
+        let name = || Map::new().with("name", "alice");
+        for (map, slot) in [
+            (Map::new(), "content/name"),
+            (name(), "content/password"),
+            (name().with("key", false), "content/password"),
+            (Map::new().with("password", "hunter2"), "content/name"),
+            (Map::new().with("key", true), "content/name"),
+            (name().with("password", 42_424_242), "content/password"),
+            (name().with("key", "hunter2"), "content/key"),
+            (name().with("token", "hunter2"), "content/name"),
+            (name().with("guest", true), "content/name"),
+            (name().with("password", "hunter2").with("key", true), "content"),
+            (Map::new().with("token", "hunter2").with("guest", true), "content"),
+            (
+                name().with("password", "hunter2").with("nick", "x"),
+                "content/nick",
+            ),
+            (
+                name().with("password", "hunter2").with("nickname", "hub"),
+                "content/nickname",
+            ),
+        ] {
+            let error = read(map.clone()).expect_err("no login");
+            assert_eq!(
+                error.get("slot").and_then(Value::as_str),
+                Some(slot),
+                "{map:?}: {error}"
+            );
+            let told = error.to_string();
+            assert!(!told.contains("hunter2") && !told.contains("4242"), "{told}");
+        }
+        let password =
+            read(name().with("password", "hunter2").with("nickname", Value::Null)).expect("a login");
+        assert!(!format!("{password:?}").contains("hunter2"));
+    }
+
+    #[test]
+    fn a_signature_is_64_bytes() {
+        let answer = |value: Value| {
+            let content = Map::new().with("signature", value);
+            read_signature(&Parcel::new(Family::Login, "answer").content(content))
+        };
+        assert_eq!(answer(Value::Binary(vec![7; 64].into())), Ok([7; 64]));
+        for value in [Value::Binary(vec![7; 63].into()), Value::from("7"), Value::Null] {
+            let error = answer(value).expect_err("no signature");
+            assert_eq!(error.code, Code::BAD_CONTENT);
+        }
+    }
+}

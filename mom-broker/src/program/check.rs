@@ -1,0 +1,178 @@
+//! `mom-broker check`: whether a configuration file is right, what it makes, and what looks like a mistake.
+
+use std::io::Write;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::Result;
+use mom_broker::{Config, ConfigError};
+use mom_hub::ContextSpec;
+use mom_managers::{Expiry, Terms};
+use mom_proto::Path;
+use serde_json::{Value, json};
+
+#[derive(clap::Args)]
+pub(super) struct Args {
+    /// The file.
+    file: PathBuf,
+    /// As JSON, also what is wrong.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(args: &Args) -> Result<ExitCode> {
+    let mut out = std::io::stdout().lock();
+    match Config::load(&args.file) {
+        Err(error) if args.json => {
+            let report = json!({ "right": false, "errors": [remark(&error)] });
+            writeln!(out, "{report:#}")?;
+            Ok(ExitCode::FAILURE)
+        }
+        Err(error) => Err(error.into()),
+        Ok(config) => {
+            let lines = tree(&config)?;
+            match args.json {
+                true => writeln!(out, "{:#}", report(&config, &lines))?,
+                false => show(&mut out, args, &config, &lines)?,
+            }
+            Ok(ExitCode::SUCCESS)
+        }
+    }
+}
+
+/// One context of the tree.
+struct Line {
+    path: Path,
+    kind: &'static str,
+    manager: String,
+    managed_at: Path,
+    guard: Option<(String, Vec<String>)>,
+    terms: Option<Terms>,
+}
+
+/// The contexts in the order of the tree, the root first.
+fn tree(config: &Config) -> Result<Vec<Line>, ConfigError> {
+    let hub = config.hub()?;
+    let paths = config.contexts.iter().filter_map(path_of);
+    let mut paths: Vec<Path> = std::iter::once(Path::root()).chain(paths).collect();
+    // Children before the next sibling, whatever their names hold.
+    paths.sort_by(|one, other| one.segments().cmp(other.segments()));
+    let places = paths.iter().filter_map(|path| hub.place(path));
+    let line = |place: mom_hub::Place| {
+        let mut specs = config.contexts.iter();
+        let spec = specs.find(|spec| path_of(spec).as_ref() == Some(&place.path));
+        let guard = spec.and_then(|spec| spec.guard.as_ref());
+        Line {
+            kind: place.kind.word(),
+            manager: place.manager,
+            managed_at: place.managed_at,
+            guard: guard.map(|guard| (guard.token.clone(), guard.names.clone())),
+            terms: place.terms,
+            path: place.path,
+        }
+    };
+    Ok(places.map(line).collect())
+}
+
+fn path_of(spec: &ContextSpec) -> Option<Path> {
+    Path::parse(spec.path.as_deref()?).ok()
+}
+
+fn show(out: &mut impl Write, args: &Args, config: &Config, lines: &[Line]) -> Result<()> {
+    let (managers, contexts, users) = (config.managers.len(), config.contexts.len(), config.users.len());
+    writeln!(
+        out,
+        "{}: right; {managers} managers, {contexts} contexts, {users} users",
+        args.file.display()
+    )?;
+    let rows: Vec<[String; 3]> = lines.iter().enumerate().map(|(at, _)| row(lines, at)).collect();
+    let width = |column: usize| {
+        let longest = rows.iter().map(|row| row[column].chars().count()).max();
+        longest.unwrap_or_default()
+    };
+    let (first, second) = (width(0), width(1));
+    for [place, kind, facts] in &rows {
+        writeln!(out, "  {place:<first$}  {kind:<second$}  {facts}")?;
+    }
+    for warning in config.warnings() {
+        writeln!(out, "warning: {warning}")?;
+    }
+    Ok(())
+}
+
+fn row(lines: &[Line], at: usize) -> [String; 3] {
+    let line = &lines[at];
+    let depth = line.path.segments().count();
+    let name = match depth {
+        0 => "/".to_owned(),
+        _ => format!("{}{}", branches(lines, at, depth), line.path.name()),
+    };
+    let mut facts = line.manager.clone();
+    if line.managed_at != line.path {
+        facts.push_str(&format!(" (of {})", line.managed_at));
+    }
+    if let Some((token, names)) = &line.guard {
+        facts.push_str(&format!("; {} needs {token}", names.join(", ")));
+    }
+    if let Some(terms) = &line.terms {
+        facts.push_str(&lease(terms));
+    }
+    [name, line.kind.to_owned(), facts]
+}
+
+/// The lines that lead to a context.
+fn branches(lines: &[Line], at: usize, depth: usize) -> String {
+    // Whether another context of this depth follows under the same parent.
+    let goes_on = |depth: usize| {
+        let mut below = lines[at + 1..].iter().map(|line| line.path.segments().count());
+        below.find(|other| *other <= depth) == Some(depth)
+    };
+    let above: String = (1..depth)
+        .map(|depth| if goes_on(depth) { "│  " } else { "   " })
+        .collect();
+    above + if goes_on(depth) { "├─ " } else { "└─ " }
+}
+
+fn lease(terms: &Terms) -> String {
+    let how = match terms.expiry {
+        Expiry::Lazy => "lazy",
+        Expiry::Eager => "eager",
+    };
+    match terms.lease {
+        Some(lease) => format!("; lease {} ms, {how}", lease / 1000),
+        None => "; no lease".to_owned(),
+    }
+}
+
+fn report(config: &Config, lines: &[Line]) -> Value {
+    let contexts: Vec<Value> = lines
+        .iter()
+        .map(|line| {
+            let mut context = json!({
+                "path": line.path.as_str(),
+                "kind": line.kind,
+                "manager": line.manager,
+                "managed-at": line.managed_at.as_str(),
+            });
+            if let Some((token, names)) = &line.guard {
+                context["guard"] = json!({ "token": token, "names": names });
+            }
+            if let Some(terms) = &line.terms {
+                context["lease"] = terms.lease.map(|lease| lease / 1000).into();
+            }
+            context
+        })
+        .collect();
+    let warnings: Vec<Value> = config.warnings().iter().map(remark).collect();
+    json!({
+        "right": true,
+        "managers": config.managers.keys().collect::<Vec<_>>(),
+        "contexts": contexts,
+        "users": config.users.len(),
+        "warnings": warnings,
+    })
+}
+
+fn remark(error: &ConfigError) -> Value {
+    json!({ "file": error.file, "line": error.line, "key": error.key, "text": error.text })
+}

@@ -1,0 +1,245 @@
+//! `mom-broker explain`: who may do what, and by which rule.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use anyhow::{Result, bail};
+use mom_broker::{Config, Explanation, Supposed};
+use mom_proto::nearest::nearest;
+use mom_proto::{ContextKind, Path, Value, Verb};
+
+use super::words;
+
+#[derive(clap::Args)]
+pub(super) struct Args {
+    /// The configuration file.
+    #[arg(long, short, env = "MOM_CONFIG")]
+    config: PathBuf,
+    /// Who asks.
+    #[arg(long)]
+    user: String,
+    /// Where; for create the path to be made.
+    #[arg(long)]
+    context: String,
+    /// For what, such as grab or send; without it all that can be asked there.
+    #[arg(long)]
+    verb: Option<String>,
+    /// The name of the message, for send.
+    #[arg(long)]
+    message: Option<String>,
+    /// Who owns the token meanwhile.
+    #[arg(long)]
+    owner: Option<String>,
+    /// The kind to be made, for create: session, channel or token.
+    #[arg(long)]
+    kind: Option<String>,
+    /// As if the user had this level; with it the users file need not know the user.
+    #[arg(long, allow_negative_numbers = true)]
+    level: Option<i32>,
+    /// As if the user were in this group and no other; may stand several times.
+    #[arg(long = "group")]
+    groups: Vec<String>,
+    /// As JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(args: &Args) -> Result<()> {
+    let config = Config::load(&args.config)?;
+    let supposed = Supposed {
+        user: args.user.clone(),
+        level: args.level,
+        groups: (!args.groups.is_empty()).then(|| args.groups.clone()),
+        context: Path::parse(&args.context)?,
+        kind: args.kind.as_deref().map(kind).transpose()?,
+        owner: args.owner.clone(),
+    };
+    let mut out = std::io::stdout().lock();
+    match &args.verb {
+        Some(word) => {
+            let verb = verb(word)?;
+            let explained = config.explain(&supposed, verb, args.message.as_deref())?;
+            match args.json {
+                true => writeln!(out, "{}", serde_json::to_string_pretty(&explained)?)?,
+                false => tell(&mut out, &explained, args.owner.as_deref())?,
+            }
+        }
+        None if args.message.is_some() => bail!("--message is for --verb send"),
+        None => {
+            let all = config.explain_all(&supposed)?;
+            match args.json {
+                true => writeln!(out, "{}", serde_json::to_string_pretty(&all)?)?,
+                false => table(&mut out, &all, &supposed)?,
+            }
+        }
+    }
+    Ok(())
+}
+
+fn verb(word: &str) -> Result<Verb> {
+    let Some(verb) = Verb::from_word(word) else {
+        let near = nearest(word, Verb::ALL.map(Verb::word));
+        let hint = near.map(|near| format!(" (did you mean {near}?)"));
+        bail!("there is no verb {word:?}{}", hint.unwrap_or_default());
+    };
+    Ok(verb)
+}
+
+fn kind(word: &str) -> Result<ContextKind> {
+    match ContextKind::from_word(word) {
+        Some(kind) => Ok(kind),
+        None => bail!("{word:?} is not one of session, channel, token"),
+    }
+}
+
+/// One answer, in words.
+fn tell(out: &mut impl Write, explained: &Explanation, owner: Option<&str>) -> Result<()> {
+    let may = match explained.answer {
+        "allow" => "may",
+        "deny" => "may not",
+        "ask" => "may, if those who are asked allow it,",
+        _ => "has to wait to",
+    };
+    let what = match &explained.message {
+        Some(name) if name == "*" => "send any other message to".to_owned(),
+        Some(name) => format!("send {name} to"),
+        None => explained.verb.to_owned(),
+    };
+    let meanwhile = owner.map(|owner| format!(" while {owner} owns it"));
+    writeln!(
+        out,
+        "{} {may} {what} {}{}.",
+        person(explained),
+        explained.context,
+        meanwhile.unwrap_or_default()
+    )?;
+    if let Some(error) = &explained.error {
+        let text = |key: &str| error.get(key).map(words).unwrap_or_default();
+        writeln!(out, "  {} ({}): {}", text("name"), text("code"), text("text"))?;
+        let details: Vec<String> = error
+            .iter()
+            .filter(|(key, _)| !matches!(*key, "name" | "code" | "text" | "rule"))
+            .map(|(key, value)| detail(key, value))
+            .collect();
+        if !details.is_empty() {
+            line(out, "told", &details.join(" "))?;
+        }
+    }
+    let by = match (&explained.rule, &explained.place) {
+        (Some(manager), _) if explained.uncovered => format!("none of {manager} covers it"),
+        (Some(rule), _) => rule.clone(),
+        (None, Some(_)) => format!("the manager {} as a whole", explained.manager),
+        (None, None) => "the hub itself, whatever managers say".to_owned(),
+    };
+    line(out, "rule", &by)?;
+    if let Some(place) = &explained.place {
+        line(out, "stands at", &format!("{place}, {}", place.key))?;
+    }
+    let kind = explained.kind.unwrap_or("nothing there yet");
+    let manager = format!("{} of {} ({kind})", explained.manager, explained.managed_at);
+    line(out, "manager", &manager)?;
+    if let Some(asks) = &explained.asks {
+        let users = match asks.users.is_empty() {
+            true => String::new(),
+            false => format!(": {}", asks.users.join(", ")),
+        };
+        let seconds = asks.within.div_ceil(1000);
+        line(out, "asks", &format!("{}{users}; within {seconds} s", asks.who))?;
+    }
+    line(out, "holds", &explained.stands)?;
+    if !explained.needs.is_empty() && explained.answer != "deny" {
+        line(out, "needs", &explained.needs.join(", "))?;
+    }
+    Ok(())
+}
+
+fn line(out: &mut impl Write, what: &str, text: &str) -> Result<()> {
+    Ok(writeln!(out, "  {what:<10} {text}")?)
+}
+
+fn detail(key: &str, value: &Value) -> String {
+    format!("{key}={}", words(value))
+}
+
+fn person(explained: &Explanation) -> String {
+    let groups: Vec<String> = explained
+        .groups
+        .iter()
+        .map(|group| format!(", {group}"))
+        .collect();
+    format!(
+        "{} (level {}{})",
+        explained.user,
+        explained.level,
+        groups.concat()
+    )
+}
+
+/// All answers about one context, one line each.
+fn table(out: &mut impl Write, all: &[Explanation], supposed: &Supposed) -> Result<()> {
+    let Some(first) = all.first() else { return Ok(()) };
+    writeln!(
+        out,
+        "{} at {} ({}; managed by {} of {}){}",
+        person(first),
+        supposed.context,
+        first.kind.unwrap_or("nothing there yet"),
+        first.manager,
+        first.managed_at,
+        supposed
+            .owner
+            .as_ref()
+            .map(|owner| format!(", while {owner} owns it"))
+            .unwrap_or_default()
+    )?;
+    let rows: Vec<[String; 4]> = all.iter().map(|one| row(one, supposed)).collect();
+    let width = |column: usize| {
+        let longest = rows.iter().map(|row| row[column].chars().count()).max();
+        longest.unwrap_or_default()
+    };
+    let widths = [width(0), width(1), width(2)];
+    for [what, answer, rule, place] in &rows {
+        let text = format!(
+            "  {what:<a$}  {answer:<b$}  {rule:<c$}  {place}",
+            a = widths[0],
+            b = widths[1],
+            c = widths[2]
+        );
+        writeln!(out, "{}", text.trim_end())?;
+    }
+    if first.kind.is_some() {
+        writeln!(out, "  leave, release, decline, uninhibit: never refused")?;
+    }
+    Ok(())
+}
+
+fn row(explained: &Explanation, supposed: &Supposed) -> [String; 4] {
+    let what = match &explained.message {
+        Some(name) if name == "*" => "send (any other)".to_owned(),
+        Some(name) => format!("send {name}"),
+        None if explained.context != supposed.context.as_str() => {
+            format!("{} {}", explained.verb, explained.context)
+        }
+        None => explained.verb.to_owned(),
+    };
+    let answer = match explained.answer {
+        "allow" => "yes",
+        "deny" => "no",
+        other => other,
+    };
+    // Of what the hub wants besides, only what one may not have: everybody who may join can be a member.
+    let owning = explained.needs.iter().find(|need| need.starts_with("ownership"));
+    let answer = match owning.filter(|_| explained.answer == "allow") {
+        Some(owning) => format!("{answer}, with {owning}"),
+        None => answer.to_owned(),
+    };
+    let error = explained.error.as_ref().and_then(|error| error.get("text"));
+    let rule = match (&explained.rule, &explained.place) {
+        (Some(manager), _) if explained.uncovered => format!("{manager} (no rule)"),
+        (Some(rule), _) => rule.clone(),
+        (None, Some(_)) => explained.manager.clone(),
+        (None, None) => error.map(words).unwrap_or_default(),
+    };
+    let place = explained.place.as_ref().map(ToString::to_string);
+    [what, answer, rule, place.unwrap_or_default()]
+}

@@ -1,0 +1,144 @@
+//! The service itself: until SIGTERM or Ctrl-C, with a look at its file whenever that changes.
+
+use std::io::{IsTerminal, Write};
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use mom_broker::{Broker, Config, ConfigError, ReloadOn};
+use tokio::signal::unix::{SignalKind, signal};
+use tracing_subscriber::EnvFilter;
+
+use super::watch::Watch;
+
+#[derive(clap::Args)]
+pub(super) struct Args {
+    /// The configuration file; without one the broker is closed to everybody.
+    #[arg(long, short, env = "MOM_CONFIG")]
+    config: Option<PathBuf>,
+    /// Listen here instead of where the configuration says; port 0 takes any free one.
+    #[arg(long)]
+    listen: Vec<String>,
+    /// Log as JSON lines.
+    #[arg(long)]
+    log_json: bool,
+}
+
+/// Changes what is logged.
+type LogFilter = Box<dyn Fn(EnvFilter) -> Result<()>>;
+
+pub(super) fn run(args: &Args) -> Result<()> {
+    // Before the file is read for the first time, so that no change is missed.
+    let watch = args.config.clone().map(Watch::new);
+    let config = args.load()?;
+    let log_filter = log(&config.log, args.log_json)?;
+    if args.config.is_none() {
+        tracing::warn!("no configuration: nobody can log in; try --config config/lab.toml");
+    }
+    let runtime = tokio::runtime::Runtime::new().context("cannot start the runtime")?;
+    runtime.block_on(args.serve(config, watch, &log_filter))
+}
+
+impl Args {
+    fn load(&self) -> Result<Config, ConfigError> {
+        let mut config = match &self.config {
+            Some(file) => Config::load(file)?,
+            None => Config::default(),
+        };
+        if !self.listen.is_empty() {
+            config.listen.clone_from(&self.listen);
+        }
+        Ok(config)
+    }
+
+    async fn serve(&self, config: Config, mut watch: Option<Watch>, log_filter: &LogFilter) -> Result<()> {
+        let mut terminate = signal(SignalKind::terminate()).context("cannot wait for SIGTERM")?;
+        let mut interrupt = signal(SignalKind::interrupt()).context("cannot wait for Ctrl-C")?;
+        let mut hang_up = signal(SignalKind::hangup()).context("cannot wait for SIGHUP")?;
+        let mut on_change = config.reload == ReloadOn::Change;
+        let broker = Broker::start(config).await?;
+        // On standard output, so that whoever chose port 0 can read which it is.
+        for address in broker.local_addrs() {
+            writeln!(
+                std::io::stdout(),
+                "listening at tcp://{address} (XML) and bin://{address} (binary)"
+            )?;
+        }
+        std::io::stdout().flush()?;
+        loop {
+            let changed = async {
+                match watch.as_mut().filter(|_| on_change) {
+                    Some(watch) => watch.changed().await,
+                    None => std::future::pending().await,
+                }
+            };
+            tokio::select! {
+                _ = terminate.recv() => {
+                    tracing::info!("SIGTERM: stopping");
+                    break;
+                }
+                _ = interrupt.recv() => break,
+                _ = hang_up.recv() => tracing::info!("SIGHUP: reading the configuration again"),
+                () = changed => tracing::info!("the configuration has changed: reading it again"),
+            }
+            // What is read now is no news later.
+            if let Some(watch) = &mut watch {
+                watch.look();
+            }
+            if let Some(reload) = self.reload(&broker, log_filter) {
+                on_change = reload == ReloadOn::Change;
+            }
+        }
+        broker.stop().await;
+        Ok(())
+    }
+
+    /// Reads the file again. What is wrong changes nothing and is logged; none then.
+    fn reload(&self, broker: &Broker, log_filter: &LogFilter) -> Option<ReloadOn> {
+        if self.config.is_none() {
+            tracing::warn!("there is no configuration file to read again");
+            return None;
+        }
+        let reloaded = self.load().and_then(|config| {
+            let (log, reload) = (config.log.clone(), config.reload);
+            broker.reload(config).map(|report| (report, log, reload))
+        });
+        let (report, log, reload) = match reloaded {
+            Ok(reloaded) => reloaded,
+            Err(error) => {
+                tracing::error!("{error}; the configuration stays as it was");
+                return None;
+            }
+        };
+        if report.keys.iter().any(|key| key == "log") {
+            let changed = EnvFilter::try_new(&log)
+                .map_err(anyhow::Error::new)
+                .and_then(log_filter);
+            if let Err(error) = changed {
+                tracing::warn!("log: {error:#}");
+            }
+        }
+        Some(reload)
+    }
+}
+
+fn log(filter: &str, json: bool) -> Result<LogFilter> {
+    let filter = EnvFilter::try_new(filter).with_context(|| format!("log: {filter:?} is no filter"))?;
+    let builder = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_writer(std::io::stderr);
+    Ok(match json {
+        true => {
+            let builder = builder.json().with_filter_reloading();
+            let handle = builder.reload_handle();
+            builder.init();
+            Box::new(move |filter| Ok(handle.reload(filter)?))
+        }
+        false => {
+            let builder = builder.with_filter_reloading();
+            let handle = builder.reload_handle();
+            builder.init();
+            Box::new(move |filter| Ok(handle.reload(filter)?))
+        }
+    })
+}

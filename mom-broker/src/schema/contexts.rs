@@ -1,0 +1,38 @@
+//! An entry of `[[contexts]]`.
+
+use mom_proto::{ContextKind, Delivery};
+use serde_json::{Value, json};
+
+use super::{flag, millis, names, table, text, with_default, words};
+
+pub(super) fn context() -> Value {
+    let guard = json!({
+        "token": text("The token's path."),
+        "names": names("The messages that need its ownership; * stands for all."),
+    });
+    let safe = json!({
+        "channel": text("The channel that gets it; one that the token guards."),
+        "name": text("The message's name."),
+        "content": { "description": "The message's content." },
+    });
+    let properties = json!({
+        "path": text("Where it is, such as /robot/arm."),
+        "kind": words("What it is.", &ContextKind::ALL.map(ContextKind::word)),
+        "manager": { "description": "Who decides about it; absent = whoever decides about its parent.", "$ref": "#/definitions/manager" },
+        "presence": with_default(words("Who is told who comes and goes.", &["all", "counts", "none"]), "all"),
+        "transient": with_default(flag("Deleted with its last member; contexts of this file stay all the same."), false),
+        "guard": table("Channels: the messages that need ownership of a token.", &guard, &["token", "names"]),
+        "delivery": with_default(
+            words("Channels: the delivery class of parcels that name none.", &Delivery::ALL.map(Delivery::word)),
+            Delivery::default().word()
+        ),
+        "safe": table("Tokens: what is sent when ownership ends; absent = halt to every guarded channel.", &safe, &["channel", "name"]),
+        "lease": millis("Tokens: how long ownership lasts without renewal, in ms; absent = as the manager says."),
+        "expiry": words("Tokens: at the end of the lease lost at once (eager), or at the next grab (lazy); absent = as the manager says.", &["lazy", "eager"]),
+        "deadman": millis(
+            "Tokens: the owner loses it if it does not renew for so long, in ms; absent = as the manager says."
+        ),
+        "safe-on-give": with_default(flag("Tokens: whether the safe state is sent also when the owner gives it away."), false),
+    });
+    table("A context that is always there.", &properties, &["path", "kind"])
+}

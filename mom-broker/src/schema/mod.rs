@@ -1,0 +1,189 @@
+//! The shape of the configuration and users files as JSON schema, so that editors complete and check them.
+//!
+//! Written by hand, because descriptions are for people; a test holds its keys equal to those that the parser
+//! takes. Draft 4 is what editors' TOML plugins understand.
+
+mod contexts;
+mod login;
+mod managers;
+
+use mom_proto::to_value;
+use serde_json::{Map, Value, json};
+
+use crate::Config;
+
+const DRAFT: &str = "http://json-schema.org/draft-04/schema#";
+
+/// The schema of the configuration file.
+pub fn config_schema() -> Value {
+    let default = Config::default();
+    let mut definitions = managers::definitions();
+    definitions.insert("context".to_owned(), contexts::context());
+    let properties = json!({
+        "listen": {
+            "description": "The addresses to listen at. XML and binary share each port.",
+            "type": "array", "items": text("An address with its port, such as 127.0.0.1:7666."),
+            "minItems": 1, "default": default.listen
+        },
+        "connections": with_default(positive("Connections at once; one more is told too-many-connections."), default.connections),
+        "log": with_default(text("What to log: error, warn, info, debug, trace, or filters such as info,mom_broker=debug."), &default.log),
+        "reload": with_default(
+            words("When this file and the users file are read again: when one of them has changed, or only at SIGHUP.", &["change", "signal"]),
+            "change"
+        ),
+        "users": text("The users file, relative to this one. Without it there are no users."),
+        "root": {
+            "description": "The manager of the root: who may do what where no other manager is nearer.",
+            "$ref": "#/definitions/manager"
+        },
+        "limits": limits(),
+        "login": login::login(),
+        "managers": {
+            "description": "Managers that have a name, for the root, for contexts and for each other.",
+            "type": "object", "additionalProperties": { "$ref": "#/definitions/manager" }
+        },
+        "contexts": {
+            "description": "Contexts that are always there, parents first.",
+            "type": "array", "items": { "$ref": "#/definitions/context" }
+        },
+    });
+    let mut schema = table("The configuration of a MOM broker.", &properties, &[]);
+    document(&mut schema, "MOM broker configuration");
+    schema["definitions"] = definitions.into();
+    schema
+}
+
+/// The schema of the users file.
+pub fn users_schema() -> Value {
+    let any = |description: &str| json!({ "description": description, "type": "object" });
+    let user = json!({
+        "name": text("The user's name."),
+        "password": text("The argon2id hash of the password, as mom-broker passwd writes it."),
+        "keys": names("Public keys, as mom keygen writes them: ed25519 BASE64 and a comment."),
+        "level": with_default(number("The authority level; higher is more."), 0),
+        "groups": names("The groups that the user is in."),
+        "preferences": any("What the user likes; given back at login."),
+        "personal": any("What is known of the user; given back at login."),
+    });
+    let users = json!({
+        "users": {
+            "description": "The users: people, devices, servers, agents.",
+            "type": "array",
+            "items": table("A user.", &user, &["name"])
+        }
+    });
+    let mut schema = table("The users of a MOM broker.", &users, &[]);
+    document(&mut schema, "MOM users");
+    schema
+}
+
+fn document(schema: &mut Value, title: &str) {
+    let Value::Object(keys) = schema else { return };
+    let mut all = Map::new();
+    all.insert("$schema".to_owned(), DRAFT.into());
+    all.insert("title".to_owned(), title.into());
+    all.append(keys);
+    *keys = all;
+}
+
+fn limits() -> Value {
+    let defaults = to_value(&mom_proto::Limits::default()).unwrap_or_default();
+    let mut properties = Map::new();
+    for (key, description) in [
+        (
+            "parcel",
+            "One parcel with its headers and parts, in bytes, or unlimited.",
+        ),
+        ("depth", "Lists and maps inside each other."),
+        ("attributes", "Attributes of one XML element."),
+        ("attribute-size", "One XML attribute, in bytes."),
+        ("path", "A path's text, in bytes."),
+        ("path-levels", "A path's segments."),
+        (
+            "header",
+            "The header lines before an XML entity, and of each part, in bytes.",
+        ),
+        ("parts", "Parts of one multipart entity."),
+        ("before-login", "One parcel before login, in bytes."),
+        ("login-time", "From connection to login, in ms."),
+        ("outbox", "What waits for one peer, in bytes."),
+        (
+            "heartbeat",
+            "A peer with nothing to say says time ping this often, in ms.",
+        ),
+        (
+            "gone",
+            "A peer that says nothing for so long is gone, in ms; longer than heartbeat.",
+        ),
+        ("contexts", "Contexts in the whole tree, or unlimited."),
+        ("joined", "Contexts that one peer may have joined, or unlimited."),
+    ] {
+        let shape = match key {
+            "parcel" | "contexts" | "joined" => json!({
+                "description": description,
+                "anyOf": [{ "type": "integer", "minimum": 1 }, { "enum": ["unlimited"] }]
+            }),
+            _ => positive(description),
+        };
+        let default = defaults.get(key).and_then(mom_proto::Value::as_int);
+        properties.insert(key.to_owned(), with_default(shape, default));
+    }
+    let description = "What the hub takes; sizes in bytes, times in ms.";
+    table(description, &properties.into(), &[])
+}
+
+/// A table with these keys and no others.
+fn table(description: &str, properties: &Value, required: &[&str]) -> Value {
+    let mut schema = json!({
+        "description": description, "type": "object", "additionalProperties": false, "properties": properties
+    });
+    if !required.is_empty() {
+        schema["required"] = json!(required);
+    }
+    schema
+}
+
+fn text(description: &str) -> Value {
+    json!({ "description": description, "type": "string" })
+}
+
+fn number(description: &str) -> Value {
+    json!({ "description": description, "type": "integer" })
+}
+
+fn positive(description: &str) -> Value {
+    json!({ "description": description, "type": "integer", "minimum": 1 })
+}
+
+fn flag(description: &str) -> Value {
+    json!({ "description": description, "type": "boolean" })
+}
+
+fn names(description: &str) -> Value {
+    json!({ "description": description, "type": "array", "items": { "type": "string" } })
+}
+
+/// A duration in ms.
+fn millis(description: &str) -> Value {
+    positive(description)
+}
+
+/// One of some words.
+fn words(description: &str, words: &[&str]) -> Value {
+    json!({ "description": description, "type": "string", "enum": words })
+}
+
+fn list(description: &str, items: Value) -> Value {
+    let mut schema = json!({ "description": description, "type": "array" });
+    schema["items"] = items;
+    schema
+}
+
+fn with_default(mut schema: Value, default: impl serde::Serialize) -> Value {
+    if let Ok(default) = serde_json::to_value(default)
+        && !default.is_null()
+    {
+        schema["default"] = default;
+    }
+    schema
+}

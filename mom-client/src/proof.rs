@@ -1,0 +1,150 @@
+//! How a peer proves who it is (M12), and what it says for that.
+
+use std::fmt;
+
+use mom_proto::{
+    Code, Family, LOGIN_CONTEXT, Map, NONCE_BYTES, Parcel, Path, Value, WireError, login_challenge,
+};
+
+use crate::error::bad_reply;
+use crate::info::{map_of, text};
+use crate::shared::now;
+use crate::{ClientError, Key};
+
+/// How a peer proves who it is.
+#[derive(Clone)]
+#[non_exhaustive]
+pub enum Proof {
+    /// The user's password; taken over loopback only, as long as there is no TLS.
+    Password(String),
+    /// A key of the user's: it signs what the hub asks, and no secret is on the wire.
+    Key(Key),
+    /// A token (JWT) of an issuer that the hub trusts; it names the user itself, and is taken over loopback only.
+    Token(String),
+    /// Nothing: a guest, where the hub lets them in.
+    Guest,
+}
+
+impl fmt::Debug for Proof {
+    // Secrets do not belong in logs.
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self {
+            Proof::Password(_) => "Password",
+            Proof::Key(_) => "Key",
+            Proof::Token(_) => "Token",
+            Proof::Guest => "Guest",
+        })
+    }
+}
+
+/// Who connects.
+#[derive(Clone, Debug)]
+pub(crate) struct Credentials {
+    pub(crate) user: String,
+    pub(crate) proof: Proof,
+    pub(crate) nickname: Option<String>,
+    /// The hub for which a key signs; none = whichever it says it is.
+    pub(crate) hub: Option<String>,
+}
+
+impl Credentials {
+    /// `login login`
+    pub(crate) fn login(&self) -> Parcel {
+        let name = Map::new().with("name", self.user.as_str());
+        let mut content = match &self.proof {
+            Proof::Password(password) => name.with("password", password.as_str()),
+            Proof::Key(_) => name.with("key", true),
+            Proof::Token(token) => Map::new().with("token", token.as_str()),
+            Proof::Guest => Map::new().with("guest", true),
+        };
+        if let Some(nickname) = &self.nickname {
+            content.set("nickname", nickname.as_str());
+        }
+        said("login", content)
+    }
+
+    /// `login answer` to what the hub asks.
+    ///
+    /// # Errors
+    /// `Local` for a hub that is not the one meant, or asks for something else than a login.
+    pub(crate) fn answer(&self, challenge: &Parcel) -> Result<Parcel, ClientError> {
+        let Proof::Key(key) = &self.proof else {
+            return Err(bad_reply("welcome, but a challenge to a key"));
+        };
+        let content = map_of(challenge);
+        // What this key signs must not be of use for anything else.
+        if text(&content, "context") != Some(LOGIN_CONTEXT) {
+            return Err(bad_reply("challenge of a login"));
+        }
+        let hub = text(&content, "hub").ok_or_else(|| bad_reply("hub"))?;
+        if let Some(meant) = self.hub.as_deref().filter(|meant| *meant != hub) {
+            let text = format!("the hub is {hub:?}, not {meant:?}: nothing was signed for it");
+            return Err(ClientError::Local(WireError::new(Code::BAD_LOGIN, text)));
+        }
+        let nonce = content
+            .get("nonce")
+            .and_then(Value::as_binary)
+            .filter(|nonce| nonce.len() == NONCE_BYTES)
+            .ok_or_else(|| bad_reply("proper nonce"))?;
+        let signature = key.sign(&login_challenge(hub, &self.user, nonce));
+        let signature = Value::Binary(signature.to_vec().into());
+        Ok(said("answer", Map::new().with("signature", signature)))
+    }
+}
+
+/// Whether a reply asks a key to sign.
+pub(crate) fn is_challenge(reply: &Parcel) -> bool {
+    reply.is(Family::Reply, "challenge")
+}
+
+fn said(name: &str, content: Map) -> Parcel {
+    let mut parcel = Parcel::new(Family::Login, name)
+        .context(Path::root())
+        .content(content);
+    parcel.timestamp = now();
+    parcel
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn challenge(hub: &str, context: &str, bytes: usize) -> Parcel {
+        let content = Map::new()
+            .with("nonce", Value::Binary(vec![7; bytes].into()))
+            .with("hub", hub)
+            .with("context", context);
+        Parcel::new(Family::Reply, "challenge").content(content)
+    }
+
+    #[test]
+    fn a_key_signs_for_its_hub_only_and_nothing_but_logins() {
+        let key = Key::generate().expect("randomness");
+        let mut credentials = Credentials {
+            user: "arm".to_owned(),
+            proof: Proof::Key(key.clone()),
+            nickname: None,
+            hub: None,
+        };
+        let answer = credentials
+            .answer(&challenge("lab", LOGIN_CONTEXT, 32))
+            .expect("signed");
+        let signed = key.sign(&login_challenge("lab", "arm", &[7; 32]));
+        assert_eq!(
+            map_of(&answer).get("signature"),
+            Some(&Value::Binary(signed.to_vec().into()))
+        );
+        credentials.hub = Some("lab".to_owned());
+        assert!(credentials.answer(&challenge("lab", LOGIN_CONTEXT, 32)).is_ok());
+        for wrong in [
+            challenge("other", LOGIN_CONTEXT, 32),
+            challenge("lab", "mom-login-2", 32),
+            challenge("lab", LOGIN_CONTEXT, 31),
+        ] {
+            assert!(credentials.answer(&wrong).is_err(), "{wrong:?}");
+        }
+        credentials.proof = Proof::Password("secret".to_owned());
+        assert!(credentials.answer(&challenge("lab", LOGIN_CONTEXT, 32)).is_err());
+        assert!(!format!("{credentials:?}").contains("secret"));
+    }
+}
