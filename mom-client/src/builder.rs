@@ -14,6 +14,10 @@ use crate::proof::Credentials;
 use crate::shared::{Settings, Shared};
 use crate::{ClientError, Key, Proof, Reconnect, driver};
 
+/// Longer than chairs usually have for their answer (M24).
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(40);
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
+
 /// What a client needs to know before it connects.
 ///
 /// ```no_run
@@ -66,7 +70,8 @@ impl Builder {
             },
             fault: None,
             settings: Settings {
-                request_timeout: Duration::from_secs(10),
+                request_timeout: REQUEST_TIMEOUT,
+                connect_timeout: CONNECT_TIMEOUT,
                 reconnect: Some(Reconnect::default()),
                 event_buffer: 1024,
             },
@@ -132,9 +137,11 @@ impl Builder {
         self
     }
 
-    /// How long to wait for a reply, and for a connection with its login; 10 s unless told.
+    /// How long to wait for a reply, and for a connection with its login; unless told, 40 s for the one, because a
+    /// manager may have to ask somebody, and 10 s for the other. A lost link ends the wait sooner.
     pub fn request_timeout(mut self, timeout: Duration) -> Builder {
         self.settings.request_timeout = timeout;
+        self.settings.connect_timeout = timeout;
         self
     }
 
@@ -169,7 +176,7 @@ impl Builder {
         }
         let ids = AtomicU64::new(1);
         let connected = connector
-            .connect(&self.credentials, &ids, self.settings.request_timeout)
+            .connect(&self.credentials, &ids, self.settings.connect_timeout)
             .await?;
         let shared = Shared::new(
             self.settings,

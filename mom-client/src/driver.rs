@@ -61,7 +61,7 @@ async fn again(
             sleep(backoff.wait(at_least)).await;
             let credentials = shared.credentials.lock().clone();
             connector
-                .connect(&credentials, &shared.ids, shared.settings.request_timeout)
+                .connect(&credentials, &shared.ids, shared.settings.connect_timeout)
                 .await
         };
         let error = tokio::select! {

@@ -30,6 +30,7 @@ const ROOM_UNIT: usize = 1024;
 #[derive(Clone, Debug)]
 pub(crate) struct Settings {
     pub(crate) request_timeout: Duration,
+    pub(crate) connect_timeout: Duration,
     pub(crate) reconnect: Option<Reconnect>,
     pub(crate) event_buffer: usize,
 }

@@ -3,6 +3,7 @@
 use mom_proto::{Family, Map, Path};
 use tokio::sync::oneshot;
 
+use crate::info::{map_of, name_list, owned};
 use crate::membership::Membership;
 use crate::pending::Waiter;
 use crate::shared::verb;
@@ -126,13 +127,17 @@ impl Token {
         self.ask("decline", content).await
     }
 
-    /// Takes it away from its owner, or ends all parts in its shared hold; nobody has it then but the first of its
-    /// queue. This needs a right of its own.
+    /// Takes it away from its owner, or ends all parts in its shared hold, and gives the peers that had it; nobody
+    /// has it then but the first of its queue. This needs a right of its own.
     ///
     /// # Errors
     /// `Refused` with `denied`, a lost link, a time-out.
-    pub async fn break_hold(&self) -> Result<(), ClientError> {
-        self.ask("break", Map::new()).await
+    pub async fn break_hold(&self) -> Result<Vec<String>, ClientError> {
+        let parcel = verb(Family::Token, "break", self.path());
+        let map = map_of(&self.member.shared().request(parcel).await?);
+        let mut had = name_list(&map, "holders");
+        had.extend(owned(&map, "owner"));
+        Ok(had)
     }
 
     /// Takes part in its shared hold: nobody can grab it meanwhile. Who owns it gives it up by this.

@@ -191,15 +191,12 @@ fn list<T>(info: &Map, key: &str, read: impl Fn(&Map) -> Option<T>) -> Vec<T> {
 mod tests {
     use super::*;
 
-    fn peer(name: &str, level: i64) -> Map {
-        Map::new()
-            .with("peer", name)
-            .with("user", "bob")
-            .with("level", level)
+    fn seconds(seconds: i64) -> Option<Duration> {
+        u64::try_from(seconds).ok().map(Duration::from_secs)
     }
 
     #[test]
-    fn all_of_it_is_read() {
+    fn an_ownership_is_read() {
         let info = Map::new()
             .with("owner", "ally")
             .with("owner-level", 3)
@@ -209,73 +206,79 @@ mod tests {
             .with("deadman", 2000)
             .with("expiry", "lazy")
             .with("fence", 9)
-            .with("holders", vec!["carol".into(), "dan".into()])
-            .with("queue", vec![peer("bob", 1).with("waiting", 4000).into()])
-            .with(
-                "offer",
-                Map::new()
-                    .with("to", "bob")
-                    .with("within", 9000)
-                    .with("for", 60_000),
-            )
-            .with(
-                "requests",
-                vec![Map::new().with("peer", "bob~2").with("within", 7000).into()],
-            )
             .with(
                 "delegated",
                 Map::new()
                     .with("from", "carol")
                     .with("left", 5000)
                     .with("commands", 3),
-            )
-            .with(
-                "reserved",
-                Map::new()
-                    .with("user", "dan")
-                    .with("peer", "dan~2")
-                    .with("for", 30_000),
             );
-        let seconds = Duration::from_secs;
-        let bob = |name: &str| Member {
-            peer: name.to_owned(),
-            user: "bob".to_owned(),
-            level: 1,
-        };
         let expected = TokenInfo {
             owner: Some("ally".to_owned()),
             owner_level: Some(3),
             fence: 9,
-            held: Some(seconds(61)),
-            lease: Some(seconds(180)),
-            lease_left: Some(seconds(120)),
-            deadman: Some(seconds(2)),
+            held: seconds(61),
+            lease: seconds(180),
+            lease_left: seconds(120),
+            deadman: seconds(2),
             expiry: Some("lazy".to_owned()),
+            delegated: Some(Delegated {
+                from: "carol".to_owned(),
+                left: seconds(5),
+                commands: Some(3),
+            }),
+            ..TokenInfo::default()
+        };
+        assert_eq!(TokenInfo::read(&info), expected);
+    }
+
+    #[test]
+    fn who_wants_it_is_read() {
+        let bob = Map::new()
+            .with("peer", "bob~2")
+            .with("user", "bob")
+            .with("level", 1);
+        let offer = Map::new()
+            .with("to", "bob")
+            .with("within", 9000)
+            .with("for", 60_000);
+        let asking = Map::new().with("peer", "bob~2").with("within", 7000);
+        let kept = Map::new()
+            .with("user", "dan")
+            .with("peer", "dan~2")
+            .with("for", 30_000);
+        let info = Map::new()
+            .with("holders", vec!["carol".into(), "dan".into()])
+            .with("queue", vec![bob.with("waiting", 4000).into()])
+            .with("offer", offer)
+            .with("requests", vec![asking.into()])
+            .with("reserved", kept);
+        let expected = TokenInfo {
             holders: vec!["carol".to_owned(), "dan".to_owned()],
             queue: vec![Waiting {
-                member: bob("bob"),
-                waiting: seconds(4),
+                member: Member {
+                    peer: "bob~2".to_owned(),
+                    user: "bob".to_owned(),
+                    level: 1,
+                },
+                waiting: Duration::from_secs(4),
             }],
             offer: Some(Offered {
                 to: "bob".to_owned(),
-                within: seconds(9),
-                time: Some(seconds(60)),
+                within: Duration::from_secs(9),
+                time: seconds(60),
                 commands: None,
             }),
             requests: vec![Asking {
                 peer: "bob~2".to_owned(),
-                within: seconds(7),
+                within: Duration::from_secs(7),
             }],
-            delegated: Some(Delegated {
-                from: "carol".to_owned(),
-                left: Some(seconds(5)),
-                commands: Some(3),
-            }),
             reserved: Some(Reserved {
                 peer: Some("dan~2".to_owned()),
                 user: Some("dan".to_owned()),
-                time: seconds(30),
+                time: Duration::from_secs(30),
             }),
+            ..TokenInfo::default()
         };
         assert_eq!(TokenInfo::read(&info), expected);
     }

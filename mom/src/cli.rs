@@ -6,6 +6,10 @@ use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand};
 
+mod control;
+
+use self::control::{ACCEPT, BREAK, DECLINE, EXPEL, GIVE, GRAB, INHIBIT, INVITE, MANAGE, REQUEST, TOKEN};
+
 /// Look at a hub, talk through it, and drive what is connected to it.
 #[derive(Debug, Parser)]
 #[command(name = "mom", version, arg_required_else_help = true, after_help = EXAMPLES)]
@@ -75,9 +79,39 @@ pub(crate) enum Command {
     /// Send one message
     #[command(after_help = SEND)]
     Send(Send),
-    /// Grab a token and hold it until Ctrl-C
+    /// Grab a token, waiting for it if need be, and hold it until Ctrl-C
     #[command(after_help = GRAB)]
     Grab(Grab),
+    /// Ask a token's owner to hand it over, and hold it until Ctrl-C
+    #[command(after_help = REQUEST)]
+    Request(Request),
+    /// Grab a token and give it to another peer, for good or for a while
+    #[command(after_help = GIVE)]
+    Give(Give),
+    /// Take a token that is offered to you, and hold it until Ctrl-C
+    #[command(after_help = ACCEPT)]
+    Accept(Accept),
+    /// Say no to a token that is offered to you
+    #[command(after_help = DECLINE)]
+    Decline(Decline),
+    /// Take a token away from its owner; needs the right to it
+    #[command(after_help = BREAK)]
+    Break(Break),
+    /// Keep everybody from a token until Ctrl-C
+    #[command(after_help = INHIBIT)]
+    Inhibit(Inhibit),
+    /// Show a token: its owner, lease, queue, offers
+    #[command(after_help = TOKEN)]
+    Token(Token),
+    /// Tell a peer of a context
+    #[command(after_help = INVITE)]
+    Invite(Invite),
+    /// Put a peer out of a context
+    #[command(after_help = EXPEL)]
+    Expel(Expel),
+    /// Answer the hub's questions where you have the chair
+    #[command(after_help = MANAGE)]
+    Manage(Manage),
     /// Drive the robot by a script: grab its token, carry out the commands, release
     #[command(after_help = RUN)]
     Run(Run),
@@ -189,20 +223,9 @@ Examples:
   mom send --priority 100 /robot/arm stop  stops the arm until: mom send /robot/arm unstop
   uptime | mom send /chat chat -";
 
-/// `mom grab`
-#[derive(Args, Debug)]
-pub(crate) struct Grab {
-    /// The token
-    pub(crate) token: String,
-    /// Release it after this time instead of at Ctrl-C: 30s, 5m
-    #[arg(long = "for", value_name = "TIME", value_parser = duration)]
-    pub(crate) time: Option<Duration>,
-}
-
-const GRAB: &str = "\
-Examples:
-  mom grab /robot/token
-  mom grab --for 30s /robot/token";
+pub(crate) use control::{
+    Accept, Break, Decline, Expel, Give, Grab, Hold, Inhibit, Invite, Manage, Request, Token, Wait,
+};
 
 /// `mom run`
 #[derive(Args, Debug)]
@@ -291,7 +314,7 @@ The public key goes into the hub's users file: keys = [\"ed25519 ...\"]. With th
 logs in from anywhere: mom --user arm --key arm.key tree";
 
 /// `250ms`, `5s`, `2m`, `1h`; a number without a unit is refused, because nobody knows which one was meant.
-fn duration(text: &str) -> Result<Duration, String> {
+pub(crate) fn duration(text: &str) -> Result<Duration, String> {
     let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
     let (number, unit) = text.split_at(digits);
     let factor = match unit {
@@ -342,6 +365,16 @@ mod tests {
                 &["watch", "/a"],
                 &["send", "/a", "b"],
                 &["grab", "/token"],
+                &["request", "/token", "--text", "please"],
+                &["give", "bob", "/token", "--for", "1m"],
+                &["accept", "/token", "--peer", "bob"],
+                &["decline", "/token"],
+                &["break", "/token"],
+                &["inhibit", "/token"],
+                &["token", "/token"],
+                &["invite", "bob", "/a"],
+                &["expel", "bob", "/a", "--text", "out"],
+                &["manage", "/a", "--allow-all"],
                 &["run", "f", "--token", "/token"],
                 &["chat"],
                 &["snap"],
@@ -349,7 +382,8 @@ mod tests {
             ] {
                 let line = [&["mom"], command, login].concat();
                 let cli = Cli::try_parse_from(&line).unwrap_or_else(|error| panic!("{line:?}: {error}"));
-                if let Command::Grab(Grab { token, .. }) | Command::Run(Run { token, .. }) = cli.command {
+                if let Command::Grab(Grab { path: token, .. }) | Command::Run(Run { token, .. }) = cli.command
+                {
                     assert_eq!(token, "/token");
                 }
             }

@@ -92,11 +92,20 @@ async fn a_hold_is_broken_by_who_may() {
         peer.refuse(&request, &denied).await;
     });
     assert_eq!(refused.unwrap_err().refusal().unwrap().rule, Some("lab"));
-    let (broken, ()) = tokio::join!(token.break_hold(), async {
-        let request = peer.expect("token break /robot/token").await;
-        peer.ok(&request, Map::new()).await;
-    });
-    broken.unwrap();
+    for (had, expected) in [
+        (Map::new().with("owner", "bob"), "bob"),
+        (
+            Map::new().with("holders", holders(&["bob", "carol"])),
+            "bob carol",
+        ),
+        (Map::new(), ""),
+    ] {
+        let (broken, ()) = tokio::join!(token.break_hold(), async {
+            let request = peer.expect("token break /robot/token").await;
+            peer.ok(&request, had).await;
+        });
+        assert_eq!(broken.unwrap().join(" "), expected);
+    }
 }
 
 #[tokio::test]

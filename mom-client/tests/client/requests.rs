@@ -92,6 +92,23 @@ async fn what_is_not_answered_times_out() {
     );
     assert_eq!(connected.0.unwrap_err().kind(), ErrorKind::TimedOut);
 
+    // Unless told, a chair has its time to answer, but a connection must not take so long.
+    let (mut hub, builder) = local();
+    let start = tokio::time::Instant::now();
+    let connected = tokio::join!(builder.connect(), hub.accept());
+    assert_eq!(connected.0.unwrap_err().kind(), ErrorKind::TimedOut);
+    assert_eq!(start.elapsed(), Duration::from_secs(10));
+    let (mut hub, builder) = local();
+    // A hub that lives, though it says nothing.
+    let limits = Map::new().with("heartbeat", 10_000_000).with("gone", 30_000_000);
+    let (client, _peer) = logged_in_with(&mut hub, builder, limits).await;
+    let start = tokio::time::Instant::now();
+    assert_eq!(
+        client.info("/robot").await.unwrap_err().kind(),
+        ErrorKind::TimedOut
+    );
+    assert_eq!(start.elapsed(), Duration::from_secs(40));
+
     let (mut hub, builder) = local();
     let (client, mut peer) = logged_in(&mut hub, builder.request_timeout(Duration::from_secs(3))).await;
     let start = tokio::time::Instant::now();

@@ -33,7 +33,7 @@ async fn a_grab_waits_and_tells_its_places() {
         settled(&client, &mut peer).await;
         queued(&mut peer, 1, None).await;
         // Longer than any other request may take.
-        tokio::time::sleep(Duration::from_secs(25)).await; // tidy: moves the paused clock
+        tokio::time::sleep(Duration::from_secs(65)).await; // tidy: moves the paused clock
         peer.ok(&request, Map::new().with("fence", 7).with("lease", 9000))
             .await;
     });
@@ -72,7 +72,7 @@ async fn an_endless_wait_is_bounded_only_until_the_hub_has_heard() {
     let ClientError::TimedOut { after, .. } = refused.unwrap_err() else {
         panic!("the hub says nothing")
     };
-    assert_eq!((after, start.elapsed()), (Duration::from_secs(10), after));
+    assert_eq!((after, start.elapsed()), (Duration::from_secs(40), after));
 
     peer.refuse(&request, &WireError::new(Code::HELD, "too late"))
         .await;

@@ -1,129 +1,128 @@
-//! `mom grab`: a token, held until Ctrl-C.
+//! `mom grab`: a token, waited for and held until Ctrl-C.
 
-use std::future::pending;
+use std::io::{self, IsTerminal as _};
 use std::time::Duration;
 
-use mom_client::{Lost, Token, TokenGuard};
+use indicatif::{ProgressBar, ProgressStyle};
+use mom_client::{Place, Token, TokenGuard, ordinal};
 use serde_json::json;
-use tokio::time::{Instant, sleep, sleep_until};
 
-use crate::cli::{self, Global};
+use super::hold::{Held, hold};
+use crate::cli::{self, Global, Wait};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::interrupt::Interrupt;
-use crate::output::event::lost_words;
 use crate::output::style::{Ink, ink};
 use crate::output::{Output, words};
 
-/// The hub is asked for the lease so often in its course, but not too often.
-const LOOKS_PER_LEASE: u32 = 12;
-const SOONEST: Duration = Duration::from_millis(100);
-const LATEST: Duration = Duration::from_secs(10);
+const TICK: Duration = Duration::from_millis(100);
 
 pub(crate) async fn run(args: &cli::Grab, global: &Global, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Once).await?;
     let mut interrupt = Interrupt::install()?;
     let token = client
-        .token(&args.token)
+        .token(&args.path)
         .await
-        .doing(format!("join {}", args.token))?;
-    let mut guard = token.grab().await.doing(format!("grab {}", args.token))?;
-    tell_grabbed(&args.token, &guard, output)?;
-    let until = args.time.map(|time| Instant::now() + time);
-    let end = tokio::select! {
-        lost = guard.lost() => Err(lost),
-        () = interrupt.wait() => Ok(()),
-        () = wait(until) => Ok(()),
-        error = watch_renewals(&token, output) => {
-            // Only writing can fail there; nobody listens any more.
-            return Err(error.into());
+        .doing(format!("join {}", args.path))?;
+    let events = token.events();
+    let result = match grab(&token, args.wait, &mut interrupt, output).await {
+        Ok(guard) => {
+            let held = Held {
+                client: &client,
+                token: &token,
+                events,
+                guard,
+            };
+            hold(held, &args.hold, &mut interrupt, output).await
         }
-    };
-    let result = match end {
-        Ok(()) => {
-            guard.release().await.doing(format!("release {}", args.token))?;
-            let path = &args.token;
-            output.tell(
-                || json!({"state": "released", "path": path}),
-                || format!("released {path}"),
-            )?;
-            Ok(())
-        }
-        Err(lost) => tell_lost(&args.token, &lost, output),
+        Err(failure) => Err(failure),
     };
     client.close().await;
     result
 }
 
-fn tell_grabbed(path: &str, guard: &TokenGuard, output: Output) -> Result<(), Failure> {
-    let fence = words::fence(guard.fence());
-    output.tell(
-        || {
-            let lease = guard
-                .lease()
-                .map(|lease| u64::try_from(lease.as_millis()).unwrap_or(u64::MAX));
-            json!({"state": "grabbed", "path": path, "fence": guard.fence(), "number": fence, "lease": lease})
-        },
-        || {
-            let lease = match guard.lease() {
-                Some(lease) => format!(
-                    "lease {}, renewed every {}",
-                    words::duration(lease),
-                    words::duration(lease / 3)
-                ),
-                None => "no lease".to_owned(),
-            };
-            let head = ink(format_args!("holding {path}"), Ink::Good);
-            format!("{head}  fence {fence}, {lease}")
-        },
-    )?;
-    output.remark(ink("Ctrl-C releases it", Ink::Faint));
-    Ok(())
+/// Grabs a token, and shows the place in the queue while it waits.
+pub(super) async fn grab(
+    token: &Token,
+    wait: Option<Wait>,
+    interrupt: &mut Interrupt,
+    output: Output,
+) -> Result<TokenGuard, Failure> {
+    let path = token.path().as_str();
+    let queue = Queue::new(path, output);
+    let grab = match wait {
+        None => token.grab(),
+        Some(Wait::For(most)) => token.grab().wait(most),
+        Some(Wait::Forever) => token.grab().wait_forever(),
+    };
+    let grab = grab.on_place(|place| queue.show(place));
+    // Dropped with the interrupt, it leaves the queue.
+    let granted = tokio::select! {
+        granted = grab => granted.doing(format!("grab {path}")),
+        () = interrupt.wait() => Err(Failure::plain(format!("interrupted before it was your turn at {path}"))),
+    };
+    queue.end();
+    granted
 }
 
-fn tell_lost(path: &str, lost: &Lost, output: Output) -> Result<(), Failure> {
-    output.tell(
-        || json!({"state": "lost", "path": path, "reason": lost.reason, "by": lost.by}),
-        || {
-            format!(
-                "{} {}",
-                ink(format_args!("lost {path}:"), Ink::Bad),
-                lost_words(lost)
-            )
-        },
-    )?;
-    Err(Failure::Told)
+/// The place in the queue: a moving line at a terminal, one line per change elsewhere.
+struct Queue<'a> {
+    path: &'a str,
+    output: Output,
+    bar: Option<ProgressBar>,
 }
 
-/// Tells each renewal, as the hub's answer about the lease shows it; ends only if that cannot be written.
-async fn watch_renewals(token: &Token, output: Output) -> std::io::Error {
-    let mut before: Option<Duration> = None;
-    loop {
-        let Ok(info) = token.info().await else {
-            // Who may not ask does without; a lost link ends the guard.
-            return pending().await;
-        };
-        let Some(lease) = words::millis(info.get("lease")) else {
-            return pending().await;
-        };
-        let left = words::millis(info.get("lease-left")).unwrap_or_default();
-        if before.is_some_and(|before| left > before) {
-            let told = output.tell(
-                || json!({"state": "renewed", "path": token.path().as_str(), "lease-left": left.as_millis() as u64}),
-                || ink(format_args!("renewed, {} left", words::duration(left)), Ink::Faint),
-            );
-            if let Err(error) = told {
-                return error;
-            }
+impl<'a> Queue<'a> {
+    fn new(path: &'a str, output: Output) -> Queue<'a> {
+        let terminal = !output.is_json() && io::stdout().is_terminal() && io::stderr().is_terminal();
+        Queue {
+            path,
+            output,
+            bar: terminal.then(make_bar),
         }
-        before = Some(left);
-        sleep((lease / LOOKS_PER_LEASE).clamp(SOONEST, LATEST)).await;
+    }
+
+    fn show(&self, place: Place) {
+        let words = place_words(self.path, place);
+        if let Some(bar) = &self.bar {
+            bar.set_message(format!("{words}; Ctrl-C leaves the queue"));
+            bar.enable_steady_tick(TICK);
+            return;
+        }
+        let expected = place.expected.map(words::in_millis);
+        let told = self.output.tell(
+            || json!({"state": "waiting", "path": self.path, "place": place.place, "expected": expected}),
+            || ink(&words, Ink::Notice),
+        );
+        if told.is_err() {
+            // Whoever read this wants no more of it; the grab is what matters.
+            self.output.remark(&words);
+        }
+    }
+
+    fn end(&self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
     }
 }
 
-async fn wait(until: Option<Instant>) {
-    match until {
-        Some(until) => sleep_until(until).await,
-        None => pending().await,
+/// `waiting for /robot/token: 2nd in the queue, your turn is expected in 3 min`
+fn place_words(path: &str, place: Place) -> String {
+    let expected = match place.expected {
+        Some(expected) => format!(", your turn is expected in {}", words::duration(expected)),
+        None => String::new(),
+    };
+    format!(
+        "waiting for {path}: {} in the queue{expected}",
+        ordinal(place.place)
+    )
+}
+
+fn make_bar() -> ProgressBar {
+    let bar = ProgressBar::new_spinner();
+    if let Ok(style) = ProgressStyle::with_template("{spinner} {wide_msg} {elapsed}") {
+        bar.set_style(style);
     }
+    bar
 }

@@ -1,12 +1,24 @@
 //! One file for each command.
 
+mod accept;
+mod break_hold;
 mod chat;
+mod decline;
+mod expel;
+mod give;
 mod grab;
+mod hold;
+mod inhibit;
+mod invite;
 mod keygen;
 mod lab;
+mod manage;
+mod offers;
+mod request;
 mod run;
 mod send;
 mod snap;
+mod token;
 mod tree;
 mod watch;
 
@@ -23,6 +35,16 @@ pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Watch(args) => watch::run(args, global, output).await,
         Command::Send(args) => send::run(args, global, output).await,
         Command::Grab(args) => grab::run(args, global, output).await,
+        Command::Request(args) => request::run(args, global, output).await,
+        Command::Give(args) => give::run(args, global, output).await,
+        Command::Accept(args) => accept::run(args, global, output).await,
+        Command::Decline(args) => decline::run(args, global, output).await,
+        Command::Break(args) => break_hold::run(args, global, output).await,
+        Command::Inhibit(args) => inhibit::run(args, global, output).await,
+        Command::Token(args) => token::run(args, global, output).await,
+        Command::Invite(args) => invite::run(args, global, output).await,
+        Command::Expel(args) => expel::run(args, global, output).await,
+        Command::Manage(args) => manage::run(args, global, output).await,
         Command::Run(args) => run::run(args, global, output).await,
         Command::Chat(args) => chat::run(args, global, output).await,
         Command::Keygen(args) => keygen::run(args, global, output),

@@ -104,7 +104,8 @@ async fn subscribe(
     Ok(receiver)
 }
 
-async fn events(client: &Client, info: &ContextInfo) -> Result<Events, Failure> {
+/// Joins a context; its events keep it joined.
+pub(super) async fn events(client: &Client, info: &ContextInfo) -> Result<Events, Failure> {
     let path = info.path.as_str();
     let what = format!("join {path}");
     Ok(match info.kind {

@@ -3,8 +3,9 @@
 use std::fmt::Display;
 use std::time::Duration;
 
-use mom_client::{ContextInfo, Event, Lost, Map, Member, Path, Value, WireError};
+use mom_client::{ContextInfo, ContextKind, Event, Lost, Map, Member, Path, Value, WireError};
 
+use super::handover::{self, number, optional};
 use super::{error_map, words};
 
 /// An event in words.
@@ -40,6 +41,13 @@ pub(crate) fn event_words(event: &Event) -> String {
             path,
             ..
         } => released(&name(owner), reason, by.as_deref().map(name), path),
+        Event::Requested { .. }
+        | Event::Offer { .. }
+        | Event::Lapsed { .. }
+        | Event::Queued { .. }
+        | Event::Inhibited { .. }
+        | Event::Uninhibited { .. } => handover::words_of(event),
+        Event::Invited { .. } | Event::Expelled { .. } => door_words(event),
         Event::Dropped { reason, count, .. } => {
             format!(
                 "{} dropped on the way: {}",
@@ -61,6 +69,34 @@ pub(crate) fn event_words(event: &Event) -> String {
     }
 }
 
+/// Who is let in or put out.
+fn door_words(event: &Event) -> String {
+    let name = |text: &str| words::visible(text);
+    match event {
+        Event::Invited { by, path, .. } => format!("{} invites you to {path}", name(by)),
+        Event::Expelled { peer, by, text, path } => {
+            let by = by.as_deref().map(|by| format!(" by {}", name(by)));
+            let text = text.as_deref().map(|text| format!(": {}", name(text)));
+            format!(
+                "{} was put out of {path}{}{}",
+                name(peer),
+                by.unwrap_or_default(),
+                text.unwrap_or_default()
+            )
+        }
+        _ => String::new(),
+    }
+}
+
+/// `bob (level 1)`, and the user where it is not the peer's name.
+pub(crate) fn member_words(member: &Member) -> String {
+    let user = match member.user == member.peer {
+        true => String::new(),
+        false => format!("{}, ", words::visible(&member.user)),
+    };
+    format!("{} ({user}level {})", words::visible(&member.peer), member.level)
+}
+
 /// How this peer lost a token.
 pub(crate) fn lost_words(lost: &Lost) -> String {
     let by = lost.by.as_deref().map(words::visible);
@@ -70,6 +106,10 @@ pub(crate) fn lost_words(lost: &Lost) -> String {
         ("expired", None) => "the lease was over".to_owned(),
         ("disconnected", _) => "the connection to the hub is lost".to_owned(),
         ("deleted", _) => "it was deleted".to_owned(),
+        ("given", Some(by)) => format!("{by} has it now"),
+        ("returned", _) => "it went back to who gave it".to_owned(),
+        ("broken", Some(by)) => format!("{by} took it away"),
+        ("revoked", _) => "you may be here no more".to_owned(),
         (reason, Some(by)) => format!("{} by {by}", words::visible(reason)),
         (reason, None) => words::visible(reason),
     }
@@ -85,6 +125,10 @@ fn released(owner: &str, reason: &str, by: Option<String>, path: impl Display) -
         ("preempted", Some(by)) => format!("{by} takes {path} from {owner}, by level"),
         ("disconnected", _) => format!("{owner} lost {path}: disconnected"),
         ("deleted", _) => format!("{owner} lost {path}: it was deleted"),
+        ("given", Some(by)) => format!("{owner} gave {path} to {by}"),
+        ("returned", _) => format!("{path} goes back from {owner} to who gave it"),
+        ("broken", Some(by)) => format!("{by} took {path} away from {owner}"),
+        ("revoked", _) => format!("{owner} lost {path}: it may be there no more"),
         (reason, Some(by)) => format!("{owner} lost {path} to {by}: {}", words::visible(reason)),
         (reason, None) => format!("{owner} lost {path}: {}", words::visible(reason)),
     }
@@ -104,6 +148,27 @@ pub(super) fn event_slots(event: &Event) -> (&'static str, Map) {
                 .with("number", number(info.number)),
         ),
         Event::Deleted { path } => ("deleted", Map::new().with("path", path.as_str())),
+        Event::Requested { .. } => ("requested", handover::slots(event)),
+        Event::Offer { .. } => ("offer", handover::slots(event)),
+        Event::Lapsed { .. } => ("lapsed", handover::slots(event)),
+        Event::Queued { .. } => ("queued", handover::slots(event)),
+        Event::Inhibited { .. } => ("inhibited", handover::slots(event)),
+        Event::Uninhibited { .. } => ("uninhibited", handover::slots(event)),
+        Event::Invited { by, kind, path } => (
+            "invited",
+            Map::new()
+                .with("path", path.as_str())
+                .with("by", by.as_str())
+                .with("kind", optional(kind.map(ContextKind::word))),
+        ),
+        Event::Expelled { peer, by, text, path } => (
+            "expelled",
+            Map::new()
+                .with("path", path.as_str())
+                .with("peer", peer.as_str())
+                .with("by", optional(by.as_deref()))
+                .with("text", optional(text.as_deref())),
+        ),
         Event::Grabbed { .. } => ("grabbed", ownership(event)),
         Event::Released { .. } => ("released", ownership(event)),
         Event::Dropped { reason, count, .. } => (
@@ -160,16 +225,11 @@ fn refused(error: &WireError, reference: Option<u64>) -> Map {
     map
 }
 
-fn member(member: &Member) -> Map {
+pub(super) fn member(member: &Member) -> Map {
     Map::new()
         .with("peer", member.peer.as_str())
         .with("user", member.user.as_str())
         .with("level", member.level)
-}
-
-/// A number as a value; all that come from the wire fit.
-fn number(number: u64) -> Value {
-    Value::Int(i64::try_from(number).unwrap_or(i64::MAX))
 }
 
 #[cfg(test)]
@@ -191,10 +251,17 @@ mod tests {
                 "carol takes /robot/token from alice, by level",
             ),
             ("disconnected", None, "alice lost /robot/token: disconnected"),
+            ("broken", Some("carol"), "carol took /robot/token away from alice"),
+            ("given", Some("bob"), "alice gave /robot/token to bob"),
             (
-                "broken",
-                Some("carol"),
-                "alice lost /robot/token to carol: broken",
+                "returned",
+                None,
+                "/robot/token goes back from alice to who gave it",
+            ),
+            (
+                "revoked",
+                None,
+                "alice lost /robot/token: it may be there no more",
             ),
         ] {
             assert_eq!(
@@ -211,7 +278,11 @@ mod tests {
             ("expired", Some("bob"), "the lease was over, and bob took it"),
             ("expired", None, "the lease was over"),
             ("disconnected", None, "the connection to the hub is lost"),
-            ("broken", Some("carol"), "broken by carol"),
+            ("broken", Some("carol"), "carol took it away"),
+            ("given", Some("bob"), "bob has it now"),
+            ("returned", Some("bob"), "it went back to who gave it"),
+            ("revoked", Some("carol"), "you may be here no more"),
+            ("denied", Some("carol"), "denied by carol"),
             ("denied", None, "denied"),
         ] {
             let lost = Lost {

@@ -1,6 +1,7 @@
 //! What people and programs read: lines with colour, or JSON, one object per line.
 
 pub(crate) mod event;
+mod handover;
 pub(crate) mod record;
 pub(crate) mod refusal;
 pub(crate) mod style;
@@ -192,7 +193,7 @@ mod tests {
                 what: "grab /x".to_owned(),
                 error: WireError::new(Code::HELD, "/x is held by bob").owner("bob", 2),
             },
-            "refused: grab /x: /x is held by bob\n  owner  bob, level 2\n  code   held (101)",
+            "refused: grab /x: /x is held by bob\n  owner  bob, level 2\n  code   held (101)\n  try    wait for your turn with `mom grab --wait 5m`, or ask the owner with `mom request`",
             r#"{"error":{"code":101,"name":"held","text":"/x is held by bob","owner":"bob","owner-level":2,"what":"grab /x"}}"#,
         );
         check(

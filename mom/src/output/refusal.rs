@@ -1,6 +1,6 @@
 //! A refusal in words: what, by which rule, who has it, when to try again, what to do now.
 
-use mom_client::{Code, Value, WireError};
+use mom_client::{Code, Refusal as Details, Value, WireError, ordinal};
 
 use super::words;
 
@@ -19,16 +19,15 @@ pub(crate) fn refusal(what: &str, error: &WireError) -> Refusal {
         true => error.code.word().to_owned(),
         false => words::visible(&error.text),
     };
+    let details = Details::of(error);
     let mut facts = Vec::new();
     let mut fact = |label, text: Option<String>| facts.extend(text.map(|text| (label, text)));
-    fact("rule", string(error, "rule"));
-    fact("owner", owner(error));
-    fact("you", int(error, "level").map(|level| format!("level {level}")));
-    fact("retry", retry(error));
-    fact(
-        "place",
-        int(error, "place").map(|place| format!("{place} in the queue")),
-    );
+    fact("rule", details.rule.map(words::visible));
+    fact("owner", owner(&details));
+    fact("holders", holders(&details));
+    fact("you", details.level.map(|level| format!("level {level}")));
+    fact("retry", retry(&details));
+    fact("place", place(&details));
     fact("slot", string(error, "slot"));
     fact(
         "position",
@@ -46,27 +45,58 @@ pub(crate) fn refusal(what: &str, error: &WireError) -> Refusal {
     }
 }
 
-fn owner(error: &WireError) -> Option<String> {
-    let owner = string(error, "owner")?;
-    Some(match int(error, "owner-level") {
+fn owner(details: &Details<'_>) -> Option<String> {
+    let owner = words::visible(details.owner?);
+    Some(match details.owner_level {
         Some(level) => format!("{owner}, level {level}"),
         None => owner,
     })
 }
 
-fn retry(error: &WireError) -> Option<String> {
-    let wait = error.retry_in()?;
+fn holders(details: &Details<'_>) -> Option<String> {
+    let holders: Vec<String> = details.holders.iter().map(|peer| words::visible(peer)).collect();
+    (!holders.is_empty()).then(|| holders.join(", "))
+}
+
+fn retry(details: &Details<'_>) -> Option<String> {
+    let wait = details.retry_after?;
     let words = words::duration(wait);
-    Some(match (string(error, "owner"), wait.is_zero()) {
+    let owner = details.owner.map(words::visible);
+    Some(match (owner, wait.is_zero()) {
         (_, true) => "at once".to_owned(),
         (Some(owner), false) => format!("in {words} at the earliest, if {owner} does not renew before"),
         (None, false) => format!("in {words} at the earliest"),
     })
 }
 
+/// The place that a grab which waits would have, or had when its time was over.
+fn place(details: &Details<'_>) -> Option<String> {
+    let place = ordinal(details.place?);
+    Some(match details.expected {
+        _ if *details.code == Code::TIMED_OUT => format!("{place} in the queue when the time was over"),
+        Some(expected) => format!(
+            "{place} in the queue, if you wait; your turn would be in {}",
+            words::duration(expected)
+        ),
+        None => format!("{place} in the queue, if you wait"),
+    })
+}
+
 /// What helps most people who get this code.
 fn hint(error: &WireError) -> Option<&'static str> {
     let hints = [
+        (
+            Code::HELD,
+            "wait for your turn with `mom grab --wait 5m`, or ask the owner with `mom request`",
+        ),
+        (
+            Code::NO_OFFER,
+            "`mom token` shows what is offered, and who has asked",
+        ),
+        (
+            Code::STORAGE_FAILED,
+            "nothing has changed; the hub's store needs its operator",
+        ),
         (
             Code::NOT_OWNER,
             "only the token's owner sends this; `mom run` grabs the token, sends, and releases it",
@@ -127,7 +157,9 @@ mod tests {
                 .rule("lab-token")
                 .owner("alice", 1)
                 .level(1)
-                .retry_after(Duration::from_millis(177_400)),
+                .retry_after(Duration::from_millis(177_400))
+                .detail("place", 2)
+                .detail("expected", 357_400),
             "grab /robot/token: /robot/token is held by alice",
             &[
                 ("rule", "lab-token"),
@@ -137,7 +169,15 @@ mod tests {
                     "retry",
                     "in 2 min 58 s at the earliest, if alice does not renew before",
                 ),
+                (
+                    "place",
+                    "2nd in the queue, if you wait; your turn would be in 5 min 58 s",
+                ),
                 ("code", "held (101)"),
+                (
+                    "try",
+                    "wait for your turn with `mom grab --wait 5m`, or ask the owner with `mom request`",
+                ),
             ],
         );
         check(
@@ -167,6 +207,28 @@ mod tests {
             &WireError::new(Code::from_wire(199, "from-later"), "").retry_after(Duration::ZERO),
             "x: from-later",
             &[("retry", "at once"), ("code", "from-later (199)")],
+        );
+    }
+
+    #[test]
+    fn what_stands_in_the_way() {
+        check(
+            "grab /t",
+            &WireError::new(Code::TIMED_OUT, "not within 5 s")
+                .owner("alice", 1)
+                .detail("place", 1),
+            "grab /t: not within 5 s",
+            &[
+                ("owner", "alice, level 1"),
+                ("place", "1st in the queue when the time was over"),
+                ("code", "timed-out (102)"),
+            ],
+        );
+        check(
+            "inhibit /t",
+            &WireError::new(Code::DENIED, "no").detail("holders", vec!["bob".into(), "dan".into()]),
+            "inhibit /t: no",
+            &[("holders", "bob, dan"), ("code", "denied (200)")],
         );
     }
 }

@@ -7,23 +7,21 @@ use mom_client::{Content, Map, Parcel, Value};
 /// Beyond this a line is cut where a person reads it; JSON is never cut.
 const LONGEST: usize = 200;
 
-/// `0.4 s`, `42 s`, `2 min 58 s`, `1 h 5 min`; rounded up, so that who waits so long never comes too early.
-pub(crate) fn duration(duration: Duration) -> String {
-    if duration < Duration::from_secs(1) {
-        let tenths = duration.as_millis().div_ceil(100);
-        return match tenths {
-            0 => "0 s".to_owned(),
-            10 => "1 s".to_owned(),
-            _ => format!("0.{tenths} s"),
-        };
-    }
-    let seconds = duration.as_secs() + u64::from(duration.subsec_nanos() > 0);
-    match (seconds / 3600, seconds / 60 % 60, seconds % 60) {
-        (0, 0, seconds) => format!("{seconds} s"),
-        (0, minutes, 0) => format!("{minutes} min"),
-        (0, minutes, seconds) => format!("{minutes} min {seconds} s"),
-        (hours, 0, _) => format!("{hours} h"),
-        (hours, minutes, _) => format!("{hours} h {minutes} min"),
+pub(crate) use mom_client::plain_duration as duration;
+
+/// A duration in ms, for JSON.
+pub(crate) fn in_millis(duration: Duration) -> u64 {
+    u64::try_from(duration.as_millis()).unwrap_or(u64::MAX)
+}
+
+/// How far a token is given: ` for 2 min or 5 commands`; nothing for good.
+pub(crate) fn extent(time: Option<Duration>, commands: Option<u64>) -> String {
+    let time = time.map(|time| format!(" for {}", duration(time)));
+    match (time, commands.map(|commands| count(commands, "command"))) {
+        (Some(time), Some(commands)) => format!("{time} or {commands}"),
+        (Some(time), None) => time,
+        (None, Some(commands)) => format!(" for {commands}"),
+        (None, None) => String::new(),
     }
 }
 
@@ -154,20 +152,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn durations_are_rounded_up() {
-        for (millis, words) in [
-            (0, "0 s"),
-            (1, "0.1 s"),
-            (999, "1 s"),
-            (1001, "2 s"),
-            (59_000, "59 s"),
-            (59_001, "1 min"),
-            (178_000, "2 min 58 s"),
-            (180_000, "3 min"),
-            (3_600_000, "1 h"),
-            (3_900_000, "1 h 5 min"),
+    fn how_far_a_token_is_given() {
+        let minutes = Some(Duration::from_secs(120));
+        for (time, commands, words) in [
+            (minutes, Some(5), " for 2 min or 5 commands"),
+            (minutes, None, " for 2 min"),
+            (None, Some(1), " for 1 command"),
+            (None, None, ""),
         ] {
-            assert_eq!(duration(Duration::from_millis(millis)), words);
+            assert_eq!(extent(time, commands), words);
         }
     }
 

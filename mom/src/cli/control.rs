@@ -1,0 +1,250 @@
+//! What can be typed about tokens, and about who may do what.
+
+use std::time::Duration;
+
+use clap::Args;
+
+use super::duration;
+
+/// How long to hold a token.
+#[derive(Args, Debug)]
+pub(crate) struct Hold {
+    /// Release it after this time instead of at Ctrl-C: 30s, 5m
+    #[arg(long = "for", value_name = "TIME", value_parser = duration)]
+    pub(crate) time: Option<Duration>,
+    /// Answer those who ask for it: y and Enter hands it over, n and Enter does not
+    #[arg(long, short)]
+    pub(crate) answer: bool,
+}
+
+/// `mom grab`
+#[derive(Args, Debug)]
+pub(crate) struct Grab {
+    /// The token
+    pub(crate) path: String,
+    /// Wait for your turn, so long at most: 30s, 5m, or forever
+    #[arg(long, value_name = "TIME", value_parser = wait)]
+    pub(crate) wait: Option<Wait>,
+    #[command(flatten)]
+    pub(crate) hold: Hold,
+}
+
+pub(super) const GRAB: &str = "\
+Examples:
+  mom grab /robot/token
+  mom grab --wait 5m /robot/token          waits for your turn, and shows your place
+  mom grab --for 30s /robot/token
+  mom grab --answer /robot/token           who asks for it is answered with y or n
+
+Ctrl-C releases it, or leaves the queue.";
+
+/// How long to wait for a token.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Wait {
+    /// So long.
+    For(Duration),
+    /// As long as it takes.
+    Forever,
+}
+
+fn wait(text: &str) -> Result<Wait, String> {
+    match text {
+        "forever" => Ok(Wait::Forever),
+        text => duration(text).map(Wait::For),
+    }
+}
+
+/// `mom request`
+#[derive(Args, Debug)]
+pub(crate) struct Request {
+    /// The token
+    pub(crate) path: String,
+    /// Why; its owner is shown it
+    #[arg(long, value_name = "WORDS")]
+    pub(crate) text: Option<String>,
+    /// How long its owner may take to answer; 30s if absent
+    #[arg(long, value_name = "TIME", value_parser = duration)]
+    pub(crate) within: Option<Duration>,
+    #[command(flatten)]
+    pub(crate) hold: Hold,
+}
+
+pub(super) const REQUEST: &str = "\
+Examples:
+  mom request /robot/token
+  mom request --text 'only to take the cup away' --within 1m /robot/token
+
+A free token is yours at once. Its owner answers with y or n in: mom grab --answer /robot/token";
+
+/// `mom give`
+#[derive(Args, Debug)]
+pub(crate) struct Give {
+    /// The peer, by its name at the hub
+    pub(crate) peer: String,
+    /// The token
+    pub(crate) path: String,
+    /// Only for this time, then it comes back and is released: 30s, 2m
+    #[arg(long = "for", value_name = "TIME", value_parser = duration)]
+    pub(crate) time: Option<Duration>,
+    /// Only for so many commands, then it comes back and is released
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pub(crate) commands: Option<u64>,
+    /// How long the peer may take to accept; 10s if absent
+    #[arg(long, value_name = "TIME", value_parser = duration)]
+    pub(crate) within: Option<Duration>,
+    /// Wait for your turn to grab it first, so long at most: 30s, 5m, or forever
+    #[arg(long, value_name = "TIME", value_parser = wait)]
+    pub(crate) wait: Option<Wait>,
+}
+
+pub(super) const GIVE: &str = "\
+Examples:
+  mom give bob /robot/token                for good
+  mom give servo /robot/token --for 2m --commands 5
+  mom give bob /robot/token --within 1m --wait 5m
+
+The other peer takes it with: mom accept /robot/token";
+
+/// `mom accept`
+#[derive(Args, Debug)]
+pub(crate) struct Accept {
+    /// The token
+    pub(crate) path: String,
+    /// Only if this peer offers it
+    #[arg(long, value_name = "PEER")]
+    pub(crate) peer: Option<String>,
+    /// Wait so long for an offer: 1m; until Ctrl-C if absent
+    #[arg(long, value_name = "TIME", value_parser = duration)]
+    pub(crate) within: Option<Duration>,
+    #[command(flatten)]
+    pub(crate) hold: Hold,
+}
+
+pub(super) const ACCEPT: &str = "\
+Examples:
+  mom accept /robot/token                  waits for an offer and takes it
+  mom accept --peer alice --within 1m /robot/token";
+
+/// `mom decline`
+#[derive(Args, Debug)]
+pub(crate) struct Decline {
+    /// The token
+    pub(crate) path: String,
+    /// Only if this peer offers it
+    #[arg(long, value_name = "PEER")]
+    pub(crate) peer: Option<String>,
+    /// Wait so long for an offer: 1m; until Ctrl-C if absent
+    #[arg(long, value_name = "TIME", value_parser = duration)]
+    pub(crate) within: Option<Duration>,
+}
+
+pub(super) const DECLINE: &str = "\
+Examples:
+  mom decline /robot/token                 waits for an offer and says no
+  mom decline --peer alice --within 1m /robot/token";
+
+/// `mom break`
+#[derive(Args, Debug)]
+pub(crate) struct Break {
+    /// The token
+    pub(crate) path: String,
+}
+
+pub(super) const BREAK: &str = "\
+Examples:
+  mom break /robot/token                   its owner loses it, and the robot halts";
+
+/// `mom inhibit`
+#[derive(Args, Debug)]
+pub(crate) struct Inhibit {
+    /// The token
+    pub(crate) path: String,
+    /// End it after this time instead of at Ctrl-C: 30s, 5m
+    #[arg(long = "for", value_name = "TIME", value_parser = duration)]
+    pub(crate) time: Option<Duration>,
+}
+
+pub(super) const INHIBIT: &str = "\
+Examples:
+  mom inhibit /robot/token                 nobody drives while you are at the table
+  mom inhibit --for 10m /robot/token
+
+Several may do so at a time; the token can be had again when the last of them ends it.";
+
+/// `mom token`
+#[derive(Args, Debug)]
+pub(crate) struct Token {
+    /// The token
+    pub(crate) path: String,
+}
+
+pub(super) const TOKEN: &str = "\
+Examples:
+  mom token /robot/token
+  mom token --json /robot/token | jq .owner";
+
+/// `mom invite`
+#[derive(Args, Debug)]
+pub(crate) struct Invite {
+    /// The peer, by its name at the hub
+    pub(crate) peer: String,
+    /// The context
+    pub(crate) path: String,
+}
+
+pub(super) const INVITE: &str = "\
+Examples:
+  mom invite bob /robot
+
+Whether the peer may join is for the context's manager to say; some let in who was invited.";
+
+/// `mom expel`
+#[derive(Args, Debug)]
+pub(crate) struct Expel {
+    /// The peer, by its name at the hub
+    pub(crate) peer: String,
+    /// The context; / is the whole hub
+    pub(crate) path: String,
+    /// Why; the peer and the members are shown it
+    #[arg(long, value_name = "WORDS")]
+    pub(crate) text: Option<String>,
+    /// How long it is kept out; 1m if absent
+    #[arg(long = "for", value_name = "TIME", value_parser = duration)]
+    pub(crate) time: Option<Duration>,
+}
+
+pub(super) const EXPEL: &str = "\
+Examples:
+  mom expel bob /robot
+  mom expel bob /robot --text 'the robot is being repaired' --for 1h";
+
+/// `mom manage`
+#[derive(Args, Debug)]
+pub(crate) struct Manage {
+    /// The contexts where you have the chair; the hub asks only who is in them
+    #[arg(required = true, value_name = "PATH")]
+    pub(crate) paths: Vec<String>,
+    /// Say yes to everything
+    #[arg(long)]
+    pub(crate) allow_all: bool,
+}
+
+pub(super) const MANAGE: &str = "\
+Examples:
+  mom manage /robot                        each question is answered with y, n or a
+  mom manage --allow-all /robot
+  yes | mom manage --json /robot           questions and answers as JSON
+
+Answers: y yes, a yes from now on, n no, or n and why. Without an answer in time the hub says no.";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn how_long_to_wait() {
+        assert_eq!(wait("forever"), Ok(Wait::Forever));
+        assert_eq!(wait("5s"), Ok(Wait::For(Duration::from_secs(5))));
+        assert!(wait("5").is_err());
+    }
+}

@@ -1,0 +1,28 @@
+//! `mom expel`: a peer is put out of a context.
+
+use serde_json::json;
+
+use crate::cli::{self, Global};
+use crate::connect::{Stay, connect};
+use crate::failure::{Doing as _, Failure};
+use crate::output::style::{Ink, ink};
+use crate::output::{Output, words};
+
+pub(crate) async fn run(args: &cli::Expel, global: &Global, output: Output) -> Result<(), Failure> {
+    let client = connect(global, Stay::Once).await?;
+    let (peer, path) = (&args.peer, &args.path);
+    let text = args.text.as_deref().unwrap_or_default();
+    client
+        .expel(path, peer, text, args.time)
+        .await
+        .doing(format!("expel {peer} from {path}"))?;
+    client.close().await;
+    output.tell(
+        || json!({"state": "expelled", "path": path, "peer": peer}),
+        || {
+            let peer = words::visible(peer);
+            ink(format_args!("{peer} is out of {path}"), Ink::Good)
+        },
+    )?;
+    Ok(())
+}

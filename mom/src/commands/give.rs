@@ -1,0 +1,130 @@
+//! `mom give`: a token, grabbed and given to another peer.
+
+use mom_client::{Given, Lapsed, Token, TokenGuard};
+use serde_json::json;
+
+use super::grab::grab;
+use super::hold::{tell_lost, tell_released};
+use crate::cli::{self, Global};
+use crate::connect::{Stay, connect};
+use crate::failure::{Doing as _, Failure};
+use crate::interrupt::Interrupt;
+use crate::output::style::{Ink, ink};
+use crate::output::{Output, words};
+
+pub(crate) async fn run(args: &cli::Give, global: &Global, output: Output) -> Result<(), Failure> {
+    let client = connect(global, Stay::Once).await?;
+    let mut interrupt = Interrupt::install()?;
+    let path = &args.path;
+    let token = client.token(path).await.doing(format!("join {path}"))?;
+    let result = give(args, &token, &mut interrupt, output).await;
+    client.close().await;
+    result
+}
+
+async fn give(
+    args: &cli::Give,
+    token: &Token,
+    interrupt: &mut Interrupt,
+    output: Output,
+) -> Result<(), Failure> {
+    let (peer, path) = (args.peer.as_str(), args.path.as_str());
+    let guard = grab(token, args.wait, interrupt, output).await?;
+    let given = offer(args, &guard).await;
+    let mut given = match given {
+        Ok(given) => given,
+        Err(failure) => return end(guard, Err(failure), output).await,
+    };
+    let extent = words::extent(args.time, args.commands);
+    output.tell(
+        || json!({"state": "offered", "path": path, "to": peer}),
+        || format!("offered {path} to {}{extent}", words::visible(peer)),
+    )?;
+    let accepted = tokio::select! {
+        accepted = given.accepted() => accepted.map_err(|lapsed| lapsed_failure(path, &lapsed)),
+        () = interrupt.wait() => Err(Failure::plain("interrupted; the token is released, and the offer with it")),
+    };
+    if let Err(failure) = accepted {
+        return end(guard, Err(failure), output).await;
+    }
+    output.tell(
+        || json!({"state": "given", "path": path, "to": peer}),
+        || {
+            let head = ink(format_args!("{} has {path}", words::visible(peer)), Ink::Good);
+            format!("{head}{extent}")
+        },
+    )?;
+    match args.time.is_some() || args.commands.is_some() {
+        true => wait_for_return(given, path, interrupt, output).await,
+        false => Ok(()),
+    }
+}
+
+async fn offer(args: &cli::Give, guard: &TokenGuard) -> Result<Given, Failure> {
+    let mut give = guard.give(&args.peer);
+    if let Some(time) = args.time {
+        give = give.time(time);
+    }
+    if let Some(commands) = args.commands {
+        give = give.commands(commands);
+    }
+    if let Some(within) = args.within {
+        give = give.within(within);
+    }
+    give.await.doing(format!("give {} to {}", args.path, args.peer))
+}
+
+/// The token comes back, and is released.
+async fn wait_for_return(
+    given: Given,
+    path: &str,
+    interrupt: &mut Interrupt,
+    output: Output,
+) -> Result<(), Failure> {
+    output.remark(ink(
+        "it comes back by itself; after Ctrl-C it goes to nobody then",
+        Ink::Faint,
+    ));
+    let returned = tokio::select! {
+        returned = given.returned() => returned,
+        () = interrupt.wait() => return Ok(()),
+    };
+    match returned {
+        Ok(guard) => {
+            let fence = guard.fence();
+            output.tell(
+                || json!({"state": "returned", "path": path, "fence": fence, "number": words::fence(fence)}),
+                || format!("{path} is back"),
+            )?;
+            end(guard, Ok(()), output).await
+        }
+        Err(lost) => tell_lost(path, &lost, output),
+    }
+}
+
+/// Gives the token back, whatever came of it.
+async fn end(guard: TokenGuard, result: Result<(), Failure>, output: Output) -> Result<(), Failure> {
+    let path = guard.path().to_string();
+    if !guard.is_lost() {
+        guard.release().await.doing(format!("release {path}"))?;
+        tell_released(&path, output)?;
+    }
+    result
+}
+
+fn lapsed_failure(path: &str, lapsed: &Lapsed) -> Failure {
+    let to = words::visible(&lapsed.to);
+    match lapsed.reason.as_str() {
+        "declined" => Failure::plain(format!("{to} does not want {path}")),
+        "timed-out" => Failure::new(
+            format!("{to} did not take {path} in time"),
+            format!("give it more time with --within; it takes it with: mom accept {path}"),
+        ),
+        "left" => Failure::plain(format!("{to} is gone")),
+        "lost" => Failure::plain(format!("{path} was lost before {to} took it")),
+        reason => Failure::plain(format!(
+            "the offer to {to} came to nothing: {}",
+            words::visible(reason)
+        )),
+    }
+}

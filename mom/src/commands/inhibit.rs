@@ -1,0 +1,44 @@
+//! `mom inhibit`: nobody owns a token, until Ctrl-C.
+
+use serde_json::json;
+use tokio::time::Instant;
+
+use super::hold::{tell_lost, wait};
+use crate::cli::{self, Global};
+use crate::connect::{Stay, connect};
+use crate::failure::{Doing as _, Failure};
+use crate::interrupt::Interrupt;
+use crate::output::Output;
+use crate::output::style::{Ink, ink};
+
+pub(crate) async fn run(args: &cli::Inhibit, global: &Global, output: Output) -> Result<(), Failure> {
+    let client = connect(global, Stay::Once).await?;
+    let mut interrupt = Interrupt::install()?;
+    let path = &args.path;
+    let token = client.token(path).await.doing(format!("join {path}"))?;
+    let mut part = token.inhibit().await.doing(format!("inhibit {path}"))?;
+    output.tell(
+        || json!({"state": "inhibited", "path": path}),
+        || ink(format_args!("nobody can have {path}"), Ink::Good),
+    )?;
+    output.remark(ink("Ctrl-C ends it", Ink::Faint));
+    let until = args.time.map(|time| Instant::now() + time);
+    let lost = tokio::select! {
+        lost = part.lost() => Some(lost),
+        () = interrupt.wait() => None,
+        () = wait(until) => None,
+    };
+    let result = match lost {
+        Some(lost) => tell_lost(path, &lost, output),
+        None => {
+            part.release().await.doing(format!("uninhibit {path}"))?;
+            output.tell(
+                || json!({"state": "uninhibited", "path": path}),
+                || format!("{path} can be had again, if nobody else inhibits it"),
+            )?;
+            Ok(())
+        }
+    };
+    client.close().await;
+    result
+}

@@ -1,0 +1,27 @@
+//! `mom invite`: a peer is told of a context.
+
+use serde_json::json;
+
+use crate::cli::{self, Global};
+use crate::connect::{Stay, connect};
+use crate::failure::{Doing as _, Failure};
+use crate::output::style::{Ink, ink};
+use crate::output::{Output, words};
+
+pub(crate) async fn run(args: &cli::Invite, global: &Global, output: Output) -> Result<(), Failure> {
+    let client = connect(global, Stay::Once).await?;
+    let (peer, path) = (&args.peer, &args.path);
+    client
+        .invite(path, peer)
+        .await
+        .doing(format!("invite {peer} to {path}"))?;
+    client.close().await;
+    output.tell(
+        || json!({"state": "invited", "path": path, "peer": peer}),
+        || {
+            let peer = words::visible(peer);
+            ink(format_args!("{peer} is invited to {path}"), Ink::Good)
+        },
+    )?;
+    Ok(())
+}

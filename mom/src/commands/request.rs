@@ -1,0 +1,46 @@
+//! `mom request`: a token, asked from its owner and held until Ctrl-C.
+
+use super::hold::{Held, hold};
+use crate::cli::{self, Global};
+use crate::connect::{Stay, connect};
+use crate::failure::{Doing as _, Failure};
+use crate::interrupt::Interrupt;
+use crate::output::Output;
+use crate::output::style::{Ink, ink};
+
+pub(crate) async fn run(args: &cli::Request, global: &Global, output: Output) -> Result<(), Failure> {
+    let client = connect(global, Stay::Once).await?;
+    let mut interrupt = Interrupt::install()?;
+    let path = &args.path;
+    let token = client.token(path).await.doing(format!("join {path}"))?;
+    let events = token.events();
+    let mut request = token.request();
+    if let Some(within) = args.within {
+        request = request.within(within);
+    }
+    if let Some(text) = &args.text {
+        request = request.text(text);
+    }
+    output.remark(ink(
+        format_args!("asking for {path} as {}; Ctrl-C ends", client.name()),
+        Ink::Faint,
+    ));
+    let granted = tokio::select! {
+        granted = request => granted.doing(format!("request {path}")),
+        () = interrupt.wait() => Err(Failure::plain(format!("interrupted before {path} was handed over"))),
+    };
+    let result = match granted {
+        Ok(guard) => {
+            let held = Held {
+                client: &client,
+                token: &token,
+                events,
+                guard,
+            };
+            hold(held, &args.hold, &mut interrupt, output).await
+        }
+        Err(failure) => Err(failure),
+    };
+    client.close().await;
+    result
+}
