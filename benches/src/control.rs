@@ -339,6 +339,7 @@ fn about(family: Family, name: &str, path: &str) -> Result<Parcel, Error> {
     Ok(Parcel::new(family, name).context(path))
 }
 
+#[expect(clippy::needless_pass_by_value, reason = "it is for map_err")]
 fn net(error: mom_net::NetError) -> Error {
     Error::Unexpected(error.to_string())
 }

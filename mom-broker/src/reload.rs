@@ -87,6 +87,7 @@ fn keep_fixed(running: &Config, mut config: Config) -> (Config, Vec<String>) {
     keep(&limits.parcel, &mut new.parcel, "limits.parcel", &mut different);
     keep(&limits.depth, &mut new.depth, "limits.depth", &mut different);
     // Files that are open.
+    keep(&running.store, &mut config.store, "store", &mut different);
     keep(&running.audit, &mut config.audit, "audit", &mut different);
     keep(&running.record, &mut config.record, "record", &mut different);
     (config, different)

@@ -10,6 +10,7 @@ use mom_proto::{Code, Content, ContextKind, ContextNumber, Path, WireError};
 
 use crate::args::{self, ContextSpec};
 use crate::context::{Channel, Context, GuardSpec, Presence, Role};
+use crate::hub::Timer;
 use crate::token::{SafeState, Token};
 use crate::{Hub, PeerId};
 
@@ -77,6 +78,13 @@ impl Hub {
             role,
         });
         self.link_guards(number);
+        if let Some(until) = self
+            .token(number)
+            .and_then(|token| token.reserved.as_ref())
+            .map(|kept| kept.until)
+        {
+            self.timers.insert((until, Timer::Reserved(number)));
+        }
         Ok(number)
     }
 

@@ -282,6 +282,15 @@ impl Hub {
         (!same).then_some(reserved.until)
     }
 
+    /// Frees a token that was kept for its owner of before a restart, also for the next one.
+    pub(crate) fn end_reservation(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
+        if let Some(token) = self.token_mut(number) {
+            token.reserved = None;
+        }
+        self.correct_record(number, out);
+        self.advance_queue(number, out);
+    }
+
     /// What a token begins with, by the record of before the start.
     pub(crate) fn restore(&mut self, path: &Path, token: &mut Token) {
         token.fence = self.deleted_fence;

@@ -59,7 +59,7 @@ pub(crate) enum Timer {
     Request(ContextNumber, u64),
     /// Ends the waiting for a verdict.
     Answer(u64),
-    /// Lets the queue of a token go on that was kept for its owner of before a restart.
+    /// Frees a token that was kept for its owner of before a restart.
     Reserved(ContextNumber),
 }
 
@@ -182,7 +182,7 @@ impl Hub {
             Timer::Offer(token) => self.end_offer(token, "timed-out", out),
             Timer::Request(token, ticket) => self.handle_asked(token, ticket, out),
             Timer::Answer(question) => self.handle_unanswered(question, out),
-            Timer::Reserved(token) => self.advance_queue(token, out),
+            Timer::Reserved(token) => self.end_reservation(token, out),
         }
     }
 

@@ -18,7 +18,7 @@ pub struct Holder {
 
 /// What is kept of a token, so that no fence falls and nobody is granted it in the time of another's lease.
 ///
-/// The latest record of a path holds; it is kept when the token is deleted.
+/// The latest record of a path holds; it is kept when the token is deleted, until a start with a higher epoch.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Record {
     /// The token.

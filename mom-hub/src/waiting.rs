@@ -74,12 +74,6 @@ impl Hub {
             self.timers.insert((until, Timer::Wait(number, ticket)));
         }
         self.involve(wait.peer, number);
-        if let Some(until) = self
-            .token(number)
-            .and_then(|token| self.kept_by_restart(token, wait.peer))
-        {
-            self.timers.insert((until, Timer::Reserved(number)));
-        }
         // Who owns it lazily has to go now once the lease is over.
         self.retime(number);
         self.change_guarded_routes(number);

@@ -172,29 +172,11 @@ fn check(file: &File, source: &Source) -> Result<(), ConfigError> {
         );
         return Err(source.error(&["log"], text));
     }
-    for (table, size, least) in [
-        ("audit", file.audit.size, AuditConfig::LEAST),
-        ("record", file.record.size, RecordConfig::LEAST),
-    ] {
-        if size < least {
-            let text = format!("size is a number of bytes from {least}");
-            return Err(source.error(&[table, "size"], text));
-        }
-    }
     if file.listen.is_empty() {
         return Err(source.error(
             &["listen"],
             "a broker needs an address to listen at, such as 127.0.0.1:7666".into(),
         ));
-    }
-    if file
-        .store
-        .path
-        .as_ref()
-        .is_some_and(|path| path.as_os_str().is_empty())
-    {
-        let text = "path is a directory such as \"state\", relative to this file";
-        return Err(source.error(&["store", "path"], text.into()));
     }
     if !(1..=HARD_DEPTH).contains(&file.limits.depth) {
         return Err(source.error(
@@ -217,6 +199,29 @@ fn check(file: &File, source: &Source) -> Result<(), ConfigError> {
     if file.limits.gone <= file.limits.heartbeat {
         let text = "gone has to be longer than heartbeat, or every quiet peer is lost";
         return Err(source.error(&["limits", "gone"], text.to_owned()));
+    }
+    check_files(file, source)
+}
+
+/// Checks what is written: the store, the audit log, the recording.
+fn check_files(file: &File, source: &Source) -> Result<(), ConfigError> {
+    for (table, size, least) in [
+        ("audit", file.audit.size, AuditConfig::LEAST),
+        ("record", file.record.size, RecordConfig::LEAST),
+    ] {
+        if size < least {
+            let text = format!("size is a number of bytes from {least}");
+            return Err(source.error(&[table, "size"], text));
+        }
+    }
+    if file
+        .store
+        .path
+        .as_ref()
+        .is_some_and(|path| path.as_os_str().is_empty())
+    {
+        let text = "path is a directory such as \"state\", relative to this file";
+        return Err(source.error(&["store", "path"], text.into()));
     }
     Ok(())
 }

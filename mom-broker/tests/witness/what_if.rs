@@ -211,8 +211,9 @@ async fn a_rule_less_is_three_decisions() {
         text(&differs.stdout),
         format!(
             "{t} alice: grab /robot/token: alice owns /robot/token by \"lab/alice drives\", ok lease 180000 ms \
-             -> refused denied by \"lab\"\n\
-             {t} alice: send command /robot/arm: passed to /robot/arm -> refused not-owner by \"guard of /robot/arm\"\n\
+             -> refused denied by \"lab\" (new.toml:4)\n\
+             {t} alice: send command /robot/arm: passed to /robot/arm -> refused not-owner \
+             by \"guard of /robot/arm\" (new.toml:45)\n\
              {t} alice: release /robot/token: alice loses /robot/token (released), ok -> refused not-owner \
              by \"one owner at most\"\n\
              {inputs} inputs decided again by new.toml: 3 decisions differ\n"
@@ -230,7 +231,8 @@ async fn a_rule_less_is_three_decisions() {
             "at": t, "line": lines[1]["line"], "what": "send", "peer": "alice", "user": "alice",
             "message": "command", "context": "/robot/arm",
             "was": [{"what": "passed", "context": "/robot/arm", "peer": "alice"}],
-            "is": [{"what": "refused", "id": 5, "code": "not-owner", "rule": "guard of /robot/arm", "peer": "alice"}],
+            "is": [{"what": "refused", "id": 5, "code": "not-owner", "rule": "guard of /robot/arm", "peer": "alice",
+                "place": "new.toml:45"}],
         })
     );
     assert_eq!(lines[3], json!({"summary": {"inputs": inputs, "differ": 3}}));

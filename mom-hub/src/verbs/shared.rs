@@ -22,14 +22,11 @@ pub(crate) fn on_break(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) 
     if !holders.is_empty() {
         content.set("holders", hub.holders_value(number));
     }
-    if let Some(token) = hub.token_mut(number) {
-        token.reserved = None;
-    }
     hub.lose(number, Reason::Broken, Some(request.peer), out);
     for holder in holders {
         hub.uninhibit(number, holder, Reason::Broken.word(), out);
     }
-    hub.advance_queue(number, out);
+    hub.end_reservation(number, out);
     hub.push_ok(request.peer, request.parcel.id, &request.path, Some(content), out);
     Ok(())
 }
