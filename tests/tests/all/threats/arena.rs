@@ -62,6 +62,16 @@ pub(super) async fn driver(address: SocketAddr, form: Form, user: &str) -> Raw {
     peer
 }
 
+/// A peer under a nickname.
+pub(super) async fn nicknamed(address: SocketAddr, user: &str, nickname: &str) -> Raw {
+    let mut peer = Raw::connect(address, Form::Xml).await;
+    let content = Map::new().with("name", user).with("password", user);
+    let login = Parcel::new(Family::Login, "login").content(content.with("nickname", nickname));
+    peer.ask(login).await.expect("a user of the lab");
+    peer.join(&[ARENA]).await;
+    peer
+}
+
 /// A request about the token.
 pub(super) fn about(verb: &str) -> Parcel {
     Parcel::new(Family::Token, verb).context(at(TOKEN))

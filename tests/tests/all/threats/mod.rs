@@ -12,6 +12,7 @@ mod markup;
 mod mime;
 mod names;
 mod owner_lost;
+mod restart;
 mod revocation;
 mod storm;
 mod tokens;
