@@ -272,6 +272,46 @@ mod tests {
     }
 
     #[test]
+    fn who_is_let_in_or_put_out() {
+        let path = || Path::parse("/lab").unwrap();
+        let invited = Event::Invited {
+            by: "carol".to_owned(),
+            kind: Some(ContextKind::Session),
+            path: path(),
+        };
+        let expelled = Event::Expelled {
+            peer: "bob".to_owned(),
+            by: Some("carol".to_owned()),
+            text: Some("lun\nch".to_owned()),
+            path: path(),
+        };
+        for (event, words, name, content) in [
+            (
+                invited,
+                "carol invites you to /lab",
+                "invited",
+                Map::new()
+                    .with("path", "/lab")
+                    .with("by", "carol")
+                    .with("kind", "session"),
+            ),
+            (
+                expelled,
+                "bob was put out of /lab by carol: lun\\nch",
+                "expelled",
+                Map::new()
+                    .with("path", "/lab")
+                    .with("peer", "bob")
+                    .with("by", "carol")
+                    .with("text", "lun\nch"),
+            ),
+        ] {
+            assert_eq!(event_words(&event), words);
+            assert_eq!(event_slots(&event), (name, content));
+        }
+    }
+
+    #[test]
     fn how_this_peer_lost_a_token() {
         for (reason, by, words) in [
             ("preempted", Some("carol"), "carol has a higher level and took it"),

@@ -7,4 +7,5 @@ mod login;
 mod programs;
 mod protocol;
 mod python;
+mod states;
 mod threats;
