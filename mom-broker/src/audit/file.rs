@@ -123,6 +123,14 @@ fn whole_lines(lines: &[Vec<u8>], bytes: usize) -> (usize, usize) {
     whole
 }
 
+impl Drop for RotatingFile {
+    fn drop(&mut self) {
+        // Closing would do, but for a process that is just being made and has all files of this one until it becomes
+        // its own program. What fails here is closed all the same.
+        let _ = self.file.unlock();
+    }
+}
+
 impl Sink for RotatingFile {
     fn append(&mut self, lines: &[Vec<u8>]) -> (usize, io::Result<()>) {
         let mut done = 0;

@@ -1,7 +1,8 @@
 //! What was decided, in the form in which two decisions can be compared.
 
 use mom_hub::{Audit, Effect};
-use mom_proto::{Family, Parcel, Value, Verb, event};
+use mom_proto::event::Reason;
+use mom_proto::{Family, Parcel, Value, Verb};
 use serde::{Deserialize, Serialize};
 
 /// One thing that came of an input.
@@ -129,11 +130,8 @@ pub(super) fn outcomes(effects: &[Effect], asked: Option<(u64, Option<Verb>)>) -
                 from: from.0,
                 context: route.path.to_string(),
             }),
-            Effect::Deliver { parcel, .. } => {
-                // The same may be told to several groups of peers.
-                let told = told(parcel).filter(|told| !outcomes.contains(told));
-                outcomes.extend(told);
-            }
+            Effect::Deliver { parcel, .. } => outcomes.extend(question(parcel)),
+            Effect::Audit(fact) => outcomes.extend(told(fact)),
             Effect::Store {
                 record,
                 ticket: Some(ticket),
@@ -148,7 +146,6 @@ pub(super) fn outcomes(effects: &[Effect], asked: Option<(u64, Option<Verb>)>) -
                 peer: peer.0,
                 code: error.code.word().to_owned(),
             }),
-            Effect::Audit(fact) => name_rule(&mut outcomes, fact),
             Effect::Route(_) | Effect::RouteGone(_) | Effect::Store { .. } | Effect::Close { .. } => {}
         }
     }
@@ -182,70 +179,36 @@ fn answer(to: u64, parcel: &Parcel, asked: Option<(u64, Option<Verb>)>) -> Outco
     }
 }
 
-/// What an event says about control; of most there is no need to know.
-fn told(parcel: &Parcel) -> Option<Outcome> {
+fn question(parcel: &Parcel) -> Option<Outcome> {
     let context = parcel.context.as_ref()?.to_string();
-    if parcel.is(Family::Manager, "consult") {
-        return Some(Outcome::Asked {
-            context,
-            question: parcel.id,
-        });
-    }
-    if parcel.family != Family::Event {
-        return None;
-    }
-    let content = parcel.value();
-    let text = |key: &str| {
-        content
-            .get(key)
-            .and_then(Value::as_str)
-            .unwrap_or_default()
-            .to_owned()
-    };
-    match parcel.name() {
-        event::GRABBED => {
-            let fence = content.get("fence").and_then(Value::as_int);
-            Some(Outcome::Granted {
-                context,
-                owner: text("owner"),
-                fence: fence.and_then(|fence| u64::try_from(fence).ok()),
-                rule: None,
-            })
-        }
-        event::RELEASED => Some(Outcome::Lost {
-            context,
-            owner: text("owner"),
-            reason: text("reason"),
-        }),
-        event::INHIBITED => Some(Outcome::Inhibited {
-            context,
-            peer: text("peer"),
-        }),
-        event::UNINHIBITED => Some(Outcome::Uninhibited {
-            context,
-            peer: text("peer"),
-        }),
-        event::EXPELLED => Some(Outcome::Expelled {
-            context,
-            peer: text("peer"),
-        }),
-        _ => None,
-    }
+    parcel.is(Family::Manager, "consult").then_some(Outcome::Asked {
+        context,
+        question: parcel.id,
+    })
 }
 
-/// The rule that allowed a grant stands in its fact alone.
-fn name_rule(outcomes: &mut [Outcome], fact: &Audit) {
-    let (Some(at), Some(by)) = (&fact.context, &fact.rule) else {
-        return;
-    };
-    for outcome in outcomes {
-        if let Outcome::Granted { context, rule, .. } = outcome
-            && fact.what == "granted"
-            && *context == at.as_str()
-        {
-            *rule = Some(by.to_string());
-        }
-    }
+/// What a fact says about control. The facts and not the events: whether there is an event depends on who listens.
+fn told(fact: &Audit) -> Option<Outcome> {
+    let context = fact.context.as_ref()?.to_string();
+    let peer = fact.peer.as_deref().unwrap_or_default().to_owned();
+    Some(match fact.what {
+        "granted" => Outcome::Granted {
+            context,
+            owner: peer,
+            fence: fact.fence,
+            rule: fact.rule.as_deref().map(str::to_owned),
+        },
+        "lost" => Outcome::Lost {
+            context,
+            owner: peer,
+            reason: fact.reason.map(Reason::word).unwrap_or_default().to_owned(),
+        },
+        "inhibited" => Outcome::Inhibited { context, peer },
+        "uninhibited" => Outcome::Uninhibited { context, peer },
+        "expelled" => Outcome::Expelled { context, peer },
+        // What else there is has an answer that says the same.
+        _ => return None,
+    })
 }
 
 impl Outcome {

@@ -185,6 +185,13 @@ struct Writer {
     shared: Arc<Shared>,
 }
 
+impl Drop for Writer {
+    fn drop(&mut self) {
+        // As for the audit log: whoever starts next shall find the file free.
+        let _ = self.file.get_ref().unlock();
+    }
+}
+
 impl Writer {
     fn run(mut self, notes: &Receiver<Note>) {
         if let Err(error) = self.take_all(notes) {

@@ -25,8 +25,8 @@ pub struct Replay {
     rules: bool,
     names: Names,
     translations: Translations,
-    /// When the recorded hub wanted to be called next.
-    deadline: Option<Micros>,
+    /// When the recorded hub wanted to be called next; none before its first input, when nobody has noted it.
+    deadline: Option<Option<Micros>>,
     zeros: Bytes,
     summary: Summary,
 }
@@ -142,14 +142,15 @@ impl Replay {
         };
         self.names.note(&self.hub, step.input.peer(), user);
         differences.extend(self.compare(step.now, &step.input, &step.decided, &decided));
-        self.deadline = step.deadline;
+        self.deadline = Some(step.deadline);
         Ok(differences)
     }
 
     /// A time at which this hub wants to be called and the recorded one did not: nothing in the recording calls it.
     fn own_deadline(&self, before: Micros) -> Option<Micros> {
+        let recorded = self.deadline?;
         let own = self.hub.deadline().filter(|own| *own <= before)?;
-        self.deadline.is_none_or(|recorded| own < recorded).then_some(own)
+        recorded.is_none_or(|recorded| own < recorded).then_some(own)
     }
 
     fn handle(

@@ -166,9 +166,12 @@ impl Peer {
     }
 
     pub(crate) async fn connect(broker: &Broker, scheme: &str) -> Peer {
-        let address: Address = format!("{scheme}://{}", broker.local_addr())
-            .parse()
-            .expect("an address");
+        Peer::at(&broker.local_addr().to_string(), scheme).await
+    }
+
+    /// A peer of a broker that listens there.
+    pub(crate) async fn at(address: &str, scheme: &str) -> Peer {
+        let address: Address = format!("{scheme}://{address}").parse().expect("an address");
         let link = mom_net::connect(&address, &Limits::default())
             .await
             .expect("it listens");

@@ -2,5 +2,7 @@
 
 mod audit;
 mod lab;
+mod program;
 mod secrets;
+mod store;
 mod what_if;

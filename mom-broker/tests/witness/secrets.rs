@@ -1,55 +1,11 @@
 //! No secret is ever written down, however it was typed.
 
-use std::fs::File;
-use std::io::{BufRead, BufReader};
-use std::process::{Child, Command, Stdio};
-
 use mom_net::Address;
 use mom_proto::codec::Frame;
 use mom_proto::{Family, Limits, Map, Parcel, Value};
 
 use crate::lab::{Lab, PASSWORD};
-
-struct Running(Child);
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        // It may have ended already.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-fn start(lab: &Lab, args: &[&str]) -> (Running, String) {
-    let log = File::create(lab.path("log.txt")).expect("a file");
-    let mut child = Command::new(env!("CARGO_BIN_EXE_mom-broker"))
-        .env_remove("MOM_CONFIG")
-        .current_dir(lab.folder())
-        .args(["--config", "lab.toml"])
-        .args(args)
-        .stdout(Stdio::piped())
-        .stderr(log)
-        .spawn()
-        .expect("the program runs");
-    let mut line = String::new();
-    let out = child.stdout.as_mut().expect("piped");
-    BufReader::new(out)
-        .read_line(&mut line)
-        .expect("where it listens");
-    let address = line
-        .split("tcp://")
-        .nth(1)
-        .and_then(|rest| rest.split(' ').next());
-    let address = address.unwrap_or_else(|| panic!("{line:?}")).to_owned();
-    (Running(child), address)
-}
-
-fn stop(mut running: Running) {
-    let pid = running.0.id().to_string();
-    let killed = Command::new("kill").args(["-TERM", &pid]).status();
-    assert!(killed.expect("kill runs").success());
-    assert!(running.0.wait().expect("it ends").success());
-}
+use crate::program::Running;
 
 /// Says something on a connection of its own, and waits for the answer.
 async fn say(address: &str, parcels: Vec<Parcel>) -> Vec<String> {
@@ -82,20 +38,21 @@ fn login(content: impl Into<Value>) -> Parcel {
 async fn passwords_are_nowhere() {
     const WRONG: &str = "hunter2-Wx9-wrong";
     let lab = Lab::new("log = \"trace\"\naudit = { path = \"audit.jsonl\" }");
-    let (running, address) = start(&lab, &["--record", "control.jsonl"]);
+    let running = Running::start(&lab, &["--record", "control.jsonl"]);
+    let address = &running.address;
     let named = |name: &str, password: &str| Map::new().with("name", name).with("password", password);
     let right = login(named("alice", PASSWORD));
     // After the login a mistyped verb goes to the hub, secret and all.
     let mut mistyped = login(named("alice", WRONG));
     mistyped.name = "logon".into();
     let said = say(
-        &address,
+        address,
         vec![right.clone(), mistyped, login(named("alice", WRONG))],
     )
     .await;
     assert_eq!(said, ["ok", "unknown-verb", "bad-login"]);
     let said = say(
-        &address,
+        address,
         vec![
             login(named(WRONG, "x")),
             login(named("bob", WRONG)),
@@ -117,7 +74,7 @@ async fn passwords_are_nowhere() {
     let signature = bytes::Bytes::from_static(&[b'S'; 64]);
     let answer = Parcel::new(Family::Login, "answer").content(Map::new().with("signature", signature));
     assert_eq!(
-        say(&address, vec![challenge, answer]).await,
+        say(address, vec![challenge, answer]).await,
         ["challenge", "bad-login"]
     );
     let mut hidden = Parcel::new(Family::Message, "say").content(WRONG);
@@ -125,9 +82,9 @@ async fn passwords_are_nowhere() {
     hidden.context = mom_proto::Path::parse("/chat").ok();
     let mut join = Parcel::new(Family::Context, "join");
     join.context.clone_from(&hidden.context);
-    let said = say(&address, vec![right, join, hidden]).await;
+    let said = say(address, vec![right, join, hidden]).await;
     assert_eq!(said, ["ok", "ok", "ok"]);
-    stop(running);
+    running.stop();
     for name in ["audit.jsonl", "control.jsonl", "log.txt"] {
         let text = lab.read(name);
         for secret in [
@@ -153,10 +110,11 @@ async fn passwords_are_nowhere() {
 #[tokio::test]
 async fn a_full_disk_stops_nothing() {
     let lab = Lab::new("audit = { path = \"/dev/full\" }");
-    let (running, address) = start(&lab, &[]);
+    let running = Running::start(&lab, &[]);
+    let address = &running.address;
     let content = Map::new().with("name", "alice").with("password", PASSWORD);
-    assert_eq!(say(&address, vec![login(content)]).await, ["ok"]);
-    stop(running);
+    assert_eq!(say(address, vec![login(content)]).await, ["ok"]);
+    running.stop();
     let log = lab.read("log.txt");
     assert!(log.contains("the audit log cannot be written"), "{log}");
     assert!(log.contains("stopped"), "{log}");
@@ -165,10 +123,11 @@ async fn a_full_disk_stops_nothing() {
 #[tokio::test]
 async fn without_a_file_the_log_has_it() {
     let lab = Lab::new("log = \"warn,audit=info\"");
-    let (running, address) = start(&lab, &[]);
+    let running = Running::start(&lab, &[]);
+    let address = &running.address;
     let content = Map::new().with("name", "alice").with("password", PASSWORD);
-    assert_eq!(say(&address, vec![login(content)]).await, ["ok"]);
-    stop(running);
+    assert_eq!(say(address, vec![login(content)]).await, ["ok"]);
+    running.stop();
     let log = lab.read("log.txt");
     assert!(
         log.contains(" INFO ") && log.contains("audit: {\"at\":\"") && log.contains("\"what\":\"stopped\""),

@@ -12,7 +12,7 @@ use crate::lab::{Lab, Peer, RULES, at};
 
 const RECORD: &str = "record = { path = \"control.jsonl\" }";
 
-fn what_if(lab: &Lab, file: &str, more: &[&str]) -> Output {
+pub(crate) fn what_if(lab: &Lab, file: &str, more: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_mom-broker"))
         .current_dir(lab.folder())
         .args(["what-if", file, "--log", "control.jsonl"])
@@ -25,7 +25,7 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-fn steps(lab: &Lab) -> Vec<Json> {
+pub(crate) fn steps(lab: &Lab) -> Vec<Json> {
     let lines = lab.lines("control.jsonl");
     let steps = lines.iter().filter_map(|line| line.get("step").cloned());
     steps.collect()
@@ -280,6 +280,45 @@ async fn a_chair_that_is_asked_less_says_the_same() {
     assert_eq!(
         lines[..3].iter().map(code).collect::<Vec<_>>(),
         ["denied", "too-late", "not-owner"]
+    );
+}
+
+/// A recording goes on over a change of the configuration; the replay goes by one throughout.
+#[tokio::test]
+async fn a_change_of_the_configuration_is_told() {
+    let lab = Lab::new("audit = { path = \"audit.jsonl\" }\nrecord = { path = \"control.jsonl\" }");
+    let (broker, _clock) = lab.start().await;
+    let mut alice = Peer::xml(&broker, "alice").await;
+    assert_eq!(alice.verb(Verb::Join, "/robot").await, "ok");
+    assert_eq!(alice.verb(Verb::Grab, "/robot/token").await, "ok");
+    let (_, without) = RULES.split_once("\n\n").expect("a rule, and those after it");
+    lab.write(
+        "lab.toml",
+        &format!("audit = {{ path = \"other.jsonl\" }}\n{}", Lab::body(without)),
+    );
+    let report = broker.reload(lab.config()).expect("right");
+    assert_eq!(report.needs_restart, ["audit", "record"]);
+    assert_eq!(alice.verb(Verb::Renew, "/robot/token").await, "denied");
+    broker.stop().await;
+
+    let audit = lab.lines("audit.jsonl");
+    let configured = audit.iter().find(|line| line["what"] == "configured");
+    let configured = configured.expect("it was told");
+    assert_eq!(configured["config"], "lab.toml");
+    assert_ne!(configured["sha256"], audit[0]["sha256"]);
+    let told = json!({"configure": ["lab.toml", configured["sha256"]]});
+    assert!(steps(&lab).iter().any(|step| step["input"] == told));
+    let said = what_if(&lab, "lab.toml", &[]);
+    assert_eq!(said.status.code(), Some(2), "the grab was before: {said:?}");
+    assert!(
+        text(&said.stderr).contains("was changed 1 time while"),
+        "{said:?}"
+    );
+    let lines = text(&said.stdout);
+    assert_eq!(lines.lines().count(), 2 + 1, "{lines}");
+    assert!(
+        lines.contains("configure: alice loses /robot/token (revoked) -> nothing"),
+        "{lines}"
     );
 }
 
