@@ -194,7 +194,11 @@ fn explain_shows_all_that_can_be_asked() {
             "/robot/arm",
             "lookup info join members invite expel command * stop unstop",
         ),
-        ("bob", "/robot/token", "lookup info join members grab renew"),
+        (
+            "bob",
+            "/robot/token",
+            "lookup info join members grab renew give accept request",
+        ),
         ("camera", "/robot", "lookup info join members list"),
         (
             "carol",
