@@ -15,7 +15,7 @@ impl Hub {
     /// - One owner at most, and it is there and knows that it owns.
     /// - The members of a context are members of its parent, and know it.
     /// - An owner is a member of its token's parent.
-    /// - A fence is 0 or above all of the epochs before, and an owned token has one.
+    /// - The fence of an owner is above all of the epochs before.
     /// - Guards and the tokens they name know each other.
     /// - A timer waits for exactly each deadline of a token.
     /// - Nobody owns what several hold; who waits, asks, is offered or holds is in the token's parent, and knows it.
@@ -116,7 +116,7 @@ impl Hub {
         let path = &context.path;
         let epoch = self.settings.epoch << 20;
         assert!(
-            token.fence == 0 || token.fence > epoch,
+            token.owner.is_none() || token.fence > epoch,
             "the fence of {path} is of this epoch"
         );
         let guarded: BTreeSet<ContextNumber> = token
@@ -140,7 +140,6 @@ impl Hub {
         assert_eq!(timers, timer.iter().collect::<Vec<_>>(), "one timer for {path}");
         self.check_waiting(context, token);
         let Some(owner) = &token.owner else { return };
-        assert!(token.fence > 0, "an owned token has a fence");
         let peer = self.peers.get(owner.peer).expect("an owner is there");
         assert!(
             peer.owns.contains(&context.number),
