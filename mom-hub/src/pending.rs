@@ -274,7 +274,13 @@ impl Hub {
         Some(pending)
     }
 
-    /// Lets a send wait behind a deferred one of the same peer, if there is one.
+    /// Whether an earlier send of this peer to this channel waits for an answer.
+    pub(crate) fn waits_behind(&self, peer: PeerId, channel: ContextNumber) -> bool {
+        let mut waiting = self.pending.values();
+        waiting.any(|pending| pending.peer == peer && pending.channel == Some(channel))
+    }
+
+    /// Lets a send wait behind that one.
     ///
     /// # Errors
     /// `try-later` if too many wait there already.
@@ -283,18 +289,18 @@ impl Hub {
         peer: PeerId,
         channel: ContextNumber,
         parcel: &mut Parcel,
-    ) -> Result<bool, WireError> {
+    ) -> Result<(), WireError> {
         let mut waiting = self.pending.values_mut();
         let Some(pending) = waiting.find(|pending| pending.peer == peer && pending.channel == Some(channel))
         else {
-            return Ok(false);
+            return Ok(());
         };
         if pending.behind.len() >= MOST_SENDS {
             let text = "an earlier message to this channel still waits for who manages it";
             return Err(WireError::new(Code::TRY_LATER, text));
         }
         pending.behind.push_back(take_parcel(parcel));
-        Ok(true)
+        Ok(())
     }
 
     /// Forgets what a peer that is gone has asked, and answers what it was asked itself.

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use mom_managers::{Answer, Micros, Scope, Standing, Verdict};
-use mom_proto::{Content, ContextKind, ContextNumber, Parcel, Verb};
+use mom_managers::{Answer, Grant, Micros, Scope, Standing, Verdict};
+use mom_proto::{Content, ContextKind, ContextNumber, Parcel, Verb, WireError};
 
 use super::{Request, of_kind};
 use crate::admit::admit_with;
@@ -20,8 +20,9 @@ pub(crate) fn on(hub: &mut Hub, request: &mut Request, out: &mut Vec<Effect>) ->
     let (number, peer) = (context.number, request.peer);
     if hub.answers.is_empty() && request.verb == Verb::Send {
         // Messages of one sender stay in their order, also where one has to be asked about.
-        if hub.wait_behind(peer, number, &mut request.parcel)? {
-            return Ok(());
+        if hub.waits_behind(peer, number) {
+            hub.check_admissible(peer, number, &request.parcel)?;
+            return Ok(hub.wait_behind(peer, number, &mut request.parcel)?);
         }
     }
     let wish = Wish {
@@ -31,6 +32,8 @@ pub(crate) fn on(hub: &mut Hub, request: &mut Request, out: &mut Vec<Effect>) ->
     };
     let verdict = hub.consult(peer, &wish);
     if let Answer::Defer(defer) = verdict.answer {
+        // Nobody is asked about what would be refused in any case.
+        hub.check_admissible(peer, number, &request.parcel)?;
         return Err(hub.defer(peer, &wish, defer, verdict.rule));
     }
     hub.keep_standing(peer, number, &request.parcel, &verdict);
@@ -59,6 +62,27 @@ pub(crate) fn on(hub: &mut Hub, request: &mut Request, out: &mut Vec<Effect>) ->
 const AFTER_LAST: Micros = 1_000_000;
 
 impl Hub {
+    /// Checks what has to hold for a message besides its manager's word.
+    fn check_admissible(
+        &self,
+        peer: PeerId,
+        number: ContextNumber,
+        parcel: &Parcel,
+    ) -> Result<(), WireError> {
+        let Some(route) = self.route(number) else {
+            return Ok(());
+        };
+        // All that decides, which the content does not.
+        let mut trial = Parcel {
+            address: parcel.address.clone(),
+            fence: parcel.fence,
+            echo: parcel.echo,
+            ..Parcel::new(parcel.family, Arc::clone(&parcel.name))
+        };
+        let answer = Answer::Allow(Grant::default());
+        admit_with(&route, peer, &answer, &mut trial, self.now, self.wall()).map(|_| ())
+    }
+
     /// Counts a command of an owner that has only so many; whether it was one.
     fn count_command(&mut self, peer: PeerId, route: &Route, parcel: &Parcel) -> bool {
         let guard = route.guard.as_ref().filter(|guard| guard.covers(&parcel.name));
