@@ -4,7 +4,9 @@ use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_managers::{Answer, Defer, Denial, Grant, Micros, Owner, PeerFacts, Question, TokenFacts, Verdict};
+use mom_managers::{
+    Answer, Defer, Denial, Given, Grant, Micros, Owner, PeerFacts, Question, TokenFacts, Verdict,
+};
 use mom_proto::{Code, ContextKind, ContextNumber, Path, Verb, WireError};
 
 use crate::admit::refusal;
@@ -105,7 +107,12 @@ impl Hub {
         else {
             return nobody();
         };
-        let verdict = match self.question(managing, peer, &facts, wish) {
+        let mine = self
+            .answers
+            .iter()
+            .filter(|heard| heard.verb == wish.verb && heard.at == wish.at);
+        let answers: Vec<Given> = mine.map(|heard| heard.given.clone()).collect();
+        let verdict = match self.question(managing, peer, &facts, &answers, wish) {
             // A manager of somebody else's making that panics must not end the hub, nor let anybody in.
             Some(question) => std::panic::catch_unwind(AssertUnwindSafe(|| manager.decide(&question)))
                 .unwrap_or_else(|_| {
@@ -125,6 +132,7 @@ impl Hub {
         managing: ContextNumber,
         peer: PeerId,
         facts: &'a PeerFacts,
+        answers: &'a [Given],
         wish: &'a Wish<'_>,
     ) -> Option<Question<'a>> {
         let context = self.tree.get(wish.at)?;
@@ -143,7 +151,7 @@ impl Hub {
             token: self.token_facts(context, peer),
             invited,
             created: creator == Some(peer),
-            answers: &self.answers,
+            answers,
             now: self.now,
             wall: self.wall(),
         })

@@ -3,14 +3,14 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use mom_managers::{Given, Micros, Registry};
+use mom_managers::{Micros, Registry};
 use mom_proto::event::Reason;
 use mom_proto::{Code, ContextNumber, Family, Map, PROTOCOL_VERSION, Parcel, Path, Value, Verb, WireError};
 
 use crate::args::{self, ContextSpec};
 use crate::create::{SetupError, make_root, manager_word};
 use crate::peers::Peers;
-use crate::pending::{Pending, Refusal};
+use crate::pending::{Heard, Pending, Refusal};
 use crate::token::Token;
 use crate::tree::Tree;
 use crate::verbs::{self, Request};
@@ -41,7 +41,7 @@ pub struct Hub {
     pub(crate) pending: BTreeMap<u64, Pending>,
     pub(crate) last_question: u64,
     /// What was answered about the request that is carried out just now.
-    pub(crate) answers: Vec<Given>,
+    pub(crate) answers: Vec<Heard>,
 }
 
 /// What the hub does by itself at some time.
@@ -297,7 +297,7 @@ impl Hub {
         &mut self,
         peer: PeerId,
         parcel: Parcel,
-        answers: Vec<Given>,
+        answers: Vec<Heard>,
         out: &mut Vec<Effect>,
     ) {
         let start = out.len();

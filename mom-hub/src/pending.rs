@@ -59,7 +59,7 @@ pub(crate) struct Deferred {
 pub(crate) struct Pending {
     pub(crate) peer: PeerId,
     pub(crate) parcel: Parcel,
-    pub(crate) answers: Vec<Given>,
+    pub(crate) answers: Vec<Heard>,
     label: Arc<str>,
     pub(crate) asked: BTreeSet<PeerId>,
     whom: Whom,
@@ -70,12 +70,21 @@ pub(crate) struct Pending {
     pub(crate) behind: VecDeque<Parcel>,
 }
 
-/// Who may answer a question.
+/// Who may answer a question, and about what.
 #[derive(Clone, Debug)]
 struct Whom {
     ask: Ask,
+    verb: Verb,
     managing: ContextNumber,
     at: ContextNumber,
+}
+
+/// An answer, and what it is the answer to: managers of one label in other contexts have not been given it.
+#[derive(Clone, Debug)]
+pub(crate) struct Heard {
+    pub(crate) verb: Verb,
+    pub(crate) at: ContextNumber,
+    pub(crate) given: Given,
 }
 
 impl Hub {
@@ -84,12 +93,13 @@ impl Hub {
         &mut self,
         peer: PeerId,
         parcel: Parcel,
-        answers: Vec<Given>,
+        answers: Vec<Heard>,
         deferred: &Deferred,
         out: &mut Vec<Effect>,
     ) {
         let whom = Whom {
             ask: deferred.defer.ask.clone(),
+            verb: deferred.verb,
             managing: deferred.managing,
             at: deferred.at,
         };
@@ -97,7 +107,7 @@ impl Hub {
         let label = Arc::clone(&deferred.defer.label);
         if asked.is_empty() {
             let given = unanswered(label, "there is nobody to ask");
-            self.resume(peer, parcel, answers, given, out);
+            self.resume(peer, parcel, answers, whom.heard(given), out);
             return;
         }
         let mine = self
@@ -232,6 +242,7 @@ impl Hub {
             answers,
             channel,
             behind,
+            whom,
             ..
         } = pending;
         if let Some(channel) = channel {
@@ -242,7 +253,7 @@ impl Hub {
             let error = WireError::new(Code::TRY_LATER, text).rule(&given.label);
             self.push_refusal(peer, &parcel, &error, out);
         } else {
-            self.resume(peer, parcel, answers, given, out);
+            self.resume(peer, parcel, answers, whom.heard(given), out);
         }
         // They come in their order; what has to be asked for again holds back those after it.
         for parcel in behind {
@@ -254,17 +265,17 @@ impl Hub {
         &mut self,
         peer: PeerId,
         parcel: Parcel,
-        mut answers: Vec<Given>,
-        given: Given,
+        mut answers: Vec<Heard>,
+        heard: Heard,
         out: &mut Vec<Effect>,
     ) {
         // A manager that defers again although it has its answer would do so forever.
         if answers.len() >= MOST_OF_ONE {
-            let error = WireError::new(Code::DENIED, "the manager asks without end").rule(&given.label);
+            let error = WireError::new(Code::DENIED, "the manager asks without end").rule(&heard.given.label);
             self.push_refusal(peer, &parcel, &error, out);
             return;
         }
-        answers.push(given);
+        answers.push(heard);
         self.handle_request(peer, parcel, answers, out);
     }
 
@@ -336,6 +347,16 @@ impl Hub {
         let member = member.holding(held);
         context.members.insert(peer, Arc::new(member));
         self.changed.insert(channel);
+    }
+}
+
+impl Whom {
+    fn heard(&self, given: Given) -> Heard {
+        Heard {
+            verb: self.verb,
+            at: self.at,
+            given,
+        }
     }
 }
 

@@ -2,10 +2,11 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use mom_managers::{Expiry, Given, Micros, Terms};
+use mom_managers::{Expiry, Micros, Terms};
 use mom_proto::{Content, ContextNumber, Parcel, Path};
 
 use crate::durable::Storing;
+use crate::pending::Heard;
 use crate::{Holder, PeerId, Record};
 
 /// A token.
@@ -80,7 +81,7 @@ pub(crate) struct Waiter {
     /// When it gives up.
     pub(crate) until: Option<Micros>,
     /// What chairs and managing peers said of it.
-    pub(crate) answers: Vec<Given>,
+    pub(crate) answers: Vec<Heard>,
     /// The place that it was told last.
     pub(crate) told: usize,
 }

@@ -1,6 +1,6 @@
 //! The queue of a token: grabs that wait until it is their turn.
 
-use mom_managers::{Answer, Given, Micros};
+use mom_managers::{Answer, Micros};
 use mom_proto::event::{self, Reason};
 use mom_proto::{Code, ContextNumber, Map, Verb, WireError};
 
@@ -8,6 +8,7 @@ use crate::consult::Wish;
 use crate::durable::Change;
 use crate::hub::Timer;
 use crate::ownership::{fence_value, millis};
+use crate::pending::Heard;
 use crate::token::{Token, Waiter};
 use crate::{Effect, Hub, PeerId};
 
@@ -24,7 +25,7 @@ pub(crate) struct Wait {
     pub(crate) id: Option<u64>,
     /// For how long; none = until it has the token.
     pub(crate) time: Option<Micros>,
-    pub(crate) answers: Vec<Given>,
+    pub(crate) answers: Vec<Heard>,
 }
 
 impl Hub {

@@ -33,13 +33,11 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
     let args: Args = args::read_or_default(&request.parcel)?;
     let within = args::micros(args.within, "within")?;
     hub.check_parent_joined(request.peer, number)?;
-    hub.allow(request, number)?;
-    let Some(owner) = hub.owner_of(number) else {
+    // With nobody to ask it is a grab, and the manager is asked about that.
+    let Some(owner) = hub.owner_of(number).filter(|owner| *owner != request.peer) else {
         return grab::at_once(hub, request, number, out);
     };
-    if owner == request.peer {
-        return grab::at_once(hub, request, number, out);
-    }
+    hub.allow(request, number)?;
     let asking = hub.token(number).map(|token| &token.asking);
     if asking.is_some_and(|asking| asking.iter().any(|asking| asking.peer == request.peer)) {
         let text = "this peer asks already; wait for the answer";
