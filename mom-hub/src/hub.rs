@@ -210,6 +210,7 @@ impl Hub {
                 // Another user on the same connection is another peer: it inherits nothing.
                 if known.is_some() {
                     self.handle_gone(peer, out);
+                    self.tree.forget(peer);
                 }
                 let name = nickname.unwrap_or_else(|| user.name.clone());
                 self.peers.add(peer, user, &name, self.now);
@@ -291,6 +292,7 @@ impl Hub {
         self.audit(fact, out);
         self.peers
             .remove(peer, self.now.saturating_add(self.settings.name_rest));
+        self.end_questions(peer, out);
     }
 
     pub(crate) fn handle_request(

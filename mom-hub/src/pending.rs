@@ -314,7 +314,7 @@ impl Hub {
         Ok(())
     }
 
-    /// Forgets what a peer that is gone has asked, and answers what it was asked itself.
+    /// Refuses what waits of a peer that goes: its connection may be somebody else's next.
     pub(crate) fn end_pending(&mut self, peer: PeerId, out: &mut Vec<Effect>) {
         let own: Vec<u64> = self
             .pending
@@ -322,9 +322,19 @@ impl Hub {
             .filter(|(_, pending)| pending.peer == peer)
             .map(|(question, _)| *question)
             .collect();
+        let error = WireError::new(Code::NOT_MEMBER, "who asked is gone before it was answered");
         for question in own {
-            self.take_pending(question);
+            let Some(pending) = self.take_pending(question) else {
+                continue;
+            };
+            for parcel in std::iter::once(&pending.parcel).chain(&pending.behind) {
+                self.push_refusal(peer, parcel, &error, out);
+            }
         }
+    }
+
+    /// Answers for a peer that is gone what it was asked, where it was the last who could.
+    pub(crate) fn end_questions(&mut self, peer: PeerId, out: &mut Vec<Effect>) {
         let mut alone = Vec::new();
         for (question, pending) in &mut self.pending {
             if pending.asked.remove(&peer) && pending.asked.is_empty() {

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use mom_proto::{ContextNumber, Path};
 
+use crate::PeerId;
 use crate::context::Context;
 
 /// The tree under one root (M21).
@@ -66,6 +67,14 @@ impl Tree {
 
     pub(crate) fn iter(&self) -> impl Iterator<Item = &Context> {
         self.contexts.values()
+    }
+
+    /// Forgets what a connection was known for, whose next user is another one.
+    pub(crate) fn forget(&mut self, peer: PeerId) {
+        for context in self.contexts.values_mut() {
+            context.creator = context.creator.filter(|creator| *creator != peer);
+            context.invited.remove(&peer);
+        }
     }
 
     pub(crate) fn len(&self) -> usize {
