@@ -177,7 +177,7 @@ impl Hub {
             return Some(facts);
         };
         // Who was given it for a while has it on behalf of the giver.
-        let giver = ownership.delegation.as_ref().map(|delegation| delegation.from);
+        let giver = token.giver();
         let peer = self.peers.get(ownership.peer)?;
         let principal = giver.and_then(|giver| self.peers.get(giver)).unwrap_or(peer);
         facts.owner = Some(Owner {

@@ -69,7 +69,10 @@ impl Hub {
         }
         let delegation = token.owner.as_ref().and_then(|owner| owner.delegation.as_ref());
         if let Some(delegation) = delegation {
-            let mut given = Map::new().with("from", self.name_of(delegation.from));
+            let mut given = Map::new();
+            if let Some(from) = delegation.from {
+                given.set("from", self.name_of(from));
+            }
             if let Some(until) = delegation.until {
                 given.set("left", self.millis_until(until));
             }

@@ -83,7 +83,7 @@ impl Hub {
     }
 
     /// What has to be durable before a grant; none if it is.
-    fn needed_record(&self, number: ContextNumber, to: PeerId) -> Option<Record> {
+    pub(crate) fn needed_record(&self, number: ContextNumber, to: PeerId) -> Option<Record> {
         if !self.settings.durable {
             return None;
         }
@@ -210,7 +210,7 @@ impl Hub {
             .given
             .filter(|(time, commands)| time.is_some() || commands.is_some());
         let delegation = delegation.zip(owner).map(|((time, commands), from)| Delegation {
-            from,
+            from: Some(from),
             until: time.map(|time| self.now.saturating_add(time)),
             commands,
             return_at: None,
@@ -227,7 +227,8 @@ impl Hub {
                 _ => change.turn,
             },
         };
-        self.change_owner(number, Some(grantee), change.reason, Some(change.to), out);
+        let agreed = change.reason == Reason::Given;
+        self.change_owner(number, Some(grantee), change.reason, Some(change.to), agreed, out);
         self.answer_grant(number, &path, &change.answers, out);
         self.correct_record(number, out);
         self.told_places(number, out);

@@ -293,6 +293,7 @@ impl Hub {
             self.end_offer(number, "left", out);
         }
         self.uninhibit(number, peer, reason, out);
+        self.forget_giver(number, peer);
         let Some(token) = self.token_mut(number) else {
             return;
         };
@@ -304,6 +305,17 @@ impl Hub {
             }
         }
         self.uninvolve(peer, number);
+    }
+
+    /// What was lent is not returned to who is not there any more, nor to another user on its connection.
+    fn forget_giver(&mut self, number: ContextNumber, peer: PeerId) {
+        let owner = self.token_mut(number).and_then(|token| token.owner.as_mut());
+        let lent = owner.and_then(|owner| owner.delegation.as_mut());
+        if let Some(delegation) = lent.filter(|delegation| delegation.from == Some(peer)) {
+            delegation.from = None;
+            // They show the level with which the token is defended.
+            self.change_guarded_routes(number);
+        }
     }
 
     /// Who owns a token.

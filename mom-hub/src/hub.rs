@@ -246,13 +246,11 @@ impl Hub {
                 self.changed.insert(number);
             }
         }
-        // Routes show the owner's level, also to channels that the owner has not joined.
-        let owned: Vec<ContextNumber> = self
-            .peers
-            .get(peer)
-            .map(|peer| peer.owns.iter().copied().collect())
-            .unwrap_or_default();
-        owned
+        // Routes show the level of the owner, or of who lent it the token, also to channels that it has not joined.
+        let known = self.peers.get(peer);
+        let tokens = known.map(|peer| peer.owns.iter().chain(&peer.involved).copied().collect());
+        let tokens: Vec<ContextNumber> = tokens.unwrap_or_default();
+        tokens
             .into_iter()
             .for_each(|token| self.change_guarded_routes(token));
     }

@@ -150,7 +150,8 @@ impl Hub {
             turn: None,
         };
         let mut nobody_hears = Vec::new();
-        self.change_owner(number, Some(grantee), Reason::Released, None, &mut nobody_hears);
+        let reason = Reason::Released;
+        self.change_owner(number, Some(grantee), reason, None, false, &mut nobody_hears);
     }
 
     fn refusal_of(&mut self, verdict: &Verdict, case: &Case<'_>, wish: &Wish<'_>) -> Option<WireError> {

@@ -43,20 +43,19 @@ impl Hub {
     ) {
         let owner = self.token(number).and_then(|token| token.owner.as_ref());
         let Some(owner) = owner else { return };
-        let giver = owner.delegation.as_ref().map(|delegation| delegation.from);
         let turn = Some(owner.turn);
+        let giver = self.token(number).and_then(Token::giver);
         let returns = !matches!(reason, Reason::Deleted | Reason::Broken | Reason::Preempted);
         // A delegate that gives the token back does what was agreed.
         let reason = match reason {
             Reason::Released if giver.is_some() => Reason::Returned,
             reason => reason,
         };
-        self.change_owner(number, None, reason, by, out);
-        let parent = self.tree.get(number).and_then(|context| context.parent);
-        let giver = giver
-            .filter(|_| returns)
-            .filter(|giver| parent.is_some_and(|parent| self.is_member(*giver, parent)));
-        match giver {
+        // Where the return has to be stored first, nobody has the device in hand until it is.
+        let at_once = giver.is_some_and(|giver| self.needed_record(number, giver).is_none());
+        let agreed = reason == Reason::Returned && by.is_some() && at_once;
+        self.change_owner(number, None, reason, by, agreed, out);
+        match giver.filter(|_| returns) {
             Some(giver) if self.token(number).is_some_and(Token::is_free) => {
                 let change = Change {
                     turn,
@@ -86,13 +85,15 @@ impl Hub {
         self.change_guarded_routes(number);
     }
 
-    /// The one place where a token's owner changes.
+    /// The one place where a token's owner changes. Where that is `agreed`, who has the device in hand keeps it
+    /// there until the next one has it: no safe state.
     pub(crate) fn change_owner(
         &mut self,
         number: ContextNumber,
         to: Option<Grantee>,
         reason: Reason,
         by: Option<PeerId>,
+        agreed: bool,
         out: &mut Vec<Effect>,
     ) {
         let (now, floor) = (self.now, self.fence_floor());
@@ -124,11 +125,13 @@ impl Hub {
             None => (None, None),
         };
         self.note_owner(number, old.as_ref(), new);
+        let giver = self.token(number).and_then(Token::giver);
+        giver.into_iter().for_each(|giver| self.involve(giver, number));
+        let lent = old.as_ref().and_then(|old| old.delegation.as_ref()?.from);
+        lent.into_iter().for_each(|giver| self.uninvolve(giver, number));
         self.retime(number);
         self.change_guarded_routes(number);
         if let Some(old) = old {
-            // Who hands over by agreement has the device in hand until the other has it.
-            let agreed = matches!(reason, Reason::Given | Reason::Returned) && by.is_some();
             if !agreed || self.token(number).is_some_and(|token| token.safe_on_give) {
                 self.push_safe_state(number, out);
             }
@@ -275,7 +278,9 @@ impl Hub {
         }
         let delegation = token.owner.as_ref().and_then(|owner| owner.delegation.as_ref());
         if let Some(delegation) = delegation {
-            map.set("from", self.name_of(delegation.from));
+            if let Some(from) = delegation.from {
+                map.set("from", self.name_of(from));
+            }
             if let Some(until) = delegation.until {
                 map.set("for", self.millis_until(until));
             }
@@ -290,10 +295,7 @@ impl Hub {
     pub(crate) fn owner_level(&self, token: &Token) -> Option<i32> {
         let owner = token.owner.as_ref()?;
         let level = |peer: PeerId| self.peers.get(peer).map(|peer| peer.facts.level);
-        let giver = owner
-            .delegation
-            .as_ref()
-            .and_then(|delegation| level(delegation.from));
+        let giver = token.giver().and_then(level);
         level(owner.peer).map(|own| giver.map_or(own, |giver| own.max(giver)))
     }
 

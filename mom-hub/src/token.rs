@@ -59,7 +59,8 @@ pub(crate) struct Ownership {
 /// An ownership that returns to who gave it (M41).
 #[derive(Clone, Debug)]
 pub(crate) struct Delegation {
-    pub(crate) from: PeerId,
+    /// None: it has left since, so that nobody has it back.
+    pub(crate) from: Option<PeerId>,
     /// When the time is over.
     pub(crate) until: Option<Micros>,
     /// How many commands are left.
@@ -187,6 +188,12 @@ impl Token {
             || self.asking.iter().any(|asking| asking.peer == peer)
             || self.offer.as_ref().is_some_and(|offer| offer.to == peer)
             || self.held_back.iter().any(|(held, _)| *held == peer)
+            || self.giver() == Some(peer)
+    }
+
+    /// Who has lent it to its owner, and will have it back.
+    pub(crate) fn giver(&self) -> Option<PeerId> {
+        self.owner.as_ref()?.delegation.as_ref()?.from
     }
 }
 
