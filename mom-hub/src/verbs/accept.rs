@@ -27,6 +27,7 @@ pub(crate) fn on_accept(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>)
     let (peer, answers) = (request.peer, vec![(request.peer, request.parcel.id)]);
     if let Some(name) = &args.peer {
         hub.check_owner(request, number)?;
+        hub.check_not_lent(number, "given on")?;
         let to = asking(hub, request, name)?;
         // Whether who gains it may have it, as if it had been offered; the owner's word is not enough for that.
         let Allowed { rule, grant } = hub.ask(to, &Wish::new(Verb::Accept, number))?;
