@@ -164,8 +164,9 @@ impl Hub {
         let waiting = token.queue.iter().map(|waiter| waiter.peer);
         let asking = token.asking.iter().map(|asking| asking.peer);
         let offered = token.offer.iter().map(|offer| offer.to);
-        let held_back = token.held_back.iter().map(|(peer, _)| *peer);
+        let held_back = token.held_back.iter().map(|held| held.peer);
         let all = waiting.clone().chain(asking).chain(offered);
+        let all = all.chain(token.promised()).chain(token.giver());
         for peer in all.chain(token.holders.keys().copied()).chain(held_back) {
             let known = self.peers.get(peer).expect("who waits is there");
             assert!(

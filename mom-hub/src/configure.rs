@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use mom_managers::Answer;
 use mom_proto::event::Reason;
-use mom_proto::{ContextNumber, Path, Verb, WireError};
+use mom_proto::{Code, ContextNumber, Path, Verb, WireError};
 
 use crate::args::ContextSpec;
 use crate::consult::Wish;
@@ -225,6 +225,7 @@ impl Hub {
                     self.lose(token, Reason::Revoked, None, out);
                 }
             }
+            self.review_promises(peer, out);
             for place in joined {
                 let within = self
                     .tree
@@ -234,6 +235,27 @@ impl Hub {
                     let text = "the configuration has changed: this peer may not be here any more";
                     self.expel(place, peer, None, Some(text), out);
                 }
+            }
+        }
+    }
+
+    /// Ends the part of a peer in shared holds, and grants to it that are being stored, where it may not any more.
+    fn review_promises(&mut self, peer: PeerId, out: &mut Vec<Effect>) {
+        let known = self.peers.get(peer);
+        let involved: Vec<ContextNumber> = known
+            .map(|known| known.involved.iter().copied().collect())
+            .unwrap_or_default();
+        for number in involved {
+            let token = self.token(number);
+            let holds = token.is_some_and(|token| token.holders.contains_key(&peer));
+            let promised = token.is_some_and(|token| token.promised() == Some(peer));
+            if holds && self.refused(peer, Verb::Inhibit, number) {
+                self.uninhibit(number, peer, Reason::Revoked.word(), out);
+            }
+            if promised && self.refused(peer, Verb::Renew, number) {
+                let text = "the configuration has changed: this peer may not own it any more";
+                let error = WireError::new(Code::DENIED, text);
+                self.call_off_for(number, peer, &error, Reason::Revoked.word(), out);
             }
         }
     }

@@ -59,7 +59,8 @@ impl Change {
 #[derive(Clone, Debug)]
 pub(crate) struct Storing {
     pub(crate) ticket: Ticket,
-    pub(crate) change: Change,
+    /// None: it was called off, but the record may become durable all the same.
+    pub(crate) change: Option<Change>,
 }
 
 impl Hub {
@@ -71,8 +72,10 @@ impl Hub {
         };
         self.last_ticket += 1;
         let ticket = Ticket(self.last_ticket);
+        self.involve(change.to, number);
         if let Some(token) = self.token_mut(number) {
             token.record = Some(record.clone());
+            let change = Some(change);
             token.storing = Some(Storing { ticket, change });
         }
         self.storing.insert(ticket, number);
@@ -156,19 +159,60 @@ impl Hub {
         let Some(Storing { change, .. }) = token.storing.take() else {
             return;
         };
-        if ok {
-            self.settle(number, change, out);
-        } else {
+        if let (Some(record), false) = (&mut token.record, ok) {
             // It may be durable all the same, or not: nothing that is covered by it may go unstored again.
-            if let Some(record) = &mut token.record {
-                record.lease = Some(0);
-            }
-            let text = "the change of owner could not be made durable, so nothing was changed";
-            let error = WireError::new(Code::STORAGE_FAILED, text);
-            self.refuse_all(&change.answers, &error, Verb::Grab, number, out);
+            record.lease = Some(0);
         }
-        self.run_held_back(number, out);
+        match change {
+            Some(change) => {
+                self.uninvolve(change.to, number);
+                if ok {
+                    self.settle(number, change, out);
+                } else {
+                    let text = "the change of owner could not be made durable, so nothing was changed";
+                    let error = WireError::new(Code::STORAGE_FAILED, text);
+                    self.call_off(number, &change, &error, Code::STORAGE_FAILED.word(), out);
+                }
+            }
+            None => self.correct_record(number, out),
+        }
+        // First who has waited, then who came while this was stored.
         self.advance_queue(number, out);
+        self.run_held_back(number, out);
+    }
+
+    /// Refuses what a change of owner would have answered, and brings its record back to the truth.
+    pub(crate) fn call_off(
+        &mut self,
+        number: ContextNumber,
+        change: &Change,
+        error: &WireError,
+        reason: &str,
+        out: &mut Vec<Effect>,
+    ) {
+        if let (Some(from), Some(_)) = (change.from, change.given) {
+            self.push_lapsed(number, "offer", from, change.to, reason, out);
+        }
+        self.refuse_all(&change.answers, error, Verb::Grab, number, out);
+        self.correct_record(number, out);
+    }
+
+    /// Calls off a grant to this peer that is being stored.
+    pub(crate) fn call_off_for(
+        &mut self,
+        number: ContextNumber,
+        peer: PeerId,
+        error: &WireError,
+        reason: &str,
+        out: &mut Vec<Effect>,
+    ) {
+        let storing = self.token_mut(number).and_then(|token| token.storing.as_mut());
+        let promised =
+            storing.filter(|storing| storing.change.as_ref().is_some_and(|change| change.to == peer));
+        if let Some(change) = promised.and_then(|storing| storing.change.take()) {
+            self.call_off(number, &change, error, reason, out);
+            self.uninvolve(peer, number);
+        }
     }
 
     /// Carries out what waited for a change of the token to be durable.
@@ -177,10 +221,11 @@ impl Hub {
             let Some(token) = self.token_mut(number).filter(|token| token.storing.is_none()) else {
                 return;
             };
-            let Some((peer, parcel)) = token.held_back.pop_front() else {
+            let Some(held) = token.held_back.pop_front() else {
                 return;
             };
-            self.handle_request(peer, parcel, Vec::new(), out);
+            self.uninvolve(held.peer, number);
+            self.handle_request(held.peer, held.parcel, held.answers, out);
         }
     }
 
@@ -198,12 +243,17 @@ impl Hub {
         let inhibited = token.is_some_and(|token| !token.holders.is_empty());
         let moved = change.from.is_some() && change.from != owner;
         if !there || moved || inhibited {
-            let error = match moved {
-                true => WireError::new(Code::NO_OFFER, format!("who gave {path} has lost it meanwhile")),
-                false => WireError::new(Code::NOT_MEMBER, format!("{path} was left before it was granted")),
+            let (error, reason) = match moved {
+                true => (
+                    WireError::new(Code::NO_OFFER, format!("who gave {path} has lost it meanwhile")),
+                    "lost",
+                ),
+                false => (
+                    WireError::new(Code::NOT_MEMBER, format!("{path} was left before it was granted")),
+                    "left",
+                ),
             };
-            self.refuse_all(&change.answers, &error, Verb::Grab, number, out);
-            self.correct_record(number, out);
+            self.call_off(number, &change, &error, reason, out);
             return;
         }
         let delegation = change

@@ -60,7 +60,7 @@ impl Hub {
     }
 
     /// Tells both sides that an offer or a request is over.
-    fn push_lapsed(
+    pub(crate) fn push_lapsed(
         &self,
         number: ContextNumber,
         what: &str,
@@ -294,15 +294,14 @@ impl Hub {
         }
         self.uninhibit(number, peer, reason, out);
         self.forget_giver(number, peer);
+        self.call_off_for(number, peer, &error, "left", out);
         let Some(token) = self.token_mut(number) else {
             return;
         };
-        let (left, kept): (Vec<_>, Vec<_>) = token.held_back.drain(..).partition(|(held, _)| *held == peer);
+        let (left, kept): (Vec<_>, Vec<_>) = token.held_back.drain(..).partition(|held| held.peer == peer);
         token.held_back = kept.into();
-        for (peer, parcel) in left {
-            if self.peers.get(peer).is_some() {
-                self.push_refusal(peer, &parcel, &error, out);
-            }
+        for held in left {
+            self.push_refusal(peer, &held.parcel, &error, out);
         }
         self.uninvolve(peer, number);
     }

@@ -4,9 +4,10 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use mom_proto::event::{self, Reason};
-use mom_proto::{Code, ContextNumber, Map, Verb, WireError};
+use mom_proto::{Code, ContextNumber, Map, WireError};
 
 use crate::context::Presence;
+use crate::durable::Storing;
 use crate::events::peer_map;
 use crate::hub::Timer;
 use crate::route::{Guard, GuardOwner, Route};
@@ -144,24 +145,26 @@ impl Hub {
         let path = self.tree.get(number).map(|context| context.path.to_string());
         let text = format!("{} was deleted", path.unwrap_or_default());
         let error = WireError::new(Code::UNKNOWN_PATH, text).slot("context");
-        if let Some(storing) = storing {
-            self.storing.remove(&storing.ticket);
-            self.refuse_all(&storing.change.answers, &error, Verb::Grab, number, out);
+        if let Some(Storing { ticket, change }) = storing {
+            self.storing.remove(&ticket);
+            if let Some(change) = change {
+                self.call_off(number, &change, &error, "lost", out);
+                self.uninvolve(change.to, number);
+            }
         }
         for peer in waiting {
             self.withdraw(number, peer, &error, out);
         }
-        for (peer, parcel) in held_back {
-            if self.peers.get(peer).is_some() {
-                self.push_refusal(peer, &parcel, &error, out);
-            }
-            self.uninvolve(peer, number);
+        for held in held_back {
+            self.push_refusal(held.peer, &held.parcel, &error, out);
+            self.uninvolve(held.peer, number);
         }
         for peer in holders {
             self.uninhibit(number, peer, Reason::Deleted.word(), out);
         }
         self.end_handover(number, None, out);
         self.lose(number, Reason::Deleted, by, out);
+        self.correct_record(number, out);
     }
 
     pub(crate) fn unguard(&mut self, channel: ContextNumber) {

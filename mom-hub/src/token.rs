@@ -32,7 +32,7 @@ pub(crate) struct Token {
     /// A change of owner that waits until it is durable.
     pub(crate) storing: Option<Storing>,
     /// Requests that wait for the end of that.
-    pub(crate) held_back: VecDeque<(PeerId, Parcel)>,
+    pub(crate) held_back: VecDeque<HeldBack>,
     /// What was stored last.
     pub(crate) record: Option<Record>,
     /// Who alone may have it, since a restart.
@@ -108,6 +108,15 @@ pub(crate) struct Asking {
     pub(crate) ticket: u64,
     pub(crate) id: Option<u64>,
     pub(crate) until: Micros,
+}
+
+/// A request that waits for the end of a change of owner.
+#[derive(Clone, Debug)]
+pub(crate) struct HeldBack {
+    pub(crate) peer: PeerId,
+    pub(crate) parcel: Parcel,
+    /// What chairs and managing peers said of it.
+    pub(crate) answers: Vec<Heard>,
 }
 
 /// After a restart: who may have the token before a lease of then could have ended.
@@ -187,8 +196,14 @@ impl Token {
             || self.queue.iter().any(|waiter| waiter.peer == peer)
             || self.asking.iter().any(|asking| asking.peer == peer)
             || self.offer.as_ref().is_some_and(|offer| offer.to == peer)
-            || self.held_back.iter().any(|(held, _)| *held == peer)
+            || self.held_back.iter().any(|held| held.peer == peer)
+            || self.promised() == Some(peer)
             || self.giver() == Some(peer)
+    }
+
+    /// To whom it is being granted, once that is durable.
+    pub(crate) fn promised(&self) -> Option<PeerId> {
+        Some(self.storing.as_ref()?.change.as_ref()?.to)
     }
 
     /// Who has lent it to its owner, and will have it back.

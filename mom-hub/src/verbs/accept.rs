@@ -31,11 +31,14 @@ pub(crate) fn on_accept(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>)
         let to = asking(hub, request, name)?;
         // Whether who gains it may have it, as if it had been offered; the owner's word is not enough for that.
         let Allowed { rule, grant } = hub.ask(to, &Wish::new(Verb::Accept, number))?;
+        // Its time is not over any more while the owner's yes is being stored.
+        let asking = hub.take_asking(number, to);
+        let answers = answers.into_iter().chain(asking.map(|asking| (to, asking.id)));
         let change = Change {
             from: Some(peer),
             rule,
             until: grant.until,
-            answers,
+            answers: answers.collect(),
             ..Change::to(to, Reason::Given)
         };
         hub.hand(number, change, out);

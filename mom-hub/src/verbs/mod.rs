@@ -24,6 +24,7 @@ use mom_proto::{Code, ContextKind, ContextNumber, Family, Parcel, Path, Verb, Wi
 use crate::consult::{Allowed, Wish};
 use crate::context::Context;
 use crate::pending::{Refusal, take_parcel};
+use crate::token::HeldBack;
 use crate::waiting::MOST;
 use crate::{Effect, Hub, PeerId};
 
@@ -96,6 +97,7 @@ impl Hub {
         let Some(number) = storing.map(|context| context.number) else {
             return Ok(false);
         };
+        let answers = self.answers.clone();
         let Some(token) = self.token_mut(number) else {
             return Ok(false);
         };
@@ -103,9 +105,11 @@ impl Hub {
             let text = "too many requests wait for this token";
             return Err(WireError::new(Code::TRY_LATER, text));
         }
-        token
-            .held_back
-            .push_back((request.peer, take_parcel(&mut request.parcel)));
+        token.held_back.push_back(HeldBack {
+            peer: request.peer,
+            parcel: take_parcel(&mut request.parcel),
+            answers,
+        });
         self.involve(request.peer, number);
         Ok(true)
     }
