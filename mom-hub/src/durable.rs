@@ -93,11 +93,12 @@ impl Hub {
         let context = self.tree.get(number)?;
         let token = context.token()?;
         let owner = Some(self.holder(to)?);
+        let lease = longest_lease(token);
         let known = token.record.as_ref();
         let covered = known.is_some_and(|known| {
             known.owner == owner
                 && known.before.is_none()
-                && known.lease == token.terms.lease
+                && known.lease == lease
                 && token.fence.max(self.fence_floor()) + 1 < known.fence + BLOCK
         });
         if covered {
@@ -109,11 +110,7 @@ impl Hub {
             fence: token.fence.max(self.fence_floor()) + 1,
             before: before.filter(|before| Some(before) != owner.as_ref()),
             owner,
-            // The longer one: either of them may turn out to be the owner. None is without end.
-            lease: match known.map(|known| known.lease) {
-                Some(known) => known.zip(token.terms.lease).map(|(one, other)| one.max(other)),
-                None => token.terms.lease,
-            },
+            lease,
         })
     }
 
@@ -125,7 +122,7 @@ impl Hub {
         }
         let Some(token) = self.token(number) else { return };
         let owner = token.owner.as_ref().and_then(|owner| self.holder(owner.peer));
-        let (fence, lease) = (token.fence, token.terms.lease);
+        let (fence, lease) = (token.fence, longest_lease(token));
         let Some(token) = self.token_mut(number) else {
             return;
         };
@@ -348,13 +345,39 @@ impl Hub {
         let Some(record) = self.records.remove(path) else {
             return;
         };
-        token.fence = token.fence.max(record.fence);
+        // Numbers that the record covered may have been given out: epochs are further apart, unless clocks were set back.
+        let covered = record.fence + BLOCK - 1;
+        let highest = if covered > self.fence_floor() {
+            covered
+        } else {
+            record.fence
+        };
+        token.fence = token.fence.max(highest);
         if record.owner.is_some() || record.before.is_some() {
             token.reserved = Some(Reserved {
                 holder: record.owner.clone().filter(|_| record.before.is_none()),
-                until: self.now.saturating_add(record.lease.unwrap_or(REST)),
+                // Or that of today: a longer one may have been given before it was in the record.
+                until: self
+                    .now
+                    .saturating_add(longer(record.lease, token.terms.lease).unwrap_or(REST)),
             });
         }
         token.record = Some(record);
+    }
+}
+
+/// The longest lease that the owner of a token has, or the next one will have.
+fn longest_lease(token: &Token) -> Option<Micros> {
+    match &token.owner {
+        Some(owner) => longer(owner.lease, token.terms.lease),
+        None => token.terms.lease,
+    }
+}
+
+/// The lease after which more time must have passed; where there is none, that is [`REST`].
+fn longer(one: Option<Micros>, other: Option<Micros>) -> Option<Micros> {
+    match (one, other) {
+        (None, None) => None,
+        (one, other) => one.unwrap_or(REST).max(other.unwrap_or(REST)).into(),
     }
 }

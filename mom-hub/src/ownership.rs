@@ -74,8 +74,10 @@ impl Hub {
     pub(crate) fn renew_lease(&mut self, number: ContextNumber) {
         let now = self.now;
         if let Some(token) = self.token_mut(number) {
-            let (end, deadman) = (token.lease_from(now), token.terms.deadman);
+            let (lease, end) = (token.terms.lease, token.lease_from(now));
+            let deadman = token.terms.deadman;
             if let Some(owner) = &mut token.owner {
+                owner.lease = lease;
                 owner.lease_end = end;
                 owner.alive_until = deadman.map(|deadman| now.saturating_add(deadman));
             }
@@ -115,6 +117,7 @@ impl Hub {
                     peer: grantee.peer,
                     since: now,
                     turn: grantee.turn.unwrap_or(now),
+                    lease: token.terms.lease,
                     lease_end: token.lease_from(now),
                     alive_until: token.terms.deadman.map(|deadman| now.saturating_add(deadman)),
                     until: grantee.until,

@@ -48,6 +48,8 @@ pub(crate) struct Ownership {
     pub(crate) since: Micros,
     /// When its turn began: who gives and returns within a turn gains no time by that.
     pub(crate) turn: Micros,
+    /// The lease that it was told last; that of the token may be another one since.
+    pub(crate) lease: Option<Micros>,
     pub(crate) lease_end: Option<Micros>,
     /// The end of the deadman time.
     pub(crate) alive_until: Option<Micros>,
