@@ -50,8 +50,12 @@ pub(crate) struct Allowed {
 }
 
 impl Hub {
-    /// Asks whether a peer may; a refusal comes explained.
+    /// Asks whether a peer may; a refusal comes explained. Nobody is refused giving up what it has.
     pub(crate) fn ask(&mut self, peer: PeerId, wish: &Wish<'_>) -> Result<Allowed, Refusal> {
+        // Not even by a manager that fails, or has to ask.
+        if wish.verb.gives_up() {
+            return Ok(Allowed::default());
+        }
         let verdict = self.consult(peer, wish);
         match verdict.answer {
             Answer::Allow(grant) => Ok(Allowed {
