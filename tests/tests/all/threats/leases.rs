@@ -11,7 +11,7 @@ use mom_tests::raw::PATIENCE;
 use tokio::time::timeout;
 
 use super::World;
-use super::arena::{self, ARM, Robot, about, command, grab};
+use super::arena::{self, ARM, Robot, TOKEN, about, command, grab};
 
 const LEASE: Duration = Duration::from_secs(10);
 const MILLI: Duration = Duration::from_millis(1);
@@ -43,6 +43,7 @@ async fn threat_20_renewed_or_expired() {
     let world = World::start_at(clock.clone(), |_| {}).await;
     arena::make(world.address(), eager()).await;
     let mut robot = Robot::enter(world.address(), Form::Binary).await;
+    let mut rounds = [0_u64; 2];
     for form in [Form::Xml, Form::Binary] {
         let mut alice = arena::enter(world.address(), form, "alice").await;
         let name = alice.name().to_owned();
@@ -90,9 +91,17 @@ async fn threat_20_renewed_or_expired() {
                 _ => panic!("{when:?}: {answer:?}"),
             }
             robot.expect_nothing().await;
+            rounds[usize::from(renewed)] += 1;
         }
     }
-    world.end().await;
+    // Each grant was written down once, and its one end.
+    let lines = world.end().await;
+    let token = ("context", TOKEN);
+    for (reason, rounds) in ["expired", "released"].into_iter().zip(rounds) {
+        let lost = [("what", "lost"), token, ("reason", reason)];
+        assert_eq!(lines.count(&lost), rounds, "{reason}");
+    }
+    assert_eq!(lines.count(&[("what", "granted"), token]), rounds[0] + rounds[1]);
 }
 
 /// Threat 21: an owner that slept for 30 s while its token went to another is refused when it wakes, as one whose
@@ -139,7 +148,9 @@ async fn threat_21_a_frozen_owner_wakes() {
         robot.expect_nothing().await;
         bob.post(command("still mine", Some(new))).await;
         robot.expect(&format!("command still mine {new}")).await;
-        world.end().await;
+        let lines = world.end().await;
+        let refused = |code| lines.count(&[("what", "refused"), ("peer", &*name), ("code", code)]);
+        assert_eq!((refused("older-fence"), refused("not-owner")), (1, 4));
     }
 }
 

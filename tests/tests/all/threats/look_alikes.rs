@@ -61,7 +61,9 @@ async fn threat_12_nicknames() {
             bob = Raw::connect(world.address(), form).await;
         }
     }
-    world.end().await;
+    let tried = 2 * (ALICES.len() as u64 + 1);
+    let refused = [("what", "refused"), ("user", "bob"), ("code", "bad-name")];
+    assert_eq!(world.end().await.count(&refused), tried);
 }
 
 /// Threat 12: a user's look-alike is no user, and no token of guessing who is.

@@ -75,6 +75,7 @@ async fn threat_23_hangs_and_answers_late() {
         let clock = lab::clock();
         let mut world = World::start_at(clock.clone(), |_| {}).await;
         let mut desk = desk(&world, form).await;
+        let name = desk.name().to_owned();
         let mut bob = Raw::login(world.address(), form, "bob").await;
         let id = bob.post(join()).await;
         let number = question(&mut desk).await;
@@ -90,7 +91,9 @@ async fn threat_23_hangs_and_answers_late() {
         assert!(!is_in(&mut desk, "bob").await);
         expect_no_answer(&mut bob).await;
         world.check_nothing_arrived("a late verdict").await;
-        world.end().await;
+        let lines = world.end().await;
+        let refused = |peer, code| lines.count(&[("what", "refused"), ("peer", peer), ("code", code)]);
+        assert_eq!((refused("bob", "timed-out"), refused(&name, "too-late")), (1, 2));
     }
 }
 

@@ -24,6 +24,7 @@ use bytes::Bytes;
 use mom_broker::{Broker, Clock, Config};
 use mom_proto::codec::Form;
 use mom_proto::{Content, Family, Parcel, Value, WireError};
+use mom_tests::audit::{AuditLog, Lines};
 use mom_tests::canary::Canary;
 use mom_tests::lab;
 use mom_tests::raw::{Raw, at, message};
@@ -37,6 +38,7 @@ struct World {
     canary: Canary,
     witness: Raw,
     attacks: u64,
+    audit: AuditLog,
 }
 
 /// What becomes of the attacker's connection.
@@ -57,7 +59,12 @@ impl World {
 
     /// With a clock of the test's own.
     async fn start_at(clock: Clock, change: impl FnOnce(&mut Config)) -> World {
-        let broker = lab::start_at(clock, change).await;
+        let audit = AuditLog::new();
+        let broker = lab::start_at(clock, |config| {
+            config.audit.path = Some(audit.path());
+            change(config);
+        })
+        .await;
         let address = broker.local_addr();
         let mut canary = Canary::start(address).await;
         canary.check().await;
@@ -68,6 +75,7 @@ impl World {
             canary,
             witness,
             attacks: 0,
+            audit,
         }
     }
 
@@ -137,13 +145,26 @@ impl World {
         self.canary.check().await;
     }
 
-    /// The same hub still serves newcomers, and the canary has lost nothing.
-    async fn end(self) {
+    /// The same hub still serves newcomers, and the canary has lost nothing. Gives what was written down.
+    async fn end(self) -> Lines {
         let mut newcomer = Raw::login(self.address(), Form::Binary, "bob").await;
         newcomer.join(&[CHAT]).await;
         newcomer.check_alive().await;
         assert!(self.canary.stop().await > 0);
         self.broker.stop().await;
+        let lines = self.audit.lines();
+        let robot = ("context", "/robot/token");
+        assert_eq!(
+            lines.count(&[("what", "granted"), robot]),
+            1,
+            "the canary's grant"
+        );
+        assert_eq!(
+            lines.count(&[("what", "lost"), robot]),
+            1,
+            "its end, and no other"
+        );
+        lines
     }
 }
 

@@ -88,5 +88,11 @@ async fn threat_16_control_goes_on_while_logins_rain() {
     assert!(granted > 0 && put_off > 0, "{granted} granted, {put_off} put off");
     let hashers = mom_broker::Config::default().login.hashers;
     assert!(world.broker.login_stats().most <= hashers);
-    world.end().await;
+    let lines = world.end().await;
+    let refused = [("what", "refused"), ("verb", "login"), ("code", "try-later")];
+    assert_eq!(
+        lines.count(&refused),
+        put_off as u64,
+        "counted, not told one by one"
+    );
 }

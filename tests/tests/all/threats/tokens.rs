@@ -81,6 +81,7 @@ async fn threat_24_preempt_release_and_give_at_once() {
     let mut bob = arena::enter(world.address(), Form::Binary, "bob").await;
     let mut rival = arena::enter(world.address(), Form::Xml, "bob").await;
     let mut carol = arena::enter(world.address(), Form::Binary, "carol").await;
+    let mut grants = 0;
     for round in 0..ROUNDS {
         let fence = grab(&mut alice).await;
         robot.expect(&format!("grabbed {} {fence}", alice.name())).await;
@@ -113,8 +114,16 @@ async fn threat_24_preempt_release_and_give_at_once() {
             .expect(&format!("released {} released {last}", carol.name()))
             .await;
         world.canary.check().await;
+        grants += 1 + story.iter().filter(|line| line.starts_with("grabbed")).count() as u64;
     }
-    world.end().await;
+    let lines = world.end().await;
+    for what in ["granted", "lost"] {
+        assert_eq!(
+            lines.count(&[("what", what), ("context", TOKEN)]),
+            grants,
+            "{what}"
+        );
+    }
 }
 
 /// Whether a request was granted; if not, it was for this reason.
