@@ -135,13 +135,7 @@ impl Hub {
     /// effects, those that it only adds to come after them.
     pub fn handle(&mut self, now: Micros, input: Input, out: &mut Vec<Effect>) {
         self.now = self.now.max(now);
-        while let Some(&(deadline, timer)) = self.timers.first().filter(|(deadline, _)| *deadline <= self.now)
-        {
-            self.timers.remove(&(deadline, timer));
-            let start = out.len();
-            self.handle_timer(timer, out);
-            self.push_changed_routes(start, out);
-        }
+        self.handle_due(out);
         let start = out.len();
         match input {
             Input::Login {
@@ -157,6 +151,18 @@ impl Hub {
             Input::Tick => {}
         }
         self.push_changed_routes(start, out);
+        // What the input itself has let come due, as a grab does that waits where the lease was over already.
+        self.handle_due(out);
+    }
+
+    fn handle_due(&mut self, out: &mut Vec<Effect>) {
+        while let Some(&(deadline, timer)) = self.timers.first().filter(|(deadline, _)| *deadline <= self.now)
+        {
+            self.timers.remove(&(deadline, timer));
+            let start = out.len();
+            self.handle_timer(timer, out);
+            self.push_changed_routes(start, out);
+        }
     }
 
     /// When the hub wants to be called at the latest.
