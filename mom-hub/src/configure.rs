@@ -261,7 +261,7 @@ impl Hub {
     }
 
     /// Whether a manager says no for good; one that has to ask first, or says later, leaves what is as it is.
-    fn refused(&mut self, peer: PeerId, verb: Verb, at: ContextNumber) -> bool {
+    pub(crate) fn refused(&mut self, peer: PeerId, verb: Verb, at: ContextNumber) -> bool {
         let verdict = self.consult(peer, &Wish::new(verb, at));
         matches!(verdict.answer, Answer::Deny(denial) if !denial.code.may_retry())
     }

@@ -85,6 +85,7 @@ impl Hub {
         Refusal::Defer(Box::new(Deferred {
             rule: rule.unwrap_or_else(|| Arc::clone(&defer.label)),
             defer,
+            peer,
             verb: wish.verb,
             managing,
             at: wish.at,
@@ -114,7 +115,7 @@ impl Hub {
         let mine = self
             .answers
             .iter()
-            .filter(|heard| heard.verb == wish.verb && heard.at == wish.at);
+            .filter(|heard| heard.peer == peer && heard.verb == wish.verb && heard.at == wish.at);
         let answers: Vec<Given> = mine.map(|heard| heard.given.clone()).collect();
         let verdict = match self.question(managing, peer, &facts, &answers, wish) {
             // A manager of somebody else's making that panics must not end the hub, nor let anybody in.

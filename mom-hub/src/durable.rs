@@ -258,6 +258,7 @@ impl Hub {
             .filter(|(time, commands)| time.is_some() || commands.is_some());
         let delegation = delegation.zip(owner).map(|((time, commands), from)| Delegation {
             from: Some(from),
+            giver_until: token.and_then(|token| token.owner.as_ref()?.until),
             until: time.map(|time| self.now.saturating_add(time)),
             commands,
             return_at: None,

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use mom_managers::{Expiry, Micros};
 use mom_proto::event::{self, Reason};
-use mom_proto::{Content, ContextNumber, Family, Map, Path, Value};
+use mom_proto::{Content, ContextNumber, Family, Map, Path, Value, Verb};
 
 use crate::durable::Change;
 use crate::hub::Timer;
@@ -44,6 +44,7 @@ impl Hub {
         let owner = self.token(number).and_then(|token| token.owner.as_ref());
         let Some(owner) = owner else { return };
         let turn = Some(owner.turn);
+        let until = owner.delegation.as_ref().and_then(|lent| lent.giver_until);
         let giver = self.token(number).and_then(Token::giver);
         let returns = !matches!(reason, Reason::Deleted | Reason::Broken | Reason::Preempted);
         // A delegate that gives the token back does what was agreed.
@@ -55,10 +56,14 @@ impl Hub {
         let at_once = giver.is_some_and(|giver| self.needed_record(number, giver).is_none());
         let agreed = reason == Reason::Returned && by.is_some() && at_once;
         self.change_owner(number, None, reason, by, agreed, out);
-        match giver.filter(|_| returns) {
+        // The giver's own right may have ended meanwhile.
+        let over = until.is_some_and(|until| self.now >= until);
+        let giver = giver.filter(|_| returns && !over);
+        match giver.filter(|giver| !self.refused(*giver, Verb::Renew, number)) {
             Some(giver) if self.token(number).is_some_and(Token::is_free) => {
                 let change = Change {
                     turn,
+                    until,
                     ..Change::to(giver, Reason::Returned)
                 };
                 self.hand(number, change, out);

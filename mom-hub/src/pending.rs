@@ -43,6 +43,8 @@ pub(crate) struct Deferred {
     pub(crate) defer: Defer,
     /// The rule that asks, for people.
     pub(crate) rule: Arc<str>,
+    /// Who wants to do it: mostly the peer whose request it is.
+    pub(crate) peer: PeerId,
     pub(crate) verb: Verb,
     /// The context whose manager asks.
     pub(crate) managing: ContextNumber,
@@ -74,6 +76,7 @@ pub(crate) struct Pending {
 #[derive(Clone, Debug)]
 struct Whom {
     ask: Ask,
+    peer: PeerId,
     verb: Verb,
     managing: ContextNumber,
     at: ContextNumber,
@@ -82,6 +85,7 @@ struct Whom {
 /// An answer, and what it is the answer to: managers of one label in other contexts have not been given it.
 #[derive(Clone, Debug)]
 pub(crate) struct Heard {
+    pub(crate) peer: PeerId,
     pub(crate) verb: Verb,
     pub(crate) at: ContextNumber,
     pub(crate) given: Given,
@@ -99,11 +103,12 @@ impl Hub {
     ) {
         let whom = Whom {
             ask: deferred.defer.ask.clone(),
+            peer: deferred.peer,
             verb: deferred.verb,
             managing: deferred.managing,
             at: deferred.at,
         };
-        let asked = self.whom_to_ask(peer, &whom);
+        let asked = self.whom_to_ask(&whom);
         let label = Arc::clone(&deferred.defer.label);
         if asked.is_empty() {
             let given = unanswered(label, "there is nobody to ask");
@@ -128,7 +133,7 @@ impl Hub {
         };
         self.last_question += 1;
         let (question, until) = (self.last_question, self.after(within));
-        self.push_consult(question, peer, deferred, until, &asked, out);
+        self.push_consult(question, deferred, until, &asked, out);
         self.timers.insert((until, Timer::Answer(question)));
         let channel = send.then_some(deferred.at);
         if let Some(channel) = channel {
@@ -148,7 +153,7 @@ impl Hub {
         self.pending.insert(question, pending);
     }
 
-    fn whom_to_ask(&self, peer: PeerId, whom: &Whom) -> BTreeSet<PeerId> {
+    fn whom_to_ask(&self, whom: &Whom) -> BTreeSet<PeerId> {
         match &whom.ask {
             Ask::Creator => {
                 let creator = self.tree.get(whom.managing).and_then(|context| context.creator);
@@ -166,7 +171,7 @@ impl Hub {
                     .members
                     .values()
                     .chain(parent.into_iter().flat_map(|parent| parent.members.values()));
-                let chairs = members.filter(|member| member.peer != peer && ask.is_chair(&member.facts));
+                let chairs = members.filter(|member| member.peer != whom.peer && ask.is_chair(&member.facts));
                 chairs.map(|member| member.peer).collect()
             }
         }
@@ -175,13 +180,12 @@ impl Hub {
     fn push_consult(
         &self,
         question: u64,
-        peer: PeerId,
         deferred: &Deferred,
         until: Micros,
         asked: &BTreeSet<PeerId>,
         out: &mut Vec<Effect>,
     ) {
-        let Some(facts) = self.peers.get(peer).map(|peer| &peer.facts) else {
+        let Some(facts) = self.peers.get(deferred.peer).map(|peer| &peer.facts) else {
             return;
         };
         let mut content = Map::new().with("verb", deferred.verb.word());
@@ -213,9 +217,8 @@ impl Hub {
     pub(crate) fn answer(&mut self, question: u64, given: Given, by: PeerId, out: &mut Vec<Effect>) -> bool {
         let asked = self.pending.get(&question);
         // Who was a chair when it was asked may have left the room meanwhile, or been put out of it.
-        let may = |pending: &Pending| {
-            pending.asked.contains(&by) && self.whom_to_ask(pending.peer, &pending.whom).contains(&by)
-        };
+        let may =
+            |pending: &Pending| pending.asked.contains(&by) && self.whom_to_ask(&pending.whom).contains(&by);
         if !asked.is_some_and(may) {
             return false;
         }
@@ -363,6 +366,7 @@ impl Hub {
 impl Whom {
     fn heard(&self, given: Given) -> Heard {
         Heard {
+            peer: self.peer,
             verb: self.verb,
             at: self.at,
             given,

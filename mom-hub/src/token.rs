@@ -63,6 +63,8 @@ pub(crate) struct Ownership {
 pub(crate) struct Delegation {
     /// None: it has left since, so that nobody has it back.
     pub(crate) from: Option<PeerId>,
+    /// When the ownership ends that the giver had, whatever its lease.
+    pub(crate) giver_until: Option<Micros>,
     /// When the time is over.
     pub(crate) until: Option<Micros>,
     /// How many commands are left.

@@ -23,7 +23,6 @@ struct Args {
 pub(crate) fn on_accept(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
     let number = hub.find_token(request)?;
     let args: Args = args::read_or_default(&request.parcel)?;
-    let Allowed { rule, grant } = hub.allow(request, number)?;
     let (peer, answers) = (request.peer, vec![(request.peer, request.parcel.id)]);
     if let Some(name) = &args.peer {
         hub.check_owner(request, number)?;
@@ -45,6 +44,7 @@ pub(crate) fn on_accept(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>)
         return Ok(());
     }
     offered(hub, request)?;
+    let Allowed { rule, grant } = hub.allow(request, number)?;
     let owner = hub.owner_of(number);
     let Some(offer) = hub.take_offer(number) else {
         return Ok(());
