@@ -13,9 +13,6 @@ use crate::ownership::Grantee;
 use crate::token::{Delegation, Reserved, Token};
 use crate::{Effect, Holder, Hub, PeerId, Record, Ticket};
 
-/// Numbers that the record of one grant covers, so that its owner may grab again without another.
-const BLOCK: u64 = 1 << 19;
-
 /// What rests after a restart where a token has no lease, µs: as long as a lost peer may go unnoticed.
 const REST: Micros = 30_000_000;
 
@@ -99,7 +96,7 @@ impl Hub {
             known.owner == owner
                 && known.before.is_none()
                 && known.lease == lease
-                && token.fence.max(self.fence_floor()) + 1 < known.fence + BLOCK
+                && token.fence.max(self.fence_floor()) + 1 < known.last_fence()
         });
         if covered {
             return None;

@@ -32,3 +32,13 @@ pub struct Record {
     /// The longest lease that either of them may have, µs; none = without end.
     pub lease: Option<Micros>,
 }
+
+/// Numbers that the record of one grant covers, so that its owner may grab again without another.
+const BLOCK: u64 = 1 << 19;
+
+impl Record {
+    /// The highest fence that may have been given out under this record; the next epoch begins above it.
+    pub fn last_fence(&self) -> u64 {
+        self.fence.saturating_add(BLOCK)
+    }
+}

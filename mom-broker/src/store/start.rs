@@ -119,7 +119,9 @@ impl Found {
         }
         let metas = || images.iter().filter_map(|image| image.meta.as_ref());
         let fences = images.iter().flat_map(|image| image.rows.values());
-        let after_fences = fences.map(|(_, record)| (record.fence >> EPOCH_BITS) + 1).max();
+        let after_fences = fences
+            .map(|(_, record)| (record.last_fence() >> EPOCH_BITS) + 1)
+            .max();
         let after_epochs = metas().map(|meta| meta.epoch.saturating_add(1)).max();
         Ok(Found {
             epoch: after_fences.max(after_epochs).unwrap_or_default(),

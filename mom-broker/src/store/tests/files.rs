@@ -308,3 +308,18 @@ fn flipped_bits_are_not_believed() {
     // The files hold three rounds, of which one counts.
     assert!(found > 15, "{found} flips found");
 }
+
+/// The record of a grant covers more grants than it names, and those may run into the next second's numbers.
+#[test]
+fn the_epoch_is_above_what_was_given_out_without_a_record() {
+    let (_folder, state) = folder();
+    let mut opened = open(&state);
+    let last = (opened.epoch << 20) + (1 << 20) - 1;
+    let record = owned("/a", last);
+    let given = record.last_fence();
+    keep(&mut opened, &[record]);
+    close(&opened);
+    drop(opened);
+    let again = open(&state);
+    assert!(again.epoch << 20 > given, "{} {given}", again.epoch);
+}
