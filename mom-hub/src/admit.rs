@@ -79,8 +79,15 @@ pub fn admit_with(
     wall: Time,
 ) -> Result<Receivers, WireError> {
     let member = sender(route, peer)?;
-    if let Answer::Deny(denial) = answer {
-        return Err(refusal(denial, &member.facts, now));
+    match answer {
+        Answer::Allow(_) => {}
+        Answer::Deny(denial) => return Err(refusal(denial, &member.facts, now)),
+        // A message waits in no queue.
+        Answer::Queue(wait) => return Err(refusal(&wait.denial, &member.facts, now)),
+        Answer::Defer(defer) => {
+            let text = "who manages this channel was not asked yet";
+            return Err(WireError::new(Code::TRY_LATER, text).rule(&defer.label));
+        }
     }
     debug_assert_eq!(
         parcel.family,
