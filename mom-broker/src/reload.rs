@@ -50,7 +50,6 @@ impl Broker {
         let (config, needs_restart) = keep_fixed(&running, config);
         config.check()?;
         let mut report = ReloadReport::of(&running, &config, needs_restart);
-        self.context.next_limits.write().clone_from(&config.limits);
         let mut touched = Touched::new();
         let configure = |users: Vec<(PeerId, Option<User>)>| {
             report.peers = users.len();
@@ -61,6 +60,7 @@ impl Broker {
         };
         let (users, login) = (config.users.clone(), config.login.clone());
         self.context.logins.replace(users, login, configure)?;
+        self.context.next_limits.write().clone_from(&config.limits);
         flush(&mut touched);
         *running = config;
         tracing::info!("configuration: {report}");
