@@ -28,7 +28,7 @@ pub(crate) struct Inner {
     gate: Gate,
     bounds: Bounds,
     scratch: Scratch,
-    /// What members have used of the rates that their manager set.
+    /// What members, and connections that were some, have used of the rates that their manager set.
     used: HashMap<PeerId, Usage>,
 }
 
@@ -89,7 +89,10 @@ impl Channel {
         });
         let outboxes = outboxes.collect();
         inner.outboxes = outboxes;
-        inner.used.retain(|peer, _| route.member(*peer).is_some());
+        // Who leaves and comes back has used what it has used.
+        inner
+            .used
+            .retain(|peer, _| route.member(*peer).is_some() || outbox(*peer).is_some());
         inner.route = route;
     }
 }
@@ -104,6 +107,17 @@ impl Inner {
             members: Vec::new(),
             ..(*self.route).clone()
         });
+    }
+
+    /// The receivers among the members of another route, by their place among the members of this one; whoever is no
+    /// member any more is left out.
+    pub(crate) fn translate(&self, other: &Route, receivers: Receivers) -> Receivers {
+        let here = |place: usize| self.route.position(other.members.get(place)?.peer);
+        match receivers {
+            Receivers::All => Receivers::All,
+            Receivers::AllBut(own) => here(own).map_or(Receivers::All, Receivers::AllBut),
+            Receivers::These(places) => Receivers::These(places.into_iter().filter_map(here).collect()),
+        }
     }
 
     /// Encodes an admitted message once per form and puts it into the outboxes.
@@ -259,4 +273,50 @@ pub(crate) fn stamped(mut parcel: Parcel, wall: Time) -> Parcel {
     parcel.sender = Some(mom_proto::HUB.into());
     parcel.timestamp = Some(wall);
     parcel
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use mom_hub::Member;
+    use mom_managers::PeerFacts;
+
+    fn route(peers: &[u64]) -> Route {
+        let member = |peer: &u64| {
+            let facts = PeerFacts {
+                name: peer.to_string().into(),
+                user: "user".into(),
+                level: 0,
+                groups: Arc::from([]),
+            };
+            Arc::new(Member::new(PeerId(*peer), Arc::new(facts)))
+        };
+        Route {
+            number: ContextNumber(1),
+            path: mom_proto::Path::root(),
+            members: peers.iter().map(member).collect(),
+            guard: None,
+            delivery: Delivery::default(),
+        }
+    }
+
+    /// One input admits a message and then takes members out; the route of the end is swapped in before all else.
+    #[test]
+    fn receivers_are_who_they_were() {
+        let channel = Channel::new(
+            Arc::new(route(&[1, 3, 4])),
+            Bounds {
+                depth: 32,
+                parcel: mom_proto::Limit::At(1 << 20),
+            },
+            |_| None,
+        );
+        let then = route(&[1, 2, 3, 4]);
+        let inner = channel.lock();
+        let now = |receivers| inner.translate(&then, receivers);
+        assert_eq!(now(Receivers::These(vec![3, 1, 0])), Receivers::These(vec![2, 0]));
+        assert_eq!(now(Receivers::AllBut(3)), Receivers::AllBut(2));
+        assert_eq!(now(Receivers::AllBut(1)), Receivers::All, "it is gone anyhow");
+        assert_eq!(now(Receivers::All), Receivers::All);
+    }
 }

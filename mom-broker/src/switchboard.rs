@@ -313,9 +313,11 @@ impl Switchboard {
                     };
                     let (receipt, reference) = (receipt_of(&parcel), parcel.id);
                     let message = Arc::clone(&parcel.name);
-                    let delivered = channel
-                        .lock()
-                        .deliver(from, *parcel, &receivers, rate, self.clock.now());
+                    let mut inner = channel.lock();
+                    // The same input may have taken members out after this was admitted.
+                    let receivers = inner.translate(&route, receivers);
+                    let delivered = inner.deliver(from, *parcel, &receivers, rate, self.clock.now());
+                    drop(inner);
                     match delivered {
                         Ok(delivered) => self.settle(from, receipt, &route.path, delivered, touched),
                         Err(error) => {
