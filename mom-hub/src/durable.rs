@@ -344,7 +344,7 @@ impl Hub {
             return;
         };
         // Numbers that the record covered may have been given out: epochs are further apart, unless clocks were set back.
-        let covered = record.fence + BLOCK - 1;
+        let covered = record.last_fence();
         let highest = if covered > self.fence_floor() {
             covered
         } else {
