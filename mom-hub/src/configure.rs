@@ -137,6 +137,8 @@ impl Hub {
         context.presence = spec.presence.unwrap_or_default();
         context.transient = spec.transient;
         context.permanent = true;
+        // The file manages it now, and not who made it.
+        context.creator = None;
         match (&mut context.role, role) {
             (Role::Token(token), Role::Token(new)) => {
                 token.terms = new.terms;

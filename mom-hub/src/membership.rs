@@ -140,7 +140,6 @@ impl Hub {
         };
         let storing = token.storing.take();
         let held_back = std::mem::take(&mut token.held_back);
-        let waiting: Vec<PeerId> = token.queue.iter().map(|waiter| waiter.peer).collect();
         let holders: Vec<PeerId> = token.holders.keys().copied().collect();
         let path = self.tree.get(number).map(|context| context.path.to_string());
         let text = format!("{} was deleted", path.unwrap_or_default());
@@ -152,9 +151,7 @@ impl Hub {
                 self.uninvolve(change.to, number);
             }
         }
-        for peer in waiting {
-            self.withdraw(number, peer, &error, out);
-        }
+        self.withdraw_all(number, &error, out);
         for held in held_back {
             self.push_refusal(held.peer, &held.parcel, &error, out);
             self.uninvolve(held.peer, number);

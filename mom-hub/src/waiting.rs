@@ -129,23 +129,23 @@ impl Hub {
         self.told_places(number, out);
     }
 
+    /// Answers all grabs that wait for a token that is about to go.
+    pub(crate) fn withdraw_all(&mut self, number: ContextNumber, error: &WireError, out: &mut Vec<Effect>) {
+        let waiting = self.token(number).map(|token| token.queue.clone());
+        for waiter in waiting.unwrap_or_default() {
+            self.take_waiter(number, waiter.ticket);
+            self.refuse_all(&[(waiter.peer, waiter.id)], error, Verb::Grab, number, out);
+        }
+    }
+
     /// Gives a free token to the first of its queue whom the manager lets have it.
     pub(crate) fn advance_queue(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
-        while let Some(waiter) = self
-            .token(number)
-            .filter(|token| token.is_free())
-            .and_then(|token| token.queue.first().cloned())
-        {
-            let kept = self
-                .token(number)
-                .and_then(|token| self.kept_by_restart(token, waiter.peer));
-            if kept.is_some() {
-                return;
-            }
+        let mut refused = false;
+        while let Some(waiter) = self.first_for_free(number) {
             let answers = std::mem::replace(&mut self.answers, waiter.answers.clone());
             let verdict = self.consult(waiter.peer, &Wish::new(Verb::Grab, number));
             self.answers = answers;
-            match verdict.answer {
+            let error = match verdict.answer {
                 Answer::Allow(grant) => {
                     self.take_waiter(number, waiter.ticket);
                     let change = Change {
@@ -155,20 +155,34 @@ impl Hub {
                         ..Change::to(waiter.peer, Reason::Released)
                     };
                     self.hand(number, change, out);
+                    continue;
                 }
                 // Free, and yet not for this one now: it waits on, for as long as it wanted to.
-                Answer::Queue(_) => return,
-                Answer::Deny(denial) if denial.code == Code::HELD => return,
-                Answer::Deny(denial) => {
-                    let error = self.explain(waiter.peer, &Wish::new(Verb::Grab, number), &denial);
-                    self.withdraw(number, waiter.peer, &error, out);
-                }
+                Answer::Queue(_) => break,
+                Answer::Deny(denial) if denial.code == Code::HELD => break,
+                Answer::Deny(denial) => self.explain(waiter.peer, &Wish::new(Verb::Grab, number), &denial),
                 Answer::Defer(defer) => {
                     let text = "the answer of who had to be asked holds no more";
-                    let error = WireError::new(Code::DENIED, text).rule(&defer.label);
-                    self.withdraw(number, waiter.peer, &error, out);
+                    WireError::new(Code::DENIED, text).rule(&defer.label)
                 }
-            }
+            };
+            self.take_waiter(number, waiter.ticket);
+            self.refuse_all(&[(waiter.peer, waiter.id)], &error, Verb::Grab, number, out);
+            refused = true;
+        }
+        // Once for all: each of thousands that may be refused moves all behind it.
+        if refused {
+            self.told_places(number, out);
+        }
+    }
+
+    /// The first of the queue of a free token, unless a restart keeps the token from it.
+    fn first_for_free(&self, number: ContextNumber) -> Option<Waiter> {
+        let token = self.token(number).filter(|token| token.is_free())?;
+        let first = token.queue.first()?;
+        match self.kept_by_restart(token, first.peer) {
+            Some(_) => None,
+            None => Some(first.clone()),
         }
     }
 

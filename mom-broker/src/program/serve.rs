@@ -36,6 +36,10 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let log_filter = log(&config.log, args.log_json)?;
     if args.config.is_none() {
         tracing::warn!("no configuration: nobody can log in; try --config config/lab.toml");
+    } else if config.store.path.is_none() {
+        tracing::warn!(
+            "no [store]: tokens are forgotten when the broker ends, and fences begin anew by the wall clock"
+        );
     }
     let runtime = tokio::runtime::Runtime::new().context("cannot start the runtime")?;
     runtime.block_on(args.serve(config, watch, &log_filter))

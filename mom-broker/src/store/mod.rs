@@ -84,9 +84,6 @@ struct Worker {
 /// As [`Store::open`].
 pub(crate) async fn open(path: Option<&FilePath>, wall: Time) -> Result<Option<Opened>, StoreError> {
     let Some(path) = path.map(FilePath::to_owned) else {
-        tracing::warn!(
-            "no [store]: tokens are forgotten when the broker ends, and fences begin anew by the wall clock"
-        );
         return Ok(None);
     };
     let shown = path.clone();

@@ -237,10 +237,11 @@ impl Lab {
                 "echo 'move 100 50 200 0 0; grip close' | {program} run -"
             )),
             command(format!("{program} snap")),
-            command(format!("{program} grab /robot/token")),
+            command(format!("{program} grab --answer /robot/token")),
             "and while she holds the token, in a third one, as bob:".to_owned(),
             command(format!("export {}MOM_USER=bob MOM_PASSWORD=bob", self.hub())),
-            command(format!("{program} grab /robot/token")),
+            command(format!("{program} grab --wait 5m /robot/token")),
+            command(format!("{program} token /robot/token")),
             command(format!("{program} watch --recursive /robot")),
         ]);
         lines.join("\n")
