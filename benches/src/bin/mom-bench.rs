@@ -81,7 +81,8 @@ fn run(cli: &Cli) -> Result<()> {
     if wanted("control") {
         say("control");
         let broker = program(cli.broker.as_deref(), "mom-broker", "mom-broker")?;
-        let broker = start_broker(&broker, &broker_folder()?)?;
+        let folder = broker_folder()?;
+        let broker = start_broker(&broker, &folder)?;
         parts.push(report::control(broker.address(), USER, &pace)?);
     }
     if wanted("hub") {
