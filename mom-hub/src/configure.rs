@@ -127,6 +127,7 @@ impl Hub {
             None => parent.map(|parent| self.terms_above(parent)).unwrap_or_default(),
         };
         let role = self.make_role(spec, managed)?;
+        self.lose_guarding(number, &role, out);
         self.unguard(number);
         let Some(context) = self.tree.get_mut(number) else {
             return Ok(());
@@ -152,6 +153,23 @@ impl Hub {
         self.retime(number);
         self.change_guarded_routes(number);
         Ok(())
+    }
+
+    /// Takes the token of a channel from its owner if another one, or none, guards it from now on: what the owner has
+    /// set in motion there must not go on with nobody to answer for it.
+    fn lose_guarding(&mut self, channel: ContextNumber, new: &Role, out: &mut Vec<Effect>) {
+        let guard = |role: &Role| match role {
+            Role::Channel(channel) => channel.guard.as_ref().map(|guard| guard.token.clone()),
+            _ => None,
+        };
+        let old = self.tree.get(channel).and_then(|context| guard(&context.role));
+        let token = old.filter(|old| guard(new).as_ref() != Some(old));
+        let token = token
+            .and_then(|token| self.tree.find(&token))
+            .map(|token| token.number);
+        if let Some(token) = token {
+            self.lose(token, Reason::Revoked, None, out);
+        }
     }
 
     /// Makes the managers anew that peers have named: what they name may mean something else now. One that is no
