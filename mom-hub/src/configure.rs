@@ -81,7 +81,7 @@ impl Hub {
             let known = self.tree.find(&path);
             let same = known.filter(|known| known.kind().word() == spec.kind);
             let result = match (known.map(|known| known.number), same.map(|same| same.number)) {
-                (_, Some(number)) => self.change_context(number, spec),
+                (_, Some(number)) => self.change_context(number, spec, out),
                 // A peer has made something else at this path meanwhile; the file goes first.
                 (Some(number), None) => {
                     self.delete(number, None, out);
@@ -115,7 +115,12 @@ impl Hub {
     }
 
     /// Gives a context what the file says of it now; members, owner and fence stay.
-    fn change_context(&mut self, number: ContextNumber, spec: &ContextSpec) -> Result<(), WireError> {
+    fn change_context(
+        &mut self,
+        number: ContextNumber,
+        spec: &ContextSpec,
+        out: &mut Vec<Effect>,
+    ) -> Result<(), WireError> {
         let manager = spec
             .manager
             .as_ref()
@@ -140,8 +145,10 @@ impl Hub {
         context.permanent = true;
         // The file manages it now, and not who made it.
         context.creator = None;
+        let mut changed = false;
         match (&mut context.role, role) {
             (Role::Token(token), Role::Token(new)) => {
+                changed = token.terms != new.terms;
                 token.terms = new.terms;
                 token.safe = new.safe;
                 token.safe_on_give = new.safe_on_give;
@@ -150,6 +157,11 @@ impl Hub {
         }
         self.link_guards(number);
         self.changed.insert(number);
+        if changed {
+            // New terms hold for the owner of now too, who begins them anew.
+            self.renew_lease(number);
+            self.correct_record(number, out);
+        }
         self.retime(number);
         self.change_guarded_routes(number);
         Ok(())

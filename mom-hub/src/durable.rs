@@ -355,9 +355,8 @@ impl Hub {
             token.reserved = Some(Reserved {
                 holder: record.owner.clone().filter(|_| record.before.is_none()),
                 // Or that of today: a longer one may have been given before it was in the record.
-                until: self
-                    .now
-                    .saturating_add(longer(record.lease, token.terms.lease).unwrap_or(REST)),
+                // From the start on, also for a token that is made later.
+                until: longer(record.lease, token.terms.lease).unwrap_or(REST),
             });
         }
         token.record = Some(record);

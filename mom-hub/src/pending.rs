@@ -7,7 +7,7 @@ use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use mom_managers::{Ask, Defer, Given, Micros};
-use mom_proto::{Code, ContextNumber, Family, Map, Parcel, Path, Value, Verb, WireError};
+use mom_proto::{Code, Content, ContextNumber, Family, Map, Parcel, Path, Value, Verb, WireError};
 
 use crate::hub::Timer;
 use crate::{Effect, Hub, PeerId};
@@ -15,6 +15,9 @@ use crate::{Effect, Hub, PeerId};
 /// Questions of one peer that may wait, and of all.
 const MOST_OF_ONE: usize = 16;
 const MOST: usize = 4096;
+
+/// Beside so many bytes of content that wait of one peer nothing more does.
+const MOST_BYTES: usize = 1 << 20;
 
 /// Sends to one channel that wait behind a deferred one of the same peer.
 const MOST_SENDS: usize = 16;
@@ -115,12 +118,8 @@ impl Hub {
             self.resume(peer, parcel, answers, whom.heard(given), out);
             return;
         }
-        let mine = self
-            .pending
-            .values()
-            .filter(|pending| pending.peer == peer)
-            .count();
-        if mine >= MOST_OF_ONE || self.pending.len() >= MOST {
+        let (mine, bytes) = self.waiting_of(peer);
+        if mine >= MOST_OF_ONE || bytes >= MOST_BYTES || self.pending.len() >= MOST {
             let text = "too many requests wait for somebody's answer";
             let error = WireError::new(Code::TRY_LATER, text).rule(&label);
             self.push_refusal(peer, &parcel, &error, out);
@@ -151,6 +150,16 @@ impl Hub {
             behind: VecDeque::new(),
         };
         self.pending.insert(question, pending);
+    }
+
+    /// How many requests of a peer wait, and with how many bytes.
+    fn waiting_of(&self, peer: PeerId) -> (usize, usize) {
+        let size = |parcel: &Parcel| parcel.content.as_ref().map_or(0, Content::size);
+        let own = self.pending.values().filter(|pending| pending.peer == peer);
+        own.fold((0, 0), |(count, bytes), pending| {
+            let behind: usize = pending.behind.iter().map(size).sum();
+            (count + 1, bytes + size(&pending.parcel) + behind)
+        })
     }
 
     fn whom_to_ask(&self, whom: &Whom) -> BTreeSet<PeerId> {
@@ -304,12 +313,13 @@ impl Hub {
         channel: ContextNumber,
         parcel: &mut Parcel,
     ) -> Result<(), WireError> {
+        let (_, bytes) = self.waiting_of(peer);
         let mut waiting = self.pending.values_mut();
         let Some(pending) = waiting.find(|pending| pending.peer == peer && pending.channel == Some(channel))
         else {
             return Ok(());
         };
-        if pending.behind.len() >= MOST_SENDS {
+        if pending.behind.len() >= MOST_SENDS || bytes >= MOST_BYTES {
             let text = "an earlier message to this channel still waits for who manages it";
             return Err(WireError::new(Code::TRY_LATER, text));
         }
@@ -325,7 +335,7 @@ impl Hub {
             .filter(|(_, pending)| pending.peer == peer)
             .map(|(question, _)| *question)
             .collect();
-        let error = WireError::new(Code::NOT_MEMBER, "who asked is gone before it was answered");
+        let error = WireError::new(Code::WITHDRAWN, "who asked is gone before it was answered");
         for question in own {
             let Some(pending) = self.take_pending(question) else {
                 continue;

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use mom_hub::{Effect, Hub, Input, PeerId, Settings, User};
+use mom_hub::{Configuration, ContextSpec, Effect, Hub, Input, PeerId, Settings, Ticket, User};
 use mom_managers::{Micros, Registry};
 use mom_proto::{Family, Map, Parcel, Path, Value, from_value};
 
@@ -10,7 +10,7 @@ const ALICE: u64 = 1;
 const BOB: u64 = 2;
 const CAROL: u64 = 3;
 
-fn login(hub: &mut Hub, peer: u64, name: &str, level: i32) {
+fn login(hub: &mut Hub, peer: u64, name: &str, level: i32) -> Vec<Effect> {
     let user = User {
         name: name.to_owned(),
         level,
@@ -23,17 +23,25 @@ fn login(hub: &mut Hub, peer: u64, name: &str, level: i32) {
         nickname: None,
         id: Some(1),
     };
-    hub.handle(0, login, &mut Vec::new());
+    let mut effects = Vec::new();
+    hub.handle(0, login, &mut effects);
     hub.check();
+    effects
 }
 
 /// A hub of this configuration with alice, bob and carol, all of level 1.
 fn hub(contexts: &[Map]) -> Hub {
-    let specs: Vec<_> = contexts
-        .iter()
-        .map(|spec| from_value(Value::Map(spec.clone())).expect("a context"))
-        .collect();
-    let mut hub = Hub::new(Settings::default(), Registry::builtin(), &"open".into(), &specs).expect("a hub");
+    hub_with(Settings::default(), contexts)
+}
+
+fn specs(contexts: &[Map]) -> Vec<ContextSpec> {
+    let spec = |spec: &Map| from_value(Value::Map(spec.clone())).expect("a context");
+    contexts.iter().map(spec).collect()
+}
+
+fn hub_with(settings: Settings, contexts: &[Map]) -> Hub {
+    let specs = specs(contexts);
+    let mut hub = Hub::new(settings, Registry::builtin(), &"open".into(), &specs).expect("a hub");
     for (peer, name) in [(ALICE, "alice"), (BOB, "bob"), (CAROL, "carol")] {
         login(&mut hub, peer, name, 1);
     }
@@ -98,11 +106,24 @@ fn ok(hub: &mut Hub, peer: u64, request: &str, path: &str, content: Map) -> Vec<
 }
 
 fn lab() -> Hub {
+    lab_with(Settings::default())
+}
+
+/// As [`lab`], where a grant has to be stored before.
+fn durable_lab() -> Hub {
+    lab_with(Settings {
+        durable: true,
+        ..Settings::default()
+    })
+}
+
+fn lab_with(settings: Settings) -> Hub {
     let manager = Map::new().with("kind", "first-come");
-    let mut hub = hub(&[
+    let contexts = [
         spec("/lab", "session"),
         spec("/lab/key", "token").with("manager", manager),
-    ]);
+    ];
+    let mut hub = hub_with(settings, &contexts);
     for peer in [ALICE, BOB, CAROL] {
         ok(&mut hub, peer, "context join", "/lab", Map::new());
     }
@@ -240,4 +261,205 @@ fn answer_yes(hub: &mut Hub, peer: u64, effects: &[Effect]) -> Vec<Effect> {
     let number = i64::try_from(asked[0].id.expect("a number")).expect("a small one");
     let verdict = Map::new().with("consult", number).with("allow", true);
     ask(hub, peer, "manager verdict", "/", verdict)
+}
+
+/// The record that a grant waits for.
+fn storing(effects: &[Effect]) -> Ticket {
+    let ticket = effects.iter().find_map(|effect| match effect {
+        Effect::Store { ticket, .. } => *ticket,
+        _ => None,
+    });
+    ticket.expect("a record to be stored")
+}
+
+fn stored(hub: &mut Hub, ticket: Ticket) -> Vec<Effect> {
+    let mut effects = Vec::new();
+    hub.handle(0, Input::Stored { ticket, ok: true }, &mut effects);
+    hub.check();
+    effects
+}
+
+#[test]
+fn who_leaves_while_its_grant_is_stored_does_not_have_it_when_it_is_back() {
+    let mut hub = durable_lab();
+    let grabbed = ask(&mut hub, ALICE, "token grab", "/lab/key", Map::new());
+    let ticket = storing(&grabbed);
+    let left = ask(&mut hub, ALICE, "context leave", "/lab", Map::new());
+    let refused = left
+        .iter()
+        .filter(|effect| matches!(effect, Effect::Reply { parcel, .. } if parcel.name() == "not-member"));
+    assert_eq!(refused.count(), 1, "the grab");
+    ok(&mut hub, ALICE, "context join", "/lab", Map::new());
+    stored(&mut hub, ticket);
+    assert_eq!(owner(&mut hub, 0, "/lab/key"), None);
+}
+
+fn configure(hub: &mut Hub, manager: Map) -> Vec<Effect> {
+    let key = spec("/lab/key", "token").with("manager", manager);
+    configure_with(hub, &[spec("/lab", "session"), key])
+}
+
+fn configure_with(hub: &mut Hub, contexts: &[Map]) -> Vec<Effect> {
+    let configuration = Configuration {
+        registry: Registry::builtin(),
+        root: "open".into(),
+        contexts: specs(contexts),
+        limits: Settings::default().limits,
+        users: Vec::new(),
+    };
+    let mut effects = Vec::new();
+    hub.handle(0, Input::Configure(Box::new(configuration)), &mut effects);
+    hub.check();
+    effects
+}
+
+#[test]
+fn a_right_that_ends_while_a_grant_is_stored_ends_the_grant() {
+    let mut hub = durable_lab();
+    let grabbed = ask(&mut hub, ALICE, "token grab", "/lab/key", Map::new());
+    let ticket = storing(&grabbed);
+    let effects = configure(&mut hub, Map::new().with("kind", "closed"));
+    assert_eq!(answer(&effects, ALICE), "denied");
+    let effects = stored(&mut hub, ticket);
+    assert_eq!(answer(&effects, ALICE), "nothing", "more");
+    let manager = Map::new().with("kind", "first-come");
+    configure(&mut hub, manager);
+    assert_eq!(owner(&mut hub, 0, "/lab/key"), None);
+}
+
+#[test]
+fn a_deadman_time_of_a_new_configuration_holds_for_the_owner_of_now() {
+    let mut hub = lab();
+    ok(&mut hub, ALICE, "token grab", "/lab/key", Map::new());
+    configure(&mut hub, Map::new().with("kind", "queue").with("deadman", 1000));
+    assert_eq!(hub.deadline(), Some(1_000_000));
+    hub.handle(1_000_000, Input::Tick, &mut Vec::new());
+    hub.check();
+    assert_eq!(owner(&mut hub, 1_000_000, "/lab/key"), None);
+}
+
+#[test]
+fn a_longer_lease_of_a_new_configuration_is_stored() {
+    let mut hub = durable_lab();
+    let grabbed = ask(&mut hub, ALICE, "token grab", "/lab/key", Map::new());
+    let ticket = storing(&grabbed);
+    stored(&mut hub, ticket);
+    let effects = configure(
+        &mut hub,
+        Map::new().with("kind", "first-come").with("lease", 600_000),
+    );
+    let lease = effects.iter().find_map(|effect| match effect {
+        Effect::Store { record, .. } => record.lease,
+        _ => None,
+    });
+    assert_eq!(lease, Some(600_000_000));
+}
+
+/// A thousand wait, and all of them are refused at once.
+#[test]
+fn a_great_queue_ends_without_a_storm() {
+    for ending in ["delete", "closed"] {
+        let mut hub = lab();
+        let token = Map::new().with("kind", "token").with("manager", "queue");
+        ok(&mut hub, ALICE, "context create", "/lab/other", token);
+        ok(&mut hub, ALICE, "token grab", "/lab/other", Map::new());
+        for peer in 10..1010 {
+            login(&mut hub, peer, &format!("peer{peer}"), 1);
+            ok(&mut hub, peer, "context join", "/lab", Map::new());
+            let wait = Map::new().with("wait", "unlimited");
+            ask(&mut hub, peer, "token grab", "/lab/other", wait);
+        }
+        let (effects, word) = match ending {
+            "delete" => (
+                ask(&mut hub, ALICE, "context delete", "/lab/other", Map::new()),
+                "unknown-path",
+            ),
+            _ => {
+                let closed = spec("/lab/other", "token").with("manager", "closed");
+                (
+                    configure_with(&mut hub, &[spec("/lab", "session"), closed]),
+                    "denied",
+                )
+            }
+        };
+        assert!(effects.len() < 3500, "{ending}: {} effects", effects.len());
+        assert!((10..1010).all(|peer| answer(&effects, peer) == word), "{ending}");
+    }
+}
+
+#[test]
+fn a_channel_that_another_token_guards_from_now_on_is_safe_first() {
+    let guarded = |token: &str| {
+        let guard = Map::new()
+            .with("token", token)
+            .with("names", vec![Value::from("command")]);
+        [
+            spec("/lab", "session"),
+            spec("/lab/key", "token").with("manager", "first-come"),
+            spec("/lab/other", "token").with("manager", "first-come"),
+            spec("/lab/arm", "channel").with("guard", guard),
+        ]
+    };
+    let mut hub = hub(&guarded("/lab/key"));
+    for peer in [ALICE, CAROL] {
+        ok(&mut hub, peer, "context join", "/lab", Map::new());
+    }
+    ok(&mut hub, BOB, "context join", "/lab", Map::new());
+    ok(&mut hub, BOB, "context join", "/lab/arm", Map::new());
+    ok(&mut hub, ALICE, "token grab", "/lab/key", Map::new());
+    let same = configure_with(&mut hub, &guarded("/lab/key"));
+    assert!(told(&same, BOB, "halt").is_empty(), "nothing has changed");
+    let effects = configure_with(&mut hub, &guarded("/lab/other"));
+    assert_eq!(told(&effects, BOB, "halt").len(), 1);
+    assert_eq!(owner(&mut hub, 0, "/lab/key"), None);
+}
+
+#[test]
+fn what_waits_is_answered_before_another_user_is_there() {
+    let mut hub = hub(&[]);
+    let managed = Map::new().with("kind", "session").with("manager", "self");
+    ok(&mut hub, ALICE, "context create", "/hers", managed);
+    let join = ask(&mut hub, BOB, "context join", "/hers", Map::new());
+    assert_eq!(answer(&join, BOB), "nothing", "yet");
+    let effects = login(&mut hub, BOB, "mallory", 1);
+    let replies = effects.iter().filter_map(|effect| match effect {
+        Effect::Reply { parcel, .. } => Some(parcel.name()),
+        _ => None,
+    });
+    assert_eq!(replies.collect::<Vec<_>>(), ["withdrawn", "ok"]);
+}
+
+/// Of one peer only a little waits, whatever its size.
+#[test]
+fn great_requests_do_not_wait_by_the_dozen() {
+    let mut hub = hub(&[]);
+    let managed = |kind: &str| Map::new().with("kind", kind).with("manager", "self");
+    ok(&mut hub, ALICE, "context create", "/hers", managed("session"));
+    let great = || Map::new().with("text", "x".repeat(1 << 20));
+    let first = ask(&mut hub, BOB, "context join", "/hers", great());
+    assert_eq!(answer(&first, BOB), "nothing", "yet");
+    let second = ask(&mut hub, BOB, "context join", "/hers", great());
+    assert_eq!(answer(&second, BOB), "try-later");
+    let other = ask(&mut hub, CAROL, "context join", "/hers", great());
+    assert_eq!(answer(&other, CAROL), "nothing", "yet");
+}
+
+/// While a change of owner is stored, nobody fills the place where requests wait.
+#[test]
+fn one_peer_does_not_crowd_out_the_others() {
+    let mut hub = durable_lab();
+    let grabbed = ask(&mut hub, ALICE, "token grab", "/lab/key", Map::new());
+    let ticket = storing(&grabbed);
+    let refused = (0..100).filter(|_| {
+        let effects = ask(&mut hub, BOB, "token renew", "/lab/key", Map::new());
+        answer(&effects, BOB) == "try-later"
+    });
+    assert_eq!(refused.count(), 84);
+    let renewed = ask(&mut hub, ALICE, "token renew", "/lab/key", Map::new());
+    assert_eq!(answer(&renewed, ALICE), "nothing", "yet");
+    let effects = stored(&mut hub, ticket);
+    let told = effects.iter().filter(|effect| {
+        matches!(effect, Effect::Reply { to, parcel } if *to == PeerId(ALICE) && parcel.name() == "ok")
+    });
+    assert_eq!(told.count(), 2, "the grab and the renewal");
 }

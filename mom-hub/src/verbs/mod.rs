@@ -26,6 +26,9 @@ use crate::context::Context;
 use crate::pending::{Refusal, take_parcel};
 use crate::token::HeldBack;
 use crate::waiting::MOST;
+
+/// Requests of one peer that wait while a change of a token is being stored.
+const MOST_OF_ONE: usize = 16;
 use crate::{Effect, Hub, PeerId};
 
 /// A request with its context's path resolved.
@@ -101,7 +104,9 @@ impl Hub {
         let Some(token) = self.token_mut(number) else {
             return Ok(false);
         };
-        if token.held_back.len() >= MOST {
+        // Each of one peer a few: nobody else's renewal may fail for them.
+        let mine = token.held_back.iter().filter(|held| held.peer == request.peer);
+        if token.held_back.len() >= MOST || mine.count() >= MOST_OF_ONE {
             let text = "too many requests wait for this token";
             return Err(WireError::new(Code::TRY_LATER, text));
         }
