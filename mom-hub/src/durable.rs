@@ -209,6 +209,19 @@ impl Hub {
         }
     }
 
+    /// Calls off what an owner has agreed to that is not the owner any more.
+    pub(crate) fn call_off_agreed(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
+        let owner = self.owner_of(number);
+        let storing = self.token(number).and_then(|token| token.storing.as_ref());
+        let change = storing.and_then(|storing| storing.change.as_ref());
+        let over = change.filter(|change| change.from.is_some() && change.from != owner);
+        let path = self.tree.get(number).map(|context| &context.path);
+        if let (Some(to), Some(path)) = (over.map(|change| change.to), path) {
+            let error = lost_meanwhile(path);
+            self.call_off_for(number, to, &error, "lost", out);
+        }
+    }
+
     /// Carries out what waited for a change of the token to be durable.
     fn run_held_back(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
         loop {
@@ -237,17 +250,11 @@ impl Hub {
         let inhibited = token.is_some_and(|token| !token.holders.is_empty());
         let moved = change.from.is_some() && change.from != owner;
         if !there || moved || inhibited {
-            let (error, reason) = match moved {
-                true => (
-                    WireError::new(Code::NO_OFFER, format!("who gave {path} has lost it meanwhile")),
-                    "lost",
-                ),
-                false => (
-                    WireError::new(Code::NOT_MEMBER, format!("{path} was left before it was granted")),
-                    "left",
-                ),
+            let error = match moved {
+                true => lost_meanwhile(&path),
+                false => WireError::new(Code::NOT_MEMBER, format!("{path} was left before it was granted")),
             };
-            self.call_off(number, &change, &error, reason, out);
+            self.call_off(number, &change, &error, "left", out);
             return;
         }
         let delegation = change
@@ -361,6 +368,10 @@ impl Hub {
         }
         token.record = Some(record);
     }
+}
+
+fn lost_meanwhile(path: &Path) -> WireError {
+    WireError::new(Code::NO_OFFER, format!("who gave {path} has lost it meanwhile"))
 }
 
 /// The longest lease that the owner of a token has, or the next one will have.

@@ -157,6 +157,7 @@ impl Hub {
     /// Ends what was about an ownership that is over: offers, requests, and the waiting of who owns now.
     pub(crate) fn end_handover(&mut self, number: ContextNumber, new: Option<PeerId>, out: &mut Vec<Effect>) {
         self.end_offer(number, "lost", out);
+        self.call_off_agreed(number, out);
         let path = self.tree.get(number).map(|context| context.path.to_string());
         let asking: Vec<PeerId> = self
             .token(number)
