@@ -134,6 +134,7 @@ impl Hub {
         let role = self.make_role(spec, managed)?;
         self.lose_guarding(number, &role, out);
         self.unguard(number);
+        let now = self.now;
         let Some(context) = self.tree.get_mut(number) else {
             return Ok(());
         };
@@ -149,6 +150,14 @@ impl Hub {
         match (&mut context.role, role) {
             (Role::Token(token), Role::Token(new)) => {
                 changed = token.terms != new.terms;
+                if let Some(owner) = token
+                    .owner
+                    .as_mut()
+                    .filter(|_| token.terms.deadman != new.terms.deadman)
+                {
+                    // It holds for the owner of now too; a new lease begins with the next renewal.
+                    owner.alive_until = new.terms.deadman.map(|deadman| now.saturating_add(deadman));
+                }
                 token.terms = new.terms;
                 token.safe = new.safe;
                 token.safe_on_give = new.safe_on_give;
@@ -158,8 +167,6 @@ impl Hub {
         self.link_guards(number);
         self.changed.insert(number);
         if changed {
-            // New terms hold for the owner of now too, who begins them anew.
-            self.renew_lease(number);
             self.correct_record(number, out);
         }
         self.retime(number);

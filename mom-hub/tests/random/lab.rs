@@ -1,17 +1,22 @@
-//! A hub with a bit of everything.
+//! A hub with a bit of everything, and what may become of its configuration.
 
-use mom_hub::{ContextSpec, Hub, Input, PeerId, Settings, User};
+use mom_hub::{Configuration, ContextSpec, Hub, Input, PeerId, Record, Settings, User};
 use mom_managers::Registry;
-use mom_proto::{Limit, Limits, Map, Value, from_value};
+use mom_proto::{Limit, Limits, Map, Path, Value, from_value};
+
+use crate::kinds::{HOLD, NOTICE, add_kinds};
 
 /// An operator that only looks.
 pub(crate) const ADMIN: PeerId = PeerId(1_000_000);
 
-/// The epoch of its fences.
+/// The epoch of the first fences.
 pub(crate) const EPOCH: u64 = 1;
 
+/// The configurations that there are; the first is that of the start.
+pub(crate) const VARIANTS: usize = 6;
+
 /// The paths that steps are about: of the configuration, to be made, and never there.
-pub(crate) const PATHS: [&str; 18] = [
+pub(crate) const PATHS: [&str; 30] = [
     "/",
     "/lab",
     "/lab/token",
@@ -20,15 +25,27 @@ pub(crate) const PATHS: [&str; 18] = [
     "/yard",
     "/yard/key",
     "/yard/eager",
+    "/yard/dead",
+    "/yard/turns",
+    "/yard/moody",
+    "/yard/chaired",
     "/yard/work",
     "/yard/press",
+    "/yard/belt",
+    "/yard/gate",
+    "/yard/bay",
+    "/yard/mill",
+    "/yard/tap",
+    "/yard/extra",
     "/a",
     "/a/token",
     "/a/arm",
+    "/a/own",
     "/a/b",
     "/a/b/token",
     "/a/b/arm",
     "/hall",
+    "/lab/talk/deep",
     "/none",
 ];
 
@@ -41,88 +58,170 @@ pub(crate) const USERS: [(&str, i32, &str); 5] = [
     ("arm", 0, "device"),
 ];
 
-/// A user by number.
-pub(crate) fn user(number: usize) -> User {
+/// A user by number, as a configuration has it; none = not any more.
+pub(crate) fn user(number: usize, variant: usize) -> Option<User> {
     let (name, level, group) = USERS[number % USERS.len()];
-    User {
+    let (level, group) = match (variant, name) {
+        (1, "dave") => return None,
+        (1, "alice") => (6, group),
+        (1, "bob") => (1, "operator"),
+        (1, "carol") => (0, "people"),
+        _ => (level, group),
+    };
+    Some(User {
         name: name.to_owned(),
         level,
         groups: vec![group.to_owned()],
         details: Map::new(),
-    }
+    })
 }
 
-/// The hub at its start, with the operator logged in.
-pub(crate) fn hub() -> Hub {
-    let mut registry = Registry::builtin();
-    registry.define("lab", roles());
-    registry.define("lab-token", chain());
+/// A hub at its start, with the operator logged in.
+pub(crate) fn hub(variant: usize, durable: bool, epoch: u64, records: Vec<Record>) -> Hub {
     let settings = Settings {
-        epoch: EPOCH,
-        limits: Limits {
-            contexts: Limit::At(15),
-            joined: Limit::At(9),
-            ..Limits::default()
-        },
+        epoch,
+        durable,
+        records,
+        limits: limits(),
         counts_above: 2,
         ..Settings::default()
     };
-    let contexts: Vec<ContextSpec> = contexts()
-        .into_iter()
-        .map(|(path, map)| from_value(map.with("path", path).into()).unwrap())
-        .collect();
-    let mut hub = Hub::new(settings, registry, &"open".into(), &contexts).unwrap();
+    let mut hub = Hub::new(settings, registry(variant), &"open".into(), &specs(variant)).unwrap();
+    let user = User {
+        name: "admin".to_owned(),
+        ..user(2, 0).unwrap()
+    };
+    let (nickname, id) = (None, None);
     let login = Input::Login {
         peer: ADMIN,
-        user: User {
-            name: "admin".to_owned(),
-            ..user(2)
-        },
-        nickname: None,
-        id: None,
+        user,
+        nickname,
+        id,
     };
     hub.handle(0, login, &mut Vec::new());
     hub
 }
 
-fn contexts() -> Vec<(&'static str, Map)> {
-    let of = |kind: &str| Map::new().with("kind", kind);
-    let guard = |token: &str, name: &str| Map::new().with("token", token).with("names", vec![name.into()]);
-    let lease = |kind: &str, lease: i64, expiry: &str| of(kind).with("lease", lease).with("expiry", expiry);
-    let safe = Map::new().with("channel", "/yard/work").with("name", "lift");
-    vec![
-        ("/lab", of("session").with("manager", "lab")),
-        ("/lab/token", of("token").with("manager", "lab-token")),
-        (
-            "/lab/arm",
-            of("channel").with("guard", guard("/lab/token", "command")),
-        ),
-        ("/lab/talk", of("channel").with("presence", "counts")),
-        ("/yard", of("session").with("presence", "none")),
-        (
-            "/yard/key",
-            of("token")
-                .with("manager", lease("first-come", 5000, "lazy"))
-                .with("safe", safe),
-        ),
-        (
-            "/yard/eager",
-            of("token").with("manager", lease("level-or-lease", 2000, "eager")),
-        ),
-        ("/yard/work", of("channel").with("guard", guard("/yard/key", "*"))),
-        (
-            "/yard/press",
-            of("channel")
-                .with("guard", guard("/yard/eager", "say"))
-                .with("delivery", "latest"),
-        ),
-    ]
+/// A configuration; who is logged in under which user is the log's business.
+pub(crate) fn configuration(variant: usize, users: Vec<(PeerId, Option<User>)>) -> Configuration {
+    Configuration {
+        registry: registry(variant),
+        root: "open".into(),
+        contexts: specs(variant),
+        limits: limits(),
+        users,
+    }
 }
 
-fn roles() -> Value {
+fn limits() -> Limits {
+    Limits {
+        contexts: Limit::At(24),
+        joined: Limit::At(16),
+        ..Limits::default()
+    }
+}
+
+fn registry(variant: usize) -> Registry {
+    let mut registry = Registry::builtin();
+    add_kinds(&mut registry);
+    registry.define("lab", roles(variant));
+    registry.define("lab-token", chain());
+    registry
+}
+
+fn specs(variant: usize) -> Vec<ContextSpec> {
+    let contexts = contexts(variant).into_iter();
+    contexts
+        .map(|(path, map)| from_value(map.with("path", path).into()).unwrap())
+        .collect()
+}
+
+fn of(kind: &str) -> Map {
+    Map::new().with("kind", kind)
+}
+
+fn managed(kind: &str, lease: i64, expiry: &str) -> Map {
+    of("token").with("manager", of(kind).with("lease", lease).with("expiry", expiry))
+}
+
+fn guarded(token: &str, name: &str) -> Map {
+    let guard = Map::new().with("token", token).with("names", vec![name.into()]);
+    of("channel").with("guard", guard)
+}
+
+fn contexts(variant: usize) -> Vec<(&'static str, Map)> {
+    let safe = Map::new().with("channel", "/yard/work").with("name", "lift");
+    let key = match variant {
+        2 => managed("level-or-lease", 8000, "eager"),
+        _ => managed("first-come", 5000, "lazy"),
+    };
+    let eager = match variant {
+        2 => managed("level-or-lease", 7000, "lazy"),
+        _ => managed("level-or-lease", 2000, "eager"),
+    };
+    let dead = managed("level-or-lease", 5000, "lazy").with("safe-on-give", true);
+    let dead = match variant {
+        2 => dead,
+        _ => dead.with("deadman", 2000),
+    };
+    let turns = match variant {
+        2 => managed("first-come", 1000, "lazy"),
+        _ => of("token").with("manager", "turns"),
+    };
+    let yard = of("session").with("presence", "none");
+    let yard = match variant {
+        4 => yard.with("manager", "closed"),
+        _ => yard,
+    };
+    let talk = match variant {
+        3 => of("session"),
+        _ => of("channel").with("presence", "counts"),
+    };
+    let mut contexts = vec![
+        ("/lab", of("session").with("manager", "lab")),
+        ("/lab/token", of("token").with("manager", "lab-token")),
+        ("/lab/arm", guarded("/lab/token", "command")),
+        ("/lab/talk", talk),
+        ("/yard", yard),
+        ("/yard/key", key.with("safe", safe)),
+        ("/yard/eager", eager),
+        ("/yard/dead", dead),
+        ("/yard/turns", turns),
+        ("/yard/moody", of("token").with("manager", "moody")),
+        ("/yard/chaired", of("token").with("manager", "chaired")),
+        ("/yard/work", guarded("/yard/key", "*")),
+        (
+            "/yard/press",
+            guarded("/yard/eager", "say").with("delivery", "latest"),
+        ),
+        ("/yard/belt", guarded("/yard/dead", "command")),
+        ("/yard/gate", guarded("/yard/turns", "command")),
+        (
+            "/yard/bay",
+            guarded("/yard/chaired", "command").with("manager", "chaired"),
+        ),
+        ("/yard/mill", guarded("/yard/moody", "command")),
+        ("/yard/tap", of("channel").with("manager", "counted")),
+    ];
+    if variant == 3 {
+        contexts.retain(|(path, _)| !matches!(*path, "/yard/turns" | "/yard/gate"));
+        contexts.push(("/yard/extra", of("channel")));
+    }
+    contexts
+}
+
+fn roles(variant: usize) -> Value {
     let rule = |name: &str, verbs: &[&str]| {
         let verbs: Vec<Value> = verbs.iter().map(|verb| Value::from(*verb)).collect();
         Map::new().with("name", name).with("allow", verbs)
+    };
+    let looks: &[&str] = &["join", "lookup", "list", "info", "members", "stop"];
+    let acts: &[&str] = &[
+        "send", "grab", "renew", "give", "accept", "request", "inhibit", "invite",
+    ];
+    let people = match variant {
+        5 => looks.to_vec(),
+        _ => [looks, acts].concat(),
     };
     let rules: Vec<Value> = vec![
         rule("operators", &["*"])
@@ -133,14 +232,7 @@ fn roles() -> Value {
             .with("deny", vec!["stop".into()])
             .with("users", vec!["dave".into()])
             .into(),
-        rule(
-            "people",
-            &[
-                "join", "lookup", "list", "info", "members", "send", "grab", "renew", "stop",
-            ],
-        )
-        .with("min-level", 1)
-        .into(),
+        rule("people", &people).with("min-level", 1).into(),
         rule("devices", &["join", "members", "unstop"]).into(),
     ];
     Map::new().with("kind", "roles").with("rules", rules).into()
@@ -152,4 +244,53 @@ fn chain() -> Value {
         .with("kind", "chain")
         .with("of", vec!["lab".into(), lease.into()])
         .into()
+}
+
+/// What holds for a token of the configuration, in µs.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Rules {
+    pub(crate) lease: Option<u64>,
+    pub(crate) eager: bool,
+    pub(crate) deadman: Option<u64>,
+    /// The longest turn while others wait, and the least once the first waits.
+    pub(crate) hold: Option<(u64, u64)>,
+    pub(crate) by_level: bool,
+    pub(crate) safe_on_give: bool,
+    /// The one channel that hears its safe state.
+    pub(crate) safe: Option<Path>,
+    /// Who waits for it is let have it when it is free.
+    pub(crate) calm: bool,
+}
+
+/// What holds for a token; none = it is not of the configuration.
+pub(crate) fn rules(path: &Path, variant: usize) -> Option<Rules> {
+    let contexts = contexts(variant);
+    let (_, spec) = contexts.iter().find(|(known, _)| *known == path.as_str())?;
+    let word = |key: &str| spec.get(key).and_then(Value::as_str);
+    if word("kind") != Some("token") {
+        return None;
+    }
+    let manager = spec.get("manager").unwrap();
+    let kind = manager
+        .as_str()
+        .or_else(|| manager.get("kind")?.as_str())
+        .unwrap();
+    let micros = |value: &Value| value.as_int().and_then(|ms| u64::try_from(ms * 1000).ok());
+    let lease = match kind {
+        "lab-token" => Some(180_000_000),
+        "turns" => Some(20_000_000),
+        _ => manager.get("lease").and_then(micros),
+    };
+    Some(Rules {
+        lease,
+        eager: manager.get("expiry").and_then(Value::as_str) == Some("eager"),
+        deadman: spec.get("deadman").and_then(micros),
+        hold: (kind == "turns").then_some((HOLD, NOTICE)),
+        by_level: matches!(kind, "lab-token" | "level-or-lease"),
+        safe_on_give: spec.get("safe-on-give").is_some(),
+        safe: spec
+            .get("safe")
+            .and_then(|safe| Path::parse(safe.get("channel")?.as_str()?).ok()),
+        calm: !matches!(kind, "moody" | "chaired"),
+    })
 }

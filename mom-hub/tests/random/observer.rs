@@ -1,445 +1,298 @@
 //! Looks at a hub from outside and asserts what it promises.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::sync::Arc;
+use std::collections::BTreeMap;
 
-use mom_hub::{Admission, Effect, Hub, Input, Member, PeerId, Receivers, Route, admit};
-use mom_proto::{ContextNumber, Family, Parcel, Path, Time, Value, WireError};
+use mom_hub::{Effect, Hub, Input, PeerId, Record};
+use mom_proto::{Family, Parcel, Path};
 
-use crate::lab::{ADMIN, PATHS};
-use crate::steps::at;
+use crate::answers::Answers;
+use crate::disk::Disk;
+use crate::handover::HandOver;
+use crate::lab::{self, EPOCH, Rules, USERS, user};
+use crate::look::Looks;
+use crate::owners::{Kept, Owners};
+use crate::queues::Queues;
+use crate::robots::Robots;
+use crate::seen::Seen;
+use crate::tree::{Admitted, Tree};
 
-/// What has occurred, counted.
-#[derive(Debug, Default)]
-pub(crate) struct Seen(BTreeMap<String, u64>);
+/// How a hub begins.
+#[derive(Clone, Debug)]
+pub(crate) struct Start {
+    pub(crate) variant: usize,
+    pub(crate) durable: bool,
+    pub(crate) epoch: u64,
+    pub(crate) records: Vec<Record>,
+}
 
-impl Seen {
-    pub(crate) fn count(&self, what: &str) -> u64 {
-        self.0.get(what).copied().unwrap_or_default()
-    }
-
-    pub(crate) fn add(&mut self, other: &Seen) {
-        for (what, count) in &other.0 {
-            *self.0.entry(what.clone()).or_default() += count;
+impl Start {
+    pub(crate) fn new(durable: bool) -> Start {
+        Start {
+            variant: 0,
+            durable,
+            epoch: EPOCH,
+            records: Vec::new(),
         }
     }
 
-    fn note(&mut self, what: impl Into<String>) {
-        *self.0.entry(what.into()).or_default() += 1;
+    pub(crate) fn hub(&self) -> Hub {
+        lab::hub(self.variant, self.durable, self.epoch, self.records.clone())
     }
 }
 
 /// A hub and what was seen of it.
 pub(crate) struct Observer {
-    hub: Hub,
-    now: u64,
-    /// As a broker holds them: changed by effects only.
-    routes: BTreeMap<ContextNumber, Arc<Route>>,
-    /// Owner and fence of each token, from events and replies only.
-    owners: BTreeMap<Path, (String, u64)>,
-    /// The highest fence of each path.
-    fences: BTreeMap<Path, u64>,
-    /// Before the present step, as are the names and routes that follow.
-    members: Members,
-    names: BTreeMap<PeerId, String>,
-    routes_before: Vec<Arc<Route>>,
-    /// Requests without an answer.
-    open: BTreeSet<(PeerId, u64)>,
+    pub(crate) start: Start,
+    pub(crate) hub: Hub,
+    pub(crate) now: u64,
+    /// The configuration that holds.
+    pub(crate) variant: usize,
+    /// When the store answers what comes next, and how.
+    pub(crate) store: (usize, bool),
+    pub(crate) tree: Tree,
+    pub(crate) answers: Answers,
+    pub(crate) owners: Owners,
+    pub(crate) queues: Queues,
+    pub(crate) handover: HandOver,
+    pub(crate) robots: Robots,
+    pub(crate) disk: Disk,
+    pub(crate) inputs: Vec<(u64, Input)>,
     pub(crate) effects: Vec<Vec<Effect>>,
     pub(crate) seen: Seen,
 }
 
-type Members = BTreeMap<Path, BTreeSet<String>>;
-
 impl Observer {
-    pub(crate) fn new(hub: Hub) -> Observer {
-        let routes = hub
-            .routes()
-            .into_iter()
-            .map(|route| (route.number, route))
-            .collect();
-        let mut observer = Observer {
+    /// `gated` = whether its broker looks at the gates of channels.
+    pub(crate) fn new(start: Start, gated: bool) -> Observer {
+        let mut hub = start.hub();
+        let mut robots = Robots::default();
+        robots.gated = gated;
+        robots.begin(hub.routes().into_iter());
+        Observer {
+            tree: Tree::new(&mut hub),
             hub,
             now: 0,
-            routes,
-            owners: BTreeMap::new(),
-            fences: BTreeMap::new(),
-            members: BTreeMap::new(),
-            names: BTreeMap::new(),
-            routes_before: Vec::new(),
-            open: BTreeSet::new(),
+            variant: start.variant,
+            store: (0, true),
+            answers: Answers::default(),
+            owners: Owners::default(),
+            queues: Queues::default(),
+            handover: HandOver::default(),
+            robots,
+            disk: Disk::default(),
+            inputs: Vec::new(),
             effects: Vec::new(),
             seen: Seen::default(),
-        };
-        observer.members = observer.look_at_members();
-        observer
+            start,
+        }
     }
 
-    /// Gives the hub an input and checks all that follows.
-    pub(crate) fn take(&mut self, now: u64, input: &Input) {
+    /// After its hub was killed: a new one, begun with what was durable; what peers and robots know they know.
+    pub(crate) fn restart(mut self, luck: u64) -> (Observer, Past) {
+        let (records, settled) = self.disk.survive(luck);
+        let start = Start {
+            variant: self.variant,
+            durable: true,
+            epoch: crate::disk::next_epoch(self.start.epoch, &records),
+            records,
+        };
+        let kept = self.owners.to_keep();
+        let mut next = Observer::new(start, self.robots.gated);
+        self.robots.disconnect();
+        next.robots = self.robots;
+        next.robots.begin(next.hub.routes().into_iter());
+        next.owners.fences = self.owners.fences;
+        next.seen = self.seen;
+        next.check_restart(&kept, &settled);
+        next.owners.kept = kept;
+        let past = Past {
+            start: self.start,
+            inputs: self.inputs,
+            effects: self.effects,
+        };
+        (next, past)
+    }
+
+    /// A token is kept for who owned it; one that nobody owned, and nobody was about to, is free at once.
+    fn check_restart(&mut self, kept: &BTreeMap<Path, Kept>, settled: &[Path]) {
+        let looks = Looks::at(&mut self.hub, 0);
+        for (path, look) in &looks.seen {
+            let owned = kept.contains_key(path);
+            let written = self.start.records.iter().any(|record| record.path == *path);
+            assert!(
+                !owned || look.reserved,
+                "{path} is kept for its owner: {:?}",
+                kept.get(path)
+            );
+            let free = !owned && (settled.contains(path) || !written);
+            assert!(!free || !look.reserved, "{path} was free, and is: {look:?}");
+            if look.reserved {
+                self.seen.note("kept after a restart");
+            }
+        }
+    }
+
+    /// Gives the hub an input and checks all that follows; `variant` = the configuration that holds after it.
+    pub(crate) fn take(&mut self, now: u64, input: &Input, variant: usize) -> &[Effect] {
         let mut effects = Vec::new();
         self.now = now;
+        let early = self.tree.admit(&self.hub, now, input);
         self.hub.handle(now, Input::Tick, &mut effects);
         self.hub.check();
+        let deadline = self.hub.deadline();
         assert!(
-            self.hub.deadline().is_none_or(|deadline| deadline > now),
+            deadline.is_none_or(|deadline| deadline > now),
             "deadlines have acted"
         );
-        self.check_answers(None, &effects);
         self.follow(&effects, None);
-        let by_route = self.admit_by_route(input);
+        self.check_ends();
+        let by_route = self.tree.admit(&self.hub, now, input);
+        check_early(early, by_route.as_ref());
+        self.answers.ask(input);
+        let before: Vec<_> = self
+            .owners
+            .now
+            .keys()
+            .map(|path| (path.clone(), self.rules(path)))
+            .collect();
+        self.variant = variant;
+        // A new deadman time holds for the owner of now too.
+        for (path, before) in before {
+            let (Some(old), Some(new)) = (before, self.rules(&path)) else {
+                continue;
+            };
+            let owned = self
+                .owners
+                .now
+                .get_mut(&path)
+                .filter(|_| old.deadman != new.deadman);
+            if let Some(owned) = owned {
+                owned.alive_until = new.deadman.map(|deadman| now + deadman);
+            }
+        }
         let start = effects.len();
         self.hub.handle(now, input.clone(), &mut effects);
         self.hub.check();
-        self.check_answers(Some(input), &effects[start..]);
         self.follow(&effects[start..], Some(input));
-        if let Some(by_route) = by_route {
-            self.check_one_truth(by_route, &effects[start..]);
-        }
-        self.check_against_tree();
+        self.check_one_truth(by_route.as_ref(), input, &effects[start..]);
+        self.check_stop(input, &effects[start..]);
+        self.inputs.push((now, input.clone()));
         self.effects.push(effects);
+        self.effects.last().unwrap()
     }
 
-    /// What the broker's fast path would do with a message.
-    fn admit_by_route(&mut self, input: &Input) -> Option<Result<(Receivers, Parcel), WireError>> {
-        let Input::Request { peer, parcel } = input else {
-            return None;
-        };
-        let path = parcel
-            .context
-            .as_ref()
-            .filter(|_| parcel.family == Family::Message)?;
-        let route = self.routes.values().find(|route| route.path == *path)?;
-        self.hub.peer_name(*peer)?;
-        let mut parcel = (**parcel).clone();
-        let wall = Time::from_micros(i64::try_from(self.now).unwrap()).unwrap();
-        match admit(route, *peer, &mut parcel, self.now, wall) {
-            Ok(Admission::Consult) => {
-                self.seen.note("passed by the hub");
-                None
-            }
-            Ok(Admission::Pass(receivers, _)) => {
-                self.seen.note("passed by its route");
-                Some(Ok((receivers, parcel)))
-            }
-            Err(error) => {
-                self.seen.note("refused by its route");
-                Some(Err(error))
+    /// Moves what lies in outboxes and sockets.
+    pub(crate) fn link(&mut self, (write, read): (bool, bool)) {
+        if write {
+            self.robots.write(&mut self.seen);
+        }
+        if read {
+            self.robots.read(&mut self.seen);
+        }
+    }
+
+    /// What holds for a token of the configuration.
+    pub(crate) fn rules(&self, path: &Path) -> Option<Rules> {
+        lab::rules(path, self.variant)
+    }
+
+    /// No ownership outlasts its end: an eager lease, a deadman time, a lease or a turn where others wait.
+    fn check_ends(&self) {
+        for (path, owned) in &self.owners.now {
+            let Some(rules) = self.rules(path) else { continue };
+            let waited = self.queues.waits(path);
+            let lease = owned.lease_end.filter(|_| rules.eager || waited);
+            let turn = self.queues.turn_end(path, owned, &rules);
+            let ends = [lease, owned.alive_until, turn].into_iter().flatten();
+            for end in ends {
+                assert!(
+                    self.now < end,
+                    "{path} is {}'s beyond {end}: {owned:?}",
+                    owned.name
+                );
             }
         }
     }
 
     /// A verdict that stands says what asking again would say.
-    fn check_one_truth(&self, by_route: Result<(Receivers, Parcel), WireError>, effects: &[Effect]) {
+    fn check_one_truth(&mut self, by_route: Option<&Admitted>, input: &Input, effects: &[Effect]) {
+        let what = match by_route {
+            None if matches!(input, Input::Request { parcel, .. } if parcel.family == Family::Message) => {
+                self.seen.note("passed by the hub");
+                return;
+            }
+            None => return,
+            Some(Ok(_)) => "passed by its route",
+            Some(Err(_)) => "refused by its route",
+        };
+        self.seen.note(what);
         let by_hub = effects.iter().find_map(|effect| match effect {
             Effect::Send {
-                parcel, receivers, ..
-            } => Some(Ok((receivers.clone(), (**parcel).clone()))),
-            Effect::Reply { parcel, .. } => Some(Err(WireError::from_parcel(parcel))),
+                parcel,
+                receivers,
+                rate,
+                ..
+            } => Some(Ok((receivers.clone(), *rate, (**parcel).clone()))),
+            Effect::Reply { parcel, .. } => Some(Err(mom_proto::WireError::from_parcel(parcel))),
             _ => None,
         });
-        assert_eq!(by_hub, Some(by_route), "the route and the hub say the same");
-    }
-
-    /// Every request is answered exactly once, at once or later, and nobody else is.
-    fn check_answers(&mut self, input: Option<&Input>, effects: &[Effect]) {
-        let asked = match input {
-            Some(Input::Login { peer, id, .. }) => Some((*peer, *id)),
-            Some(Input::Request { peer, parcel }) => Some((*peer, parcel.id)),
-            _ => None,
-        };
-        if let Some((peer, id)) = asked {
-            assert!(
-                self.open.insert((peer, id.unwrap())),
-                "ids rise in a log, so no two requests are the same"
-            );
-        }
-        let message =
-            matches!(input, Some(Input::Request { parcel, .. }) if parcel.family == Family::Message);
-        for effect in effects {
-            let (to, id) = match effect {
-                Effect::Reply { to, parcel } => {
-                    assert!(matches!(parcel.family, Family::Reply | Family::Error));
-                    self.seen.note(parcel.name());
-                    (*to, parcel.reference.unwrap())
-                }
-                Effect::Send { from, parcel, .. } => (*from, parcel.id.unwrap()),
-                _ => continue,
-            };
-            assert!(
-                self.open.remove(&(to, id)),
-                "{to:?} has asked {id}, and was not answered before: {effect:?}"
-            );
-            let later = asked != Some((to, Some(id)));
-            if later {
-                self.seen.note("answered later");
-            }
-            assert!(
-                later
-                    || !message
-                    || !matches!(effect, Effect::Reply { parcel, .. } if parcel.family == Family::Reply),
-                "receipts are the broker's"
-            );
-        }
-        // Of a peer that is gone nobody waits for an answer.
-        let hub = &self.hub;
-        self.open.retain(|(peer, _)| hub.peer_name(*peer).is_some());
-    }
-
-    /// Follows the effects in their order, as a broker and its peers would.
-    fn follow(&mut self, effects: &[Effect], input: Option<&Input>) {
-        // A refusal changes nothing, as the routes tell; all else may have changed who is where.
-        let refused = |effect: &Effect| {
-            matches!(effect, Effect::Audit(_))
-                || matches!(effect, Effect::Reply { parcel, .. } if parcel.family == Family::Error)
-        };
-        let after = match effects.iter().all(refused) {
-            true => self.members.clone(),
-            false => self.look_at_members(),
-        };
-        self.routes_before = self.routes.values().cloned().collect();
-        let mut unsaid = false;
-        let mut others = false;
-        for effect in effects {
-            // With timers several things happen at once, each with its own routes.
-            others |= input.is_some()
-                && !matches!(effect, Effect::Route(_) | Effect::RouteGone(_) | Effect::Audit(_));
-            match effect {
-                Effect::Route(route) => {
-                    let known = self.routes.insert(route.number, Arc::clone(route));
-                    let only_adds = known.is_none_or(|known| adds(&known, route));
-                    assert!(
-                        !others || only_adds,
-                        "what a route takes away it takes before all else"
-                    );
-                }
-                Effect::RouteGone(number) => drop(self.routes.remove(number)),
-                Effect::Deliver { to, parcel } => {
-                    assert!(!to.is_empty(), "given to somebody");
-                    match parcel.family {
-                        Family::Event => self.event(to, parcel, &after),
-                        _ => {
-                            unsaid = true;
-                            self.seen.note(parcel.name());
-                            self.check_receivers(to, parcel.context.as_ref().unwrap(), &after, &[]);
-                        }
-                    }
-                    unsaid &= !parcel.is(Family::Event, "released");
-                    let granted = parcel.is(Family::Event, "grabbed");
-                    assert!(!(granted && unsaid), "safe, then released, then grabbed");
-                }
-                Effect::Reply { parcel, .. } => self.granted(parcel, input),
-                Effect::Send { receivers, route, .. } => self.check_send(receivers, route),
-                Effect::Close { .. } | Effect::Store { .. } | Effect::Audit(_) => {}
-            }
-        }
-        assert!(!unsaid, "a safe state comes before the loss that it is for");
-        self.members = after;
-        if let Some(Input::Login { peer, .. }) = input {
-            let name = self.hub.peer_name(*peer).unwrap().to_string();
-            self.names.insert(*peer, name);
+        assert_eq!(by_hub.as_ref(), by_route, "the route and the hub say the same");
+        if let Some(Ok((_, Some(rate), _))) = by_hub {
+            assert_eq!(rate, crate::kinds::RATE);
+            self.seen.note("passed with a rate");
         }
     }
 
-    fn event(&mut self, to: &[PeerId], parcel: &Parcel, after: &Members) {
-        let path = parcel.context.clone().unwrap();
-        let content = parcel.value();
-        let word = |key: &str| content.get(key).and_then(Value::as_str).map(str::to_owned);
-        let fence = content
-            .get("fence")
-            .and_then(Value::as_int)
-            .and_then(|fence| u64::try_from(fence).ok());
-        self.seen.note(parcel.name());
-        let mut also = Vec::new();
-        match parcel.name() {
-            "released" => {
-                let owner = word("owner").unwrap();
-                self.seen.note(word("reason").unwrap());
-                assert_eq!(
-                    self.owners.remove(&path),
-                    Some((owner.clone(), fence.unwrap())),
-                    "who lost {path} had it"
-                );
-                also.push(owner);
-            }
-            "grabbed" => {
-                assert!(!self.owners.contains_key(&path), "released before grabbed");
-                self.grant(&path, word("owner").unwrap(), fence.unwrap());
-            }
-            "joined" | "left" => {
-                let counted = content.get("count").is_some();
-                assert!(
-                    counted != content.get("peer").is_some(),
-                    "who, or how many: {content:?}"
-                );
-                if counted {
-                    self.seen.note("count");
-                }
-            }
-            "deleted" => {
-                let parent = path.parent().unwrap();
-                also.extend(self.members.get(&parent).into_iter().flatten().cloned());
-            }
-            _ => {}
-        }
-        // Of grabs and losses the members of the guarded channels are told too.
-        let guarded = self.routes.values().chain(&self.routes_before).filter(|route| {
-            matches!(parcel.name(), "grabbed" | "released")
-                && route.guard.as_ref().is_some_and(|guard| guard.token == path)
-        });
-        also.extend(
-            guarded.flat_map(|route| route.members.iter().map(|member| member.facts.name.to_string())),
-        );
-        self.check_receivers(to, &path, after, &also);
-    }
-
-    /// A grant is told in the reply; of one that nobody else may hear of there is no event.
-    fn granted(&mut self, reply: &Parcel, input: Option<&Input>) {
-        let Some(Input::Request { peer, parcel }) = input else {
+    /// A stop passes for who has the right to it, whoever owns the device and whatever waits.
+    fn check_stop(&mut self, input: &Input, effects: &[Effect]) {
+        let Input::Request { peer, parcel } = input else {
             return;
         };
-        if !parcel.is(Family::Token, "grab") || !reply.is(Family::Reply, "ok") {
+        if !parcel.is(Family::Message, "stop") || !self.may_stop(*peer, parcel) {
             return;
         }
-        let path = parcel.context.clone().unwrap();
-        let name = self.hub.peer_name(*peer).unwrap().to_string();
-        let fence = reply.value().get("fence").and_then(Value::as_int).unwrap();
-        let fence = u64::try_from(fence).unwrap();
-        match self.owners.get(&path) {
-            Some(owner) => assert_eq!(*owner, (name, fence), "the owner of {path} is who was granted it"),
-            None => self.grant(&path, name, fence),
+        let sent = |effect: &Effect| matches!(effect, Effect::Send { from, parcel, .. } if from == peer && parcel.name() == "stop");
+        assert!(effects.iter().any(sent), "a stop passes: {parcel:?}, {effects:?}");
+        self.seen.note("stopped");
+    }
+
+    fn may_stop(&self, peer: PeerId, parcel: &Parcel) -> bool {
+        let path = parcel.context.as_ref().unwrap();
+        let route = self.tree.routes.values().find(|route| route.path == *path);
+        if parcel.address.is_some() || route.is_none_or(|route| route.member(peer).is_none()) {
+            return false;
         }
-    }
-
-    fn grant(&mut self, path: &Path, owner: String, fence: u64) {
-        let highest = self.fences.insert(path.clone(), fence);
-        assert!(
-            highest.is_none_or(|highest| fence > highest),
-            "fences of {path} only rise"
-        );
-        self.owners.insert(path.clone(), (owner, fence));
-    }
-
-    /// That receivers are members of a context before or after the step, or among those.
-    fn check_receivers(&self, to: &[PeerId], path: &Path, after: &Members, also: &[String]) {
-        // What the operator may not see it cannot check.
-        let (Some(before), Some(after)) = (
-            self.members.get(path).or(after.get(path)),
-            after.get(path).or(self.members.get(path)),
-        ) else {
-            return;
+        let Some(person) = self.tree.people.get(&peer) else {
+            return false;
         };
-        for peer in to.iter().filter(|peer| **peer != ADMIN) {
-            let now = self.hub.peer_name(*peer).map(|name| name.to_string());
-            let names: Vec<&String> = self.names.get(peer).into_iter().chain(&now).collect();
-            let concerned =
-                |name: &&String| before.contains(*name) || after.contains(*name) || also.contains(name);
-            assert!(
-                names.iter().any(concerned),
-                "{names:?} is told about {path}, none of its business"
-            );
-        }
-    }
-
-    fn check_send(&self, receivers: &Receivers, route: &Arc<Route>) {
-        let present = &self.routes[&route.number];
-        assert!(
-            adds(present, route) && adds(route, present),
-            "sent by the present route"
-        );
-        let places = match receivers {
-            Receivers::All => vec![],
-            Receivers::AllBut(place) => vec![*place],
-            Receivers::These(places) => places.clone(),
-        };
-        assert!(
-            places.iter().all(|place| *place < route.members.len()),
-            "only members get it"
-        );
-    }
-
-    /// The routes and owners that effects told of are those of the tree.
-    fn check_against_tree(&mut self) {
-        let truth: BTreeMap<ContextNumber, Arc<Route>> = self
-            .hub
-            .routes()
-            .into_iter()
-            .map(|route| (route.number, route))
-            .collect();
-        assert_eq!(self.routes, truth, "routes agree with the tree");
-        for route in truth.values() {
-            let listed: BTreeSet<String> = route
-                .members
-                .iter()
-                .map(|member| member.facts.name.to_string())
-                .collect();
-            if let Some(members) = self.members.get(&route.path) {
-                assert_eq!(*members, listed, "members of {}", route.path);
-            }
-            if let Some(guard) = &route.guard {
-                let owner = guard
-                    .owner
-                    .as_ref()
-                    .map(|owner| (owner.name.to_string(), guard.fence));
-                assert_eq!(
-                    self.owners.get(&guard.token),
-                    owner.as_ref(),
-                    "owner of {}",
-                    guard.token
-                );
-            }
-        }
-        for path in PATHS.map(at) {
-            let Ok(info) = self.ask(Family::Token, "info", &path) else {
-                continue;
-            };
-            if info.get("kind").and_then(Value::as_str) == Some("token") {
-                let owner = info.get("owner").and_then(Value::as_str);
-                let known = self.owners.get(&path).map(|(owner, _)| owner.as_str());
-                assert_eq!(owner, known, "owner of {path}");
-            }
-        }
-    }
-
-    fn look_at_members(&mut self) -> Members {
-        let mut all = Members::new();
-        for path in PATHS.map(at) {
-            let Ok(content) = self.ask(Family::Context, "members", &path) else {
-                continue;
-            };
-            let names = content
-                .get("members")
-                .and_then(Value::as_list)
-                .unwrap_or_default()
-                .iter();
-            let names = names.filter_map(|member| member.get("peer")?.as_str().map(str::to_owned));
-            all.insert(path, names.filter(|name| name != "admin").collect());
-        }
-        all
-    }
-
-    fn ask(&mut self, family: Family, verb: &str, path: &Path) -> Result<Value, WireError> {
-        let mut effects = Vec::new();
-        let request = Input::Request {
-            peer: ADMIN,
-            parcel: Box::new(Parcel::new(family, verb).context(path.clone())),
-        };
-        self.hub.handle(self.now, request, &mut effects);
-        effects.retain(|effect| !matches!(effect, Effect::Audit(_)));
-        match &effects[..] {
-            [Effect::Reply { parcel, .. }] if parcel.family == Family::Reply => Ok(parcel.value()),
-            [Effect::Reply { parcel, .. }] => Err(WireError::from_parcel(parcel)),
-            other => panic!("looking changes nothing: {other:?}"),
+        let number = USERS.iter().position(|(name, ..)| *name == person.user);
+        let user = number.and_then(|number| user(number, self.variant)).unwrap();
+        match path.as_str() {
+            "/lab/arm" => user.groups == ["operator"] || (user.level >= 1 && user.name != "dave"),
+            "/yard/tap" => false,
+            path => path.starts_with("/yard/") && self.variant != 4,
         }
     }
 }
 
-/// Whether one route has all that another has, and guards the same; verdicts that stand aside.
-fn adds(one: &Route, other: &Route) -> bool {
-    let kept = |member: &Arc<Member>| {
-        other
-            .member(member.peer)
-            .is_some_and(|kept| kept.facts == member.facts)
+/// What the fast path lets pass before the hub's clock has gone on is still right after.
+fn check_early(early: Option<Admitted>, late: Option<&Admitted>) {
+    let Some(Ok((receivers, rate, parcel))) = early else {
+        return;
     };
-    one.guard == other.guard && one.members.iter().all(kept)
+    if parcel.fence.is_some() {
+        let late = late.and_then(|late| late.as_ref().ok());
+        assert_eq!(
+            late,
+            Some(&(receivers, rate, parcel)),
+            "an ownership that is over lets nothing pass"
+        );
+    }
+}
+
+/// A life of a hub that is over.
+pub(crate) struct Past {
+    pub(crate) start: Start,
+    pub(crate) inputs: Vec<(u64, Input)>,
+    pub(crate) effects: Vec<Vec<Effect>>,
 }

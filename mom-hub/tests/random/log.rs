@@ -1,0 +1,319 @@
+//! Turns steps into inputs: time that only goes forth, ids that rise, connections that are new after each end.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use mom_hub::{Effect, Input, PeerId, User};
+use mom_proto::{Family, Map, Parcel, Path, Value};
+
+use crate::lab::{EPOCH, configuration, user};
+use crate::steps::{Act, Message, SEATS, Step, Who};
+
+/// What was seen lately and may be answered, rightly or too late.
+const LATELY: usize = 4;
+
+/// What the peers and the broker know while a log runs.
+#[derive(Debug, Default)]
+pub(crate) struct Log {
+    now: u64,
+    id: u64,
+    epoch: u64,
+    seats: BTreeMap<usize, Seat>,
+    /// The configuration that holds.
+    pub(crate) variant: usize,
+    offers: Vec<(Path, PeerId)>,
+    /// Who is asked for a token, and by whom.
+    requests: Vec<(Path, PeerId, String)>,
+    questions: Vec<(PeerId, u64)>,
+}
+
+#[derive(Debug, Default)]
+struct Seat {
+    /// How often its connection has ended.
+    ended: u64,
+    /// Who is logged in, and as which peer.
+    user: Option<usize>,
+    name: Option<String>,
+    /// The hub has closed it, and the broker has still to say that it is gone.
+    closed: bool,
+}
+
+impl Log {
+    pub(crate) fn new() -> Log {
+        Log {
+            epoch: EPOCH,
+            ..Log::default()
+        }
+    }
+
+    /// The input of a step, and when.
+    pub(crate) fn next(&mut self, step: &Step) -> (u64, Input) {
+        self.now += step.wait;
+        self.id += 1;
+        (self.now, self.input(step))
+    }
+
+    pub(crate) fn now(&self) -> u64 {
+        self.now
+    }
+
+    fn input(&mut self, step: &Step) -> Input {
+        let known = match &step.act {
+            Act::Configure(variant) => return self.configure(*variant),
+            Act::Tick => return Input::Tick,
+            act => self.known(act),
+        };
+        let seat = known.map_or(step.seat, seat_of);
+        let peer = self.peer(seat);
+        let place = self.seats.entry(seat).or_default();
+        if place.closed || matches!(step.act, Act::Gone) {
+            *place = Seat {
+                ended: place.ended + 1,
+                ..Seat::default()
+            };
+            return Input::Gone { peer };
+        }
+        let parcel = match &step.act {
+            Act::Stranger => Parcel::new(Family::Token, "grab").context(at("/lab/token")),
+            Act::Login { nickname } => return self.login(seat, step.user, *nickname),
+            _ if place.user.is_none() => return self.login(seat, step.user, None),
+            act => self.parcel(act, peer),
+        };
+        let parcel = Box::new(parcel.id(self.id));
+        Input::Request { peer, parcel }
+    }
+
+    /// The peer whose answer it is, where it is the right one.
+    fn known(&self, act: &Act) -> Option<PeerId> {
+        match act {
+            Act::Answer {
+                offer: true,
+                pick,
+                rightly: true,
+                ..
+            } => pick_of(&self.offers, *pick).map(|(_, to)| *to),
+            Act::Answer {
+                offer: false,
+                pick,
+                rightly: true,
+                ..
+            } => pick_of(&self.requests, *pick).map(|(_, owner, _)| *owner),
+            Act::Verdict {
+                pick, rightly: true, ..
+            } => pick_of(&self.questions, *pick).map(|(asked, _)| *asked),
+            _ => None,
+        }
+        // A connection that has ended says nothing more.
+        .filter(|peer| self.peer(seat_of(*peer)) == *peer)
+    }
+
+    fn parcel(&self, act: &Act, peer: PeerId) -> Parcel {
+        let token = |verb: &str, path: Path| Parcel::new(Family::Token, verb).context(path);
+        match act {
+            Act::Ask { family, verb, path } => Parcel::new(*family, *verb).context(at(path)),
+            Act::Create { path, spec } => Parcel::new(Family::Context, "create")
+                .context(at(path))
+                .content(spec.clone()),
+            Act::Send(message) => message.parcel(self.epoch),
+            Act::Tell {
+                family,
+                verb,
+                path,
+                content,
+                peer,
+            } => {
+                let mut content = content.clone();
+                if let Some((key, who)) = peer {
+                    content.set(key, self.name_of(*who));
+                }
+                let parcel = Parcel::new(*family, *verb).context(at(path));
+                match content.is_empty() {
+                    true => parcel,
+                    false => parcel.content(content),
+                }
+            }
+            Act::Answer {
+                verb, offer, pick, ..
+            } => match offer {
+                true => {
+                    let offered = pick_of(&self.offers, *pick);
+                    token(verb, offered.map_or(at("/yard/key"), |(path, _)| path.clone()))
+                }
+                false => {
+                    let asked = pick_of(&self.requests, *pick);
+                    let path = asked.map_or(at("/yard/key"), |(path, ..)| path.clone());
+                    let who = asked.map_or("nobody", |(.., who)| who);
+                    token(verb, path).content(Map::new().with("peer", who))
+                }
+            },
+            Act::Verdict {
+                pick,
+                number,
+                allow,
+                stands,
+                ..
+            } => {
+                let mine = |(asked, _): &&(PeerId, u64)| *asked == peer;
+                let seen = pick_of(&self.questions, *pick).or_else(|| self.questions.iter().find(mine));
+                let seen = seen.and_then(|(_, number)| i64::try_from(*number).ok());
+                let content = Map::new()
+                    .with("consult", number.or(seen).unwrap_or_default())
+                    .with("allow", *allow)
+                    .with("stands", *stands);
+                Parcel::new(Family::Manager, "verdict").content(content)
+            }
+            Act::Login { .. } | Act::Stranger | Act::Gone | Act::Configure(_) | Act::Tick => {
+                unreachable!("no request of its own")
+            }
+        }
+    }
+
+    fn login(&mut self, seat: usize, wished: usize, nickname: Option<&str>) -> Input {
+        // One of them is always there.
+        let number = (wished..wished + 2)
+            .find(|number| user(*number, self.variant).is_some())
+            .unwrap();
+        let place = self.seats.entry(seat).or_default();
+        place.user = Some(number);
+        Input::Login {
+            peer: self.peer(seat),
+            user: user(number, self.variant).unwrap(),
+            nickname: nickname.map(str::to_owned),
+            id: Some(self.id),
+        }
+    }
+
+    fn configure(&mut self, variant: usize) -> Input {
+        let mut users: Vec<(PeerId, Option<User>)> = Vec::new();
+        for (seat, place) in &self.seats {
+            if let Some(number) = place.user.filter(|_| place.name.is_some() && !place.closed) {
+                let (old, new) = (user(number, self.variant), user(number, variant));
+                if old != new {
+                    users.push((self.peer(*seat), new));
+                }
+            }
+        }
+        self.variant = variant;
+        Input::Configure(Box::new(configuration(variant, users)))
+    }
+
+    /// Takes in what the effects of an input tell its peers and the broker.
+    pub(crate) fn learn(&mut self, effects: &[Effect]) {
+        for effect in effects {
+            match effect {
+                Effect::Reply { to, parcel } if parcel.is(Family::Reply, "ok") => {
+                    let name = parcel.value();
+                    let name = name.get("limits").and_then(|_| name.get("peer")?.as_str());
+                    if let (Some(name), true) = (name, self.peer(seat_of(*to)) == *to) {
+                        self.seats.entry(seat_of(*to)).or_default().name = Some(name.to_owned());
+                    }
+                }
+                Effect::Deliver { to, parcel } => self.hear(to, parcel),
+                Effect::Close { peer, .. } if self.peer(seat_of(*peer)) == *peer => {
+                    self.seats.entry(seat_of(*peer)).or_default().closed = true;
+                }
+                _ => {}
+            }
+        }
+    }
+
+    fn hear(&mut self, to: &[PeerId], parcel: &Parcel) {
+        let content = parcel.value();
+        let path = || parcel.context.clone().unwrap();
+        let named = |key: &str| {
+            let name = content.get(key).and_then(Value::as_str);
+            let peer = |peer: &&PeerId| self.name_at(seat_of(**peer)) == name;
+            to.iter().find(peer).copied()
+        };
+        match (parcel.family, parcel.name()) {
+            (Family::Event, "offer") => {
+                if let Some(peer) = named("to") {
+                    keep(&mut self.offers, (path(), peer));
+                }
+            }
+            (Family::Event, "requested") => {
+                let asks = content.get("peer").and_then(Value::as_str).unwrap();
+                let owner = to.iter().find(|peer| Some(**peer) != named("peer"));
+                if let Some(owner) = owner {
+                    keep(&mut self.requests, (path(), *owner, asks.to_owned()));
+                }
+            }
+            (Family::Manager, "consult") => {
+                for peer in to {
+                    keep(&mut self.questions, (*peer, parcel.id.unwrap()));
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// The hub was started anew: all connections have ended, and its time begins again.
+    pub(crate) fn restart(&mut self, epoch: u64) {
+        for seat in 0..SEATS {
+            let place = self.seats.entry(seat).or_default();
+            *place = Seat {
+                ended: place.ended + 1,
+                ..Seat::default()
+            };
+        }
+        self.now = 0;
+        self.epoch = epoch;
+        self.offers.clear();
+        self.requests.clear();
+        self.questions.clear();
+    }
+
+    /// All connections that are there.
+    pub(crate) fn peers(&self) -> Vec<PeerId> {
+        (0..SEATS).map(|seat| self.peer(seat)).collect()
+    }
+
+    fn peer(&self, seat: usize) -> PeerId {
+        let ended = self.seats.get(&seat).map_or(0, |place| place.ended);
+        PeerId(1 + seat as u64 + ended * SEATS as u64)
+    }
+
+    fn name_at(&self, seat: usize) -> Option<&str> {
+        self.seats.get(&seat)?.name.as_deref()
+    }
+
+    fn name_of(&self, who: Who) -> String {
+        self.name_at(who.0).unwrap_or("nobody").to_owned()
+    }
+}
+
+fn seat_of(peer: PeerId) -> usize {
+    usize::try_from(peer.0 - 1).unwrap() % SEATS
+}
+
+/// The lately seen one of this number, the last first.
+fn pick_of<T>(seen: &[T], pick: usize) -> Option<&T> {
+    let last = seen.len().checked_sub(1)?;
+    seen.get(last.saturating_sub(pick % LATELY))
+}
+
+fn keep<T>(seen: &mut Vec<T>, new: T) {
+    seen.push(new);
+    if seen.len() > LATELY {
+        seen.remove(0);
+    }
+}
+
+impl Message {
+    fn parcel(&self, epoch: u64) -> Parcel {
+        let mut parcel = Parcel::new(Family::Message, self.name).context(at(self.path));
+        parcel.address = self
+            .to
+            .as_ref()
+            .map(|to| to.iter().map(|name| Arc::from(*name)).collect());
+        parcel.fence = self.fence.map(|number| (epoch << 20) + number);
+        parcel.echo = self.echo;
+        parcel.receipt = self.receipt.then_some(true);
+        parcel
+    }
+}
+
+/// A path that is one.
+pub(crate) fn at(path: &str) -> Path {
+    Path::parse(path).unwrap()
+}
