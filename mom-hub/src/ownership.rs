@@ -126,6 +126,7 @@ impl Hub {
                     lease_end: token.lease_from(now),
                     alive_until: token.terms.deadman.map(|deadman| now.saturating_add(deadman)),
                     until: grantee.until,
+                    noticed: None,
                     delegation: grantee.delegation,
                 });
                 (Some(grantee.peer), grantee.rule)

@@ -55,6 +55,8 @@ pub(crate) struct Ownership {
     pub(crate) alive_until: Option<Micros>,
     /// The end that the manager set, whatever the lease.
     pub(crate) until: Option<Micros>,
+    /// The end of its turn that it was told last.
+    pub(crate) noticed: Option<Micros>,
     pub(crate) delegation: Option<Delegation>,
 }
 

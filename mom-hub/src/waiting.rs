@@ -186,8 +186,34 @@ impl Hub {
         }
     }
 
-    /// Tells those who wait their places, as far as they have changed.
+    /// Tells those who wait their places, and the owner the end of its turn, as far as these have changed.
     pub(crate) fn told_places(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
+        self.tell_waiting(number, out);
+        self.tell_owner(number, out);
+    }
+
+    /// Who has the token for a turn only has it for as long as it likes while nobody waits: it has to hear when that
+    /// is over.
+    fn tell_owner(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
+        let Some(token) = self.token_mut(number) else {
+            return;
+        };
+        let (end, waiting) = (token.hold_end(), token.queue.len());
+        let Some(owner) = token.owner.as_mut().filter(|owner| owner.noticed != end) else {
+            return;
+        };
+        owner.noticed = end;
+        let peer = owner.peer;
+        let path = self.tree.get(number).map(|context| context.path.clone());
+        if let Some((end, path)) = end.zip(path) {
+            let content = Map::new()
+                .with("within", self.millis_until(end))
+                .with("waiting", fence_value(waiting as u64));
+            self.push_event(event::NOTICE, &path, vec![peer], content, out);
+        }
+    }
+
+    fn tell_waiting(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
         let now = self.now;
         let Some(token) = self.token_mut(number) else {
             return;

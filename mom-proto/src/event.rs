@@ -20,6 +20,8 @@ pub const OFFER: &str = "offer";
 pub const LAPSED: &str = "lapsed";
 /// A grab waits, and at which place.
 pub const QUEUED: &str = "queued";
+/// An owner's turn ends, because others wait.
+pub const NOTICE: &str = "notice";
 /// Several peers hold a token together, and nobody owns it.
 pub const INHIBITED: &str = "inhibited";
 /// One of them holds it no longer.
