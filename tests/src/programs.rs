@@ -74,12 +74,17 @@ impl Running {
     /// # Panics
     /// If it cannot be started.
     pub fn start(name: &str, args: &[&str], environment: &[(&str, &str)]) -> Running {
+        Running::start_with(name, args, environment, Stdio::inherit())
+    }
+
+    /// The same, with its log to somewhere.
+    ///
+    /// # Panics
+    /// If it cannot be started.
+    pub fn start_with(name: &str, args: &[&str], environment: &[(&str, &str)], log: Stdio) -> Running {
         let mut command = Command::new(program(name));
         command.args(args).envs(environment.iter().copied());
-        command
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::inherit());
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(log);
         let mut child = command.spawn().expect("the program starts");
         let stdout = child.stdout.take().expect("its output is piped");
         let (sender, lines) = mpsc::channel();

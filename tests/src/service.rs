@@ -1,13 +1,16 @@
 //! The real broker program with a configuration of the test's own.
 
+use std::fs::{File, OpenOptions};
+use std::io::Write;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use std::process::ExitStatus;
+use std::process::{ExitStatus, Stdio};
 
 use crate::programs::{Running, program, project};
 
 const CONFIG: &str = "mom.toml";
 const USERS: &str = "lab-users.toml";
+const LOG: &str = "mom.log";
 
 /// A folder with the configuration of the demonstration lab, to be changed: where a broker can be started again.
 #[derive(Debug)]
@@ -66,16 +69,22 @@ impl Home {
     /// # Panics
     /// If it does not start.
     pub async fn start_in(&self, environment: &[(&str, &str)]) -> Service {
-        let config = self.file(CONFIG).display().to_string();
+        let (config, log) = (self.file(CONFIG).display().to_string(), self.file(LOG));
         let environment: Vec<(String, String)> = environment
             .iter()
             .map(|(key, value)| ((*key).to_owned(), (*value).to_owned()))
             .collect();
-        let started = tokio::task::spawn_blocking(move || start(&config, &environment));
+        let started = tokio::task::spawn_blocking(move || start(&config, &environment, log));
         started.await.expect("the broker starts")
     }
 
-    fn file(&self, name: &str) -> PathBuf {
+    /// What the brokers here have logged.
+    pub fn log(&self) -> String {
+        read(&self.file(LOG))
+    }
+
+    /// The path of a file here.
+    pub fn file(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
 }
@@ -84,18 +93,15 @@ fn read(file: &Path) -> String {
     std::fs::read_to_string(file).unwrap_or_else(|error| panic!("{}: {error}", file.display()))
 }
 
-fn start(config: &str, environment: &[(String, String)]) -> Service {
+fn start(config: &str, environment: &[(String, String)], log: PathBuf) -> Service {
     let environment: Vec<(&str, &str)> = environment
         .iter()
         .map(|(key, value)| (&**key, &**value))
         .collect();
     // Before it is started: what the environment is for must not befall the compiler.
     assert!(program("mom-broker").exists());
-    let running = Running::start(
-        "mom-broker",
-        &["--config", config, "--listen", "127.0.0.1:0"],
-        &environment,
-    );
+    let args = ["--config", config, "--listen", "127.0.0.1:0"];
+    let running = Running::start_with("mom-broker", &args, &environment, append(&log));
     let line = running.line_with("listening at");
     let address = line
         .split("tcp://")
@@ -104,15 +110,23 @@ fn start(config: &str, environment: &[(String, String)]) -> Service {
         .and_then(|address| address.parse().ok());
     Service {
         address: address.expect("the broker says where it listens"),
-        running,
+        running: Some(running),
+        log,
     }
+}
+
+fn append(log: &Path) -> Stdio {
+    let file: std::io::Result<File> = OpenOptions::new().create(true).append(true).open(log);
+    file.expect("a file").into()
 }
 
 /// A broker that runs as a process of its own, and is killed with the test.
 #[derive(Debug)]
 pub struct Service {
-    running: Running,
+    /// None once it was ended.
+    running: Option<Running>,
     address: SocketAddr,
+    log: PathBuf,
 }
 
 impl Service {
@@ -122,8 +136,14 @@ impl Service {
     }
 
     /// Sends a signal by its name, such as `HUP`.
+    ///
+    /// # Panics
+    /// If it cannot be sent.
     pub fn signal(&self, name: &str) {
-        self.running.signal(name);
+        self.running
+            .as_ref()
+            .expect("it runs until it is ended")
+            .signal(name);
     }
 
     /// Kills it as a power cut does, and waits until it is no more.
@@ -136,9 +156,20 @@ impl Service {
         self.end("TERM").await
     }
 
-    async fn end(self, signal: &str) -> ExitStatus {
-        self.running.signal(signal);
-        let ended = tokio::task::spawn_blocking(move || self.running.wait());
+    async fn end(mut self, signal: &str) -> ExitStatus {
+        self.signal(signal);
+        let running = self.running.take().expect("it is ended once");
+        let ended = tokio::task::spawn_blocking(move || running.wait());
         ended.await.expect("waited for")
+    }
+}
+
+impl Drop for Service {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            // The folder goes with the test, and with it what would tell why it failed.
+            let log = std::fs::read_to_string(&self.log).unwrap_or_default();
+            let _ = writeln!(std::io::stderr(), "the broker's log:\n{log}");
+        }
     }
 }

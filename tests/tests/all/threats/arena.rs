@@ -104,8 +104,13 @@ impl Robot {
 
     /// What it hears next: `command TEXT FENCE`, `halt`, `stop`, `grabbed OWNER FENCE`, `released OWNER REASON FENCE`.
     pub(super) async fn hears(&mut self) -> String {
+        self.hears_or_ends().await.expect("the robot is connected")
+    }
+
+    /// The same; none at the end of its link.
+    pub(super) async fn hears_or_ends(&mut self) -> Option<String> {
         loop {
-            let parcel = self.raw.next().await.expect("the robot is connected");
+            let parcel = self.raw.next().await?;
             let word = |key: &str| match parcel.value().get(key) {
                 Some(Value::String(word)) => word.clone(),
                 Some(Value::Int(number)) => number.to_string(),
@@ -122,14 +127,15 @@ impl Robot {
                     let Value::String(text) = parcel.value() else {
                         panic!("{parcel:?}");
                     };
-                    return format!("command {text} {fence}");
+                    return Some(format!("command {text} {fence}"));
                 }
-                (Family::Message, name) => return name.to_owned(),
+                (Family::Message, name) => return Some(name.to_owned()),
                 (Family::Event, "grabbed") => {
-                    return format!("grabbed {} {}", word("owner"), word("fence"));
+                    return Some(format!("grabbed {} {}", word("owner"), word("fence")));
                 }
                 (Family::Event, "released") => {
-                    return format!("released {} {} {}", word("owner"), word("reason"), word("fence"));
+                    let end = format!("{} {} {}", word("owner"), word("reason"), word("fence"));
+                    return Some(format!("released {end}"));
                 }
                 _ => {}
             }

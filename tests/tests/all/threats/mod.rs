@@ -14,6 +14,7 @@ mod names;
 mod owner_lost;
 mod restart;
 mod revocation;
+mod secrets;
 mod storm;
 mod tokens;
 mod wall_clock;

@@ -11,6 +11,8 @@ use mom_tests::service::Home;
 
 use super::arena::{self, Robot, about, command, grab};
 
+const COMMANDS: usize = 200;
+
 const LEASE: Duration = Duration::from_secs(3);
 
 /// The arena by file, with a lease that a test can wait for, and a token without one.
@@ -130,7 +132,20 @@ async fn threat_30_ended_in_order() {
     let mut alice = arena::driver(service.address(), Form::Xml, "alice").await;
     let before = grab(&mut alice).await;
     robot.expect(&format!("grabbed alice {before}")).await;
+    // Acknowledged, and not read yet: what was promised arrives before the end.
+    for number in 0..COMMANDS {
+        let mut command = command(&number.to_string(), None);
+        command.receipt = Some(true);
+        command.echo = Some(false);
+        alice.ask(command).await.expect("the owner may");
+    }
     let ended = tokio::spawn(service.terminate());
+    for number in 0..COMMANDS {
+        robot.expect(&format!("command {number} {before}")).await;
+    }
+    while let Some(heard) = robot.hears_or_ends().await {
+        assert!(!heard.starts_with("command"), "{heard}");
+    }
     let code = alice.last_error().await.expect("a reason");
     assert_eq!(code.word(), "shutdown");
     assert_eq!(ended.await.expect("it ends").code(), Some(0));
