@@ -256,6 +256,13 @@ impl Observer {
                 self.owners.kept.remove(&path);
                 also.extend(self.tree.members_of(&path.parent().unwrap()));
             }
+            // The end of its turn is nobody's business but the owner's.
+            "notice" => {
+                let names = self.tree.names(to);
+                let owner = self.owners.now.get(&path).map(|owned| &owned.name);
+                assert_eq!(names.first(), owner, "{path}: {content:?}");
+                also.extend(names);
+            }
             "invited" => also.extend(self.tree.names(to)),
             _ => {}
         }
