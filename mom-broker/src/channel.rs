@@ -6,13 +6,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use mom_hub::{PeerId, Receivers, Route, Usage};
 use mom_managers::Rate;
-use mom_net::Outgoing;
-use mom_proto::codec::Scratch;
+use mom_proto::binary::Run;
+use mom_proto::codec::{Form, Scratch};
 use mom_proto::{Content, ContextNumber, Delivery, Parcel, Time, Verb, WireError};
 use parking_lot::{Mutex, MutexGuard};
 
 use crate::encodings::{Bounds, Encodings};
-use crate::outbox::{Entry, Gate, Lane, Origin, Outbox, Taken};
+use crate::outbox::{Gate, Lane, Origin, Outbox, Packet, Taken};
 
 /// The critical section of a channel: who holds it decides the one order for all receivers (M27).
 #[derive(Debug)]
@@ -26,6 +26,8 @@ pub(crate) struct Inner {
     /// In the order of the route's members.
     outboxes: Vec<Option<Arc<Outbox>>>,
     gate: Gate,
+    /// All members speak the binary form.
+    binary: bool,
     bounds: Bounds,
     scratch: Scratch,
     /// What members, and connections that were some, have used of the rates that their manager set.
@@ -49,11 +51,12 @@ impl Channel {
         bounds: Bounds,
         outbox: impl Fn(PeerId) -> Option<Arc<Outbox>>,
     ) -> Channel {
-        let outboxes = route.members.iter().map(|member| outbox(member.peer)).collect();
+        let outboxes: Vec<_> = route.members.iter().map(|member| outbox(member.peer)).collect();
         let gate = Arc::new(AtomicU64::new(fence_open(&route)));
         Channel {
             inner: Mutex::new(Inner {
                 route,
+                binary: all_binary(&outboxes),
                 outboxes,
                 gate,
                 bounds,
@@ -87,7 +90,8 @@ impl Channel {
                 None => outbox(member.peer),
             }
         });
-        let outboxes = outboxes.collect();
+        let outboxes: Vec<_> = outboxes.collect();
+        inner.binary = all_binary(&outboxes);
         inner.outboxes = outboxes;
         // Who leaves and comes back has used what it has used.
         inner
@@ -147,21 +151,65 @@ impl Inner {
             let size = parcel.content.as_ref().map_or(0, Content::size);
             self.used.entry(sender).or_default().charge(&rate, size, now)?;
         }
-        let template = Template {
-            lane,
-            delivery: parcel.delivery.unwrap_or(self.route.delivery),
-            origin: Origin {
-                context: self.route.number,
-                sender,
-                name: Arc::clone(&parcel.name),
-            },
-            expires_at: expires_at(&parcel, now),
-            gate: parcel.fence.map(|fence| (Arc::clone(&self.gate), fence)),
+        let delivery = parcel.delivery.unwrap_or(self.route.delivery);
+        let origin = Origin {
+            context: self.route.number,
+            sender,
+            name: Arc::clone(&parcel.name),
         };
+        let expires_at = expires_at(&parcel, now);
+        let gate = parcel.fence.map(|fence| (Arc::clone(&self.gate), fence));
         let outboxes = &self.outboxes;
         let form = |place: usize| outboxes[place].as_ref().map(|outbox| outbox.form());
         let forms = places.iter().filter_map(form);
         let encodings = Encodings::with(parcel, forms, self.bounds, &mut self.scratch)?;
+        let packet = Arc::new(Packet {
+            encodings,
+            lane,
+            delivery,
+            origin,
+            expires_at,
+            gate,
+            count: 1,
+        });
+        Ok(self.put(&packet, &places))
+    }
+
+    /// Whether plain messages may go through here as a run: nobody needs another form.
+    pub(crate) fn takes_runs(&self) -> bool {
+        self.binary
+    }
+
+    /// Puts a run of a member's messages into the outboxes; all of them were admitted as `stamped` was.
+    pub(crate) fn deliver_run(
+        &mut self,
+        sender: PeerId,
+        run: Run,
+        stamped: &Parcel,
+        receivers: &Receivers,
+    ) -> Delivered {
+        let count = run.count();
+        let packet = Arc::new(Packet {
+            encodings: Encodings::of_run(run.finish()),
+            lane: Lane::Data(stamped.priority.unwrap_or_default()),
+            delivery: Delivery::Reliable,
+            origin: Origin {
+                context: self.route.number,
+                sender,
+                name: Arc::clone(&stamped.name),
+            },
+            expires_at: None,
+            gate: stamped.fence.map(|fence| (Arc::clone(&self.gate), fence)),
+            count,
+        });
+        let places = Places {
+            receivers,
+            count: self.outboxes.len(),
+        };
+        self.put(&packet, &places)
+    }
+
+    fn put(&self, packet: &Arc<Packet>, places: &Places<'_>) -> Delivered {
         let mut result = Delivered::default();
         for place in places.iter() {
             let name = || Arc::clone(&self.route.members[place].facts.name);
@@ -169,7 +217,7 @@ impl Inner {
                 result.dropped.push(name());
                 continue;
             };
-            let (taken, first) = outbox.push(template.entry(encodings.get(outbox.form())));
+            let (taken, first) = outbox.push(Arc::clone(packet));
             match taken {
                 Taken::Yes => result.delivered += 1,
                 Taken::Dropped => result.dropped.push(name()),
@@ -182,8 +230,15 @@ impl Inner {
                 result.touched.push(Arc::clone(outbox));
             }
         }
-        Ok(result)
+        result
     }
+}
+
+fn all_binary(outboxes: &[Option<Arc<Outbox>>]) -> bool {
+    outboxes
+        .iter()
+        .flatten()
+        .all(|outbox| outbox.form() == Some(Form::Binary))
 }
 
 /// The receivers of a message by their place among the members.
@@ -202,28 +257,6 @@ impl Places<'_> {
         (0..all)
             .filter(move |place| Some(*place) != but)
             .chain(listed.iter().copied())
-    }
-}
-
-struct Template {
-    lane: Lane,
-    delivery: Delivery,
-    origin: Origin,
-    expires_at: Option<u64>,
-    gate: Option<(Gate, u64)>,
-}
-
-impl Template {
-    fn entry(&self, frame: Outgoing) -> Entry {
-        Entry {
-            length: frame.len(),
-            frame,
-            lane: self.lane,
-            delivery: self.delivery,
-            origin: self.origin.clone(),
-            expires_at: self.expires_at,
-            gate: self.gate.clone(),
-        }
     }
 }
 
@@ -255,17 +288,17 @@ pub(crate) fn hub_origin(parcel: &Parcel) -> Origin {
     }
 }
 
-/// An entry for the control lane.
-pub(crate) fn control(frame: Outgoing, origin: Origin) -> Entry {
-    Entry {
-        length: frame.len(),
-        frame,
+/// What goes by the control lane.
+pub(crate) fn control(encodings: Encodings, origin: Origin) -> Arc<Packet> {
+    Arc::new(Packet {
+        encodings,
         lane: Lane::Control,
         delivery: Delivery::Reliable,
         origin,
         expires_at: None,
         gate: None,
-    }
+        count: 1,
+    })
 }
 
 /// Stamps what the broker says by itself.

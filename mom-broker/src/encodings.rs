@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use mom_net::Outgoing;
 use mom_proto::codec::{Encoded, Form, Scratch};
 use mom_proto::{Code, Content, HARD_DEPTH, Limit, Parcel, WireError, msgpack};
 
@@ -61,14 +60,31 @@ impl Encodings {
         Ok(encodings)
     }
 
-    /// The parcel for a receiver of this form.
-    pub(crate) fn get(&self, form: Option<Form>) -> Outgoing {
-        let encoded = match form {
-            None => return Outgoing::Parcel(self.local.clone().unwrap_or_else(nothing)),
-            Some(Form::Xml) => &self.xml,
-            Some(Form::Binary) => &self.binary,
-        };
-        Outgoing::Encoded(encoded.clone().unwrap_or_default())
+    /// Frames of the binary form that are encoded already.
+    pub(crate) fn of_run(frames: Encoded) -> Encodings {
+        Encodings {
+            binary: Some(frames),
+            ..Encodings::default()
+        }
+    }
+
+    /// The frames for a receiver of this form, none inside this process.
+    pub(crate) fn frames(&self, form: Option<Form>) -> Option<&Encoded> {
+        match form? {
+            Form::Xml => self.xml.as_ref(),
+            Form::Binary => self.binary.as_ref(),
+        }
+    }
+
+    /// The parcel for a receiver inside this process.
+    pub(crate) fn local(&self) -> Option<&Arc<Parcel>> {
+        self.local.as_ref()
+    }
+
+    /// What a receiver inside this process is charged: shared with all others, but the bound has to be a bound.
+    pub(crate) fn local_size(&self) -> usize {
+        let content = self.local.as_ref().and_then(|parcel| parcel.content.as_ref());
+        256 + content.map_or(0, mom_proto::Content::size)
     }
 }
 
@@ -93,9 +109,4 @@ fn encode_xml(parcel: &Parcel, bounds: Bounds) -> Result<Encoded, WireError> {
         bounds.parcel
     );
     Err(WireError::new(Code::NOT_ENCODABLE, text))
-}
-
-/// Stands for a form that `with` was not told of, which its callers never ask for.
-fn nothing() -> Arc<Parcel> {
-    Arc::new(Parcel::new(mom_proto::Family::Event, mom_proto::event::DROPPED))
 }

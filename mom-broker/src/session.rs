@@ -67,6 +67,8 @@ struct Session {
     logged_in: bool,
     /// Logins that failed.
     failures: u32,
+    /// When the last whole frame was here.
+    heard_at: Instant,
     /// What a key has to answer.
     challenge: Option<Challenge>,
     /// When the proof of who it is will be over, none if it lasts.
@@ -98,6 +100,7 @@ pub(crate) async fn serve(
         from,
         logged_in: false,
         failures: 0,
+        heard_at: Instant::now(),
         challenge: None,
         proven_until: None,
         ended: false,
@@ -166,50 +169,52 @@ impl Session {
     async fn read(&mut self, reader: &mut Reader, login_by: Instant) -> Option<WireError> {
         let gone = Duration::from_millis(self.context.limits.gone);
         let outbox = Arc::clone(&self.outbox);
+        // What came with the first bytes, by which the form was told.
+        if let Err(end) = self.take_turn(reader).await {
+            return end;
+        }
         loop {
             let deadline = if self.logged_in {
-                Instant::now() + gone
+                self.heard_at + gone
             } else {
                 login_by
             };
-            let frame = tokio::select! {
+            let arrived = tokio::select! {
                 biased;
                 () = outbox.end.notified() => return outbox.closing().and_then(|closing| closing.error),
                 () = self.proof_over() => return Some(login::proof_over()),
-                frame = timeout_at(deadline, reader.next()) => frame,
+                arrived = timeout_at(deadline, reader.arrive()) => arrived,
             };
-            let frame = match frame {
+            match arrived {
+                Ok(Ok(true)) => {}
+                Ok(Ok(false)) => return None,
+                Ok(Err(error)) => return self.failed(error),
                 Err(_) if self.logged_in => return Some(silent(gone)),
                 Err(_) => return Some(login_timeout(self.context.limits.login_time)),
-                Ok(frame) => frame,
-            };
-            if let Err(end) = self.take_turn(reader, frame).await {
+            }
+            if let Err(end) = self.take_turn(reader).await {
                 return end;
             }
         }
     }
 
-    /// Handles a frame and all that arrived with it, and flushes what they caused.
-    async fn take_turn(
-        &mut self,
-        reader: &mut Reader,
-        first: Result<Option<Frame>, NetError>,
-    ) -> Result<(), Option<WireError>> {
-        self.outbox.heard.store(true, Ordering::Relaxed);
+    /// Handles all that has arrived, and flushes what it caused.
+    async fn take_turn(&mut self, reader: &mut Reader) -> Result<(), Option<WireError>> {
         let mut touched = Touched::new();
-        let (mut next, mut handled) = (first, 0);
+        let mut handled = 0;
         let result = loop {
-            match next {
-                Ok(Some(frame)) => {
-                    if let Err(error) = self.handle(reader, frame, &mut touched).await {
-                        break Err(Some(error));
-                    }
-                }
-                Ok(None) => break Err(None),
-                Err(NetError::Wire(error)) => break Err(Some(error)),
-                Err(error) => {
-                    tracing::debug!(peer = self.peer.0, %error, "link failed");
-                    break Err(None);
+            let goes_on = !self.outbox.is_closed() && !self.is_proof_over();
+            if !goes_on {
+                break Ok(());
+            }
+            if !self.logged_in || !self.context.board.run(self.peer, reader, &mut touched) {
+                let frame = match reader.try_next() {
+                    Ok(None) => break Ok(()),
+                    Ok(Some(frame)) => frame,
+                    Err(error) => break Err(self.failed(error)),
+                };
+                if let Err(error) = self.handle(reader, frame, &mut touched).await {
+                    break Err(Some(error));
                 }
             }
             handled += 1;
@@ -217,14 +222,24 @@ impl Session {
                 flush(&mut touched);
                 tokio::task::yield_now().await;
             }
-            next = match reader.try_next() {
-                Ok(None) => break Ok(()),
-                Ok(_) if self.outbox.is_closed() || self.is_proof_over() => break Ok(()),
-                next => next,
-            };
         };
         flush(&mut touched);
+        if handled > 0 {
+            self.outbox.heard.store(true, Ordering::Relaxed);
+            self.heard_at = Instant::now();
+        }
         result
+    }
+
+    /// Why a connection ends that gives nothing more.
+    fn failed(&self, error: NetError) -> Option<WireError> {
+        match error {
+            NetError::Wire(error) => Some(error),
+            error => {
+                tracing::debug!(peer = self.peer.0, %error, "link failed");
+                None
+            }
+        }
     }
 
     /// Handles one frame. An error closes the connection.

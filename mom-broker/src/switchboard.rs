@@ -6,16 +6,24 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use dashmap::DashMap;
 use mom_hub::{Admission, Effect, Hub, Input, PeerId, Record, Route, Ticket, admit};
 use mom_managers::Micros;
-use mom_proto::{Code, ContextNumber, Family, Map, Parcel, Path, Value, WireError, event};
+use mom_net::Reader;
+use mom_proto::binary::{Plain, Run};
+use mom_proto::{Code, ContextNumber, Delivery, Family, Map, Parcel, Path, Value, Verb, WireError, event};
 use parking_lot::Mutex;
 use tokio::sync::Notify;
 
 use crate::channel::{Channel, Delivered, control, hub_origin, stamped};
 use crate::clock::Clock;
 use crate::encodings::{Bounds, Encodings};
-use crate::outbox::{Outbox, Taken};
+use crate::outbox::{Outbox, Packet, Taken};
 use crate::store::Store;
 use crate::witness::Witness;
+
+/// Bytes of messages that are admitted and passed on together, while a channel's lock is held.
+const RUN: usize = 128 * 1024;
+
+/// Larger content is not copied, so it does not go in a run.
+const SMALL: usize = 8 * 1024;
 
 /// The switchboard of one broker.
 ///
@@ -142,6 +150,52 @@ impl Switchboard {
         Ok(())
     }
 
+    /// Passes on the plain messages that lie in front of a reader, as long as they are alike, and takes them from it.
+    /// False if there are none, or if what lies there needs [`Switchboard::message`]; nothing is taken then.
+    pub(crate) fn run(&self, peer: PeerId, reader: &mut Reader, touched: &mut Touched) -> bool {
+        let Some(number) = reader.plain().filter(is_small).map(|plain| plain.number()) else {
+            return false;
+        };
+        let Some(channel) = self.channels.get(&number).map(|channel| Arc::clone(&channel)) else {
+            return false;
+        };
+        let Some(mut stamped) = reader.plain_head() else {
+            return false;
+        };
+        let mut inner = channel.lock();
+        if !inner.takes_runs() || Verb::of(stamped.family, &stamped.name).is_ok_and(is_urgent) {
+            return false;
+        }
+        let now = self.clock.now();
+        let admission = admit(&inner.route, peer, &mut stamped, now, self.clock.wall_at(now));
+        // All else is decided, told and counted where single messages are.
+        let Ok(Admission::Pass(receivers, None)) = admission else {
+            return false;
+        };
+        if stamped.delivery.unwrap_or(inner.route.delivery) != Delivery::Reliable {
+            return false;
+        }
+        let room = (reader.waiting() * 3 / 2).min(RUN) + 256;
+        let mut run: Option<Run> = None;
+        while let Some(plain) = reader.plain().filter(is_small) {
+            let run = run.get_or_insert_with(|| Run::begin(&plain, &stamped, room));
+            if !run.takes(&plain) || run.length() >= RUN {
+                break;
+            }
+            run.push(&plain, stamped.age.unwrap_or_default());
+            let length = plain.length();
+            reader.consume(length);
+        }
+        let Some(run) = run else {
+            return false;
+        };
+        let delivered = inner.deliver_run(peer, run, &stamped, &receivers);
+        let path = inner.route.path.clone();
+        drop(inner);
+        self.settle(peer, None, &path, delivered, touched);
+        true
+    }
+
     /// Writes down a message that was refused without the hub.
     fn note_refused(&self, peer: PeerId, route: &Route, message: &Arc<str>, error: &WireError) {
         let name = self.outbox(peer).map(|outbox| outbox.name());
@@ -161,7 +215,7 @@ impl Switchboard {
             let parcel = stamped(error.to_parcel(None), self.clock.wall());
             let origin = hub_origin(&parcel);
             let encodings = Encodings::new(parcel, std::iter::once(outbox.form())).ok()?;
-            Some(control(encodings.get(outbox.form()), origin))
+            Some(control(encodings, origin))
         });
         // Whoever goes by its own wish, or because the broker stops, gets all that waits; whoever is put out does not.
         let drain = error.as_ref().is_none_or(|error| error.code == Code::SHUTDOWN);
@@ -382,13 +436,9 @@ impl Switchboard {
         let forms = outboxes.iter().map(|outbox| outbox.form());
         match Encodings::new((**parcel).clone(), forms) {
             Ok(encodings) => {
-                let origin = hub_origin(parcel);
+                let packet = control(encodings, hub_origin(parcel));
                 for outbox in outboxes {
-                    self.push(
-                        &outbox,
-                        control(encodings.get(outbox.form()), origin.clone()),
-                        touched,
-                    );
+                    self.push(&outbox, Arc::clone(&packet), touched);
                 }
             }
             // Only content that an application chose can do this: the safe state of a token.
@@ -399,12 +449,12 @@ impl Switchboard {
     fn push_control(&self, outbox: &Arc<Outbox>, parcel: Parcel, touched: &mut Touched) {
         let origin = hub_origin(&parcel);
         if let Ok(encodings) = Encodings::new(parcel, std::iter::once(outbox.form())) {
-            self.push(outbox, control(encodings.get(outbox.form()), origin), touched);
+            self.push(outbox, control(encodings, origin), touched);
         }
     }
 
-    fn push(&self, outbox: &Arc<Outbox>, entry: crate::outbox::Entry, touched: &mut Touched) {
-        let (taken, first) = outbox.push(entry);
+    fn push(&self, outbox: &Arc<Outbox>, packet: Arc<Packet>, touched: &mut Touched) {
+        let (taken, first) = outbox.push(packet);
         if first {
             touched.push(Arc::clone(outbox));
         }
@@ -417,6 +467,14 @@ impl Switchboard {
 
 fn shutdown() -> WireError {
     WireError::new(Code::SHUTDOWN, "the hub is shutting down; connect again later")
+}
+
+fn is_small(plain: &Plain<'_>) -> bool {
+    plain.content_length() <= SMALL
+}
+
+fn is_urgent(verb: Verb) -> bool {
+    matches!(verb, Verb::Stop | Verb::Unstop)
 }
 
 /// Flushes every outbox of a turn.

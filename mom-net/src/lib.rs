@@ -18,20 +18,23 @@
 
 mod address;
 mod error;
+mod link;
 mod local;
 mod options;
 mod outgoing;
 mod reader;
+mod spare;
 mod tcp;
 mod writer;
 
 pub use address::{Address, DEFAULT_PORT};
 pub use error::NetError;
+pub use link::Link;
 pub use local::pair;
 pub use outgoing::Outgoing;
 pub use reader::Reader;
 pub use tcp::{accept, connect};
-pub use writer::{Progress, Writer};
+pub use writer::{GATHER, Progress, Writer};
 
 /// One connection in two halves.
 #[derive(Debug)]

@@ -17,7 +17,10 @@ pub fn pair() -> (Transceiver, Transceiver) {
     let (to_there, from_here) = mpsc::channel(WAITING);
     let (to_here, from_there) = mpsc::channel(WAITING);
     let end = |sender, receiver| Transceiver {
-        reader: Reader::new(Source::Local(receiver)),
+        reader: Reader::new(Source::Local {
+            receiver,
+            arrived: None,
+        }),
         writer: Writer::new(Sink::Local(sender)),
     };
     (end(to_there, from_there), end(to_here, from_here))

@@ -1,19 +1,21 @@
 //! The half that gives frames.
 
+use std::future::poll_fn;
 use std::io;
+use std::pin::pin;
 use std::sync::Arc;
+use std::task::{Context, Poll};
 
-use bytes::BytesMut;
+use bytes::{Buf, BytesMut};
 use mom_proto::Limits;
 use mom_proto::Parcel;
+use mom_proto::binary::Plain;
 use mom_proto::codec::{Decoder, Form, Frame};
-use tokio::net::TcpStream;
+use tokio::io::AsyncReadExt;
+use tokio::net::tcp::OwnedReadHalf;
 use tokio::sync::mpsc;
 
-use crate::{NetError, local};
-
-/// Read at once from a socket; also the most that small parcels wait for each other in one turn.
-const CHUNK: usize = 64 * 1024;
+use crate::{NetError, local, spare};
 
 /// Room below which a buffer is replaced; above it what is left is used up first, so that a peer of small
 /// parcels does not cost a buffer for each.
@@ -28,12 +30,16 @@ pub struct Reader {
 #[derive(Debug)]
 pub(crate) enum Source {
     Stream {
-        stream: Arc<TcpStream>,
+        stream: OwnedReadHalf,
         buffer: BytesMut,
         decoder: Decoder,
         form: Form,
     },
-    Local(mpsc::Receiver<Arc<Parcel>>),
+    Local {
+        receiver: mpsc::Receiver<Arc<Parcel>>,
+        /// What was waited for.
+        arrived: Option<Arc<Parcel>>,
+    },
 }
 
 impl Reader {
@@ -45,7 +51,7 @@ impl Reader {
     pub fn form(&self) -> Option<Form> {
         match &self.source {
             Source::Stream { form, .. } => Some(*form),
-            Source::Local(_) => None,
+            Source::Local { .. } => None,
         }
     }
 
@@ -65,40 +71,87 @@ impl Reader {
             if let Some(frame) = self.try_next()? {
                 return Ok(Some(frame));
             }
-            match &mut self.source {
-                Source::Local(receiver) => return Ok(receiver.recv().await.map(local_frame)),
-                Source::Stream { stream, buffer, .. } => {
-                    stream.readable().await?;
-                    if buffer.capacity() - buffer.len() < LEAST {
-                        buffer.reserve(CHUNK);
-                    }
-                    match stream.try_read_buf(buffer) {
-                        Ok(0) if buffer.is_empty() => return Ok(None),
-                        Ok(0) => return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into()),
-                        Ok(_) => {}
-                        Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
-                        Err(error) => return Err(error.into()),
-                    }
+            if !self.arrive().await? {
+                return Ok(None);
+            }
+        }
+    }
+
+    /// Waits until something more has arrived, which need not be a whole frame; false at the end of the
+    /// connection. Safe to cancel.
+    ///
+    /// # Errors
+    /// A failed link, or an end in the middle of a frame.
+    pub async fn arrive(&mut self) -> Result<bool, NetError> {
+        match &mut self.source {
+            Source::Local { receiver, arrived } => {
+                if arrived.is_none() {
+                    *arrived = receiver.recv().await;
+                }
+                Ok(arrived.is_some())
+            }
+            Source::Stream { stream, buffer, .. } => {
+                match poll_fn(|context| poll_read(stream, buffer, context)).await? {
+                    0 if buffer.is_empty() => Ok(false),
+                    0 => Err(io::Error::from(io::ErrorKind::UnexpectedEof).into()),
+                    _ => Ok(true),
                 }
             }
+        }
+    }
+
+    /// The plain message in front of what has arrived, if there is one and this link speaks the binary form.
+    /// Whoever takes it says so by [`Reader::consume`].
+    pub fn plain(&self) -> Option<Plain<'_>> {
+        match &self.source {
+            Source::Stream {
+                buffer,
+                decoder: Decoder::Binary(decoder),
+                ..
+            } => decoder.plain(buffer),
+            _ => None,
+        }
+    }
+
+    /// A plain message that lies in front as a parcel without its content.
+    pub fn plain_head(&mut self) -> Option<Box<Parcel>> {
+        match &mut self.source {
+            Source::Stream {
+                buffer,
+                decoder: Decoder::Binary(decoder),
+                ..
+            } => {
+                let plain = decoder.plain(buffer)?;
+                decoder.head(&plain)
+            }
+            _ => None,
+        }
+    }
+
+    /// How many bytes have arrived and wait to be looked at.
+    pub fn waiting(&self) -> usize {
+        match &self.source {
+            Source::Stream { buffer, .. } => buffer.len(),
+            Source::Local { .. } => 0,
+        }
+    }
+
+    /// Takes so many bytes of what has arrived: the length of a [`Plain`].
+    pub fn consume(&mut self, length: usize) {
+        if let Source::Stream { buffer, .. } = &mut self.source {
+            buffer.advance(length);
         }
     }
 
     /// Reads and forgets whatever still comes, until the other side has said its last.
     pub async fn drain(&mut self) {
         match &mut self.source {
-            Source::Local(receiver) => while receiver.recv().await.is_some() {},
+            Source::Local { receiver, .. } => while receiver.recv().await.is_some() {},
             Source::Stream { stream, buffer, .. } => loop {
                 buffer.clear();
-                buffer.reserve(LEAST);
-                let read = match stream.readable().await {
-                    Ok(()) => stream.try_read_buf(buffer),
-                    Err(_) => return,
-                };
-                match read {
-                    Ok(0) => return,
-                    Err(error) if error.kind() != io::ErrorKind::WouldBlock => return,
-                    _ => {}
+                match poll_fn(|context| poll_read(stream, buffer, context)).await {
+                    Ok(0) | Err(_) => return,
+                    Ok(_) => {}
                 }
             },
         }
@@ -110,11 +163,34 @@ impl Reader {
     /// As [`Reader::next`].
     pub fn try_next(&mut self) -> Result<Option<Frame>, NetError> {
         match &mut self.source {
-            Source::Local(receiver) => Ok(receiver.try_recv().ok().map(local_frame)),
+            Source::Local { receiver, arrived } => {
+                let next = arrived.take().or_else(|| receiver.try_recv().ok());
+                Ok(next.map(local_frame))
+            }
             Source::Stream { buffer, decoder, .. } if !buffer.is_empty() => Ok(decoder.decode(buffer)?),
             Source::Stream { .. } => Ok(None),
         }
     }
+}
+
+/// Reads what has arrived. While nothing has, the connection holds no buffer: thousands of idle ones share a few.
+fn poll_read(
+    stream: &mut OwnedReadHalf,
+    buffer: &mut BytesMut,
+    context: &mut Context<'_>,
+) -> Poll<io::Result<usize>> {
+    if buffer.is_empty() && buffer.capacity() < LEAST {
+        *buffer = spare::take();
+    }
+    if buffer.capacity() - buffer.len() < LEAST {
+        buffer.reserve(spare::SIZE);
+    }
+    // Stateless, so that it may be begun anew at each poll.
+    let read = pin!(stream.read_buf(buffer)).poll(context);
+    if read.is_pending() && buffer.is_empty() {
+        spare::give(std::mem::take(buffer));
+    }
+    read
 }
 
 fn local_frame(parcel: Arc<Parcel>) -> Frame {

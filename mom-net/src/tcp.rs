@@ -2,7 +2,6 @@
 
 use std::collections::VecDeque;
 use std::io;
-use std::sync::Arc;
 
 use bytes::{Bytes, BytesMut};
 use mom_proto::binary::{BinaryDecoder, PREFACE};
@@ -85,11 +84,8 @@ async fn start(
     buffer: BytesMut,
 ) -> Result<Transceiver, NetError> {
     options::set(&stream)?;
-    let stream = Arc::new(stream);
-    let writer = Writer::new(Sink::Stream {
-        stream: Arc::clone(&stream),
-        form,
-    });
+    let (stream, sink) = stream.into_split();
+    let writer = Writer::new(Sink::Stream { stream: sink, form });
     if form == Form::Binary {
         let preface = Encoded {
             head: Bytes::from_static(&PREFACE),

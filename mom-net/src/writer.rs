@@ -8,13 +8,14 @@ use mom_proto::Parcel;
 use mom_proto::codec::Form;
 use socket2::SockRef;
 use tokio::net::TcpStream;
+use tokio::net::tcp::OwnedWriteHalf;
 use tokio::sync::mpsc;
 use tokio::sync::mpsc::error::TrySendError;
 
-use crate::{NetError, Outgoing};
+use crate::{Link, NetError, Outgoing, options};
 
 /// Pieces gathered into one system call; half of what Linux takes, two to a parcel.
-const GATHER: usize = 512;
+pub const GATHER: usize = 512;
 
 /// Takes the parcels of a connection.
 #[derive(Debug)]
@@ -24,7 +25,7 @@ pub struct Writer {
 
 #[derive(Debug)]
 pub(crate) enum Sink {
-    Stream { stream: Arc<TcpStream>, form: Form },
+    Stream { stream: OwnedWriteHalf, form: Form },
     Local(mpsc::Sender<Arc<Parcel>>),
 }
 
@@ -71,7 +72,7 @@ impl Writer {
     {
         while !queue.is_empty() {
             let blocked = match &self.sink {
-                Sink::Stream { stream, .. } => write_stream(stream, queue)?,
+                Sink::Stream { stream, .. } => write_stream(stream.as_ref(), queue)?,
                 Sink::Local(sender) => write_local(sender, queue)?,
             };
             if blocked {
@@ -79,6 +80,50 @@ impl Writer {
             }
         }
         Ok(Progress::Done)
+    }
+
+    /// Writes the front of these pieces, as much as the link takes without waiting. Gives how many bytes that was,
+    /// none if the link takes nothing now. Only for a link that has a form.
+    ///
+    /// # Errors
+    /// A failed link.
+    pub fn try_write_pieces(&self, pieces: &[IoSlice<'_>]) -> Result<Option<usize>, NetError> {
+        let Sink::Stream { stream, .. } = &self.sink else {
+            return Err(io::Error::from(io::ErrorKind::Unsupported).into());
+        };
+        // One piece needs no vector, and the kernel is a little quicker without.
+        let written = match pieces {
+            [piece] => stream.try_write(piece),
+            pieces => stream.try_write_vectored(pieces),
+        };
+        match written {
+            Ok(written) => Ok(Some(written)),
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(None),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Passes a parcel to a peer in this process; false if it takes none now. Only for a link without a form.
+    ///
+    /// # Errors
+    /// A peer that is gone.
+    pub fn try_pass(&self, parcel: &Arc<Parcel>) -> Result<bool, NetError> {
+        let Sink::Local(sender) = &self.sink else {
+            return Err(io::Error::from(io::ErrorKind::Unsupported).into());
+        };
+        match sender.try_send(Arc::clone(parcel)) {
+            Ok(()) => Ok(true),
+            Err(TrySendError::Full(_)) => Ok(false),
+            Err(TrySendError::Closed(_)) => Err(closed()),
+        }
+    }
+
+    /// The state of the network below, none inside a process or where the system does not tell.
+    pub fn link(&self) -> Option<Link> {
+        match &self.sink {
+            Sink::Stream { stream, .. } => options::link(stream.as_ref()),
+            Sink::Local(_) => None,
+        }
     }
 
     /// Waits until the link takes more.
@@ -108,7 +153,7 @@ impl Writer {
     pub fn finish(&self) {
         if let Sink::Stream { stream, .. } = &self.sink {
             // A link that is gone already needs no goodbye.
-            let _ = SockRef::from(&**stream).shutdown(std::net::Shutdown::Write);
+            let _ = SockRef::from(AsRef::<TcpStream>::as_ref(stream)).shutdown(std::net::Shutdown::Write);
         }
     }
 }

@@ -3,29 +3,36 @@
 //! Whoever puts parcels in also tries to write them, in the same turn: on an idle link that saves waking a
 //! task, which costs more than the write. What the link does not take at once is the writer task's.
 
-mod entry;
+mod flow;
+mod packet;
 mod queue;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering, fence};
+use std::time::Duration;
 
 use mom_hub::PeerId;
-use mom_net::{NetError, Progress, Writer};
-use mom_proto::WireError;
+use mom_net::{GATHER, NetError, Writer};
 use mom_proto::codec::Form;
+use mom_proto::{Limit, WireError};
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::Notify;
 
-pub(crate) use entry::{DropReason, Entry, Gate, Lane, Origin};
+use flow::Flow;
+use packet::Piece;
+pub(crate) use packet::{DropReason, Gate, Lane, Origin, Packet};
 pub(crate) use queue::{Queue, Taken};
 
 use crate::clock::Clock;
 
 /// Taken from the queue at once: more than a system call gathers is no faster, and what is taken cannot be
 /// overtaken any more.
-const BATCH_PARCELS: usize = 256;
-const BATCH_BYTES: usize = 64 * 1024;
+const BATCH_PIECES: usize = 256;
+const BATCH_BYTES: usize = 256 * 1024;
+
+/// How long a writer waits before it looks again whether the network has room.
+const PACE: Duration = Duration::from_millis(1);
 
 /// The outbox of one connection.
 #[derive(Debug)]
@@ -35,8 +42,8 @@ pub(crate) struct Outbox {
     clock: Clock,
     queue: Mutex<Queue>,
     writer: Writer,
-    /// Held by whoever writes; what was taken from the queue and is not written yet.
-    batch: Mutex<VecDeque<Entry>>,
+    /// Held by whoever writes.
+    sending: Mutex<Sending>,
     /// Something waits that nobody has tried to write yet.
     touched: AtomicBool,
     wake: Notify,
@@ -47,6 +54,25 @@ pub(crate) struct Outbox {
     pub(crate) active: AtomicBool,
     /// Something was read since the heartbeat last looked.
     pub(crate) heard: AtomicBool,
+}
+
+/// The writer's part.
+#[derive(Debug, Default)]
+struct Sending {
+    /// What was taken from the queue and is not written yet.
+    batch: VecDeque<Piece>,
+    flow: Flow,
+}
+
+/// How far a flush came.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Flushed {
+    /// All is written.
+    Done,
+    /// The link takes no more now.
+    Blocked,
+    /// The network holds as much as it may.
+    Paced,
 }
 
 /// Why a connection ends.
@@ -61,9 +87,9 @@ impl Outbox {
             peer,
             name: Mutex::new("".into()),
             clock,
-            queue: Mutex::new(Queue::new(limit)),
+            queue: Mutex::new(Queue::new(writer.form(), limit)),
             writer,
-            batch: Mutex::new(VecDeque::new()),
+            sending: Mutex::new(Sending::default()),
             touched: AtomicBool::new(false),
             wake: Notify::new(),
             closing: Mutex::new(None),
@@ -80,11 +106,11 @@ impl Outbox {
     }
 
     /// Puts a parcel in. True the first time since the last [`Outbox::flush`]: then somebody has to call it.
-    pub(crate) fn push(&self, entry: Entry) -> (Taken, bool) {
+    pub(crate) fn push(&self, packet: Arc<Packet>) -> (Taken, bool) {
         if self.closed.load(Ordering::Acquire) {
             return (Taken::Dropped, false);
         }
-        let taken = self.queue.lock().push(entry);
+        let taken = self.queue.lock().push(packet);
         let first = !self.touched.swap(true, Ordering::SeqCst);
         // Pairs with the fence in `flush_batch`: either that flush sees this parcel, or this one gets the lock.
         fence(Ordering::SeqCst);
@@ -94,15 +120,15 @@ impl Outbox {
     /// Writes what waits as far as the link takes it, and leaves the rest to the writer task.
     pub(crate) fn flush(&self) {
         match self.try_flush() {
-            Ok(Progress::Done) => {}
-            Ok(Progress::Blocked) => self.wake.notify_one(),
+            Ok(Flushed::Done) => {}
+            Ok(Flushed::Blocked | Flushed::Paced) => self.wake.notify_one(),
             Err(error) => self.broken(&error),
         }
     }
 
     /// Ends the connection: nothing more is taken in; what waits still goes out if `drain` says so, the error in
     /// any case, last.
-    pub(crate) fn close(&self, error: Option<WireError>, farewell: Option<Entry>, drain: bool) {
+    pub(crate) fn close(&self, error: Option<WireError>, farewell: Option<Arc<Packet>>, drain: bool) {
         if self.closed.swap(true, Ordering::AcqRel) {
             return;
         }
@@ -110,8 +136,8 @@ impl Outbox {
         if !drain {
             queue.drop_data();
         }
-        if let Some(entry) = farewell {
-            queue.push_farewell(entry);
+        if let Some(packet) = farewell {
+            queue.push_farewell(packet);
         }
         drop(queue);
         *self.closing.lock() = Some(Closing { error });
@@ -120,9 +146,9 @@ impl Outbox {
         self.end.notify_one();
     }
 
-    /// Changes the bound and notes the peer's name, as after login.
-    pub(crate) fn admit(&self, limit: usize, name: Arc<str>) {
-        self.queue.lock().set_limit(limit);
+    /// Changes the bounds, of what waits and of one parcel, and notes the peer's name, as after login.
+    pub(crate) fn admit(&self, limit: usize, parcel: Limit, name: Arc<str>) {
+        self.queue.lock().set_limits(limit, parcel);
         *self.name.lock() = name;
     }
 
@@ -163,12 +189,13 @@ impl Outbox {
             let ends = self.closing().is_some();
             loop {
                 match self.flush_after_others() {
-                    Ok(Progress::Done) => break,
-                    Ok(Progress::Blocked) => {
+                    Ok(Flushed::Done) => break,
+                    Ok(Flushed::Blocked) => {
                         if let Err(error) = self.writer.ready().await {
                             return self.broken(&error);
                         }
                     }
+                    Ok(Flushed::Paced) => tokio::time::sleep(PACE).await,
                     Err(error) => return self.broken(&error),
                 }
             }
@@ -179,72 +206,122 @@ impl Outbox {
         }
     }
 
-    fn try_flush(&self) -> Result<Progress, NetError> {
+    fn try_flush(&self) -> Result<Flushed, NetError> {
         loop {
-            // Whoever holds the batch looks at `touched` again after letting go, so nothing is forgotten.
-            let Some(batch) = self.batch.try_lock() else {
-                return Ok(Progress::Done);
+            // Whoever is writing looks at `touched` again after letting go, so nothing is forgotten.
+            let Some(sending) = self.sending.try_lock() else {
+                return Ok(Flushed::Done);
             };
-            if let Some(progress) = self.flush_batch(batch)? {
-                return Ok(progress);
+            if let Some(flushed) = self.flush_once(sending)? {
+                return Ok(flushed);
             }
         }
     }
 
     /// Waits for whoever is writing now, who never waits for the link: when this says done, all is written.
-    fn flush_after_others(&self) -> Result<Progress, NetError> {
+    fn flush_after_others(&self) -> Result<Flushed, NetError> {
         loop {
-            if let Some(progress) = self.flush_batch(self.batch.lock())? {
-                return Ok(progress);
+            if let Some(flushed) = self.flush_once(self.sending.lock())? {
+                return Ok(flushed);
             }
         }
     }
 
     /// Writes what waits; none if there is more by now.
-    fn flush_batch(&self, mut batch: MutexGuard<'_, VecDeque<Entry>>) -> Result<Option<Progress>, NetError> {
+    fn flush_once(&self, mut sending: MutexGuard<'_, Sending>) -> Result<Option<Flushed>, NetError> {
         self.touched.store(false, Ordering::Release);
-        let progress = self.write_all(&mut batch)?;
-        drop(batch);
+        let flushed = self.write_all(&mut sending)?;
+        drop(sending);
         fence(Ordering::SeqCst);
-        let settled = progress == Progress::Blocked || !self.touched.load(Ordering::Acquire);
-        Ok(settled.then_some(progress))
+        let settled = flushed != Flushed::Done || !self.touched.load(Ordering::Acquire);
+        Ok(settled.then_some(flushed))
     }
 
-    fn write_all(&self, batch: &mut VecDeque<Entry>) -> Result<Progress, NetError> {
+    fn write_all(&self, sending: &mut Sending) -> Result<Flushed, NetError> {
         loop {
-            if batch.is_empty() {
-                self.take_batch(batch);
+            if sending.batch.is_empty() && !self.take_batch(sending) {
+                return Ok(Flushed::Paced);
             }
-            if batch.is_empty() {
-                return Ok(Progress::Done);
+            if sending.batch.is_empty() {
+                sending.flow.rest();
+                return Ok(Flushed::Done);
             }
             self.active.store(true, Ordering::Relaxed);
-            if self.writer.try_write(batch)? == Progress::Blocked {
-                self.put_back(batch);
-                return Ok(Progress::Blocked);
+            if !self.write(sending)? {
+                self.put_back(&mut sending.batch);
+                return Ok(Flushed::Blocked);
             }
         }
     }
 
-    fn take_batch(&self, batch: &mut VecDeque<Entry>) {
+    /// Takes what the network has room for; false if something waits and there is no room.
+    fn take_batch(&self, sending: &mut Sending) -> bool {
+        let room = sending.flow.room(|| self.writer.link()).min(BATCH_BYTES);
+        let piece = sending.flow.piece();
         let now = self.clock.now();
         let mut queue = self.queue.lock();
         let mut bytes = 0;
-        while batch.len() < BATCH_PARCELS && bytes < BATCH_BYTES {
-            let Some(entry) = queue.pop(now) else { break };
-            bytes += entry.frame.len();
-            batch.push_back(entry);
+        while sending.batch.len() < BATCH_PIECES {
+            let next = match room.checked_sub(bytes) {
+                // Pieces rather a little too large than very small ones.
+                Some(left) if left > 0 => queue.pop(now, piece.min(left.max(piece / 2))),
+                _ => queue.pop_urgent(),
+            };
+            let Some(next) = next else { break };
+            bytes += next.length();
+            sending.batch.push_back(next);
         }
+        !sending.batch.is_empty() || queue.is_empty()
+    }
+
+    /// Writes from the front of the batch; false if the link takes nothing now.
+    fn write(&self, sending: &mut Sending) -> Result<bool, NetError> {
+        let Sending { batch, flow } = sending;
+        let Some(form) = self.writer.form() else {
+            return self.pass(batch);
+        };
+        let mut slices = Vec::with_capacity(GATHER.min(batch.len() * 2 + 1));
+        for piece in batch.iter() {
+            if slices.len() + 3 > GATHER {
+                break;
+            }
+            piece.append_to(Some(form), &mut slices);
+        }
+        let Some(mut written) = self.writer.try_write_pieces(&slices)? else {
+            return Ok(false);
+        };
+        flow.wrote(written);
+        while let Some(front) = batch.front_mut() {
+            written = front.advance(written);
+            if front.length() > 0 {
+                break;
+            }
+            batch.pop_front();
+        }
+        Ok(true)
+    }
+
+    /// Passes parcels to a peer in this process.
+    fn pass(&self, batch: &mut VecDeque<Piece>) -> Result<bool, NetError> {
+        while let Some(front) = batch.front() {
+            if let Some(parcel) = front.parcel()
+                && !self.writer.try_pass(parcel)?
+            {
+                return Ok(false);
+            }
+            batch.pop_front();
+        }
+        Ok(true)
     }
 
     /// Only what the link has begun to take stays out of the queue: the rest may be overtaken, replaced, or
     /// lose its owner before the link takes more.
-    fn put_back(&self, batch: &mut VecDeque<Entry>) {
-        let begun = usize::from(batch.front().is_some_and(Entry::begun));
+    fn put_back(&self, batch: &mut VecDeque<Piece>) {
+        let begun = usize::from(batch.front().is_some_and(|piece| piece.done > 0));
         let mut queue = self.queue.lock();
         while batch.len() > begun {
-            if let Some(entry) = batch.pop_back() {
-                queue.put_back(entry);
+            if let Some(piece) = batch.pop_back() {
+                queue.put_back(piece);
             }
         }
     }

@@ -99,7 +99,8 @@ impl Session {
         self.proven_until = self.context.logins.admit(peer, granted, decide)?;
         reader.set_limits(&self.context.limits);
         let name = board.peer_name(peer).unwrap_or_default();
-        self.outbox.admit(self.context.limits.outbox, name);
+        let limits = &self.context.limits;
+        self.outbox.admit(limits.outbox, limits.parcel, name);
         Ok(())
     }
 

@@ -21,6 +21,59 @@ const ABORT: u8 = 4;
 /// Streams that may be open at once on one connection.
 const STREAMS: usize = 8;
 
+/// The beginning of a chunk frame, to be followed by its bytes.
+///
+/// ```
+/// use mom_proto::binary::ChunkHead;
+/// let head = ChunkHead::new(1, Some(300), false, 100);
+/// assert_eq!(head.bytes(), [0, 0, 0, 105, 1, 1, 1, 0xac, 2]);
+/// assert_eq!(ChunkHead::abort(1).bytes(), [0, 0, 0, 3, 1, 1, 4]);
+/// ```
+#[derive(Clone, Copy, Debug)]
+pub struct ChunkHead {
+    bytes: [u8; ChunkHead::MOST],
+    length: u8,
+}
+
+impl ChunkHead {
+    /// Length, kind, two varints and the flags.
+    const MOST: usize = 4 + 1 + 10 + 1 + 10;
+
+    /// The head of `piece` bytes of a stream; of its first piece if `whole`, the length of all, is given.
+    pub fn new(stream: u64, whole: Option<usize>, last: bool, piece: usize) -> ChunkHead {
+        let flags = whole.map_or(0, |_| FIRST) | if last { LAST } else { 0 };
+        ChunkHead::with(stream, flags, whole, piece)
+    }
+
+    /// The frame that gives up a stream.
+    pub fn abort(stream: u64) -> ChunkHead {
+        ChunkHead::with(stream, ABORT, None, 0)
+    }
+
+    /// The bytes of the head.
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes[..usize::from(self.length)]
+    }
+
+    fn with(stream: u64, flags: u8, whole: Option<usize>, piece: usize) -> ChunkHead {
+        let mut head = Vec::with_capacity(ChunkHead::MOST);
+        head.extend_from_slice(&[0, 0, 0, 0, KIND_CHUNK]);
+        put_varint(&mut head, stream);
+        head.push(flags);
+        whole
+            .iter()
+            .for_each(|whole| put_varint(&mut head, *whole as u64));
+        let length = u32::try_from(head.len() - 4 + piece).unwrap_or(u32::MAX);
+        head[..4].copy_from_slice(&length.to_be_bytes());
+        let mut bytes = [0; ChunkHead::MOST];
+        bytes[..head.len()].copy_from_slice(&head);
+        ChunkHead {
+            bytes,
+            length: head.len() as u8,
+        }
+    }
+}
+
 /// Cuts an encoded parcel into chunk frames of at most `size` bytes of payload each.
 pub fn chunks(encoded: &Encoded, stream: u64, size: usize) -> Vec<Bytes> {
     let whole = encoded.to_vec();
@@ -29,18 +82,9 @@ pub fn chunks(encoded: &Encoded, stream: u64, size: usize) -> Vec<Bytes> {
     let mut rest = payload;
     while !rest.is_empty() {
         let (piece, after) = rest.split_at(size.max(1).min(rest.len()));
-        let first = frames.is_empty();
-        let flags = if first { FIRST } else { 0 } | if after.is_empty() { LAST } else { 0 };
-        let mut frame = vec![0, 0, 0, 0, KIND_CHUNK];
-        put_varint(&mut frame, stream);
-        frame.push(flags);
-        if first {
-            put_varint(&mut frame, payload.len() as u64);
-        }
-        frame.extend_from_slice(piece);
-        let length = u32::try_from(frame.len() - 4).unwrap_or(u32::MAX);
-        frame[..4].copy_from_slice(&length.to_be_bytes());
-        frames.push(frame.into());
+        let whole = frames.is_empty().then_some(payload.len());
+        let head = ChunkHead::new(stream, whole, after.is_empty(), piece.len());
+        frames.push([head.bytes(), piece].concat().into());
         rest = after;
     }
     frames

@@ -5,10 +5,11 @@ use std::collections::HashMap;
 use bytes::{Buf, Bytes, BytesMut};
 
 use super::chunks::Assembly;
+use super::plain::Plain;
 use super::words::NameCache;
 use super::{FIRST_SKIPPABLE_KIND, KIND_CHUNK, KIND_PARCEL, PREFACE_MAGIC, header};
 use crate::codec::Frame;
-use crate::{Code, Limit, Limits, PROTOCOL_VERSION, Path, WireError};
+use crate::{Code, Limit, Limits, PROTOCOL_VERSION, Parcel, Path, WireError};
 
 /// Reads the preface and then frames; learns the numbers of contexts from parcels that bind them.
 #[derive(Debug)]
@@ -78,6 +79,22 @@ impl BinaryDecoder {
                 None => return Err(broken("a frame without a kind")),
             }
         }
+    }
+
+    /// The plain message at the front of `input`, left where it is; none if there is no whole frame, or one that
+    /// has to be decoded.
+    pub fn plain<'a>(&self, input: &'a [u8]) -> Option<Plain<'a>> {
+        let plain = Plain::look(input).filter(|_| self.greeted)?;
+        self.parcel.allows(plain.length() - 4).then_some(plain)
+    }
+
+    /// A plain message as a parcel without its content.
+    pub fn head(&mut self, plain: &Plain<'_>) -> Option<Box<Parcel>> {
+        let parcel = header::read(&plain.header(), self.depth, &mut self.names).ok()?;
+        Some(Box::new(Parcel {
+            content: None,
+            ..parcel
+        }))
     }
 
     fn greet(&mut self, input: &mut BytesMut) -> Result<bool, WireError> {

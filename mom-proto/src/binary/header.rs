@@ -13,23 +13,23 @@ use crate::{
     msgpack,
 };
 
-const CONTEXT_NUMBER: u32 = 0;
-const NAME: u32 = 1;
+pub(super) const CONTEXT_NUMBER: u32 = 0;
+pub(super) const NAME: u32 = 1;
 const SENDER: u32 = 2;
-const TIMESTAMP: u32 = 3;
-const ID: u32 = 4;
-const CONTENT: u32 = 5;
+pub(super) const TIMESTAMP: u32 = 3;
+pub(super) const ID: u32 = 4;
+pub(super) const CONTENT: u32 = 5;
 const FENCE: u32 = 6;
 const RECEIVED: u32 = 7;
 const AGE: u32 = 8;
 const AGE_ERROR: u32 = 9;
 const FAMILY: u32 = 10;
 const REFERENCE: u32 = 11;
-const PRIORITY: u32 = 12;
+pub(super) const PRIORITY: u32 = 12;
 const ADDRESS: u32 = 13;
 const EXPIRES: u32 = 14;
-const DELIVERY: u32 = 15;
-const ECHO: u32 = 16;
+pub(super) const DELIVERY: u32 = 15;
+pub(super) const ECHO: u32 = 16;
 const RECEIPT: u32 = 17;
 const CONTEXT_PATH: u32 = 18;
 const EXTRA: u32 = 19;
@@ -98,7 +98,7 @@ pub(super) fn write(parcel: &Parcel, out: &mut Vec<u8>) -> Result<(), WireError>
     Ok(())
 }
 
-fn presence(parcel: &Parcel) -> u64 {
+pub(super) fn presence(parcel: &Parcel) -> u64 {
     // Messages name their context by number alone; all others bind the number, being rare.
     let path = parcel.context.is_some() && (parcel.number.is_none() || parcel.family != Family::Message);
     let bit = |bit: u32, present: bool| u64::from(present) << bit;

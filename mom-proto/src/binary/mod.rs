@@ -37,6 +37,7 @@
 mod chunks;
 mod decoder;
 mod header;
+mod plain;
 mod wire;
 mod words;
 
@@ -45,8 +46,9 @@ mod tests;
 
 use bytes::Bytes;
 
-pub use chunks::chunks;
+pub use chunks::{ChunkHead, chunks};
 pub use decoder::BinaryDecoder;
+pub use plain::{Plain, Run, cut};
 pub use words::WORDS;
 
 use crate::codec::{Encoded, Scratch};

@@ -123,7 +123,7 @@ class Peer:
     def __init__(self, port, user):
         self.socket = socket.create_connection(("127.0.0.1", port), timeout=60)
         self.file = self.socket.makefile("rb")
-        self.last, self.paths, self.numbers = 0, {}, {}
+        self.last, self.paths, self.numbers, self.streams = 0, {}, {}, {}
         self.socket.sendall(PREFACE)
         assert self.file.read(6)[:5] == PREFACE[:5]
         self.ask("login", "login", "/", {"name": user, "password": user})
@@ -143,11 +143,34 @@ class Peer:
 
     def hear(self):
         """The next parcel, told, or None at the end; a ping is answered."""
-        head = self.file.read(4)
-        if len(head) < 4:
+        while len(head := self.file.read(4)) == 4:
+            frame = Bytes(self.file.read(struct.unpack(">I", head)[0]))
+            kind = frame.take(1)[0]
+            parcel = self.chunk(frame) if kind == 1 else self.parcel(frame) if kind == 0 else None
+            if parcel:
+                return parcel
+        return None
+
+    def chunk(self, frame):
+        """A piece of a large parcel; the parcel with the last one."""
+        stream, flags = frame.varint(), frame.take(1)[0]
+        if flags & 4:
+            del self.streams[stream]
             return None
-        frame = Bytes(self.file.read(struct.unpack(">I", head)[0]))
-        assert frame.take(1) == b"\0", "the hub sends whole parcels"
+        if flags & 1:
+            self.streams[stream] = (frame.varint(), bytearray())
+        length, data = self.streams[stream]
+        data += frame.take(len(frame.data) - frame.at)
+        if not flags & 2:
+            return None
+        del self.streams[stream]
+        assert len(data) == length, "all pieces of a parcel"
+        whole = Bytes(bytes(data))
+        assert whole.take(1) == b"\0", "pieces of a parcel"
+        return self.parcel(whole)
+
+    def parcel(self, frame):
+        """Reads the slots of a whole parcel."""
         bits, parcel = frame.varint(), {"family": "message"}
         for bit, (slot, read) in enumerate(READERS):
             if bits >> bit & 1 and read:

@@ -1,0 +1,219 @@
+//! What is delivered: encoded once, shared by all that it waits for.
+
+use std::io::IoSlice;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use mom_hub::PeerId;
+use mom_managers::Micros;
+use mom_proto::binary::{self, ChunkHead};
+use mom_proto::codec::{Encoded, Form};
+use mom_proto::{ContextNumber, Delivery, Parcel};
+
+use crate::encodings::Encodings;
+
+/// The fence that lets guarded parcels of a channel pass now; 0 while nobody owns the token.
+pub(crate) type Gate = Arc<AtomicU64>;
+
+/// A parcel, or a run of small ones, with all that a queue has to know of it.
+#[derive(Debug)]
+pub(crate) struct Packet {
+    pub(crate) encodings: Encodings,
+    pub(crate) lane: Lane,
+    pub(crate) delivery: Delivery,
+    /// Whose it is: the same sender and name replace each other where the class is `latest`.
+    pub(crate) origin: Origin,
+    pub(crate) expires_at: Option<Micros>,
+    /// The gate of its channel, and the fence it was admitted with.
+    pub(crate) gate: Option<(Gate, u64)>,
+    /// How many parcels it has; more than one only in the binary form.
+    pub(crate) count: u32,
+}
+
+/// Which lane a parcel waits in (design §7).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Lane {
+    /// Messages, by their priority.
+    Data(i32),
+    /// Replies, events, safe states, heartbeats.
+    Control,
+    /// `stop`: before all others, in memory of its own.
+    Stop,
+}
+
+/// Where a message comes from.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct Origin {
+    pub(crate) context: ContextNumber,
+    pub(crate) sender: PeerId,
+    pub(crate) name: Arc<str>,
+}
+
+/// Why a parcel was dropped on its way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(crate) enum DropReason {
+    /// A newer one took its place.
+    Replaced,
+    /// The receiver's queue was full.
+    Full,
+    /// The receiver's connection ended.
+    Closed,
+    /// Its time was over before the link took it.
+    Expired,
+    /// The token changed hands before the link took it.
+    Fence,
+}
+
+impl DropReason {
+    pub(crate) fn word(self) -> &'static str {
+        match self {
+            DropReason::Replaced => "replaced",
+            DropReason::Full => "queue-full",
+            DropReason::Closed => "receiver-gone",
+            DropReason::Expired => "expired",
+            DropReason::Fence => "older-fence",
+        }
+    }
+}
+
+impl Packet {
+    /// Whether it may no longer leave: its time is over, or its owner owns no more.
+    pub(crate) fn stale(&self, now: Micros) -> Option<DropReason> {
+        if self.expires_at.is_some_and(|end| now >= end) {
+            return Some(DropReason::Expired);
+        }
+        let closed = |(gate, fence): &(Gate, u64)| gate.load(Ordering::Acquire) != *fence;
+        self.gate
+            .as_ref()
+            .is_some_and(closed)
+            .then_some(DropReason::Fence)
+    }
+
+    /// The frames for a receiver of this form, none inside this process.
+    pub(super) fn frames(&self, form: Option<Form>) -> Option<&Encoded> {
+        self.encodings.frames(form)
+    }
+
+    /// The bytes on the wire; inside this process a fixed charge that keeps the bound a bound.
+    pub(super) fn length(&self, form: Option<Form>) -> usize {
+        match self.frames(form) {
+            Some(frames) => frames.len(),
+            None => self.encodings.local_size(),
+        }
+    }
+}
+
+/// A packet as it waits for one peer.
+#[derive(Clone, Debug)]
+pub(super) struct Entry {
+    pub(super) packet: Arc<Packet>,
+    pub(super) progress: Progress,
+}
+
+/// How much of a packet was given to the link.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Progress {
+    /// Bytes of its frames, or, once it goes in chunks, of what the chunks carry.
+    pub(super) sent: usize,
+    /// The stream of chunks that it goes in.
+    pub(super) stream: Option<u64>,
+}
+
+impl Entry {
+    pub(super) fn new(packet: Arc<Packet>) -> Entry {
+        Entry {
+            packet,
+            progress: Progress::default(),
+        }
+    }
+
+    pub(super) fn begun(&self) -> bool {
+        self.progress != Progress::default()
+    }
+
+    /// How many parcels have not left yet.
+    pub(super) fn remaining(&self, form: Option<Form>) -> u64 {
+        match self.packet.frames(form) {
+            Some(frames) if self.packet.count > 1 => {
+                let rest = frames.head.get(self.progress.sent..).unwrap_or_default();
+                u64::from(binary::cut(rest, rest.len()).1)
+            }
+            _ => u64::from(self.packet.count),
+        }
+    }
+}
+
+/// What is given to the link at once: a whole packet or a part of one that others may follow.
+#[derive(Debug)]
+pub(crate) struct Piece {
+    pub(super) packet: Arc<Packet>,
+    /// Goes before the bytes of a chunk.
+    pub(super) lead: Option<ChunkHead>,
+    /// The bytes of the packet's frames.
+    pub(super) bytes: std::ops::Range<usize>,
+    /// How much of lead and bytes is written.
+    pub(super) done: usize,
+    /// How far the packet was before.
+    pub(super) before: Progress,
+    /// Nothing of the packet comes after it.
+    pub(super) last: bool,
+}
+
+impl Piece {
+    /// Gives up a packet of which chunks have left.
+    pub(super) fn abort(packet: Arc<Packet>, stream: u64) -> Piece {
+        Piece {
+            packet,
+            lead: Some(ChunkHead::abort(stream)),
+            bytes: 0..0,
+            done: 0,
+            before: Progress {
+                sent: 0,
+                stream: Some(stream),
+            },
+            last: true,
+        }
+    }
+
+    pub(super) fn is_abort(&self) -> bool {
+        self.lead.is_some() && self.bytes.is_empty()
+    }
+
+    /// The bytes that are not written yet.
+    pub(super) fn length(&self) -> usize {
+        self.lead.map_or(0, |lead| lead.bytes().len()) + self.bytes.len() - self.done
+    }
+
+    /// What is to be written of it.
+    pub(super) fn append_to<'a>(&'a self, form: Option<Form>, slices: &mut Vec<IoSlice<'a>>) {
+        let lead = self.lead.as_ref().map_or(&[][..], ChunkHead::bytes);
+        let mut skip = self.done;
+        let mut add = |bytes: &'a [u8]| {
+            let skipped = skip.min(bytes.len());
+            skip -= skipped;
+            if skipped < bytes.len() {
+                slices.push(IoSlice::new(&bytes[skipped..]));
+            }
+        };
+        add(lead);
+        let Some(frames) = self.packet.frames(form) else {
+            return;
+        };
+        let split = frames.head.len();
+        let (from, to) = (self.bytes.start, self.bytes.end);
+        add(&frames.head[from.min(split)..to.min(split)]);
+        add(&frames.body[from.max(split) - split..to.max(split) - split]);
+    }
+
+    /// Counts written bytes; gives back how many were not its own.
+    pub(super) fn advance(&mut self, written: usize) -> usize {
+        let own = written.min(self.length());
+        self.done += own;
+        written - own
+    }
+
+    /// The parcel, for a peer in this process.
+    pub(super) fn parcel(&self) -> Option<&Arc<Parcel>> {
+        self.packet.encodings.local()
+    }
+}

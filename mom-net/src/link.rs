@@ -1,0 +1,14 @@
+//! What is known of the network below a connection.
+
+/// The state of a TCP connection, as its kernel tells it (`TCP_INFO`).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Link {
+    /// Bytes that the other side has acknowledged since the connection began.
+    pub acknowledged: u64,
+    /// The largest segment, in bytes.
+    pub segment: u32,
+    /// The congestion window, in segments.
+    pub window: u32,
+    /// The least round trip seen, in µs; the largest number before the first.
+    pub least_round_trip: u32,
+}
