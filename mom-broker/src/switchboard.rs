@@ -1,20 +1,19 @@
 //! All that connections share: the hub, the channels, the outboxes, and how effects are carried out.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use dashmap::DashMap;
 use mom_hub::{Admission, Effect, Hub, Input, PeerId, Record, Route, Ticket, admit};
 use mom_managers::Micros;
 use mom_proto::{Code, ContextNumber, Family, Map, Parcel, Path, Value, WireError, event};
-use parking_lot::Mutex;
-use tokio::sync::Notify;
 
 use crate::channel::{Channel, Delivered, control, hub_origin, stamped};
 use crate::clock::Clock;
 use crate::encodings::{Bounds, Encodings};
 use crate::outbox::{Outbox, Taken};
 use crate::store::Store;
+use crate::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use crate::sync::{Mutex, Notify};
 use crate::witness::Witness;
 
 /// The switchboard of one broker.

@@ -1,12 +1,13 @@
 //! One parcel that waits for one peer.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use mom_hub::PeerId;
 use mom_managers::Micros;
 use mom_net::Outgoing;
 use mom_proto::{ContextNumber, Delivery};
+
+use crate::sync::atomic::{AtomicU64, Ordering};
 
 /// The fence that lets guarded parcels of a channel pass now; 0 while nobody owns the token.
 pub(crate) type Gate = Arc<AtomicU64>;

@@ -8,19 +8,18 @@ mod queue;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering, fence};
 
 use mom_hub::PeerId;
 use mom_net::{NetError, Progress, Writer};
 use mom_proto::WireError;
 use mom_proto::codec::Form;
-use parking_lot::{Mutex, MutexGuard};
-use tokio::sync::Notify;
 
 pub(crate) use entry::{DropReason, Entry, Gate, Lane, Origin};
 pub(crate) use queue::{Queue, Taken};
 
 use crate::clock::Clock;
+use crate::sync::atomic::{AtomicBool, Ordering, fence};
+use crate::sync::{Mutex, MutexGuard, Notify};
 
 /// Taken from the queue at once: more than a system call gathers is no faster, and what is taken cannot be
 /// overtaken any more.
@@ -81,10 +80,13 @@ impl Outbox {
 
     /// Puts a parcel in. True the first time since the last [`Outbox::flush`]: then somebody has to call it.
     pub(crate) fn push(&self, entry: Entry) -> (Taken, bool) {
+        let mut queue = self.queue.lock();
+        // Under the lock that `close` holds: nothing follows the last word.
         if self.closed.load(Ordering::Acquire) {
             return (Taken::Dropped, false);
         }
-        let taken = self.queue.lock().push(entry);
+        let taken = queue.push(entry);
+        drop(queue);
         let first = !self.touched.swap(true, Ordering::SeqCst);
         // Pairs with the fence in `flush_batch`: either that flush sees this parcel, or this one gets the lock.
         fence(Ordering::SeqCst);
@@ -103,10 +105,10 @@ impl Outbox {
     /// Ends the connection: nothing more is taken in; what waits still goes out if `drain` says so, the error in
     /// any case, last.
     pub(crate) fn close(&self, error: Option<WireError>, farewell: Option<Entry>, drain: bool) {
+        let mut queue = self.queue.lock();
         if self.closed.swap(true, Ordering::AcqRel) {
             return;
         }
-        let mut queue = self.queue.lock();
         if !drain {
             queue.drop_data();
         }

@@ -1,7 +1,6 @@
 //! The promises of the queue.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use bytes::Bytes;
 use mom_hub::PeerId;
@@ -9,6 +8,7 @@ use mom_net::Outgoing;
 use mom_proto::codec::Encoded;
 
 use super::*;
+use crate::sync::atomic::{AtomicU64, Ordering};
 
 /// 936 bytes and the queue's own 64 make 1000.
 const SIZE: usize = 936;
