@@ -2,17 +2,17 @@
 
 use std::collections::HashMap;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use mom_hub::{PeerId, Receivers, Route, Usage};
 use mom_managers::Rate;
 use mom_proto::binary::Run;
 use mom_proto::codec::{Form, Scratch};
 use mom_proto::{Content, ContextNumber, Delivery, Parcel, Time, Verb, WireError};
-use parking_lot::{Mutex, MutexGuard};
 
 use crate::encodings::{Bounds, Encodings};
 use crate::outbox::{Gate, Lane, Origin, Outbox, Packet, Taken};
+use crate::sync::atomic::{AtomicU64, Ordering};
+use crate::sync::{Mutex, MutexGuard};
 
 /// The critical section of a channel: who holds it decides the one order for all receivers (M27).
 #[derive(Debug)]

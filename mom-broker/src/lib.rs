@@ -12,6 +12,8 @@ mod clock;
 mod config;
 mod encodings;
 mod files;
+#[cfg(all(test, shuttle))]
+mod interleaved;
 mod login;
 mod outbox;
 mod record;
@@ -20,6 +22,7 @@ mod schema;
 mod session;
 mod store;
 mod switchboard;
+mod sync;
 mod witness;
 
 pub use audit::AuditConfig;

@@ -1,7 +1,6 @@
 //! All that connections share: the hub, the channels, the outboxes, and how effects are carried out.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use dashmap::DashMap;
 use mom_hub::{Admission, Effect, Hub, Input, PeerId, Record, Route, Ticket, admit};
@@ -9,14 +8,14 @@ use mom_managers::Micros;
 use mom_net::Reader;
 use mom_proto::binary::{Plain, Run};
 use mom_proto::{Code, ContextNumber, Delivery, Family, Map, Parcel, Path, Value, Verb, WireError, event};
-use parking_lot::Mutex;
-use tokio::sync::Notify;
 
 use crate::channel::{Channel, Delivered, control, hub_origin, stamped};
 use crate::clock::Clock;
 use crate::encodings::{Bounds, Encodings};
 use crate::outbox::{Outbox, Packet, Taken};
 use crate::store::Store;
+use crate::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use crate::sync::{Mutex, Notify};
 use crate::witness::Witness;
 
 /// Bytes of messages that are admitted and passed on together, while a channel's lock is held.

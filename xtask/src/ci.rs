@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::Result;
 
 use crate::command::{cargo, line, shows, succeeds};
-use crate::{test, tidy};
+use crate::{shuttle, test, tidy};
 
 /// One step that is a cargo command.
 struct Step {
@@ -53,6 +53,9 @@ pub(crate) fn run(root: &Path) -> Result<bool> {
         }
     }
     if !timed("tidy", "cargo xtask tidy", || tidy::run(root))? || !deny(root)? {
+        return Ok(false);
+    }
+    if !timed("shuttle", shuttle::COMMAND, || shuttle::run(root, None, None))? {
         return Ok(false);
     }
     let mut counts = None;

@@ -1,4 +1,4 @@
-//! The project tasks of MOM: `cargo xtask ci`, `cargo xtask test`, `cargo xtask tidy`.
+//! The project tasks of MOM: `cargo xtask ci`, `cargo xtask test`, `cargo xtask shuttle`, `cargo xtask tidy`.
 //!
 //! Everything that CI demands can be run here by the same commands, so that nothing is found only after a push.
 #![allow(
@@ -10,6 +10,7 @@
 mod ci;
 mod command;
 mod needs;
+mod shuttle;
 mod test;
 mod tidy;
 
@@ -31,6 +32,7 @@ const EXAMPLES: &str = "Examples:
   cargo xtask test --install                  install what the tests need, then run all of them
   cargo xtask test -- -p mom-hub grab         the tests of one package whose name contains `grab`
   cargo xtask test -- -p mom-hub -- --nocapture
+  cargo xtask shuttle --orders 20000 --seed 7 the broker's threads in more orders, and in other ones
   cargo xtask tidy                            the checks that the compiler does not make
   cargo xtask ci                              everything that must hold before a change lands";
 
@@ -39,6 +41,8 @@ enum Task {
     /// Run all tests and doctests; the last line is `N passed, N failed`.
     #[command(after_help = EXAMPLES)]
     Test(TestArgs),
+    /// Try the broker's threads in many orders of their steps.
+    Shuttle(ShuttleArgs),
     /// Check what the compiler does not: sizes, orphans, codes, imports, leftovers, links, names.
     Tidy,
     /// Format, lints, docs, tidy, licences, tests: all that must hold before a change lands.
@@ -52,6 +56,16 @@ struct TestArgs {
     /// Arguments for `cargo test`, such as `-p mom-hub` or a part of a test's name.
     #[arg(last = true, value_name = "ARGS TO CARGO TEST")]
     cargo_test: Vec<String>,
+}
+
+#[derive(Args)]
+struct ShuttleArgs {
+    /// Orders tried of each test in either way; 400 if not said.
+    #[arg(long)]
+    orders: Option<u64>,
+    /// Another choice of orders; without it they are the same ones each time.
+    #[arg(long)]
+    seed: Option<u64>,
 }
 
 #[derive(Args, Clone, Copy)]
@@ -80,6 +94,7 @@ fn run(task: Task) -> Result<ExitCode> {
             println!("{counts}");
             Ok(exit_code(counts.is_success()))
         }
+        Task::Shuttle(args) => Ok(exit_code(shuttle::run(&root, args.orders, args.seed)?)),
         Task::Tidy => Ok(exit_code(tidy::run(&root)?)),
         Task::Ci(args) => {
             needs::ensure(needs::FOR_CI, args.install, "cargo xtask ci")?;

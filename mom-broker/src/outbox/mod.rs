@@ -9,15 +9,12 @@ mod queue;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering, fence};
 use std::time::Duration;
 
 use mom_hub::PeerId;
 use mom_net::{GATHER, NetError, Writer};
 use mom_proto::codec::Form;
 use mom_proto::{Limit, WireError};
-use parking_lot::{Mutex, MutexGuard};
-use tokio::sync::Notify;
 
 use flow::Flow;
 use packet::Piece;
@@ -25,6 +22,8 @@ pub(crate) use packet::{DropReason, Gate, Lane, Origin, Packet};
 pub(crate) use queue::{Queue, Taken};
 
 use crate::clock::Clock;
+use crate::sync::atomic::{AtomicBool, Ordering, fence};
+use crate::sync::{Mutex, MutexGuard, Notify};
 
 /// Taken from the queue at once: more than a system call gathers is no faster, and what is taken cannot be
 /// overtaken any more.
@@ -107,10 +106,13 @@ impl Outbox {
 
     /// Puts a parcel in. True the first time since the last [`Outbox::flush`]: then somebody has to call it.
     pub(crate) fn push(&self, packet: Arc<Packet>) -> (Taken, bool) {
+        let mut queue = self.queue.lock();
+        // Under the lock that `close` holds: nothing follows the last word.
         if self.closed.load(Ordering::Acquire) {
             return (Taken::Dropped, false);
         }
-        let taken = self.queue.lock().push(packet);
+        let taken = queue.push(packet);
+        drop(queue);
         let first = !self.touched.swap(true, Ordering::SeqCst);
         // Pairs with the fence in `flush_batch`: either that flush sees this parcel, or this one gets the lock.
         fence(Ordering::SeqCst);
@@ -129,10 +131,10 @@ impl Outbox {
     /// Ends the connection: nothing more is taken in; what waits still goes out if `drain` says so, the error in
     /// any case, last.
     pub(crate) fn close(&self, error: Option<WireError>, farewell: Option<Arc<Packet>>, drain: bool) {
+        let mut queue = self.queue.lock();
         if self.closed.swap(true, Ordering::AcqRel) {
             return;
         }
-        let mut queue = self.queue.lock();
         if !drain {
             queue.drop_data();
         }

@@ -2,7 +2,6 @@
 
 use std::io::IoSlice;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use mom_hub::PeerId;
 use mom_managers::Micros;
@@ -11,6 +10,7 @@ use mom_proto::codec::{Encoded, Form};
 use mom_proto::{ContextNumber, Delivery, Parcel};
 
 use crate::encodings::Encodings;
+use crate::sync::atomic::{AtomicU64, Ordering};
 
 /// The fence that lets guarded parcels of a channel pass now; 0 while nobody owns the token.
 pub(crate) type Gate = Arc<AtomicU64>;

@@ -22,7 +22,6 @@ use std::sync::Arc;
 
 use mom_hub::{Record, Ticket};
 use mom_proto::Time;
-use parking_lot::{Condvar, Mutex};
 use tokio::sync::mpsc;
 
 pub use error::StoreError;
@@ -31,6 +30,8 @@ use disk::{Disk, lane_file};
 pub(crate) use queue::Answer;
 use queue::Queue;
 use start::{Begun, Lock};
+
+use crate::sync::{Condvar, Mutex, thread};
 
 /// The files of a store. Beyond a few, a disk only does one after the other what it is asked at once.
 const LANES: usize = 4;
@@ -147,7 +148,7 @@ impl Store {
                 lock: lock.clone(),
                 ended: ending.clone(),
             };
-            let thread = std::thread::Builder::new().name(format!("store-{lane}"));
+            let thread = thread::Builder::new().name(format!("store-{lane}"));
             thread.spawn(move || worker.run())?;
         }
         Ok((store, received))

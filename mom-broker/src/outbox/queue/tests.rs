@@ -1,7 +1,6 @@
 //! The promises of the queue.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use bytes::{Bytes, BytesMut};
 use mom_hub::PeerId;
@@ -13,6 +12,7 @@ use mom_proto::{Family, Limits, Parcel, Value};
 use super::*;
 use crate::encodings::Encodings;
 use crate::outbox::Piece;
+use crate::sync::atomic::{AtomicU64, Ordering};
 
 /// 936 bytes and the queue's own 64 make 1000.
 const SIZE: usize = 936;

@@ -2,6 +2,8 @@
 
 mod crash;
 mod files;
+#[cfg(shuttle)]
+mod interleaved;
 mod queue;
 mod random;
 mod row;
