@@ -13,6 +13,7 @@ mod config;
 mod encodings;
 mod files;
 mod login;
+mod measure;
 mod outbox;
 mod record;
 mod reload;

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use dashmap::DashMap;
-use mom_hub::{Admission, Effect, Hub, Input, PeerId, Record, Route, Ticket, admit};
+use mom_hub::{Admission, Effect, Hub, Ingress, Input, PeerClock, PeerId, Record, Route, Ticket, admit};
 use mom_managers::Micros;
 use mom_proto::{Code, ContextNumber, Family, Map, Parcel, Path, Value, WireError, event};
 use parking_lot::Mutex;
@@ -111,23 +111,30 @@ impl Switchboard {
         &self,
         peer: PeerId,
         mut parcel: Box<Parcel>,
+        clock: &dyn Fn(Micros) -> Option<PeerClock>,
         touched: &mut Touched,
     ) -> Result<(), WireError> {
         let Some(channel) = self.channel_of(&parcel) else {
-            self.decide(Input::Request { peer, parcel }, touched);
+            let clock = clock(self.clock.now());
+            self.decide(Input::Request { peer, parcel, clock }, touched);
             return Ok(());
         };
         let mut inner = channel.lock();
         // Inside the critical section, so that hub time never runs against the channel's order.
         let now = self.clock.now();
-        let wall = self.clock.wall_at(now);
+        let ingress = Ingress {
+            now,
+            wall: self.clock.wall_at(now),
+            clock: clock(now),
+        };
         let message = Arc::clone(&parcel.name);
-        let admission = admit(&inner.route, peer, &mut parcel, now, wall);
+        let admission = admit(&inner.route, peer, &mut parcel, &ingress);
         let admission = admission.inspect_err(|error| self.note_refused(peer, &inner.route, &message, error));
         match admission? {
             Admission::Consult => {
                 drop(inner);
-                self.decide(Input::Request { peer, parcel }, touched);
+                let clock = ingress.clock;
+                self.decide(Input::Request { peer, parcel, clock }, touched);
             }
             Admission::Pass(receivers, rate) => {
                 let receipt = receipt_of(&parcel);

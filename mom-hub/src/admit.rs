@@ -7,18 +7,31 @@ use mom_managers::{Answer, Denial, Micros, PeerFacts, Rate};
 use mom_proto::nearest::nearest;
 use mom_proto::{Code, Family, Parcel, Time, Verb, WireError, event};
 
+use crate::age::{age_of, check_age, is_within};
 use crate::route::{Guard, GuardOwner, Route};
-use crate::{Member, PeerId};
+use crate::{Member, PeerClock, PeerId};
 
 /// The priorities that peers may use; others are brought into this range (M7).
 const PRIORITY: std::ops::RangeInclusive<i32> = -100..=100;
+
+/// When a message came, and what its link knows of its sender's clock.
+#[derive(Clone, Copy, Debug)]
+pub struct Ingress {
+    /// Monotonic time.
+    pub now: Micros,
+    /// The hub's wall time.
+    pub wall: Time,
+    /// The sender's clock; none = not known, and nothing is said of the message's age.
+    pub clock: Option<PeerClock>,
+}
 
 /// What became of a message.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Admission {
     /// It may pass, stamped, to these, if its sender has not used up this rate.
     Pass(Receivers, Option<Rate>),
-    /// The hub has to decide: no verdict stands, or a deadline has come on which it has not acted yet.
+    /// The hub has to decide: no verdict stands for a message of this name and age, or a deadline has come on which
+    /// it has not acted yet.
     Consult,
 }
 
@@ -36,15 +49,15 @@ pub enum Receivers {
 /// Admits a message of a peer to a channel and stamps it: sender, context, hub time, age, fence.
 ///
 /// # Errors
-/// `not-member`, the standing denial, `not-owner`, `older-fence`, `bad-fence`, `unknown-peer`. The parcel
-/// is of no use then.
+/// `not-member`, the standing denial, `not-owner`, `older-fence`, `bad-fence`, `bad-slot` for a timestamp of the future,
+/// `expired`, `unknown-peer`. The parcel is of no use then.
 pub fn admit(
     route: &Route,
     peer: PeerId,
     parcel: &mut Parcel,
-    now: Micros,
-    wall: Time,
+    ingress: &Ingress,
 ) -> Result<Admission, WireError> {
+    let now = ingress.now;
     let member = sender(route, peer)?;
     let owner = route.guard.as_ref().and_then(|guard| guard.owner.as_ref());
     let overdue = owner
@@ -56,12 +69,14 @@ pub fn admit(
             .guard
             .as_ref()
             .is_some_and(|guard| guard.covers(&parcel.name));
+    let young = |most: Micros| is_within(age_of(parcel, ingress.wall, ingress.clock.as_ref()), most);
     match member
         .standing(&parcel.name, now)
         .filter(|_| !overdue && !counted)
+        .filter(|standing| standing.max_age.is_none_or(young))
     {
         None => Ok(Admission::Consult),
-        Some(standing) => admit_with(route, peer, &standing.answer, parcel, now, wall)
+        Some(standing) => admit_with(route, peer, &standing.answer, parcel, ingress)
             .map(|receivers| Admission::Pass(receivers, standing.rate)),
     }
 }
@@ -75,9 +90,9 @@ pub fn admit_with(
     peer: PeerId,
     answer: &Answer,
     parcel: &mut Parcel,
-    now: Micros,
-    wall: Time,
+    ingress: &Ingress,
 ) -> Result<Receivers, WireError> {
+    let &Ingress { now, wall, .. } = ingress;
     let member = sender(route, peer)?;
     match answer {
         Answer::Allow(_) => {}
@@ -95,15 +110,16 @@ pub fn admit_with(
         "only messages are admitted to channels"
     );
     let fence = check_guard(route, member, parcel, now)?;
+    let age = check_age(parcel, wall, ingress.clock.as_ref())?;
     let receivers = receivers(route, peer, parcel)?;
     parcel.sender = Some(member.facts.name.clone());
     parcel.context = Some(route.path.clone());
     parcel.number = Some(route.number);
     parcel.fence = fence;
     parcel.received = Some(wall);
-    // Without an estimate of the link's clock the age is counted from ingress; no error bound says so.
-    parcel.age = Some(0);
-    parcel.age_error = None;
+    // Without an estimate of the sender's clock the age is counted from ingress; no error bound says so.
+    parcel.age = Some(age.map_or(0, |(age, _)| age));
+    parcel.age_error = age.map(|(_, error)| error);
     parcel.priority = parcel
         .priority
         .map(|priority| priority.clamp(*PRIORITY.start(), *PRIORITY.end()));

@@ -7,7 +7,7 @@
 
 use std::collections::VecDeque;
 
-use crate::Time;
+use crate::{Parcel, Time, Value};
 
 /// The exchanges that are kept; what they say is forgotten after so many others.
 const WINDOW: usize = 16;
@@ -77,6 +77,19 @@ struct Bounds {
 }
 
 impl Exchange {
+    /// What a pong tells that answers a ping of `sent`: the stamps `received` and `sent` of its content. None if it has
+    /// none, as pongs of peers that only say that they live.
+    pub fn of(sent: Time, pong: &Parcel, heard: Time) -> Option<Exchange> {
+        let content = pong.value();
+        let stamp = |key| content.get(key).and_then(Value::as_time);
+        Some(Exchange {
+            sent,
+            received: stamp("received")?,
+            replied: stamp("sent")?,
+            heard,
+        })
+    }
+
     /// The least and the greatest offset that it allows; none where a clock was set in the midst of it.
     fn bounds(&self, at: u64) -> Option<Bounds> {
         let difference = |one: Time, other: Time| one.micros() - other.micros();
@@ -167,6 +180,16 @@ impl ClockOffset {
     /// The time by one's own clock at which the other clock shows `other`.
     pub fn own(&self, other: Time) -> i64 {
         other.micros().saturating_sub(self.micros)
+    }
+
+    /// The same so many µs later: the clocks may have parted meanwhile.
+    #[must_use]
+    pub fn later(self, micros: u64) -> ClockOffset {
+        let parted = u64::try_from(parted(micros)).unwrap_or_default();
+        ClockOffset {
+            error: self.error.saturating_add(parted),
+            ..self
+        }
     }
 
     /// What the other clock shows when one's own shows `own`.
