@@ -155,7 +155,8 @@ impl Inner {
                 sender,
                 name: Arc::clone(&parcel.name),
             },
-            expires_at: expires_at(&parcel, now),
+            // A device must halt also if its operator's clock is wrong.
+            expires_at: expires_at(&parcel, now).filter(|_| lane != Lane::Stop),
             gate: parcel.fence.map(|fence| (Arc::clone(&self.gate), fence)),
         };
         let outboxes = &self.outboxes;
