@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use mom_hub::{Admission, ContextSpec, Effect, Hub, Input, PeerId, Route, Settings, User, admit};
+use mom_hub::{Admission, ContextSpec, Effect, Hub, Ingress, Input, PeerId, Route, Settings, User, admit};
 use mom_managers::Registry;
 use mom_proto::{Code, Content, Family, Map, Parcel, Path, Time, Value, WireError, from_value};
 
@@ -109,6 +109,7 @@ impl Decisions {
         self.decide(Input::Request {
             peer: FIRST,
             parcel: Box::new(self.message.clone()),
+            clock: None,
         });
         1
     }
@@ -130,6 +131,7 @@ impl Decisions {
         self.decide(Input::Request {
             peer,
             parcel: Box::new(parcel),
+            clock: None,
         });
     }
 
@@ -172,7 +174,16 @@ impl Admissions {
     /// # Errors
     /// Not after [`Admissions::new`] was content.
     pub fn admit(&mut self) -> Result<Admission, WireError> {
-        admit(&self.route, FIRST, &mut self.message, 1, Time::default())
+        admit(
+            &self.route,
+            FIRST,
+            &mut self.message,
+            &Ingress {
+                now: 1,
+                wall: Time::default(),
+                clock: None,
+            },
+        )
     }
 }
 

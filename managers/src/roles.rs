@@ -2,12 +2,12 @@
 
 use std::sync::Arc;
 
-use mom_proto::{Code, Pattern, WireError};
+use mom_proto::{Code, Pattern, Verb, WireError};
 use serde::Deserialize;
 
 use crate::params::Verbs;
 use crate::who::Who;
-use crate::{Manager, Question, Scope, Setup, Standing, Verdict};
+use crate::{Manager, Micros, Question, Scope, Setup, Standing, Verdict};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -33,6 +33,7 @@ struct RuleParams {
     #[serde(default)]
     messages: Vec<String>,
     invited: Option<bool>,
+    max_age: Option<u64>,
 }
 
 /// Asks its rules in order: the first that covers the question decides, and no rule is a denial.
@@ -54,6 +55,8 @@ struct Rule {
     messages: Vec<String>,
     /// Whether only those who were invited, or only those who were not; none = both.
     invited: Option<bool>,
+    /// The age beyond which messages are refused, µs; none = any.
+    max_age: Option<Micros>,
 }
 
 pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
@@ -88,6 +91,11 @@ fn make_rule(setup: &Setup<'_>, index: usize, params: RuleParams) -> Result<Rule
             ));
         }
     };
+    let max_age = params.max_age.map(|millis| setup.micros(&key("max-age"), millis));
+    if max_age.is_some() && !allow {
+        let text = "only what is allowed can be allowed up to an age: write an allow rule with max-age";
+        return Err(setup.error(&key("max-age"), text));
+    }
     Ok(Rule {
         name: format!(
             "{}/{}",
@@ -101,6 +109,7 @@ fn make_rule(setup: &Setup<'_>, index: usize, params: RuleParams) -> Result<Rule
         places: params.r#where,
         messages: params.messages,
         invited: params.invited,
+        max_age: max_age.transpose()?,
     })
 }
 
@@ -119,7 +128,10 @@ impl Manager for Roles {
                 rule.invited.is_none_or(|invited| invited == question.invited)
             });
         let mut verdict = match rule {
-            Some(rule) if rule.allow => Verdict::allow().stands(self.scope).by(&rule.name),
+            Some(rule) if rule.allow => rule.too_old(question).unwrap_or_else(|| {
+                let allow = Verdict::allow().stands(self.scope).by(&rule.name);
+                allow.up_to_age(rule.max_age.filter(|_| question.verb == Verb::Send))
+            }),
             Some(rule) => deny(question, &rule.name),
             None => deny(question, &self.label),
         };
@@ -140,6 +152,36 @@ impl Rule {
                 .message
                 .is_some_and(|name| self.messages.iter().any(|listed| listed == name));
         self.verbs.covers(question.verb) && place && message && self.who.fits(question.peer)
+    }
+
+    /// The refusal of a message that is, or may be, older than the rule allows. It says nothing of the next one.
+    fn too_old(&self, question: &Question<'_>) -> Option<Verdict> {
+        let most = self.max_age.filter(|_| question.verb == Verb::Send)?;
+        let (code, found) = match question.age {
+            Some((age, error)) if i128::from(age) + i128::from(error) <= i128::from(most) => return None,
+            Some((age, error)) => {
+                let (age, error) = (age / 1000, error.div_ceil(1000));
+                (Code::DENIED, format!("this one is {age} ms old, ± {error} ms"))
+            }
+            None => {
+                let found =
+                    "the age of this one is not known: stamp it, and answer the hub's pings with stamps";
+                (Code::TRY_LATER, found.to_owned())
+            }
+        };
+        let Question {
+            peer,
+            context,
+            message,
+            ..
+        } = question;
+        let text = format!(
+            "{} may send {} to {context} only up to an age of {} ms, and {found}",
+            peer.user,
+            message.unwrap_or("messages"),
+            most / 1000
+        );
+        Some(Verdict::deny(code, &*self.name, text).by(&self.name))
     }
 }
 

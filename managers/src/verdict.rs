@@ -133,6 +133,8 @@ pub enum Standing {
         until: Option<Micros>,
         /// How much; none = without limit.
         rate: Option<Rate>,
+        /// For messages that are surely not older, µs; none = of any age.
+        max_age: Option<Micros>,
     },
 }
 
@@ -321,6 +323,7 @@ impl Verdict {
             scope,
             until,
             rate: None,
+            max_age: None,
         };
         self
     }
@@ -330,6 +333,15 @@ impl Verdict {
     pub fn at_rate(mut self, limit: Rate) -> Verdict {
         if let Standing::Stands { rate, .. } = &mut self.standing {
             *rate = Some(limit);
+        }
+        self
+    }
+
+    /// Lets a yes stand for messages that are surely not older than this, µs.
+    #[must_use]
+    pub fn up_to_age(mut self, limit: Option<Micros>) -> Verdict {
+        if let Standing::Stands { max_age, .. } = &mut self.standing {
+            *max_age = limit;
         }
         self
     }
@@ -350,16 +362,19 @@ impl Standing {
                     scope: one,
                     until: first,
                     rate: slow,
+                    max_age: young,
                 },
                 Standing::Stands {
                     scope: two,
                     until: second,
                     rate: other_rate,
+                    max_age: other_age,
                 },
             ) => Standing::Stands {
                 scope: one.min(two),
                 until: both(first, second, Micros::min),
                 rate: both(slow, other_rate, Rate::and),
+                max_age: both(young, other_age, Micros::min),
             },
             _ => Standing::Once,
         }

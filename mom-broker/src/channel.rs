@@ -157,7 +157,8 @@ impl Inner {
             sender,
             name: Arc::clone(&parcel.name),
         };
-        let expires_at = expires_at(&parcel, now);
+        // A device must halt also if its operator's clock is wrong.
+        let expires_at = expires_at(&parcel, now).filter(|_| lane != Lane::Stop);
         let gate = parcel.fence.map(|fence| (Arc::clone(&self.gate), fence));
         let outboxes = &self.outboxes;
         let form = |place: usize| outboxes[place].as_ref().map(|outbox| outbox.form());

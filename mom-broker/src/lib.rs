@@ -15,6 +15,7 @@ mod files;
 #[cfg(all(test, shuttle))]
 mod interleaved;
 mod login;
+mod measure;
 mod outbox;
 mod record;
 mod reload;

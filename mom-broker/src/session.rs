@@ -7,15 +7,16 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use mom_hub::{Input, PeerId};
+use mom_hub::{Input, PeerClock, PeerId};
 use mom_managers::Micros;
 use mom_net::{NetError, Reader, Transceiver};
 use mom_proto::codec::Frame;
-use mom_proto::{Code, Family, Limits, Map, Parcel, Path, Verb, WireError};
+use mom_proto::{Code, Family, Limits, Parcel, Verb, WireError};
 use parking_lot::RwLock;
 use tokio::time::{Instant, timeout, timeout_at};
 
 use crate::login::{Challenge, Logins};
+use crate::measure::{Measure, Pings};
 use crate::outbox::Outbox;
 use crate::switchboard::{Switchboard, Touched, flush};
 
@@ -69,6 +70,9 @@ struct Session {
     failures: u32,
     /// When the last whole frame was here.
     heard_at: Instant,
+    pings: Arc<Pings>,
+    /// What its pongs say of its clock.
+    measure: Measure,
     /// What a key has to answer.
     challenge: Option<Challenge>,
     /// When the proof of who it is will be over, none if it lasts.
@@ -101,6 +105,8 @@ pub(crate) async fn serve(
         logged_in: false,
         failures: 0,
         heard_at: Instant::now(),
+        pings: Arc::default(),
+        measure: Measure::default(),
         challenge: None,
         proven_until: None,
         ended: false,
@@ -109,7 +115,11 @@ pub(crate) async fn serve(
         let outbox = Arc::clone(&session.outbox);
         async move { outbox.run().await }
     });
-    let heartbeat = tokio::spawn(beat(session.context.clone(), Arc::clone(&session.outbox)));
+    let heartbeat = tokio::spawn(beat(
+        session.context.clone(),
+        Arc::clone(&session.outbox),
+        Arc::clone(&session.pings),
+    ));
     let error = session.read(&mut reader, login_by).await;
     heartbeat.abort();
     session.end(error);
@@ -142,8 +152,8 @@ impl Drop for Session {
     }
 }
 
-/// Asks a peer that says or hears nothing else whether it is there.
-async fn beat(context: Context, outbox: Arc<Outbox>) {
+/// Asks a peer that says or hears nothing else whether it is there, and one that stamps its answers for its clock.
+async fn beat(context: Context, outbox: Arc<Outbox>, pings: Arc<Pings>) {
     let every = Duration::from_millis(context.limits.heartbeat);
     loop {
         tokio::time::sleep(every).await;
@@ -153,9 +163,9 @@ async fn beat(context: Context, outbox: Arc<Outbox>) {
         let quiet = !outbox.active.swap(false, Ordering::Relaxed);
         // A peer that only listens has to be asked too, or it would be taken for gone.
         let silent = !outbox.heard.swap(false, Ordering::Relaxed);
-        if quiet || silent {
+        if quiet || silent || pings.are_stamped() {
             let mut touched = Touched::new();
-            let ping = Parcel::new(Family::Time, "ping").context(Path::root()).id(0);
+            let ping = pings.next(&context.board.clock);
             context.board.tell(outbox.peer, ping, &mut touched);
             flush(&mut touched);
             // A ping alone is not activity, or the next one would wait twice as long.
@@ -207,7 +217,7 @@ impl Session {
             if !goes_on {
                 break Ok(());
             }
-            if !self.logged_in || !self.context.board.run(self.peer, reader, &mut touched) {
+            if !self.run(reader, &mut touched) {
                 let frame = match reader.try_next() {
                     Ok(None) => break Ok(()),
                     Ok(Some(frame)) => frame,
@@ -229,6 +239,12 @@ impl Session {
             self.heard_at = Instant::now();
         }
         result
+    }
+
+    /// Passes on plain messages that are alike.
+    fn run(&self, reader: &mut Reader, touched: &mut Touched) -> bool {
+        let clock = |now| self.peer_clock(now);
+        self.logged_in && self.context.board.run(self.peer, reader, &clock, touched)
     }
 
     /// Why a connection ends that gives nothing more.
@@ -259,7 +275,9 @@ impl Session {
         match parcel.family {
             Family::Message if self.logged_in => {
                 let reference = parcel.id;
-                if let Err(error) = self.context.board.message(self.peer, parcel, touched) {
+                let clock = |now| self.peer_clock(now);
+                let sent = self.context.board.message(self.peer, parcel, &clock, touched);
+                if let Err(error) = sent {
                     self.refuse(&error, reference, touched);
                 }
                 Ok(())
@@ -274,6 +292,8 @@ impl Session {
                     Input::Request {
                         peer: self.peer,
                         parcel,
+                        // Only messages have an age.
+                        clock: None,
                     },
                     touched,
                 );
@@ -287,19 +307,35 @@ impl Session {
         }
     }
 
-    fn time(&self, parcel: &Parcel, touched: &mut Touched) {
+    fn time(&mut self, parcel: &Parcel, touched: &mut Touched) {
         match Verb::of(parcel.family, &parcel.name) {
             Ok(Verb::Ping) => {
-                let received = Map::new().with("received", self.context.board.clock.wall());
-                let mut pong = Parcel::new(Family::Time, "pong")
-                    .context(Path::root())
-                    .content(received);
-                pong.reference = parcel.id;
+                let pong = Measure::pong(parcel, &self.context.board.clock);
                 self.context.board.tell(self.peer, pong, touched);
+                if self.logged_in && self.measure.begins(parcel, &self.pings) {
+                    self.ping(touched);
+                }
             }
-            Ok(_) => {}
+            Ok(_) => {
+                let clock = &self.context.board.clock;
+                if self.measure.learn(parcel, &self.pings, clock) && self.logged_in {
+                    self.ping(touched);
+                }
+            }
             Err(error) => self.refuse(&error, parcel.id, touched),
         }
+    }
+
+    fn peer_clock(&self, now: Micros) -> Option<PeerClock> {
+        self.measure.offset(now).map(|offset| PeerClock {
+            offset,
+            future: self.context.limits.future.saturating_mul(1000),
+        })
+    }
+
+    fn ping(&self, touched: &mut Touched) {
+        let ping = self.pings.next(&self.context.board.clock);
+        self.context.board.tell(self.peer, ping, touched);
     }
 
     fn refuse(&self, error: &WireError, reference: Option<u64>, touched: &mut Touched) {

@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use dashmap::DashMap;
-use mom_hub::{Admission, Effect, Hub, Input, PeerId, Record, Route, Ticket, admit};
+use mom_hub::{
+    Admission, Alike, Effect, Hub, Ingress, Input, PeerClock, PeerId, Record, Route, Ticket, admit,
+};
 use mom_managers::Micros;
 use mom_net::Reader;
 use mom_proto::binary::{Plain, Run};
@@ -118,23 +120,26 @@ impl Switchboard {
         &self,
         peer: PeerId,
         mut parcel: Box<Parcel>,
+        clock: &dyn Fn(Micros) -> Option<PeerClock>,
         touched: &mut Touched,
     ) -> Result<(), WireError> {
         let Some(channel) = self.channel_of(&parcel) else {
-            self.decide(Input::Request { peer, parcel }, touched);
+            let clock = clock(self.clock.now());
+            self.decide(Input::Request { peer, parcel, clock }, touched);
             return Ok(());
         };
         let mut inner = channel.lock();
         // Inside the critical section, so that hub time never runs against the channel's order.
-        let now = self.clock.now();
-        let wall = self.clock.wall_at(now);
+        let ingress = self.ingress(clock);
+        let now = ingress.now;
         let message = Arc::clone(&parcel.name);
-        let admission = admit(&inner.route, peer, &mut parcel, now, wall);
+        let admission = admit(&inner.route, peer, &mut parcel, &ingress);
         let admission = admission.inspect_err(|error| self.note_refused(peer, &inner.route, &message, error));
         match admission? {
             Admission::Consult => {
                 drop(inner);
-                self.decide(Input::Request { peer, parcel }, touched);
+                let clock = ingress.clock;
+                self.decide(Input::Request { peer, parcel, clock }, touched);
             }
             Admission::Pass(receivers, rate) => {
                 let receipt = receipt_of(&parcel);
@@ -151,7 +156,13 @@ impl Switchboard {
 
     /// Passes on the plain messages that lie in front of a reader, as long as they are alike, and takes them from it.
     /// False if there are none, or if what lies there needs [`Switchboard::message`]; nothing is taken then.
-    pub(crate) fn run(&self, peer: PeerId, reader: &mut Reader, touched: &mut Touched) -> bool {
+    pub(crate) fn run(
+        &self,
+        peer: PeerId,
+        reader: &mut Reader,
+        clock: &dyn Fn(Micros) -> Option<PeerClock>,
+        touched: &mut Touched,
+    ) -> bool {
         let Some(number) = reader.plain().filter(is_small).map(|plain| plain.number()) else {
             return false;
         };
@@ -165,8 +176,8 @@ impl Switchboard {
         if !inner.takes_runs() || Verb::of(stamped.family, &stamped.name).is_ok_and(is_urgent) {
             return false;
         }
-        let now = self.clock.now();
-        let admission = admit(&inner.route, peer, &mut stamped, now, self.clock.wall_at(now));
+        let ingress = self.ingress(clock);
+        let admission = admit(&inner.route, peer, &mut stamped, &ingress);
         // All else is decided, told and counted where single messages are.
         let Ok(Admission::Pass(receivers, None)) = admission else {
             return false;
@@ -174,6 +185,7 @@ impl Switchboard {
         if stamped.delivery.unwrap_or(inner.route.delivery) != Delivery::Reliable {
             return false;
         }
+        let alike = Alike::new(&inner.route, peer, &stamped.name, &ingress);
         let room = (reader.waiting() * 3 / 2).min(RUN) + 256;
         let mut run: Option<Run> = None;
         while let Some(plain) = reader.plain().filter(is_small) {
@@ -181,11 +193,14 @@ impl Switchboard {
             if !run.takes(&plain) || run.length() >= RUN {
                 break;
             }
-            run.push(&plain, stamped.age.unwrap_or_default());
+            let Some(age) = alike.age(plain.timestamp()) else {
+                break;
+            };
+            run.push(&plain, age);
             let length = plain.length();
             reader.consume(length);
         }
-        let Some(run) = run else {
+        let Some(run) = run.filter(|run| run.count() > 0) else {
             return false;
         };
         let delivered = inner.deliver_run(peer, run, &stamped, &receivers);
@@ -193,6 +208,15 @@ impl Switchboard {
         drop(inner);
         self.settle(peer, None, &path, delivered, touched);
         true
+    }
+
+    fn ingress(&self, clock: &dyn Fn(Micros) -> Option<PeerClock>) -> Ingress {
+        let now = self.clock.now();
+        Ingress {
+            now,
+            wall: self.clock.wall_at(now),
+            clock: clock(now),
+        }
     }
 
     /// Writes down a message that was refused without the hub.

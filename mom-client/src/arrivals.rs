@@ -5,6 +5,7 @@ use mom_proto::{Family, Parcel, Path, WireError};
 
 use crate::Event;
 use crate::info::{map_of, text};
+use crate::pending::Waiter;
 use crate::shared::{Shared, State};
 
 impl Shared {
@@ -57,8 +58,23 @@ impl Shared {
         }
     }
 
+    /// Pings the hub: a sign of life, and an exchange of stamps.
+    pub(crate) fn measure(&self) {
+        let id = self.next_id();
+        let ping = Parcel::new(Family::Time, "ping")
+            .id(id)
+            .content(self.clock.ask(id));
+        let mut state = self.lock();
+        // After the good-bye nothing more is said, and a link that is gone meanwhile needs no heartbeat.
+        if !state.outbox.is_finished() {
+            let _ = self.ask_in(&mut state, ping, &mut Some(Waiter::Nobody));
+        }
+        drop(state);
+        self.outgoing.notify_one();
+    }
+
     fn pong(&self, reference: Option<u64>) {
-        let mut pong = Parcel::new(Family::Time, "pong");
+        let mut pong = Parcel::new(Family::Time, "pong").content(self.clock.answer());
         pong.reference = reference;
         // A link that is gone meanwhile needs no answer, and an answer has none itself.
         let _ = self.ask_in(&mut self.lock(), pong, &mut None);
@@ -71,6 +87,9 @@ impl Shared {
             .and_then(|reference| self.lock().pending.take(reference));
         // Only pings are answered so, and what they wait for is to be heard of.
         drop(waiter);
+        if self.clock.answered(pong) {
+            self.measure();
+        }
     }
 
     fn receive_consult(&self, parcel: Parcel) {

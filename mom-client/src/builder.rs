@@ -7,8 +7,10 @@ use std::sync::atomic::AtomicU64;
 use std::time::Duration;
 
 use mom_net::{Address, Transceiver};
+use mom_proto::Time;
 
 use crate::client::{Client, Handle};
+use crate::clock::{HubClock, Wall};
 use crate::login::Connector;
 use crate::proof::Credentials;
 use crate::shared::{Settings, Shared};
@@ -42,6 +44,7 @@ pub struct Builder {
     credentials: Credentials,
     /// A key that could not be read.
     fault: Option<ClientError>,
+    wall: Wall,
     settings: Settings,
 }
 
@@ -69,6 +72,7 @@ impl Builder {
                 hub: None,
             },
             fault: None,
+            wall: Arc::new(crate::clock::system),
             settings: Settings {
                 request_timeout: REQUEST_TIMEOUT,
                 connect_timeout: CONNECT_TIMEOUT,
@@ -163,6 +167,13 @@ impl Builder {
         self
     }
 
+    /// The clock by which this peer stamps what it sends, as a camera has one of its own; the system's wall clock unless
+    /// told. It may be wrong and may be set anew: the hub measures how far it is off (M34).
+    pub fn wall_clock(mut self, wall: impl Fn() -> Time + Send + Sync + 'static) -> Builder {
+        self.wall = Arc::new(move || Some(wall()));
+        self
+    }
+
     /// Connects and logs in, once: a hub that cannot be had now is an error. Needs a tokio runtime, in which
     /// the client lives from then on.
     ///
@@ -181,6 +192,7 @@ impl Builder {
         let shared = Shared::new(
             self.settings,
             self.credentials,
+            HubClock::new(self.wall),
             connector.form(),
             ids,
             connected.welcome,

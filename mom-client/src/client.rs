@@ -13,7 +13,8 @@ use crate::login::Welcome;
 use crate::proof::{Credentials, is_challenge};
 use crate::shared::{Shared, verb};
 use crate::{
-    Builder, Channel, ClientError, Consults, ContextInfo, Events, Link, Member, Proof, Session, Token,
+    Builder, Channel, ClientError, Consults, ContextInfo, Events, HubClock, Link, Member, Proof, Session,
+    Token,
 };
 
 /// How long a good-bye may take.
@@ -262,6 +263,11 @@ impl Client {
     pub fn unaddressed(&self) -> Events {
         let shared = self.shared();
         Events::new(shared.subscribe_unaddressed(), Arc::clone(shared), None)
+    }
+
+    /// The hub's clock as this link measures it, and by it the age of what arrives.
+    pub fn clock(&self) -> HubClock {
+        self.shared().clock.clone()
     }
 
     /// The state of the link, to look at and to wait on.

@@ -5,7 +5,8 @@
 //! [`Token`] (exclusive control of a device). A [`TokenGuard`] holds a token, renews its lease and gives it to
 //! another peer; an [`InhibitGuard`] keeps everybody from it; a [`FenceGate`] lets a device refuse what an earlier
 //! owner sent, and a [`StateGate`] what was meant for an earlier state of it. [`Consults`] are the hub's questions
-//! to who manages contexts. A lost link is made anew and everything joined is joined again; tokens are not, as
+//! to who manages contexts. A [`HubClock`] knows the hub's time and the [`Age`] of what arrives, and a [`Predictor`] bridges
+//! it. A lost link is made anew and everything joined is joined again; tokens are not, as
 //! somebody else may drive by then.
 //!
 //! ```no_run
@@ -31,6 +32,7 @@ mod ask_owner;
 mod builder;
 mod channel;
 mod client;
+mod clock;
 mod consults;
 mod driver;
 mod error;
@@ -53,6 +55,7 @@ mod outbox;
 mod owning;
 mod pending;
 mod places;
+mod predict;
 mod proof;
 mod reconnect;
 mod refusal;
@@ -68,6 +71,7 @@ pub use ask_owner::AskOwner;
 pub use builder::Builder;
 pub use channel::Channel;
 pub use client::Client;
+pub use clock::{Age, HubClock};
 pub use consults::{Consult, Consults};
 pub use error::{ClientError, ErrorKind};
 pub use events::Event;
@@ -85,6 +89,7 @@ pub use mom_proto::{
     Code, Content, ContextKind, Delivery, Family, Map, Parcel, Path, Time, Value, WireError, event,
     from_value, to_value,
 };
+pub use predict::{Model, Prediction, Predictor};
 pub use proof::Proof;
 pub use reconnect::{Link, Reconnect};
 pub use refusal::{Refusal, ordinal, plain_duration};

@@ -6,8 +6,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use mom_net::{NetError, Reader, Transceiver, Writer};
+use mom_proto::Family;
 use mom_proto::codec::Frame;
-use mom_proto::{Family, Parcel};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until, timeout};
 
@@ -20,24 +20,16 @@ const LAST_WORDS: Duration = Duration::from_secs(1);
 
 /// Runs a connection to its end; gives why it ended.
 pub(crate) async fn run(shared: &Arc<Shared>, transceiver: Transceiver) -> String {
-    let activity = Arc::new(Activity::new());
+    let heard = Arc::new(Moment::now());
     // Ended by being dropped with this future.
     let mut tasks = JoinSet::new();
     let reading = tasks
-        .spawn(read(
-            Arc::clone(shared),
-            Arc::clone(&activity),
-            transceiver.reader,
-        ))
+        .spawn(read(Arc::clone(shared), Arc::clone(&heard), transceiver.reader))
         .id();
-    tasks.spawn(write(
-        Arc::clone(shared),
-        Arc::clone(&activity),
-        transceiver.writer,
-    ));
+    tasks.spawn(write(Arc::clone(shared), transceiver.writer));
     let first = tokio::select! {
         ended = tasks.join_next_with_id() => ended,
-        () = keep(shared, &activity) => return "the hub says nothing any more".to_owned(),
+        () = keep(shared, &heard) => return "the hub says nothing any more".to_owned(),
     };
     match first {
         Some(Ok((id, ended))) if id != reading => {
@@ -60,9 +52,9 @@ fn words(ended: Result<(), NetError>) -> String {
     }
 }
 
-async fn read(shared: Arc<Shared>, activity: Arc<Activity>, mut reader: Reader) -> Result<(), NetError> {
+async fn read(shared: Arc<Shared>, heard: Arc<Moment>, mut reader: Reader) -> Result<(), NetError> {
     while let Some(frame) = reader.next().await? {
-        activity.heard.note();
+        heard.note();
         match frame {
             Frame::Parcel(parcel) => shared.receive(*parcel),
             Frame::Malformed { error, .. } => shared.receive_malformed(error),
@@ -71,7 +63,7 @@ async fn read(shared: Arc<Shared>, activity: Arc<Activity>, mut reader: Reader) 
     Ok(())
 }
 
-async fn write(shared: Arc<Shared>, activity: Arc<Activity>, writer: Writer) -> Result<(), NetError> {
+async fn write(shared: Arc<Shared>, writer: Writer) -> Result<(), NetError> {
     let mut batch = VecDeque::new();
     loop {
         let found = shared.lock().outbox.take(&mut batch);
@@ -89,31 +81,30 @@ async fn write(shared: Arc<Shared>, activity: Arc<Activity>, writer: Writer) -> 
         while writer.try_write(&mut batch)? == mom_net::Progress::Blocked {
             writer.ready().await?;
         }
-        activity.sent.note();
     }
 }
 
-/// Says `time ping` when one side has been silent for a heartbeat, renews leases, and ends when the hub has
-/// been silent for too long.
-async fn keep(shared: &Shared, activity: &Activity) {
+/// Says `time ping` at once and each heartbeat, renews leases, and ends when the hub has been silent for too long.
+async fn keep(shared: &Shared, heard: &Moment) {
     let limits = shared.lock().me.limits.clone();
     let mut pinged = Instant::now();
+    shared.clock.forget();
+    shared.measure();
     loop {
         let now = Instant::now();
-        if now >= activity.heard.at() + limits.gone {
+        if now >= heard.at() + limits.gone {
             return;
         }
-        // Who only sends would never hear that the hub is alive, who only hears would seem dead to it.
-        let quiet = activity.sent.at().min(activity.heard.at()).max(pinged);
-        if now >= quiet + limits.heartbeat {
+        // Also on a busy link: who only sends would never hear that the hub is alive, who only hears would seem dead to
+        // it, and what is known of the hub's clock grows old.
+        if now >= pinged + limits.heartbeat {
             pinged = now;
-            // A link that is gone meanwhile needs no heartbeat.
-            let _ = shared.ask(Parcel::new(Family::Time, "ping"), Waiter::Nobody);
+            shared.measure();
             continue;
         }
         renew(shared, now);
         let renewal = shared.lock().guards.next_renewal();
-        let wake = (quiet + limits.heartbeat).min(activity.heard.at() + limits.gone);
+        let wake = (pinged + limits.heartbeat).min(heard.at() + limits.gone);
         let wake = renewal.map_or(wake, |renewal| wake.min(renewal));
         tokio::select! {
             () = sleep_until(wake) => {}
@@ -131,22 +122,6 @@ fn renew(shared: &Shared, now: Instant) {
     }
     drop(state);
     shared.outgoing.notify_one();
-}
-
-/// When something was last heard and sent.
-#[derive(Debug)]
-struct Activity {
-    heard: Moment,
-    sent: Moment,
-}
-
-impl Activity {
-    fn new() -> Activity {
-        Activity {
-            heard: Moment::now(),
-            sent: Moment::now(),
-        }
-    }
 }
 
 /// An instant that two tasks share, exact to a ms.

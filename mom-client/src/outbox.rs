@@ -62,6 +62,11 @@ impl Outbox {
         self.finished = true;
     }
 
+    /// Whether nothing should follow what waits.
+    pub(crate) fn is_finished(&self) -> bool {
+        self.finished
+    }
+
     /// Moves a batch to the writer.
     pub(crate) fn take(&mut self, batch: &mut VecDeque<Outgoing>) -> Found {
         let (mut bytes, mut room) = (0, 0);

@@ -6,9 +6,9 @@ use mom_proto::{
     Code, Family, LOGIN_CONTEXT, Map, NONCE_BYTES, Parcel, Path, Value, WireError, login_challenge,
 };
 
+use crate::clock::system;
 use crate::error::bad_reply;
 use crate::info::{map_of, text};
-use crate::shared::now;
 use crate::{ClientError, Key};
 
 /// How a peer proves who it is.
@@ -101,7 +101,7 @@ fn said(name: &str, content: Map) -> Parcel {
     let mut parcel = Parcel::new(Family::Login, name)
         .context(Path::root())
         .content(content);
-    parcel.timestamp = now();
+    parcel.timestamp = system();
     parcel
 }
 

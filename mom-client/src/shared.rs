@@ -2,15 +2,16 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use mom_net::Outgoing;
 use mom_proto::codec::Form;
-use mom_proto::{Code, Family, Parcel, Path, Time, WireError};
+use mom_proto::{Code, Family, Parcel, Path, WireError};
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::{Notify, Semaphore, oneshot, watch};
 use tokio::time::timeout;
 
+use crate::clock::HubClock;
 use crate::guards::Guards;
 use crate::handover::Handovers;
 use crate::login::Welcome;
@@ -41,6 +42,7 @@ pub(crate) struct Shared {
     pub(crate) settings: Settings,
     /// As whom it logs in, also after a lost link.
     pub(crate) credentials: Mutex<Credentials>,
+    pub(crate) clock: HubClock,
     /// What the link speaks, none within a process; the same for every link of one client.
     form: Option<Form>,
     state: Mutex<State>,
@@ -85,6 +87,7 @@ impl Shared {
     pub(crate) fn new(
         settings: Settings,
         credentials: Credentials,
+        clock: HubClock,
         form: Option<Form>,
         ids: AtomicU64,
         me: Welcome,
@@ -106,6 +109,7 @@ impl Shared {
         Shared {
             settings,
             credentials: Mutex::new(credentials),
+            clock,
             form,
             state: Mutex::new(state),
             ids,
@@ -218,7 +222,7 @@ impl Shared {
 
     /// Stamps and encodes a parcel.
     fn prepare(&self, parcel: &mut Parcel, most: mom_proto::Limit) -> Result<Outgoing, ClientError> {
-        parcel.timestamp = parcel.timestamp.or_else(now);
+        parcel.timestamp = parcel.timestamp.or_else(|| self.clock.wall());
         let Some(form) = self.form else {
             return Ok(Outgoing::Parcel(Arc::new(parcel.clone())));
         };
@@ -380,10 +384,4 @@ fn describe(parcel: &Parcel) -> String {
         .map(|path| format!(" {path}"))
         .unwrap_or_default();
     format!("{} {}{path}", parcel.family, parcel.name())
-}
-
-/// Wall time, for the slot `timestamp`.
-pub(crate) fn now() -> Option<Time> {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).ok()?;
-    Time::from_micros(i64::try_from(since.as_micros()).ok()?)
 }

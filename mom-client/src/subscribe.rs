@@ -19,7 +19,8 @@ const EARLY: usize = 64;
 /// The events of one context, or of all that no other subscription takes.
 ///
 /// What is not taken waits in a bounded queue. When it is full the oldest go, and the next thing taken is
-/// [`Event::Lagged`] with their number. A context's events keep its membership and the connection alive.
+/// [`Event::Lagged`] with their number. A message whose `expires` is over by the hub's clock is not handed out, only
+/// counted ([`HubClock::expired`](crate::HubClock::expired)). A context's events keep its membership and the connection alive.
 ///
 /// ```no_run
 /// # async fn example(client: mom_client::Client) -> Result<(), mom_client::ClientError> {
@@ -52,12 +53,34 @@ impl Events {
 
     /// The next event; `None` once the context is left or deleted or the client is closed. Safe to cancel.
     pub async fn next(&mut self) -> Option<Event> {
-        self.queue.next().await
+        loop {
+            let event = self.queue.next().await?;
+            if !self.is_over(&event) {
+                return Some(event);
+            }
+        }
     }
 
     /// The next event, if one waits.
     pub fn try_next(&mut self) -> Option<Event> {
-        self.queue.take().ok()
+        loop {
+            let event = self.queue.take().ok()?;
+            if !self.is_over(&event) {
+                return Some(event);
+            }
+        }
+    }
+
+    /// Whether this is a message whose time is over, which is counted and not handed out.
+    fn is_over(&self, event: &Event) -> bool {
+        let Event::Message(parcel) = event else {
+            return false;
+        };
+        let over = self.shared.clock.is_expired(parcel);
+        if over {
+            self.shared.clock.note_expired();
+        }
+        over
     }
 }
 

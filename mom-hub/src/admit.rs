@@ -7,18 +7,31 @@ use mom_managers::{Answer, Denial, Micros, PeerFacts, Rate};
 use mom_proto::nearest::nearest;
 use mom_proto::{Code, Family, Parcel, Time, Verb, WireError, event};
 
+use crate::age::{age_of, aged, check_age, is_ahead, is_within};
 use crate::route::{Guard, GuardOwner, Route};
-use crate::{Member, PeerId};
+use crate::{Member, PeerClock, PeerId};
 
 /// The priorities that peers may use; others are brought into this range (M7).
 const PRIORITY: std::ops::RangeInclusive<i32> = -100..=100;
+
+/// When a message came, and what its link knows of its sender's clock.
+#[derive(Clone, Copy, Debug)]
+pub struct Ingress {
+    /// Monotonic time.
+    pub now: Micros,
+    /// The hub's wall time.
+    pub wall: Time,
+    /// The sender's clock; none = not known, and nothing is said of the message's age.
+    pub clock: Option<PeerClock>,
+}
 
 /// What became of a message.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Admission {
     /// It may pass, stamped, to these, if its sender has not used up this rate.
     Pass(Receivers, Option<Rate>),
-    /// The hub has to decide: no verdict stands, or a deadline has come on which it has not acted yet.
+    /// The hub has to decide: no verdict stands for a message of this name and age, or a deadline has come on which
+    /// it has not acted yet.
     Consult,
 }
 
@@ -36,15 +49,15 @@ pub enum Receivers {
 /// Admits a message of a peer to a channel and stamps it: sender, context, hub time, age, fence.
 ///
 /// # Errors
-/// `not-member`, the standing denial, `not-owner`, `older-fence`, `bad-fence`, `unknown-peer`. The parcel
-/// is of no use then.
+/// `not-member`, the standing denial, `not-owner`, `older-fence`, `bad-fence`, `bad-slot` for a timestamp of the future,
+/// `expired`, `unknown-peer`. The parcel is of no use then.
 pub fn admit(
     route: &Route,
     peer: PeerId,
     parcel: &mut Parcel,
-    now: Micros,
-    wall: Time,
+    ingress: &Ingress,
 ) -> Result<Admission, WireError> {
+    let now = ingress.now;
     let member = sender(route, peer)?;
     let owner = route.guard.as_ref().and_then(|guard| guard.owner.as_ref());
     let overdue = owner
@@ -56,13 +69,49 @@ pub fn admit(
             .guard
             .as_ref()
             .is_some_and(|guard| guard.covers(&parcel.name));
+    let young = |most: Micros| is_within(age_of(parcel, ingress.wall, ingress.clock.as_ref()), most);
     match member
         .standing(&parcel.name, now)
         .filter(|_| !overdue && !counted)
+        .filter(|standing| standing.max_age.is_none_or(young))
     {
         None => Ok(Admission::Consult),
-        Some(standing) => admit_with(route, peer, &standing.answer, parcel, now, wall)
+        Some(standing) => admit_with(route, peer, &standing.answer, parcel, ingress)
             .map(|receivers| Admission::Pass(receivers, standing.rate)),
+    }
+}
+
+/// What holds for further messages of the same sender and the same slots as one that was admitted: only their
+/// stamps are looked at.
+#[derive(Clone, Copy, Debug)]
+pub struct Alike {
+    wall: Time,
+    clock: Option<PeerClock>,
+    max_age: Option<Micros>,
+}
+
+impl Alike {
+    /// For messages of this name that come with the one that was admitted at `ingress`.
+    pub fn new(route: &Route, peer: PeerId, name: &str, ingress: &Ingress) -> Alike {
+        let standing = route
+            .member(peer)
+            .and_then(|member| member.standing(name, ingress.now));
+        Alike {
+            wall: ingress.wall,
+            clock: ingress.clock,
+            max_age: standing.and_then(|standing| standing.max_age),
+        }
+    }
+
+    /// The age in µs of a message of this timestamp, 0 where it is not known; none if the message has to be
+    /// admitted by itself, for it may be refused.
+    pub fn age(&self, timestamp: Option<Time>) -> Option<i64> {
+        let (Some(clock), Some(timestamp)) = (self.clock, timestamp) else {
+            return self.max_age.is_none().then_some(0);
+        };
+        let age = aged(timestamp, self.wall, &clock);
+        let young = self.max_age.is_none_or(|most| is_within(Some(age), most));
+        (young && !is_ahead(age, &clock)).then_some(age.0)
     }
 }
 
@@ -75,9 +124,9 @@ pub fn admit_with(
     peer: PeerId,
     answer: &Answer,
     parcel: &mut Parcel,
-    now: Micros,
-    wall: Time,
+    ingress: &Ingress,
 ) -> Result<Receivers, WireError> {
+    let &Ingress { now, wall, .. } = ingress;
     let member = sender(route, peer)?;
     match answer {
         Answer::Allow(_) => {}
@@ -95,15 +144,16 @@ pub fn admit_with(
         "only messages are admitted to channels"
     );
     let fence = check_guard(route, member, parcel, now)?;
+    let age = check_age(parcel, wall, ingress.clock.as_ref())?;
     let receivers = receivers(route, peer, parcel)?;
     parcel.sender = Some(member.facts.name.clone());
     parcel.context = Some(route.path.clone());
     parcel.number = Some(route.number);
     parcel.fence = fence;
     parcel.received = Some(wall);
-    // Without an estimate of the link's clock the age is counted from ingress; no error bound says so.
-    parcel.age = Some(0);
-    parcel.age_error = None;
+    // Without an estimate of the sender's clock the age is counted from ingress; no error bound says so.
+    parcel.age = Some(age.map_or(0, |(age, _)| age));
+    parcel.age_error = age.map(|(_, error)| error);
     parcel.priority = parcel
         .priority
         .map(|priority| priority.clamp(*PRIORITY.start(), *PRIORITY.end()));

@@ -10,6 +10,7 @@ use mom_managers::{
 use mom_proto::{Code, ContextKind, ContextNumber, Path, Verb, WireError};
 
 use crate::admit::refusal;
+use crate::age::Aged;
 use crate::context::Context;
 use crate::ownership::{fence_value, millis};
 use crate::pending::{Deferred, Refusal};
@@ -27,6 +28,8 @@ pub(crate) struct Wish<'a> {
     pub(crate) kind: Option<ContextKind>,
     pub(crate) message: Option<&'a str>,
     pub(crate) size: usize,
+    /// The age of the message and its error, µs, where they are known.
+    pub(crate) age: Option<Aged>,
 }
 
 impl Wish<'_> {
@@ -38,6 +41,7 @@ impl Wish<'_> {
             kind: None,
             message: None,
             size: 0,
+            age: None,
         }
     }
 }
@@ -92,6 +96,7 @@ impl Hub {
             path: wish.path.unwrap_or(&context.path).clone(),
             message: wish.message.map(str::to_owned),
             size: wish.size,
+            age: wish.age,
             kind: wish.kind.unwrap_or(context.kind()).word(),
         }))
     }
@@ -152,7 +157,7 @@ impl Hub {
             kind: wish.kind.unwrap_or(context.kind()),
             message: wish.message,
             size: wish.size,
-            age: None,
+            age: wish.age,
             token: self.token_facts(context, peer),
             invited,
             created: creator == Some(peer),

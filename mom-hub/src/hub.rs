@@ -145,7 +145,14 @@ impl Hub {
                 id,
             } => self.handle_login(peer, user, nickname, id, out),
             Input::Gone { peer } => self.handle_gone(peer, out),
-            Input::Request { peer, parcel } => self.handle_request(peer, *parcel, Vec::new(), out),
+            Input::Request { peer, parcel, clock } => {
+                // Only messages have an age, and one may still wait when something else is asked.
+                let message = parcel.family == Family::Message;
+                if let Some(known) = self.peers.get_mut(peer).filter(|_| message) {
+                    known.clock = clock.map(|clock| (clock, self.now));
+                }
+                self.handle_request(peer, *parcel, Vec::new(), out);
+            }
             Input::Stored { ticket, ok } => self.handle_stored(ticket, ok, out),
             Input::Configure(configuration) => self.handle_configuration(*configuration, out),
             Input::Tick => {}

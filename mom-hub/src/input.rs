@@ -3,7 +3,7 @@
 use mom_managers::Registry;
 use mom_proto::{Limits, Map, Parcel, Value};
 
-use crate::{ContextSpec, PeerId, Ticket};
+use crate::{ContextSpec, PeerClock, PeerId, Ticket};
 
 /// One input; all that the hub ever reacts to, besides time.
 #[derive(Clone, Debug)]
@@ -30,6 +30,8 @@ pub enum Input {
         peer: PeerId,
         /// What.
         parcel: Box<Parcel>,
+        /// The clock by which it stamps; none = not known.
+        clock: Option<PeerClock>,
     },
     /// A record is durable, or will never be.
     Stored {

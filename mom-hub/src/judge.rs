@@ -109,6 +109,8 @@ impl Hub {
             path: Some(case.path),
             kind: case.kind,
             message: case.message,
+            // Created just now.
+            age: case.message.map(|_| (0, 0)),
             ..Wish::new(case.verb, at)
         };
         let verdict = self.consult(ASKER, &wish);

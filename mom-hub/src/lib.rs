@@ -21,6 +21,7 @@
 //! ```
 
 mod admit;
+mod age;
 mod args;
 mod audit;
 mod check;
@@ -51,7 +52,8 @@ mod tree;
 mod verbs;
 mod waiting;
 
-pub use admit::{Admission, Receivers, admit, admit_with};
+pub use admit::{Admission, Alike, Ingress, Receivers, admit, admit_with};
+pub use age::PeerClock;
 pub use args::ContextSpec;
 pub use audit::Audit;
 pub use context::Presence;

@@ -34,6 +34,8 @@ pub struct StandingVerdict {
     pub until: Option<Micros>,
     /// How much of them; none = without limit.
     pub rate: Option<Rate>,
+    /// For messages that are surely not older, µs; none = of any age.
+    pub max_age: Option<Micros>,
     /// The answer.
     pub answer: Answer,
 }

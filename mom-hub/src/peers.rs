@@ -6,7 +6,7 @@ use std::sync::Arc;
 use mom_managers::{Micros, PeerFacts};
 use mom_proto::{ContextNumber, numbered_name};
 
-use crate::{PeerId, User};
+use crate::{PeerClock, PeerId, User};
 
 /// A peer that has logged in.
 #[derive(Debug)]
@@ -16,6 +16,8 @@ pub(crate) struct Peer {
     pub(crate) owns: BTreeSet<ContextNumber>,
     /// Tokens that it waits for, asks for, is offered, or holds together with others.
     pub(crate) involved: BTreeSet<ContextNumber>,
+    /// Its clock, as known at its last request, and when that was.
+    pub(crate) clock: Option<(PeerClock, Micros)>,
 }
 
 /// All peers by connection and by name.
@@ -63,6 +65,7 @@ impl Peers {
                 joined: BTreeSet::new(),
                 owns: BTreeSet::new(),
                 involved: BTreeSet::new(),
+                clock: None,
             },
         );
         facts

@@ -9,6 +9,7 @@ use std::sync::Arc;
 use mom_managers::{Ask, Defer, Given, Micros};
 use mom_proto::{Code, Content, ContextNumber, Family, Map, Parcel, Path, Value, Verb, WireError};
 
+use crate::age::Aged;
 use crate::hub::Timer;
 use crate::{Effect, Hub, PeerId};
 
@@ -56,6 +57,7 @@ pub(crate) struct Deferred {
     pub(crate) path: Path,
     pub(crate) message: Option<String>,
     pub(crate) size: usize,
+    pub(crate) age: Option<Aged>,
     pub(crate) kind: &'static str,
 }
 
@@ -210,6 +212,10 @@ impl Hub {
         if let Some(message) = &deferred.message {
             content.set("message", message.as_str());
             content.set("size", i64::try_from(deferred.size).unwrap_or(i64::MAX));
+            if let Some((age, error)) = deferred.age {
+                content.set("age", age);
+                content.set("age-error", i64::try_from(error).unwrap_or(i64::MAX));
+            }
         }
         content.set("kind", deferred.kind);
         content.set("within", self.millis_until(until));

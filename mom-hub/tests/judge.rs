@@ -109,6 +109,7 @@ fn ask(verb: Verb, path: &str) -> WireError {
     }
     let request = |peer, verb: Verb, path: &str| Input::Request {
         peer,
+        clock: None,
         parcel: Box::new(
             Parcel::new(verb.family(), verb.word())
                 .context(Path::parse(path).expect("a path"))

@@ -60,7 +60,15 @@ fn ask_at(hub: &mut Hub, now: Micros, peer: u64, request: &str, path: &str, cont
         .id(7);
     let mut effects = Vec::new();
     let (peer, parcel) = (PeerId(peer), Box::new(parcel));
-    hub.handle(now, Input::Request { peer, parcel }, &mut effects);
+    hub.handle(
+        now,
+        Input::Request {
+            peer,
+            parcel,
+            clock: None,
+        },
+        &mut effects,
+    );
     hub.check();
     effects
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use mom_hub::{Admission, Effect, Hub, Input, PeerId, Route, Settings, User, admit};
+use mom_hub::{Admission, Effect, Hub, Ingress, Input, PeerId, Route, Settings, User, admit};
 use mom_managers::{Micros, Registry};
 use mom_proto::{Code, Content, Family, Map, Parcel, Path, Time};
 
@@ -25,7 +25,15 @@ fn ask(
     parcel.content = content.map(Content::from);
     let mut effects = Vec::new();
     let parcel = Box::new(parcel);
-    hub.handle(0, Input::Request { peer, parcel }, &mut effects);
+    hub.handle(
+        0,
+        Input::Request {
+            peer,
+            parcel,
+            clock: None,
+        },
+        &mut effects,
+    );
     hub.check();
     for effect in &effects {
         if let Effect::Reply { parcel, .. } = effect {
@@ -129,12 +137,31 @@ fn an_eager_lease_ends_for_who_holds_a_route() {
     ));
     let end = Micros::try_from(LEASE * 1000).expect("positive");
     let command = || Parcel::new(Family::Message, "command").context(route.path.clone());
-    let at = |now| admit(&route, OWNER, &mut command(), now, Time::default());
+    let at = |now| {
+        admit(
+            &route,
+            OWNER,
+            &mut command(),
+            &Ingress {
+                now,
+                wall: Time::default(),
+                clock: None,
+            },
+        )
+    };
     assert!(matches!(at(end - 1), Ok(Admission::Pass(..))));
     assert_eq!(at(end), Ok(Admission::Consult));
     let mut effects = Vec::new();
     let parcel = Box::new(command());
-    hub.handle(end, Input::Request { peer: OWNER, parcel }, &mut effects);
+    hub.handle(
+        end,
+        Input::Request {
+            peer: OWNER,
+            parcel,
+            clock: None,
+        },
+        &mut effects,
+    );
     let refused = effects.iter().any(|effect| match effect {
         Effect::Reply { parcel, .. } => parcel.name() == Code::NOT_OWNER.word(),
         _ => false,

@@ -47,7 +47,15 @@ fn ask(hub: &mut Hub, peer: u64, family: Family, name: &str, path: &str) -> Parc
     let parcel = Box::new(Parcel::new(family, name).context(path).id(7));
     let mut effects = Vec::new();
     let peer = PeerId(peer);
-    hub.handle(1, Input::Request { peer, parcel }, &mut effects);
+    hub.handle(
+        1,
+        Input::Request {
+            peer,
+            parcel,
+            clock: None,
+        },
+        &mut effects,
+    );
     let mut answers = effects.into_iter().filter_map(|effect| match effect {
         Effect::Reply { to, parcel } if to == peer => Some(parcel),
         _ => None,

@@ -17,6 +17,7 @@
 mod arbitrary;
 pub mod binary;
 mod challenge;
+mod clock_offset;
 pub mod codec;
 mod codes;
 mod content;
@@ -41,6 +42,7 @@ mod verb;
 pub mod xml;
 
 pub use challenge::{LOGIN_CONTEXT, NONCE_BYTES, login_challenge};
+pub use clock_offset::{ClockOffset, Exchange, OffsetEstimator};
 pub use codes::Code;
 pub use content::Content;
 pub use context_kind::ContextKind;

@@ -126,6 +126,8 @@ pub struct Limits {
     pub heartbeat: u64,
     /// A peer that says nothing for so long is gone.
     pub gone: u64,
+    /// How far beyond the error of its clock a peer's stamp may lie in the future.
+    pub future: u64,
     /// Contexts in the whole tree.
     pub contexts: Limit,
     /// Contexts that one peer may have joined.
@@ -148,6 +150,7 @@ impl Default for Limits {
             outbox: 4 * 1024 * 1024,
             heartbeat: 10_000,
             gone: 30_000,
+            future: 1_000,
             contexts: Limit::At(100_000),
             joined: Limit::At(1024),
         }
@@ -186,5 +189,6 @@ impl Limits {
             .with("heartbeat", time(self.heartbeat))
             .with("gone", time(self.gone))
             .with("joined", limit(self.joined))
+            .with("future", time(self.future))
     }
 }

@@ -127,6 +127,14 @@ impl Value {
         }
     }
 
+    /// The instant, if this is a time.
+    pub fn as_time(&self) -> Option<Time> {
+        match self {
+            Value::Time(time) => Some(*time),
+            _ => None,
+        }
+    }
+
     /// True or false, if this is a boolean.
     pub fn as_bool(&self) -> Option<bool> {
         match self {

@@ -82,6 +82,7 @@ fn until(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
             scope,
             until,
             rate: None,
+            max_age: None,
         }
     })))
 }
@@ -95,6 +96,7 @@ fn a_chain_stands_as_long_as_all_its_links() {
         scope,
         until,
         rate: None,
+        max_age: None,
     };
     for (links, expected) in [
         (vec![of("open")], stands(Scope::AnyName, None)),
@@ -183,7 +185,7 @@ proptest! {
                 prop_assert_eq!(grant, &Grant { displace: first("displace").is_some(), until });
                 let stands = said.iter().map(|(_, number)| 1000 + number).min();
                 let rate = None;
-                prop_assert_eq!(verdict.standing, Standing::Stands { scope: Scope::AnyName, until: stands, rate });
+                prop_assert_eq!(verdict.standing, Standing::Stands { scope: Scope::AnyName, until: stands, rate, max_age: None });
             }
             Answer::Deny(denial) => {
                 prop_assert_eq!(Some(denial.rule.clone()), first("deny").map(|number| format!("no {number}")));
@@ -262,7 +264,7 @@ fn rates_are_the_narrowest_and_a_denial_has_none() {
         [(vec![limit(3, 9), "open".into(), limit(5, 4)], rate), (vec![limit(3, 9), "closed".into()], None)]
     {
         let verdict = ask(&mut *build(chain(links.clone())), &send);
-        let expected = Standing::Stands { scope: Scope::AnyName, until: None, rate: expected };
+        let expected = Standing::Stands { scope: Scope::AnyName, until: None, rate: expected, max_age: None };
         assert_eq!(verdict.standing, expected, "{links:?}");
     }
 }

@@ -38,6 +38,7 @@ struct Ask<'a> {
     invited: bool,
     created: bool,
     answers: &'a [Given],
+    age: Option<(i64, u64)>,
     now: Micros,
     /// As text; empty = the epoch.
     wall: &'a str,
@@ -60,6 +61,7 @@ const GRAB: Ask<'_> = Ask {
     invited: false,
     created: false,
     answers: &[],
+    age: None,
     now: 0,
     wall: "",
 };
@@ -91,7 +93,7 @@ fn ask(manager: &mut dyn Manager, ask: &Ask<'_>) -> Verdict {
         kind: ContextKind::Token,
         message: ask.message,
         size: ask.size,
-        age: None,
+        age: ask.age,
         token: Some(TokenFacts {
             owner,
             lease_end: ask.lease_end,

@@ -163,7 +163,7 @@ fn a_refusal_says_who_declined_what_and_why() {
 fn messages_are_moderated_by_name() {
     let spec = || moderated().with("verbs", words(&["send"])).with("messages", words(&["command"]));
     let command = Ask { message: Some("command"), ..SEND };
-    let stands = |scope| Standing::Stands { scope, until: None, rate: None };
+    let stands = |scope| Standing::Stands { scope, until: None, rate: None, max_age: None };
     let once = [given("moderated", Some("dora"), true, false, "")];
     let always = [given("moderated", Some("dora"), true, true, "")];
     let never = [given("moderated", Some("dora"), false, true, "")];

@@ -43,7 +43,7 @@ fn messages_pass_at_a_rate_that_the_broker_counts() {
     ] {
         let verdict = ask(&mut *manager, &Ask { user, level, ..SEND });
         let rate = Some(Rate { parcels, bytes });
-        let standing = Standing::Stands { scope: Scope::AnyName, until: None, rate };
+        let standing = Standing::Stands { scope: Scope::AnyName, until: None, rate, max_age: None };
         assert_eq!((short(&verdict).as_str(), verdict.standing), ("allow", standing), "{user}");
     }
     for (verb, message) in [(Verb::Stop, "stop"), (Verb::Unstop, "unstop")] {

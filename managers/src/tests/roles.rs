@@ -143,7 +143,8 @@ fn verdicts_stand_for_the_messages_they_know_of() {
             Standing::Stands {
                 scope,
                 until: None,
-                rate: None
+                rate: None,
+                max_age: None
             },
             "{verdict:?}"
         );
@@ -207,4 +208,67 @@ fn every_verb_can_be_given_by_its_word() {
             assert_eq!(allowed, asked == verb, "{asked} by a rule for {verb}");
         }
     }
+}
+
+/// "Left" is wrong where it comes late (M35).
+#[test]
+fn a_rule_may_allow_messages_up_to_an_age() {
+    let young = rule("steps", "allow", &["send", "stop", "grab"])
+        .with("messages", words(&["step", "stop"]))
+        .with("max-age", 500);
+    let grabs = rule("grabs", "allow", &["grab"]).with("max-age", 500);
+    let rest = rule("all else", "allow", &["send"]);
+    let mut manager = build(roles(vec![young, grabs, rest]));
+    let step = |age| Ask { age, ..send("step") };
+    for (question, expected, max_age) in [
+        (step(Some((500_000, 0))), "allow", Some(500_000)),
+        (step(Some((-3, 4))), "allow", Some(500_000)),
+        (step(Some((499_000, 1_001))), "roles/steps: denied", None),
+        (step(Some((i64::MAX, u64::MAX))), "roles/steps: denied", None),
+        (step(None), "roles/steps: try-later", None),
+        (send("say"), "allow", None),
+        (GRAB, "allow", None),
+        (
+            Ask {
+                verb: Verb::Stop,
+                age: Some((9_000_000, 0)),
+                ..send("stop")
+            },
+            "allow",
+            None,
+        ),
+    ] {
+        let verdict = ask(&mut *manager, &question);
+        assert_eq!(short(&verdict), expected, "{question:?}");
+        let standing = match verdict.standing {
+            Standing::Once => None,
+            Standing::Stands { max_age, .. } => max_age,
+        };
+        assert_eq!(standing, max_age, "{question:?}");
+        // What is refused for its age says nothing of the next message.
+        assert_eq!(
+            verdict.is_allow(),
+            verdict.standing != Standing::Once,
+            "{question:?}"
+        );
+    }
+    let Answer::Deny(denial) = ask(&mut *manager, &step(Some((620_400, 2_100)))).answer else {
+        panic!("too old");
+    };
+    let text =
+        "alice may send step to /robot/arm only up to an age of 500 ms, and this one is 620 ms old, ± 3 ms";
+    assert_eq!(denial.text, text);
+}
+
+#[test]
+fn an_age_limits_only_what_is_allowed() {
+    let error = |rule: Map| {
+        let error = crate::Registry::builtin()
+            .build(&roles(vec![rule]).into())
+            .unwrap_err();
+        error.get("slot").and_then(Value::as_str).map(str::to_owned)
+    };
+    let place = Some("rules/0/max-age".to_owned());
+    assert_eq!(error(rule("no", "deny", &["send"]).with("max-age", 500)), place);
+    assert_eq!(error(rule("never", "allow", &["send"]).with("max-age", 0)), place);
 }

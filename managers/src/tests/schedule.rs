@@ -121,6 +121,7 @@ fn an_answer_to_a_message_at_the_edge_of_an_instant_stands_up_to_the_next() {
             scope: Scope::AnyName,
             until,
             rate: None,
+            max_age: None,
         };
         assert_eq!(ask(&mut *manager, &send(wall)).standing, stands, "{wall}");
     }
@@ -284,7 +285,7 @@ fn a_refusal_says_who_has_it_until_when() {
 fn verbs_are_those_of_the_file_and_messages_change_with_the_slots() {
     let spec = || schedule(vec![slot("09:00", "10:00", &["alice"])]).with("verbs", words(&["send", "stop"]));
     let send = |user, verb, message, wall| Ask { verb, message: Some(message), ..by(user, at(wall)) };
-    let stands = |hours| Standing::Stands { scope: Scope::AnyName, until: Some(hour(hours)), rate: None };
+    let stands = |hours| Standing::Stands { scope: Scope::AnyName, until: Some(hour(hours)), rate: None, max_age: None };
     let always = crate::Verdict::allow_always().standing;
     for (question, allowed, standing) in [
         (send("bob", Verb::Send, "say", "2026-11-23T08:00:00Z"), true, stands(1)),

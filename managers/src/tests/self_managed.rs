@@ -61,7 +61,7 @@ fn only_about_the_verbs_that_the_file_lists() {
 #[test]
 #[rustfmt::skip]
 fn its_word_counts_and_its_silence_is_a_no() {
-    let stands = Standing::Stands { scope: Scope::ThisName, until: None, rate: None };
+    let stands = Standing::Stands { scope: Scope::ThisName, until: None, rate: None, max_age: None };
     for (answer, expected, standing) in [
         (given(Some("carol"), true, false, ""), "allow", Standing::Once),
         (given(Some("carol"), true, true, ""), "allow", stands),

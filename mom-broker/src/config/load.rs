@@ -150,6 +150,7 @@ fn check(file: &File, source: &Source) -> Result<(), ConfigError> {
         ("limits", file.limits.heartbeat, "heartbeat"),
         ("limits", file.limits.gone, "gone"),
         ("limits", file.limits.login_time, "login-time"),
+        ("limits", file.limits.future, "future"),
         ("limits", file.limits.outbox as u64, "outbox"),
         ("limits", file.limits.before_login as u64, "before-login"),
         ("limits", file.limits.attributes as u64, "attributes"),

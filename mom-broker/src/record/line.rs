@@ -1,7 +1,7 @@
 //! The lines of a recording: its head, inputs with what was decided on them, its end.
 
-use mom_hub::{Holder, Hub, Input, Record, Settings, Ticket, User};
-use mom_proto::{Content, ContextNumber, Family, Limits, Parcel, Path, Time};
+use mom_hub::{Holder, Hub, Input, PeerClock, Record, Settings, Ticket, User};
+use mom_proto::{ClockOffset, Content, ContextNumber, Family, Limits, Parcel, Path, Time};
 use serde::{Deserialize, Serialize};
 
 use super::Outcome;
@@ -120,6 +120,14 @@ pub(super) struct RequestTold {
     pub(super) address: Option<Vec<String>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) fence: Option<u64>,
+    /// Of a message: when it was created by its sender's clock, µs since the epoch, and for how long it is worth anything.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) timestamp: Option<i64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) expires: Option<u64>,
+    /// What was known of that clock: offset and error in µs, and how far ahead a stamp may be.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) clock: Option<(i64, u64, u64)>,
     /// The size of content that is not told.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) size: Option<usize>,
@@ -201,7 +209,9 @@ impl Told {
                 id: *id,
             }),
             Input::Gone { peer } => Told::Gone(peer.0),
-            Input::Request { peer, parcel } => Told::Request(Box::new(RequestTold::of(peer.0, parcel, hub))),
+            Input::Request { peer, parcel, clock } => {
+                Told::Request(Box::new(RequestTold::of(peer.0, parcel, *clock, hub)))
+            }
             Input::Stored {
                 ticket: Ticket(ticket),
                 ok,
@@ -235,13 +245,14 @@ impl LoginTold {
 }
 
 impl RequestTold {
-    fn of(peer: u64, parcel: &Parcel, hub: &Hub) -> RequestTold {
+    fn of(peer: u64, parcel: &Parcel, clock: Option<PeerClock>, hub: &Hub) -> RequestTold {
         // The path first, as the hub does.
         let named = || hub.path(parcel.number?);
         let context = parcel.context.as_ref().or_else(named).map(Path::to_string);
         let content = parcel.content.as_ref();
         // What control is asked for is what a replay has to know; anything else is nobody's business here.
         let control = matches!(parcel.family, Family::Context | Family::Token | Family::Manager);
+        let message = parcel.family == Family::Message;
         let address = parcel.address.as_ref();
         RequestTold {
             peer,
@@ -255,9 +266,22 @@ impl RequestTold {
             id: parcel.id,
             address: address.map(|names| names.iter().map(|name| name.to_string()).collect()),
             fence: parcel.fence,
+            timestamp: parcel.timestamp.filter(|_| message).map(Time::micros),
+            expires: parcel.expires.filter(|_| message),
+            clock: clock
+                .filter(|_| message)
+                .map(|clock| (clock.offset.micros, clock.offset.error, clock.future)),
             size: content.filter(|_| !control).map(Content::size),
             content: content.filter(|_| control).cloned().map(Recorded),
         }
+    }
+
+    /// What was known of the sender's clock.
+    pub(super) fn peer_clock(&self) -> Option<PeerClock> {
+        self.clock.map(|(micros, error, future)| PeerClock {
+            offset: ClockOffset { micros, error },
+            future,
+        })
     }
 }
 

@@ -101,7 +101,7 @@ impl Recorder {
             return None;
         }
         let (asked, content) = match input {
-            Input::Request { peer, parcel } => {
+            Input::Request { peer, parcel, .. } => {
                 let verb = Verb::of(parcel.family, &parcel.name).ok();
                 // Nobody waits for the answer to a message: it has one only if it is refused.
                 let size = parcel.content.as_ref().map_or(0, |content| content.size());

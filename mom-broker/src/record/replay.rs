@@ -228,6 +228,7 @@ impl Replay {
             Told::Request(request) => Input::Request {
                 peer: PeerId(request.peer),
                 parcel: Box::new(self.parcel(request)?),
+                clock: request.peer_clock(),
             },
             Told::Stored(ticket, ok) => match self.translations.ticket(*ticket) {
                 Some(ticket) => Input::Stored { ticket, ok: *ok },
@@ -271,6 +272,8 @@ impl Replay {
         parcel.fence = told
             .fence
             .map(|fence| self.translations.fence(parcel.context.as_ref(), fence));
+        parcel.timestamp = told.timestamp.and_then(Time::from_micros);
+        parcel.expires = told.expires;
         parcel.content = match (&told.content, told.size) {
             (Some(content), _) => Some(content.0.clone()),
             (None, Some(size)) => Some(Content::Encoded(self.zeros(size))),

@@ -54,7 +54,7 @@ impl Recording {
         self.now += 1000;
         let told = Told::of(&input, &self.hub);
         let asked = match &input {
-            Input::Request { peer, parcel } => Some((peer.0, Verb::of(parcel.family, &parcel.name).ok())),
+            Input::Request { peer, parcel, .. } => Some((peer.0, Verb::of(parcel.family, &parcel.name).ok())),
             _ => None,
         };
         let mut effects = Vec::new();
@@ -95,6 +95,7 @@ impl Recording {
         self.tell(Input::Request {
             peer: PeerId(peer),
             parcel: Box::new(parcel),
+            clock: None,
         })
     }
 
@@ -254,6 +255,7 @@ fn lines_come_back() {
     recording.tell(Input::Request {
         peer: PeerId(1),
         parcel: Box::new(odd),
+        clock: None,
     });
     recording.tell(Input::Gone { peer: PeerId(1) });
     recording.tell(Input::Tick);

@@ -94,6 +94,7 @@ fn rule() -> Value {
         "where": names("Patterns of paths: /robot/arm, /camera/* (one level), /robot/** (the place and all below); absent = everywhere."),
         "messages": names("Names of messages, for send; absent = all."),
         "invited": flag("Only peers that a member has invited lately, or only those that nobody has; absent = both."),
+        "max-age": millis("Messages that are, or with the error of their age may be, older are refused, in ms; with allow only; absent = any age."),
     });
     add(&mut properties, peers());
     table("A rule.", &properties, &[])

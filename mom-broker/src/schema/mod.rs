@@ -123,6 +123,10 @@ fn limits() -> Value {
             "gone",
             "A peer that says nothing for so long is gone, in ms; longer than heartbeat.",
         ),
+        (
+            "future",
+            "How far ahead the timestamp of a message may be, beyond the error of its sender's clock, in ms.",
+        ),
         ("contexts", "Contexts in the whole tree, or unlimited."),
         ("joined", "Contexts that one peer may have joined, or unlimited."),
     ] {

@@ -9,5 +9,6 @@ mod login;
 mod managing;
 mod reconnect;
 mod requests;
+mod time;
 mod tokens;
 mod waiting;

@@ -7,10 +7,11 @@ use mom_proto::{Content, ContextKind, ContextNumber, Parcel, Verb, WireError};
 
 use super::{Request, of_kind};
 use crate::admit::admit_with;
+use crate::age::age_of;
 use crate::consult::Wish;
 use crate::member::has_own_right;
 use crate::pending::{Refusal, take_parcel};
-use crate::{Effect, Hub, PeerId, Route, StandingVerdict};
+use crate::{Effect, Hub, Ingress, PeerClock, PeerId, Route, StandingVerdict};
 
 pub(crate) fn on(hub: &mut Hub, request: &mut Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
     let Some(context) = hub.tree.find(&request.path) else {
@@ -28,6 +29,7 @@ pub(crate) fn on(hub: &mut Hub, request: &mut Request, out: &mut Vec<Effect>) ->
     let wish = Wish {
         message: Some(&request.parcel.name),
         size: request.parcel.content.as_ref().map_or(0, Content::size),
+        age: age_of(&request.parcel, hub.wall(), hub.clock_of(peer).as_ref()),
         ..Wish::new(request.verb, number)
     };
     let verdict = hub.consult(peer, &wish);
@@ -40,8 +42,8 @@ pub(crate) fn on(hub: &mut Hub, request: &mut Request, out: &mut Vec<Effect>) ->
     let Some(route) = hub.route(number) else {
         return Err(hub.unknown_path(&request.path, Some(ContextKind::Channel)).into());
     };
-    let (now, wall) = (hub.now, hub.wall());
-    let receivers = admit_with(&route, peer, &verdict.answer, &mut request.parcel, now, wall)?;
+    let ingress = hub.ingress(peer);
+    let receivers = admit_with(&route, peer, &verdict.answer, &mut request.parcel, &ingress)?;
     let parcel = take_parcel(&mut request.parcel);
     let route = match hub.count_command(peer, &route, &parcel) {
         true => hub.route(number).unwrap_or(route),
@@ -62,6 +64,23 @@ pub(crate) fn on(hub: &mut Hub, request: &mut Request, out: &mut Vec<Effect>) ->
 const AFTER_LAST: Micros = 1_000_000;
 
 impl Hub {
+    fn clock_of(&self, peer: PeerId) -> Option<PeerClock> {
+        let (clock, at) = self.peers.get(peer)?.clock?;
+        Some(PeerClock {
+            offset: clock.offset.later(self.now.saturating_sub(at)),
+            ..clock
+        })
+    }
+
+    /// For what a peer sends, or sent before and is carried out now.
+    fn ingress(&self, peer: PeerId) -> Ingress {
+        Ingress {
+            now: self.now,
+            wall: self.wall(),
+            clock: self.clock_of(peer),
+        }
+    }
+
     /// Checks what has to hold for a message besides its manager's word.
     fn check_admissible(
         &self,
@@ -77,10 +96,12 @@ impl Hub {
             address: parcel.address.clone(),
             fence: parcel.fence,
             echo: parcel.echo,
+            timestamp: parcel.timestamp,
+            expires: parcel.expires,
             ..Parcel::new(parcel.family, Arc::clone(&parcel.name))
         };
         let answer = Answer::Allow(Grant::default());
-        admit_with(&route, peer, &answer, &mut trial, self.now, self.wall()).map(|_| ())
+        admit_with(&route, peer, &answer, &mut trial, &self.ingress(peer)).map(|_| ())
     }
 
     /// Counts a command of an owner that has only so many; whether it was one.
@@ -111,7 +132,13 @@ impl Hub {
 
     /// Puts a verdict that stands into the route, so that the broker need not ask again.
     fn keep_standing(&mut self, peer: PeerId, number: ContextNumber, parcel: &Parcel, verdict: &Verdict) {
-        let Standing::Stands { scope, until, rate } = verdict.standing else {
+        let Standing::Stands {
+            scope,
+            until,
+            rate,
+            max_age,
+        } = verdict.standing
+        else {
             return;
         };
         // Stop has rights of its own, so what stands for it stands for no other message.
@@ -123,6 +150,7 @@ impl Hub {
             name,
             until,
             rate,
+            max_age,
             answer: verdict.answer.clone(),
         };
         let Some(context) = self.tree.get_mut(number) else {

@@ -35,7 +35,7 @@ impl Answers {
     pub(crate) fn ask(&mut self, input: &Input) {
         let asked = match input {
             Input::Login { peer, id, .. } => Asked::of(*peer, id.unwrap(), None),
-            Input::Request { peer, parcel } => Asked::of(*peer, parcel.id.unwrap(), Some(parcel)),
+            Input::Request { peer, parcel, .. } => Asked::of(*peer, parcel.id.unwrap(), Some(parcel)),
             _ => return,
         };
         let before = self.open.insert((asked.peer, asked.id), asked);

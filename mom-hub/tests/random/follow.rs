@@ -126,7 +126,7 @@ impl Observer {
                 Effect::Audit(_) | Effect::Send { .. } => true,
                 Effect::Reply { to, parcel } => {
                     let asked = match input {
-                        Some(Input::Request { peer, parcel }) => Some((*peer, parcel.id)),
+                        Some(Input::Request { peer, parcel, .. }) => Some((*peer, parcel.id)),
                         _ => None,
                     };
                     parcel.family == Family::Error && asked == Some((*to, parcel.reference))

@@ -159,6 +159,7 @@ impl Manager for Counted {
                 scope: Scope::AnyName,
                 until: Some(question.now + 1_000_000),
                 rate: Some(RATE),
+                max_age: None,
             },
             ..Verdict::allow()
         }

@@ -80,7 +80,11 @@ impl Log {
             act => self.parcel(act, peer),
         };
         let parcel = Box::new(parcel.id(self.id));
-        Input::Request { peer, parcel }
+        Input::Request {
+            peer,
+            parcel,
+            clock: None,
+        }
     }
 
     /// The peer whose answer it is, where it is the right one.

@@ -31,6 +31,7 @@ pub(crate) fn ask(
     let request = Input::Request {
         peer: ADMIN,
         parcel: Box::new(Parcel::new(family, verb).context(path.clone())),
+        clock: None,
     };
     hub.handle(now, request, &mut effects);
     effects.retain(|effect| !matches!(effect, Effect::Audit(_)));

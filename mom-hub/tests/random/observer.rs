@@ -245,7 +245,7 @@ impl Observer {
 
     /// A stop passes for who has the right to it, whoever owns the device and whatever waits.
     fn check_stop(&mut self, input: &Input, effects: &[Effect]) {
-        let Input::Request { peer, parcel } = input else {
+        let Input::Request { peer, parcel, .. } = input else {
             return;
         };
         if !parcel.is(Family::Message, "stop") || !self.may_stop(*peer, parcel) {

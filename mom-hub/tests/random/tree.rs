@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use mom_hub::{Admission, Effect, Hub, Input, Member, PeerId, Receivers, Route, admit};
+use mom_hub::{Admission, Effect, Hub, Ingress, Input, Member, PeerId, Receivers, Route, admit};
 use mom_managers::Rate;
 use mom_proto::{ContextNumber, Family, Parcel, Path, Time, Value, WireError};
 
@@ -59,7 +59,7 @@ impl Tree {
 
     /// What the broker's fast path would do with a message; none = the hub decides.
     pub(crate) fn admit(&self, hub: &Hub, now: u64, input: &Input) -> Option<Admitted> {
-        let Input::Request { peer, parcel } = input else {
+        let Input::Request { peer, parcel, clock } = input else {
             return None;
         };
         let path = parcel
@@ -70,7 +70,16 @@ impl Tree {
         hub.peer_name(*peer)?;
         let mut parcel = (**parcel).clone();
         let wall = Time::from_micros(i64::try_from(now).unwrap()).unwrap();
-        match admit(route, *peer, &mut parcel, now, wall) {
+        match admit(
+            route,
+            *peer,
+            &mut parcel,
+            &Ingress {
+                now,
+                wall,
+                clock: *clock,
+            },
+        ) {
             Ok(Admission::Consult) => None,
             Ok(Admission::Pass(receivers, rate)) => Some(Ok((receivers, rate, parcel))),
             Err(error) => Some(Err(error)),

@@ -183,6 +183,7 @@ impl Stage {
         Input::Request {
             peer,
             parcel: Box::new(parcel),
+            clock: None,
         }
     }
 

@@ -9,3 +9,4 @@ mod protocol;
 mod python;
 mod states;
 mod threats;
+mod time;

@@ -21,13 +21,19 @@ pub(super) fn later(anchor: Time, at: Micros) -> Option<Time> {
 }
 
 pub(super) fn stands(standing: Standing) -> String {
-    let Standing::Stands { until, rate, .. } = standing else {
+    let Standing::Stands {
+        until, rate, max_age, ..
+    } = standing
+    else {
         return "asked anew each time".to_owned();
     };
     let mut words = match until {
         Some(until) => format!("for {} s", until.div_ceil(1_000_000)),
         None => "until something changes".to_owned(),
     };
+    if let Some(most) = max_age {
+        words.push_str(&format!(", for messages of at most {} ms", most / 1000));
+    }
     let bucket = |bucket: Bucket, of: &str| {
         let some = bucket.per_second != u64::MAX;
         some.then(|| {
