@@ -14,9 +14,11 @@ pub mod decisions;
 mod driver;
 mod error;
 mod hub;
+mod listen;
 pub mod machine;
 mod one_core;
 mod pace;
+pub mod peers;
 mod process;
 pub mod report;
 mod round_trip;
@@ -24,7 +26,10 @@ pub mod scenario;
 mod stream;
 mod window;
 
-pub use driver::{Driver, Link, MomDriver, RelayDriver, Scan, Scanner, Template};
+pub use driver::{
+    Driver, Link, Message, MomDriver, MqttDriver, NatsDriver, RedisDriver, RelayDriver, Scan, Scanner,
+    Template, Topic, XmppDriver, ZenohDriver,
+};
 pub use error::Error;
 pub use hub::{Hub, USER, broker_folder, start_broker, start_relay};
 pub use pace::{Pace, Rate, measure};
