@@ -1,4 +1,4 @@
-//! The project tasks of MOM: `cargo xtask ci`, `cargo xtask test`, `cargo xtask tidy`.
+//! The project tasks of MOM: `cargo xtask ci`, `cargo xtask test`, `cargo xtask tidy`, `cargo xtask bench-peers`.
 //!
 //! Everything that CI demands can be run here by the same commands, so that nothing is found only after a push.
 #![allow(
@@ -10,6 +10,7 @@
 mod ci;
 mod command;
 mod needs;
+mod peers;
 mod test;
 mod tidy;
 
@@ -32,6 +33,8 @@ const EXAMPLES: &str = "Examples:
   cargo xtask test -- -p mom-hub grab         the tests of one package whose name contains `grab`
   cargo xtask test -- -p mom-hub -- --nocapture
   cargo xtask tidy                            the checks that the compiler does not make
+  cargo xtask bench-peers                     MOM beside other brokers, into docs/benchmarks.md
+  cargo xtask bench-peers --quick --peers nats,redis
   cargo xtask ci                              everything that must hold before a change lands";
 
 #[derive(Subcommand)]
@@ -41,6 +44,9 @@ enum Task {
     Test(TestArgs),
     /// Check what the compiler does not: sizes, orphans, codes, imports, leftovers, links, names.
     Tidy,
+    /// Measure MOM beside nats, redis, mosquitto, zenoh and prosody; gets them first. See `-- --help` for more.
+    #[command(after_help = EXAMPLES)]
+    BenchPeers(PeersArgs),
     /// Format, lints, docs, tidy, licences, tests: all that must hold before a change lands.
     Ci(InstallArgs),
 }
@@ -52,6 +58,17 @@ struct TestArgs {
     /// Arguments for `cargo test`, such as `-p mom-hub` or a part of a test's name.
     #[arg(last = true, value_name = "ARGS TO CARGO TEST")]
     cargo_test: Vec<String>,
+}
+
+#[derive(Args)]
+#[command(disable_help_flag = true)]
+struct PeersArgs {
+    /// Take the peers that are there, and install none.
+    #[arg(long)]
+    no_install: bool,
+    /// Arguments for the measurement: --quick, --only, --peers, --runs, --no-write, --against, --help.
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGS")]
+    measure: Vec<String>,
 }
 
 #[derive(Args, Clone, Copy)]
@@ -80,6 +97,7 @@ fn run(task: Task) -> Result<ExitCode> {
             println!("{counts}");
             Ok(exit_code(counts.is_success()))
         }
+        Task::BenchPeers(args) => Ok(exit_code(peers::run(&root, args.no_install, &args.measure)?)),
         Task::Tidy => Ok(exit_code(tidy::run(&root)?)),
         Task::Ci(args) => {
             needs::ensure(needs::FOR_CI, args.install, "cargo xtask ci")?;
@@ -144,6 +162,17 @@ mod tests {
         };
         assert!(args.install.install);
         assert_eq!(args.cargo_test, ["-p", "mom-hub", "--", "--nocapture"]);
+    }
+
+    #[test]
+    fn what_follows_bench_peers_goes_to_the_measurement() {
+        let cli =
+            Cli::try_parse_from(["x", "bench-peers", "--no-install", "--quick", "--peers", "nats"]).unwrap();
+        let Task::BenchPeers(args) = cli.task else {
+            panic!("not the comparison")
+        };
+        assert!(args.no_install);
+        assert_eq!(args.measure, ["--quick", "--peers", "nats"]);
     }
 
     #[test]
