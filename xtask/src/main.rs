@@ -1,4 +1,5 @@
-//! The project tasks of MOM: `cargo xtask ci`, `cargo xtask test`, `cargo xtask tidy`, `cargo xtask bench-peers`.
+//! The project tasks of MOM: `cargo xtask ci`, `cargo xtask test`, `cargo xtask tidy`, `cargo xtask
+//! instructions`, `cargo xtask bench-peers`.
 //!
 //! Everything that CI demands can be run here by the same commands, so that nothing is found only after a push.
 #![allow(
@@ -9,6 +10,7 @@
 
 mod ci;
 mod command;
+mod instructions;
 mod needs;
 mod peers;
 mod test;
@@ -35,6 +37,7 @@ const EXAMPLES: &str = "Examples:
   cargo xtask tidy                            the checks that the compiler does not make
   cargo xtask bench-peers                     MOM beside other brokers, into docs/benchmarks.md
   cargo xtask bench-peers --quick --peers nats,redis
+  cargo xtask instructions                    what the hot path costs, held to benches/instructions.toml
   cargo xtask ci                              everything that must hold before a change lands";
 
 #[derive(Subcommand)]
@@ -47,6 +50,15 @@ enum Task {
     /// Measure MOM beside nats, redis, mosquitto, zenoh and prosody; gets them first. See `-- --help` for more.
     #[command(after_help = EXAMPLES)]
     BenchPeers(PeersArgs),
+    /// Count what the hot path costs in instructions, and hold it to the stored counts.
+    Instructions {
+        /// Install valgrind if it is missing.
+        #[command(flatten)]
+        install: InstallArgs,
+        /// Store what is counted now.
+        #[arg(long)]
+        write: bool,
+    },
     /// Format, lints, docs, tidy, licences, tests: all that must hold before a change lands.
     Ci(InstallArgs),
 }
@@ -98,10 +110,19 @@ fn run(task: Task) -> Result<ExitCode> {
             Ok(exit_code(counts.is_success()))
         }
         Task::BenchPeers(args) => Ok(exit_code(peers::run(&root, args.no_install, &args.measure)?)),
+        Task::Instructions { install, write } => {
+            needs::ensure(
+                needs::FOR_INSTRUCTIONS,
+                install.install,
+                "cargo xtask instructions",
+            )?;
+            Ok(exit_code(instructions::run(&root, write)?))
+        }
         Task::Tidy => Ok(exit_code(tidy::run(&root)?)),
         Task::Ci(args) => {
             needs::ensure(needs::FOR_CI, args.install, "cargo xtask ci")?;
             needs::ensure(needs::FOR_TESTS, args.install, "cargo xtask ci")?;
+            needs::ensure(needs::FOR_INSTRUCTIONS, args.install, "cargo xtask ci")?;
             Ok(exit_code(ci::run(&root)?))
         }
     }

@@ -84,6 +84,14 @@ pub(crate) const FOR_PEERS: &[Need] = &[
     debian("python3", &["-m", "pip", "--version"], "python3-pip"),
 ];
 
+/// What `cargo xtask instructions` needs.
+pub(crate) const FOR_INSTRUCTIONS: &[Need] = &[Need {
+    what: "valgrind",
+    detect: ("valgrind", &["--version"]),
+    source: Source::Debian("valgrind"),
+    why: "counts the instructions of the hot path",
+}];
+
 /// What the other steps of `cargo xtask ci` need.
 pub(crate) const FOR_CI: &[Need] = &[
     CARGO,
