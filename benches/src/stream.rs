@@ -54,7 +54,7 @@ impl Stream {
         let receivers = connect_all(hub, self.topic, self.receivers)?;
         let sender = hub.driver.connect(&[], &[self.topic])?;
         let shared = Arc::new(Shared {
-            window: Window::new(template.size()),
+            window: Window::new(template.size(), self.receivers),
             arrived: (0..self.receivers).map(|_| AtomicU32::new(0)).collect(),
             stop: AtomicBool::new(false),
         });

@@ -10,7 +10,7 @@ use anyhow::{Context, Result, bail};
 use clap::Parser;
 use mom_benches::peers::plan::{Effort, Load, ROWS, Row};
 use mom_benches::peers::{self, Kind, Metric, Outcome, Programs, table};
-use mom_benches::report;
+use mom_benches::{machine, report};
 
 const EXAMPLES: &str = "Examples:
   cargo xtask bench-peers                               all, into docs/: some 25 minutes
@@ -96,14 +96,14 @@ fn run(cli: &Cli) -> Result<()> {
             true => {}
         }
     }
-    let rows = without_namespaces(rows);
+    let (rows, began, load) = (without_namespaces(rows), now(), machine::load());
     let outcomes = peers::run(&rows, &programs, wanted, &effort, say);
-    let markdown = table::markdown(&outcomes, &programs, effort.runs);
+    let markdown = table::markdown(&outcomes, &programs, effort.runs, load);
     writeln!(io::stdout(), "{markdown}")?;
     if let Some(earlier) = &earlier {
         writeln!(io::stdout(), "{}", table::beside(&outcomes, earlier))?;
     }
-    let raw = table::raw(&outcomes, &programs, &now());
+    let raw = table::raw(&outcomes, &programs, &began, load);
     let all = !cli.quick && cli.only.is_empty() && cli.peers.is_empty() && !cli.no_write;
     let docs = root().join("docs");
     let raw_file = cli

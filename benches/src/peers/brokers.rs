@@ -85,6 +85,15 @@ impl Kind {
         matches!(self, Kind::Mom | Kind::MomXml)
     }
 
+    /// How many idle peers it is asked to take at most: zenohd looks at all for each one that comes, so that ten
+    /// thousand would take an hour.
+    pub(crate) fn most_idle(self) -> usize {
+        match self {
+            Kind::Zenoh => 2000,
+            _ => usize::MAX,
+        }
+    }
+
     /// A peer's program.
     fn program(self) -> Option<&'static str> {
         match self {

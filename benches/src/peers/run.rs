@@ -49,6 +49,23 @@ impl Outcome {
         }
     }
 
+    fn take(&mut self, kind: Kind, result: Result<Sample, Error>, progress: &mut impl FnMut(&str)) {
+        match result {
+            Ok(sample) => {
+                let shown: Vec<_> = sample
+                    .iter()
+                    .map(|(metric, value)| format!("{} {}", metric.title(), metric.show(*value)))
+                    .collect();
+                progress(&format!("  {}: {}", kind.name(), shown.join("; ")));
+                self.samples.entry(kind).or_default().push(sample);
+            }
+            Err(error) => {
+                progress(&format!("  {}: {error}", kind.name()));
+                self.failures.entry(kind).or_insert_with(|| error.to_string());
+            }
+        }
+    }
+
     /// Ours in this scenario.
     pub fn own(&self) -> Kind {
         let own = self.row.hubs.iter().copied().find(|kind| kind.is_mom());
@@ -79,41 +96,18 @@ pub fn run(
             let first = run % hubs.len().max(1);
             hubs.rotate_left(first);
             progress(&format!("run {} of {}: {}", run + 1, effort.runs, row.name));
-            for (kind, result) in samples(&row, &hubs, programs, effort) {
-                match result {
-                    Ok(sample) => {
-                        let shown: Vec<_> = sample
-                            .iter()
-                            .map(|(metric, value)| format!("{} {}", metric.title(), metric.show(*value)))
-                            .collect();
-                        progress(&format!("  {}: {}", kind.name(), shown.join(", ")));
-                        outcome.samples.entry(kind).or_default().push(sample);
-                    }
-                    Err(error) => {
-                        progress(&format!("  {}: {error}", kind.name()));
-                        outcome.failures.entry(kind).or_insert_with(|| error.to_string());
-                    }
+            if row.load == Load::PingPong {
+                for (kind, result) in ping_pong(&row, &hubs, programs, effort) {
+                    outcome.take(kind, result, &mut progress);
                 }
+                continue;
+            }
+            for kind in hubs {
+                outcome.take(kind, sample(&row, kind, programs, effort), &mut progress);
             }
         }
     }
     outcomes
-}
-
-fn samples(
-    row: &Row,
-    kinds: &[Kind],
-    programs: &Programs,
-    effort: &Effort,
-) -> Vec<(Kind, Result<Sample, Error>)> {
-    if row.load == Load::PingPong {
-        return match ping_pong(row, kinds, programs, effort) {
-            Ok(samples) => kinds.iter().copied().zip(samples.into_iter().map(Ok)).collect(),
-            Err((kind, error)) => vec![(kind, Err(error))],
-        };
-    }
-    let one = |kind: &Kind| (*kind, sample(row, *kind, programs, effort));
-    kinds.iter().map(one).collect()
 }
 
 fn sample(row: &Row, kind: Kind, programs: &Programs, effort: &Effort) -> Result<Sample, Error> {
@@ -131,7 +125,7 @@ fn sample(row: &Row, kind: Kind, programs: &Programs, effort: &Effort) -> Result
             Ok(sample)
         }
         Load::Crowd => effort.crowd.run(&hub),
-        Load::Idle => idle(&hub, effort.idle),
+        Load::Idle => idle(&hub, effort.idle.min(kind.most_idle())),
         Load::Guarded => guarded(row, &hub, effort),
         Load::Stop | Load::PingPong => Err(Error::Unexpected("a load of several hubs".to_owned())),
     }
@@ -191,16 +185,15 @@ fn ping_pong(
     kinds: &[Kind],
     programs: &Programs,
     effort: &Effort,
-) -> Result<Vec<Sample>, (Kind, Error)> {
+) -> Vec<(Kind, Result<Sample, Error>)> {
     let mut hubs = Vec::new();
     for kind in kinds {
-        let hub = programs.start(*kind, &Place::Loopback, false);
-        hubs.push(hub.map_err(|error| (*kind, error))?);
+        match programs.start(*kind, &Place::Loopback, false) {
+            Ok(hub) => hubs.push(hub),
+            Err(error) => return vec![(*kind, Err(error))],
+        }
     }
     let hubs: Vec<&Hub> = hubs.iter().collect();
-    let first = kinds.first().copied().unwrap_or(Kind::Mom);
-    let trips = interleaved(&hubs, row.size, effort.rounds, effort.connections, effort.block);
-    let trips = trips.map_err(|(index, error)| (kinds.get(index).copied().unwrap_or(first), error))?;
     let sample = |(delays, cpu): &Trips| {
         let mut sample = Sample::from([
             (Metric::P50, delays.quantile(0.5)),
@@ -209,5 +202,12 @@ fn ping_pong(
         add_cpu(&mut sample, *cpu, 2 * delays.count() as u64);
         sample
     };
-    Ok(trips.iter().map(sample).collect())
+    match interleaved(&hubs, row.size, effort.rounds, effort.connections, effort.block) {
+        Ok(trips) => kinds
+            .iter()
+            .zip(&trips)
+            .map(|(kind, trips)| (*kind, Ok(sample(trips))))
+            .collect(),
+        Err((index, error)) => vec![(kinds[index], Err(error))],
+    }
 }

@@ -63,8 +63,8 @@ fn words(goal: &Goal) -> String {
 }
 
 /// The conditions, the goals, all figures, and what is missing.
-pub fn markdown(outcomes: &[Outcome], programs: &Programs, runs: usize) -> String {
-    let mut out = conditions(programs, runs);
+pub fn markdown(outcomes: &[Outcome], programs: &Programs, runs: usize, load: Option<f64>) -> String {
+    let mut out = conditions(programs, runs, load);
     out += &goals(outcomes);
     for metric in [Metric::Rate, Metric::P50, Metric::P99, Metric::Cpu, Metric::Share] {
         let streams = |row: &Row| row.load != Load::Stop;
@@ -84,7 +84,7 @@ pub fn markdown(outcomes: &[Outcome], programs: &Programs, runs: usize) -> Strin
     out + &failures(outcomes, programs)
 }
 
-fn conditions(programs: &Programs, runs: usize) -> String {
+fn conditions(programs: &Programs, runs: usize, load: Option<f64>) -> String {
     let peers = Kind::ALL
         .into_iter()
         .filter(|kind| kind.is_peer() && programs.has(*kind));
@@ -92,8 +92,11 @@ fn conditions(programs: &Programs, runs: usize) -> String {
         .map(|kind| format!("{} {}", kind.name(), programs.version(kind)))
         .collect();
     format!(
-        "Measured on {}; {} of {runs} in one run. {}.\n\n",
+        "Measured on {}{}; {} of {runs} in one run. {}.\n\n",
         machine::describe(),
+        load.map_or(String::new(), |load| format!(
+            ", with a load average of {load:.1} before it began"
+        )),
         if runs > 1 { "medians" } else { "figures" },
         versions.join(", ")
     )
@@ -209,7 +212,7 @@ fn failures(outcomes: &[Outcome], programs: &Programs) -> String {
 }
 
 /// All figures of all runs, for a later comparison.
-pub fn raw(outcomes: &[Outcome], programs: &Programs, at: &str) -> Value {
+pub fn raw(outcomes: &[Outcome], programs: &Programs, at: &str, load: Option<f64>) -> Value {
     let mut rows = Map::new();
     for outcome in outcomes {
         let mut hubs = Map::new();
@@ -231,6 +234,7 @@ pub fn raw(outcomes: &[Outcome], programs: &Programs, at: &str) -> Value {
     json!({
         "at": at,
         "machine": machine::describe(),
+        "load-before": load,
         "versions": Value::Object(versions.collect()),
         "rows": rows,
     })
