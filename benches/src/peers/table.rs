@@ -191,8 +191,33 @@ fn matrix(outcomes: &[Outcome], metrics: &[Metric], takes: impl Fn(&Row) -> bool
     out + "\n"
 }
 
+/// A hub that is faster than a relay shows that the relay is no floor there, or a mistake of the measurement.
+fn beats_the_floor(outcome: &Outcome) -> Vec<Kind> {
+    let floors = [Kind::RawRelay, Kind::Relay].map(|kind| outcome.value(kind, Metric::Rate));
+    let Some(floor) = floors.into_iter().flatten().reduce(f64::max) else {
+        return Vec::new();
+    };
+    let rate = |kind: &Kind| outcome.value(*kind, Metric::Rate);
+    let hubs = outcome.row.hubs.iter().copied();
+    hubs.filter(|kind| rate(kind).is_some_and(|rate| rate > floor))
+        .collect()
+}
+
 fn failures(outcomes: &[Outcome], programs: &Programs) -> String {
     let mut out = String::new();
+    for outcome in outcomes
+        .iter()
+        .filter(|outcome| matches!(outcome.row.load, Load::Stream(_)))
+    {
+        for kind in beats_the_floor(outcome) {
+            let _ = writeln!(
+                out,
+                "- {}, {}: faster than both relays, so they are no floor there.",
+                kind.name(),
+                outcome.row.name
+            );
+        }
+    }
     for kind in Kind::ALL.into_iter().filter(|kind| !programs.has(*kind)) {
         let _ = writeln!(out, "- {} is not installed here and was left out.", kind.name());
     }
@@ -311,6 +336,18 @@ mod tests {
         );
         assert!(missed.is_some_and(|missed| !missed.met));
         assert_eq!(judge(&outcome(&[(Kind::Mom, 1e6)]), &ROWS[0].goals[0]), None);
+    }
+
+    #[test]
+    fn who_is_faster_than_both_relays_is_named() {
+        let rates = [
+            (Kind::RawRelay, 1e6),
+            (Kind::Relay, 2e6),
+            (Kind::Mom, 1.5e6),
+            (Kind::Redis, 3e6),
+        ];
+        assert_eq!(beats_the_floor(&outcome(&rates)), [Kind::Redis]);
+        assert!(beats_the_floor(&outcome(&[(Kind::Mom, 1e6)])).is_empty());
     }
 
     #[test]
