@@ -1,36 +1,121 @@
 //! The drivers: how a protocol's peers connect, what they send, how they find parcels in what they receive.
 
 mod mom;
+mod mom_scan;
+mod mqtt;
+mod nats;
+mod redis;
 mod relay;
+mod xmpp;
+mod zenoh;
 
-use std::io::Read;
+use std::io::{Read, Write};
 use std::net::TcpStream;
-use std::time::Duration;
+use std::ops::Range;
+use std::sync::Arc;
+use std::time::{Duration, Instant, SystemTime};
 
 pub use mom::MomDriver;
+pub use mqtt::MqttDriver;
+pub use nats::NatsDriver;
+pub use redis::RedisDriver;
 pub use relay::RelayDriver;
+pub use xmpp::XmppDriver;
+pub(crate) use xmpp::{HOST, ROOMS};
+pub use zenoh::ZenohDriver;
+
+use zenoh::Batching;
 
 use crate::Error;
 
 /// A wait for the hub under measurement ends here: then something is lost.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(5);
 
+/// What peers of a measurement talk about. A protocol without subjects has one for all, and every peer hears it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Topic {
+    /// Streams, and the way there of round trips.
+    Forth,
+    /// The way back.
+    Back,
+    /// A camera's frames: only the newest is worth anything.
+    Image,
+    /// What must not wait.
+    Stop,
+    /// Commands that need a token, where the protocol knows such a thing.
+    Command,
+}
+
+impl Topic {
+    pub(crate) const ALL: [Topic; 5] = [
+        Topic::Forth,
+        Topic::Back,
+        Topic::Image,
+        Topic::Stop,
+        Topic::Command,
+    ];
+
+    /// A word for it, good as a subject in any protocol; all have the same length.
+    pub(crate) fn word(self) -> &'static str {
+        match self {
+            Topic::Forth => "forth",
+            Topic::Back => "backs",
+            Topic::Image => "image",
+            Topic::Stop => "stops",
+            Topic::Command => "comma",
+        }
+    }
+}
+
+/// The kind of parcels that a template makes.
+#[derive(Clone, Copy, Debug)]
+pub struct Message {
+    /// What they are about.
+    pub topic: Topic,
+    /// Bytes of payload; at least eight, for the number.
+    pub payload: usize,
+    /// Whether a sender that hears the topic hears itself, where the protocol leaves the choice.
+    pub echo: bool,
+}
+
+impl Message {
+    /// On the topic of streams, without an echo.
+    pub fn forth(payload: usize) -> Message {
+        Message {
+            topic: Topic::Forth,
+            payload,
+            echo: false,
+        }
+    }
+}
+
 /// Speaks one protocol as raw bytes: no client library, nothing encoded while the clock runs.
 pub trait Driver: Send + Sync {
-    /// Connects a peer that hears whatever another peer of this driver sends from now on, and can send.
+    /// Connects a peer that from now on hears whatever others send on the topics of `hears`, and may send on
+    /// those of `says`.
     ///
     /// # Errors
     /// A link that cannot be had, or a refusal.
-    fn connect(&self) -> Result<Link, Error>;
+    fn connect(&self, hears: &[Topic], says: &[Topic]) -> Result<Link, Error>;
 
-    /// A frame that carries a payload of so many bytes, ready to be numbered; at least eight.
+    /// A frame of this kind, ready to be numbered.
     ///
     /// # Errors
     /// A size that the protocol cannot carry.
-    fn template(&self, payload: usize) -> Result<Template, Error>;
+    fn template(&self, message: Message) -> Result<Template, Error>;
 
-    /// Finds the parcels made from [`Driver::template`] of the same size in a receiver's bytes.
-    fn scanner(&self, payload: usize) -> Box<dyn Scanner>;
+    /// Finds parcels made from templates of this driver in a receiver's bytes.
+    fn scanner(&self) -> Box<dyn Scanner>;
+
+    /// Whether a peer hears itself whatever it asks for, so that somebody has to read that.
+    fn reflects(&self) -> bool {
+        false
+    }
+
+    /// Whether a peer that wants to can hear itself by way of the hub.
+    fn echoes(&self) -> bool {
+        true
+    }
 }
 
 /// A connected peer.
@@ -54,6 +139,35 @@ impl Link {
         Ok(Link {
             stream,
             received: Vec::new(),
+        })
+    }
+
+    /// The same connection once more.
+    pub(crate) fn second(&self) -> Result<Link, Error> {
+        let stream = self.stream.try_clone().map_err(Error::io("a second handle"))?;
+        Ok(Link {
+            stream,
+            received: Vec::new(),
+        })
+    }
+
+    pub(crate) fn write(&mut self, bytes: &[u8]) -> Result<(), Error> {
+        self.stream.write_all(bytes).map_err(Error::io("write"))
+    }
+
+    /// Reads until what was received holds `mark`; takes away everything up to its end, and gives it.
+    pub(crate) fn until(&mut self, mark: &[u8]) -> Result<Vec<u8>, Error> {
+        let start = Instant::now();
+        while start.elapsed() < PATIENCE {
+            let found = memchr::memmem::find(&self.received, mark);
+            if let Some(at) = found {
+                return Ok(self.received.drain(..at + mark.len()).collect());
+            }
+            self.receive()?;
+        }
+        Err(Error::Stalled {
+            what: format!("{:?}", String::from_utf8_lossy(mark)),
+            after: PATIENCE,
         })
     }
 
@@ -86,8 +200,10 @@ pub enum Scan {
     Incomplete,
     /// A frame of this length that is no parcel of the workload.
     Other(usize),
-    /// A frame of this length with a parcel of this number.
+    /// A frame of this length with a parcel of this number, or with the end of one.
     Parcel(usize, u32),
+    /// A frame of this length in which the hub says that so many parcels were dropped.
+    Dropped(usize, u64),
 }
 
 /// An encoded frame whose number can be changed in place.
@@ -106,6 +222,10 @@ pub enum Scan {
 pub struct Template {
     frame: Vec<u8>,
     number_at: usize,
+    /// Where the time of sending goes, µs since 1970 in eight bytes, if it is not the template's own.
+    stamp_at: Option<usize>,
+    /// What goes around many frames, in a protocol that has that.
+    batching: Option<Arc<Batching>>,
 }
 
 /// The bytes that a number takes.
@@ -121,7 +241,29 @@ impl Template {
             number_at + NUMBER <= frame.len(),
             "a frame has room for its number"
         );
-        Template { frame, number_at }
+        Template {
+            frame,
+            number_at,
+            stamp_at: None,
+            batching: None,
+        }
+    }
+
+    /// The frame of a payload of so many bytes between what comes before and after it; the number ends the payload,
+    /// so that who has read it has read all.
+    pub(crate) fn around(before: &[u8], payload: usize, after: &[u8]) -> Template {
+        let payload = payload.max(NUMBER);
+        let mut frame = before.to_vec();
+        frame.resize(before.len() + payload, b'.');
+        frame.extend_from_slice(after);
+        Template::new(frame, before.len() + payload - NUMBER)
+    }
+
+    /// With the time of sending at this place of each frame.
+    pub(crate) fn stamped(mut self, at: usize) -> Template {
+        assert!(at + 8 <= self.number_at, "a stamp stands before the payload");
+        self.stamp_at = Some(at);
+        self
     }
 
     /// The frame's size on the wire.
@@ -129,12 +271,32 @@ impl Template {
         self.frame.len()
     }
 
-    /// Appends the frame with this number.
+    /// Appends the frame with this number, alone.
     pub fn append(&self, number: u32, out: &mut Vec<u8>) {
         let start = out.len();
         out.extend_from_slice(&self.frame);
         let at = start + self.number_at;
         out[at..at + NUMBER].copy_from_slice(&letters(number));
+        if let Some(at) = self.stamp_at {
+            let at = start + at;
+            out[at..at + 8].copy_from_slice(&now().to_be_bytes());
+        }
+    }
+
+    /// Appends the frames of all these numbers, with whatever the protocol puts around them.
+    pub fn append_all(&self, numbers: Range<u32>, out: &mut Vec<u8>) {
+        match &self.batching {
+            None => numbers.for_each(|number| self.append(number, out)),
+            Some(batching) => batching.append_all(self, numbers, out),
+        }
+    }
+
+    /// The number at the end of a payload.
+    pub(crate) fn last_number(payload: &[u8]) -> Result<u32, Error> {
+        let number = payload
+            .last_chunk::<NUMBER>()
+            .and_then(|last| Template::number(last));
+        number.ok_or_else(|| Error::Unexpected("a parcel without a number".to_owned()))
     }
 
     /// Reads the number at the front of `bytes`; none if there is no number.
@@ -149,6 +311,19 @@ impl Template {
         nibbles = (nibbles | nibbles >> 16) & 0xffff_ffff;
         Some(nibbles as u32)
     }
+}
+
+/// A number in decimal digits and nothing else.
+pub(crate) fn decimal(digits: &[u8]) -> Option<usize> {
+    let known = !digits.is_empty() && digits.len() < 18 && digits.iter().all(u8::is_ascii_digit);
+    let value = |sum, digit: &u8| 10 * sum + usize::from(digit - b'0');
+    known.then(|| digits.iter().fold(0, value))
+}
+
+/// µs since 1970.
+pub(crate) fn now() -> i64 {
+    let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
+    since.map_or(0, |since| i64::try_from(since.as_micros()).unwrap_or(i64::MAX))
 }
 
 const FIRST_LETTERS: u64 = u64::from_be_bytes([b'a'; NUMBER]);

@@ -12,21 +12,55 @@ use crate::{Driver, Error, MomDriver, Process, RelayDriver};
 
 /// The one user of a broker under measurement; its password is its name.
 pub const USER: &str = "peer";
-const CHANNEL: &str = "/bench";
 
 // Peers here only listen or only send, for as long as it takes: heartbeats would be noise.
 const CONFIG: &str = r#"
 listen = ["127.0.0.1:0"]
+connections = 20000
 log = "warn"
 users = "users.toml"
 root = "open"
+
+[login]
+guests = true
 
 [limits]
 heartbeat = 600000
 gone = 1200000
 
+[managers.driving]
+kind = "chain"
+of = ["who", { kind = "quota", limits = [{ parcels = 100000000, burst = 100000000 }] }]
+
+[managers.who]
+kind = "roles"
+
+[[managers.who.rules]]
+name = "looking"
+allow = ["join", "lookup", "info", "stop", "unstop"]
+
+[[managers.who.rules]]
+name = "driving"
+messages = ["command"]
+allow = ["send"]
+
 [[contexts]]
 path = "/bench"
+kind = "channel"
+presence = "none"
+
+[[contexts]]
+path = "/back"
+kind = "channel"
+presence = "none"
+
+[[contexts]]
+path = "/camera"
+kind = "channel"
+presence = "none"
+
+[[contexts]]
+path = "/stop"
 kind = "channel"
 presence = "none"
 
@@ -43,6 +77,7 @@ kind = "token"
 path = "/cell/arm"
 kind = "channel"
 presence = "none"
+manager = "driving"
 guard = { token = "/cell/token", names = ["command"] }
 "#;
 
@@ -62,14 +97,13 @@ impl Hub {
     /// # Errors
     /// A broker without the configuration of [`broker_folder`].
     pub fn broker(address: &str, form: Form) -> Result<Hub, Error> {
-        let channel = mom_proto::Path::parse(CHANNEL).map_err(Error::hub("the channel's path"))?;
         let name = match form {
             Form::Binary => "MOM",
             Form::Xml => "MOM XML",
         };
         Ok(Hub {
             name: name.to_owned(),
-            driver: Box::new(MomDriver::new(address, form, USER, &channel)?),
+            driver: Box::new(MomDriver::new(address, form)?),
             process: None,
         })
     }

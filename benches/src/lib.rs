@@ -13,10 +13,13 @@ pub mod control;
 pub mod decisions;
 mod driver;
 mod error;
+pub mod hot_path;
 mod hub;
+mod listen;
 pub mod machine;
 mod one_core;
 mod pace;
+pub mod peers;
 mod process;
 pub mod report;
 mod round_trip;
@@ -24,7 +27,10 @@ pub mod scenario;
 mod stream;
 mod window;
 
-pub use driver::{Driver, Link, MomDriver, RelayDriver, Scan, Scanner, Template};
+pub use driver::{
+    Driver, Link, Message, MomDriver, MqttDriver, NatsDriver, RedisDriver, RelayDriver, Scan, Scanner,
+    Template, Topic, XmppDriver, ZenohDriver,
+};
 pub use error::Error;
 pub use hub::{Hub, USER, broker_folder, start_broker, start_relay};
 pub use pace::{Pace, Rate, measure};

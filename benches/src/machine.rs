@@ -17,3 +17,10 @@ pub fn describe() -> String {
     let version = kernel.split(['-', '\n']).next().unwrap_or_default();
     format!("{cores} cores, {model}, {} {version}", std::env::consts::OS)
 }
+
+/// How many threads ran or wanted to in the last minute, beside which nothing here is fast; none where the system
+/// does not say.
+pub fn load() -> Option<f64> {
+    let text = std::fs::read_to_string("/proc/loadavg").ok()?;
+    text.split(' ').next()?.parse().ok()
+}

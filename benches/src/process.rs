@@ -4,12 +4,17 @@
     reason = "a child that ends with its parent, however that ends, is asked for between fork and exec"
 )]
 
+use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::os::unix::process::CommandExt;
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crate::Error;
+
+/// A program that listens nowhere by then does not start.
+const START: Duration = Duration::from_secs(10);
 
 /// A running child. It is killed when this is dropped or when the thread that started it ends.
 #[derive(Debug)]
@@ -48,6 +53,43 @@ impl Process {
         Ok(process)
     }
 
+    /// Starts a program that says nothing, and waits until somebody takes connections at `address`; `connect` tries.
+    ///
+    /// # Errors
+    /// A program that cannot be started, ends, or listens nowhere after some seconds; with the end of what it said.
+    pub fn start_at(
+        mut command: Command,
+        address: &str,
+        log: &Path,
+        connect: impl Fn(&str) -> bool,
+    ) -> Result<Process, Error> {
+        let what = format!("start {}", command.get_program().display());
+        let file = File::create(log).map_err(Error::io(what.clone()))?;
+        let both = file.try_clone().map_err(Error::io(what.clone()))?;
+        command.stdin(Stdio::null()).stdout(file).stderr(both);
+        end_with_parent(&mut command);
+        let child = command.spawn().map_err(Error::io(what.clone()))?;
+        let mut process = Process {
+            child,
+            address: address.to_owned(),
+        };
+        let start = Instant::now();
+        while !connect(address) {
+            let ended = process.child.try_wait().map_err(Error::io(what.clone()))?;
+            if ended.is_some() || start.elapsed() > START {
+                let said = std::fs::read_to_string(log).unwrap_or_default();
+                let last: Vec<_> = said.lines().rev().take(5).collect();
+                let last: Vec<_> = last.into_iter().rev().collect();
+                return Err(Error::Unexpected(format!(
+                    "{what}: nobody listens: {}",
+                    last.join(" | ")
+                )));
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        Ok(process)
+    }
+
     /// Where it listens.
     pub fn address(&self) -> &str {
         &self.address
@@ -62,6 +104,12 @@ impl Process {
     pub fn cpu(&self) -> Option<Duration> {
         let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.child.id())).ok()?;
         cpu_of(&stat)
+    }
+
+    /// The bytes of memory that it has in use; none where the system does not say.
+    pub fn memory(&self) -> Option<u64> {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).ok()?;
+        memory_of(&status)
     }
 }
 
@@ -81,6 +129,13 @@ fn cpu_of(stat: &str) -> Option<Duration> {
     let user: u64 = fields.next()?.parse().ok()?;
     let system: u64 = fields.next()?.parse().ok()?;
     Some(Duration::from_millis(10 * (user + system)))
+}
+
+/// The resident memory in `/proc/PID/status`, counted in KiB.
+fn memory_of(status: &str) -> Option<u64> {
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
+    let kib: u64 = line.split_whitespace().next()?.parse().ok()?;
+    Some(1024 * kib)
 }
 
 #[cfg(target_os = "linux")]
@@ -107,6 +162,22 @@ mod tests {
         let line = "7 (a) b (c)) S 1 7 7 0 -1 4194560 99 0 0 0 250 150 3 4 20 0 1 0 5 6 7";
         assert_eq!(cpu_of(line), Some(Duration::from_secs(4)));
         assert_eq!(cpu_of("7 (a) S 1"), None);
+    }
+
+    #[test]
+    fn memory_is_counted_in_bytes() {
+        assert_eq!(memory_of("Name:\tx\nVmRSS:\t    1234 kB\n"), Some(1_263_616));
+        assert_eq!(memory_of("Name:\tx\n"), None);
+    }
+
+    #[test]
+    fn a_program_that_ends_says_why() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut command = Command::new("sh");
+        command.args(["-c", "echo no such luck; exit 1"]);
+        let log = folder.path().join("log");
+        let started = Process::start_at(command, "127.0.0.1:1", &log, |_| false);
+        assert!(matches!(started, Err(Error::Unexpected(said)) if said.contains("no such luck")));
     }
 
     #[test]

@@ -19,9 +19,14 @@ pub const END: &str = "<!-- mom-bench: end -->";
 
 /// A document with its table replaced by a new one; `None` without a place for it.
 pub fn insert(document: &str, table: &str) -> Option<String> {
-    let (before, rest) = document.split_once(BEGIN)?;
-    let (_, after) = rest.split_once(END)?;
-    Some(format!("{before}{BEGIN}\n\n{}\n\n{END}{after}", table.trim()))
+    insert_between(document, BEGIN, END, table)
+}
+
+/// A document with what stands between two marks replaced; `None` without the marks.
+pub fn insert_between(document: &str, begin: &str, end: &str, text: &str) -> Option<String> {
+    let (before, rest) = document.split_once(begin)?;
+    let (_, after) = rest.split_once(end)?;
+    Some(format!("{before}{begin}\n\n{}\n\n{end}{after}", text.trim()))
 }
 
 /// The conditions of a run in a sentence.
@@ -212,7 +217,7 @@ fn bytes_of(size: usize) -> String {
 }
 
 /// A ratio or a few seconds.
-fn short(number: f64) -> String {
+pub(crate) fn short(number: f64) -> String {
     match number {
         small if small < 0.0995 => format!("{small:.3}"),
         other => format!("{other:.2}"),
@@ -220,7 +225,7 @@ fn short(number: f64) -> String {
 }
 
 /// A number to three digits.
-fn amount(number: f64) -> String {
+pub(crate) fn amount(number: f64) -> String {
     let (number, unit) = match number {
         large if large >= 999.5e3 => (large / 1e6, " M"),
         middle if middle >= 999.5 => (middle / 1e3, " k"),

@@ -5,7 +5,8 @@ use std::net::{Shutdown, TcpStream};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use crate::{Error, Hub, Link, Scan, Scanner, Template};
+use crate::driver::Topic;
+use crate::{Error, Hub, Link, Message, Scan, Scanner, Template};
 
 /// Round trips through one hub, in blocks, so that two hubs can take turns.
 pub struct RoundTrips<'a> {
@@ -26,7 +27,7 @@ impl<'a> RoundTrips<'a> {
     /// # Errors
     /// A hub that refuses them.
     pub fn start(hub: &'a Hub, payload: usize) -> Result<RoundTrips<'a>, Error> {
-        let mut far = End::new(hub, payload)?;
+        let mut far = End::new(hub, payload, Topic::Forth, Topic::Back)?;
         let far_stream = far
             .link
             .stream
@@ -35,7 +36,7 @@ impl<'a> RoundTrips<'a> {
         let idle = far.link.stream.set_read_timeout(None);
         // While the other hub has its turn, for as long as that takes.
         idle.map_err(Error::io("socket options"))?;
-        let near = End::new(hub, payload)?;
+        let near = End::new(hub, payload, Topic::Back, Topic::Forth)?;
         Ok(RoundTrips {
             hub,
             near,
@@ -111,16 +112,19 @@ struct End {
 }
 
 impl End {
-    fn new(hub: &Hub, payload: usize) -> Result<End, Error> {
-        let template = hub.driver.template(payload)?;
-        let mut link = hub.driver.connect()?;
+    fn new(hub: &Hub, payload: usize, hears: Topic, says: Topic) -> Result<End, Error> {
+        let template = hub.driver.template(Message {
+            topic: says,
+            ..Message::forth(payload)
+        })?;
+        let mut link = hub.driver.connect(&[hears], &[says])?;
         let mut buffer = std::mem::take(&mut link.received);
         let filled = buffer.len();
         buffer.resize(filled + 2 * template.size() + 4096, 0);
         Ok(End {
             link,
             template,
-            scanner: hub.driver.scanner(payload),
+            scanner: hub.driver.scanner(),
             out: Vec::new(),
             buffer,
             filled,
@@ -129,7 +133,7 @@ impl End {
 
     fn send(&mut self, number: u32) -> Result<(), Error> {
         self.out.clear();
-        self.template.append(number, &mut self.out);
+        self.template.append_all(number..number + 1, &mut self.out);
         self.link.stream.write_all(&self.out).map_err(Error::io("send"))
     }
 
@@ -142,6 +146,7 @@ impl End {
                     return Ok(Some(number));
                 }
                 Scan::Other(length) => self.take(length),
+                Scan::Dropped(_, count) => return Err(Error::Unexpected(format!("dropped: {count}"))),
                 Scan::Incomplete => {
                     let free = &mut self.buffer[self.filled..];
                     match self.link.stream.read(free).map_err(Error::io("receive"))? {

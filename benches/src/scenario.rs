@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use crate::driver::{Message, Topic};
 use crate::one_core::OneCore;
 use crate::pace::median;
 use crate::{Delays, Driver, Error, Hub, Pace, RoundTrips, Stream};
@@ -182,6 +183,7 @@ impl Scenario {
     fn stream(&self, receivers: usize, hub: &Hub, pace: &Pace) -> Result<Sample, Error> {
         let stream = Stream {
             payload: self.size.payload(&*hub.driver)?,
+            topic: Topic::Forth,
             receivers,
             warm_up: pace.warm_up,
             time: pace.stream,
@@ -194,36 +196,57 @@ impl Scenario {
         })
     }
 
-    /// In alternating blocks, so that whatever else the machine does meets all hubs alike; and over many
-    /// connections, because where the system puts their threads doubles or halves the delay for as long as
-    /// they last.
     fn round_trips(&self, hubs: &[&Hub], pace: &Pace) -> Result<Vec<Sample>, Error> {
-        let mut all: Vec<(Delays, Option<Duration>)> =
-            vec![(Delays::default(), Some(Duration::ZERO)); hubs.len()];
-        for _ in 0..pace.connections.max(1) {
-            let mut turns = Vec::new();
-            for hub in hubs {
-                turns.push(RoundTrips::start(hub, self.size.payload(&*hub.driver)?)?);
-            }
-            let mut rounds = pace.rounds / pace.connections.max(1);
-            turns.iter_mut().try_for_each(|trips| trips.warm_up(pace.block))?;
-            while rounds > 0 {
-                let block = pace.block.clamp(1, rounds);
-                turns.iter_mut().try_for_each(|trips| trips.block(block))?;
-                rounds -= block;
-            }
-            for ((delays, cpu), trips) in all.iter_mut().zip(&turns) {
-                delays.extend(&trips.delays);
-                *cpu = cpu.zip(trips.cpu).map(|(sum, more)| sum + more);
-            }
-        }
-        let sample = |(delays, cpu): &(Delays, Option<Duration>)| Sample {
+        let all = interleaved(hubs, self.size, pace.rounds, pace.connections, pace.block);
+        let sample = |(delays, cpu): &Trips| Sample {
             value: delays.quantile(0.5),
             p99: Some(delays.quantile(0.99)),
             cpu: per_million(*cpu, 2 * delays.count() as u64),
         };
+        let all = all.map_err(|(_, error)| error)?;
         Ok(all.iter().map(sample).collect())
     }
+}
+
+/// What one hub's round trips took, and the processor time of the hub.
+pub(crate) type Trips = (Delays, Option<Duration>);
+
+/// Round trips in alternating blocks, so that whatever else the machine does meets all hubs alike; and over many
+/// connections, because where the system puts their threads doubles or halves the delay for as long as they last.
+///
+/// # Errors
+/// The place of the hub that failed, and why.
+pub(crate) fn interleaved(
+    hubs: &[&Hub],
+    size: Size,
+    rounds: usize,
+    connections: usize,
+    block: usize,
+) -> Result<Vec<Trips>, (usize, Error)> {
+    let mut all: Vec<Trips> = vec![(Delays::default(), Some(Duration::ZERO)); hubs.len()];
+    for _ in 0..connections.max(1) {
+        let mut turns = Vec::new();
+        for (index, hub) in hubs.iter().enumerate() {
+            let start = || RoundTrips::start(hub, size.payload(&*hub.driver)?);
+            turns.push(start().map_err(|error| (index, error))?);
+        }
+        let mut each = |what: &dyn Fn(&mut RoundTrips<'_>) -> Result<(), Error>| {
+            let mut numbered = turns.iter_mut().enumerate();
+            numbered.try_for_each(|(index, trips)| what(trips).map_err(|error| (index, error)))
+        };
+        let mut rounds = rounds / connections.max(1);
+        each(&|trips| trips.warm_up(block))?;
+        while rounds > 0 {
+            let block = block.clamp(1, rounds);
+            each(&|trips| trips.block(block))?;
+            rounds -= block;
+        }
+        for ((delays, cpu), trips) in all.iter_mut().zip(&turns) {
+            delays.extend(&trips.delays);
+            *cpu = cpu.zip(trips.cpu).map(|(sum, more)| sum + more);
+        }
+    }
+    Ok(all)
 }
 
 impl Size {
@@ -237,21 +260,25 @@ impl Size {
             Size::Frame(whole) => whole,
         };
         let none = || Error::Unexpected(format!("no payload makes a frame of {whole} bytes"));
-        let least = driver.template(crate::driver::NUMBER)?.size();
+        let least = driver.template(Message::forth(crate::driver::NUMBER))?.size();
         let mut payload = (crate::driver::NUMBER + whole)
             .checked_sub(least)
             .ok_or_else(none)?;
         // The digits of a length may be more for a longer payload.
-        let more = driver.template(payload)?.size().saturating_sub(whole);
+        let more = driver
+            .template(Message::forth(payload))?
+            .size()
+            .saturating_sub(whole);
         payload -= more;
-        match driver.template(payload)?.size() == whole {
+        match driver.template(Message::forth(payload))?.size() == whole {
             true => Ok(payload),
             false => Err(none()),
         }
     }
 }
 
-fn per_million(cpu: Option<Duration>, deliveries: u64) -> Option<f64> {
+/// Processor seconds per million deliveries.
+pub(crate) fn per_million(cpu: Option<Duration>, deliveries: u64) -> Option<f64> {
     cpu.filter(|_| deliveries > 0)
         .map(|cpu| cpu.as_secs_f64() / (deliveries as f64 / 1e6))
 }

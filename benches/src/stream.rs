@@ -4,26 +4,24 @@ use std::io::{ErrorKind, Write};
 use std::net::TcpStream;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::thread::{self, JoinHandle};
+use std::thread;
 use std::time::{Duration, Instant};
 
-use tokio::io::AsyncReadExt;
-use tokio::sync::watch;
-use tokio::task::JoinSet;
-
+use crate::driver::Topic;
+use crate::listen::{Drain, Listener, Listening, Sink, join, panicked, scan_all};
 use crate::window::Window;
-use crate::{Error, Hub, Link, Rate, Scan, Scanner, Template};
+use crate::{Error, Hub, Link, Message, Rate, Scanner, Template};
 
 /// Written at once at most, if the window allows: the flush policy for all hubs.
 const FLUSH: usize = 64 * 1024;
-/// Room for what arrives at once; grows to the largest frame.
-const ROOM: usize = 256 * 1024;
 
 /// Parcels from one sender to all receivers.
 #[derive(Clone, Copy, Debug)]
 pub struct Stream {
     /// Bytes of each parcel's payload.
     pub payload: usize,
+    /// What they are about.
+    pub topic: Topic,
     /// How many hear them.
     pub receivers: usize,
     /// Not measured at first.
@@ -49,11 +47,14 @@ impl Stream {
     /// # Errors
     /// A parcel lost, doubled or out of order; a hub that refuses or stands still.
     pub fn run(&self, hub: &Hub) -> Result<Streamed, Error> {
-        let template = hub.driver.template(self.payload)?;
-        let sender = hub.driver.connect()?;
-        let receivers = connect_all(hub, self.receivers)?;
+        let template = hub.driver.template(Message {
+            topic: self.topic,
+            ..Message::forth(self.payload)
+        })?;
+        let receivers = connect_all(hub, self.topic, self.receivers)?;
+        let sender = hub.driver.connect(&[], &[self.topic])?;
         let shared = Arc::new(Shared {
-            window: Window::new(template.size()),
+            window: Window::new(template.size(), self.receivers),
             arrived: (0..self.receivers).map(|_| AtomicU32::new(0)).collect(),
             stop: AtomicBool::new(false),
         });
@@ -63,6 +64,10 @@ impl Stream {
             let stream = sender.stream.try_clone().map_err(Error::io("a second handle"))?;
             move || send(&shared, stream, &template)
         });
+        let drain = match hub.driver.reflects() {
+            true => Some(Drain::start(sender.second()?)?),
+            false => None,
+        };
         thread::sleep(self.warm_up);
         let (start, before, cpu) = (Instant::now(), shared.deliveries(), hub.cpu());
         thread::sleep(self.time);
@@ -73,7 +78,10 @@ impl Stream {
         listening.end()?;
         // What a receiver found, or the hub told the sender, says more than that nothing moved.
         shared.window.result()?;
-        hear(sender, &mut *hub.driver.scanner(self.payload))?;
+        match drain {
+            Some(drain) => drain.end()?,
+            None => hear(sender, &mut *hub.driver.scanner())?,
+        }
         Ok(Streamed {
             deliveries: Rate {
                 count: after - before,
@@ -86,26 +94,63 @@ impl Stream {
         })
     }
 
-    fn listeners(&self, hub: &Hub, shared: &Arc<Shared>, receivers: Vec<Link>) -> Vec<Listener> {
+    fn listeners(&self, hub: &Hub, shared: &Arc<Shared>, receivers: Vec<Link>) -> Vec<Listener<InOrder>> {
         let listener = |(index, link)| Listener {
-            shared: Arc::clone(shared),
-            index,
-            scanner: hub.driver.scanner(self.payload),
             link,
+            scanner: hub.driver.scanner(),
+            sink: InOrder {
+                shared: Arc::clone(shared),
+                index,
+                expected: 0,
+                before: 0,
+            },
         };
         receivers.into_iter().enumerate().map(listener).collect()
     }
 }
 
-/// Connects many at once: a broker that hashes passwords does so on several cores.
-fn connect_all(hub: &Hub, count: usize) -> Result<Vec<Link>, Error> {
-    let one = |_| hub.driver.connect();
+/// Connects many at once: a hub that has much to do for one may do it on several cores.
+pub(crate) fn connect_all(hub: &Hub, topic: Topic, count: usize) -> Result<Vec<Link>, Error> {
+    let one = |_| hub.driver.connect(&[topic], &[]);
     thread::scope(|scope| {
         let half = scope.spawn(|| (0..count / 2).map(one).collect::<Result<Vec<_>, _>>());
         let mut links: Vec<Link> = (count / 2..count).map(one).collect::<Result<_, _>>()?;
         links.extend(half.join().map_err(|_| panicked())??);
         Ok(links)
     })
+}
+
+/// A receiver that must get every number in order.
+struct InOrder {
+    shared: Arc<Shared>,
+    index: usize,
+    expected: u32,
+    before: u32,
+}
+
+impl Sink for InOrder {
+    fn parcel(&mut self, number: u32) -> Result<(), Error> {
+        if number != self.expected {
+            return Err(Error::Order {
+                expected: self.expected,
+                got: number,
+            });
+        }
+        self.expected += 1;
+        Ok(())
+    }
+
+    fn end(&mut self) {
+        if self.expected != self.before {
+            self.before = self.expected;
+            self.shared.arrived[self.index].store(self.expected, Ordering::Relaxed);
+            self.shared.window.advance(self.shared.slowest());
+        }
+    }
+
+    fn failed(&mut self, error: Error) {
+        self.shared.window.fail(error);
+    }
 }
 
 struct Shared {
@@ -140,7 +185,7 @@ fn send(shared: &Shared, mut stream: TcpStream, template: &Template) -> Result<u
         while sent < end {
             let count = batch.min(end - sent);
             bytes.clear();
-            (sent..sent + count).for_each(|number| template.append(number, &mut bytes));
+            template.append_all(sent..sent + count, &mut bytes);
             stream.write_all(&bytes).map_err(Error::io("send"))?;
             sent += count;
         }
@@ -151,103 +196,15 @@ fn send(shared: &Shared, mut stream: TcpStream, template: &Template) -> Result<u
     Ok(sent)
 }
 
-/// The thread in which all receivers are polled.
-struct Listening {
-    stop: watch::Sender<bool>,
-    thread: JoinHandle<()>,
-}
+/// The sender of a stream hears no parcels.
+struct Silence;
 
-impl Listening {
-    fn start(listeners: Vec<Listener>) -> Result<Listening, Error> {
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_io()
-            .build()
-            .map_err(Error::io("a runtime"))?;
-        let (stop, mut stopped) = watch::channel(false);
-        let thread = thread::spawn(move || {
-            runtime.block_on(async {
-                let mut tasks = JoinSet::new();
-                for listener in listeners {
-                    tasks.spawn(listener.run());
-                }
-                // The receivers end with this, wherever they are: all is there, or something failed.
-                let _ = stopped.changed().await;
-            });
-        });
-        Ok(Listening { stop, thread })
+impl Sink for Silence {
+    fn parcel(&mut self, _number: u32) -> Result<(), Error> {
+        Err(Error::Unexpected("its own parcels, at the sender".to_owned()))
     }
 
-    fn end(self) -> Result<(), Error> {
-        let _ = self.stop.send(true);
-        join(self.thread)
-    }
-}
-
-struct Listener {
-    shared: Arc<Shared>,
-    index: usize,
-    scanner: Box<dyn Scanner>,
-    link: Link,
-}
-
-impl Listener {
-    async fn run(self) {
-        let shared = Arc::clone(&self.shared);
-        if let Err(error) = self.listen().await {
-            shared.window.fail(error);
-        }
-    }
-
-    async fn listen(mut self) -> Result<(), Error> {
-        let Link { stream, received } = self.link;
-        stream
-            .set_nonblocking(true)
-            .map_err(Error::io("socket options"))?;
-        let mut stream = tokio::net::TcpStream::from_std(stream).map_err(Error::io("a socket"))?;
-        let mut filled = received.len();
-        let mut buffer = received;
-        buffer.resize(ROOM.max(filled), 0);
-        let mut expected = 0;
-        loop {
-            let before = expected;
-            let used = scan_all(&mut *self.scanner, &buffer[..filled], &mut expected)?;
-            if expected != before {
-                self.shared.arrived[self.index].store(expected, Ordering::Relaxed);
-                self.shared.window.advance(self.shared.slowest());
-            }
-            buffer.copy_within(used..filled, 0);
-            filled -= used;
-            if filled == buffer.len() {
-                buffer.resize(2 * filled, 0);
-            }
-            let length = stream.read(&mut buffer[filled..]).await;
-            match length.map_err(Error::io("receive"))? {
-                0 => return Err(Error::Unexpected("the end of a connection".to_owned())),
-                length => filled += length,
-            }
-        }
-    }
-}
-
-/// Takes all whole frames; gives their length.
-fn scan_all(scanner: &mut dyn Scanner, bytes: &[u8], expected: &mut u32) -> Result<usize, Error> {
-    let mut used = 0;
-    loop {
-        match scanner.scan(&bytes[used..])? {
-            Scan::Incomplete => return Ok(used),
-            Scan::Other(length) => used += length,
-            Scan::Parcel(length, got) if got == *expected => {
-                used += length;
-                *expected += 1;
-            }
-            Scan::Parcel(_, got) => {
-                return Err(Error::Order {
-                    expected: *expected,
-                    got,
-                });
-            }
-        }
-    }
+    fn failed(&mut self, _error: Error) {}
 }
 
 /// What the hub said to the sender: nothing, or there was trouble.
@@ -260,16 +217,5 @@ fn hear(mut sender: Link, scanner: &mut dyn Scanner) -> Result<(), Error> {
         Err(Error::Io { error, .. }) if error.kind() == ErrorKind::WouldBlock => {}
         heard => drop(heard?),
     }
-    match scan_all(scanner, &sender.received, &mut 0)? {
-        all if all == sender.received.len() => Ok(()),
-        _ => Err(Error::Unexpected("its own parcels, at the sender".to_owned())),
-    }
-}
-
-fn join<T>(thread: JoinHandle<T>) -> Result<T, Error> {
-    thread.join().map_err(|_| panicked())
-}
-
-fn panicked() -> Error {
-    Error::Unexpected("a panic in a thread of the measurement".to_owned())
+    scan_all(scanner, &sender.received, &mut Silence).map(drop)
 }

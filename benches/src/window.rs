@@ -12,6 +12,8 @@ const BYTES: usize = 2 * 1024 * 1024;
 /// What a queued parcel costs beside its bytes.
 const OVERHEAD: usize = 128;
 const MOST: usize = 8192;
+/// Deliveries on their way to all receivers at most: a hub that makes fifty thousand in a second has to get through.
+const TOGETHER: usize = 500_000;
 
 /// What sender and receivers of one stream know of each other.
 #[derive(Debug)]
@@ -30,8 +32,9 @@ struct State {
 }
 
 impl Window {
-    pub(crate) fn new(frame: usize) -> Window {
-        let size = (BYTES / (frame + OVERHEAD)).clamp(2, MOST);
+    pub(crate) fn new(frame: usize, receivers: usize) -> Window {
+        let most = MOST.min(TOGETHER / receivers.max(1)).max(2);
+        let size = (BYTES / (frame + OVERHEAD)).clamp(2, most);
         Window {
             size: u32::try_from(size).unwrap_or(u32::MAX),
             state: Mutex::default(),
@@ -123,7 +126,7 @@ mod tests {
 
     #[test]
     fn no_more_than_the_window_is_on_its_way() {
-        let window = Window::new(64 * 1024);
+        let window = Window::new(64 * 1024, 1);
         let size = window.open(0).unwrap().unwrap();
         assert_eq!(size, 31);
         window.advance(10);
@@ -133,5 +136,11 @@ mod tests {
         window.fail(Error::Order { expected: 1, got: 2 });
         assert_eq!(window.open(size).unwrap(), None);
         assert!(window.result().is_err() && window.result().is_ok());
+    }
+
+    #[test]
+    fn many_receivers_share_what_is_on_its_way() {
+        assert_eq!(Window::new(256, 100).open(0).unwrap(), Some(5000));
+        assert_eq!(Window::new(256, 1000).open(0).unwrap(), Some(500));
     }
 }

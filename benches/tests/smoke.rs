@@ -6,8 +6,8 @@ use std::time::Duration;
 use mom_benches::control;
 use mom_benches::scenario::{self, Figures, Load};
 use mom_benches::{
-    Driver, Error, Hub, Link, Pace, Process, RelayDriver, Scan, Scanner, Stream, Template, broker_folder,
-    start_relay,
+    Driver, Error, Hub, Link, Message, Pace, Process, RelayDriver, Scan, Scanner, Stream, Template, Topic,
+    broker_folder, start_relay,
 };
 use mom_broker::{Broker, Config};
 use mom_proto::codec::Form;
@@ -94,6 +94,7 @@ fn every_receiver_gets_all_that_was_sent() {
         for receivers in [1, 3] {
             let stream = Stream {
                 payload: 64,
+                topic: Topic::Forth,
                 receivers,
                 warm_up: Duration::ZERO,
                 time: Duration::from_millis(50),
@@ -126,17 +127,17 @@ struct Forgetting {
 }
 
 impl Driver for Forgetful {
-    fn connect(&self) -> Result<Link, Error> {
-        self.0.connect()
+    fn connect(&self, hears: &[Topic], says: &[Topic]) -> Result<Link, Error> {
+        self.0.connect(hears, says)
     }
 
-    fn template(&self, payload: usize) -> Result<Template, Error> {
-        self.0.template(payload)
+    fn template(&self, message: Message) -> Result<Template, Error> {
+        self.0.template(message)
     }
 
-    fn scanner(&self, payload: usize) -> Box<dyn Scanner> {
+    fn scanner(&self) -> Box<dyn Scanner> {
         Box::new(Forgetting {
-            scanner: self.0.scanner(payload),
+            scanner: self.0.scanner(),
             left: 100,
         })
     }
@@ -164,6 +165,7 @@ fn a_lost_parcel_is_no_figure() {
     hub.driver = Box::new(Forgetful(RelayDriver::new(relay.address())));
     let stream = Stream {
         payload: 16,
+        topic: Topic::Forth,
         receivers: 2,
         warm_up: Duration::ZERO,
         time: Duration::from_millis(50),

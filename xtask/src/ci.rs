@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::Result;
 
 use crate::command::{cargo, line, shows, succeeds};
-use crate::{shuttle, test, tidy};
+use crate::{instructions, shuttle, test, tidy};
 
 /// One step that is a cargo command.
 struct Step {
@@ -64,10 +64,14 @@ pub(crate) fn run(root: &Path) -> Result<bool> {
         counts = Some(result);
         Ok(result.is_success())
     })?;
+    // Before the closing line, and also where a test failed: both are told in one run.
+    let kept = timed("instructions", "cargo xtask instructions", || {
+        instructions::run(root, false)
+    })?;
     if let Some(counts) = counts {
         println!("{counts}");
     }
-    Ok(passed)
+    Ok(passed && kept)
 }
 
 /// Licences, bans and sources. Advisories are left out: they need a download, and change while the code does not.

@@ -1,4 +1,5 @@
-//! The project tasks of MOM: `cargo xtask ci`, `cargo xtask test`, `cargo xtask shuttle`, `cargo xtask tidy`.
+//! The project tasks of MOM: `cargo xtask ci`, `cargo xtask test`, `cargo xtask shuttle`, `cargo xtask tidy`, `cargo xtask
+//! instructions`, `cargo xtask bench-peers`.
 //!
 //! Everything that CI demands can be run here by the same commands, so that nothing is found only after a push.
 #![allow(
@@ -9,7 +10,9 @@
 
 mod ci;
 mod command;
+mod instructions;
 mod needs;
+mod peers;
 mod shuttle;
 mod test;
 mod tidy;
@@ -34,6 +37,9 @@ const EXAMPLES: &str = "Examples:
   cargo xtask test -- -p mom-hub -- --nocapture
   cargo xtask shuttle --orders 20000 --seed 7 the broker's threads in more orders, and in other ones
   cargo xtask tidy                            the checks that the compiler does not make
+  cargo xtask bench-peers                     MOM beside other brokers, into docs/benchmarks.md
+  cargo xtask bench-peers --quick --peers nats,redis
+  cargo xtask instructions                    what the hot path costs, held to benches/instructions.toml
   cargo xtask ci                              everything that must hold before a change lands";
 
 #[derive(Subcommand)]
@@ -45,6 +51,18 @@ enum Task {
     Shuttle(ShuttleArgs),
     /// Check what the compiler does not: sizes, orphans, codes, imports, leftovers, links, names.
     Tidy,
+    /// Measure MOM beside nats, redis, mosquitto, zenoh and prosody; gets them first. See `-- --help` for more.
+    #[command(after_help = EXAMPLES)]
+    BenchPeers(PeersArgs),
+    /// Count what the hot path costs in instructions, and hold it to the stored counts.
+    Instructions {
+        /// Install valgrind if it is missing.
+        #[command(flatten)]
+        install: InstallArgs,
+        /// Store what is counted now.
+        #[arg(long)]
+        write: bool,
+    },
     /// Format, lints, docs, tidy, licences, tests: all that must hold before a change lands.
     Ci(InstallArgs),
 }
@@ -66,6 +84,17 @@ struct ShuttleArgs {
     /// Another choice of orders; without it they are the same ones each time.
     #[arg(long)]
     seed: Option<u64>,
+}
+
+#[derive(Args)]
+#[command(disable_help_flag = true)]
+struct PeersArgs {
+    /// Take the peers that are there, and install none.
+    #[arg(long)]
+    no_install: bool,
+    /// Arguments for the measurement: --quick, --only, --peers, --runs, --no-write, --against, --help.
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGS")]
+    measure: Vec<String>,
 }
 
 #[derive(Args, Clone, Copy)]
@@ -95,10 +124,20 @@ fn run(task: Task) -> Result<ExitCode> {
             Ok(exit_code(counts.is_success()))
         }
         Task::Shuttle(args) => Ok(exit_code(shuttle::run(&root, args.orders, args.seed)?)),
+        Task::BenchPeers(args) => Ok(exit_code(peers::run(&root, args.no_install, &args.measure)?)),
+        Task::Instructions { install, write } => {
+            needs::ensure(
+                needs::FOR_INSTRUCTIONS,
+                install.install,
+                "cargo xtask instructions",
+            )?;
+            Ok(exit_code(instructions::run(&root, write)?))
+        }
         Task::Tidy => Ok(exit_code(tidy::run(&root)?)),
         Task::Ci(args) => {
             needs::ensure(needs::FOR_CI, args.install, "cargo xtask ci")?;
             needs::ensure(needs::FOR_TESTS, args.install, "cargo xtask ci")?;
+            needs::ensure(needs::FOR_INSTRUCTIONS, args.install, "cargo xtask ci")?;
             Ok(exit_code(ci::run(&root)?))
         }
     }
@@ -159,6 +198,17 @@ mod tests {
         };
         assert!(args.install.install);
         assert_eq!(args.cargo_test, ["-p", "mom-hub", "--", "--nocapture"]);
+    }
+
+    #[test]
+    fn what_follows_bench_peers_goes_to_the_measurement() {
+        let cli =
+            Cli::try_parse_from(["x", "bench-peers", "--no-install", "--quick", "--peers", "nats"]).unwrap();
+        let Task::BenchPeers(args) = cli.task else {
+            panic!("not the comparison")
+        };
+        assert!(args.no_install);
+        assert_eq!(args.measure, ["--quick", "--peers", "nats"]);
     }
 
     #[test]

@@ -60,6 +60,38 @@ pub(crate) const FOR_TESTS: &[Need] = &[
     },
 ];
 
+const fn debian(program: &'static str, args: &'static [&'static str], package: &'static str) -> Need {
+    Need {
+        what: package,
+        detect: (program, args),
+        source: Source::Debian(package),
+        why: "MOM is measured beside it, or with it",
+    }
+}
+
+/// What `cargo xtask bench-peers` needs of Debian's packages. Services are not started by being installed: each
+/// measurement starts its own.
+pub(crate) const FOR_PEERS: &[Need] = &[
+    debian("redis-server", &["--version"], "redis-server"),
+    // It has no option that ends well; its folder of plug-ins is not needed.
+    debian(
+        "sh",
+        &["-c", "command -v mosquitto || test -x /usr/sbin/mosquitto"],
+        "mosquitto",
+    ),
+    debian("sh", &["-c", "command -v prosody"], "prosody"),
+    debian("ip", &["-V"], "iproute2"),
+    debian("python3", &["-m", "pip", "--version"], "python3-pip"),
+];
+
+/// What `cargo xtask instructions` needs.
+pub(crate) const FOR_INSTRUCTIONS: &[Need] = &[Need {
+    what: "valgrind",
+    detect: ("valgrind", &["--version"]),
+    source: Source::Debian("valgrind"),
+    why: "counts the instructions of the hot path",
+}];
+
 /// What the other steps of `cargo xtask ci` need.
 pub(crate) const FOR_CI: &[Need] = &[
     CARGO,
@@ -103,7 +135,9 @@ pub(crate) fn ensure(needs: &[Need], install: bool, task: &str) -> Result<()> {
         command
             .args(&words[1..])
             .stdin(Stdio::null())
-            .env("DEBIAN_FRONTEND", "noninteractive");
+            .env("DEBIAN_FRONTEND", "noninteractive")
+            // A service that is installed is not started where this is a run level of one user.
+            .env("RUNLEVEL", "1");
         if !shows(&mut command)? {
             bail!(
                 "`{}` failed; run it by hand to see why, then run `{task}` again",

@@ -1,6 +1,8 @@
 //! The floor for any hub: forwards each frame (big-endian u32 length, then so many bytes) to all other
 //! connections, and knows nothing else.
 //!
+//! With `--raw` not even frames: it hands on whatever it has read.
+//!
 //! One thread, because a hop to another thread costs more than anything that is done here; reads as much as
 //! there is, writes all whole frames of it at once to each receiver.
 
@@ -8,6 +10,7 @@ use std::cell::RefCell;
 use std::io::{self, ErrorKind, Write};
 use std::rc::Rc;
 
+use clap::Parser;
 use tokio::io::AsyncReadExt;
 use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::net::{TcpListener, TcpStream};
@@ -25,41 +28,56 @@ type Sink = Rc<Mutex<OwnedWriteHalf>>;
 /// All connections with their numbers, replaced as a whole, so that a reader holds nothing while it writes.
 type Sinks = Rc<RefCell<Rc<Vec<(u64, Sink)>>>>;
 
+/// Forward what each connection sends to all others.
+#[derive(Clone, Parser)]
+struct Cli {
+    /// Where to listen.
+    #[arg(long, default_value = "127.0.0.1:0")]
+    listen: String,
+    /// Do not look for frames: only right for one sender at a time.
+    #[arg(long)]
+    raw: bool,
+    /// Also back to where it came from.
+    #[arg(long)]
+    echo: bool,
+}
+
 fn main() -> io::Result<()> {
+    let cli = Rc::new(Cli::parse());
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_io()
         .build()?;
-    LocalSet::new().block_on(&runtime, listen())
+    LocalSet::new().block_on(&runtime, listen(cli))
 }
 
-async fn listen() -> io::Result<()> {
-    let listener = TcpListener::bind("127.0.0.1:0").await?;
+async fn listen(cli: Rc<Cli>) -> io::Result<()> {
+    let listener = TcpListener::bind(&cli.listen).await?;
     let mut out = io::stdout();
     writeln!(out, "listening at tcp://{}", listener.local_addr()?)?;
     out.flush()?;
     let sinks = Sinks::default();
     for number in 0.. {
         let (stream, _) = listener.accept().await?;
-        let sinks = Rc::clone(&sinks);
+        let (sinks, cli) = (Rc::clone(&sinks), Rc::clone(&cli));
         tokio::task::spawn_local(async move {
             // A connection that fails is one that ended.
-            let _ = serve(&sinks, number, stream).await;
+            let _ = serve(&cli, &sinks, number, stream).await;
             change(&sinks, |all| all.retain(|(known, _)| *known != number));
         });
     }
     Ok(())
 }
 
-async fn serve(sinks: &Sinks, number: u64, stream: TcpStream) -> io::Result<()> {
+async fn serve(cli: &Cli, sinks: &Sinks, number: u64, stream: TcpStream) -> io::Result<()> {
     stream.set_nodelay(true)?;
     let (mut reader, writer) = stream.into_split();
     let sink = Rc::new(Mutex::new(writer));
     change(sinks, |all| all.push((number, Rc::clone(&sink))));
     write(&sink, &[0; PREFIX]).await?;
-    forward(sinks, number, &mut reader).await
+    forward(cli, sinks, number, &mut reader).await
 }
 
-async fn forward(sinks: &Sinks, number: u64, reader: &mut OwnedReadHalf) -> io::Result<()> {
+async fn forward(cli: &Cli, sinks: &Sinks, number: u64, reader: &mut OwnedReadHalf) -> io::Result<()> {
     let mut buffer = vec![0; ROOM];
     let mut filled = 0;
     loop {
@@ -68,10 +86,13 @@ async fn forward(sinks: &Sinks, number: u64, reader: &mut OwnedReadHalf) -> io::
             return Ok(());
         }
         filled += length;
-        let (whole, next) = whole_frames(&buffer[..filled])?;
+        let (whole, next) = match cli.raw {
+            true => (filled, PREFIX),
+            false => whole_frames(&buffer[..filled])?,
+        };
         if whole > 0 {
             let all = Rc::clone(&sinks.borrow());
-            for (_, other) in all.iter().filter(|(other, _)| *other != number) {
+            for (_, other) in all.iter().filter(|(other, _)| cli.echo || *other != number) {
                 // The other's own reader finds out that it is gone.
                 let _ = write(other, &buffer[..whole]).await;
             }

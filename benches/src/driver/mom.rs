@@ -1,331 +1,220 @@
 //! MOM's own protocol, binary and XML.
 
-use std::io::Write;
-
 use bytes::{Bytes, BytesMut};
 use mom_proto::binary::{BinaryDecoder, PREFACE};
 use mom_proto::codec::{Decoder, Form, Frame};
 use mom_proto::xml::XmlDecoder;
-use mom_proto::{ContextNumber, Family, Limits, Map, Parcel, Path, Time, Value, WireError};
+use mom_proto::{ContextNumber, Delivery, Family, Limits, Map, Parcel, Path, Time, Value, WireError};
 
-use super::{Driver, Link, NUMBER, Scan, Scanner, Template};
+use super::mom_scan::{BinaryScanner, XML_END, XmlScanner};
+use super::{Driver, Link, Message, NUMBER, Scanner, Template, Topic, now};
 use crate::Error;
 
-/// One frame of so many is decoded whole, to be sure that the others are what they look like.
-const SAMPLE: u32 = 1024;
+/// The token that guards commands.
+const TOKEN: &str = "/cell/token";
 
-/// The sender's clock stands still: what it says does not matter, that it says something does.
-const STAMP: i64 = 1_795_255_200_000_123;
-
-/// Drives a MOM broker: each peer logs in and joins one channel, messages go to all others there.
+/// Drives a MOM broker: each peer logs in as a guest and joins the channels of its topics.
 #[derive(Clone, Debug)]
 pub struct MomDriver {
     address: String,
     form: Form,
-    user: String,
-    channel: Path,
-    number: ContextNumber,
+    /// The channels of all topics, in their order, with their numbers.
+    channels: Vec<(Path, ContextNumber)>,
+}
+
+/// The channel of a topic in the configuration under measurement.
+fn channel(topic: Topic) -> &'static str {
+    match topic {
+        Topic::Forth => "/bench",
+        Topic::Back => "/back",
+        Topic::Image => "/camera",
+        Topic::Stop => "/stop",
+        Topic::Command => "/cell/arm",
+    }
 }
 
 impl MomDriver {
-    /// A driver for a broker at this address, for one user, its password being its name.
+    /// A driver for a broker at this address, with the configuration of [`crate::broker_folder`].
     ///
     /// # Errors
-    /// A broker that does not let the user in, or into the channel.
-    pub fn new(address: &str, form: Form, user: &str, channel: &Path) -> Result<MomDriver, Error> {
-        let mut driver = MomDriver {
+    /// A broker that does not let guests in, or into a channel.
+    pub fn new(address: &str, form: Form) -> Result<MomDriver, Error> {
+        let mut session = Session::login(address, form)?;
+        let mut channels = Vec::new();
+        for topic in Topic::ALL {
+            let joined = session.join(topic)?;
+            let number = match &joined {
+                Value::Map(map) => map.get("number").and_then(Value::as_int),
+                _ => None,
+            };
+            let number = number.and_then(|number| u64::try_from(number).ok());
+            let number =
+                number.ok_or_else(|| Error::Unexpected(format!("a join without a number: {joined:?}")))?;
+            channels.push((path(channel(topic))?, ContextNumber(number)));
+        }
+        Ok(MomDriver {
             address: address.to_owned(),
             form,
-            user: user.to_owned(),
-            channel: channel.clone(),
-            number: ContextNumber(0),
-        };
-        let (_, joined) = driver.join()?;
-        let number = match &joined {
-            Value::Map(map) => map.get("number").and_then(Value::as_int),
-            _ => None,
-        };
-        let number = number.and_then(|number| u64::try_from(number).ok());
-        driver.number = ContextNumber(
-            number.ok_or_else(|| Error::Unexpected(format!("a join without a number: {joined:?}")))?,
-        );
-        Ok(driver)
+            channels,
+        })
     }
 
-    fn join(&self) -> Result<(Link, Value), Error> {
-        let mut link = Link::connect(&self.address)?;
-        let limits = Limits::default();
-        let mut decoder = match self.form {
-            Form::Binary => Decoder::Binary(Box::new(BinaryDecoder::for_peer(&limits))),
-            Form::Xml => Decoder::Xml(Box::new(XmlDecoder::new(&limits))),
+    fn message(&self, topic: Topic, content: Value) -> Parcel {
+        let (path, number) = &self.channels[topic as usize];
+        let name = match topic {
+            Topic::Forth | Topic::Back => "state",
+            Topic::Image => "image",
+            Topic::Stop => "stop",
+            Topic::Command => "command",
         };
-        if self.form == Form::Binary {
-            link.stream.write_all(&PREFACE).map_err(Error::io("write"))?;
-        }
-        let credentials = Map::new()
-            .with("name", self.user.as_str())
-            .with("password", self.user.as_str());
-        let login = Parcel::new(Family::Login, "login")
-            .context(Path::root())
-            .id(1)
-            .content(credentials);
-        let join = Parcel::new(Family::Context, "join")
-            .context(self.channel.clone())
-            .id(2);
-        let mut input = BytesMut::new();
-        let mut joined = Value::Null;
-        for request in [login, join] {
-            let sent = self.form.encode(&request).map_err(Error::hub("a request"))?;
-            link.stream
-                .write_all(&sent.to_vec())
-                .map_err(Error::io("write"))?;
-            joined = reply(&mut link, &mut decoder, &mut input, &request)?;
-        }
-        link.received = input.to_vec();
-        Ok((link, joined))
-    }
-
-    fn message(&self, content: Value) -> Parcel {
-        let mut parcel = Parcel::new(Family::Message, "state").content(content);
+        let mut parcel = Parcel::new(Family::Message, name).content(content);
         match self.form {
-            Form::Binary => parcel.number = Some(self.number),
-            Form::Xml => parcel.context = Some(self.channel.clone()),
+            Form::Binary => parcel.number = Some(*number),
+            Form::Xml => parcel.context = Some(path.clone()),
         }
-        parcel.timestamp = Time::from_micros(STAMP);
-        parcel.echo = Some(false);
+        if topic == Topic::Image {
+            parcel.delivery = Some(Delivery::Latest);
+        }
+        parcel.timestamp = Time::from_micros(now());
         parcel
     }
 }
 
 impl Driver for MomDriver {
-    fn connect(&self) -> Result<Link, Error> {
-        self.join().map(|(link, _)| link)
+    fn connect(&self, hears: &[Topic], says: &[Topic]) -> Result<Link, Error> {
+        let mut session = Session::login(&self.address, self.form)?;
+        for topic in hears.iter().chain(says) {
+            session.join(*topic)?;
+        }
+        if says.contains(&Topic::Command) {
+            // The owner of the run before may just be leaving.
+            let grab = Parcel::new(Family::Token, "grab").context(path(TOKEN)?);
+            session.ask(grab.content(Map::new().with("wait", 5000)))?;
+        }
+        session.link.received = session.input.to_vec();
+        Ok(session.link)
     }
 
-    fn template(&self, payload: usize) -> Result<Template, Error> {
+    fn template(&self, message: Message) -> Result<Template, Error> {
+        let payload = message.payload.max(NUMBER);
         let content = match self.form {
             Form::Binary => Value::Binary(Bytes::from(vec![b'.'; payload])),
             Form::Xml => Value::from(".".repeat(payload)),
         };
-        let encoded = self.form.encode(&self.message(content));
+        let mut parcel = self.message(message.topic, content);
+        parcel.echo = Some(message.echo);
+        let stamp = parcel.timestamp.map(Time::micros);
+        let encoded = self.form.encode(&parcel);
         let frame = encoded.map_err(Error::hub("a message"))?.to_vec();
         // The content ends the parcel in both forms.
         let after = match self.form {
             Form::Binary => 0,
             Form::Xml => XML_END.len(),
         };
-        let number_at = frame.len() - after - payload;
-        Ok(Template::new(frame, number_at))
+        let number_at = frame.len() - after - NUMBER;
+        // Where age matters the time is that of sending, else one for all: the clock is not what is measured.
+        let timed = matches!(message.topic, Topic::Image | Topic::Stop) && self.form == Form::Binary;
+        let stamp = stamp.filter(|_| timed).map(i64::to_be_bytes);
+        let stamp_at = stamp.and_then(|stamp| memchr::memmem::find(&frame, &stamp));
+        let template = Template::new(frame, number_at);
+        Ok(match stamp_at {
+            Some(at) => template.stamped(at),
+            None => template,
+        })
     }
 
-    fn scanner(&self, payload: usize) -> Box<dyn Scanner> {
-        let payload = payload.max(NUMBER);
-        let samples = Samples::new(self.form, payload);
+    fn scanner(&self) -> Box<dyn Scanner> {
         match self.form {
-            Form::Binary => Box::new(BinaryScanner { payload, samples }),
-            Form::Xml => Box::new(XmlScanner { payload, samples }),
+            Form::Binary => Box::new(BinaryScanner::new()),
+            Form::Xml => Box::new(XmlScanner::new()),
         }
     }
 }
 
-/// Waits for the reply to a request.
-fn reply(
-    link: &mut Link,
-    decoder: &mut Decoder,
-    input: &mut BytesMut,
-    request: &Parcel,
-) -> Result<Value, Error> {
-    let what = || format!("{} of {}", request.name(), request.family.word());
-    loop {
-        match decoder.decode(input).map_err(Error::hub(what()))? {
-            Some(Frame::Parcel(parcel)) => match parcel.family {
-                Family::Error => {
-                    let error = WireError::from_parcel(&parcel);
-                    return Err(Error::Hub { what: what(), error });
-                }
-                Family::Reply if parcel.reference == request.id => return Ok(parcel.value()),
-                _ => {}
-            },
-            Some(Frame::Malformed { error, .. }) => return Err(Error::Hub { what: what(), error }),
-            None => input.extend_from_slice(link.receive()?),
-        }
-    }
-}
-
-/// Decodes some frames whole.
-struct Samples {
+/// A connection while it asks.
+struct Session {
+    link: Link,
+    form: Form,
     decoder: Decoder,
-    payload: usize,
-    seen: u32,
+    input: BytesMut,
+    last: u64,
 }
 
-impl Samples {
-    fn new(form: Form, payload: usize) -> Samples {
-        let mut decoder = Decoder::new(form, &Limits::default());
+impl Session {
+    fn login(address: &str, form: Form) -> Result<Session, Error> {
+        let limits = Limits::default();
+        let mut session = Session {
+            link: Link::connect(address)?,
+            form,
+            decoder: match form {
+                Form::Binary => Decoder::Binary(Box::new(BinaryDecoder::for_peer(&limits))),
+                Form::Xml => Decoder::Xml(Box::new(XmlDecoder::new(&limits))),
+            },
+            input: BytesMut::new(),
+            last: 0,
+        };
         if form == Form::Binary {
-            // Its own greeting is read already; a preface and nothing after it is no frame.
-            let greeted = decoder.decode(&mut BytesMut::from(&PREFACE[..]));
-            debug_assert!(matches!(greeted, Ok(None)));
+            session.link.write(&PREFACE)?;
         }
-        Samples {
-            decoder,
-            payload,
-            seen: 0,
-        }
+        let login = Parcel::new(Family::Login, "login").context(Path::root());
+        session.ask(login.content(Map::new().with("guest", true)))?;
+        Ok(session)
     }
 
-    /// Checks one message of so many.
-    fn message(&mut self, frame: &[u8]) -> Result<(), Error> {
-        self.seen = self.seen.wrapping_add(1);
-        if self.seen % SAMPLE != 1 {
-            return Ok(());
+    /// Joins the channel of a topic, and what is above it.
+    fn join(&mut self, topic: Topic) -> Result<Value, Error> {
+        let channel = channel(topic);
+        let levels = channel.match_indices('/').skip(1).map(|(end, _)| &channel[..end]);
+        let mut joined = Value::Null;
+        for level in levels.chain([channel]) {
+            joined = self.ask(Parcel::new(Family::Context, "join").context(path(level)?))?;
         }
-        let parcel = self.decode(frame)?;
-        let length = match parcel.value() {
-            Value::Binary(bytes) => bytes.len(),
-            Value::String(text) => text.len(),
-            _ => 0,
-        };
-        let good = parcel.is(Family::Message, "state")
-            && length == self.payload
-            && parcel.sender.is_some()
-            && parcel.received.is_some()
-            && parcel.timestamp == Time::from_micros(STAMP);
-        match good {
-            true => Ok(()),
-            false => Err(Error::Unexpected(format!(
-                "a message that was not sent: {parcel:?}"
-            ))),
-        }
+        Ok(joined)
     }
 
-    /// Looks at a frame that is no message: whatever tells of a loss ends the measurement.
-    fn other(&mut self, frame: &[u8]) -> Result<Scan, Error> {
-        let parcel = self.decode(frame)?;
-        match parcel.family {
-            Family::Error => Err(Error::Hub {
-                what: "while measuring".to_owned(),
-                error: WireError::from_parcel(&parcel),
-            }),
-            Family::Event if parcel.name() == mom_proto::event::DROPPED => {
-                Err(Error::Unexpected(format!("dropped: {:?}", parcel.value())))
+    /// Sends a request and waits for the reply to it.
+    fn ask(&mut self, request: Parcel) -> Result<Value, Error> {
+        self.last += 1;
+        let request = request.id(self.last);
+        let what = || format!("{} of {}", request.name(), request.family.word());
+        let sent = self.form.encode(&request).map_err(Error::hub("a request"))?;
+        self.link.write(&sent.to_vec())?;
+        loop {
+            match self.decoder.decode(&mut self.input).map_err(Error::hub(what()))? {
+                Some(Frame::Parcel(parcel)) => match parcel.family {
+                    Family::Error => {
+                        let error = WireError::from_parcel(&parcel);
+                        return Err(Error::Hub { what: what(), error });
+                    }
+                    Family::Reply if parcel.reference == request.id => return Ok(parcel.value()),
+                    _ => {}
+                },
+                Some(Frame::Malformed { error, .. }) => return Err(Error::Hub { what: what(), error }),
+                None => {
+                    self.link.receive()?;
+                    self.input.extend_from_slice(&self.link.received);
+                    self.link.received.clear();
+                }
             }
-            _ => Ok(Scan::Other(frame.len())),
-        }
-    }
-
-    fn decode(&mut self, frame: &[u8]) -> Result<Parcel, Error> {
-        let decoded = self.decoder.decode(&mut BytesMut::from(frame));
-        match decoded.map_err(Error::hub("a frame"))? {
-            Some(Frame::Parcel(parcel)) => Ok(*parcel),
-            other => Err(Error::Unexpected(format!("{other:?} for a frame"))),
         }
     }
 }
 
-struct BinaryScanner {
-    payload: usize,
-    samples: Samples,
-}
-
-/// The kind of a frame that holds a whole parcel.
-const WHOLE: u8 = 0;
-/// The presence bit of the slot family, which messages leave out; the bitmap is a varint of seven bits a byte.
-const FAMILY_BYTE: usize = 1;
-const FAMILY_BIT: u8 = 1 << 3;
-
-impl Scanner for BinaryScanner {
-    fn scan(&mut self, bytes: &[u8]) -> Result<Scan, Error> {
-        let Some((length, rest)) = bytes.split_first_chunk::<4>() else {
-            return Ok(Scan::Incomplete);
-        };
-        let Some(frame) = rest.get(..u32::from_be_bytes(*length) as usize) else {
-            return Ok(Scan::Incomplete);
-        };
-        let size = frame.len() + 4;
-        let message = match frame {
-            [WHOLE, bitmap @ ..] if bitmap.len() > self.payload => {
-                bitmap[0] < 0x80 || bitmap[FAMILY_BYTE] & FAMILY_BIT == 0
-            }
-            _ => false,
-        };
-        if !message {
-            return self.samples.other(&bytes[..size]);
-        }
-        self.samples.message(&bytes[..size])?;
-        numbered(&frame[frame.len() - self.payload..], size)
-    }
-}
-
-struct XmlScanner {
-    payload: usize,
-    samples: Samples,
-}
-
-const XML_MESSAGE: &[u8] = b"<parcel><family>message</family>";
-const XML_END: &[u8] = b"</content></parcel>";
-
-impl Scanner for XmlScanner {
-    fn scan(&mut self, bytes: &[u8]) -> Result<Scan, Error> {
-        let Some(size) = entity(bytes)? else {
-            return Ok(Scan::Incomplete);
-        };
-        let (head, body) = bytes[..size.whole].split_at(size.header);
-        let content = body
-            .strip_prefix(XML_MESSAGE)
-            .and_then(|rest| rest.strip_suffix(XML_END))
-            .and_then(|rest| rest.get(rest.len().checked_sub(self.payload)?..));
-        match content {
-            Some(content) => {
-                self.samples.message(&bytes[..size.whole])?;
-                numbered(content, head.len() + body.len())
-            }
-            None => self.samples.other(&bytes[..size.whole]),
-        }
-    }
-}
-
-fn numbered(content: &[u8], size: usize) -> Result<Scan, Error> {
-    match Template::number(content) {
-        Some(number) => Ok(Scan::Parcel(size, number)),
-        None => Err(Error::Unexpected("a message without a number".to_owned())),
-    }
-}
-
-/// The lengths of an XML entity, in bytes.
-struct Entity {
-    header: usize,
-    whole: usize,
-}
-
-/// The entity at the front, if all of it is there.
-fn entity(bytes: &[u8]) -> Result<Option<Entity>, Error> {
-    const END: &[u8] = b"\r\n\r\n";
-    const LENGTH: &str = "Content-Length: ";
-    let Some(end) = bytes.windows(END.len()).position(|window| window == END) else {
-        return Ok(None);
-    };
-    let length = std::str::from_utf8(&bytes[..end])
-        .ok()
-        .and_then(|lines| lines.lines().find_map(|line| line.strip_prefix(LENGTH)))
-        .and_then(|digits| digits.parse::<usize>().ok());
-    let length = length.ok_or_else(|| Error::Unexpected("an entity without a length".to_owned()))?;
-    let header = end + END.len();
-    let whole = header + length;
-    Ok((whole <= bytes.len()).then_some(Entity { header, whole }))
+fn path(text: &str) -> Result<Path, Error> {
+    Path::parse(text).map_err(Error::hub("a path of the configuration"))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::driver::Scan;
 
     fn driver(form: Form) -> MomDriver {
+        let channels = Topic::ALL.map(|topic| (path(channel(topic)).unwrap(), ContextNumber(2)));
         MomDriver {
             address: "127.0.0.1:1".to_owned(),
             form,
-            user: "peer".to_owned(),
-            channel: Path::parse("/bench").unwrap(),
-            number: ContextNumber(2),
+            channels: channels.to_vec(),
         }
     }
 
@@ -336,15 +225,15 @@ mod tests {
 
     fn delivered(form: Form, payload: usize, number: u32) -> Parcel {
         let mut text = Vec::new();
-        Template::new(vec![b'.'; payload], 0).append(number, &mut text);
+        Template::around(&[], payload, &[]).append(number, &mut text);
         let content = match form {
             Form::Binary => Value::Binary(text.into()),
             Form::Xml => Value::from(String::from_utf8(text).unwrap()),
         };
-        let mut parcel = driver(form).message(content);
+        let mut parcel = driver(form).message(Topic::Forth, content);
         parcel.context = Some(Path::parse("/bench").unwrap());
         parcel.sender = Some("peer~2".into());
-        parcel.received = Time::from_micros(STAMP);
+        parcel.received = parcel.timestamp;
         parcel.age = Some(0);
         parcel
     }
@@ -354,7 +243,7 @@ mod tests {
         for form in [Form::Binary, Form::Xml] {
             for payload in [8, 16, 300, 70_000] {
                 let bytes = frame(form, &delivered(form, payload, 77));
-                let mut scanner = driver(form).scanner(payload);
+                let mut scanner = driver(form).scanner();
                 for cut in [1, 5, bytes.len() - 1] {
                     assert_eq!(scanner.scan(&bytes[..cut]).unwrap(), Scan::Incomplete, "{form:?}");
                 }
@@ -365,12 +254,33 @@ mod tests {
     }
 
     #[test]
+    fn chunks_are_joined_while_others_go_between() {
+        let large = Form::Binary.encode(&delivered(Form::Binary, 300, 5)).unwrap();
+        let small = frame(Form::Binary, &delivered(Form::Binary, 16, 6));
+        // The last piece holds only the end of the number.
+        for size in [large.len() - 4 - 3, 100, 64] {
+            let mut scanner = driver(Form::Binary).scanner();
+            let pieces = mom_proto::binary::chunks(&large, 3, size);
+            for (index, piece) in pieces.iter().enumerate() {
+                let last = index + 1 == pieces.len();
+                let expected = match last {
+                    true => Scan::Parcel(piece.len(), 5),
+                    false => Scan::Other(piece.len()),
+                };
+                assert_eq!(scanner.scan(piece).unwrap(), expected);
+                assert_eq!(scanner.scan(&small).unwrap(), Scan::Parcel(small.len(), 6));
+            }
+        }
+    }
+
+    #[test]
     fn templates_are_what_the_hub_reads() {
         for form in [Form::Binary, Form::Xml] {
             let mut bytes = Vec::new();
-            driver(form).template(16).unwrap().append(5, &mut bytes);
-            let parcel = Samples::new(form, 16).decode(&bytes).unwrap();
-            let expected = b"aaaaaaaf........";
+            let driver = driver(form);
+            driver.template(Message::forth(16)).unwrap().append(5, &mut bytes);
+            let parcel = super::super::mom_scan::decode_one(form, &bytes).unwrap();
+            let expected = b"........aaaaaaaf";
             match parcel.value() {
                 Value::Binary(content) => assert_eq!(content, &expected[..]),
                 Value::String(content) => assert_eq!(content.as_bytes(), expected),
@@ -381,20 +291,44 @@ mod tests {
     }
 
     #[test]
+    fn images_and_stops_carry_the_time_of_sending() {
+        let driver = driver(Form::Binary);
+        for topic in [Topic::Image, Topic::Stop] {
+            let message = Message {
+                topic,
+                payload: 16,
+                echo: false,
+            };
+            let template = driver.template(message).unwrap();
+            let before = now();
+            let mut bytes = Vec::new();
+            template.append(5, &mut bytes);
+            let parcel = super::super::mom_scan::decode_one(Form::Binary, &bytes).unwrap();
+            assert!(parcel.timestamp.unwrap().micros() >= before, "{parcel:?}");
+        }
+    }
+
+    #[test]
     fn losses_and_strangers_end_the_measurement() {
         for form in [Form::Binary, Form::Xml] {
-            let mut scanner = driver(form).scanner(16);
+            let mut scanner = driver(form).scanner();
             let pong = frame(form, &Parcel::new(Family::Time, "ping").id(0));
             assert_eq!(scanner.scan(&pong).unwrap(), Scan::Other(pong.len()));
+            let mut halt = Parcel::new(Family::Message, "halt");
+            halt.sender = Some("hub".into());
+            let halt = frame(form, &halt);
+            assert_eq!(scanner.scan(&halt).unwrap(), Scan::Other(halt.len()));
             let dropped = Parcel::new(Family::Event, "dropped").content(Map::new().with("count", 3));
+            let dropped = frame(form, &dropped);
+            assert_eq!(scanner.scan(&dropped).unwrap(), Scan::Dropped(dropped.len(), 3));
             let error = WireError::new(mom_proto::Code::NOT_MEMBER, "join first").to_parcel(None);
             let mut unnumbered = delivered(form, 16, 1);
             unnumbered.content = Some("................".into());
             let mut unsent = delivered(form, 16, 1);
             unsent.sender = None;
-            for parcel in [dropped, error, unnumbered, unsent] {
+            for parcel in [error, unnumbered, unsent] {
                 let bytes = frame(form, &parcel);
-                assert!(driver(form).scanner(16).scan(&bytes).is_err(), "{parcel:?}");
+                assert!(driver(form).scanner().scan(&bytes).is_err(), "{parcel:?}");
             }
         }
     }

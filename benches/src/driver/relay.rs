@@ -1,6 +1,6 @@
 //! The relay's protocol: a big-endian u32 length, then so many bytes.
 
-use super::{Driver, Link, Scan, Scanner, Template};
+use super::{Driver, Link, Message, Scan, Scanner, Template, Topic};
 use crate::Error;
 
 const PREFIX: usize = 4;
@@ -22,7 +22,7 @@ impl RelayDriver {
 
 impl Driver for RelayDriver {
     /// The relay greets with an empty frame once the peer hears all others.
-    fn connect(&self) -> Result<Link, Error> {
+    fn connect(&self, _hears: &[Topic], _says: &[Topic]) -> Result<Link, Error> {
         let mut link = Link::connect(&self.address)?;
         while link.received.len() < PREFIX {
             link.receive()?;
@@ -33,22 +33,19 @@ impl Driver for RelayDriver {
         }
     }
 
-    fn template(&self, payload: usize) -> Result<Template, Error> {
+    fn template(&self, message: Message) -> Result<Template, Error> {
+        let payload = message.payload;
         let length =
             u32::try_from(payload).map_err(|_| Error::Unexpected(format!("a payload of {payload} bytes")))?;
-        let mut frame = length.to_be_bytes().to_vec();
-        frame.resize(PREFIX + payload, b'.');
-        Ok(Template::new(frame, PREFIX))
+        Ok(Template::around(&length.to_be_bytes(), payload, &[]))
     }
 
-    fn scanner(&self, payload: usize) -> Box<dyn Scanner> {
-        Box::new(RelayScanner { payload })
+    fn scanner(&self) -> Box<dyn Scanner> {
+        Box::new(RelayScanner)
     }
 }
 
-struct RelayScanner {
-    payload: usize,
-}
+struct RelayScanner;
 
 impl Scanner for RelayScanner {
     fn scan(&mut self, bytes: &[u8]) -> Result<Scan, Error> {
@@ -56,15 +53,9 @@ impl Scanner for RelayScanner {
             return Ok(Scan::Incomplete);
         };
         let length = u32::from_be_bytes(*length) as usize;
-        if length != self.payload {
-            return Err(Error::Unexpected(format!("a frame of {length} bytes")));
-        }
-        if rest.len() < length {
-            return Ok(Scan::Incomplete);
-        }
-        match Template::number(rest) {
-            Some(number) => Ok(Scan::Parcel(PREFIX + length, number)),
-            None => Err(Error::Unexpected("a frame without a number".to_owned())),
+        match rest.get(..length) {
+            None => Ok(Scan::Incomplete),
+            Some(payload) => Ok(Scan::Parcel(PREFIX + length, Template::last_number(payload)?)),
         }
     }
 }
@@ -77,13 +68,12 @@ mod tests {
     fn templates_are_found_again() {
         let driver = RelayDriver::new("127.0.0.1:1");
         let mut bytes = Vec::new();
-        driver.template(16).unwrap().append(7, &mut bytes);
-        let mut scanner = driver.scanner(16);
+        driver.template(Message::forth(16)).unwrap().append(7, &mut bytes);
+        let mut scanner = driver.scanner();
         assert_eq!(scanner.scan(&bytes[..3]).unwrap(), Scan::Incomplete);
         assert_eq!(scanner.scan(&bytes[..19]).unwrap(), Scan::Incomplete);
         assert_eq!(scanner.scan(&bytes).unwrap(), Scan::Parcel(20, 7));
-        assert!(driver.scanner(17).scan(&bytes).is_err());
-        bytes[4] = b'.';
+        bytes[12] = b'.';
         assert!(scanner.scan(&bytes).is_err());
     }
 }

@@ -1,0 +1,25 @@
+//! MOM beside other brokers: the same load generator, each hub in a process of its own, one table.
+//!
+//! [`plan::ROWS`] has all scenarios with what ours should reach; another broker is one more [`Kind`] and one more
+//! [`crate::Driver`].
+
+mod brokers;
+mod crowd;
+mod files;
+mod idle;
+mod metric;
+mod place;
+pub mod plan;
+mod plot;
+mod run;
+mod stop;
+pub mod table;
+
+pub use brokers::{Kind, Programs};
+pub use crowd::Crowd;
+pub use idle::{idle, raise_files};
+pub use metric::{Metric, Sample};
+pub use place::{Place, SlowLink};
+pub use plot::bars;
+pub use run::{Outcome, run};
+pub use stop::SaturatedStop;

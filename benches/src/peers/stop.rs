@@ -1,0 +1,251 @@
+//! The saturated stop: a camera sends more than the link to a subscriber carries, somebody says stop to it now and
+//! then. How long does that take, and do all arrive?
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use super::metric::{Metric, Sample};
+use super::place::{LINK_RATE, SlowLink};
+use crate::driver::Topic;
+use crate::listen::{Listener, Listening, Sink, join};
+use crate::{Delays, Error, Hub, Link, Message, Template};
+
+/// The load.
+#[derive(Clone, Copy, Debug)]
+pub struct SaturatedStop {
+    /// Bytes of a camera's frame.
+    pub frame: usize,
+    /// What the camera sends, over the link's rate.
+    pub load: f64,
+    /// How many stops.
+    pub stops: u32,
+    /// From one stop to the next.
+    pub every: Duration,
+}
+
+/// Bytes of a stop's payload.
+const STOP: usize = 16;
+/// Frames are numbered from here on, stops from 0.
+const FRAMES: u32 = 1 << 31;
+/// Not measured at first: the queues fill.
+const WARM_UP: Duration = Duration::from_secs(2);
+/// Stops that have not arrived so long after the last was sent do not.
+const LATE: Duration = Duration::from_secs(30);
+
+struct Shared {
+    start: Instant,
+    /// When each stop left, in ns since the start, and how long it took; 0 = not yet.
+    left: Vec<AtomicU64>,
+    took: Vec<AtomicU64>,
+    frame_bytes: AtomicU64,
+    told: AtomicU64,
+    over: AtomicBool,
+    failure: Mutex<Option<String>>,
+}
+
+impl Shared {
+    fn now(&self) -> u64 {
+        u64::try_from(self.start.elapsed().as_nanos()).unwrap_or(u64::MAX)
+    }
+
+    fn arrived(&self) -> usize {
+        let stops = self.took.iter();
+        stops.filter(|took| took.load(Ordering::Relaxed) > 0).count()
+    }
+
+    fn has_failed(&self) -> bool {
+        self.failure
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .is_some()
+    }
+}
+
+impl SaturatedStop {
+    /// Runs it between the ends of a slow link. A hub that cuts the subscriber off still has a figure: the stops
+    /// that arrived until then.
+    ///
+    /// # Errors
+    /// A hub that refuses at the start.
+    pub fn run(&self, hub: &Hub, link: &SlowLink) -> Result<Sample, Error> {
+        let hears = [Topic::Image, Topic::Stop];
+        let subscriber = link.far.within(|| hub.driver.connect(&hears, &[]))??;
+        let camera = link.hub.within(|| hub.driver.connect(&[], &[Topic::Image]))??;
+        let stopper = link.hub.within(|| hub.driver.connect(&[], &[Topic::Stop]))??;
+        let zeros = || (0..self.stops).map(|_| AtomicU64::new(0)).collect();
+        let shared = Arc::new(Shared {
+            start: Instant::now(),
+            left: zeros(),
+            took: zeros(),
+            frame_bytes: AtomicU64::new(0),
+            told: AtomicU64::new(0),
+            over: AtomicBool::new(false),
+            failure: Mutex::new(None),
+        });
+        let listener = |link, subscriber| Listener {
+            link,
+            scanner: hub.driver.scanner(),
+            sink: Ear {
+                shared: Arc::clone(&shared),
+                frame: self.frame as u64,
+                subscriber,
+                now: 0,
+            },
+        };
+        let listeners = vec![
+            listener(subscriber, true),
+            listener(camera.second()?, false),
+            listener(stopper.second()?, false),
+        ];
+        let listening = Listening::start(listeners)?;
+        let filming = self.film(hub, &shared, camera)?;
+        thread::sleep(WARM_UP);
+        let before = (
+            Instant::now(),
+            shared.frame_bytes.load(Ordering::Relaxed),
+            hub.cpu(),
+        );
+        self.say_stop(hub, &shared, stopper)?;
+        let after = (
+            Instant::now(),
+            shared.frame_bytes.load(Ordering::Relaxed),
+            hub.cpu(),
+        );
+        self.settle(&shared);
+        shared.over.store(true, Ordering::Relaxed);
+        // The far end first: a hub that holds the camera back lets it go then.
+        listening.end()?;
+        join(filming)?;
+        let seconds = (after.0 - before.0).as_secs_f64();
+        let bytes = after.1 - before.1;
+        let mut sample = self.sample(&shared, bytes, seconds);
+        if let Some((before, after)) = before.2.zip(after.2) {
+            let deliveries = bytes as f64 / self.frame as f64 + shared.arrived() as f64;
+            let used = after.saturating_sub(before).as_secs_f64();
+            sample.insert(Metric::Cpu, used / (deliveries / 1e6).max(1e-9));
+        }
+        Ok(sample)
+    }
+
+    fn sample(&self, shared: &Shared, bytes: u64, seconds: f64) -> Sample {
+        let took = shared.took.iter().map(|took| took.load(Ordering::Relaxed));
+        let delays = Delays::of(took.filter(|took| *took > 0).map(Duration::from_nanos).collect());
+        Sample::from([
+            (Metric::P50, delays.quantile(0.5)),
+            (Metric::P99, delays.quantile(0.99)),
+            (Metric::Arrived, delays.count() as f64),
+            (Metric::Frames, bytes as f64 / self.frame as f64),
+            (Metric::Link, bytes as f64 * 8.0 / seconds / LINK_RATE),
+            (Metric::Told, shared.told.load(Ordering::Relaxed) as f64),
+        ])
+    }
+
+    /// The camera's thread: a frame at each step, or as soon as the hub takes it.
+    fn film(
+        &self,
+        hub: &Hub,
+        shared: &Arc<Shared>,
+        mut camera: Link,
+    ) -> Result<thread::JoinHandle<()>, Error> {
+        let template = template(hub, Topic::Image, self.frame)?;
+        let step = Duration::from_secs_f64(self.frame as f64 * 8.0 / (self.load * LINK_RATE));
+        // A hub may hold the camera back for as long as the link needs.
+        let patient = camera.stream.set_write_timeout(Some(LATE));
+        patient.map_err(Error::io("socket options"))?;
+        let shared = Arc::clone(shared);
+        Ok(thread::spawn(move || {
+            let mut bytes = Vec::new();
+            for number in FRAMES.. {
+                if shared.over.load(Ordering::Relaxed) {
+                    return;
+                }
+                bytes.clear();
+                template.append_all(number..number + 1, &mut bytes);
+                if camera.write(&bytes).is_err() {
+                    return;
+                }
+                let due = shared.start + step * (number - FRAMES + 1);
+                thread::sleep(due.saturating_duration_since(Instant::now()));
+            }
+        }))
+    }
+
+    fn say_stop(&self, hub: &Hub, shared: &Shared, mut stopper: Link) -> Result<(), Error> {
+        let template = template(hub, Topic::Stop, STOP)?;
+        let start = Instant::now();
+        let mut bytes = Vec::new();
+        for number in 0..self.stops {
+            let due = start + self.every * number;
+            thread::sleep(due.saturating_duration_since(Instant::now()));
+            if shared.has_failed() {
+                break;
+            }
+            bytes.clear();
+            template.append_all(number..number + 1, &mut bytes);
+            shared.left[number as usize].store(shared.now(), Ordering::Relaxed);
+            stopper.write(&bytes)?;
+        }
+        Ok(())
+    }
+
+    /// Waits for stops that are still on their way.
+    fn settle(&self, shared: &Shared) {
+        let end = Instant::now() + LATE;
+        while shared.arrived() < self.stops as usize && !shared.has_failed() && Instant::now() < end {
+            thread::sleep(Duration::from_millis(10));
+        }
+    }
+}
+
+fn template(hub: &Hub, topic: Topic, payload: usize) -> Result<Template, Error> {
+    hub.driver.template(Message {
+        topic,
+        payload,
+        echo: false,
+    })
+}
+
+struct Ear {
+    shared: Arc<Shared>,
+    frame: u64,
+    /// Or one of those who send.
+    subscriber: bool,
+    now: u64,
+}
+
+impl Sink for Ear {
+    fn begin(&mut self) {
+        self.now = self.shared.now();
+    }
+
+    fn parcel(&mut self, number: u32) -> Result<(), Error> {
+        if number >= FRAMES {
+            self.shared.frame_bytes.fetch_add(self.frame, Ordering::Relaxed);
+            return Ok(());
+        }
+        let stop = number as usize;
+        let (left, took) = (&self.shared.left[stop], &self.shared.took[stop]);
+        let delay = self.now.saturating_sub(left.load(Ordering::Relaxed)).max(1);
+        match took.swap(delay, Ordering::Relaxed) {
+            0 => Ok(()),
+            _ => Err(Error::Unexpected(format!("stop {number} twice"))),
+        }
+    }
+
+    fn dropped(&mut self, count: u64) -> Result<(), Error> {
+        if !self.subscriber {
+            self.shared.told.fetch_add(count, Ordering::Relaxed);
+        }
+        Ok(())
+    }
+
+    fn failed(&mut self, error: Error) {
+        // One who only sends may be cut off for not reading; what counts is who listens.
+        if self.subscriber && !self.shared.over.load(Ordering::Relaxed) {
+            let mut failure = self.shared.failure.lock().unwrap_or_else(PoisonError::into_inner);
+            failure.get_or_insert(error.to_string());
+        }
+    }
+}

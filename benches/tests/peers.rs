@@ -1,0 +1,164 @@
+//! The comparison with other brokers, small, with ours and the relay alone: figures mean nothing here, loss and order do.
+
+use std::path::Path;
+use std::time::Duration;
+
+use mom_benches::peers::{
+    Crowd, Metric, Place, Programs, SaturatedStop, SlowLink, idle, plan, raise_files, table,
+};
+use mom_benches::peers::{Kind, run};
+use mom_benches::{Error, Hub, broker_folder};
+use mom_broker::{Broker, Config};
+use mom_proto::codec::Form;
+use tempfile::TempDir;
+use tokio::runtime::Runtime;
+
+/// A broker in this process, which ends with its runtime.
+struct Bench {
+    _runtime: Runtime,
+    _broker: Broker,
+    _folder: TempDir,
+    hub: Hub,
+}
+
+fn bench(form: Form) -> Bench {
+    let folder = broker_folder().expect("a temporary folder can be made");
+    let config = Config::load(&folder.path().join("mom.toml")).expect("the broker's configuration is right");
+    let runtime = Runtime::new().expect("there are threads");
+    let broker = runtime
+        .block_on(Broker::start(config))
+        .expect("the broker starts on any free port");
+    let hub = Hub::broker(&broker.local_addr().to_string(), form).expect("guests may join");
+    Bench {
+        _runtime: runtime,
+        _broker: broker,
+        _folder: folder,
+        hub,
+    }
+}
+
+/// Programs of which only the relay is there.
+fn programs() -> Programs {
+    let relay = Path::new(env!("CARGO_BIN_EXE_relay"));
+    let nowhere = tempfile::tempdir().expect("a temporary folder can be made");
+    Programs::find(nowhere.path().join("broker"), relay.to_owned(), nowhere.path())
+        .expect("a temporary folder can be made")
+}
+
+const CROWD: Crowd = Crowd {
+    peers: 6,
+    rate: 100,
+    payload: 64,
+    warm_up: Duration::from_millis(50),
+    time: Duration::from_millis(200),
+};
+
+#[test]
+fn a_crowd_hears_everybody_in_order() {
+    let programs = programs();
+    let relay = programs
+        .start(Kind::Relay, &Place::Loopback, true)
+        .expect("cargo has built the relay");
+    for hub in [&bench(Form::Binary).hub, &bench(Form::Xml).hub, &relay] {
+        let sample = CROWD.run(hub).unwrap();
+        // What is late on a busy machine is not counted, but nothing is heard twice or out of order.
+        let share = sample[&Metric::Share];
+        assert!(share > 0.0 && share <= 1.0, "{}: {sample:?}", hub.name);
+    }
+}
+
+#[test]
+fn idle_peers_all_hear_the_one_parcel() {
+    raise_files();
+    let programs = programs();
+    let relay = programs.start(Kind::Relay, &Place::Loopback, false).unwrap();
+    let sample = idle(&relay, 40).unwrap();
+    assert!(sample.contains_key(&Metric::Memory), "{sample:?}");
+    idle(&bench(Form::Binary).hub, 40).unwrap();
+}
+
+#[test]
+fn every_row_that_the_relay_takes_has_figures_of_it() {
+    let mut effort = plan::Effort::quick();
+    effort.warm_up = Duration::from_millis(10);
+    effort.stream = Duration::from_millis(40);
+    effort.rounds = 60;
+    effort.connections = 1;
+    effort.crowd = CROWD;
+    let rows: Vec<plan::Row> = plan::ROWS
+        .into_iter()
+        .filter(|row| row.hubs.contains(&Kind::Relay))
+        .map(|row| match row.load {
+            plan::Load::Stream(receivers) => plan::Row {
+                load: plan::Load::Stream(receivers.min(20)),
+                ..row
+            },
+            _ => row,
+        })
+        .collect();
+    let programs = programs();
+    let relays = |kind| matches!(kind, Kind::Relay | Kind::RawRelay);
+    let outcomes = run(&rows, &programs, relays, &effort, |_| {});
+    for outcome in &outcomes {
+        assert!(
+            outcome.failures.is_empty(),
+            "{}: {:?}",
+            outcome.row.name,
+            outcome.failures
+        );
+        assert!(outcome.samples.contains_key(&Kind::Relay), "{}", outcome.row.name);
+    }
+    let markdown = table::markdown(&outcomes, &programs, 1, None);
+    assert!(
+        markdown.contains("| 1→1, 16 B | deliveries per second ≥ 2 × the best peer's | | | | not measured |"),
+        "{markdown}"
+    );
+    let raw = table::raw(&outcomes, &programs, "now", None);
+    assert!(
+        raw.pointer("/rows/1→1, 16 B/relay/0/deliveries-per-second")
+            .is_some(),
+        "{raw}"
+    );
+}
+
+#[test]
+fn a_program_that_is_not_there_is_told() {
+    let started = programs().start(Kind::Mom, &Place::Loopback, false);
+    assert!(matches!(started, Err(Error::Io { .. })));
+}
+
+/// Where namespaces may be made, that is as root; elsewhere the reason is told, and nothing is left behind.
+#[test]
+fn a_stop_passes_frames_on_a_slow_link() {
+    let link = match SlowLink::new() {
+        Ok(link) => link,
+        Err(error) => {
+            assert!(!error.to_string().is_empty());
+            return;
+        }
+    };
+    let folder = broker_folder().unwrap();
+    let mut config = Config::load(&folder.path().join("mom.toml")).unwrap();
+    config.listen = vec![format!("{}:0", link.hub.host())];
+    let runtime = Runtime::new().unwrap();
+    // The listening socket belongs to the namespace, whoever polls it.
+    let broker = link
+        .hub
+        .within(|| runtime.block_on(Broker::start(config)))
+        .unwrap()
+        .unwrap();
+    let address = broker.local_addr().to_string();
+    let hub = link
+        .hub
+        .within(|| Hub::broker(&address, Form::Binary))
+        .unwrap()
+        .unwrap();
+    let stop = SaturatedStop {
+        frame: 16 * 1024,
+        load: 1.5,
+        stops: 5,
+        every: Duration::from_millis(20),
+    };
+    let sample = stop.run(&hub, &link).unwrap();
+    assert_eq!(sample[&Metric::Arrived], 5.0, "{sample:?}");
+}
