@@ -30,18 +30,24 @@ pub(crate) fn on(hub: &mut Hub, request: &mut Request, out: &mut Vec<Effect>) ->
         size: request.parcel.content.as_ref().map_or(0, Content::size),
         ..Wish::new(request.verb, number)
     };
-    let verdict = hub.consult(peer, &wish);
-    if let Answer::Defer(defer) = verdict.answer {
-        // Nobody is asked about what would be refused in any case.
-        hub.check_admissible(peer, number, &request.parcel)?;
-        return Err(hub.defer(peer, &wish, defer, verdict.rule));
-    }
-    hub.keep_standing(peer, number, &request.parcel, &verdict);
+    let (answer, rate) = match hub.standing(peer, number, &request.parcel.name) {
+        Some(standing) => (standing.answer, standing.rate),
+        None => {
+            let verdict = hub.consult(peer, &wish);
+            if let Answer::Defer(defer) = verdict.answer {
+                // Nobody is asked about what would be refused in any case.
+                hub.check_admissible(peer, number, &request.parcel)?;
+                return Err(hub.defer(peer, &wish, defer, verdict.rule));
+            }
+            hub.keep_standing(peer, number, &request.parcel, &verdict);
+            (verdict.answer, verdict.standing.rate())
+        }
+    };
     let Some(route) = hub.route(number) else {
         return Err(hub.unknown_path(&request.path, Some(ContextKind::Channel)).into());
     };
     let (now, wall) = (hub.now, hub.wall());
-    let receivers = admit_with(&route, peer, &verdict.answer, &mut request.parcel, now, wall)?;
+    let receivers = admit_with(&route, peer, &answer, &mut request.parcel, now, wall)?;
     let parcel = take_parcel(&mut request.parcel);
     let route = match hub.count_command(peer, &route, &parcel) {
         true => hub.route(number).unwrap_or(route),
@@ -52,7 +58,7 @@ pub(crate) fn on(hub: &mut Hub, request: &mut Request, out: &mut Vec<Effect>) ->
         parcel: Box::new(parcel),
         receivers,
         route: Arc::new(route),
-        rate: verdict.standing.rate(),
+        rate,
     });
     Ok(())
 }
@@ -107,6 +113,14 @@ impl Hub {
         self.retime(number);
         self.change_guarded_routes(number);
         true
+    }
+
+    /// What stands for a message: who was asked about an earlier one, and said that this holds, is not asked again
+    /// about those that have waited behind it.
+    fn standing(&self, peer: PeerId, number: ContextNumber, name: &str) -> Option<StandingVerdict> {
+        let member = self.tree.get(number)?.members.get(&peer)?;
+        let standing = member.standing(name, self.now);
+        standing.filter(|_| self.answers.is_empty()).cloned()
     }
 
     /// Puts a verdict that stands into the route, so that the broker need not ask again.
