@@ -34,7 +34,7 @@ impl Observer {
             "released" => {
                 let lost = self.owners.release(parcel, &mut self.seen);
                 self.check_expired(&path, &lost, input);
-                safe = self.safe_scope(&path, &lost);
+                safe = self.safe_scope(&path, &lost, parcel);
                 [vec![lost.owned.name], self.tree.guarded_members(&path)].concat()
             }
             "grabbed" => self.grabbed(to, parcel, granted),
@@ -229,13 +229,19 @@ impl Observer {
         }
     }
 
-    fn safe_scope(&self, path: &Path, lost: &Lost) -> Option<Scope> {
+    /// Where a safe state had to be heard before a loss: not where the device is handed over by agreement.
+    fn safe_scope(&self, path: &Path, lost: &Lost, released: &Parcel) -> Option<Scope> {
         let rules = self.rules(path);
         let (on_give, only) = match rules {
             Some(rules) => (rules.safe_on_give, rules.safe),
             None => (false, None),
         };
-        if lost.reason == "given" && !on_give {
+        let agreed = match &*lost.reason {
+            "given" => true,
+            "returned" => released.value().get("by").is_some(),
+            _ => false,
+        };
+        if agreed && !on_give {
             return None;
         }
         Some(only.map_or(Scope::Everywhere, Scope::Only))

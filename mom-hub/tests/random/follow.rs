@@ -14,6 +14,8 @@ use crate::tree::{Person, members};
 #[derive(Default)]
 struct Story {
     granted: Vec<Granted>,
+    /// Whether a context was deleted: a device is safe then although nobody has lost its token.
+    deleted: bool,
     /// Whether a safe state was told, and not yet the loss that it is for.
     unsaid: bool,
 }
@@ -42,6 +44,7 @@ impl Observer {
         let mut story = Story::default();
         for effect in effects {
             self.tree.route(effect);
+            story.deleted |= matches!(effect, Effect::RouteGone(_));
             let asked = self.answers.answer(effect, &mut self.seen);
             let safe = self.effect(effect, asked.as_ref(), input, &mut story);
             let joined = asked.is_some_and(|asked| asked.verb == Some(Verb::Join));
@@ -124,7 +127,7 @@ impl Observer {
                 None
             }
             _ => {
-                story.unsaid = true;
+                story.unsaid = !story.deleted;
                 self.seen.note(parcel.name());
                 let path = parcel.context.as_ref().unwrap();
                 self.tree.check_receivers(to, path, &[]);
@@ -198,6 +201,12 @@ impl Observer {
                 };
                 let before = self.tree.people.insert(*peer, person);
                 self.tree.former = before.map(|before| (*peer, before.name));
+            }
+            // What was about to go back does not: whose it was comes in turn like all others.
+            Some(Input::Stored { ticket, ok: false }) => {
+                if let Some(path) = self.disk.path_of(*ticket) {
+                    self.owners.lost.remove(path);
+                }
             }
             Some(Input::Configure(configuration)) => {
                 self.queues.mix();
