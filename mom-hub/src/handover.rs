@@ -14,15 +14,19 @@ use crate::{Effect, Hub, PeerId};
 /// Peers that may ask one owner at a time.
 pub(crate) const ASKING: usize = 16;
 
-/// How soon a peer may be asked the same again by the same one, µs.
+/// How soon a peer may be invited to the same place again, µs; and in which time it is asked for or offered the same
+/// token by the same one [`TIMES`] times at most.
 pub(crate) const AGAIN: Micros = 10_000_000;
+
+/// A person that is told no has a word to say to that, and perhaps another one.
+const TIMES: u32 = 4;
 
 /// Offers and requests that a token remembers for that; of more the oldest are forgotten.
 const REMEMBERED: usize = 256;
 
 impl Hub {
-    /// Checks that a peer has not offered the token to this other one, or asked it for it, a short while ago: each
-    /// time both are told, and nobody may fill somebody else's control lane.
+    /// Checks that a peer has not offered the token to this other one, or asked it for it, again and again: each time
+    /// both are told, and nobody may fill somebody else's control lane.
     ///
     /// # Errors
     /// `try-later`, with the time until then.
@@ -35,8 +39,8 @@ impl Hub {
             .token(number)
             .and_then(|token| token.asked.get(&(verb, from, to)));
         match until {
-            Some(until) => not_again(self.now, *until, &self.name_of(to)),
-            None => Ok(()),
+            Some((times, until)) if *times >= TIMES => not_again(self.now, *until, &self.name_of(to)),
+            _ => Ok(()),
         }
     }
 
@@ -46,17 +50,21 @@ impl Hub {
         let Some(token) = self.token_mut(number) else {
             return;
         };
-        token.asked.retain(|_, until| now < *until);
+        token.asked.retain(|_, (_, until)| now < *until);
+        if let Some((times, _)) = token.asked.get_mut(&asked) {
+            *times += 1;
+            return;
+        }
         if token.asked.len() >= REMEMBERED {
-            let first = token.asked.iter().min_by_key(|(_, until)| **until);
+            let first = token.asked.iter().min_by_key(|(_, (_, until))| *until);
             if let Some(first) = first.map(|(asked, _)| *asked) {
                 token.asked.remove(&first);
             }
         }
-        token.asked.insert(asked, until);
+        token.asked.insert(asked, (1, until));
     }
 
-    /// Who has agreed may be asked again at once.
+    /// Who has agreed may be asked again, and so may who could not answer because the token was taken away.
     pub(crate) fn forget_asked(&mut self, number: ContextNumber, asked: (Verb, PeerId, PeerId)) {
         if let Some(token) = self.token_mut(number) {
             token.asked.remove(&asked);
@@ -405,7 +413,7 @@ pub(crate) fn not_again(now: Micros, until: Micros, name: &str) -> Result<(), Wi
     if now >= until {
         return Ok(());
     }
-    let text = format!("{name} was asked the same a short while ago");
+    let text = format!("{name} was asked the same before, a short while ago");
     Err(WireError::new(Code::TRY_LATER, text)
         .rule("not again and again")
         .retry_after(Duration::from_micros(until - now)))

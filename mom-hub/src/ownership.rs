@@ -159,6 +159,11 @@ impl Hub {
             self.push_grabbed(number, &path, peer, reason == Reason::Returned, out);
             self.audit_granted(number, &path, peer, reason, rule, out);
         }
+        let taken = reason == Reason::Preempted;
+        let offer = self.token(number).and_then(|token| token.offer.as_ref());
+        if let Some((by, to)) = offer.filter(|_| taken).map(|offer| (offer.by, offer.to)) {
+            self.forget_asked(number, (Verb::Give, by, to));
+        }
         self.end_handover(number, new, out);
     }
 

@@ -29,8 +29,8 @@ pub(crate) struct Token {
     pub(crate) offer: Option<Offer>,
     /// Who has asked the owner to hand over.
     pub(crate) asking: Vec<Asking>,
-    /// Who has offered it to, or asked for it, whom, and until when not again.
-    pub(crate) asked: BTreeMap<(Verb, PeerId, PeerId), Micros>,
+    /// Who has offered it to, or asked for it, whom, how often, and until when that counts.
+    pub(crate) asked: BTreeMap<(Verb, PeerId, PeerId), (u32, Micros)>,
     /// A change of owner that waits until it is durable.
     pub(crate) storing: Option<Storing>,
     /// Requests that wait for the end of that.
