@@ -75,6 +75,8 @@ pub struct Question<'a> {
     pub created: bool,
     /// What was answered to earlier deferrals of this same request; the last of a label holds.
     pub answers: &'a [Given],
+    /// Whether the same request was decided on before, and somebody had to be asked about it, here or elsewhere.
+    pub repeated: bool,
     /// The time.
     pub now: Micros,
     /// Wall time, for rules that name times of the day; it does not jump.

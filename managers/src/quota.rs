@@ -144,8 +144,8 @@ impl Manager for Quota {
             let rate = limit.counts.rate();
             return Verdict::allow_always().at_rate(rate).by(&limit.name);
         }
-        // The same request again, with the answers that it waited for: it is counted already.
-        if !question.answers.is_empty() {
+        // The same request again, after the answers that it waited for: it is counted already.
+        if question.repeated {
             return Verdict::allow().by(&limit.name);
         }
         match limit

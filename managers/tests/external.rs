@@ -37,6 +37,7 @@ fn ask(manager: &mut dyn Manager, verb: Verb, size: usize) -> Verdict {
         invited: false,
         created: false,
         answers: &[],
+        repeated: false,
         now: 0,
         wall: Time::default(),
     })

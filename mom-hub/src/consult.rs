@@ -162,6 +162,7 @@ impl Hub {
             invited,
             created: creator == Some(peer),
             answers,
+            repeated: !self.answers.is_empty(),
             now: self.now,
             wall: self.wall(),
         })

@@ -14,6 +14,9 @@ use crate::hub::Timer;
 use crate::token::{SafeState, Token};
 use crate::{Hub, PeerId};
 
+/// Channels that one token may guard: each renewal gives new routes to all of them.
+const GUARDED: usize = 256;
+
 /// What is wrong with the contexts of a configuration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SetupError {
@@ -52,6 +55,7 @@ impl Hub {
             None => self.terms_above(parent),
         };
         let mut role = self.make_role(spec, managed_terms)?;
+        self.check_guarded(&role)?;
         if let Role::Token(token) = &mut role {
             // Above all fences that were ever given out at this path.
             self.restore(&path, token);
@@ -211,6 +215,22 @@ impl Hub {
             token,
             names: Arc::from(guard.names.as_slice()),
         }))
+    }
+
+    /// Checks that a token may guard one channel more.
+    fn check_guarded(&self, role: &Role) -> Result<(), WireError> {
+        let Role::Channel(Channel {
+            guard: Some(guard), ..
+        }) = role
+        else {
+            return Ok(());
+        };
+        let token = self.tree.find(&guard.token).and_then(|context| context.token());
+        if token.is_some_and(|token| token.guarded.len() >= GUARDED) {
+            let text = format!("{} guards {GUARDED} channels, as many as may be", guard.token);
+            return Err(WireError::new(Code::FULL, text).slot("content/guard/token"));
+        }
+        Ok(())
     }
 
     /// The error for a path that nothing is at, with the nearest one that is.

@@ -1,5 +1,7 @@
 //! Handing over by agreement: offers, requests to the owner, and what is shared instead of owned.
 
+use std::time::Duration;
+
 use mom_managers::Micros;
 use mom_proto::event;
 use mom_proto::{Code, ContextNumber, Map, Value, Verb, WireError};
@@ -12,11 +14,68 @@ use crate::{Effect, Hub, PeerId};
 /// Peers that may ask one owner at a time.
 pub(crate) const ASKING: usize = 16;
 
+/// How soon a peer may be invited to the same place again, µs; and in which time it is asked for or offered the same
+/// token by the same one [`TIMES`] times at most.
+pub(crate) const AGAIN: Micros = 10_000_000;
+
+/// A person that is told no has a word to say to that, and perhaps another one.
+const TIMES: u32 = 4;
+
+/// Offers and requests that a token remembers for that; of more the oldest are forgotten.
+const REMEMBERED: usize = 256;
+
 impl Hub {
+    /// Checks that a peer has not offered the token to this other one, or asked it for it, again and again: each time
+    /// both are told, and nobody may fill somebody else's control lane.
+    ///
+    /// # Errors
+    /// `try-later`, with the time until then.
+    pub(crate) fn check_again(
+        &self,
+        number: ContextNumber,
+        (verb, from, to): (Verb, PeerId, PeerId),
+    ) -> Result<(), WireError> {
+        let until = self
+            .token(number)
+            .and_then(|token| token.asked.get(&(verb, from, to)));
+        match until {
+            Some((times, until)) if *times >= TIMES => not_again(self.now, *until, &self.name_of(to)),
+            _ => Ok(()),
+        }
+    }
+
+    /// Notes an offer or a request.
+    fn note_asked(&mut self, number: ContextNumber, asked: (Verb, PeerId, PeerId)) {
+        let (now, until) = (self.now, self.after(AGAIN));
+        let Some(token) = self.token_mut(number) else {
+            return;
+        };
+        token.asked.retain(|_, (_, until)| now < *until);
+        if let Some((times, _)) = token.asked.get_mut(&asked) {
+            *times += 1;
+            return;
+        }
+        if token.asked.len() >= REMEMBERED {
+            let first = token.asked.iter().min_by_key(|(_, (_, until))| *until);
+            if let Some(first) = first.map(|(asked, _)| *asked) {
+                token.asked.remove(&first);
+            }
+        }
+        token.asked.insert(asked, (1, until));
+    }
+
+    /// Who has agreed may be asked again, and so may who could not answer because the token was taken away.
+    pub(crate) fn forget_asked(&mut self, number: ContextNumber, asked: (Verb, PeerId, PeerId)) {
+        if let Some(token) = self.token_mut(number) {
+            token.asked.remove(&asked);
+        }
+    }
+
     /// Shows an offer to its receiver and to the owner.
     pub(crate) fn push_offer(&mut self, number: ContextNumber, offer: Offer, out: &mut Vec<Effect>) {
         self.end_offer(number, "withdrawn", out);
         let (owner, to, until) = (offer.by, offer.to, offer.until);
+        self.note_asked(number, (Verb::Give, owner, to));
         let mut content = Map::new()
             .with("by", self.name_of(owner))
             .with("to", self.name_of(to))
@@ -107,6 +166,7 @@ impl Hub {
             token.asking.push(asking);
         }
         self.timers.insert((until, Timer::Request(number, ticket)));
+        self.note_asked(number, (Verb::Request, peer, owner));
         self.involve(peer, number);
         self.push_event(event::REQUESTED, &path, vec![owner, peer], content, out);
     }
@@ -343,4 +403,18 @@ impl Hub {
     pub(crate) fn after(&self, time: Micros) -> Micros {
         self.now.saturating_add(time)
     }
+}
+
+/// Refuses what was asked of the same peer a short while ago.
+///
+/// # Errors
+/// `try-later`, with the time until then.
+pub(crate) fn not_again(now: Micros, until: Micros, name: &str) -> Result<(), WireError> {
+    if now >= until {
+        return Ok(());
+    }
+    let text = format!("{name} was asked the same before, a short while ago");
+    Err(WireError::new(Code::TRY_LATER, text)
+        .rule("not again and again")
+        .retry_after(Duration::from_micros(until - now)))
 }

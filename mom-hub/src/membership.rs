@@ -106,6 +106,7 @@ impl Hub {
                     known.joined.remove(&below);
                 }
             }
+            self.push_last_safe_state(below, out);
             self.unguard(below);
             self.changed.insert(below);
             self.push_event(event::DELETED, &path, to.into_iter().collect(), content, out);

@@ -52,14 +52,15 @@ impl Hub {
             Reason::Released if giver.is_some() => Reason::Returned,
             reason => reason,
         };
-        // Where the return has to be stored first, nobody has the device in hand until it is.
-        let at_once = giver.is_some_and(|giver| self.needed_record(number, giver).is_none());
-        let agreed = reason == Reason::Returned && by.is_some() && at_once;
-        self.change_owner(number, None, reason, by, agreed, out);
         // The giver's own right may have ended meanwhile.
         let over = until.is_some_and(|until| self.now >= until);
         let giver = giver.filter(|_| returns && !over);
-        match giver.filter(|giver| !self.refused(*giver, Verb::Renew, number)) {
+        let giver = giver.filter(|giver| !self.refused(*giver, Verb::Renew, number));
+        // Where the return has to be stored first, or there is nobody to return to, nobody has the device in hand.
+        let at_once = giver.is_some_and(|giver| self.needed_record(number, giver).is_none());
+        let agreed = reason == Reason::Returned && by.is_some() && at_once;
+        self.change_owner(number, None, reason, by, agreed, out);
+        match giver {
             Some(giver) if self.token(number).is_some_and(Token::is_free) => {
                 let change = Change {
                     turn,
@@ -158,6 +159,11 @@ impl Hub {
             self.push_grabbed(number, &path, peer, reason == Reason::Returned, out);
             self.audit_granted(number, &path, peer, reason, rule, out);
         }
+        let taken = reason == Reason::Preempted;
+        let offer = self.token(number).and_then(|token| token.offer.as_ref());
+        if let Some((by, to)) = offer.filter(|_| taken).map(|offer| (offer.by, offer.to)) {
+            self.forget_asked(number, (Verb::Give, by, to));
+        }
         self.end_handover(number, new, out);
     }
 
@@ -192,12 +198,37 @@ impl Hub {
         (self.settings.epoch << EPOCH_BITS).max(self.deleted_fence)
     }
 
-    fn push_safe_state(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
+    fn push_safe_state(&self, number: ContextNumber, out: &mut Vec<Effect>) {
+        let guarded = self.token(number).map(|token| token.guarded.clone());
+        self.push_safe_state_of(number, &guarded.unwrap_or_default(), out);
+    }
+
+    /// Sends the safe state of a channel that is about to go although its token has an owner: no command will reach
+    /// its devices any more, not even one to stop what they do.
+    pub(crate) fn push_last_safe_state(&self, channel: ContextNumber, out: &mut Vec<Effect>) {
+        let guard = self
+            .tree
+            .get(channel)
+            .and_then(|context| context.channel()?.guard.as_ref());
+        let token = guard.and_then(|guard| self.tree.find(&guard.token));
+        let owned = token.filter(|token| token.token().is_some_and(|token| token.owner.is_some()));
+        if let Some(token) = owned {
+            self.push_safe_state_of(token.number, &BTreeSet::from([channel]), out);
+        }
+    }
+
+    /// Sends the safe state of a token for these of its channels.
+    fn push_safe_state_of(
+        &self,
+        number: ContextNumber,
+        channels: &BTreeSet<ContextNumber>,
+        out: &mut Vec<Effect>,
+    ) {
         let Some(token) = self.token(number) else { return };
         let halt = |channel: &ContextNumber| Some((self.tree.get(*channel)?.path.clone(), event::HALT, None));
         let messages: Vec<(Path, &str, Option<Content>)> = match &token.safe {
             Some(safe) => vec![(safe.channel.clone(), &safe.name, safe.content.clone())],
-            None => token.guarded.iter().filter_map(halt).collect(),
+            None => channels.iter().filter_map(halt).collect(),
         };
         for (path, name, content) in messages {
             // Only where the token guards: a safe state speaks in the hub's name, which nobody may borrow to talk

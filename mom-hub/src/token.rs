@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use mom_managers::{Expiry, Micros, Terms};
-use mom_proto::{Content, ContextNumber, Parcel, Path};
+use mom_proto::{Content, ContextNumber, Parcel, Path, Verb};
 
 use crate::durable::Storing;
 use crate::pending::Heard;
@@ -29,6 +29,8 @@ pub(crate) struct Token {
     pub(crate) offer: Option<Offer>,
     /// Who has asked the owner to hand over.
     pub(crate) asking: Vec<Asking>,
+    /// Who has offered it to, or asked for it, whom, how often, and until when that counts.
+    pub(crate) asked: BTreeMap<(Verb, PeerId, PeerId), (u32, Micros)>,
     /// A change of owner that waits until it is durable.
     pub(crate) storing: Option<Storing>,
     /// Requests that wait for the end of that.

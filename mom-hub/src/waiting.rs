@@ -176,14 +176,14 @@ impl Hub {
         }
     }
 
-    /// The first of the queue of a free token, unless a restart keeps the token from it.
+    /// The first of the queue of a free token from whom no restart keeps it: who had it before may have come back
+    /// behind others.
     fn first_for_free(&self, number: ContextNumber) -> Option<Waiter> {
         let token = self.token(number).filter(|token| token.is_free())?;
-        let first = token.queue.first()?;
-        match self.kept_by_restart(token, first.peer) {
-            Some(_) => None,
-            None => Some(first.clone()),
-        }
+        let mut queue = token.queue.iter();
+        queue
+            .find(|waiter| self.kept_by_restart(token, waiter.peer).is_none())
+            .cloned()
     }
 
     /// Tells those who wait their places, and the owner the end of its turn, as far as these have changed.

@@ -103,6 +103,7 @@ fn ask(manager: &mut dyn Manager, ask: &Ask<'_>) -> Verdict {
         invited: ask.invited,
         created: ask.created,
         answers: ask.answers,
+        repeated: !ask.answers.is_empty(),
         now: ask.now,
         wall,
     })

@@ -21,17 +21,19 @@ struct Args {
 }
 
 pub(crate) fn on_accept(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let number = hub.find_token(request)?;
     let args: Args = args::read_or_default(&request.parcel)?;
+    let number = hub.find_token(request)?;
     let (peer, answers) = (request.peer, vec![(request.peer, request.parcel.id)]);
     if let Some(name) = &args.peer {
-        hub.check_owner(request, number)?;
+        let owner = hub.check_owner(request, number);
+        owner.map_err(|error| hub.unless_denied(request, number, error))?;
         hub.check_not_lent(number, "given on")?;
         let to = asking(hub, request, name)?;
         // Whether who gains it may have it, as if it had been offered; the owner's word is not enough for that.
         let Allowed { rule, grant } = hub.ask(to, &Wish::new(Verb::Accept, number))?;
         // Its time is not over any more while the owner's yes is being stored.
         let asking = hub.take_asking(number, to);
+        hub.forget_asked(number, (Verb::Request, to, peer));
         let answers = answers.into_iter().chain(asking.map(|asking| (to, asking.id)));
         let change = Change {
             from: Some(peer),
@@ -43,12 +45,14 @@ pub(crate) fn on_accept(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>)
         hub.hand(number, change, out);
         return Ok(());
     }
-    offered(hub, request)?;
+    let offer = offered(hub, request);
+    offer.map_err(|error| hub.unless_denied(request, number, error))?;
     let Allowed { rule, grant } = hub.allow(request, number)?;
     let owner = hub.owner_of(number);
     let Some(offer) = hub.take_offer(number) else {
         return Ok(());
     };
+    hub.forget_asked(number, (Verb::Give, offer.by, peer));
     let change = Change {
         from: owner,
         given: Some((offer.time, offer.commands)),

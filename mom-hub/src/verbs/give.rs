@@ -1,7 +1,7 @@
 //! `token give`: the owner offers the token to another peer, for good or for a while (M41).
 
 use mom_managers::Micros;
-use mom_proto::{Code, ContextNumber, Map, WireError};
+use mom_proto::{Code, ContextNumber, Map, Verb, WireError};
 use serde::Deserialize;
 
 use super::Request;
@@ -46,6 +46,7 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
     if to == peer {
         return Err(args::bad("to", "this peer has it already".to_owned()).into());
     }
+    hub.check_again(number, (Verb::Give, peer, to))?;
     let offer = Offer {
         by: peer,
         to,

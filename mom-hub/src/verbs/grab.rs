@@ -2,10 +2,10 @@
 
 use mom_managers::{Answer, Micros, Verdict};
 use mom_proto::event::Reason;
-use mom_proto::{Code, ContextKind, ContextNumber, Value, WireError};
+use mom_proto::{Code, ContextNumber, Value, WireError};
 use serde::Deserialize;
 
-use super::{Request, of_kind};
+use super::Request;
 use crate::args;
 use crate::consult::Wish;
 use crate::durable::Change;
@@ -29,13 +29,9 @@ enum Patience {
 }
 
 pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let Some(context) = hub.tree.find(&request.path) else {
-        return hub.allowed(request).map(|_| ());
-    };
-    of_kind(context, ContextKind::Token, request.verb)?;
-    let number = context.number;
-    hub.check_parent_joined(request.peer, number)?;
     let patience = patience(&args::read_or_default::<Args>(&request.parcel)?)?;
+    let number = hub.find_token(request)?;
+    hub.check_near(request, number)?;
     grab(hub, request, number, patience, out)
 }
 

@@ -10,6 +10,7 @@ use serde::Deserialize;
 
 use super::Request;
 use crate::args;
+use crate::handover::{AGAIN, not_again};
 use crate::ownership::millis;
 use crate::pending::Refusal;
 use crate::{Audit, Effect, Hub, PeerId};
@@ -60,6 +61,9 @@ pub(crate) fn on_invite(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>)
         return Ok(());
     };
     context.invited.retain(|_, until| now < *until);
+    if let Some(known) = context.invited.get(&peer) {
+        not_again(now, known.saturating_sub(INVITED - AGAIN), &args.peer)?;
+    }
     if context.invited.len() >= MOST {
         return Err(
             WireError::new(Code::FULL, format!("{MOST} invitations are open, as many as may")).into(),

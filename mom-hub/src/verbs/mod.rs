@@ -19,6 +19,7 @@ mod send;
 mod shared;
 mod verdict;
 
+use mom_managers::Answer;
 use mom_proto::{Code, ContextKind, ContextNumber, Family, Parcel, Path, Verb, WireError};
 
 use crate::consult::{Allowed, Wish};
@@ -183,21 +184,47 @@ impl Hub {
 
     /// As [`Hub::allowed`], for verbs of tokens.
     pub(crate) fn allowed_token(&mut self, request: &Request) -> Result<ContextNumber, Refusal> {
-        if let Some(context) = self.tree.find(&request.path) {
-            of_kind(context, ContextKind::Token, request.verb)?;
-        }
-        self.allowed(request)
+        let number = self.find_token(request)?;
+        self.allow(request, number)?;
+        Ok(number)
     }
 
-    /// The token of a request; its manager is asked only where there is none, whether the peer may know.
+    /// The token of a request; the manager is asked only where there is none, whether the peer may know.
     pub(crate) fn find_token(&mut self, request: &Request) -> Result<ContextNumber, Refusal> {
-        match self.tree.find(&request.path) {
-            Some(context) => {
-                of_kind(context, ContextKind::Token, request.verb)?;
-                Ok(context.number)
-            }
-            None => self.allowed(request),
+        let Some(context) = self.tree.find(&request.path) else {
+            return self.allowed(request);
+        };
+        let number = context.number;
+        match of_kind(context, ContextKind::Token, request.verb) {
+            Ok(()) => Ok(number),
+            Err(error) => Err(self.unless_denied(request, number, error)),
         }
+    }
+
+    /// What is wrong with a request, for who could make it rightly; who may not is told that, and not what it has found
+    /// there. Nobody is asked about it in vain.
+    pub(crate) fn unless_denied(
+        &mut self,
+        request: &Request,
+        number: ContextNumber,
+        error: WireError,
+    ) -> Refusal {
+        if request.verb.gives_up() {
+            return error.into();
+        }
+        let wish = Wish::new(request.verb, number);
+        match self.consult(request.peer, &wish).answer {
+            Answer::Deny(denial) if !denial.code.may_retry() => {
+                self.explain(request.peer, &wish, &denial).into()
+            }
+            _ => error.into(),
+        }
+    }
+
+    /// As [`Hub::check_parent_joined`], for who may know.
+    pub(crate) fn check_near(&mut self, request: &Request, number: ContextNumber) -> Result<(), Refusal> {
+        let near = self.check_parent_joined(request.peer, number);
+        near.map_err(|error| self.unless_denied(request, number, error))
     }
 
     /// Asks the manager of a token, after all that can be wrong with the request itself.

@@ -1,6 +1,6 @@
 //! `token request`: a peer asks the owner to hand over; both see it, and one answer comes.
 
-use mom_proto::{Code, WireError};
+use mom_proto::{Code, Verb, WireError};
 use serde::Deserialize;
 
 use super::{Request, grab};
@@ -29,10 +29,10 @@ impl Default for Args {
 }
 
 pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let number = hub.find_token(request)?;
     let args: Args = args::read_or_default(&request.parcel)?;
     let within = args::micros(args.within, "within")?;
-    hub.check_parent_joined(request.peer, number)?;
+    let number = hub.find_token(request)?;
+    hub.check_near(request, number)?;
     // With nobody to ask it is a grab, and the manager is asked about that.
     let Some(owner) = hub.owner_of(number).filter(|owner| *owner != request.peer) else {
         return grab::at_once(hub, request, number, out);
@@ -47,6 +47,7 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
         let text = format!("{ASKING} peers ask already, as many as may");
         return Err(WireError::new(Code::FULL, text).into());
     }
+    hub.check_again(number, (Verb::Request, request.peer, owner))?;
     hub.last_waiter += 1;
     let asking = Asking {
         peer: request.peer,

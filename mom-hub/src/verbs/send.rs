@@ -7,7 +7,7 @@ use mom_proto::{Content, ContextKind, ContextNumber, Parcel, Verb, WireError};
 
 use super::{Request, of_kind};
 use crate::admit::admit_with;
-use crate::age::age_of;
+use crate::age::{Aged, age_of, is_within};
 use crate::consult::Wish;
 use crate::member::has_own_right;
 use crate::pending::{Refusal, take_parcel};
@@ -32,18 +32,24 @@ pub(crate) fn on(hub: &mut Hub, request: &mut Request, out: &mut Vec<Effect>) ->
         age: age_of(&request.parcel, hub.wall(), hub.clock_of(peer).as_ref()),
         ..Wish::new(request.verb, number)
     };
-    let verdict = hub.consult(peer, &wish);
-    if let Answer::Defer(defer) = verdict.answer {
-        // Nobody is asked about what would be refused in any case.
-        hub.check_admissible(peer, number, &request.parcel)?;
-        return Err(hub.defer(peer, &wish, defer, verdict.rule));
-    }
-    hub.keep_standing(peer, number, &request.parcel, &verdict);
+    let (answer, rate) = match hub.standing(peer, number, &request.parcel.name, wish.age) {
+        Some(standing) => (standing.answer, standing.rate),
+        None => {
+            let verdict = hub.consult(peer, &wish);
+            if let Answer::Defer(defer) = verdict.answer {
+                // Nobody is asked about what would be refused in any case.
+                hub.check_admissible(peer, number, &request.parcel)?;
+                return Err(hub.defer(peer, &wish, defer, verdict.rule));
+            }
+            hub.keep_standing(peer, number, &request.parcel, &verdict);
+            (verdict.answer, verdict.standing.rate())
+        }
+    };
     let Some(route) = hub.route(number) else {
         return Err(hub.unknown_path(&request.path, Some(ContextKind::Channel)).into());
     };
     let ingress = hub.ingress(peer);
-    let receivers = admit_with(&route, peer, &verdict.answer, &mut request.parcel, &ingress)?;
+    let receivers = admit_with(&route, peer, &answer, &mut request.parcel, &ingress)?;
     let parcel = take_parcel(&mut request.parcel);
     let route = match hub.count_command(peer, &route, &parcel) {
         true => hub.route(number).unwrap_or(route),
@@ -54,7 +60,7 @@ pub(crate) fn on(hub: &mut Hub, request: &mut Request, out: &mut Vec<Effect>) ->
         parcel: Box::new(parcel),
         receivers,
         route: Arc::new(route),
-        rate: verdict.standing.rate(),
+        rate,
     });
     Ok(())
 }
@@ -128,6 +134,23 @@ impl Hub {
         self.retime(number);
         self.change_guarded_routes(number);
         true
+    }
+
+    /// What stands for a message: who was asked about an earlier one, and said that this holds, is not asked again
+    /// about those that have waited behind it.
+    fn standing(
+        &self,
+        peer: PeerId,
+        number: ContextNumber,
+        name: &str,
+        age: Option<Aged>,
+    ) -> Option<StandingVerdict> {
+        let member = self.tree.get(number)?.members.get(&peer)?;
+        let standing = member.standing(name, self.now);
+        let young = |most: Micros| is_within(age, most);
+        standing
+            .filter(|standing| self.answers.is_empty() && standing.max_age.is_none_or(young))
+            .cloned()
     }
 
     /// Puts a verdict that stands into the route, so that the broker need not ask again.

@@ -34,7 +34,7 @@ pub(crate) fn on_break(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) 
 /// Holds a token together with others: as long as somebody does, nobody owns it.
 pub(crate) fn on_inhibit(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
     let number = hub.find_token(request)?;
-    hub.check_parent_joined(request.peer, number)?;
+    hub.check_near(request, number)?;
     hub.allow(request, number)?;
     let owner = hub.owner_of(number);
     if owner.is_some_and(|owner| owner != request.peer) {

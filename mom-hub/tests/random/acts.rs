@@ -199,7 +199,7 @@ pub(crate) fn show_out() -> impl Strategy<Value = Act> {
 }
 
 pub(crate) fn message() -> impl Strategy<Value = Message> {
-    const CHANNELS: [&str; 11] = [
+    const CHANNELS: [&str; 12] = [
         "/lab/arm",
         "/lab/arm",
         "/lab/talk",
@@ -210,6 +210,7 @@ pub(crate) fn message() -> impl Strategy<Value = Message> {
         "/yard/bay",
         "/yard/mill",
         "/yard/tap",
+        "/yard/tap",
         "/a/arm",
     ];
     const NAMES: [&str; 6] = ["alice", "alice~2", "bob", "carol", "ally", "nobody"];
@@ -218,7 +219,7 @@ pub(crate) fn message() -> impl Strategy<Value = Message> {
         1 => prop::collection::vec(select(&NAMES[..]), 1..3).prop_map(Some),
     ];
     let path = prop_oneof![12 => select(&CHANNELS[..]), 1 => Just("/a/own"), 1 => Just("/a/b")];
-    let fence = prop_oneof![4 => Just(None), 2 => (0_u64..4).prop_map(Some)];
+    let fence = prop_oneof![6 => Just(None), 1 => (0_u64..4).prop_map(Some)];
     let names = select(vec![
         "command", "command", "command", "say", "say", "stop", "unstop", "halt",
     ]);

@@ -59,6 +59,15 @@ impl Disk {
         Some((ticket, ok))
     }
 
+    /// The token whose change waits, or waited, for an answer.
+    pub(crate) fn path_of(&self, ticket: Ticket) -> Option<&Path> {
+        let of = |write: &Write| write.ticket == Some(ticket);
+        let mut written = self.written.iter();
+        written
+            .find(|(_, writes)| writes.iter().any(of))
+            .map(|(path, _)| path)
+    }
+
     /// Whether a change of this token waits for an answer.
     pub(crate) fn awaits(&self, path: &Path) -> bool {
         let open = |write: &Write| write.ticket.is_some() && write.answered.is_none();

@@ -1,104 +1,138 @@
 //! Follows the effects of an input in their order, as a broker and its peers would.
 
 use mom_hub::{Effect, Input, PeerId};
-use mom_proto::{Family, Parcel, Path, Value, Verb};
+use mom_proto::{Family, Parcel, Path, Verb};
 
 use crate::answers::Asked;
+use crate::events::Granted;
 use crate::look::Looks;
 use crate::observer::Observer;
-use crate::owners::{Grant, Lost, fence_of};
-use crate::queues::Told;
 use crate::robots::Scope;
 use crate::tree::{Person, members};
 
-/// A grant of this step, and whether the new owner was told.
-struct Granted {
-    path: Path,
-    name: String,
-    told: bool,
+/// What the effects of a step have told so far.
+#[derive(Default)]
+struct Story {
+    granted: Vec<Granted>,
+    /// Whether a context was deleted: a device is safe then although nobody has lost its token.
+    deleted: bool,
+    /// Whether a safe state was told, and not yet the loss that it is for.
+    unsaid: bool,
+}
+
+/// How much may have changed in a step.
+#[derive(Clone, Copy, PartialEq)]
+enum Stir {
+    Nothing,
+    /// Tokens: who owns, waits, asks or is asked.
+    Tokens,
+    /// Who is where, and what there is.
+    All,
 }
 
 impl Observer {
-    #[expect(clippy::too_many_lines, reason = "one case for each effect, in their order")]
     pub(crate) fn follow(&mut self, effects: &[Effect], input: Option<&Input>) {
-        let quiet = self.is_quiet(effects, input);
-        let members = (!quiet).then(|| members(&mut self.hub, self.now));
+        // A deadline that has not come tells nothing.
+        if effects.is_empty() && input.is_none() {
+            return;
+        }
+        let stir = self.stir(effects, input);
+        let members = (stir == Stir::All).then(|| members(&mut self.hub, self.now));
         self.tree.begin(members);
         self.meet(input);
         self.note_breaks(effects);
-        let mut granted = Vec::new();
-        let mut unsaid = false;
+        let mut story = Story::default();
         for effect in effects {
             self.tree.route(effect);
+            story.deleted |= matches!(effect, Effect::RouteGone(_));
             let asked = self.answers.answer(effect, &mut self.seen);
-            let mut safe = None;
-            match effect {
-                Effect::Deliver { to, parcel } if parcel.family == Family::Event => {
-                    safe = self.event(to, parcel, input, &mut granted);
-                    unsaid &= !parcel.is(Family::Event, "released");
-                    let granted = parcel.is(Family::Event, "grabbed");
-                    assert!(!(granted && unsaid), "safe, then released, then grabbed");
-                }
-                Effect::Deliver { to, parcel } if parcel.family == Family::Manager => {
-                    assert!(!to.is_empty(), "somebody is asked");
-                    self.seen.note("consult");
-                }
-                Effect::Deliver { to, parcel } => {
-                    unsaid = true;
-                    self.seen.note(parcel.name());
-                    let path = parcel.context.as_ref().unwrap();
-                    self.tree.check_receivers(to, path, &[]);
-                }
-                Effect::Reply { parcel, .. } => {
-                    let asked = asked.as_ref().unwrap();
-                    self.reply(asked, parcel, &mut granted);
-                    // Only then: who is granted what it waited for is the first of the queue until it hears so.
-                    if let Some(path) = &asked.path {
-                        self.queues.answered(path, asked.id);
-                    }
-                }
-                Effect::Send {
-                    parcel,
-                    receivers,
-                    route,
-                    ..
-                } => {
-                    self.tree.check_send(receivers, route);
-                    if let (Some(guard), Some(_)) = (&route.guard, parcel.fence) {
-                        self.handover.check_sent(&guard.token);
-                    }
-                }
-                Effect::Store { record, ticket } => {
-                    assert!(
-                        self.start.durable,
-                        "nothing is stored without a store: {record:?}"
-                    );
-                    self.disk.take(effect, self.store.0, self.store.1);
-                    if let (Some(owner), Some(_)) = (&record.owner, ticket) {
-                        self.promise(&record.path, &owner.name);
-                    }
-                    self.seen.note("stored");
-                }
-                Effect::Close { .. } => self.seen.note("closed"),
-                _ => {}
-            }
+            let safe = self.effect(effect, asked.as_ref(), input, &mut story);
             let joined = asked.is_some_and(|asked| asked.verb == Some(Verb::Join));
             self.robots.take(effect, joined, safe, &mut self.seen);
         }
-        assert!(!unsaid, "a safe state comes before the loss that it is for");
-        for grant in granted {
-            assert!(
-                grant.told,
-                "{} is told that {} is its own",
-                grant.name, grant.path
-            );
-        }
+        story.check_told();
         self.answers.settle(&self.hub);
         let hub = &self.hub;
         self.tree.people.retain(|peer, _| hub.peer_name(*peer).is_some());
         self.tree.check(&self.hub);
-        if !quiet {
-            self.check_tokens();
+        if stir != Stir::Nothing {
+            self.look_at_tokens(stir == Stir::All);
+        }
+    }
+
+    /// Takes in one effect; where its safe state had to be heard, if it is a loss.
+    fn effect(
+        &mut self,
+        effect: &Effect,
+        asked: Option<&Asked>,
+        input: Option<&Input>,
+        story: &mut Story,
+    ) -> Option<Scope> {
+        match effect {
+            Effect::Deliver { to, parcel } => return self.delivered(to, parcel, input, story),
+            Effect::Reply { parcel, .. } => {
+                let asked = asked.unwrap();
+                self.reply(asked, parcel, &mut story.granted);
+                // Only then: who is granted what it waited for is the first of the queue until it hears so.
+                if let Some(path) = &asked.path {
+                    self.queues.answered(path, asked.id);
+                }
+            }
+            Effect::Send {
+                parcel,
+                receivers,
+                route,
+                ..
+            } => {
+                self.tree.check_send(receivers, route);
+                if let (Some(guard), Some(_)) = (&route.guard, parcel.fence) {
+                    self.handover.check_sent(&guard.token);
+                }
+            }
+            Effect::Store { record, ticket } => {
+                assert!(
+                    self.start.durable,
+                    "nothing is stored without a store: {record:?}"
+                );
+                self.disk.take(effect, self.store.0, self.store.1);
+                if let (Some(owner), Some(_)) = (&record.owner, ticket) {
+                    self.promise(&record.path, &owner.name);
+                }
+                self.seen.note("stored");
+            }
+            Effect::Close { .. } => self.seen.note("closed"),
+            _ => {}
+        }
+        None
+    }
+
+    fn delivered(
+        &mut self,
+        to: &[PeerId],
+        parcel: &Parcel,
+        input: Option<&Input>,
+        story: &mut Story,
+    ) -> Option<Scope> {
+        match parcel.family {
+            Family::Event => {
+                let safe = self.event(to, parcel, input, &mut story.granted);
+                story.unsaid &= !parcel.is(Family::Event, "released");
+                let granted = parcel.is(Family::Event, "grabbed");
+                assert!(!(granted && story.unsaid), "safe, then released, then grabbed");
+                safe
+            }
+            Family::Manager => {
+                assert!(!to.is_empty(), "somebody is asked");
+                self.seen.note("consult");
+                None
+            }
+            _ => {
+                story.unsaid = !story.deleted;
+                self.seen.note(parcel.name());
+                let path = parcel.context.as_ref().unwrap();
+                self.tree.check_receivers(to, path, &[]);
+                None
+            }
         }
     }
 
@@ -114,25 +148,43 @@ impl Observer {
         self.queues.stored(path, name, called);
     }
 
-    /// Whether the effects tell of no change: a refusal at once changes nothing, and neither does a message.
-    fn is_quiet(&self, effects: &[Effect], input: Option<&Input>) -> bool {
-        let requests = match input {
-            None | Some(Input::Tick) => true,
-            Some(Input::Request { .. }) => true,
-            Some(_) => false,
+    /// How much a step may have changed. A refusal at once changes nothing, and neither does a message; and what is
+    /// about tokens, messages and verdicts moves nobody.
+    fn stir(&self, effects: &[Effect], input: Option<&Input>) -> Stir {
+        let asks = match input {
+            _ if self.tree.blind => return Stir::Nothing,
+            None | Some(Input::Tick | Input::Stored { .. }) => None,
+            Some(Input::Request { peer, parcel, .. }) => Some((*peer, parcel.id)),
+            Some(_) => return Stir::All,
         };
-        requests
-            && effects.iter().all(|effect| match effect {
-                Effect::Audit(_) | Effect::Send { .. } => true,
-                Effect::Reply { to, parcel } => {
-                    let asked = match input {
-                        Some(Input::Request { peer, parcel, .. }) => Some((*peer, parcel.id)),
-                        _ => None,
-                    };
-                    parcel.family == Family::Error && asked == Some((*to, parcel.reference))
-                }
-                _ => false,
-            })
+        let moves = |effect: &Effect| match effect {
+            Effect::RouteGone(_) | Effect::Close { .. } => true,
+            Effect::Deliver { parcel, .. } => {
+                let moves = ["joined", "left", "created", "deleted", "expelled"];
+                parcel.family == Family::Event && moves.contains(&parcel.name())
+            }
+            Effect::Reply { to, parcel } if parcel.family == Family::Reply => {
+                let asked = self.answers.asked(*to, parcel.reference);
+                let family = asked.and_then(|asked| asked.verb).map(Verb::family);
+                !matches!(family, Some(Family::Token | Family::Manager))
+            }
+            _ => false,
+        };
+        let quiet = |effect: &Effect| match effect {
+            Effect::Audit(_) | Effect::Send { .. } => true,
+            Effect::Reply { to, parcel } => {
+                parcel.family == Family::Error && asks == Some((*to, parcel.reference))
+            }
+            _ => false,
+        };
+        if effects.iter().any(moves) {
+            return Stir::All;
+        }
+        let stored = matches!(input, Some(Input::Stored { .. }));
+        match stored || !effects.iter().all(quiet) {
+            true => Stir::Tokens,
+            false => Stir::Nothing,
+        }
     }
 
     /// Notes who comes, and who is somebody else now.
@@ -149,6 +201,12 @@ impl Observer {
                 };
                 let before = self.tree.people.insert(*peer, person);
                 self.tree.former = before.map(|before| (*peer, before.name));
+            }
+            // What was about to go back does not: whose it was comes in turn like all others.
+            Some(Input::Stored { ticket, ok: false }) => {
+                if let Some(path) = self.disk.path_of(*ticket) {
+                    self.owners.lost.remove(path);
+                }
             }
             Some(Input::Configure(configuration)) => {
                 self.queues.mix();
@@ -177,219 +235,13 @@ impl Observer {
         }
     }
 
-    /// Takes in an event; where its safe state had to be heard, if it is a loss.
-    #[expect(clippy::too_many_lines, reason = "one case for each effect, in their order")]
-    fn event(
-        &mut self,
-        to: &[PeerId],
-        parcel: &Parcel,
-        input: Option<&Input>,
-        granted: &mut Vec<Granted>,
-    ) -> Option<Scope> {
-        let path = parcel.context.clone().unwrap();
-        let content = parcel.value();
-        let word = |key: &str| content.get(key).and_then(Value::as_str).map(str::to_owned);
-        self.seen.note(parcel.name());
-        self.tree.check_taken(parcel);
-        let mut also = Vec::new();
-        let mut safe = None;
-        match parcel.name() {
-            "released" => {
-                let lost = self.owners.release(parcel, &mut self.seen);
-                also.push(lost.owned.name.clone());
-                also.extend(self.tree.guarded_members(&path));
-                self.check_expired(&path, &lost, input);
-                safe = self.safe_scope(&path, &lost);
-            }
-            "grabbed" => {
-                also.extend(self.tree.guarded_members(&path));
-                let name = word("owner").unwrap();
-                let lost = self.grant(&path, &name, &content);
-                let back = lost.is_some_and(|lost| lost.owned.from.as_ref() == Some(&name));
-                let peer = self.tree.person(&name).map(|(peer, _)| peer);
-                let told = back && peer.is_some_and(|peer| to.contains(&peer));
-                also.extend(told.then(|| name.clone()));
-                granted.push(Granted {
-                    path: path.clone(),
-                    name,
-                    told,
-                });
-            }
-            "queued" => {
-                let (peer, [name]) = (to[0], &self.tree.names(to)[..]) else {
-                    panic!("each is told its own place");
-                };
-                also.push(name.clone());
-                let rules = self.rules(&path);
-                let told = Told {
-                    path: &path,
-                    name,
-                    level: self.tree.people[&peer].level,
-                    place: usize::try_from(content.get("place").and_then(Value::as_int).unwrap()).unwrap(),
-                    ids: self.answers.meant(peer, &path, Verb::Grab, input),
-                    rules: rules.as_ref(),
-                    at: self.now,
-                };
-                self.queues.told(&told, &mut self.seen);
-            }
-            "offer" | "requested" | "lapsed" | "inhibited" | "uninhibited" => {
-                also.extend(self.tree.guarded_members(&path));
-                also.extend(self.tree.members_of(&path.parent().unwrap()));
-                let owner = self.owners.now.get(&path).map(|owned| owned.name.clone());
-                let asks = word("peer").and_then(|name| self.tree.person(&name));
-                let ids = asks.map(|(peer, _)| self.answers.meant(peer, &path, Verb::Request, input));
-                let id = ids.and_then(|ids| ids.first().copied());
-                self.handover
-                    .event(parcel, owner.as_deref(), id, self.now, &mut self.seen);
-            }
-            "joined" | "left" => {
-                let counted = content.get("count").is_some();
-                assert!(
-                    counted != content.get("peer").is_some(),
-                    "who, or how many: {content:?}"
-                );
-                if counted {
-                    self.seen.note("count");
-                }
-            }
-            "deleted" => {
-                self.owners.kept.remove(&path);
-                also.extend(self.tree.members_of(&path.parent().unwrap()));
-            }
-            // The end of its turn is nobody's business but the owner's.
-            "notice" => {
-                let names = self.tree.names(to);
-                let owner = self.owners.now.get(&path).map(|owned| &owned.name);
-                assert_eq!(names.first(), owner, "{path}: {content:?}");
-                also.extend(names);
-            }
-            "invited" => also.extend(self.tree.names(to)),
-            _ => {}
-        }
-        self.tree.check_receivers(to, &path, &also);
-        safe
-    }
-
-    /// Takes in an answer: of a grant that nobody else may hear of there is no event.
-    fn reply(&mut self, asked: &Asked, reply: &Parcel, granted: &mut [Granted]) {
-        let Some(path) = asked.path.clone() else { return };
-        if asked.verb == Some(Verb::Request) {
-            self.handover.answered(&path, asked.id);
-        }
-        let Some(person) = self.tree.people.get(&asked.peer) else {
-            return;
-        };
-        let name = person.name.clone();
-        let ok = reply.family == Family::Reply;
-        let content = reply.value();
-        if ok && asked.grants() {
-            match self.owners.now.contains_key(&path) {
-                true => self.renew(&path, &name, &content),
-                false => {
-                    self.grant(&path, &name, &content);
-                }
-            }
-            let mine = |grant: &&mut Granted| grant.path == path && grant.name == name;
-            if let Some(grant) = granted.iter_mut().rev().find(mine) {
-                grant.told = true;
-            }
-        } else if ok && asked.verb == Some(Verb::Renew) {
-            self.renew(&path, &name, &content);
-        }
-        let over = ["storage-failed", "no-offer", "not-member"].contains(&reply.name());
-        if asked.verb == Some(Verb::Accept) && !asked.names && (ok || over) {
-            self.handover.accepted(&path, &name);
-        }
-    }
-
-    fn renew(&mut self, path: &Path, name: &str, told: &Value) {
-        let rules = self.rules(path);
-        let grant = Grant {
-            path,
-            name,
-            user: "",
-            told,
-            rules: rules.as_ref(),
-            at: self.now,
-        };
-        self.owners.renewed(&grant);
-    }
-
-    fn grant(&mut self, path: &Path, name: &str, told: &Value) -> Option<Lost> {
-        let rules = self.rules(path);
-        let (_, person) = self.tree.person(name).unwrap();
-        let person = person.clone();
-        let grant = Grant {
-            path,
-            name,
-            user: &person.user,
-            told,
-            rules: rules.as_ref(),
-            at: self.now,
-        };
-        let lost = self.owners.grant(&grant);
-        // Some managers keep a free token from those who wait for it.
-        let calm = rules.is_some_and(|rules| rules.calm);
-        if calm && !self.handover.converted(path, name) {
-            self.queues.granted(path, name, lost.as_ref());
-        }
-        let preempted = lost.as_ref().filter(|lost| lost.reason == "preempted");
-        // Where it was stored first, levels may have changed meanwhile.
-        if let (Some(lost), false) = (preempted, self.start.durable) {
-            let (_, old) = self.tree.person(&lost.owned.name).unwrap();
-            assert!(
-                person.level > old.level,
-                "an equal level cannot preempt: {lost:?}"
-            );
-        }
-        self.seen.note(match fence_of(told) >> 20 {
-            epoch if epoch == self.start.epoch => "granted",
-            _ => "granted beyond the epoch",
-        });
-        lost
-    }
-
-    /// Nothing ends before its time.
-    fn check_expired(&mut self, path: &Path, lost: &Lost, input: Option<&Input>) {
-        let Some(rules) = self.rules(path).filter(|_| lost.reason == "expired") else {
-            return;
-        };
-        let over = |end: Option<u64>| end.is_some_and(|end| self.now >= end);
-        let owned = &lost.owned;
-        let asked = input.is_some() || self.queues.waits(path);
-        let lease = over(owned.lease_end) && (rules.eager || asked);
-        let turn = over(self.queues.turn_end(path, owned, &rules));
-        let bounded = path.as_str() == "/yard/chaired";
-        assert!(
-            lease || turn || bounded || over(owned.alive_until),
-            "{path} is lost early: {owned:?}"
-        );
-        for (what, is) in [
-            ("lease over", lease),
-            ("turn over", turn),
-            ("not alive", over(owned.alive_until)),
-        ] {
-            if is {
-                self.seen.note(what);
-            }
-        }
-    }
-
-    fn safe_scope(&self, path: &Path, lost: &Lost) -> Option<Scope> {
-        let rules = self.rules(path);
-        let (on_give, only) = match rules {
-            Some(rules) => (rules.safe_on_give, rules.safe),
-            None => (false, None),
-        };
-        if lost.reason == "given" && !on_give {
-            return None;
-        }
-        Some(only.map_or(Scope::Everywhere, Scope::Only))
-    }
-
     /// Owners, queues, offers and holds are as the hub says when it is asked.
-    fn check_tokens(&mut self) {
-        let looks = Looks::at(&mut self.hub, self.now);
+    /// `all` = also those that may have been made since.
+    pub(crate) fn look_at_tokens(&mut self, all: bool) {
+        let looks = match all {
+            true => Looks::at(&mut self.hub, self.now),
+            false => self.looks.again(&mut self.hub, self.now),
+        };
         for (path, look) in &looks.seen {
             let stored = self.disk.awaits(path);
             let owner = self.owners.now.get(path).map(|owned| &owned.name);
@@ -416,5 +268,19 @@ impl Observer {
         self.owners.lost.retain(|path, _| disk.awaits(path));
         self.queues.keep(&looks);
         self.handover.keep(&looks);
+        self.looks = looks;
+    }
+}
+
+impl Story {
+    fn check_told(&self) {
+        assert!(!self.unsaid, "a safe state comes before the loss that it is for");
+        for grant in &self.granted {
+            assert!(
+                grant.told,
+                "{} is told that {} is its own",
+                grant.name, grant.path
+            );
+        }
     }
 }

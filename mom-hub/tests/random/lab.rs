@@ -1,5 +1,8 @@
 //! A hub with a bit of everything, and what may become of its configuration.
 
+use std::collections::BTreeMap;
+use std::sync::LazyLock;
+
 use mom_hub::{Configuration, ContextSpec, Hub, Input, PeerId, Record, Settings, User};
 use mom_managers::Registry;
 use mom_proto::{Limit, Limits, Map, Path, Value, from_value};
@@ -195,7 +198,10 @@ fn contexts(variant: usize) -> Vec<(&'static str, Map)> {
             guarded("/yard/eager", "say").with("delivery", "latest"),
         ),
         ("/yard/belt", guarded("/yard/dead", "command")),
-        ("/yard/gate", guarded("/yard/turns", "command")),
+        (
+            "/yard/gate",
+            guarded("/yard/turns", "command").with("manager", "counted"),
+        ),
         (
             "/yard/bay",
             guarded("/yard/chaired", "command").with("manager", "chaired"),
@@ -264,8 +270,19 @@ pub(crate) struct Rules {
 
 /// What holds for a token; none = it is not of the configuration.
 pub(crate) fn rules(path: &Path, variant: usize) -> Option<Rules> {
-    let contexts = contexts(variant);
-    let (_, spec) = contexts.iter().find(|(known, _)| *known == path.as_str())?;
+    // Asked several times a step for each token, so worked out once.
+    static ALL: LazyLock<Vec<BTreeMap<Path, Rules>>> = LazyLock::new(|| {
+        let of = |variant| {
+            let contexts = contexts(variant).into_iter();
+            let rules = contexts.filter_map(|(path, spec)| Some((Path::parse(path).ok()?, rules_of(&spec)?)));
+            rules.collect()
+        };
+        (0..VARIANTS).map(of).collect()
+    });
+    ALL[variant].get(path).cloned()
+}
+
+fn rules_of(spec: &Map) -> Option<Rules> {
     let word = |key: &str| spec.get(key).and_then(Value::as_str);
     if word("kind") != Some("token") {
         return None;

@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use mom_hub::{Effect, Input, PeerId, User};
+use mom_hub::{Effect, Input, PeerId, Route, User};
 use mom_proto::{Family, Map, Parcel, Path, Value};
 
-use crate::lab::{EPOCH, configuration, user};
+use crate::lab::{ADMIN, EPOCH, configuration, user};
 use crate::steps::{Act, Message, SEATS, Step, Who};
 
 /// What was seen lately and may be answered, rightly or too late.
@@ -25,6 +25,12 @@ pub(crate) struct Log {
     /// Who is asked for a token, and by whom.
     requests: Vec<(Path, PeerId, String)>,
     questions: Vec<(PeerId, u64)>,
+    /// Who owns which token.
+    owners: BTreeMap<Path, PeerId>,
+    /// Who may drive through which channel, and the message that it takes.
+    drivers: BTreeMap<Path, (PeerId, String)>,
+    /// What was sent last, and by whom.
+    said: Option<(PeerId, Parcel)>,
 }
 
 #[derive(Debug, Default)]
@@ -58,11 +64,13 @@ impl Log {
     }
 
     fn input(&mut self, step: &Step) -> Input {
-        let known = match &step.act {
+        let owned = match &step.act {
             Act::Configure(variant) => return self.configure(*variant),
             Act::Tick => return Input::Tick,
-            act => self.known(act),
+            _ => self.owned(step),
         };
+        let owner = owned.as_ref().map(|(owner, ..)| *owner);
+        let known = self.known(&step.act).or(owner);
         let seat = known.map_or(step.seat, seat_of);
         let peer = self.peer(seat);
         let place = self.seats.entry(seat).or_default();
@@ -73,12 +81,19 @@ impl Log {
             };
             return Input::Gone { peer };
         }
-        let parcel = match &step.act {
+        let mut parcel = match &step.act {
             Act::Stranger => Parcel::new(Family::Token, "grab").context(at("/lab/token")),
             Act::Login { nickname } => return self.login(seat, step.user, *nickname),
             _ if place.user.is_none() => return self.login(seat, step.user, None),
             act => self.parcel(act, peer),
         };
+        if let Some((_, path, name)) = owned {
+            parcel.context = Some(path);
+            parcel.name = name.map_or(parcel.name, Arc::from);
+        }
+        if matches!(step.act, Act::Send(_)) {
+            self.said = Some((peer, parcel.clone()));
+        }
         let parcel = Box::new(parcel.id(self.id));
         Input::Request {
             peer,
@@ -105,10 +120,41 @@ impl Log {
             Act::Verdict {
                 pick, rightly: true, ..
             } => pick_of(&self.questions, *pick).map(|(asked, _)| *asked),
+            Act::Again => self.said.as_ref().map(|(peer, _)| *peer),
             _ => None,
         }
         // A connection that has ended says nothing more.
         .filter(|peer| self.peer(seat_of(*peer)) == *peer)
+    }
+
+    /// Where a step is something that only an owner may do, and an owner does it: who, where, and with which message.
+    fn owned(&self, step: &Step) -> Option<(PeerId, Path, Option<String>)> {
+        let any = usize::try_from(self.id).unwrap();
+        let found = match &step.act {
+            _ if !step.by_owner => None,
+            Act::Send(message) => {
+                let path = at(message.path);
+                let here = self.drivers.get_key_value(&path);
+                let here = here.filter(|(_, (_, name))| name == message.name);
+                let elsewhere = || self.drivers.iter().nth(any % self.drivers.len().max(1));
+                let found = here.or_else(|| elsewhere().filter(|_| message.name == "command"));
+                found.map(|(path, (owner, name))| (*owner, path.clone(), Some(name.clone())))
+            }
+            Act::Ask {
+                verb: "renew" | "release",
+                path,
+                ..
+            } => self.owners.get(&at(path)).map(|owner| (*owner, at(path), None)),
+            Act::Tell {
+                verb: "give", path, ..
+            } => {
+                let here = self.owners.get_key_value(&at(path));
+                let found = here.or_else(|| self.owners.iter().nth(any % self.owners.len().max(1)));
+                found.map(|(path, owner)| (*owner, path.clone(), None))
+            }
+            _ => None,
+        };
+        found.filter(|(owner, ..)| *owner != ADMIN && self.peer(seat_of(*owner)) == *owner)
     }
 
     fn parcel(&self, act: &Act, peer: PeerId) -> Parcel {
@@ -119,6 +165,10 @@ impl Log {
                 .context(at(path))
                 .content(spec.clone()),
             Act::Send(message) => message.parcel(self.epoch),
+            Act::Again => match &self.said {
+                Some((_, parcel)) => parcel.clone(),
+                None => Parcel::new(Family::Message, "say").context(at("/lab/talk")),
+            },
             Act::Tell {
                 family,
                 verb,
@@ -213,10 +263,30 @@ impl Log {
                     }
                 }
                 Effect::Deliver { to, parcel } => self.hear(to, parcel),
+                Effect::Route(route) => self.learn_owner(route),
                 Effect::Close { peer, .. } if self.peer(seat_of(*peer)) == *peer => {
                     self.seats.entry(seat_of(*peer)).or_default().closed = true;
                 }
                 _ => {}
+            }
+        }
+    }
+
+    fn learn_owner(&mut self, route: &Route) {
+        let Some(guard) = &route.guard else {
+            drop(self.drivers.remove(&route.path));
+            return;
+        };
+        match guard.owner.as_ref().map(|owner| owner.peer) {
+            Some(owner) => {
+                self.owners.insert(guard.token.clone(), owner);
+                let name = guard.names.first().filter(|name| **name != "*");
+                let name = name.map_or("command", |name| name).to_owned();
+                self.drivers.insert(route.path.clone(), (owner, name));
+            }
+            None => {
+                self.owners.remove(&guard.token);
+                self.drivers.remove(&route.path);
             }
         }
     }
@@ -265,6 +335,9 @@ impl Log {
         self.offers.clear();
         self.requests.clear();
         self.questions.clear();
+        self.owners.clear();
+        self.drivers.clear();
+        self.said = None;
     }
 
     /// All connections that are there.

@@ -52,8 +52,20 @@ pub(crate) struct Looks {
 
 impl Looks {
     pub(crate) fn at(hub: &mut Hub, now: u64) -> Looks {
+        Looks::on(hub, now, PATHS.map(at))
+    }
+
+    /// Looks again, where nothing was made or deleted since.
+    pub(crate) fn again(&self, hub: &mut Hub, now: u64) -> Looks {
+        Looks {
+            hidden: self.hidden.clone(),
+            ..Looks::on(hub, now, self.seen.keys().cloned())
+        }
+    }
+
+    fn on(hub: &mut Hub, now: u64, paths: impl IntoIterator<Item = Path>) -> Looks {
         let mut looks = Looks::default();
-        for path in PATHS.map(at) {
+        for path in paths {
             match ask(hub, now, Family::Token, "info", &path) {
                 Ok(info) if info.get("kind").and_then(Value::as_str) == Some("token") => {
                     looks.seen.insert(path, look(&info));

@@ -50,6 +50,8 @@ pub(crate) struct Observer {
     /// When the store answers what comes next, and how.
     pub(crate) store: (usize, bool),
     pub(crate) tree: Tree,
+    /// The tokens, when they were looked at last.
+    pub(crate) looks: Looks,
     pub(crate) answers: Answers,
     pub(crate) owners: Owners,
     pub(crate) queues: Queues,
@@ -70,6 +72,7 @@ impl Observer {
         robots.begin(hub.routes().into_iter());
         Observer {
             tree: Tree::new(&mut hub),
+            looks: Looks::default(),
             hub,
             now: 0,
             variant: start.variant,
@@ -149,27 +152,7 @@ impl Observer {
         let by_route = self.tree.admit(&self.hub, now, input);
         check_early(early, by_route.as_ref());
         self.answers.ask(input);
-        let before: Vec<_> = self
-            .owners
-            .now
-            .keys()
-            .map(|path| (path.clone(), self.rules(path)))
-            .collect();
-        self.variant = variant;
-        // A new deadman time holds for the owner of now too.
-        for (path, before) in before {
-            let (Some(old), Some(new)) = (before, self.rules(&path)) else {
-                continue;
-            };
-            let owned = self
-                .owners
-                .now
-                .get_mut(&path)
-                .filter(|_| old.deadman != new.deadman);
-            if let Some(owned) = owned {
-                owned.alive_until = new.deadman.map(|deadman| now + deadman);
-            }
-        }
+        self.configure(variant);
         let start = effects.len();
         self.hub.handle(now, input.clone(), &mut effects);
         self.hub.check();
@@ -179,6 +162,31 @@ impl Observer {
         self.inputs.push((now, input.clone()));
         self.effects.push(effects);
         self.effects.last().unwrap()
+    }
+
+    /// A new configuration: a new deadman time holds for the owner of now too.
+    fn configure(&mut self, variant: usize) {
+        let old = std::mem::replace(&mut self.variant, variant);
+        if old == variant {
+            return;
+        }
+        for (path, owned) in &mut self.owners.now {
+            let both = lab::rules(path, old).zip(lab::rules(path, variant));
+            if let Some((old, new)) = both
+                && old.deadman != new.deadman
+            {
+                owned.alive_until = new.deadman.map(|deadman| self.now + deadman);
+            }
+        }
+    }
+
+    /// While everybody comes in nobody looks who is where; once all are in, everything is looked at.
+    pub(crate) fn look_away(&mut self, away: bool) {
+        self.tree.blind = away;
+        if !away {
+            self.tree.look(&mut self.hub, self.now);
+            self.look_at_tokens(true);
+        }
     }
 
     /// Moves what lies in outboxes and sockets.

@@ -99,13 +99,16 @@ impl Queues {
 
     /// A grant to this peer is being stored: in its turn, or by other ways.
     pub(crate) fn stored(&mut self, path: &Path, name: &str, in_turn: bool) {
-        let first = self.waiting.get(path).and_then(|queue| queue.first());
-        match first {
-            Some(first) if in_turn && first.name == name => {
+        let queue = self.waiting.get(path);
+        let first = queue.and_then(|queue| queue.first());
+        let place = queue.and_then(|queue| queue.iter().position(|waiter| waiter.name == name));
+        match place {
+            // For whom a token is kept passes by those for whom it is not.
+            Some(place) if in_turn && (place == 0 || self.reserved.contains(path)) => {
                 let queue = self.waiting.get_mut(path).unwrap();
-                self.called.insert(path.clone(), queue.remove(0));
+                self.called.insert(path.clone(), queue.remove(place));
             }
-            first => {
+            _ => {
                 let decided = !in_turn || self.reserved.contains(path);
                 assert!(first.is_none() || decided, "{name} passes by {first:?} to {path}");
                 self.promised.insert(path.clone(), name.to_owned());

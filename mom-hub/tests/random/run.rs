@@ -28,7 +28,10 @@ impl Run {
 
     /// Takes a whole log.
     pub(crate) fn play(&mut self, script: &Script) {
-        script.steps().iter().for_each(|step| self.take(step));
+        self.observer.look_away(true);
+        script.before().iter().for_each(|step| self.take(step));
+        self.observer.look_away(false);
+        script.steps.iter().for_each(|step| self.take(step));
     }
 
     /// Takes a step, and what the store has to say by then.

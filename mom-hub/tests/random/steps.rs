@@ -19,6 +19,8 @@ pub(crate) struct Step {
     /// Who logs in if this connection has to before it can do something.
     pub(crate) user: usize,
     pub(crate) act: Act,
+    /// Whether the owner does it, where it is for the owner to do.
+    pub(crate) by_owner: bool,
     /// When the store answers what this step gives it, and how.
     pub(crate) disk: Disk,
     /// Whether the outboxes are written, and the robots read.
@@ -54,6 +56,8 @@ pub(crate) enum Act {
         spec: Map,
     },
     Send(Message),
+    /// What was said last, once more, by the same.
+    Again,
     /// A request with content; the peer named in it, under this key.
     Tell {
         family: Family,
@@ -108,13 +112,16 @@ fn step() -> impl Strategy<Value = Step> {
         prop_oneof![3 => Just(0), 2 => 1..6_usize],
         prop::bool::weighted(0.85),
     );
-    let link = (prop::bool::weighted(0.6), prop::bool::weighted(0.7));
-    (wait, 0..SEATS, 0..USERS.len(), act(), disk, link).prop_map(
-        |(wait, seat, user, act, (after, ok), link)| Step {
+    // Often not, so that commands are under way when something changes.
+    let link = (prop::bool::weighted(0.5), prop::bool::weighted(0.7));
+    let by_owner = prop::bool::weighted(0.7);
+    (wait, 0..SEATS, 0..USERS.len(), act(), by_owner, disk, link).prop_map(
+        |(wait, seat, user, act, by_owner, (after, ok), link)| Step {
             wait,
             seat,
             user,
             act,
+            by_owner,
             disk: Disk { after, ok },
             link,
         },
@@ -125,15 +132,15 @@ fn step() -> impl Strategy<Value = Step> {
 #[derive(Clone)]
 pub(crate) struct Script {
     crowded: bool,
-    steps: Vec<Step>,
+    pub(crate) steps: Vec<Step>,
 }
 
 impl Script {
-    /// All its steps.
-    pub(crate) fn steps(&self) -> Vec<Step> {
+    /// What passes before it, where everybody is everywhere.
+    pub(crate) fn before(&self) -> Vec<Step> {
         match self.crowded {
-            true => [everybody(), self.steps.clone()].concat(),
-            false => self.steps.clone(),
+            true => everybody(),
+            false => Vec::new(),
         }
     }
 }
@@ -148,12 +155,14 @@ impl fmt::Debug for Script {
                 seat,
                 user,
                 act,
+                by_owner,
                 disk,
                 link,
             } = step;
+            let who = if *by_owner { "owner or seat" } else { "seat" };
             writeln!(
                 out,
-                "+{wait} seat {seat} (user {user}): {act:?}; {disk:?}, link {link:?}"
+                "+{wait} {who} {seat} (user {user}): {act:?}; {disk:?}, link {link:?}"
             )?;
         }
         Ok(())
@@ -172,6 +181,7 @@ fn everybody() -> Vec<Step> {
         seat,
         user: seat,
         act,
+        by_owner: false,
         disk: Disk { after: 0, ok: true },
         link: (true, true),
     };
@@ -236,13 +246,13 @@ fn act() -> impl Strategy<Value = Act> {
         2 => nickname.prop_map(|nickname| Act::Login { nickname }),
         2 => Just(Act::Gone),
         1 => Just(Act::Stranger),
-        25 => acts::enter(),
+        22 => acts::enter(),
         9 => acts::look_around(),
         1 => Just(Act::Ask { family: Family::Login, verb: "logout", path: "/" }),
-        30 => acts::grab(),
+        45 => acts::grab(),
         8 => acts::keep(),
-        20 => acts::hand_over(),
-        12 => acts::answer(),
+        40 => acts::hand_over(),
+        25 => acts::answer(),
         6 => acts::share(),
         10 => acts::verdict(),
         4 => acts::show_out(),
@@ -250,7 +260,8 @@ fn act() -> impl Strategy<Value = Act> {
         1 => Just(delete_token),
         3 => Just(create_token),
         9 => acts::create(),
-        30 => acts::message().prop_map(Act::Send),
+        45 => acts::message().prop_map(Act::Send),
+        12 => Just(Act::Again),
         4 => Just(Act::Tick),
     ]
 }

@@ -35,6 +35,8 @@ pub(crate) struct Tree {
     pub(crate) people: BTreeMap<PeerId, Person>,
     /// Who has become somebody else in this step, and who it was.
     pub(crate) former: Option<(PeerId, String)>,
+    /// While true nobody asks who is where.
+    pub(crate) blind: bool,
 }
 
 impl Tree {
@@ -45,6 +47,11 @@ impl Tree {
             after: members(hub, 0),
             ..Tree::default()
         }
+    }
+
+    /// Looks at who is where, all at once.
+    pub(crate) fn look(&mut self, hub: &mut Hub, now: u64) {
+        self.after = members(hub, now);
     }
 
     /// Before the effects of a step are followed; with its members, if they may have changed.
@@ -127,6 +134,9 @@ impl Tree {
     /// That receivers are members of a context before or after the step, or among those.
     pub(crate) fn check_receivers(&self, to: &[PeerId], path: &Path, also: &[String]) {
         assert!(!to.is_empty(), "given to somebody");
+        if self.blind {
+            return;
+        }
         // What the operator may not see it cannot check.
         let (before, after) = (self.before.get(path), self.after.get(path));
         let (Some(before), Some(after)) = (before.or(after), after.or(before)) else {
@@ -192,7 +202,7 @@ impl Tree {
             .map(|route| (route.number, route))
             .collect();
         assert_eq!(self.routes, truth, "routes agree with the tree");
-        for route in truth.values() {
+        for route in truth.values().filter(|_| !self.blind) {
             let members = route.members.iter();
             let listed: BTreeSet<String> = members.map(|member| member.facts.name.to_string()).collect();
             if let Some(members) = self.after.get(&route.path) {

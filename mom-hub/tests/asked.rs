@@ -1,0 +1,155 @@
+//! Who is asked before a request is answered: nobody in vain, nobody twice, and the manager before anything is told.
+
+mod stage;
+
+use mom_proto::{Map, Value};
+
+use stage::{Stage, context, lab, of};
+
+/// A channel that alice has made and answers for; bob is in it.
+fn managed_by_alice() -> Stage {
+    let mut stage = Stage::new(vec![context("/lab", "session").with("presence", "none")]);
+    for name in ["alice", "bob"] {
+        stage.enter(name, 1);
+    }
+    stage.say(
+        "alice",
+        "context create /lab/own kind=channel manager=self presence=none",
+    );
+    stage.say("alice", "context join /lab/own");
+    stage.say("bob", "context join /lab/own");
+    stage.say("alice", "manager verdict / consult=1 allow=true");
+    stage
+}
+
+#[test]
+fn what_stands_holds_for_the_messages_that_waited_behind_too() {
+    let mut stage = managed_by_alice();
+    for _ in 0..3 {
+        stage.say("bob", "message say /lab/own");
+    }
+    let heard = stage.say("alice", "manager verdict / consult=2 allow=true stands=true");
+    let asked = heard.iter().filter(|line| line.contains("consult")).count();
+    assert_eq!(asked, 0, "asked once for all: {heard:?}");
+    assert_eq!(of(&heard, &["bob"]), ["bob< say of bob"; 3], "{heard:?}");
+    assert_eq!(
+        of(&stage.say("bob", "message say /lab/own"), &["bob"]),
+        ["bob< say of bob"]
+    );
+}
+
+#[test]
+fn what_does_not_stand_is_asked_for_each_message() {
+    let mut stage = managed_by_alice();
+    stage.say("bob", "message say /lab/own");
+    stage.say("bob", "message say /lab/own");
+    let heard = stage.say("alice", "manager verdict / consult=2 allow=true");
+    assert_eq!(of(&heard, &["bob"]), ["bob< say of bob"], "{heard:?}");
+    assert!(
+        heard.iter().any(|line| line.starts_with("alice< consult")),
+        "{heard:?}"
+    );
+}
+
+#[test]
+fn who_may_not_is_not_told_what_is_there() {
+    let manager = |rule: &str| {
+        let rule = Map::new()
+            .with("name", "looking")
+            .with("allow", vec![rule.into()]);
+        Map::new()
+            .with("kind", "roles")
+            .with("rules", vec![Value::Map(rule)])
+    };
+    let mut contexts = lab(Map::new());
+    contexts[0].set("manager", manager("join"));
+    let mut stage = Stage::new(contexts);
+    stage.enter("alice", 1);
+    stage.say("alice", "context leave /lab");
+    for verb in ["grab", "request", "accept", "inhibit"] {
+        for path in ["/lab/key", "/lab/arm", "/lab", "/lab/none"] {
+            let heard = stage.say("alice", &format!("token {verb} {path}"));
+            let [line] = &heard[..] else {
+                panic!("{verb} {path}: {heard:?}")
+            };
+            assert!(line.starts_with("alice< denied"), "{verb} {path}: {line}");
+        }
+    }
+}
+
+#[test]
+fn who_may_is_told_what_is_wrong() {
+    let mut stage = Stage::new(lab(Map::new().with("manager", "first-come")));
+    stage.enter("alice", 1);
+    stage.say("alice", "context leave /lab");
+    for verb in ["grab", "request"] {
+        let say = |path: &str| format!("token {verb} {path}");
+        assert_eq!(stage.say("alice", &say("/lab/key")), ["alice< not-member"]);
+        assert_eq!(stage.say("alice", &say("/lab/arm")), ["alice< wrong-kind"]);
+    }
+}
+
+/// carol is a chair of the lab's token for these verbs.
+fn moderated(verbs: &[&str]) -> Map {
+    let verbs: Vec<Value> = verbs.iter().map(|verb| Value::from(*verb)).collect();
+    let chairs = Map::new().with("users", vec!["carol".into()]);
+    let manager = Map::new()
+        .with("kind", "moderated")
+        .with("chairs", chairs)
+        .with("verbs", verbs);
+    Map::new().with("manager", manager)
+}
+
+#[test]
+fn a_request_about_which_somebody_is_asked_elsewhere_is_counted_once() {
+    let limit = Map::new().with("verbs", vec!["create".into()]).with("parcels", 1);
+    let quota = Map::new()
+        .with("kind", "quota")
+        .with("limits", vec![Value::Map(limit)]);
+    let mut contexts = lab(moderated(&["join"]));
+    contexts[0].set("manager", quota);
+    let mut stage = Stage::new(contexts);
+    for name in ["bob", "carol"] {
+        stage.enter(name, 1);
+    }
+    let mut create = stage.request("bob", "context create /lab/own");
+    if let mom_hub::Input::Request { parcel, .. } = &mut create {
+        let guard = Map::new()
+            .with("token", "/lab/key")
+            .with("names", vec!["command".into()]);
+        let content = Map::new()
+            .with("kind", "channel")
+            .with("presence", "none")
+            .with("guard", guard);
+        **parcel = (**parcel).clone().content(content);
+    }
+    let heard = stage.give(create);
+    assert!(
+        of(&heard, &["carol"])[0].starts_with("carol< consult"),
+        "{heard:?}"
+    );
+    let heard = stage.say("carol", "manager verdict / consult=1 allow=true");
+    assert!(heard.contains(&"bob< ok".to_owned()), "{heard:?}");
+    let heard = stage.say("bob", "context create /lab/more kind=channel");
+    assert!(heard[0].starts_with("bob< over-quota"), "{heard:?}");
+}
+
+#[test]
+fn a_chairs_answer_is_kept_while_a_change_of_owner_is_stored() {
+    let mut stage = Stage::durable(lab(moderated(&["grab"])));
+    for name in ["bob", "carol"] {
+        stage.enter(name, 1);
+    }
+    stage.say("bob", "token grab /lab/key");
+    stage.say("carol", "token grab /lab/key");
+    let heard = stage.say("carol", "manager verdict / consult=1 allow=true");
+    assert_eq!(heard, ["carol< ok"], "bob's grab waits for the store");
+    let heard = stage.answer(true);
+    assert!(!heard.iter().any(|line| line.contains("consult")), "{heard:?}");
+    assert!(
+        of(&heard, &["bob"])
+            .iter()
+            .any(|line| line.starts_with("bob< held")),
+        "{heard:?}"
+    );
+}
