@@ -24,6 +24,7 @@ root = "open"
 [limits]
 heartbeat = 600000
 gone = 1200000
+requests = "unlimited"
 
 [[contexts]]
 path = "/bench"
