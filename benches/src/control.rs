@@ -66,7 +66,7 @@ impl Peer {
             .map_err(|error| Error::Unexpected(format!("{error}")))?;
         let link = mom_net::connect(&address, &Limits::default())
             .await
-            .map_err(net)?;
+            .map_err(|error| net("connecting", &error))?;
         let mut peer = Peer { link, last: 0 };
         let credentials = Map::new().with("name", user).with("password", user);
         let login = Parcel::new(Family::Login, "login").context(Path::root());
@@ -84,12 +84,14 @@ impl Peer {
 
     async fn say(&mut self, parcel: Parcel) -> Result<u64, Error> {
         self.last += 1;
-        self.link.writer.send(parcel.id(self.last)).await.map_err(net)?;
+        let sent = self.link.writer.send(parcel.id(self.last)).await;
+        sent.map_err(|error| net("saying", &error))?;
         Ok(self.last)
     }
 
     async fn hear(&mut self) -> Result<Parcel, Error> {
-        match self.link.reader.next().await.map_err(net)? {
+        let heard = self.link.reader.next().await;
+        match heard.map_err(|error| net("hearing", &error))? {
             Some(Frame::Parcel(parcel)) => Ok(*parcel),
             other => Err(Error::Unexpected(format!("{other:?} in place of a parcel"))),
         }
@@ -110,7 +112,8 @@ impl Peer {
                 Family::Time if parcel.name() == "ping" => {
                     let mut pong = Parcel::new(Family::Time, "pong").context(Path::root());
                     pong.reference = parcel.id;
-                    self.link.writer.send(pong).await.map_err(net)?;
+                    let sent = self.link.writer.send(pong).await;
+                    sent.map_err(|error| net("answering", &error))?;
                 }
                 _ => {}
             }
@@ -339,9 +342,8 @@ fn about(family: Family, name: &str, path: &str) -> Result<Parcel, Error> {
     Ok(Parcel::new(family, name).context(path))
 }
 
-#[expect(clippy::needless_pass_by_value, reason = "it is for map_err")]
-fn net(error: mom_net::NetError) -> Error {
-    Error::Unexpected(error.to_string())
+fn net(what: &str, error: &mom_net::NetError) -> Error {
+    Error::Unexpected(format!("{what}: {error}"))
 }
 
 fn run<T>(work: impl Future<Output = Result<T, Error>>) -> Result<T, Error> {

@@ -27,6 +27,7 @@ guests = true
 [limits]
 heartbeat = 600000
 gone = 1200000
+requests = "unlimited"
 
 [managers.driving]
 kind = "chain"

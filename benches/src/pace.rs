@@ -37,7 +37,7 @@ impl Pace {
             rounds: 20_000,
             connections: 20,
             block: 250,
-            crowd: 200,
+            crowd: 1000,
             grants: 5000,
             calm: Duration::from_secs(3),
             inside: Duration::from_millis(150),

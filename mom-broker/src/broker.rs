@@ -8,7 +8,7 @@ use mom_hub::{Input, Settings};
 use mom_net::Transceiver;
 use mom_proto::{Code, Limits, WireError};
 use parking_lot::Mutex;
-use tokio::net::{TcpListener, TcpStream};
+use tokio::net::{TcpListener, TcpSocket, TcpStream, lookup_host};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, watch};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, timeout_at};
@@ -27,6 +27,10 @@ const REPORTS: Duration = Duration::from_millis(250);
 
 /// A stop lets what waits go out for at most so long.
 pub(crate) const DRAIN: Duration = Duration::from_secs(10);
+
+/// Connections that may wait to be taken in; the system may allow less. When a crowd comes back at once and more
+/// wait than that, Linux turns to SYN cookies, and a connection whose cookie has grown old is reset.
+const BACKLOG: u32 = 16 * 1024;
 
 /// Of which the last part is for the records of what the peers' going changed.
 const LAST_RECORDS: Duration = Duration::from_secs(1);
@@ -138,7 +142,7 @@ impl Broker {
                 address: address.clone(),
                 error,
             };
-            let listener = TcpListener::bind(address).await.map_err(failed)?;
+            let listener = listen(address).await.map_err(failed)?;
             addresses.push(listener.local_addr().map_err(failed)?);
             let listen = Listen {
                 context: context.clone(),
@@ -226,6 +230,28 @@ impl Broker {
         self.context.board.witness.stop().await;
         tracing::info!("broker stopped");
     }
+}
+
+/// Listens at the first address of a name that can be had.
+async fn listen(address: &str) -> std::io::Result<TcpListener> {
+    let mut failure = std::io::Error::from(std::io::ErrorKind::AddrNotAvailable);
+    for address in lookup_host(address).await? {
+        let bind = || {
+            let socket = match address.is_ipv4() {
+                true => TcpSocket::new_v4(),
+                false => TcpSocket::new_v6(),
+            }?;
+            // What is left of connections of the last start must not keep this one from its address.
+            socket.set_reuseaddr(true)?;
+            socket.bind(address)?;
+            socket.listen(BACKLOG)
+        };
+        match bind() {
+            Ok(listener) => return Ok(listener),
+            Err(error) => failure = error,
+        }
+    }
+    Err(failure)
 }
 
 /// One listener with all its sessions.

@@ -1,6 +1,7 @@
 //! One connection, from its first byte to its end.
 
 mod login;
+mod requests;
 
 use std::net::IpAddr;
 use std::sync::Arc;
@@ -77,6 +78,7 @@ struct Session {
     challenge: Option<Challenge>,
     /// When the proof of who it is will be over, none if it lasts.
     proven_until: Option<Micros>,
+    requests: requests::Requests,
     ended: bool,
 }
 
@@ -109,6 +111,7 @@ pub(crate) async fn serve(
         measure: Measure::default(),
         challenge: None,
         proven_until: None,
+        requests: requests::Requests::default(),
         ended: false,
     };
     let mut writer = tokio::spawn({
@@ -288,6 +291,11 @@ impl Session {
             }
             Family::Login if login::concerns(&parcel) => self.login(reader, &parcel, touched).await,
             _ if self.logged_in => {
+                let now = self.context.board.clock.now();
+                if let Err(error) = self.requests.take(&parcel, self.context.limits.requests, now) {
+                    self.refuse(&error, parcel.id, touched);
+                    return Ok(());
+                }
                 self.context.board.decide(
                     Input::Request {
                         peer: self.peer,

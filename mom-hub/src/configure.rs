@@ -240,7 +240,7 @@ impl Hub {
         }
         let root = self.tree.find(&Path::root()).map(|root| root.number);
         if let Some(root) = root {
-            let text = "this user was removed from the configuration";
+            let text = "this user was removed from the configuration, or what it has logged in with";
             self.expel(root, peer, None, Some(text), out);
         }
     }

@@ -132,6 +132,8 @@ pub struct Limits {
     pub contexts: Limit,
     /// Contexts that one peer may have joined.
     pub joined: Limit,
+    /// Requests about contexts and tokens that one connection may make in a second; as many more at once after a rest.
+    pub requests: Limit,
 }
 
 impl Default for Limits {
@@ -153,6 +155,7 @@ impl Default for Limits {
             future: 1_000,
             contexts: Limit::At(100_000),
             joined: Limit::At(1024),
+            requests: Limit::At(2000),
         }
     }
 }

@@ -8,6 +8,7 @@ mod file;
 mod refusals;
 mod settings;
 mod sink;
+mod successes;
 mod writer;
 
 use std::io;
@@ -82,12 +83,19 @@ impl AuditLog {
         })
     }
 
-    /// Writes a fact down; never waits.
+    /// Writes a fact down, or folds it with others alike; never waits for the disk.
     pub(crate) fn note(&self, fact: Fact) {
+        // Held until all is in the queue: the writer takes what was folded under it, and must not come in between.
+        let mut successes = self.shared.successes.lock();
+        successes.take(fact).into_iter().for_each(|fact| self.queue(fact));
+    }
+
+    fn queue(&self, fact: Fact) {
+        let count = fact.count.unwrap_or(1);
         match self.queue.try_send(Note::Fact(Box::new(fact))) {
             Ok(()) => {}
             // The writer tells how many, as soon as it can.
-            Err(TrySendError::Full(_)) => drop(self.shared.lost.fetch_add(1, Ordering::Relaxed)),
+            Err(TrySendError::Full(_)) => drop(self.shared.lost.fetch_add(count, Ordering::Relaxed)),
             Err(TrySendError::Disconnected(_)) => {
                 if !self.dead.swap(true, Ordering::Relaxed) {
                     tracing::error!("the audit log's writer has ended: nothing is audited any more");
@@ -100,7 +108,7 @@ impl AuditLog {
     pub(crate) fn refused(&self, fact: Fact) {
         let first = self.shared.refusals.lock().take(fact);
         if let Some(fact) = first {
-            self.note(fact);
+            self.queue(fact);
         }
     }
 

@@ -35,8 +35,8 @@ fn clock() -> Clock {
     Clock::manual("2026-11-21T10:00:00Z".parse().expect("a time"))
 }
 
-fn granted() -> Fact {
-    Fact::new(clock().wall(), Audit::new("granted"))
+fn created() -> Fact {
+    Fact::new(clock().wall(), Audit::new("created"))
 }
 
 #[test]
@@ -46,7 +46,7 @@ fn a_hanging_disk_holds_nobody_up() {
     let log = AuditLog::write_to(Hanging { released, lines }, clock(), 0).expect("a thread");
     const TOLD: usize = QUEUE + 5000;
     for _ in 0..TOLD {
-        log.note(granted());
+        log.note(created());
     }
     drop(release);
     drop(log);
@@ -55,10 +55,10 @@ fn a_hanging_disk_holds_nobody_up() {
         .map(|line| serde_json::from_str(&line).expect("JSON"))
         .collect();
     let lost: u64 = written.iter().filter_map(|line| line["count"].as_u64()).sum();
-    let granted = written.iter().filter(|line| line["what"] == "granted").count();
-    assert!(granted >= QUEUE, "{granted}");
+    let created = written.iter().filter(|line| line["what"] == "created").count();
+    assert!(created >= QUEUE, "{created}");
     assert!(lost > 0);
-    assert_eq!(granted + usize::try_from(lost).expect("few"), TOLD);
+    assert_eq!(created + usize::try_from(lost).expect("few"), TOLD);
     assert!(
         written.is_sorted_by_key(|line| line["seq"].as_u64()),
         "numbers rise"
@@ -90,11 +90,11 @@ async fn the_facts_of_the_hub_are_written_with_what_the_broker_knows() {
         code: Some(Code::HELD),
         ..audit("refused")
     };
-    let granted = Audit {
+    let created = Audit {
         fence: Some(1 << 20),
-        ..audit("granted")
+        ..audit("created")
     };
-    let facts = [audit("login"), granted, refused.clone(), refused.clone(), refused];
+    let facts = [audit("login"), created, refused.clone(), refused.clone(), refused];
     let mut effects: Vec<Effect> = facts
         .into_iter()
         .map(|fact| Effect::Audit(Box::new(fact)))
@@ -117,7 +117,7 @@ async fn the_facts_of_the_hub_are_written_with_what_the_broker_knows() {
             .collect::<Vec<_>>(),
         [
             format!("{{{at},\"seq\":1,\"what\":\"login\",\"peer\":\"alice\",\"from\":\"192.0.2.7\"}}"),
-            format!("{{{at},\"seq\":2,\"what\":\"granted\",\"peer\":\"alice\",\"fence\":1048576}}"),
+            format!("{{{at},\"seq\":2,\"what\":\"created\",\"peer\":\"alice\",\"fence\":1048576}}"),
             format!("{{{at},\"seq\":3,{refused}}}"),
             format!("{{{at},\"seq\":4,\"what\":\"login\",\"peer\":\"alice\"}}"),
             format!("{{{at},\"seq\":5,{refused},\"count\":2}}"),
@@ -128,7 +128,7 @@ async fn the_facts_of_the_hub_are_written_with_what_the_broker_knows() {
 #[tokio::test]
 async fn numbers_go_on_after_a_restart() {
     let (_folder, path, log) = in_file();
-    log.note(granted());
+    log.note(created());
     log.flush().await;
     let config = AuditConfig {
         path: Some(path.clone()),
@@ -143,9 +143,9 @@ async fn numbers_go_on_after_a_restart() {
             Err(_) => std::thread::yield_now(),
         }
     };
-    log.note(granted());
+    log.note(created());
     log.flush().await;
     let text = fs::read_to_string(path).expect("a file");
-    assert!(text.contains("\"seq\":1,\"what\":\"granted\""), "{text}");
-    assert!(text.contains("\"seq\":2,\"what\":\"granted\""), "{text}");
+    assert!(text.contains("\"seq\":1,\"what\":\"created\""), "{text}");
+    assert!(text.contains("\"seq\":2,\"what\":\"created\""), "{text}");
 }

@@ -11,9 +11,10 @@ use tokio::sync::oneshot;
 use super::Fact;
 use super::refusals::Refusals;
 use super::sink::Sink;
+use super::successes::Successes;
 use crate::clock::Clock;
 
-/// What was written is durable after so long, and refusals are counted up this often.
+/// What was written is durable after so long, and refusals and what is folded are counted up this often.
 const TICK: Duration = Duration::from_secs(1);
 
 /// Facts that are written at once.
@@ -32,6 +33,7 @@ pub(super) enum Note {
 #[derive(Debug, Default)]
 pub(super) struct Shared {
     pub(super) refusals: Mutex<Refusals>,
+    pub(super) successes: Mutex<Successes>,
     /// Facts that found no place in the queue and that no line tells of yet.
     pub(super) lost: AtomicU64,
 }
@@ -79,12 +81,14 @@ impl<S: Sink> Writer<S> {
                 }
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => {
+                    self.unfold(notes);
                     self.tick();
                     return;
                 }
             }
             self.write();
             if Instant::now() >= next || !self.flushes.is_empty() {
+                self.unfold(notes);
                 self.tick();
                 next = Instant::now() + TICK;
             }
@@ -96,6 +100,17 @@ impl<S: Sink> Writer<S> {
             Note::Fact(fact) => self.push(&fact, 1),
             Note::Flush(done) => self.flushes.push(done),
         }
+    }
+
+    /// Writes down what was folded, after all that was told before it.
+    fn unfold(&mut self, notes: &Receiver<Note>) {
+        let shared = Arc::clone(&self.shared);
+        let mut successes = shared.successes.lock();
+        notes.try_iter().for_each(|note| self.take(note));
+        successes
+            .drain()
+            .iter()
+            .for_each(|fact| self.push(fact, fact.count.unwrap_or(1)));
     }
 
     fn push(&mut self, fact: &Fact, facts: u64) {

@@ -53,8 +53,21 @@ pub(super) struct Entry {
 pub(super) struct Standing {
     pub(super) user: User,
     pub(super) origin: Origin,
-    /// What its token was checked by.
-    verifier: Option<Arc<Verifier>>,
+    /// What it has shown, which must still be the user's for it to stay.
+    proof: Proof,
+}
+
+/// By what a peer has shown who it is.
+#[derive(Clone, Debug)]
+pub(super) enum Proof {
+    /// A password; the hash that it was checked against, which is another one after each change.
+    Password(String),
+    /// The key that signed.
+    Key(Box<VerifyingKey>),
+    /// A token, by what it was checked.
+    Token(Arc<Verifier>),
+    /// Nothing: a guest.
+    Nothing,
 }
 
 impl Book {
@@ -116,7 +129,7 @@ impl Book {
         Ok(Standing {
             user: guest(),
             origin: Origin::Guest,
-            verifier: None,
+            proof: Proof::Nothing,
         })
     }
 
@@ -130,7 +143,7 @@ impl Book {
         let Proven { name, claims, until } = verifier.verify(token, now)?;
         let entry = self.users.get(&name);
         let standing = match (entry, claims) {
-            (Some(entry), None) => Standing::of_file(entry, Some(verifier)),
+            (Some(entry), None) => Standing::of_file(entry, Proof::Token(Arc::clone(verifier))),
             (None, None) => return Err(refused("the token's user is none here")),
             (None, Some((level, groups))) if !self.is_guest(&name) => Standing {
                 user: User {
@@ -140,7 +153,7 @@ impl Book {
                     details: Map::new(),
                 },
                 origin: Origin::Claims,
-                verifier: Some(Arc::clone(verifier)),
+                proof: Proof::Token(Arc::clone(verifier)),
             },
             // Whoever is in the file has its rights from there, and those may be more.
             (_, Some(_)) => return Err(refused("the token's user is one of this hub's own")),
@@ -173,25 +186,29 @@ impl Book {
 }
 
 impl Standing {
-    pub(super) fn of_file(entry: &Entry, verifier: Option<&Arc<Verifier>>) -> Standing {
+    pub(super) fn of_file(entry: &Entry, proof: Proof) -> Standing {
         Standing {
             user: entry.user.clone(),
             origin: Origin::File,
-            verifier: verifier.map(Arc::clone),
+            proof,
         }
     }
 
-    /// The user as another book has it; none = it is nobody there.
+    /// The user as another book has it; none = it is nobody there, or what it has shown proves nothing any more.
     pub(super) fn as_of(&self, book: &Book) -> Option<User> {
-        if let Some(trusted) = &self.verifier
-            && !book
+        let entry = book.users.get(&self.user.name);
+        let proven = match &self.proof {
+            Proof::Password(hash) => entry.is_some_and(|entry| entry.password.as_ref() == Some(hash)),
+            Proof::Key(key) => entry.is_some_and(|entry| entry.keys.contains(key)),
+            Proof::Token(trusted) => book
                 .verifier
                 .as_ref()
-                .is_some_and(|now| Arc::ptr_eq(now, trusted))
-        {
+                .is_some_and(|now| Arc::ptr_eq(now, trusted)),
+            Proof::Nothing => true,
+        };
+        if !proven {
             return None;
         }
-        let entry = book.users.get(&self.user.name);
         match self.origin {
             Origin::File => entry.map(|entry| entry.user.clone()),
             Origin::Guest => book.settings.guests.then(guest),

@@ -69,12 +69,18 @@ impl Challenge {
     }
 
     /// Whether one of these keys made the signature; as many keys are tried for every user.
-    pub(super) fn is_answered(&self, keys: &[VerifyingKey], rounds: usize, signature: &[u8; 64]) -> bool {
+    pub(super) fn is_answered(
+        &self,
+        keys: &[VerifyingKey],
+        rounds: usize,
+        signature: &[u8; 64],
+    ) -> Option<VerifyingKey> {
         let message = login_challenge(&self.hub, &self.user, &self.nonce);
         let signature = Signature::from_bytes(signature);
         let proves = |key: &VerifyingKey| key.verify_strict(&message, &signature).is_ok();
         // All of them, whichever it is: the time is to tell nothing.
-        let proven = keys.iter().filter(|key| proves(key)).count() > 0;
+        let latter = |found, key: &VerifyingKey| if proves(key) { Some(*key) } else { found };
+        let proven = keys.iter().fold(None, latter);
         if let Ok(dummy) = VerifyingKey::from_bytes(&DUMMY) {
             (keys.len()..rounds).for_each(|_| {
                 black_box(proves(black_box(&dummy)));
@@ -129,7 +135,7 @@ mod tests {
     fn a_signature_is_for_one_hub_one_user_and_one_nonce() {
         let keys = [signer(1).verifying_key(), signer(2).verifying_key()];
         let asked = challenge("arm", "mom");
-        let proves = |signature: [u8; 64]| asked.is_answered(&keys, 4, &signature);
+        let proves = |signature: [u8; 64]| asked.is_answered(&keys, 4, &signature).is_some();
         assert!(proves(sign(&asked, "mom", "arm", &signer(1))));
         assert!(proves(sign(&asked, "mom", "arm", &signer(2))), "either key");
         assert!(
@@ -146,7 +152,10 @@ mod tests {
             !proves(sign(&other, "mom", "arm", &signer(1))),
             "another challenge's"
         );
-        assert!(!asked.is_answered(&[], 4, &sign(&asked, "mom", "arm", &signer(1))));
+        assert_eq!(
+            asked.is_answered(&[], 4, &sign(&asked, "mom", "arm", &signer(1))),
+            None
+        );
         assert!(!proves([0; 64]));
         assert!(asked.is_open(9) && !asked.is_open(10));
     }
@@ -165,7 +174,10 @@ mod tests {
             "it is a key that can be checked"
         );
         let asked = challenge("arm", "mom");
-        assert!(!asked.is_answered(&[], 4, &sign(&asked, "mom", "arm", &dummy)));
+        assert_eq!(
+            asked.is_answered(&[], 4, &sign(&asked, "mom", "arm", &dummy)),
+            None
+        );
     }
 
     #[test]

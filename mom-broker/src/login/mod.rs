@@ -178,9 +178,9 @@ impl Logins {
         // Unknown users and those without keys get a challenge too, and fail only here.
         let entry = book.users.get(&challenge.user);
         let keys = entry.map_or(&[][..], |entry| &entry.keys);
-        match entry.filter(|_| challenge.is_answered(keys, book.keys, &signature)) {
-            Some(entry) => {
-                let standing = Standing::of_file(entry, None);
+        match entry.zip(challenge.is_answered(keys, book.keys, &signature)) {
+            Some((entry, key)) => {
+                let standing = Standing::of_file(entry, book::Proof::Key(Box::new(key)));
                 Granted::new(standing, challenge.nickname, None, Arc::clone(&book))
             }
             None => {
@@ -209,7 +209,12 @@ impl Logins {
         } = granted;
         let now = self.book.read();
         if !Arc::ptr_eq(&book, &now) {
-            let gone = || WireError::new(Code::BAD_LOGIN, "this user is none any more");
+            let gone = || {
+                WireError::new(
+                    Code::BAD_LOGIN,
+                    "this user is none any more, or proves itself by something else",
+                )
+            };
             standing.user = standing.as_of(&now).ok_or_else(gone)?;
             now.check_nickname(&standing.user, nickname.as_deref())?;
         }
@@ -243,6 +248,7 @@ impl Logins {
         let entry = book.users.get(name).filter(|entry| entry.password.is_some());
         let expected = entry.and_then(|entry| entry.password.clone());
         let expected = expected.unwrap_or_else(|| self.dummy.clone());
+        let shown = expected.clone();
         let matches = book
             .hashing
             .verify(password, expected, book.settings.waiting)
@@ -250,7 +256,7 @@ impl Logins {
         match entry.filter(|_| matches) {
             Some(entry) => {
                 attempt.succeed();
-                Ok(Standing::of_file(entry, None))
+                Ok(Standing::of_file(entry, book::Proof::Password(shown)))
             }
             None => {
                 attempt.fail();

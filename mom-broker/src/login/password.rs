@@ -3,13 +3,14 @@
 use std::net::IpAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::thread;
 use std::time::Duration;
 
 use argon2::Argon2;
 use argon2::password_hash::phc::PasswordHash;
 use argon2::password_hash::{PasswordHasher, PasswordVerifier};
 use mom_proto::{Code, WireError};
-use tokio::sync::Semaphore;
+use tokio::sync::{Semaphore, oneshot};
 
 /// The argon2id hash of a password with a new salt, for the users file.
 ///
@@ -51,8 +52,12 @@ pub struct LoginStats {
     pub most: usize,
 }
 
+/// By how much hashing gives way to all else. A core that has nothing better to do is hashing's all the same.
+const GIVES_WAY: i32 = 5;
+
 /// The pool. Hashing takes a core for some 20 ms, so only so many passwords are hashed at once and only so many
-/// logins wait for that.
+/// logins wait for that. It has threads of its own, one for each hash, because a thread that gives way once does so
+/// for good: a renewal or a stop must not wait until a stranger's password is hashed.
 #[derive(Debug)]
 pub(super) struct Hashing {
     pub(super) hashers: usize,
@@ -94,17 +99,23 @@ impl Hashing {
         let stopped = |_| WireError::new(Code::SHUTDOWN, "the hub is shutting down");
         let permit = Arc::clone(&self.permits).acquire_owned().await.map_err(stopped)?;
         let count = Arc::clone(&self.count);
+        let (answer, answered) = oneshot::channel();
         let check = move || {
             // The permit goes along: a login that is given up still has its hash under way.
             let _permit = permit;
+            give_way();
             count.begin();
             let matches = matches(&password, &hash);
             count.end();
-            matches
+            // Nobody waits any more if the login was given up.
+            let _ = answer.send(matches);
         };
-        tokio::task::spawn_blocking(check)
-            .await
-            .map_err(|_| WireError::new(Code::TRY_LATER, "the login failed here"))
+        let failed = || WireError::new(Code::TRY_LATER, "the login failed here");
+        thread::Builder::new()
+            .name("hash".to_owned())
+            .spawn(check)
+            .map_err(|_| failed())?;
+        answered.await.map_err(|_| failed())
     }
 
     pub(super) fn stats(&self) -> LoginStats {
@@ -140,6 +151,12 @@ impl Count {
         self.hashing.fetch_sub(1, Ordering::AcqRel);
         self.hashed.fetch_add(1, Ordering::AcqRel);
     }
+}
+
+/// Lets all other threads go first, from here on.
+fn give_way() {
+    // On Linux this is of the thread, not of the process. It is refused nowhere: everybody may be nicer.
+    let _ = rustix::process::nice(GIVES_WAY);
 }
 
 fn matches(password: &str, hash: &str) -> bool {

@@ -245,6 +245,55 @@ fn without(name: &str) -> Vec<UserEntry> {
     users.filter(|user| user.name != name).collect()
 }
 
+/// A password that is another one now, and a key that the user has no more, prove nothing any more: also on
+/// connections that are open, and to who is on the way in.
+#[tokio::test]
+async fn what_was_shown_must_still_be_the_users() {
+    let key = SigningKey::from_bytes(&[7; 32]);
+    let mut config = Config::lab();
+    let user = |name: &str| {
+        config
+            .users
+            .iter()
+            .position(|user| user.name == name)
+            .expect("of the lab")
+    };
+    let (alice, bob) = (user("alice"), user("bob"));
+    config.users[bob].keys = vec![public(&SigningKey::from_bytes(&[8; 32])), public(&key)];
+    let settings = config.login.clone();
+    let logins = Logins::new(config.users.clone(), settings.clone(), Clock::system()).expect("right");
+    admit(&logins, 1, prove(&logins, password("alice", "alice")).await).expect("in");
+    admit(&logins, 2, prove(&logins, password("bob", "bob")).await).expect("in");
+    let asked = logins
+        .check(&login(Map::new().with("name", "bob").with("key", true)), None)
+        .await;
+    let Ok(Step::Challenge(challenge)) = asked else {
+        panic!("{asked:?}")
+    };
+    let answer = answer_to(&challenge.content().into(), "bob", &key);
+    let by_key = logins.answer(&answer, Some(challenge), None).expect("his key");
+    admit(&logins, 3, by_key).expect("in");
+    let late = prove(&logins, password("alice", "alice")).await;
+
+    let mut users = config.users;
+    let replace = |users: &[UserEntry]| {
+        let mut changed = Vec::new();
+        let replaced = logins.replace(users.to_vec(), settings.clone(), |list| changed = list);
+        replaced.expect("right");
+        changed
+    };
+    assert_eq!(replace(&users), []);
+    users[alice].password = Some(crate::hash("another").expect("a hash"));
+    assert_eq!(replace(&users), [(PeerId(1), None)]);
+    let error = admit(&logins, 4, late).expect_err("it was the old password");
+    assert_eq!(error.code, Code::BAD_LOGIN);
+    logins.forget(PeerId(1));
+    users[bob].keys.swap(0, 1);
+    assert_eq!(replace(&users), [], "he has it still");
+    users[bob].keys.remove(0);
+    assert_eq!(replace(&users), [(PeerId(3), None)], "his password is as it was");
+}
+
 /// A new configuration reaches who is here already, and who is on the way in.
 #[tokio::test]
 async fn a_new_users_file_holds_for_everybody() {

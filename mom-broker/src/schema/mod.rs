@@ -129,9 +129,13 @@ fn limits() -> Value {
         ),
         ("contexts", "Contexts in the whole tree, or unlimited."),
         ("joined", "Contexts that one peer may have joined, or unlimited."),
+        (
+            "requests",
+            "Requests about contexts and tokens that one connection may make in a second, or unlimited.",
+        ),
     ] {
         let shape = match key {
-            "parcel" | "contexts" | "joined" => json!({
+            "parcel" | "contexts" | "joined" | "requests" => json!({
                 "description": description,
                 "anyOf": [{ "type": "integer", "minimum": 1 }, { "enum": ["unlimited"] }]
             }),

@@ -177,16 +177,17 @@ async fn a_broker_that_cannot_be_audited_does_not_start() {
 async fn the_file_is_begun_anew_when_it_is_long() {
     let lab = Lab::new("audit = { path = \"audit.jsonl\", size = 4096, keep = 2 }");
     let (broker, _clock) = lab.start().await;
-    let mut alice = Peer::xml(&broker, "alice").await;
-    assert_eq!(alice.verb(Verb::Join, "/robot").await, "ok");
-    for _ in 0..40 {
-        assert_eq!(
-            alice
-                .verb_with(Verb::Grab, "/robot/token", Map::new().with("wait", 0))
-                .await,
-            "ok"
-        );
-        assert_eq!(alice.verb(Verb::Release, "/robot/token").await, "ok");
+    // More of one peer in a second would be folded; they stay, so that each has a name of its own.
+    let mut peers = Vec::new();
+    for _ in 0..8 {
+        let mut alice = Peer::xml(&broker, "alice").await;
+        assert_eq!(alice.verb(Verb::Join, "/robot").await, "ok");
+        for _ in 0..8 {
+            let wait = Map::new().with("wait", 0);
+            assert_eq!(alice.verb_with(Verb::Grab, "/robot/token", wait).await, "ok");
+            assert_eq!(alice.verb(Verb::Release, "/robot/token").await, "ok");
+        }
+        peers.push(alice);
     }
     broker.stop().await;
     let mut seqs = Vec::new();

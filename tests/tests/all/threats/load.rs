@@ -1,11 +1,13 @@
 //! Threat 26: receivers that do not read.
 
 use std::net::SocketAddr;
+use std::time::Duration;
 
 use bytes::Bytes;
 use mom_proto::codec::Form;
 use mom_proto::{Delivery, Family, Parcel, Value};
-use mom_tests::raw::{Raw, message};
+use mom_tests::raw::{Raw, at, message};
+use mom_tests::service::Home;
 
 use super::{CHAT, World};
 
@@ -140,4 +142,45 @@ async fn threat_26_drops_are_told() {
         bob.check_alive().await;
         world.end().await;
     }
+}
+
+/// Whoever asks without end is told when to come again; to keep a token, to give it up and to stop are never refused
+/// for it, and others do not notice.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn requests_without_end_are_put_off() {
+    let home = Home::new("[limits]\nrequests = 50\n");
+    let service = home.start().await;
+    let mut alice = Raw::login(service.address(), Form::Binary, "alice").await;
+    let mut bob = Raw::login(service.address(), Form::Xml, "bob").await;
+    alice.join(&["/robot", "/robot/arm"]).await;
+    let token = |name: &str| Parcel::new(Family::Token, name).context(at("/robot/token"));
+    alice.ask(token("grab")).await.expect("it is free");
+    let mut refused = None;
+    // At 50 a second this many take longer than they do.
+    for _ in 0..2000 {
+        if let Err(error) = alice.ask(token("info")).await {
+            refused = Some(error);
+            break;
+        }
+    }
+    let error = refused.expect("too many");
+    assert_eq!(error.code.word(), "try-later", "{error}");
+    let wait = error.retry_in().expect("it says when");
+    assert!(wait <= Duration::from_secs(1), "{wait:?}");
+    for _ in 0..100 {
+        alice.ask(token("renew")).await.expect("never limited");
+        let stop = message("stop", "/robot/arm", mom_proto::Value::Null);
+        let id = alice
+            .post(Parcel {
+                receipt: Some(true),
+                ..stop
+            })
+            .await;
+        alice.answer(id).await.expect("never limited");
+    }
+    bob.ask(Parcel::new(Family::Context, "list").context(at("/")))
+        .await
+        .expect("not bob's fault");
+    alice.ask(token("release")).await.expect("never limited");
+    assert_eq!(service.terminate().await.code(), Some(0));
 }

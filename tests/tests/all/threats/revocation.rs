@@ -171,6 +171,31 @@ async fn a_user_is_removed() {
     }
 }
 
+/// A password that is another one now is worth nothing on a live link either: who knows only the old one is out with all
+/// that it owned.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_password_is_changed() {
+    let mut scene = Scene::start(Form::Binary).await;
+    let fresh = mom_broker::hash("another").expect("a hash");
+    scene.reload(|home| {
+        let users = home.users();
+        let bobs = users
+            .split("[[users]]")
+            .find(|entry| entry.contains("name = \"bob\""));
+        let old = bobs.and_then(|entry| entry.lines().find(|line| line.starts_with("password")));
+        let old = old.expect("bob has one");
+        // Others may have the same; only bob's entry changes.
+        let entry = bobs.expect("he is there");
+        let changed = entry.replace(old, &format!("password = \"{fresh}\""));
+        home.write_users(&users.replace(entry, &changed));
+    });
+    let released = event(&mut scene.bob, "released", arena::TOKEN).await;
+    assert_eq!(released.get("reason"), Some(&Value::from("revoked")));
+    assert_eq!(scene.bob.last_error().await.expect("why").word(), "revoked");
+    scene.check_revoked().await;
+    scene.end().await;
+}
+
 /// A level counts from the moment it changes: below what a rule asks for it loses token and place, above that of a
 /// rival it keeps the token.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -1,0 +1,199 @@
+//! Ownerships that begin and end by the thousand a second: the first ones of a second one by one, then a line with a
+//! count, so that nobody can push older lines out of the files by taking and releasing a token again and again.
+//!
+//! Nothing is left out of the end of the tale: the last of what is folded is the line that is written, and it is
+//! written before any other line about its context.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use mom_hub::Audit;
+use mom_proto::Path;
+use mom_proto::event::Reason;
+
+use super::Fact;
+
+/// What folds: a peer can bring it about as often as it likes, and each takes back the one before.
+const FOLDING: [&str; 6] = [
+    "granted",
+    "lost",
+    "inhibited",
+    "uninhibited",
+    "invited",
+    "expelled",
+];
+
+/// Alike facts of one second that have lines of their own.
+const OWN_LINES: u32 = 8;
+
+/// Facts that are told apart; what is beyond has lines of its own.
+const OF_ALL: usize = 1024;
+
+/// What makes two facts alike.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+struct Key {
+    what: &'static str,
+    peer: Option<Arc<str>>,
+    user: Option<Arc<str>>,
+    context: Option<Path>,
+    rule: Option<Arc<str>>,
+    reason: Option<&'static str>,
+    by: Option<Arc<str>>,
+}
+
+#[derive(Debug, Default)]
+struct Alike {
+    /// Lines of the present second.
+    own: u32,
+    /// The last of those that no line was written for yet, how many they are, and its place in the order of all.
+    folded: Option<(Fact, u64, u64)>,
+}
+
+/// Facts of the present and the last second.
+#[derive(Debug, Default)]
+pub(super) struct Successes {
+    alike: HashMap<Key, Alike>,
+    /// Facts that were folded so far.
+    order: u64,
+}
+
+impl Successes {
+    /// Takes a fact in; gives back what wants a line now, in order.
+    pub(super) fn take(&mut self, fact: Fact) -> Vec<Fact> {
+        if !FOLDING.contains(&fact.audit.what) {
+            return vec![fact];
+        }
+        let (key, room) = (key_of(&fact.audit), self.alike.len() < OF_ALL);
+        match self.alike.get_mut(&key) {
+            Some(alike) if alike.own >= OWN_LINES => {
+                self.order += 1;
+                let count = alike.folded.take().map_or(0, |(_, count, _)| count);
+                alike.folded = Some((fact, count + 1, self.order));
+                return Vec::new();
+            }
+            Some(alike) => alike.own += 1,
+            None if room => {
+                let first = Alike { own: 1, folded: None };
+                self.alike.insert(key, first);
+            }
+            None => {}
+        }
+        // What was folded about the same context happened before.
+        let context = fact.audit.context.clone();
+        let mut lines = self.unfold(|key| key.context == context);
+        lines.push(fact);
+        lines
+    }
+
+    /// What was folded since the last call; what has come to rest since then is forgotten. To be called each second.
+    pub(super) fn drain(&mut self) -> Vec<Fact> {
+        let lines = self.unfold(|_| true);
+        self.alike.retain(|_, alike| std::mem::take(&mut alike.own) > 0);
+        lines
+    }
+
+    fn unfold(&mut self, of: impl Fn(&Key) -> bool) -> Vec<Fact> {
+        let about = self.alike.iter_mut().filter(|(key, _)| of(key));
+        let mut folded: Vec<_> = about.filter_map(|(_, alike)| alike.folded.take()).collect();
+        folded.sort_by_key(|(_, _, order)| *order);
+        let line = |(fact, count, _)| Fact {
+            // One alone stands for itself.
+            count: (count > 1).then_some(count),
+            ..fact
+        };
+        folded.into_iter().map(line).collect()
+    }
+}
+
+fn key_of(audit: &Audit) -> Key {
+    Key {
+        what: audit.what,
+        peer: audit.peer.clone(),
+        user: audit.user.clone(),
+        context: audit.context.clone(),
+        rule: audit.rule.clone(),
+        reason: audit.reason.map(Reason::word),
+        by: audit.by.clone(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use mom_proto::Time;
+
+    fn fact(what: &'static str, peer: &str, fence: u64) -> Fact {
+        let audit = Audit {
+            peer: Some(peer.into()),
+            context: Path::parse("/robot/token").ok(),
+            fence: Some(fence),
+            ..Audit::new(what)
+        };
+        Fact::new(Time::default(), audit)
+    }
+
+    /// What, whose, fence and count.
+    type Shown<'a> = (&'a str, Option<&'a str>, Option<u64>, Option<u64>);
+
+    fn shown(lines: &[Fact]) -> Vec<Shown<'_>> {
+        let mut shown = Vec::new();
+        for Fact { audit, count, .. } in lines {
+            shown.push((audit.what, audit.peer.as_deref(), audit.fence, *count));
+        }
+        shown
+    }
+
+    #[test]
+    fn a_loop_has_a_few_lines_and_its_last_state() {
+        let mut successes = Successes::default();
+        let mut lines = Vec::new();
+        for fence in 1..=1000 {
+            lines.extend(successes.take(fact("granted", "eve", fence)));
+            lines.extend(successes.take(fact("lost", "eve", fence)));
+        }
+        lines.extend(successes.take(fact("granted", "eve", 1001)));
+        assert_eq!(lines.len(), 2 * OWN_LINES as usize);
+        assert_eq!(
+            shown(&successes.drain()),
+            [
+                ("lost", Some("eve"), Some(1000), Some(992)),
+                ("granted", Some("eve"), Some(1001), Some(993)),
+            ],
+            "who owns it now comes last"
+        );
+        assert!(successes.drain().is_empty() && successes.alike.is_empty());
+    }
+
+    #[test]
+    fn what_was_folded_is_told_before_what_comes_after() {
+        let mut successes = Successes::default();
+        for fence in 1..=9 {
+            successes.take(fact("granted", "eve", fence));
+            successes.take(fact("lost", "eve", fence));
+        }
+        assert_eq!(
+            shown(&successes.take(fact("granted", "bob", 10))),
+            [
+                ("granted", Some("eve"), Some(9), None),
+                ("lost", Some("eve"), Some(9), None),
+                ("granted", Some("bob"), Some(10), None),
+            ]
+        );
+        assert!(successes.drain().is_empty());
+    }
+
+    #[test]
+    fn what_does_not_fold_and_what_is_beyond_has_its_line() {
+        let mut successes = Successes::default();
+        for _ in 0..100 {
+            assert_eq!(successes.take(fact("created", "eve", 0)).len(), 1);
+        }
+        for peer in 0..2 * OF_ALL {
+            assert_eq!(
+                successes.take(fact("granted", &format!("eve~{peer}"), 1)).len(),
+                1
+            );
+        }
+        assert_eq!(successes.alike.len(), OF_ALL);
+    }
+}

@@ -1,0 +1,74 @@
+//! How often one connection may ask for something: each request costs the hub's lock, and may tell others something.
+
+use std::time::Duration;
+
+use mom_managers::Micros;
+use mom_proto::{Code, Limit, Parcel, Verb, WireError};
+
+const SECOND: Micros = 1_000_000;
+
+/// The requests of one connection, as a generic cell rate algorithm: one time, up to which they are paid.
+#[derive(Debug, Default)]
+pub(super) struct Requests {
+    paid_until: Micros,
+}
+
+impl Requests {
+    /// Counts a request, of which `most` may be made in a second, and as many at once after a rest.
+    ///
+    /// # Errors
+    /// `try-later`, and after which time.
+    pub(super) fn take(&mut self, parcel: &Parcel, most: Limit, now: Micros) -> Result<(), WireError> {
+        let Limit::At(most) = most else { return Ok(()) };
+        if !counts(parcel) {
+            return Ok(());
+        }
+        let paid_until = self.paid_until.max(now);
+        if let Some(wait) = paid_until.checked_sub(now + SECOND).filter(|wait| *wait > 0) {
+            let text = format!("more than {most} requests in a second");
+            let wait = Duration::from_micros(wait).max(Duration::from_millis(1));
+            return Err(WireError::new(Code::TRY_LATER, text).retry_after(wait));
+        }
+        self.paid_until = paid_until + (SECOND / most).max(1);
+        Ok(())
+    }
+}
+
+/// Whether a request is one of those that are limited. Keeping what one has, giving it up, and answering the hub is not.
+fn counts(parcel: &Parcel) -> bool {
+    let verb = Verb::of(parcel.family, &parcel.name);
+    !matches!(verb, Ok(Verb::Renew | Verb::Release | Verb::Verdict))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use mom_proto::Family;
+
+    #[test]
+    fn a_burst_then_a_rate_and_never_what_gives_up() {
+        let mut requests = Requests::default();
+        let most = Limit::At(10);
+        let ask = |requests: &mut Requests, name: &str, now| {
+            requests.take(&Parcel::new(Family::Token, name), most, now)
+        };
+        let passed = (0..100)
+            .filter(|_| ask(&mut requests, "grab", 5_000_000).is_ok())
+            .count();
+        assert!((10..=11).contains(&passed), "{passed}");
+        let error = ask(&mut requests, "grab", 5_000_000).expect_err("too many");
+        assert_eq!(error.code, Code::TRY_LATER);
+        assert!(
+            error
+                .retry_in()
+                .is_some_and(|wait| wait <= Duration::from_millis(100))
+        );
+        for name in ["renew", "release"] {
+            assert!(ask(&mut requests, name, 5_000_000).is_ok(), "{name}");
+        }
+        assert!(ask(&mut requests, "grab", 5_100_000).is_ok());
+        assert!(ask(&mut requests, "grab", 5_100_000).is_err());
+        let free = requests.take(&Parcel::new(Family::Token, "grab"), Limit::Unlimited, 5_100_000);
+        assert!(free.is_ok());
+    }
+}
