@@ -7,6 +7,7 @@ mod flow;
 mod packet;
 mod queue;
 
+use std::cell::Cell;
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
@@ -58,9 +59,14 @@ pub(crate) struct Outbox {
 /// The writer's part.
 #[derive(Debug, Default)]
 struct Sending {
-    /// What was taken from the queue and is not written yet.
-    batch: VecDeque<Piece>,
+    /// What the link has taken a part of. Boxed, for most of the time there is none.
+    begun: Option<Box<Piece>>,
     flow: Flow,
+}
+
+thread_local! {
+    /// What a writer takes from a queue: used within a turn only, so that idle connections need no memory for it.
+    static BATCH: Cell<VecDeque<Piece>> = const { Cell::new(VecDeque::new()) };
 }
 
 /// How far a flush came.
@@ -240,30 +246,38 @@ impl Outbox {
     }
 
     fn write_all(&self, sending: &mut Sending) -> Result<Flushed, NetError> {
+        let mut batch = BATCH.take();
+        batch.extend(sending.begun.take().map(|piece| *piece));
+        let result = self.write_batches(&mut batch, &mut sending.flow);
+        self.put_back(&mut batch, sending);
+        BATCH.set(batch);
+        result
+    }
+
+    fn write_batches(&self, batch: &mut VecDeque<Piece>, flow: &mut Flow) -> Result<Flushed, NetError> {
         loop {
-            if sending.batch.is_empty() && !self.take_batch(sending) {
+            if batch.is_empty() && !self.take_batch(batch, flow) {
                 return Ok(Flushed::Paced);
             }
-            if sending.batch.is_empty() {
-                sending.flow.rest();
+            if batch.is_empty() {
+                flow.rest();
                 return Ok(Flushed::Done);
             }
             self.active.store(true, Ordering::Relaxed);
-            if !self.write(sending)? {
-                self.put_back(&mut sending.batch);
+            if !self.write(batch, flow)? {
                 return Ok(Flushed::Blocked);
             }
         }
     }
 
     /// Takes what the network has room for; false if something waits and there is no room.
-    fn take_batch(&self, sending: &mut Sending) -> bool {
-        let room = sending.flow.room(|| self.writer.link()).min(BATCH_BYTES);
-        let piece = sending.flow.piece();
+    fn take_batch(&self, batch: &mut VecDeque<Piece>, flow: &mut Flow) -> bool {
+        let room = flow.room(|| self.writer.link()).min(BATCH_BYTES);
+        let piece = flow.piece();
         let now = self.clock.now();
         let mut queue = self.queue.lock();
         let mut bytes = 0;
-        while sending.batch.len() < BATCH_PIECES {
+        while batch.len() < BATCH_PIECES {
             let next = match room.checked_sub(bytes) {
                 // Pieces rather a little too large than very small ones.
                 Some(left) if left > 0 => queue.pop(now, piece.min(left.max(piece / 2))),
@@ -271,14 +285,13 @@ impl Outbox {
             };
             let Some(next) = next else { break };
             bytes += next.length();
-            sending.batch.push_back(next);
+            batch.push_back(next);
         }
-        !sending.batch.is_empty() || queue.is_empty()
+        !batch.is_empty() || queue.is_empty()
     }
 
     /// Writes from the front of the batch; false if the link takes nothing now.
-    fn write(&self, sending: &mut Sending) -> Result<bool, NetError> {
-        let Sending { batch, flow } = sending;
+    fn write(&self, batch: &mut VecDeque<Piece>, flow: &mut Flow) -> Result<bool, NetError> {
         let Some(form) = self.writer.form() else {
             return self.pass(batch);
         };
@@ -318,13 +331,16 @@ impl Outbox {
 
     /// Only what the link has begun to take stays out of the queue: the rest may be overtaken, replaced, or
     /// lose its owner before the link takes more.
-    fn put_back(&self, batch: &mut VecDeque<Piece>) {
-        let begun = usize::from(batch.front().is_some_and(|piece| piece.done > 0));
+    fn put_back(&self, batch: &mut VecDeque<Piece>, sending: &mut Sending) {
+        let Some(first) = batch.front() else {
+            return;
+        };
+        if first.done > 0 {
+            sending.begun = batch.pop_front().map(Box::new);
+        }
         let mut queue = self.queue.lock();
-        while batch.len() > begun {
-            if let Some(piece) = batch.pop_back() {
-                queue.put_back(piece);
-            }
+        while let Some(piece) = batch.pop_back() {
+            queue.put_back(piece);
         }
     }
 

@@ -55,7 +55,7 @@ impl Session {
     /// Waits until the proof of who the peer is, if it is one for a time, is over.
     pub(super) async fn proof_over(&self) {
         match self.proven_until {
-            Some(until) => self.context.board.clock.reach(until).await,
+            Some(until) => Box::pin(self.context.board.clock.reach(until)).await,
             None => std::future::pending().await,
         }
     }
