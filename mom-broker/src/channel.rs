@@ -8,11 +8,12 @@ use mom_hub::{PeerId, Receivers, Route, Usage};
 use mom_managers::Rate;
 use mom_net::Outgoing;
 use mom_proto::codec::Scratch;
-use mom_proto::{Content, ContextNumber, Delivery, Parcel, Time, Verb, WireError};
+use mom_proto::{Content, ContextNumber, Delivery, Parcel, Path, Time, Verb, WireError};
 use parking_lot::{Mutex, MutexGuard};
 
 use crate::encodings::{Bounds, Encodings};
-use crate::outbox::{Entry, Gate, Lane, Origin, Outbox, Taken};
+use crate::figures::{Figures, measures};
+use crate::outbox::{DropReason, Entry, Gate, Lane, Origin, Outbox, Taken};
 
 /// The critical section of a channel: who holds it decides the one order for all receivers (M27).
 #[derive(Debug)]
@@ -28,6 +29,7 @@ pub(crate) struct Inner {
     gate: Gate,
     bounds: Bounds,
     scratch: Scratch,
+    pub(crate) figures: Figures,
     /// What members, and connections that were some, have used of the rates that their manager set.
     used: HashMap<PeerId, Usage>,
 }
@@ -51,6 +53,7 @@ impl Channel {
     ) -> Channel {
         let outboxes = route.members.iter().map(|member| outbox(member.peer)).collect();
         let gate = Arc::new(AtomicU64::new(fence_open(&route)));
+        let figures = Figures::new(&route);
         Channel {
             inner: Mutex::new(Inner {
                 route,
@@ -58,6 +61,7 @@ impl Channel {
                 gate,
                 bounds,
                 scratch: Scratch::pooled(),
+                figures,
                 used: HashMap::new(),
             }),
         }
@@ -93,6 +97,8 @@ impl Channel {
         inner
             .used
             .retain(|peer, _| route.member(*peer).is_some() || outbox(*peer).is_some());
+        let inner = &mut *inner;
+        inner.figures.follow(&inner.route, &route);
         inner.route = route;
     }
 }
@@ -103,10 +109,12 @@ impl Inner {
     pub(crate) fn end(&mut self) {
         self.gate.store(0, Ordering::Release);
         self.outboxes.clear();
-        self.route = Arc::new(Route {
+        let empty = Route {
             members: Vec::new(),
             ..(*self.route).clone()
-        });
+        };
+        self.figures.follow(&self.route, &empty);
+        self.route = Arc::new(empty);
     }
 
     /// The receivers among the members of another route, by their place among the members of this one; whoever is no
@@ -118,6 +126,18 @@ impl Inner {
             Receivers::AllBut(own) => here(own).map_or(Receivers::All, Receivers::AllBut),
             Receivers::These(places) => Receivers::These(places.into_iter().filter_map(here).collect()),
         }
+    }
+
+    /// In the order of the route's members.
+    pub(crate) fn outboxes(&self) -> &[Option<Arc<Outbox>>] {
+        &self.outboxes
+    }
+
+    /// Counts what a receiver did not get after all; gives the channel's path.
+    pub(crate) fn note_dropped(&mut self, receiver: PeerId, reason: DropReason, count: u64) -> Path {
+        let place = self.route.position(receiver);
+        self.figures.dropped(place, reason.word(), count);
+        self.route.path.clone()
     }
 
     /// Encodes an admitted message once per form and puts it into the outboxes.
@@ -159,23 +179,30 @@ impl Inner {
             expires_at: expires_at(&parcel, now).filter(|_| lane != Lane::Stop),
             gate: parcel.fence.map(|fence| (Arc::clone(&self.gate), fence)),
         };
+        let (size, age) = measures(&parcel);
         let outboxes = &self.outboxes;
         let form = |place: usize| outboxes[place].as_ref().map(|outbox| outbox.form());
         let forms = places.iter().filter_map(form);
         let encodings = Encodings::with(parcel, forms, self.bounds, &mut self.scratch)?;
+        self.figures.sent(self.route.position(sender), size, age);
         let mut result = Delivered::default();
         for place in places.iter() {
             let name = || Arc::clone(&self.route.members[place].facts.name);
             let Some(outbox) = &self.outboxes[place] else {
                 result.dropped.push(name());
+                self.figures.dropped(Some(place), DropReason::Closed.word(), 1);
                 continue;
             };
             let (taken, first) = outbox.push(template.entry(encodings.get(outbox.form())));
             match taken {
-                Taken::Yes => result.delivered += 1,
+                Taken::Yes => {
+                    result.delivered += 1;
+                    self.figures.delivered(place);
+                }
                 Taken::Dropped => result.dropped.push(name()),
                 Taken::Overflow => {
                     result.dropped.push(name());
+                    self.figures.dropped(Some(place), DropReason::Full.word(), 1);
                     result.too_slow.push(Arc::clone(outbox));
                 }
             }

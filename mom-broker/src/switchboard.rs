@@ -234,7 +234,8 @@ impl Switchboard {
         let drops = outbox.take_drops();
         for ((context, sender, reason), count) in drops {
             let channel = self.channels.get(&context).map(|channel| Arc::clone(&channel));
-            let Some(path) = channel.map(|channel| channel.lock().route.path.clone()) else {
+            let noted = channel.map(|channel| channel.lock().note_dropped(outbox.peer, reason, count));
+            let Some(path) = noted else {
                 continue;
             };
             let content = Map::new()
@@ -269,6 +270,10 @@ impl Switchboard {
             (None, Some(number)) => number,
             (None, None) => return None,
         };
+        self.channel(number)
+    }
+
+    pub(crate) fn channel(&self, number: ContextNumber) -> Option<Arc<Channel>> {
         self.channels.get(&number).map(|channel| Arc::clone(&channel))
     }
 
@@ -304,6 +309,12 @@ impl Switchboard {
                 Effect::RouteGone(number) => self.drop_route(number),
                 Effect::Deliver { to, parcel } => self.push_to_all(&to, &parcel, touched),
                 Effect::Reply { to, parcel } => self.push_to_all(&[to], &parcel, touched),
+                Effect::Stats {
+                    to,
+                    parcel,
+                    channels,
+                    peers,
+                } => self.push_stats(to, &parcel, &channels, peers, touched),
                 Effect::Send {
                     from,
                     parcel,
@@ -384,7 +395,7 @@ impl Switchboard {
         }
     }
 
-    fn push_to_all(&self, to: &[PeerId], parcel: &Arc<Parcel>, touched: &mut Touched) {
+    pub(crate) fn push_to_all(&self, to: &[PeerId], parcel: &Arc<Parcel>, touched: &mut Touched) {
         let outboxes: Vec<Arc<Outbox>> = to.iter().filter_map(|peer| self.outbox(*peer)).collect();
         let forms = outboxes.iter().map(|outbox| outbox.form());
         match Encodings::new((**parcel).clone(), forms) {
