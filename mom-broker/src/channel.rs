@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use bytes::Bytes;
 use mom_hub::{PeerId, Receivers, Route, Usage};
 use mom_managers::Rate;
 use mom_net::Outgoing;
@@ -11,8 +12,10 @@ use mom_proto::codec::Scratch;
 use mom_proto::{Content, ContextNumber, Delivery, Parcel, Path, Time, Verb, WireError};
 use parking_lot::{Mutex, MutexGuard};
 
+use crate::clock::Clock;
 use crate::encodings::{Bounds, Encodings};
 use crate::figures::{Figures, measures};
+use crate::history::History;
 use crate::outbox::{DropReason, Entry, Gate, Lane, Origin, Outbox, Taken};
 
 /// The critical section of a channel: who holds it decides the one order for all receivers (M27).
@@ -30,6 +33,7 @@ pub(crate) struct Inner {
     bounds: Bounds,
     scratch: Scratch,
     pub(crate) figures: Figures,
+    history: Option<History>,
     /// What members, and connections that were some, have used of the rates that their manager set.
     used: HashMap<PeerId, Usage>,
 }
@@ -54,6 +58,7 @@ impl Channel {
         let outboxes = route.members.iter().map(|member| outbox(member.peer)).collect();
         let gate = Arc::new(AtomicU64::new(fence_open(&route)));
         let figures = Figures::new(&route);
+        let history = route.keep.map(History::new);
         Channel {
             inner: Mutex::new(Inner {
                 route,
@@ -62,6 +67,7 @@ impl Channel {
                 bounds,
                 scratch: Scratch::pooled(),
                 figures,
+                history,
                 used: HashMap::new(),
             }),
         }
@@ -71,8 +77,14 @@ impl Channel {
         self.inner.lock()
     }
 
-    /// Swaps in a new route. From here on nothing of an old owner leaves any outbox.
-    pub(crate) fn swap(&self, route: Arc<Route>, outbox: impl Fn(PeerId) -> Option<Arc<Outbox>>) {
+    /// Swaps in a new route. From here on nothing of an old owner leaves any outbox. Who is new gets what is kept;
+    /// the outboxes that have to be flushed for that.
+    pub(crate) fn swap(
+        &self,
+        route: Arc<Route>,
+        clock: &Clock,
+        outbox: impl Fn(PeerId) -> Option<Arc<Outbox>>,
+    ) -> Vec<Arc<Outbox>> {
         let mut inner = self.inner.lock();
         inner.gate.store(fence_open(&route), Ordering::Release);
         // Both lists are sorted, so most outboxes are found without a look-up.
@@ -99,7 +111,8 @@ impl Channel {
             .retain(|peer, _| route.member(*peer).is_some() || outbox(*peer).is_some());
         let inner = &mut *inner;
         inner.figures.follow(&inner.route, &route);
-        inner.route = route;
+        let old = std::mem::replace(&mut inner.route, route);
+        inner.follow_history(&old, clock)
     }
 }
 
@@ -126,6 +139,67 @@ impl Inner {
             Receivers::AllBut(own) => here(own).map_or(Receivers::All, Receivers::AllBut),
             Receivers::These(places) => Receivers::These(places.into_iter().filter_map(here).collect()),
         }
+    }
+
+    /// A copy of a message that is for later too. Its content is copied out of what was read with it, or little that is
+    /// kept would hold much that is not.
+    fn to_keep(&self, parcel: &Parcel) -> Option<Parcel> {
+        let guarded = self.route.guard.as_ref();
+        let guarded = guarded.is_some_and(|guard| guard.covers(&parcel.name));
+        if self.history.is_none() || guarded || !History::covers(parcel) {
+            return None;
+        }
+        let mut copy = parcel.clone();
+        if let Some(Content::Encoded(bytes)) = &copy.content {
+            copy.content = Some(Content::Encoded(Bytes::copy_from_slice(bytes)));
+        }
+        Some(copy)
+    }
+
+    /// After a change of the route: forgets what is not kept any more, and gives to who is new what is kept.
+    fn follow_history(&mut self, old: &Route, clock: &Clock) -> Vec<Arc<Outbox>> {
+        let known = self.history.as_ref().map(|history| *history.keep());
+        if known != self.route.keep {
+            self.history = self.route.keep.map(History::new);
+        }
+        let Some(history) = &mut self.history else {
+            return Vec::new();
+        };
+        let left = old.members.iter().map(|member| member.peer);
+        for peer in left.filter(|peer| self.route.position(*peer).is_none()) {
+            history.leave(peer);
+        }
+        let members = self.route.members.iter().zip(&self.outboxes);
+        let new = members.filter(|(member, _)| old.position(member.peer).is_none());
+        let new: Vec<Arc<Outbox>> = new.filter_map(|(_, outbox)| outbox.clone()).collect();
+        if new.is_empty() {
+            return new;
+        }
+        let now = clock.now();
+        let guard = self.route.guard.as_ref();
+        for parcel in history.give(now, clock.wall_at(now)) {
+            // The guard may have come after it.
+            if guard.is_some_and(|guard| guard.covers(&parcel.name)) {
+                continue;
+            }
+            let template = Template {
+                lane: Lane::Data(parcel.priority.unwrap_or_default()),
+                // Who cannot take it all has the newest.
+                delivery: Delivery::Fleeting,
+                origin: hub_origin(&parcel),
+                expires_at: expires_at(&parcel, now),
+                gate: None,
+            };
+            let forms = new.iter().map(|outbox| outbox.form());
+            // What a form cannot hold was refused when it came, or its receivers were of other forms then.
+            let Ok(encodings) = Encodings::with(parcel, forms, self.bounds, &mut self.scratch) else {
+                continue;
+            };
+            for outbox in &new {
+                outbox.push(template.entry(encodings.get(outbox.form())));
+            }
+        }
+        new
     }
 
     /// In the order of the route's members.
@@ -183,7 +257,11 @@ impl Inner {
         let outboxes = &self.outboxes;
         let form = |place: usize| outboxes[place].as_ref().map(|outbox| outbox.form());
         let forms = places.iter().filter_map(form);
+        let kept = self.to_keep(&parcel);
         let encodings = Encodings::with(parcel, forms, self.bounds, &mut self.scratch)?;
+        if let (Some(history), Some(parcel)) = (&mut self.history, kept) {
+            history.note(sender, parcel, now);
+        }
         self.figures.sent(self.route.position(sender), size, age);
         let mut result = Delivered::default();
         for place in places.iter() {
@@ -325,6 +403,7 @@ mod tests {
             members: peers.iter().map(member).collect(),
             guard: None,
             delivery: Delivery::default(),
+            keep: None,
         }
     }
 

@@ -13,6 +13,7 @@ mod config;
 mod encodings;
 mod figures;
 mod files;
+mod history;
 mod login;
 mod measure;
 mod outbox;

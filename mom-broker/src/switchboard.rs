@@ -66,7 +66,10 @@ impl Switchboard {
             empty: Notify::new(),
             stopping: AtomicBool::new(false),
         };
-        routes.into_iter().for_each(|route| board.swap_route(route));
+        for route in routes {
+            // Nobody is there yet.
+            let _ = board.swap_route(route);
+        }
         board
     }
 
@@ -277,17 +280,18 @@ impl Switchboard {
         self.channels.get(&number).map(|channel| Arc::clone(&channel))
     }
 
-    fn swap_route(&self, route: Arc<mom_hub::Route>) {
+    fn swap_route(&self, route: Arc<mom_hub::Route>) -> Touched {
         let number = route.number;
         let known = self.channels.get(&number).map(|channel| Arc::clone(&channel));
         match known {
-            Some(channel) => channel.swap(route, |peer| self.outbox(peer)),
+            Some(channel) => channel.swap(route, &self.clock, |peer| self.outbox(peer)),
             None => {
                 self.by_path.insert(route.path.clone(), number);
                 self.channels.insert(
                     number,
                     Arc::new(Channel::new(route, self.bounds, |peer| self.outbox(peer))),
                 );
+                Touched::new()
             }
         }
     }
@@ -305,7 +309,7 @@ impl Switchboard {
     fn carry_out(&self, effects: Vec<Effect>, touched: &mut Touched) {
         for effect in effects {
             match effect {
-                Effect::Route(route) => self.swap_route(route),
+                Effect::Route(route) => touched.extend(self.swap_route(route)),
                 Effect::RouteGone(number) => self.drop_route(number),
                 Effect::Deliver { to, parcel } => self.push_to_all(&to, &parcel, touched),
                 Effect::Reply { to, parcel } => self.push_to_all(&[to], &parcel, touched),

@@ -87,7 +87,7 @@ pub use key::Key;
 pub use message::{Message, Receipt};
 pub use mom_net::Address;
 pub use mom_proto::{
-    Code, Content, ContextKind, Delivery, Family, Map, Parcel, Path, Time, Value, WireError, event,
+    Code, Content, ContextKind, Delivery, Family, HISTORY, Map, Parcel, Path, Time, Value, WireError, event,
     from_value, to_value,
 };
 pub use predict::{Model, Prediction, Predictor};

@@ -3,6 +3,7 @@
 mod commands;
 mod control;
 mod dialogues;
+mod late;
 mod login;
 mod programs;
 mod protocol;
