@@ -153,6 +153,8 @@ const REACHED: &[&str] = &[
     "invited",
     "expelled",
     "consult",
+    "expired",
+    "bad-slot",
     "lapsed timed-out",
     "lapsed declined",
     "lapsed lost",
