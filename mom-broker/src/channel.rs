@@ -231,11 +231,7 @@ impl Inner {
             receivers,
             count: self.outboxes.len(),
         };
-        let lane = match Verb::of(parcel.family, &parcel.name) {
-            Ok(Verb::Stop) => Lane::Stop,
-            Ok(Verb::Unstop) => Lane::Control,
-            _ => Lane::Data(parcel.priority.unwrap_or_default()),
-        };
+        let lane = lane_of(&parcel);
         // Stops and unstops are never refused for load.
         if let (Some(rate), Lane::Data(_)) = (rate, lane) {
             let size = parcel.content.as_ref().map_or(0, Content::size);
@@ -289,6 +285,14 @@ impl Inner {
             }
         }
         Ok(result)
+    }
+}
+
+fn lane_of(parcel: &Parcel) -> Lane {
+    match Verb::of(parcel.family, &parcel.name) {
+        Ok(Verb::Stop) => Lane::Stop,
+        Ok(Verb::Unstop) => Lane::Control,
+        _ => Lane::Data(parcel.priority.unwrap_or_default()),
     }
 }
 
