@@ -3,14 +3,18 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use bytes::Bytes;
 use mom_hub::{PeerId, Receivers, Route, Usage};
 use mom_managers::Rate;
 use mom_proto::binary::Run;
 use mom_proto::codec::{Form, Scratch};
-use mom_proto::{Content, ContextNumber, Delivery, Parcel, Time, Verb, WireError};
+use mom_proto::{Content, ContextNumber, Delivery, Parcel, Path, Time, Verb, WireError};
 
+use crate::clock::Clock;
 use crate::encodings::{Bounds, Encodings};
-use crate::outbox::{Gate, Lane, Origin, Outbox, Packet, Taken};
+use crate::figures::{Figures, measures};
+use crate::history::History;
+use crate::outbox::{DropReason, Gate, Lane, Origin, Outbox, Packet, Taken};
 use crate::sync::atomic::{AtomicU64, Ordering};
 use crate::sync::{Mutex, MutexGuard};
 
@@ -30,6 +34,8 @@ pub(crate) struct Inner {
     binary: bool,
     bounds: Bounds,
     scratch: Scratch,
+    pub(crate) figures: Figures,
+    history: Option<History>,
     /// What members, and connections that were some, have used of the rates that their manager set.
     used: HashMap<PeerId, Usage>,
 }
@@ -53,6 +59,8 @@ impl Channel {
     ) -> Channel {
         let outboxes: Vec<_> = route.members.iter().map(|member| outbox(member.peer)).collect();
         let gate = Arc::new(AtomicU64::new(fence_open(&route)));
+        let figures = Figures::new(&route);
+        let history = route.keep.map(History::new);
         Channel {
             inner: Mutex::new(Inner {
                 route,
@@ -61,6 +69,8 @@ impl Channel {
                 gate,
                 bounds,
                 scratch: Scratch::pooled(),
+                figures,
+                history,
                 used: HashMap::new(),
             }),
         }
@@ -70,8 +80,14 @@ impl Channel {
         self.inner.lock()
     }
 
-    /// Swaps in a new route. From here on nothing of an old owner leaves any outbox.
-    pub(crate) fn swap(&self, route: Arc<Route>, outbox: impl Fn(PeerId) -> Option<Arc<Outbox>>) {
+    /// Swaps in a new route. From here on nothing of an old owner leaves any outbox. Who is new gets what is kept;
+    /// the outboxes that have to be flushed for that.
+    pub(crate) fn swap(
+        &self,
+        route: Arc<Route>,
+        clock: &Clock,
+        outbox: impl Fn(PeerId) -> Option<Arc<Outbox>>,
+    ) -> Vec<Arc<Outbox>> {
         let mut inner = self.inner.lock();
         inner.gate.store(fence_open(&route), Ordering::Release);
         // Both lists are sorted, so most outboxes are found without a look-up.
@@ -97,7 +113,10 @@ impl Channel {
         inner
             .used
             .retain(|peer, _| route.member(*peer).is_some() || outbox(*peer).is_some());
-        inner.route = route;
+        let inner = &mut *inner;
+        inner.figures.follow(&inner.route, &route);
+        let old = std::mem::replace(&mut inner.route, route);
+        inner.follow_history(&old, clock)
     }
 }
 
@@ -107,10 +126,12 @@ impl Inner {
     pub(crate) fn end(&mut self) {
         self.gate.store(0, Ordering::Release);
         self.outboxes.clear();
-        self.route = Arc::new(Route {
+        let empty = Route {
             members: Vec::new(),
             ..(*self.route).clone()
-        });
+        };
+        self.figures.follow(&self.route, &empty);
+        self.route = Arc::new(empty);
     }
 
     /// The receivers among the members of another route, by their place among the members of this one; whoever is no
@@ -122,6 +143,83 @@ impl Inner {
             Receivers::AllBut(own) => here(own).map_or(Receivers::All, Receivers::AllBut),
             Receivers::These(places) => Receivers::These(places.into_iter().filter_map(here).collect()),
         }
+    }
+
+    /// A copy of a message that is for later too. Its content is copied out of what was read with it, or little that is
+    /// kept would hold much that is not.
+    fn to_keep(&self, parcel: &Parcel) -> Option<Parcel> {
+        let guarded = self.route.guard.as_ref();
+        let guarded = guarded.is_some_and(|guard| guard.covers(&parcel.name));
+        if self.history.is_none() || guarded || !History::covers(parcel) {
+            return None;
+        }
+        let mut copy = parcel.clone();
+        if let Some(Content::Encoded(bytes)) = &copy.content {
+            copy.content = Some(Content::Encoded(Bytes::copy_from_slice(bytes)));
+        }
+        Some(copy)
+    }
+
+    /// After a change of the route: forgets what is not kept any more, and gives to who is new what is kept.
+    fn follow_history(&mut self, old: &Route, clock: &Clock) -> Vec<Arc<Outbox>> {
+        let known = self.history.as_ref().map(|history| *history.keep());
+        if known != self.route.keep {
+            self.history = self.route.keep.map(History::new);
+        }
+        let Some(history) = &mut self.history else {
+            return Vec::new();
+        };
+        let left = old.members.iter().map(|member| member.peer);
+        for peer in left.filter(|peer| self.route.position(*peer).is_none()) {
+            history.leave(peer);
+        }
+        let members = self.route.members.iter().zip(&self.outboxes);
+        let new = members.filter(|(member, _)| old.position(member.peer).is_none());
+        let new: Vec<Arc<Outbox>> = new.filter_map(|(_, outbox)| outbox.clone()).collect();
+        if new.is_empty() {
+            return new;
+        }
+        let now = clock.now();
+        let guard = self.route.guard.as_ref();
+        for parcel in history.give(now, clock.wall_at(now)) {
+            // The guard may have come after it.
+            if guard.is_some_and(|guard| guard.covers(&parcel.name)) {
+                continue;
+            }
+            let lane = Lane::Data(parcel.priority.unwrap_or_default());
+            let (origin, expires_at) = (hub_origin(&parcel), expires_at(&parcel, now));
+            let forms = new.iter().map(|outbox| outbox.form());
+            // What a form cannot hold was refused when it came, or its receivers were of other forms then.
+            let Ok(encodings) = Encodings::with(parcel, forms, self.bounds, &mut self.scratch) else {
+                continue;
+            };
+            let packet = Arc::new(Packet {
+                encodings,
+                lane,
+                // Who cannot take it all has the newest.
+                delivery: Delivery::Fleeting,
+                origin,
+                expires_at,
+                gate: None,
+                count: 1,
+            });
+            for outbox in &new {
+                outbox.push(Arc::clone(&packet));
+            }
+        }
+        new
+    }
+
+    /// In the order of the route's members.
+    pub(crate) fn outboxes(&self) -> &[Option<Arc<Outbox>>] {
+        &self.outboxes
+    }
+
+    /// Counts what a receiver did not get after all; gives the channel's path.
+    pub(crate) fn note_dropped(&mut self, receiver: PeerId, reason: DropReason, count: u64) -> Path {
+        let place = self.route.position(receiver);
+        self.figures.dropped(place, reason.word(), count);
+        self.route.path.clone()
     }
 
     /// Encodes an admitted message once per form and puts it into the outboxes.
@@ -141,11 +239,7 @@ impl Inner {
             receivers,
             count: self.outboxes.len(),
         };
-        let lane = match Verb::of(parcel.family, &parcel.name) {
-            Ok(Verb::Stop) => Lane::Stop,
-            Ok(Verb::Unstop) => Lane::Control,
-            _ => Lane::Data(parcel.priority.unwrap_or_default()),
-        };
+        let lane = lane_of(&parcel);
         // Stops and unstops are never refused for load.
         if let (Some(rate), Lane::Data(_)) = (rate, lane) {
             let size = parcel.content.as_ref().map_or(0, Content::size);
@@ -160,9 +254,11 @@ impl Inner {
         // A device must halt also if its operator's clock is wrong.
         let expires_at = expires_at(&parcel, now).filter(|_| lane != Lane::Stop);
         let gate = parcel.fence.map(|fence| (Arc::clone(&self.gate), fence));
+        let (size, age) = measures(&parcel);
         let outboxes = &self.outboxes;
         let form = |place: usize| outboxes[place].as_ref().map(|outbox| outbox.form());
         let forms = places.iter().filter_map(form);
+        let kept = self.to_keep(&parcel);
         let encodings = Encodings::with(parcel, forms, self.bounds, &mut self.scratch)?;
         let packet = Arc::new(Packet {
             encodings,
@@ -173,12 +269,21 @@ impl Inner {
             gate,
             count: 1,
         });
+        if let (Some(history), Some(parcel)) = (&mut self.history, kept) {
+            history.note(sender, parcel, now);
+        }
+        self.figures.sent(self.route.position(sender), size, age);
         Ok(self.put(&packet, &places))
     }
 
-    /// Whether plain messages may go through here as a run: nobody needs another form.
+    /// Whether plain messages may go through here as a run: nobody needs another form, and nothing is kept.
     pub(crate) fn takes_runs(&self) -> bool {
-        self.binary
+        self.binary && self.history.is_none()
+    }
+
+    /// Counts a message of a run.
+    pub(crate) fn note_sent(&mut self, sender: Option<usize>, size: usize, age: Option<i64>) {
+        self.figures.sent(sender, size, age);
     }
 
     /// Puts a run of a member's messages into the outboxes; all of them were admitted as `stamped` was.
@@ -210,20 +315,26 @@ impl Inner {
         self.put(&packet, &places)
     }
 
-    fn put(&self, packet: &Arc<Packet>, places: &Places<'_>) -> Delivered {
+    fn put(&mut self, packet: &Arc<Packet>, places: &Places<'_>) -> Delivered {
         let mut result = Delivered::default();
         for place in places.iter() {
             let name = || Arc::clone(&self.route.members[place].facts.name);
             let Some(outbox) = &self.outboxes[place] else {
                 result.dropped.push(name());
+                self.figures
+                    .dropped(Some(place), DropReason::Closed.word(), u64::from(packet.count));
                 continue;
             };
             let (taken, first) = outbox.push(Arc::clone(packet));
             match taken {
-                Taken::Yes => result.delivered += 1,
+                Taken::Yes => {
+                    result.delivered += u64::from(packet.count);
+                    self.figures.delivered(place, u64::from(packet.count));
+                }
                 Taken::Dropped => result.dropped.push(name()),
                 Taken::Overflow => {
                     result.dropped.push(name());
+                    self.figures.dropped(Some(place), DropReason::Full.word(), 1);
                     result.too_slow.push(Arc::clone(outbox));
                 }
             }
@@ -240,6 +351,14 @@ fn all_binary(outboxes: &[Option<Arc<Outbox>>]) -> bool {
         .iter()
         .flatten()
         .all(|outbox| outbox.form() == Some(Form::Binary))
+}
+
+fn lane_of(parcel: &Parcel) -> Lane {
+    match Verb::of(parcel.family, &parcel.name) {
+        Ok(Verb::Stop) => Lane::Stop,
+        Ok(Verb::Unstop) => Lane::Control,
+        _ => Lane::Data(parcel.priority.unwrap_or_default()),
+    }
 }
 
 /// The receivers of a message by their place among the members.
@@ -331,6 +450,7 @@ mod tests {
             members: peers.iter().map(member).collect(),
             guard: None,
             delivery: Delivery::default(),
+            keep: None,
         }
     }
 

@@ -11,7 +11,9 @@ mod channel;
 mod clock;
 mod config;
 mod encodings;
+mod figures;
 mod files;
+mod history;
 #[cfg(all(test, shuttle))]
 mod interleaved;
 mod login;
@@ -21,6 +23,7 @@ mod record;
 mod reload;
 mod schema;
 mod session;
+mod stats;
 mod store;
 mod switchboard;
 mod sync;

@@ -219,6 +219,7 @@ impl Hub {
             members: context.members.values().cloned().collect(),
             guard,
             delivery: channel.delivery,
+            keep: channel.keep,
         })
     }
 

@@ -180,6 +180,11 @@ impl Outbox {
         self.closing.lock().clone()
     }
 
+    /// The bytes that wait.
+    pub(crate) fn queued(&self) -> usize {
+        self.queue.lock().bytes()
+    }
+
     /// What was dropped since the last call; cheap where nothing was.
     pub(crate) fn take_drops(&self) -> Vec<((mom_proto::ContextNumber, PeerId, DropReason), u64)> {
         let mut queue = self.queue.lock();

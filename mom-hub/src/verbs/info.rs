@@ -33,6 +33,9 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
         ),
         Role::Channel(channel) => {
             info.set("delivery", channel.delivery.word());
+            if let Some(keep) = channel.keep {
+                info.set("keep", keep.to_map());
+            }
             if let Some(guard) = &channel.guard {
                 info.set("guard", guard.describe(Map::new()));
             }

@@ -3,10 +3,12 @@
 mod commands;
 mod control;
 mod dialogues;
+mod late;
 mod login;
 mod programs;
 mod protocol;
 mod python;
 mod states;
+mod stats;
 mod threats;
 mod time;
