@@ -155,6 +155,7 @@ mod tests {
             row: ROWS[0],
             samples: BTreeMap::from([(Kind::Mom, sample(1e6)), (Kind::Redis, sample(1e5))]),
             failures: BTreeMap::new(),
+            notes: BTreeMap::new(),
         };
         let plot = bars("rates", &[&outcome], Metric::Rate).unwrap();
         assert!(plot.contains("<title>MOM: 1.00 M</title>"), "{plot}");

@@ -222,6 +222,15 @@ fn failures(outcomes: &[Outcome], programs: &Programs) -> String {
         let _ = writeln!(out, "- {} is not installed here and was left out.", kind.name());
     }
     for outcome in outcomes {
+        for (kind, note) in &outcome.notes {
+            let _ = writeln!(
+                out,
+                "- {}, {}: the subscriber was cut off in a run: {}.",
+                kind.name(),
+                outcome.row.name,
+                note.replace('|', "/")
+            );
+        }
         for (kind, reason) in &outcome.failures {
             let runs = outcome.samples.get(kind).map_or(0, Vec::len);
             let _ = writeln!(
@@ -316,6 +325,7 @@ mod tests {
             row: ROWS[0],
             samples: rates.iter().map(|(kind, rate)| (*kind, sample(*rate))).collect(),
             failures: BTreeMap::new(),
+            notes: BTreeMap::new(),
         }
     }
 
