@@ -317,6 +317,7 @@ pub fn beside(outcomes: &[Outcome], earlier: &Value) -> String {
             .pointer("/rows")
             .and_then(|rows| rows.get(outcome.row.name)?.get(own.name())?.as_array());
         let mut metrics: Vec<Metric> = outcome.row.goals.iter().map(|goal| goal.metric).collect();
+        metrics.sort_unstable();
         metrics.dedup();
         for metric in metrics {
             let then = runs
@@ -405,6 +406,7 @@ mod tests {
             table.contains("| 1→1, 16 B, deliveries per second | 2.00 M | 1.00 M | 2.00 |"),
             "{table}"
         );
+        assert_eq!(table.lines().count(), 3, "{table}");
     }
 
     #[test]
