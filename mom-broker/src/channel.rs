@@ -13,6 +13,7 @@ use mom_proto::{Content, ContextNumber, Delivery, Parcel, Path, Time, Verb, Wire
 use crate::clock::Clock;
 use crate::encodings::{Bounds, Encodings};
 use crate::figures::{Figures, measures};
+use crate::gather;
 use crate::history::History;
 use crate::outbox::{DropReason, Gate, Lane, Origin, Outbox, Packet, Taken};
 use crate::sync::atomic::{AtomicU64, Ordering};
@@ -32,6 +33,8 @@ pub(crate) struct Inner {
     gate: Gate,
     /// All members speak the binary form.
     binary: bool,
+    /// When something was sent here last.
+    sent_at: u64,
     bounds: Bounds,
     scratch: Scratch,
     pub(crate) figures: Figures,
@@ -47,6 +50,8 @@ pub(crate) struct Delivered {
     pub(crate) dropped: Vec<Arc<str>>,
     /// Outboxes that have to be flushed.
     pub(crate) touched: Vec<Arc<Outbox>>,
+    /// More of it is sure to come at once, so that they may be flushed a little later.
+    pub(crate) lively: bool,
     /// Receivers that were too slow for what may not be dropped.
     pub(crate) too_slow: Vec<Arc<Outbox>>,
 }
@@ -65,6 +70,7 @@ impl Channel {
             inner: Mutex::new(Inner {
                 route,
                 binary: all_binary(&outboxes),
+                sent_at: 0,
                 outboxes,
                 gate,
                 bounds,
@@ -273,7 +279,7 @@ impl Inner {
             history.note(sender, parcel, now);
         }
         self.figures.sent(self.route.position(sender), size, age);
-        Ok(self.put(&packet, &places))
+        Ok(self.put(&packet, &places, now))
     }
 
     /// Whether plain messages may go through here as a run: nobody needs another form, and nothing is kept.
@@ -293,6 +299,7 @@ impl Inner {
         run: Run,
         stamped: &Parcel,
         receivers: &Receivers,
+        now: u64,
     ) -> Delivered {
         let count = run.count();
         let packet = Arc::new(Packet {
@@ -312,11 +319,15 @@ impl Inner {
             receivers,
             count: self.outboxes.len(),
         };
-        self.put(&packet, &places)
+        self.put(&packet, &places, now)
     }
 
-    fn put(&mut self, packet: &Arc<Packet>, places: &Places<'_>) -> Delivered {
-        let mut result = Delivered::default();
+    fn put(&mut self, packet: &Arc<Packet>, places: &Places<'_>, now: u64) -> Delivered {
+        let mut result = Delivered {
+            lively: packet.can_wait() && now.saturating_sub(self.sent_at) < gather::LIVELY,
+            ..Delivered::default()
+        };
+        self.sent_at = now;
         for place in places.iter() {
             let name = || Arc::clone(&self.route.members[place].facts.name);
             let Some(outbox) = &self.outboxes[place] else {

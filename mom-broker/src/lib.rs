@@ -13,6 +13,7 @@ mod config;
 mod encodings;
 mod figures;
 mod files;
+mod gather;
 mod history;
 #[cfg(all(test, shuttle))]
 mod interleaved;

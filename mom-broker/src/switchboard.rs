@@ -14,6 +14,7 @@ use mom_proto::{Code, ContextNumber, Delivery, Family, Map, Parcel, Path, Value,
 use crate::channel::{Channel, Delivered, control, hub_origin, stamped};
 use crate::clock::Clock;
 use crate::encodings::{Bounds, Encodings};
+use crate::gather::{self, Gatherer};
 use crate::outbox::{Outbox, Packet, Taken};
 use crate::store::Store;
 use crate::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -41,6 +42,7 @@ pub(crate) struct Switchboard {
     /// None where nothing outlives the broker; the hub knows, and stores nothing.
     pub(crate) store: Option<Store>,
     pub(crate) outboxes: DashMap<PeerId, Arc<Outbox>>,
+    gatherer: Gatherer,
     last_peer: AtomicU64,
     /// The hub's deadline may have come closer.
     pub(crate) deadline_changed: Notify,
@@ -70,6 +72,7 @@ impl Switchboard {
             bounds,
             store,
             outboxes: DashMap::new(),
+            gatherer: Gatherer::default(),
             last_peer: AtomicU64::new(0),
             deadline_changed: Notify::new(),
             empty: Notify::new(),
@@ -208,7 +211,7 @@ impl Switchboard {
         let Some(run) = run.filter(|run| run.count() > 0) else {
             return false;
         };
-        let delivered = inner.deliver_run(peer, run, &stamped, &receivers);
+        let delivered = inner.deliver_run(peer, run, &stamped, &receivers, ingress.now);
         let path = inner.route.path.clone();
         drop(inner);
         self.settle(peer, None, &path, delivered, touched);
@@ -449,7 +452,11 @@ impl Switchboard {
         delivered: Delivered,
         touched: &mut Touched,
     ) {
-        touched.extend(delivered.touched);
+        if delivered.lively && delivered.touched.len() >= gather::RECEIVERS {
+            self.gatherer.defer(delivered.touched);
+        } else {
+            touched.extend(delivered.touched);
+        }
         for outbox in delivered.too_slow {
             let text = "what waited for this peer reached its limit and may not be dropped";
             tracing::info!(peer = outbox.peer.0, context = %path, "slow receiver closed");

@@ -110,16 +110,19 @@ impl Outbox {
         self.writer.form()
     }
 
-    /// Puts a parcel in. True the first time since the last [`Outbox::flush`]: then somebody has to call it.
+    /// Puts a packet in. True the first time since the last [`Outbox::flush`], and for what is urgent: then somebody has
+    /// to call it.
     pub(crate) fn push(&self, packet: Arc<Packet>) -> (Taken, bool) {
         let mut queue = self.queue.lock();
         // Under the lock that `close` holds: nothing follows the last word.
         if self.closed.load(Ordering::Acquire) {
             return (Taken::Dropped, false);
         }
+        let urgent = packet.lane > Lane::Data(0);
         let taken = queue.push(packet);
         drop(queue);
-        let first = !self.touched.swap(true, Ordering::SeqCst);
+        // Whoever touched it before may take its time, which nothing urgent has.
+        let first = !self.touched.swap(true, Ordering::SeqCst) || urgent;
         // Pairs with the fence in `flush_batch`: either that flush sees this parcel, or this one gets the lock.
         fence(Ordering::SeqCst);
         (taken, first)
