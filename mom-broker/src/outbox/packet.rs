@@ -93,7 +93,8 @@ impl Packet {
     /// Whether it may leave a moment later if that saves work: small, and no more urgent than usual.
     pub(crate) fn can_wait(&self) -> bool {
         let small = |form| self.length(form) <= gather::SMALL;
-        matches!(self.lane, Lane::Data(..=0)) && [Some(Form::Binary), Some(Form::Xml), None].into_iter().all(small)
+        matches!(self.lane, Lane::Data(..=0))
+            && [Some(Form::Binary), Some(Form::Xml), None].into_iter().all(small)
     }
 
     /// The frames for a receiver of this form, none inside this process.
