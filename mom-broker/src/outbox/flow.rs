@@ -13,11 +13,11 @@ use mom_net::Link;
 /// link busy.
 const AHEAD: Duration = Duration::from_millis(3);
 
-/// Shorter measurements say more about the grid of acknowledgements than about the link.
-const LEAST_SAMPLE: Duration = Duration::from_millis(2);
+/// Shorter measurements say more about bursts and the grid of acknowledgements than about the link.
+const LEAST_SAMPLE: Duration = Duration::from_millis(12);
 
 /// The best rate of so long a time counts.
-const MEMORY: Duration = Duration::from_millis(500);
+const MEMORY: Duration = Duration::from_millis(300);
 
 /// Segments that are always allowed: with fewer a receiver delays its acknowledgement.
 const LEAST_SEGMENTS: u64 = 2;
@@ -216,7 +216,7 @@ mod tests {
             let queue = link.saturate(Duration::from_secs(2), Duration::ZERO);
             let used = (link.acknowledged - before) as f64 / (2.0 * rate);
             // Two segments are always allowed: on a slow link they are the bound.
-            let most = (AHEAD + LEAST_SAMPLE).max(Duration::from_secs_f64(2.5 * 1448.0 / rate));
+            let most = (AHEAD * 5 / 3).max(Duration::from_secs_f64(2.5 * 1448.0 / rate));
             assert!(queue <= most, "{rate} B/s, {delay} µs: {queue:?}");
             assert!(used > 0.9, "{rate} B/s, {delay} µs: {used}");
         }
