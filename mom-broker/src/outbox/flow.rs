@@ -11,7 +11,7 @@ use mom_net::Link;
 
 /// What may wait in the network beyond what fills it: enough to bridge a turn of the timer and keep a saturated
 /// link busy.
-const AHEAD: Duration = Duration::from_millis(3);
+const AHEAD: Duration = Duration::from_micros(2200);
 
 /// Shorter measurements say more about bursts and the grid of acknowledgements than about the link.
 const LEAST_SAMPLE: Duration = Duration::from_millis(12);
@@ -74,7 +74,7 @@ impl Flow {
         if self.blind {
             return usize::MAX;
         }
-        clamp(self.budget.unwrap_or_default() / 4).max(1024)
+        clamp(self.budget.unwrap_or_default() / 6).max(1024)
     }
 
     /// Notes what the link took.
