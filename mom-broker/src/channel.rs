@@ -28,6 +28,8 @@ pub(crate) struct Inner {
     gate: Gate,
     /// All members speak the binary form.
     binary: bool,
+    /// Some member is spared of something.
+    thins: bool,
     bounds: Bounds,
     scratch: Scratch,
     /// What members, and connections that were some, have used of the rates that their manager set.
@@ -55,6 +57,7 @@ impl Channel {
         let gate = Arc::new(AtomicU64::new(fence_open(&route)));
         Channel {
             inner: Mutex::new(Inner {
+                thins: thins(&route),
                 route,
                 binary: all_binary(&outboxes),
                 outboxes,
@@ -74,6 +77,7 @@ impl Channel {
     pub(crate) fn swap(&self, route: Arc<Route>, outbox: impl Fn(PeerId) -> Option<Arc<Outbox>>) {
         let mut inner = self.inner.lock();
         inner.gate.store(fence_open(&route), Ordering::Release);
+        inner.settle_turns(&route);
         // Both lists are sorted, so most outboxes are found without a look-up.
         let old = std::mem::take(&mut inner.outboxes);
         let mut known = inner
@@ -92,6 +96,7 @@ impl Channel {
         });
         let outboxes: Vec<_> = outboxes.collect();
         inner.binary = all_binary(&outboxes);
+        inner.thins = thins(&route);
         inner.outboxes = outboxes;
         // Who leaves and comes back has used what it has used.
         inner
@@ -106,11 +111,29 @@ impl Inner {
     /// waits leaves any outbox, because nobody will tell this channel when its token changes hands.
     pub(crate) fn end(&mut self) {
         self.gate.store(0, Ordering::Release);
-        self.outboxes.clear();
-        self.route = Arc::new(Route {
+        let route = Route {
             members: Vec::new(),
             ..(*self.route).clone()
-        });
+        };
+        self.settle_turns(&route);
+        self.outboxes.clear();
+        self.route = Arc::new(route);
+    }
+
+    /// Ends the turns that another route does not know: whoever has left hears nothing any more, and whoever wants
+    /// something else than before hears at once what waited.
+    fn settle_turns(&self, route: &Route) {
+        if !self.thins {
+            return;
+        }
+        let members = self.route.members.iter().zip(&self.outboxes);
+        for (member, outbox) in members.filter(|(member, _)| member.thinning.rate.is_some()) {
+            let Some(outbox) = outbox else { continue };
+            let now = route.member(member.peer).map(|member| member.thinning);
+            if now != Some(member.thinning) {
+                outbox.end_turns(route.number, now.is_some());
+            }
+        }
     }
 
     /// The receivers among the members of another route, by their place among the members of this one; whoever is no
@@ -176,9 +199,9 @@ impl Inner {
         Ok(self.put(&packet, &places))
     }
 
-    /// Whether plain messages may go through here as a run: nobody needs another form.
+    /// Whether plain messages may go through here as a run: nobody needs another form, or only some of them.
     pub(crate) fn takes_runs(&self) -> bool {
-        self.binary
+        self.binary && !self.thins
     }
 
     /// Puts a run of a member's messages into the outboxes; all of them were admitted as `stamped` was.
@@ -212,15 +235,24 @@ impl Inner {
 
     fn put(&self, packet: &Arc<Packet>, places: &Places<'_>) -> Delivered {
         let mut result = Delivered::default();
+        let thins = self.thins && packet.may_be_thinned();
+        let mut latest: Option<Arc<Packet>> = None;
         for place in places.iter() {
             let name = || Arc::clone(&self.route.members[place].facts.name);
             let Some(outbox) = &self.outboxes[place] else {
                 result.dropped.push(name());
                 continue;
             };
-            let (taken, first) = outbox.push(Arc::clone(packet));
+            let member = &self.route.members[place];
+            // Its own messages are what it waits for itself.
+            let (taken, first) = if thins && member.thinning.thins() && member.peer != packet.origin.sender {
+                let latest = latest.get_or_insert_with(|| Arc::new(packet.as_latest()));
+                outbox.push_thinned(Arc::clone(latest), member.thinning.interval())
+            } else {
+                outbox.push(Arc::clone(packet))
+            };
             match taken {
-                Taken::Yes => result.delivered += 1,
+                Taken::Yes | Taken::Later => result.delivered += 1,
                 Taken::Dropped => result.dropped.push(name()),
                 Taken::Overflow => {
                     result.dropped.push(name());
@@ -233,6 +265,10 @@ impl Inner {
         }
         result
     }
+}
+
+fn thins(route: &Route) -> bool {
+    route.members.iter().any(|member| member.thinning.thins())
 }
 
 fn all_binary(outboxes: &[Option<Arc<Outbox>>]) -> bool {
