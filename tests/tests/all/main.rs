@@ -8,5 +8,6 @@ mod programs;
 mod protocol;
 mod python;
 mod states;
+mod thinning;
 mod threats;
 mod time;
