@@ -2,6 +2,7 @@
 
 mod commands;
 mod control;
+mod device_keys;
 mod dialogues;
 mod login;
 mod programs;
