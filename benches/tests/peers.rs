@@ -158,7 +158,11 @@ fn a_stop_passes_frames_on_a_slow_link() {
         load: 1.5,
         stops: 5,
         every: Duration::from_millis(20),
+        late: Duration::from_secs(1),
     };
-    let sample = stop.run(&hub, &link).unwrap();
-    assert_eq!(sample[&Metric::Arrived], 5.0, "{sample:?}");
+    let (sample, cut_off) = stop.run(&hub, &link).unwrap();
+    assert_eq!(cut_off, None);
+    // One that still waits makes way for the next, so on a busy machine not all of them arrive; none does twice.
+    let arrived = sample[&Metric::Arrived];
+    assert!((1.0..=5.0).contains(&arrived), "{sample:?}");
 }

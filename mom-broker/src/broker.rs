@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use mom_hub::{Input, Settings};
-use mom_net::Transceiver;
+use mom_net::{NetError, Transceiver};
 use mom_proto::{Code, Limits, WireError};
 use parking_lot::Mutex;
 use tokio::net::{TcpListener, TcpSocket, TcpStream, lookup_host};
@@ -288,14 +288,20 @@ impl Listen {
 }
 
 impl Context {
-    async fn take_in(self, stream: TcpStream, from: SocketAddr, _place: OwnedSemaphorePermit) {
-        let login_by = Instant::now() + login_time(&self.limits);
+    /// Waits for the first bytes of a peer, which tell its form.
+    async fn greet(&self, stream: TcpStream, login_by: Instant) -> Result<Transceiver, NetError> {
         let before_login = self.limits.before_login();
         let too_late = async {
             tokio::time::sleep_until(login_by).await;
             session::login_timeout(self.limits.login_time)
         };
-        match mom_net::accept(stream, &before_login, too_late).await {
+        mom_net::accept(stream, &before_login, too_late).await
+    }
+
+    pub(crate) async fn take_in(self, stream: TcpStream, from: SocketAddr, _place: OwnedSemaphorePermit) {
+        let login_by = Instant::now() + login_time(&self.limits);
+        // Apart, so that the connection does not keep the memory that this needs.
+        match Box::pin(self.greet(stream, login_by)).await {
             Ok(transceiver) => session::serve(self, transceiver, Some(from.ip()), login_by).await,
             Err(error) => tracing::info!(%from, %error, "refused"),
         }

@@ -3,14 +3,19 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use bytes::Bytes;
 use mom_hub::{PeerId, Receivers, Route, Usage};
 use mom_managers::Rate;
 use mom_proto::binary::Run;
 use mom_proto::codec::{Form, Scratch};
-use mom_proto::{Content, ContextNumber, Delivery, Parcel, Time, Verb, WireError};
+use mom_proto::{Content, ContextNumber, Delivery, Parcel, Path, Time, Verb, WireError};
 
+use crate::clock::Clock;
 use crate::encodings::{Bounds, Encodings};
-use crate::outbox::{Gate, Lane, Origin, Outbox, Packet, Taken};
+use crate::figures::{Figures, measures};
+use crate::gather;
+use crate::history::History;
+use crate::outbox::{DropReason, Gate, Lane, Origin, Outbox, Packet, Taken};
 use crate::sync::atomic::{AtomicU64, Ordering};
 use crate::sync::{Mutex, MutexGuard};
 
@@ -30,8 +35,12 @@ pub(crate) struct Inner {
     binary: bool,
     /// Some member is spared of something.
     thins: bool,
+    /// When something was sent here last.
+    sent_at: u64,
     bounds: Bounds,
     scratch: Scratch,
+    pub(crate) figures: Figures,
+    history: Option<History>,
     /// What members, and connections that were some, have used of the rates that their manager set.
     used: HashMap<PeerId, Usage>,
 }
@@ -43,6 +52,8 @@ pub(crate) struct Delivered {
     pub(crate) dropped: Vec<Arc<str>>,
     /// Outboxes that have to be flushed.
     pub(crate) touched: Vec<Arc<Outbox>>,
+    /// More of it is sure to come at once, so that they may be flushed a little later.
+    pub(crate) lively: bool,
     /// Receivers that were too slow for what may not be dropped.
     pub(crate) too_slow: Vec<Arc<Outbox>>,
 }
@@ -55,15 +66,20 @@ impl Channel {
     ) -> Channel {
         let outboxes: Vec<_> = route.members.iter().map(|member| outbox(member.peer)).collect();
         let gate = Arc::new(AtomicU64::new(fence_open(&route)));
+        let figures = Figures::new(&route);
+        let history = route.keep.map(History::new);
         Channel {
             inner: Mutex::new(Inner {
                 thins: thins(&route),
                 route,
                 binary: all_binary(&outboxes),
+                sent_at: 0,
                 outboxes,
                 gate,
                 bounds,
                 scratch: Scratch::pooled(),
+                figures,
+                history,
                 used: HashMap::new(),
             }),
         }
@@ -73,8 +89,14 @@ impl Channel {
         self.inner.lock()
     }
 
-    /// Swaps in a new route. From here on nothing of an old owner leaves any outbox.
-    pub(crate) fn swap(&self, route: Arc<Route>, outbox: impl Fn(PeerId) -> Option<Arc<Outbox>>) {
+    /// Swaps in a new route. From here on nothing of an old owner leaves any outbox. Who is new gets what is kept;
+    /// the outboxes that have to be flushed for that.
+    pub(crate) fn swap(
+        &self,
+        route: Arc<Route>,
+        clock: &Clock,
+        outbox: impl Fn(PeerId) -> Option<Arc<Outbox>>,
+    ) -> Vec<Arc<Outbox>> {
         let mut inner = self.inner.lock();
         inner.gate.store(fence_open(&route), Ordering::Release);
         inner.settle_turns(&route);
@@ -102,7 +124,10 @@ impl Channel {
         inner
             .used
             .retain(|peer, _| route.member(*peer).is_some() || outbox(*peer).is_some());
-        inner.route = route;
+        let inner = &mut *inner;
+        inner.figures.follow(&inner.route, &route);
+        let old = std::mem::replace(&mut inner.route, route);
+        inner.follow_history(&old, clock)
     }
 }
 
@@ -117,6 +142,7 @@ impl Inner {
         };
         self.settle_turns(&route);
         self.outboxes.clear();
+        self.figures.follow(&self.route, &route);
         self.route = Arc::new(route);
     }
 
@@ -147,6 +173,83 @@ impl Inner {
         }
     }
 
+    /// A copy of a message that is for later too. Its content is copied out of what was read with it, or little that is
+    /// kept would hold much that is not.
+    fn to_keep(&self, parcel: &Parcel) -> Option<Parcel> {
+        let guarded = self.route.guard.as_ref();
+        let guarded = guarded.is_some_and(|guard| guard.covers(&parcel.name));
+        if self.history.is_none() || guarded || !History::covers(parcel) {
+            return None;
+        }
+        let mut copy = parcel.clone();
+        if let Some(Content::Encoded(bytes)) = &copy.content {
+            copy.content = Some(Content::Encoded(Bytes::copy_from_slice(bytes)));
+        }
+        Some(copy)
+    }
+
+    /// After a change of the route: forgets what is not kept any more, and gives to who is new what is kept.
+    fn follow_history(&mut self, old: &Route, clock: &Clock) -> Vec<Arc<Outbox>> {
+        let known = self.history.as_ref().map(|history| *history.keep());
+        if known != self.route.keep {
+            self.history = self.route.keep.map(History::new);
+        }
+        let Some(history) = &mut self.history else {
+            return Vec::new();
+        };
+        let left = old.members.iter().map(|member| member.peer);
+        for peer in left.filter(|peer| self.route.position(*peer).is_none()) {
+            history.leave(peer);
+        }
+        let members = self.route.members.iter().zip(&self.outboxes);
+        let new = members.filter(|(member, _)| old.position(member.peer).is_none());
+        let new: Vec<Arc<Outbox>> = new.filter_map(|(_, outbox)| outbox.clone()).collect();
+        if new.is_empty() {
+            return new;
+        }
+        let now = clock.now();
+        let guard = self.route.guard.as_ref();
+        for parcel in history.give(now, clock.wall_at(now)) {
+            // The guard may have come after it.
+            if guard.is_some_and(|guard| guard.covers(&parcel.name)) {
+                continue;
+            }
+            let lane = Lane::Data(parcel.priority.unwrap_or_default());
+            let (origin, expires_at) = (hub_origin(&parcel), expires_at(&parcel, now));
+            let forms = new.iter().map(|outbox| outbox.form());
+            // What a form cannot hold was refused when it came, or its receivers were of other forms then.
+            let Ok(encodings) = Encodings::with(parcel, forms, self.bounds, &mut self.scratch) else {
+                continue;
+            };
+            let packet = Arc::new(Packet {
+                encodings,
+                lane,
+                // Who cannot take it all has the newest.
+                delivery: Delivery::Fleeting,
+                origin,
+                expires_at,
+                gate: None,
+                count: 1,
+            });
+            for outbox in &new {
+                outbox.push(Arc::clone(&packet));
+            }
+        }
+        new
+    }
+
+    /// In the order of the route's members.
+    pub(crate) fn outboxes(&self) -> &[Option<Arc<Outbox>>] {
+        &self.outboxes
+    }
+
+    /// Counts what a receiver did not get after all; gives the channel's path.
+    pub(crate) fn note_dropped(&mut self, receiver: PeerId, reason: DropReason, count: u64) -> Path {
+        let place = self.route.position(receiver);
+        self.figures.dropped(place, reason.word(), count);
+        self.route.path.clone()
+    }
+
     /// Encodes an admitted message once per form and puts it into the outboxes.
     ///
     /// # Errors
@@ -164,11 +267,7 @@ impl Inner {
             receivers,
             count: self.outboxes.len(),
         };
-        let lane = match Verb::of(parcel.family, &parcel.name) {
-            Ok(Verb::Stop) => Lane::Stop,
-            Ok(Verb::Unstop) => Lane::Control,
-            _ => Lane::Data(parcel.priority.unwrap_or_default()),
-        };
+        let lane = lane_of(&parcel);
         // Stops and unstops are never refused for load.
         if let (Some(rate), Lane::Data(_)) = (rate, lane) {
             let size = parcel.content.as_ref().map_or(0, Content::size);
@@ -183,9 +282,11 @@ impl Inner {
         // A device must halt also if its operator's clock is wrong.
         let expires_at = expires_at(&parcel, now).filter(|_| lane != Lane::Stop);
         let gate = parcel.fence.map(|fence| (Arc::clone(&self.gate), fence));
+        let (size, age) = measures(&parcel);
         let outboxes = &self.outboxes;
         let form = |place: usize| outboxes[place].as_ref().map(|outbox| outbox.form());
         let forms = places.iter().filter_map(form);
+        let kept = self.to_keep(&parcel);
         let encodings = Encodings::with(parcel, forms, self.bounds, &mut self.scratch)?;
         let packet = Arc::new(Packet {
             encodings,
@@ -196,12 +297,22 @@ impl Inner {
             gate,
             count: 1,
         });
-        Ok(self.put(&packet, &places))
+        if let (Some(history), Some(parcel)) = (&mut self.history, kept) {
+            history.note(sender, parcel, now);
+        }
+        self.figures.sent(self.route.position(sender), size, age);
+        Ok(self.put(&packet, &places, now))
     }
 
-    /// Whether plain messages may go through here as a run: nobody needs another form, or only some of them.
+    /// Whether plain messages may go through here as a run: nobody needs another form or
+    /// only some of them, and nothing is kept.
     pub(crate) fn takes_runs(&self) -> bool {
-        self.binary && !self.thins
+        self.binary && !self.thins && self.history.is_none()
+    }
+
+    /// Counts a message of a run.
+    pub(crate) fn note_sent(&mut self, sender: Option<usize>, size: usize, age: Option<i64>) {
+        self.figures.sent(sender, size, age);
     }
 
     /// Puts a run of a member's messages into the outboxes; all of them were admitted as `stamped` was.
@@ -211,6 +322,7 @@ impl Inner {
         run: Run,
         stamped: &Parcel,
         receivers: &Receivers,
+        now: u64,
     ) -> Delivered {
         let count = run.count();
         let packet = Arc::new(Packet {
@@ -230,17 +342,23 @@ impl Inner {
             receivers,
             count: self.outboxes.len(),
         };
-        self.put(&packet, &places)
+        self.put(&packet, &places, now)
     }
 
-    fn put(&self, packet: &Arc<Packet>, places: &Places<'_>) -> Delivered {
-        let mut result = Delivered::default();
+    fn put(&mut self, packet: &Arc<Packet>, places: &Places<'_>, now: u64) -> Delivered {
+        let mut result = Delivered {
+            lively: packet.can_wait() && now.saturating_sub(self.sent_at) < gather::LIVELY,
+            ..Delivered::default()
+        };
+        self.sent_at = now;
         let thins = self.thins && packet.may_be_thinned();
         let mut latest: Option<Arc<Packet>> = None;
         for place in places.iter() {
             let name = || Arc::clone(&self.route.members[place].facts.name);
             let Some(outbox) = &self.outboxes[place] else {
                 result.dropped.push(name());
+                self.figures
+                    .dropped(Some(place), DropReason::Closed.word(), u64::from(packet.count));
                 continue;
             };
             let member = &self.route.members[place];
@@ -252,10 +370,14 @@ impl Inner {
                 outbox.push(Arc::clone(packet))
             };
             match taken {
-                Taken::Yes | Taken::Later => result.delivered += 1,
+                Taken::Yes | Taken::Later => {
+                    result.delivered += u64::from(packet.count);
+                    self.figures.delivered(place, u64::from(packet.count));
+                }
                 Taken::Dropped => result.dropped.push(name()),
                 Taken::Overflow => {
                     result.dropped.push(name());
+                    self.figures.dropped(Some(place), DropReason::Full.word(), 1);
                     result.too_slow.push(Arc::clone(outbox));
                 }
             }
@@ -276,6 +398,14 @@ fn all_binary(outboxes: &[Option<Arc<Outbox>>]) -> bool {
         .iter()
         .flatten()
         .all(|outbox| outbox.form() == Some(Form::Binary))
+}
+
+fn lane_of(parcel: &Parcel) -> Lane {
+    match Verb::of(parcel.family, &parcel.name) {
+        Ok(Verb::Stop) => Lane::Stop,
+        Ok(Verb::Unstop) => Lane::Control,
+        _ => Lane::Data(parcel.priority.unwrap_or_default()),
+    }
 }
 
 /// The receivers of a message by their place among the members.
@@ -367,6 +497,7 @@ mod tests {
             members: peers.iter().map(member).collect(),
             guard: None,
             delivery: Delivery::default(),
+            keep: None,
         }
     }
 

@@ -11,7 +11,10 @@ mod channel;
 mod clock;
 mod config;
 mod encodings;
+mod figures;
 mod files;
+mod gather;
+mod history;
 #[cfg(all(test, shuttle))]
 mod interleaved;
 mod login;
@@ -21,6 +24,7 @@ mod record;
 mod reload;
 mod schema;
 mod session;
+mod stats;
 mod store;
 mod switchboard;
 mod sync;

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
+use std::sync::Arc;
 
 use mom_hub::{Configuration, Input, PeerId, User};
 use mom_proto::{Limits, Map, Value};
@@ -60,7 +61,7 @@ impl Broker {
         };
         let (users, login) = (config.users.clone(), config.login.clone());
         self.context.logins.replace(users, login, configure)?;
-        self.context.next_limits.write().clone_from(&config.limits);
+        *self.context.next_limits.write() = Arc::new(config.limits.clone());
         flush(&mut touched);
         *running = config;
         tracing::info!("configuration: {report}");

@@ -14,6 +14,7 @@ use mom_net::{NetError, Reader, Transceiver};
 use mom_proto::codec::Frame;
 use mom_proto::{Code, Family, Limits, Parcel, Verb, WireError};
 use parking_lot::RwLock;
+use tokio::task::JoinHandle;
 use tokio::time::{Instant, timeout, timeout_at};
 
 use crate::login::{Challenge, Logins};
@@ -34,24 +35,25 @@ pub(crate) struct Context {
     pub(crate) board: Arc<Switchboard>,
     pub(crate) logins: Arc<Logins>,
     /// What holds for this connection as long as it lasts: it was told so.
-    pub(crate) limits: Limits,
+    pub(crate) limits: Arc<Limits>,
     /// What holds for the next one.
-    pub(crate) next_limits: Arc<RwLock<Limits>>,
+    pub(crate) next_limits: Arc<RwLock<Arc<Limits>>>,
 }
 
 impl Context {
     pub(crate) fn new(board: Switchboard, logins: Logins, limits: Limits) -> Context {
+        let limits = Arc::new(limits);
         Context {
             board: Arc::new(board),
             logins: Arc::new(logins),
-            next_limits: Arc::new(RwLock::new(limits.clone())),
+            next_limits: Arc::new(RwLock::new(Arc::clone(&limits))),
             limits,
         }
     }
 
     /// For a new connection.
     pub(crate) fn fresh(&self) -> Context {
-        let limits = self.next_limits.read().clone();
+        let limits = Arc::clone(&self.next_limits.read());
         Context {
             limits,
             ..self.clone()
@@ -71,11 +73,13 @@ struct Session {
     failures: u32,
     /// When the last whole frame was here.
     heard_at: Instant,
-    pings: Arc<Pings>,
+    /// When to look next whether the peer is there.
+    beat_at: Instant,
+    pings: Pings,
     /// What its pongs say of its clock.
     measure: Measure,
     /// What a key has to answer.
-    challenge: Option<Challenge>,
+    challenge: Option<Box<Challenge>>,
     /// When the proof of who it is will be over, none if it lasts.
     proven_until: Option<Micros>,
     requests: requests::Requests,
@@ -99,6 +103,7 @@ pub(crate) async fn serve(
     ));
     context.board.witness.audit.arrived(peer, from);
     context.board.add_outbox(&outbox);
+    let beat = Duration::from_millis(context.limits.heartbeat);
     let mut session = Session {
         context,
         peer,
@@ -107,41 +112,43 @@ pub(crate) async fn serve(
         logged_in: false,
         failures: 0,
         heard_at: Instant::now(),
-        pings: Arc::default(),
+        beat_at: Instant::now() + beat,
+        pings: Pings::default(),
         measure: Measure::default(),
         challenge: None,
         proven_until: None,
         requests: requests::Requests::default(),
         ended: false,
     };
-    let mut writer = tokio::spawn({
+    let writer = tokio::spawn({
         let outbox = Arc::clone(&session.outbox);
         async move { outbox.run().await }
     });
-    let heartbeat = tokio::spawn(beat(
-        session.context.clone(),
-        Arc::clone(&session.outbox),
-        Arc::clone(&session.pings),
-    ));
     let error = session.read(&mut reader, login_by).await;
-    heartbeat.abort();
     session.end(error);
-    // The error gets a second to go out, and when the broker stops all that waits gets its time; a link that does
-    // not take it is cut.
-    let patience = if session.context.board.is_stopping() {
-        crate::broker::DRAIN
-    } else {
-        FAREWELL
-    };
-    if timeout(patience, &mut writer).await.is_err() {
-        tracing::debug!(peer = peer.0, "what waited for it was not taken in time");
-        writer.abort();
-    } else if timeout(FAREWELL, reader.drain()).await.is_err() {
-        // What the peer still said was read and thrown away so long: closing with unread bytes would have reset
-        // the link, and the error with it.
-        tracing::debug!(peer = peer.0, "not closed from the other side in time");
+    Box::pin(session.part(reader, writer)).await;
+}
+
+impl Session {
+    /// Gives the last words their time.
+    async fn part(self, mut reader: Reader, mut writer: JoinHandle<()>) {
+        // The error gets a second to go out, and when the broker stops all that waits gets its time; a link that does
+        // not take it is cut.
+        let patience = if self.context.board.is_stopping() {
+            crate::broker::DRAIN
+        } else {
+            FAREWELL
+        };
+        if timeout(patience, &mut writer).await.is_err() {
+            tracing::debug!(peer = self.peer.0, "what waited for it was not taken in time");
+            writer.abort();
+        } else if timeout(FAREWELL, reader.drain()).await.is_err() {
+            // What the peer still said was read and thrown away so long: closing with unread bytes would have reset
+            // the link, and the error with it.
+            tracing::debug!(peer = self.peer.0, "not closed from the other side in time");
+        }
+        self.context.board.remove_outbox(&self.outbox);
     }
-    session.context.board.remove_outbox(&session.outbox);
 }
 
 /// However a session ends, cut off or by a fault of its own, its peer must not stay behind as the owner of
@@ -151,28 +158,6 @@ impl Drop for Session {
         if !self.ended {
             self.end(None);
             self.context.board.remove_outbox(&self.outbox);
-        }
-    }
-}
-
-/// Asks a peer that says or hears nothing else whether it is there, and one that stamps its answers for its clock.
-async fn beat(context: Context, outbox: Arc<Outbox>, pings: Arc<Pings>) {
-    let every = Duration::from_millis(context.limits.heartbeat);
-    loop {
-        tokio::time::sleep(every).await;
-        if outbox.is_closed() {
-            return;
-        }
-        let quiet = !outbox.active.swap(false, Ordering::Relaxed);
-        // A peer that only listens has to be asked too, or it would be taken for gone.
-        let silent = !outbox.heard.swap(false, Ordering::Relaxed);
-        if quiet || silent || pings.are_stamped() {
-            let mut touched = Touched::new();
-            let ping = pings.next(&context.board.clock);
-            context.board.tell(outbox.peer, ping, &mut touched);
-            flush(&mut touched);
-            // A ping alone is not activity, or the next one would wait twice as long.
-            outbox.active.store(false, Ordering::Relaxed);
         }
     }
 }
@@ -192,22 +177,41 @@ impl Session {
             } else {
                 login_by
             };
+            let wake = deadline.min(self.beat_at);
             let arrived = tokio::select! {
                 biased;
                 () = outbox.end.notified() => return outbox.closing().and_then(|closing| closing.error),
                 () = self.proof_over() => return Some(login::proof_over()),
-                arrived = timeout_at(deadline, reader.arrive()) => arrived,
+                arrived = timeout_at(wake, reader.arrive()) => arrived,
             };
             match arrived {
                 Ok(Ok(true)) => {}
                 Ok(Ok(false)) => return None,
                 Ok(Err(error)) => return self.failed(error),
+                Err(_) if Instant::now() < deadline => self.beat(),
                 Err(_) if self.logged_in => return Some(silent(gone)),
                 Err(_) => return Some(login_timeout(self.context.limits.login_time)),
             }
             if let Err(end) = self.take_turn(reader).await {
                 return end;
             }
+        }
+    }
+
+    /// Asks a peer that says or hears nothing else whether it is there, and one that stamps its answers for its
+    /// clock.
+    fn beat(&mut self) {
+        self.beat_at = Instant::now() + Duration::from_millis(self.context.limits.heartbeat);
+        let quiet = !self.outbox.active.swap(false, Ordering::Relaxed);
+        // A peer that only listens has to be asked too, or it would be taken for gone.
+        let silent = !self.outbox.heard.swap(false, Ordering::Relaxed);
+        if quiet || silent || self.pings.are_stamped() {
+            let mut touched = Touched::new();
+            let ping = self.pings.next(&self.context.board.clock);
+            self.context.board.tell(self.peer, ping, &mut touched);
+            flush(&mut touched);
+            // A ping alone is not activity, or the next one would wait twice as long.
+            self.outbox.active.store(false, Ordering::Relaxed);
         }
     }
 
@@ -226,8 +230,12 @@ impl Session {
                     Ok(Some(frame)) => frame,
                     Err(error) => break Err(self.failed(error)),
                 };
-                if let Err(error) = self.handle(reader, frame, &mut touched).await {
-                    break Err(Some(error));
+                if let Some(login) = self.handle(frame, &mut touched) {
+                    // Apart, for it is rare and needs more memory than all the rest of a connection.
+                    let login = Box::pin(self.login(reader, &login, &mut touched));
+                    if let Err(error) = login.await {
+                        break Err(Some(error));
+                    }
                 }
             }
             handled += 1;
@@ -261,17 +269,12 @@ impl Session {
         }
     }
 
-    /// Handles one frame. An error closes the connection.
-    async fn handle(
-        &mut self,
-        reader: &mut Reader,
-        frame: Frame,
-        touched: &mut Touched,
-    ) -> Result<(), WireError> {
+    /// Handles one frame; gives a login back, which takes its time.
+    fn handle(&mut self, frame: Frame, touched: &mut Touched) -> Option<Box<Parcel>> {
         let parcel = match frame {
             Frame::Malformed { reference, error } => {
                 self.refuse(&error, reference, touched);
-                return Ok(());
+                return None;
             }
             Frame::Parcel(parcel) => parcel,
         };
@@ -283,18 +286,14 @@ impl Session {
                 if let Err(error) = sent {
                     self.refuse(&error, reference, touched);
                 }
-                Ok(())
             }
-            Family::Time => {
-                self.time(&parcel, touched);
-                Ok(())
-            }
-            Family::Login if login::concerns(&parcel) => self.login(reader, &parcel, touched).await,
+            Family::Time => self.time(&parcel, touched),
+            Family::Login if login::concerns(&parcel) => return Some(parcel),
             _ if self.logged_in => {
                 let now = self.context.board.clock.now();
                 if let Err(error) = self.requests.take(&parcel, self.context.limits.requests, now) {
                     self.refuse(&error, parcel.id, touched);
-                    return Ok(());
+                    return None;
                 }
                 self.context.board.decide(
                     Input::Request {
@@ -305,14 +304,13 @@ impl Session {
                     },
                     touched,
                 );
-                Ok(())
             }
             _ => {
                 let text = "log in first: family login, name login, content {name, password}";
                 self.refuse(&WireError::new(Code::NOT_LOGGED_IN, text), parcel.id, touched);
-                Ok(())
             }
         }
+        None
     }
 
     fn time(&mut self, parcel: &Parcel, touched: &mut Touched) {
@@ -386,4 +384,27 @@ pub(crate) fn login_timeout(millis: u64) -> WireError {
         Code::LOGIN_TIMEOUT,
         format!("no login within {} s", millis / 1000),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What `call` would give, unpolled: only its size is asked for.
+    fn size_of_future<A, B, C, D, F: Future>(_: &impl Fn(A, B, C, D) -> F) -> usize {
+        size_of::<F>()
+    }
+
+    /// Ten thousand idle peers cost what their tasks keep: what is rare is boxed while it lasts (docs/performance.md).
+    #[test]
+    fn an_idle_connection_is_small() {
+        let connection = |context: Context, stream, from, place| context.take_in(stream, from, place);
+        let writer = |outbox: &'static Outbox, (), (), ()| outbox.run();
+        let all = [
+            size_of_future(&connection),
+            size_of_future(&writer),
+            size_of::<Outbox>(),
+        ];
+        assert!(all.iter().sum::<usize>() <= 2304, "{all:?}");
+    }
 }

@@ -14,6 +14,7 @@ use mom_proto::{Code, ContextNumber, Delivery, Family, Map, Parcel, Path, Value,
 use crate::channel::{Channel, Delivered, control, hub_origin, stamped};
 use crate::clock::Clock;
 use crate::encodings::{Bounds, Encodings};
+use crate::gather::{self, Gatherer};
 use crate::outbox::{Outbox, Packet, Taken};
 use crate::store::Store;
 use crate::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -41,6 +42,7 @@ pub(crate) struct Switchboard {
     /// None where nothing outlives the broker; the hub knows, and stores nothing.
     pub(crate) store: Option<Store>,
     pub(crate) outboxes: DashMap<PeerId, Arc<Outbox>>,
+    gatherer: Gatherer,
     last_peer: AtomicU64,
     /// The hub's deadline may have come closer.
     pub(crate) deadline_changed: Notify,
@@ -70,12 +72,16 @@ impl Switchboard {
             bounds,
             store,
             outboxes: DashMap::new(),
+            gatherer: Gatherer::default(),
             last_peer: AtomicU64::new(0),
             deadline_changed: Notify::new(),
             empty: Notify::new(),
             stopping: AtomicBool::new(false),
         };
-        routes.into_iter().for_each(|route| board.swap_route(route));
+        for route in routes {
+            // Nobody is there yet.
+            let _ = board.swap_route(route);
+        }
         board
     }
 
@@ -185,6 +191,7 @@ impl Switchboard {
         if stamped.delivery.unwrap_or(inner.route.delivery) != Delivery::Reliable {
             return false;
         }
+        let place = inner.route.position(peer);
         let alike = Alike::new(&inner.route, peer, &stamped.name, &ingress);
         let room = (reader.waiting() * 3 / 2).min(RUN) + 256;
         let mut run: Option<Run> = None;
@@ -197,13 +204,14 @@ impl Switchboard {
                 break;
             };
             run.push(&plain, age);
+            inner.note_sent(place, plain.content_length(), stamped.age_error.map(|_| age));
             let length = plain.length();
             reader.consume(length);
         }
         let Some(run) = run.filter(|run| run.count() > 0) else {
             return false;
         };
-        let delivered = inner.deliver_run(peer, run, &stamped, &receivers);
+        let delivered = inner.deliver_run(peer, run, &stamped, &receivers, ingress.now);
         let path = inner.route.path.clone();
         drop(inner);
         self.settle(peer, None, &path, delivered, touched);
@@ -304,7 +312,8 @@ impl Switchboard {
         let drops = outbox.take_drops();
         for ((context, sender, reason), count) in drops {
             let channel = self.channels.get(&context).map(|channel| Arc::clone(&channel));
-            let Some(path) = channel.map(|channel| channel.lock().route.path.clone()) else {
+            let noted = channel.map(|channel| channel.lock().note_dropped(outbox.peer, reason, count));
+            let Some(path) = noted else {
                 continue;
             };
             let content = Map::new()
@@ -339,20 +348,25 @@ impl Switchboard {
             (None, Some(number)) => number,
             (None, None) => return None,
         };
+        self.channel(number)
+    }
+
+    pub(crate) fn channel(&self, number: ContextNumber) -> Option<Arc<Channel>> {
         self.channels.get(&number).map(|channel| Arc::clone(&channel))
     }
 
-    fn swap_route(&self, route: Arc<mom_hub::Route>) {
+    fn swap_route(&self, route: Arc<mom_hub::Route>) -> Touched {
         let number = route.number;
         let known = self.channels.get(&number).map(|channel| Arc::clone(&channel));
         match known {
-            Some(channel) => channel.swap(route, |peer| self.outbox(peer)),
+            Some(channel) => channel.swap(route, &self.clock, |peer| self.outbox(peer)),
             None => {
                 self.by_path.insert(route.path.clone(), number);
                 self.channels.insert(
                     number,
                     Arc::new(Channel::new(route, self.bounds, |peer| self.outbox(peer))),
                 );
+                Touched::new()
             }
         }
     }
@@ -370,10 +384,16 @@ impl Switchboard {
     fn carry_out(&self, effects: Vec<Effect>, touched: &mut Touched) {
         for effect in effects {
             match effect {
-                Effect::Route(route) => self.swap_route(route),
+                Effect::Route(route) => touched.extend(self.swap_route(route)),
                 Effect::RouteGone(number) => self.drop_route(number),
                 Effect::Deliver { to, parcel } => self.push_to_all(&to, &parcel, touched),
                 Effect::Reply { to, parcel } => self.push_to_all(&[to], &parcel, touched),
+                Effect::Stats {
+                    to,
+                    parcel,
+                    channels,
+                    peers,
+                } => self.push_stats(to, &parcel, &channels, peers, touched),
                 Effect::Send {
                     from,
                     parcel,
@@ -432,7 +452,11 @@ impl Switchboard {
         delivered: Delivered,
         touched: &mut Touched,
     ) {
-        touched.extend(delivered.touched);
+        if delivered.lively && delivered.touched.len() >= gather::RECEIVERS {
+            self.gatherer.defer(delivered.touched);
+        } else {
+            touched.extend(delivered.touched);
+        }
         for outbox in delivered.too_slow {
             let text = "what waited for this peer reached its limit and may not be dropped";
             tracing::info!(peer = outbox.peer.0, context = %path, "slow receiver closed");
@@ -454,7 +478,7 @@ impl Switchboard {
         }
     }
 
-    fn push_to_all(&self, to: &[PeerId], parcel: &Arc<Parcel>, touched: &mut Touched) {
+    pub(crate) fn push_to_all(&self, to: &[PeerId], parcel: &Arc<Parcel>, touched: &mut Touched) {
         let outboxes: Vec<Arc<Outbox>> = to.iter().filter_map(|peer| self.outbox(*peer)).collect();
         let forms = outboxes.iter().map(|outbox| outbox.form());
         match Encodings::new((**parcel).clone(), forms) {

@@ -14,7 +14,7 @@ use crate::proof::{Credentials, is_challenge};
 use crate::shared::{Shared, verb};
 use crate::{
     Builder, Channel, ClientError, Consults, ContextInfo, Events, HubClock, Link, Member, Proof, Session,
-    Token,
+    Stats, Token,
 };
 
 /// How long a good-bye may take.
@@ -166,6 +166,15 @@ impl Client {
             &self.ask(Family::Context, "members", path, None).await?,
             "members",
         )
+    }
+
+    /// What a channel has counted, with the figures of each member, or the channels of a session that this peer may ask
+    /// about.
+    ///
+    /// # Errors
+    /// `Refused` with `unknown-path`, `wrong-kind` (a token) or `denied`.
+    pub async fn stats(&self, path: &str) -> Result<Stats, ClientError> {
+        Stats::from_reply(&self.ask(Family::Context, "stats", path, None).await?)
     }
 
     /// Makes a context (M24); joins the session around it for as long as that takes. `spec` holds `kind`

@@ -8,7 +8,7 @@ use mom_proto::{Family, MAX_ID, Map, Parcel, Path, Value};
 
 use crate::info::{level, map_of, millis_of, name_list, number, owned, text};
 use crate::subscribe::Queue;
-use crate::{Client, ClientError, Event};
+use crate::{Age, Client, ClientError, Event};
 
 /// The questions of the hub, from [`Client::consults`] on. They keep the connection alive.
 ///
@@ -59,6 +59,8 @@ pub struct Consult {
     pub message: Option<String>,
     /// The bytes of its content, if it is a send.
     pub size: Option<u64>,
+    /// How old the message was when the hub took it in, where that is known.
+    pub age: Option<Age>,
     /// The kind of the context, or of the one to be made.
     pub kind: Option<String>,
     /// How long the hub waits for an answer, from the question on.
@@ -127,6 +129,7 @@ impl Consult {
             groups: name_list(&map, "groups"),
             message: owned(&map, "message"),
             size: number(&map, "size"),
+            age: age(&map),
             kind: owned(&map, "kind"),
             within: millis_of(&map, "within").unwrap_or_default(),
             rule: owned(&map, "rule"),
@@ -191,4 +194,12 @@ impl fmt::Debug for Consult {
             .field("peer", &self.peer)
             .finish_non_exhaustive()
     }
+}
+
+/// The age of a message and its error, where the hub tells them.
+fn age(map: &Map) -> Option<Age> {
+    Some(Age {
+        micros: map.get("age").and_then(Value::as_int)?,
+        error_micros: number(map, "age-error"),
+    })
 }

@@ -118,7 +118,11 @@ pub(crate) fn level(map: &Map, key: &str) -> Option<i32> {
         .and_then(|number| i32::try_from(number).ok())
 }
 
-fn read_list<T>(reply: &Parcel, key: &str, read: impl Fn(&Map) -> Option<T>) -> Result<Vec<T>, ClientError> {
+pub(crate) fn read_list<T>(
+    reply: &Parcel,
+    key: &str,
+    read: impl Fn(&Map) -> Option<T>,
+) -> Result<Vec<T>, ClientError> {
     let map = map_of(reply);
     let list = map
         .get(key)

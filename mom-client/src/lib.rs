@@ -62,6 +62,7 @@ mod refusal;
 mod session;
 mod shared;
 mod state_gate;
+mod stats;
 mod subscribe;
 mod token;
 mod token_info;
@@ -86,8 +87,8 @@ pub use key::Key;
 pub use message::{Message, Receipt};
 pub use mom_net::Address;
 pub use mom_proto::{
-    Code, Content, ContextKind, Delivery, Family, Map, MessageRate, Parcel, Path, Thinning, Time, Value,
-    WireError, event, from_value, to_value,
+    Code, Content, ContextKind, Delivery, Family, HISTORY, Map, MessageRate, Parcel, Path, Thinning, Time,
+    Value, WireError, event, from_value, to_value,
 };
 pub use predict::{Model, Prediction, Predictor};
 pub use proof::Proof;
@@ -95,6 +96,7 @@ pub use reconnect::{Link, Reconnect};
 pub use refusal::{Refusal, ordinal, plain_duration};
 pub use session::Session;
 pub use state_gate::{BASED_ON, StateGate};
+pub use stats::{AgeStats, ChannelStats, Counts, PeerStats, Stats};
 pub use subscribe::Events;
 pub use token::Token;
 pub use token_info::{Asking, Delegated, Offered, Reserved, TokenInfo, Waiting};

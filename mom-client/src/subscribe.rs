@@ -14,7 +14,7 @@ use crate::shared::Shared;
 /// What may wait for one subscriber, in bytes of content; one event always may.
 const MOST_BYTES: usize = 64 * 1024 * 1024;
 /// Events kept from a join on for a subscriber that has not asked yet.
-const EARLY: usize = 64;
+const EARLY: usize = 1024;
 
 /// The events of one context, or of all that no other subscription takes.
 ///

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use mom_managers::{Answer, Denial, Micros, PeerFacts, Rate};
 use mom_proto::nearest::nearest;
-use mom_proto::{Code, Family, Parcel, Time, Verb, WireError, event};
+use mom_proto::{Code, Family, HISTORY, Parcel, Time, Verb, WireError, event};
 
 use crate::age::{age_of, aged, check_age, is_ahead, is_within};
 use crate::route::{Guard, GuardOwner, Route};
@@ -146,6 +146,8 @@ pub fn admit_with(
     let fence = check_guard(route, member, parcel, now)?;
     let age = check_age(parcel, wall, ingress.clock.as_ref())?;
     let receivers = receivers(route, peer, parcel)?;
+    // The hub's own mark.
+    parcel.extra.remove(HISTORY);
     parcel.sender = Some(member.facts.name.clone());
     parcel.context = Some(route.path.clone());
     parcel.number = Some(route.number);

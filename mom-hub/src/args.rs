@@ -4,7 +4,7 @@ use mom_proto::{Code, Delivery, MessageRate, Parcel, Path, Thinning, Value, Wire
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
-use crate::Presence;
+use crate::{KeepArgs, Presence};
 use mom_managers::{Expiry, Micros};
 
 /// A context to be made: the content of `context create`, or an entry of the configuration file.
@@ -38,6 +38,9 @@ pub struct ContextSpec {
     /// Channels: the delivery class of parcels that name none.
     #[serde(default)]
     pub delivery: Option<String>,
+    /// Channels: what is kept for those who join later; absent = nothing.
+    #[serde(default)]
+    pub keep: Option<KeepArgs>,
     /// Tokens: what is sent when ownership ends; absent = `halt` to every guarded channel.
     #[serde(default)]
     pub safe: Option<SafeArgs>,

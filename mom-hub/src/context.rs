@@ -8,7 +8,7 @@ use mom_proto::{ContextKind, ContextNumber, Delivery, Map, Path, Value};
 use serde::Deserialize;
 
 use crate::token::Token;
-use crate::{Member, PeerId};
+use crate::{Keep, Member, PeerId};
 
 /// Who is told who comes and goes (design §7).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
@@ -65,6 +65,7 @@ pub(crate) enum Role {
 pub(crate) struct Channel {
     pub(crate) guard: Option<GuardSpec>,
     pub(crate) delivery: Delivery,
+    pub(crate) keep: Option<Keep>,
 }
 
 #[derive(Clone, Debug)]

@@ -12,7 +12,7 @@ use crate::args::{self, ContextSpec};
 use crate::context::{Channel, Context, GuardSpec, Presence, Role};
 use crate::hub::Timer;
 use crate::token::{SafeState, Token};
-use crate::{Hub, PeerId};
+use crate::{Hub, KeepArgs, PeerId};
 
 /// Channels that one token may guard: each renewal gives new routes to all of them.
 const GUARDED: usize = 256;
@@ -175,6 +175,7 @@ impl Hub {
         };
         only(spec.guard.is_some(), "guard", ContextKind::Channel)?;
         only(spec.delivery.is_some(), "delivery", ContextKind::Channel)?;
+        only(spec.keep.is_some(), "keep", ContextKind::Channel)?;
         only(spec.safe.is_some(), "safe", ContextKind::Token)?;
         only(spec.lease.is_some(), "lease", ContextKind::Token)?;
         only(spec.expiry.is_some(), "expiry", ContextKind::Token)?;
@@ -185,6 +186,7 @@ impl Hub {
             ContextKind::Channel => Ok(Role::Channel(Channel {
                 guard: self.make_guard(spec)?,
                 delivery: spec.delivery()?,
+                keep: spec.keep.map(KeepArgs::read).transpose()?,
             })),
             ContextKind::Token => make_token(spec, terms).map(|token| Role::Token(Box::new(token))),
         }

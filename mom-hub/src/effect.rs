@@ -29,6 +29,17 @@ pub enum Effect {
         /// What.
         parcel: Arc<Parcel>,
     },
+    /// Answer with the figures of these channels, which the broker has: the control lane.
+    Stats {
+        /// To whom.
+        to: PeerId,
+        /// The answer, to whose content the figures are added.
+        parcel: Arc<Parcel>,
+        /// Of which channels.
+        channels: Vec<ContextNumber>,
+        /// Whether it is one channel, told with the figures of each member.
+        peers: bool,
+    },
     /// Carry a message that was admitted here because no verdict stood for it. Answer its sender if it
     /// asked for a receipt.
     Send {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use mom_managers::Micros;
 use mom_proto::{ContextNumber, Delivery, Path};
 
-use crate::{Member, PeerId};
+use crate::{Keep, Member, PeerId};
 
 /// A channel as it stands: who gets what is sent there, and who may send.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,6 +20,8 @@ pub struct Route {
     pub guard: Option<Guard>,
     /// The delivery class of parcels that name none.
     pub delivery: Delivery,
+    /// What is kept for those who join later; none = nothing.
+    pub keep: Option<Keep>,
 }
 
 /// The guard of a channel: its listed messages need ownership of a token.

@@ -55,7 +55,7 @@ pub use map::Map;
 pub use names::{
     HUB, check_message_name, check_name, check_text, is_xml_char, looks_of, numbered_name, xml_violation,
 };
-pub use parcel::{ContextNumber, MAX_ID, Parcel};
+pub use parcel::{ContextNumber, HISTORY, MAX_ID, Parcel};
 pub use path::Path;
 pub use pattern::Pattern;
 pub use serde_value::{from_value, to_value};

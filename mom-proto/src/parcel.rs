@@ -7,6 +7,9 @@ use crate::{Content, Delivery, Family, Map, Path, Time, Value};
 /// Ids, references and fences are below 2⁵³, so that every language holds them.
 pub const MAX_ID: u64 = (1 << 53) - 1;
 
+/// The slot by which the hub marks what it gives to who joins later; from others it removes it.
+pub const HISTORY: &str = "history";
+
 /// The hub's number of a context: one for the whole hub, from 1, never reused (design §5).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ContextNumber(pub u64);

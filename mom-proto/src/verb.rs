@@ -32,6 +32,8 @@ pub enum Verb {
     Delete,
     /// `context members`.
     Members,
+    /// `context stats`: what a channel, or the channels of a session, have counted.
+    Stats,
     /// `context invite`: tell a peer of a context, and its manager of the invitation.
     Invite,
     /// `context expel`: put a peer out of a context and all below it.
@@ -72,7 +74,7 @@ pub enum Verb {
 
 impl Verb {
     /// All verbs.
-    pub const ALL: [Verb; 29] = [
+    pub const ALL: [Verb; 30] = [
         Verb::Login,
         Verb::Answer,
         Verb::Logout,
@@ -84,6 +86,7 @@ impl Verb {
         Verb::Leave,
         Verb::Delete,
         Verb::Members,
+        Verb::Stats,
         Verb::Invite,
         Verb::Expel,
         Verb::Grab,
@@ -118,6 +121,7 @@ impl Verb {
             Verb::Leave => "leave",
             Verb::Delete => "delete",
             Verb::Members => "members",
+            Verb::Stats => "stats",
             Verb::Invite => "invite",
             Verb::Expel => "expel",
             Verb::Grab => "grab",
@@ -145,7 +149,7 @@ impl Verb {
             Verb::Login | Verb::Answer | Verb::Logout => Family::Login,
             Verb::Create | Verb::Lookup | Verb::List | Verb::Info => Family::Context,
             Verb::Join | Verb::Leave | Verb::Delete | Verb::Members => Family::Context,
-            Verb::Invite | Verb::Expel => Family::Context,
+            Verb::Stats | Verb::Invite | Verb::Expel => Family::Context,
             Verb::Grab | Verb::Release | Verb::Renew => Family::Token,
             Verb::Give | Verb::Accept | Verb::Decline | Verb::Request => Family::Token,
             Verb::Break | Verb::Inhibit | Verb::Uninhibit => Family::Token,

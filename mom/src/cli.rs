@@ -74,6 +74,9 @@ pub(crate) enum Command {
     /// Show the tree of contexts: kinds, members, owners
     #[command(after_help = TREE)]
     Tree(Tree),
+    /// Show what channels have counted: sent, delivered, dropped, ages
+    #[command(after_help = STATS)]
+    Stats(Stats),
     /// Show what happens in contexts, one line per parcel, until Ctrl-C
     #[command(after_help = WATCH)]
     Watch(Watch),
@@ -160,6 +163,26 @@ Examples:
   mom tree
   mom tree /robot
   mom tree --json | jq '.children[].path'";
+
+/// `mom stats`
+#[derive(Args, Debug)]
+pub(crate) struct Stats {
+    /// A channel, for the figures of each member, or a session, for its channels
+    #[arg(default_value = "/")]
+    pub(crate) path: String,
+    /// Again every so many seconds, until Ctrl-C
+    #[arg(long, short, value_name = "SECONDS", num_args = 0..=1, default_missing_value = "2", value_parser = clap::value_parser!(u64).range(1..))]
+    pub(crate) watch: Option<u64>,
+}
+
+const STATS: &str = "\
+Dropped messages are told by reason; ages are those at which the hub took messages in, where it knows the
+sender's clock.
+
+Examples:
+  mom stats
+  mom stats /robot/arm --watch
+  mom stats --json | jq '.channels[] | {path, sent}'";
 
 /// `mom watch`
 #[derive(Args, Debug)]

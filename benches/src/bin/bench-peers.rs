@@ -43,6 +43,9 @@ struct Cli {
     /// Where the raw figures go; docs/benchmarks.json where all is measured and written.
     #[arg(long)]
     raw: Option<PathBuf>,
+    /// Measure nothing: write the tables and plots again from raw figures, those of --against if given.
+    #[arg(long)]
+    again: bool,
     /// Where peers are kept that the system does not have.
     #[arg(long)]
     kept: PathBuf,
@@ -89,6 +92,9 @@ fn run(cli: &Cli) -> Result<()> {
         program(cli.relay.as_deref(), "relay")?,
         &cli.kept,
     )?;
+    if cli.again {
+        return again(&programs, cli);
+    }
     for kind in Kind::ALL {
         match programs.has(kind) {
             false => say(&format!("{} is left out: it is not installed", kind.name())),
@@ -119,6 +125,24 @@ fn run(cli: &Cli) -> Result<()> {
         true => write(&docs, &markdown, &outcomes),
         false => Ok(()),
     }
+}
+
+/// The document anew from figures that are there.
+fn again(programs: &Programs, cli: &Cli) -> Result<()> {
+    let docs = root().join("docs");
+    let figures = docs.join("benchmarks.json");
+    let raw = read(cli.against.as_deref().unwrap_or(&figures))?;
+    let outcomes = table::from_raw(&raw);
+    let counts = outcomes
+        .iter()
+        .flat_map(|outcome| outcome.samples.values().map(Vec::len));
+    let runs = counts.max().unwrap_or_default();
+    let load = raw.get("load-before").and_then(serde_json::Value::as_f64);
+    write(
+        &docs,
+        &table::markdown(&outcomes, programs, runs, load),
+        &outcomes,
+    )
 }
 
 fn rows(cli: &Cli) -> Result<Vec<Row>> {

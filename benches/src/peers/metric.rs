@@ -33,6 +33,21 @@ pub enum Metric {
 pub type Sample = BTreeMap<Metric, f64>;
 
 impl Metric {
+    /// All of them.
+    pub const ALL: [Metric; 11] = [
+        Metric::Rate,
+        Metric::Share,
+        Metric::P50,
+        Metric::P99,
+        Metric::Cpu,
+        Metric::Memory,
+        Metric::Arrived,
+        Metric::Link,
+        Metric::Frames,
+        Metric::Told,
+        Metric::Guarded,
+    ];
+
     /// Its key in the raw results.
     pub fn key(self) -> &'static str {
         match self {
@@ -48,6 +63,11 @@ impl Metric {
             Metric::Told => "frames-told-dropped",
             Metric::Guarded => "guarded-over-bare",
         }
+    }
+
+    /// The one with this key.
+    pub fn from_key(key: &str) -> Option<Metric> {
+        Metric::ALL.into_iter().find(|metric| metric.key() == key)
     }
 
     /// What it is called in tables.
@@ -85,6 +105,7 @@ impl Metric {
         match self {
             Metric::Rate => crate::report::amount(value),
             Metric::Share | Metric::Link | Metric::Guarded => format!("{value:.3}"),
+            Metric::P50 | Metric::P99 if value >= 1e6 => format!("{:.1} s", value / 1e6),
             Metric::P50 | Metric::P99 if value >= 10_000.0 => format!("{:.1} ms", value / 1000.0),
             Metric::P50 | Metric::P99 | Metric::Arrived | Metric::Frames | Metric::Told => {
                 format!("{value:.0}")
@@ -105,7 +126,7 @@ mod tests {
             (Metric::Rate, 1_234_567.0, "1.23 M"),
             (Metric::Share, 0.99951, "1.000"),
             (Metric::P99, 187.4, "187"),
-            (Metric::P99, 17_200_000.0, "17200.0 ms"),
+            (Metric::P99, 17_200_000.0, "17.2 s"),
             (Metric::Cpu, 0.0312, "0.031"),
             (Metric::Memory, 3.96, "4.0"),
         ] {

@@ -112,6 +112,7 @@ impl Effort {
                 load: 1.5,
                 stops: 300,
                 every: Duration::from_millis(100),
+                late: Duration::from_secs(30),
             },
             pairs: 10,
         }

@@ -10,7 +10,7 @@ const WIDTH: f64 = 900.0;
 const TOP: f64 = 60.0;
 const HEIGHT: f64 = 320.0;
 const LEFT: f64 = 70.0;
-const BOTTOM: f64 = 60.0;
+const BOTTOM: f64 = 80.0;
 
 fn colour(kind: Kind) -> &'static str {
     match kind {
@@ -55,32 +55,40 @@ pub fn bars(title: &str, outcomes: &[&Outcome], metric: Metric) -> Option<String
     let mut out = head(title);
     decades.lines(&mut out, metric);
     let group = (WIDTH - LEFT) / groups.len() as f64;
-    let bar = group * 0.85 / hubs.len() as f64;
+    let figures = |outcome: &Outcome| -> Vec<(Kind, f64)> {
+        let with = |kind: &Kind| Some((*kind, outcome.value(*kind, metric)?));
+        hubs.iter()
+            .filter_map(with)
+            .filter(|(_, value)| *value > 0.0)
+            .collect()
+    };
+    let most = groups.iter().map(|outcome| figures(outcome).len()).max();
+    let bar = group * 0.85 / most.unwrap_or(1).max(1) as f64;
     for (number, outcome) in groups.iter().enumerate() {
         let x = LEFT + group * number as f64;
-        for (place, kind) in hubs.iter().enumerate() {
-            if let Some(value) = outcome.value(*kind, metric).filter(|value| *value > 0.0) {
-                let y = decades.y(value);
-                // Writing to a String cannot fail.
-                let _ = writeln!(
-                    out,
-                    "<rect x=\"{:.1}\" y=\"{y:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"{}\"><title>{}: {}</title></rect>",
-                    x + bar * place as f64,
-                    bar * 0.92,
-                    TOP + HEIGHT - y,
-                    colour(*kind),
-                    kind.name(),
-                    metric.show(value)
-                );
-            }
+        for (place, (kind, value)) in figures(outcome).into_iter().enumerate() {
+            let y = decades.y(value);
+            // Writing to a String cannot fail.
+            let _ = writeln!(
+                out,
+                "<rect x=\"{:.1}\" y=\"{y:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"{}\"><title>{}: {}</title></rect>",
+                x + bar * place as f64,
+                bar * 0.92,
+                TOP + HEIGHT - y,
+                colour(kind),
+                kind.name(),
+                metric.show(value)
+            );
         }
-        let _ = writeln!(
-            out,
-            "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
-            x + group * 0.42,
-            TOP + HEIGHT + 18.0,
-            outcome.row.name
-        );
+        // One line for each part of the name, so that neighbours do not meet.
+        for (line, part) in outcome.row.name.split(", ").enumerate() {
+            let _ = writeln!(
+                out,
+                "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{part}</text>",
+                x + group * 0.42,
+                TOP + HEIGHT + 16.0 + 12.0 * line as f64
+            );
+        }
     }
     legend(&mut out, &hubs);
     Some(out + "</svg>\n")
@@ -98,7 +106,7 @@ fn head(title: &str) -> String {
 fn legend(out: &mut String, hubs: &[Kind]) {
     for (place, kind) in hubs.iter().enumerate() {
         let x = LEFT + 95.0 * place as f64;
-        let y = TOP + HEIGHT + 36.0;
+        let y = TOP + HEIGHT + 58.0;
         let _ = writeln!(
             out,
             "<rect x=\"{x}\" y=\"{y}\" width=\"11\" height=\"11\" fill=\"{}\"/><text x=\"{}\" y=\"{}\">{}</text>",
@@ -155,6 +163,7 @@ mod tests {
             row: ROWS[0],
             samples: BTreeMap::from([(Kind::Mom, sample(1e6)), (Kind::Redis, sample(1e5))]),
             failures: BTreeMap::new(),
+            notes: BTreeMap::new(),
         };
         let plot = bars("rates", &[&outcome], Metric::Rate).unwrap();
         assert!(plot.contains("<title>MOM: 1.00 M</title>"), "{plot}");

@@ -22,6 +22,8 @@ pub struct Outcome {
     pub samples: BTreeMap<Kind, Vec<Sample>>,
     /// Why a hub has fewer than all.
     pub failures: BTreeMap<Kind, String>,
+    /// What happened to a hub that has figures all the same.
+    pub notes: BTreeMap<Kind, String>,
 }
 
 impl Outcome {
@@ -85,6 +87,7 @@ pub fn run(
         row: *row,
         samples: BTreeMap::new(),
         failures: BTreeMap::new(),
+        notes: BTreeMap::new(),
     };
     let mut outcomes: Vec<Outcome> = rows.iter().map(outcome).collect();
     for run in 0..effort.runs {
@@ -103,19 +106,27 @@ pub fn run(
                 continue;
             }
             for kind in hubs {
-                outcome.take(kind, sample(&row, kind, programs, effort), &mut progress);
+                let sampled = match row.load {
+                    Load::Stop => stop(kind, programs, effort).map(|(sample, note)| {
+                        outcome.notes.extend(note.map(|note| (kind, note)));
+                        sample
+                    }),
+                    _ => sample(&row, kind, programs, effort),
+                };
+                outcome.take(kind, sampled, &mut progress);
             }
         }
     }
     outcomes
 }
 
+fn stop(kind: Kind, programs: &Programs, effort: &Effort) -> Result<(Sample, Option<String>), Error> {
+    let link = SlowLink::new()?;
+    let hub = programs.start(kind, &link.hub, false)?;
+    effort.stop.run(&hub, &link)
+}
+
 fn sample(row: &Row, kind: Kind, programs: &Programs, effort: &Effort) -> Result<Sample, Error> {
-    if row.load == Load::Stop {
-        let link = SlowLink::new()?;
-        let hub = programs.start(kind, &link.hub, false)?;
-        return effort.stop.run(&hub, &link);
-    }
     let hub = programs.start(kind, &Place::Loopback, row.load == Load::Crowd)?;
     match row.load {
         Load::Stream(receivers) => {
@@ -127,7 +138,7 @@ fn sample(row: &Row, kind: Kind, programs: &Programs, effort: &Effort) -> Result
         Load::Crowd => effort.crowd.run(&hub),
         Load::Idle => idle(&hub, effort.idle.min(kind.most_idle())),
         Load::Guarded => guarded(row, &hub, effort),
-        Load::Stop | Load::PingPong => Err(Error::Unexpected("a load of several hubs".to_owned())),
+        Load::Stop | Load::PingPong => Err(Error::Unexpected("a load that is run elsewhere".to_owned())),
     }
 }
 

@@ -23,6 +23,8 @@ pub struct SaturatedStop {
     pub stops: u32,
     /// From one stop to the next.
     pub every: Duration,
+    /// Stops that have not arrived so long after the last was sent do not.
+    pub late: Duration,
 }
 
 /// Bytes of a stop's payload.
@@ -31,8 +33,8 @@ const STOP: usize = 16;
 const FRAMES: u32 = 1 << 31;
 /// Not measured at first: the queues fill.
 const WARM_UP: Duration = Duration::from_secs(2);
-/// Stops that have not arrived so long after the last was sent do not.
-const LATE: Duration = Duration::from_secs(30);
+/// A hub may hold a sender back for so long.
+const HELD: Duration = Duration::from_secs(30);
 
 struct Shared {
     start: Instant,
@@ -64,12 +66,12 @@ impl Shared {
 }
 
 impl SaturatedStop {
-    /// Runs it between the ends of a slow link. A hub that cuts the subscriber off still has a figure: the stops
-    /// that arrived until then.
+    /// Runs it between the ends of a slow link. A hub that cuts the subscriber off still has a figure, the stops
+    /// that arrived until then, and with it the subscriber's last words.
     ///
     /// # Errors
     /// A hub that refuses at the start.
-    pub fn run(&self, hub: &Hub, link: &SlowLink) -> Result<Sample, Error> {
+    pub fn run(&self, hub: &Hub, link: &SlowLink) -> Result<(Sample, Option<String>), Error> {
         let hears = [Topic::Image, Topic::Stop];
         let subscriber = link.far.within(|| hub.driver.connect(&hears, &[]))??;
         let camera = link.hub.within(|| hub.driver.connect(&[], &[Topic::Image]))??;
@@ -126,7 +128,8 @@ impl SaturatedStop {
             let used = after.saturating_sub(before).as_secs_f64();
             sample.insert(Metric::Cpu, used / (deliveries / 1e6).max(1e-9));
         }
-        Ok(sample)
+        let mut failure = shared.failure.lock().unwrap_or_else(PoisonError::into_inner);
+        Ok((sample, failure.take()))
     }
 
     fn sample(&self, shared: &Shared, bytes: u64, seconds: f64) -> Sample {
@@ -151,8 +154,7 @@ impl SaturatedStop {
     ) -> Result<thread::JoinHandle<()>, Error> {
         let template = template(hub, Topic::Image, self.frame)?;
         let step = Duration::from_secs_f64(self.frame as f64 * 8.0 / (self.load * LINK_RATE));
-        // A hub may hold the camera back for as long as the link needs.
-        let patient = camera.stream.set_write_timeout(Some(LATE));
+        let patient = camera.stream.set_write_timeout(Some(HELD));
         patient.map_err(Error::io("socket options"))?;
         let shared = Arc::clone(shared);
         Ok(thread::spawn(move || {
@@ -192,7 +194,7 @@ impl SaturatedStop {
 
     /// Waits for stops that are still on their way.
     fn settle(&self, shared: &Shared) {
-        let end = Instant::now() + LATE;
+        let end = Instant::now() + self.late;
         while shared.arrived() < self.stops as usize && !shared.has_failed() && Instant::now() < end {
             thread::sleep(Duration::from_millis(10));
         }

@@ -1,12 +1,13 @@
 //! The comparison as tables for a document and as raw figures for a later comparison.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use serde_json::{Map, Value, json};
 
 use super::brokers::{Kind, Programs};
 use super::metric::Metric;
-use super::plan::{Goal, Load, Row, Rule};
+use super::plan::{Goal, Load, ROWS, Row, Rule};
 use super::run::Outcome;
 use crate::machine;
 
@@ -222,6 +223,15 @@ fn failures(outcomes: &[Outcome], programs: &Programs) -> String {
         let _ = writeln!(out, "- {} is not installed here and was left out.", kind.name());
     }
     for outcome in outcomes {
+        for (kind, note) in &outcome.notes {
+            let _ = writeln!(
+                out,
+                "- {}, {}: the subscriber was cut off in a run: {}.",
+                kind.name(),
+                outcome.row.name,
+                note.replace('|', "/")
+            );
+        }
         for (kind, reason) in &outcome.failures {
             let runs = outcome.samples.get(kind).map_or(0, Vec::len);
             let _ = writeln!(
@@ -265,6 +275,34 @@ pub fn raw(outcomes: &[Outcome], programs: &Programs, at: &str, load: Option<f64
     })
 }
 
+/// What [`raw`] wrote, read back; rows, hubs and quantities that are not known any more are left out.
+pub fn from_raw(raw: &Value) -> Vec<Outcome> {
+    let sample = |figures: &Value| {
+        let figures = figures.as_object().into_iter().flatten();
+        figures
+            .filter_map(|(key, value)| Some((Metric::from_key(key)?, value.as_f64()?)))
+            .collect()
+    };
+    let samples = |row: &Row| {
+        let hubs = raw.get("rows").and_then(|rows| rows.get(row.name)?.as_object());
+        let hub = |(name, runs): (&String, &Value)| {
+            Some((
+                Kind::from_name(name)?,
+                runs.as_array()?.iter().map(sample).collect(),
+            ))
+        };
+        hubs.into_iter().flatten().filter_map(hub).collect()
+    };
+    let outcome = |row: &Row| Outcome {
+        row: *row,
+        samples: samples(row),
+        failures: BTreeMap::new(),
+        notes: BTreeMap::new(),
+    };
+    let all = ROWS.iter().map(outcome);
+    all.filter(|outcome| !outcome.samples.is_empty()).collect()
+}
+
 /// Ours beside an earlier run's raw figures: the median of each goal's quantity, and the ratio to ours over the
 /// best peer's then.
 pub fn beside(outcomes: &[Outcome], earlier: &Value) -> String {
@@ -279,6 +317,7 @@ pub fn beside(outcomes: &[Outcome], earlier: &Value) -> String {
             .pointer("/rows")
             .and_then(|rows| rows.get(outcome.row.name)?.get(own.name())?.as_array());
         let mut metrics: Vec<Metric> = outcome.row.goals.iter().map(|goal| goal.metric).collect();
+        metrics.sort_unstable();
         metrics.dedup();
         for metric in metrics {
             let then = runs
@@ -304,10 +343,7 @@ pub fn beside(outcomes: &[Outcome], earlier: &Value) -> String {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
     use super::super::metric::Sample;
-    use super::super::plan::ROWS;
     use super::*;
 
     fn outcome(rates: &[(Kind, f64)]) -> Outcome {
@@ -316,6 +352,7 @@ mod tests {
             row: ROWS[0],
             samples: rates.iter().map(|(kind, rate)| (*kind, sample(*rate))).collect(),
             failures: BTreeMap::new(),
+            notes: BTreeMap::new(),
         }
     }
 
@@ -369,5 +406,20 @@ mod tests {
             table.contains("| 1→1, 16 B, deliveries per second | 2.00 M | 1.00 M | 2.00 |"),
             "{table}"
         );
+        assert_eq!(table.lines().count(), 3, "{table}");
+    }
+
+    #[test]
+    fn raw_figures_are_read_back() {
+        let outcomes = [outcome(&[(Kind::Mom, 2e6), (Kind::Redis, 5e5)])];
+        let figures = |outcomes: &[Outcome]| matrix(outcomes, &[Metric::Rate, Metric::Cpu], |_| true);
+        let mut raw = json!({"rows": {}});
+        for (kind, samples) in &outcomes[0].samples {
+            let rate = samples[0][&Metric::Rate];
+            let cpu = samples[0][&Metric::Cpu];
+            raw["rows"]["1→1, 16 B"][kind.name()] =
+                json!([{"deliveries-per-second": rate, "cpu-s-per-million": cpu, "of-old": 1}]);
+        }
+        assert_eq!(figures(&from_raw(&raw)), figures(&outcomes));
     }
 }

@@ -7,6 +7,7 @@ mod flow;
 mod packet;
 mod queue;
 
+use std::cell::Cell;
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
@@ -59,9 +60,14 @@ pub(crate) struct Outbox {
 /// The writer's part.
 #[derive(Debug, Default)]
 struct Sending {
-    /// What was taken from the queue and is not written yet.
-    batch: VecDeque<Piece>,
+    /// What the link has taken a part of. Boxed, for most of the time there is none.
+    begun: Option<Box<Piece>>,
     flow: Flow,
+}
+
+thread_local! {
+    /// What a writer takes from a queue: used within a turn only, so that idle connections need no memory for it.
+    static BATCH: Cell<VecDeque<Piece>> = const { Cell::new(VecDeque::new()) };
 }
 
 /// How far a flush came.
@@ -105,16 +111,19 @@ impl Outbox {
         self.writer.form()
     }
 
-    /// Puts a parcel in. True the first time since the last [`Outbox::flush`]: then somebody has to call it.
+    /// Puts a packet in. True the first time since the last [`Outbox::flush`], and for what is urgent: then somebody has
+    /// to call it.
     pub(crate) fn push(&self, packet: Arc<Packet>) -> (Taken, bool) {
         let mut queue = self.queue.lock();
         // Under the lock that `close` holds: nothing follows the last word.
         if self.closed.load(Ordering::Acquire) {
             return (Taken::Dropped, false);
         }
+        let urgent = packet.lane > Lane::Data(0);
         let taken = queue.push(packet);
         drop(queue);
-        let first = !self.touched.swap(true, Ordering::SeqCst);
+        // Whoever touched it before may take its time, which nothing urgent has.
+        let first = !self.touched.swap(true, Ordering::SeqCst) || urgent;
         // Pairs with the fence in `flush_batch`: either that flush sees this parcel, or this one gets the lock.
         fence(Ordering::SeqCst);
         (taken, first)
@@ -212,6 +221,11 @@ impl Outbox {
         self.closing.lock().clone()
     }
 
+    /// The bytes that wait.
+    pub(crate) fn queued(&self) -> usize {
+        self.queue.lock().bytes()
+    }
+
     /// What was dropped since the last call; cheap where nothing was.
     pub(crate) fn take_drops(&self) -> Vec<((ContextNumber, PeerId, DropReason), u64)> {
         let mut queue = self.queue.lock();
@@ -291,31 +305,39 @@ impl Outbox {
     }
 
     fn write_all(&self, sending: &mut Sending) -> Result<Flushed, NetError> {
+        let mut batch = BATCH.take();
+        batch.extend(sending.begun.take().map(|piece| *piece));
+        let result = self.write_batches(&mut batch, &mut sending.flow);
+        self.put_back(&mut batch, sending);
+        BATCH.set(batch);
+        result
+    }
+
+    fn write_batches(&self, batch: &mut VecDeque<Piece>, flow: &mut Flow) -> Result<Flushed, NetError> {
         loop {
-            if sending.batch.is_empty() && !self.take_batch(sending) {
+            if batch.is_empty() && !self.take_batch(batch, flow) {
                 return Ok(Flushed::Paced);
             }
-            if sending.batch.is_empty() {
-                sending.flow.rest();
+            if batch.is_empty() {
+                flow.rest();
                 return Ok(Flushed::Done);
             }
             self.active.store(true, Ordering::Relaxed);
-            if !self.write(sending)? {
-                self.put_back(&mut sending.batch);
+            if !self.write(batch, flow)? {
                 return Ok(Flushed::Blocked);
             }
         }
     }
 
     /// Takes what the network has room for; false if something waits and there is no room.
-    fn take_batch(&self, sending: &mut Sending) -> bool {
-        let room = sending.flow.room(|| self.writer.link()).min(BATCH_BYTES);
-        let piece = sending.flow.piece();
+    fn take_batch(&self, batch: &mut VecDeque<Piece>, flow: &mut Flow) -> bool {
+        let room = flow.room(|| self.writer.link()).min(BATCH_BYTES);
+        let piece = flow.piece();
         let now = self.clock.now();
         let mut queue = self.queue.lock();
         queue.take_turns(now);
         let mut bytes = 0;
-        while sending.batch.len() < BATCH_PIECES {
+        while batch.len() < BATCH_PIECES {
             let next = match room.checked_sub(bytes) {
                 // Pieces rather a little too large than very small ones.
                 Some(left) if left > 0 => queue.pop(now, piece.min(left.max(piece / 2))),
@@ -323,14 +345,13 @@ impl Outbox {
             };
             let Some(next) = next else { break };
             bytes += next.length();
-            sending.batch.push_back(next);
+            batch.push_back(next);
         }
-        !sending.batch.is_empty() || queue.is_empty()
+        !batch.is_empty() || queue.is_empty()
     }
 
     /// Writes from the front of the batch; false if the link takes nothing now.
-    fn write(&self, sending: &mut Sending) -> Result<bool, NetError> {
-        let Sending { batch, flow } = sending;
+    fn write(&self, batch: &mut VecDeque<Piece>, flow: &mut Flow) -> Result<bool, NetError> {
         let Some(form) = self.writer.form() else {
             return self.pass(batch);
         };
@@ -370,13 +391,16 @@ impl Outbox {
 
     /// Only what the link has begun to take stays out of the queue: the rest may be overtaken, replaced, or
     /// lose its owner before the link takes more.
-    fn put_back(&self, batch: &mut VecDeque<Piece>) {
-        let begun = usize::from(batch.front().is_some_and(|piece| piece.done > 0));
+    fn put_back(&self, batch: &mut VecDeque<Piece>, sending: &mut Sending) {
+        let Some(first) = batch.front() else {
+            return;
+        };
+        if first.done > 0 {
+            sending.begun = batch.pop_front().map(Box::new);
+        }
         let mut queue = self.queue.lock();
-        while batch.len() > begun {
-            if let Some(piece) = batch.pop_back() {
-                queue.put_back(piece);
-            }
+        while let Some(piece) = batch.pop_back() {
+            queue.put_back(piece);
         }
     }
 

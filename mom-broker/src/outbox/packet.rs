@@ -10,6 +10,7 @@ use mom_proto::codec::{Encoded, Form};
 use mom_proto::{ContextNumber, Delivery, Parcel};
 
 use crate::encodings::Encodings;
+use crate::gather;
 use crate::sync::atomic::{AtomicU64, Ordering};
 
 /// The fence that lets guarded parcels of a channel pass now; 0 while nobody owns the token.
@@ -104,6 +105,13 @@ impl Packet {
             .as_ref()
             .is_some_and(closed)
             .then_some(DropReason::Fence)
+    }
+
+    /// Whether it may leave a moment later if that saves work: small, and no more urgent than usual.
+    pub(crate) fn can_wait(&self) -> bool {
+        let small = |form| self.length(form) <= gather::SMALL;
+        matches!(self.lane, Lane::Data(..=0))
+            && [Some(Form::Binary), Some(Form::Xml), None].into_iter().all(small)
     }
 
     /// The frames for a receiver of this form, none inside this process.

@@ -133,6 +133,11 @@ impl Queue {
         !self.drops.is_empty()
     }
 
+    /// The bytes of messages, replies and events that wait.
+    pub(crate) fn bytes(&self) -> usize {
+        self.data_bytes + self.control_bytes
+    }
+
     /// The bytes of messages that wait.
     #[cfg(test)]
     pub(crate) fn data_bytes(&self) -> usize {

@@ -15,6 +15,12 @@ pub(super) fn context() -> Value {
         "name": text("The message's name."),
         "content": { "description": "The message's content." },
     });
+    let keep = json!({
+        "latest": with_default(flag("Only the newest of each sender and name, as long as its sender is there."), false),
+        "parcels": { "description": "At most so many; absent = 1000.", "type": "integer", "minimum": 1, "maximum": 10_000 },
+        "bytes": { "description": "At most so many bytes; absent = 1 MiB.", "type": "integer", "minimum": 1, "maximum": 16 << 20 },
+        "age": millis("Nothing that came longer ago, in ms; absent = however long ago."),
+    });
     let properties = json!({
         "path": text("Where it is, such as /robot/arm."),
         "kind": words("What it is.", &ContextKind::ALL.map(ContextKind::word)),
@@ -26,6 +32,7 @@ pub(super) fn context() -> Value {
             words("Channels: the delivery class of parcels that name none.", &Delivery::ALL.map(Delivery::word)),
             Delivery::default().word()
         ),
+        "keep": table("Channels: what those who join later are given; absent = nothing.", &keep, &[]),
         "safe": table("Tokens: what is sent when ownership ends; absent = halt to every guarded channel.", &safe, &["channel", "name"]),
         "lease": millis("Tokens: how long ownership lasts without renewal, in ms; absent = as the manager says."),
         "expiry": words("Tokens: at the end of the lease lost at once (eager), or at the next grab (lazy); absent = as the manager says.", &["lazy", "eager"]),

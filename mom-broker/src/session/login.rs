@@ -37,7 +37,9 @@ impl Session {
         // Whatever comes now, the last challenge is over.
         let challenge = self.challenge.take();
         let step = if parcel.name() == Verb::Answer.word() {
-            logins.answer(parcel, challenge, self.from).map(Step::Granted)
+            logins
+                .answer(parcel, challenge.map(|challenge| *challenge), self.from)
+                .map(Step::Granted)
         } else {
             logins.check(parcel, self.from).await
         };
@@ -55,7 +57,7 @@ impl Session {
     /// Waits until the proof of who the peer is, if it is one for a time, is over.
     pub(super) async fn proof_over(&self) {
         match self.proven_until {
-            Some(until) => self.context.board.clock.reach(until).await,
+            Some(until) => Box::pin(self.context.board.clock.reach(until)).await,
             None => std::future::pending().await,
         }
     }
@@ -72,7 +74,7 @@ impl Session {
             .content(challenge.content());
         reply.reference = reference;
         self.context.board.tell(self.peer, reply, touched);
-        self.challenge = Some(challenge);
+        self.challenge = Some(Box::new(challenge));
     }
 
     fn admit(

@@ -182,28 +182,28 @@ fn explain_shows_all_that_can_be_asked() {
         (
             "alice",
             "/robot/arm",
-            "lookup info join members command * stop unstop",
+            "lookup info join members stats command * stop unstop",
         ),
         (
             "arm",
             "/robot/arm",
-            "lookup info join members command state status *",
+            "lookup info join members stats command state status *",
         ),
         (
             "carol",
             "/robot/arm",
-            "lookup info join members invite expel command * stop unstop",
+            "lookup info join members stats invite expel command * stop unstop",
         ),
         (
             "bob",
             "/robot/token",
-            "lookup info join members grab renew give accept request",
+            "lookup info join members stats grab renew give accept request",
         ),
-        ("camera", "/robot", "lookup info join members list"),
+        ("camera", "/robot", "lookup info join members stats list"),
         (
             "carol",
             "/robot",
-            "lookup info join members invite expel list create",
+            "lookup info join members stats invite expel list create",
         ),
         ("carol", "/new", "create"),
     ] {

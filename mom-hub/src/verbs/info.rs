@@ -36,6 +36,9 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
             if let Some(member) = context.members.get(&request.peer) {
                 member.thinning.describe(&mut info);
             }
+            if let Some(keep) = channel.keep {
+                info.set("keep", keep.to_map());
+            }
             if let Some(guard) = &channel.guard {
                 info.set("guard", guard.describe(Map::new()));
             }

@@ -42,6 +42,9 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
             if let Some(member) = context.members.get(&request.peer) {
                 member.thinning.describe(&mut content);
             }
+            if let Some(keep) = channel.keep {
+                content.set("keep", keep.to_map());
+            }
             if let Some(guard) = &channel.guard {
                 // The owner and fence now: who joins late has to know them to check what comes (M33).
                 let token = hub.tree.find(&guard.token).and_then(|context| context.token());

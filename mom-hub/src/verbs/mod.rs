@@ -17,6 +17,7 @@ mod renew;
 mod request;
 mod send;
 mod shared;
+mod stats;
 mod verdict;
 
 use mom_managers::Answer;
@@ -54,6 +55,7 @@ pub(crate) fn carry_out(hub: &mut Hub, request: &mut Request, out: &mut Vec<Effe
         Verb::Leave => leave::on(hub, request, out),
         Verb::Delete => delete::on(hub, request, out),
         Verb::Members => members::on(hub, request, out),
+        Verb::Stats => stats::on(hub, request, out),
         Verb::Invite => invite::on_invite(hub, request, out),
         Verb::Expel => invite::on_expel(hub, request, out),
         Verb::Grab => grab::on(hub, request, out),

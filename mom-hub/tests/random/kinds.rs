@@ -159,7 +159,8 @@ impl Manager for Counted {
                 scope: Scope::AnyName,
                 until: Some(question.now + 1_000_000),
                 rate: Some(RATE),
-                max_age: None,
+                // It allows older ones too, but wants to be asked.
+                max_age: Some(500_000),
             },
             ..Verdict::allow()
         }

@@ -221,7 +221,7 @@ fn roles(variant: usize) -> Value {
         let verbs: Vec<Value> = verbs.iter().map(|verb| Value::from(*verb)).collect();
         Map::new().with("name", name).with("allow", verbs)
     };
-    let looks: &[&str] = &["join", "lookup", "list", "info", "members", "stop"];
+    let looks: &[&str] = &["join", "lookup", "list", "info", "members", "stats", "stop"];
     let acts: &[&str] = &[
         "send", "grab", "renew", "give", "accept", "request", "inhibit", "invite",
     ];

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use mom_hub::{Effect, Input, PeerId, Route, User};
-use mom_proto::{Family, Map, Parcel, Path, Value};
+use mom_hub::{Effect, Input, PeerClock, PeerId, Route, User};
+use mom_proto::{ClockOffset, Family, Map, Parcel, Path, Time, Value};
 
 use crate::lab::{ADMIN, EPOCH, configuration, user};
 use crate::steps::{Act, Message, SEATS, Step, Who};
@@ -91,15 +91,32 @@ impl Log {
             parcel.context = Some(path);
             parcel.name = name.map_or(parcel.name, Arc::from);
         }
-        if matches!(step.act, Act::Send(_)) {
-            self.said = Some((peer, parcel.clone()));
-        }
-        let parcel = Box::new(parcel.id(self.id));
-        Input::Request {
-            peer,
-            parcel,
-            clock: None,
-        }
+        let said = matches!(step.act, Act::Send(_)).then(|| parcel.clone());
+        self.said = said.map(|parcel| (peer, parcel)).or(self.said.take());
+        let mut parcel = Box::new(parcel.id(self.id));
+        let clock = self.clock(&mut parcel);
+        Input::Request { peer, parcel, clock }
+    }
+
+    /// Stamps a message by a clock that is wrong, and known or not; every so often it is too old, or of the future.
+    fn clock(&self, parcel: &mut Parcel) -> Option<PeerClock> {
+        let known = parcel.family == Family::Message && !self.id.is_multiple_of(3);
+        let second = 1_000_000;
+        let id = i64::try_from(self.id).unwrap();
+        let micros = (id % 7 - 3) * 3600 * second;
+        let old = match id % 32 {
+            5 => -5 * second,
+            11 => 5 * second,
+            20..=23 => second * 3 / 4,
+            _ => 1000,
+        };
+        let now = i64::try_from(self.now).unwrap();
+        parcel.timestamp = Time::from_micros(now + micros - old);
+        parcel.expires = (id % 2 == 1).then_some(1000);
+        known.then_some(PeerClock {
+            offset: ClockOffset { micros, error: 500 },
+            future: 1_000_000,
+        })
     }
 
     /// The peer whose answer it is, where it is the right one.

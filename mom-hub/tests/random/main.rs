@@ -170,6 +170,8 @@ const REACHED: &[&str] = &[
     "invited",
     "expelled",
     "consult",
+    "expired",
+    "bad-slot",
     "lapsed timed-out",
     "lapsed declined",
     "lapsed withdrawn",

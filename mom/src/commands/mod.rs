@@ -18,6 +18,7 @@ mod request;
 mod run;
 mod send;
 mod snap;
+mod stats;
 mod token;
 mod tree;
 mod watch;
@@ -32,6 +33,7 @@ pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     match &cli.command {
         Command::Lab(args) => lab::run(args, output).await,
         Command::Tree(args) => tree::run(args, global, output).await,
+        Command::Stats(args) => stats::run(args, global, output).await,
         Command::Watch(args) => watch::run(args, global, output).await,
         Command::Send(args) => send::run(args, global, output).await,
         Command::Grab(args) => grab::run(args, global, output).await,

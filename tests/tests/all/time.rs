@@ -8,7 +8,7 @@ use mom_client::{Client, Event, HubClock};
 use mom_proto::codec::Form;
 use mom_proto::{Code, Family, Map, Parcel, Time, Value};
 use mom_tests::lab;
-use mom_tests::raw::{PATIENCE, Raw, message};
+use mom_tests::raw::{PATIENCE, Raw, at, message};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::mpsc;
@@ -206,6 +206,51 @@ async fn a_manager_may_ask_for_fresh_messages() {
         let error = alice.raw.ask(bare).await.expect_err("of no age");
         assert_eq!(error.code, Code::TRY_LATER);
     }
+}
+
+/// Who manages a channel itself is told how old a message is before it decides.
+#[tokio::test]
+async fn a_managing_peer_is_told_the_age() {
+    let clock = lab::clock();
+    let broker = lab::start_at(clock.clone(), |_| {}).await;
+    let mut carol = Raw::login(broker.local_addr(), Form::Xml, "carol").await;
+    let spec = Map::new().with("kind", "channel").with("manager", "self");
+    let create = Parcel::new(Family::Context, "create")
+        .context(at("/booth"))
+        .content(spec);
+    carol.ask(create).await.expect("operators may");
+    let mut alice = Skewed::login(&broker, &clock, Form::Binary, HOUR).await;
+    alice.measured().await;
+    let answer = |consult: &Parcel| {
+        let number = consult
+            .id
+            .and_then(|id| i64::try_from(id).ok())
+            .expect("a number");
+        let verdict = Map::new().with("consult", number).with("allow", true);
+        Parcel::new(Family::Manager, "verdict").content(verdict)
+    };
+    let joining = alice
+        .raw
+        .post(Parcel::new(Family::Context, "join").context(at("/booth")))
+        .await;
+    let consult = carol.next_of(Family::Manager, "consult").await;
+    assert_eq!(consult.value().get("age"), None, "only messages have an age");
+    carol.ask(answer(&consult)).await.expect("in time");
+    alice.raw.answer(joining).await.expect("allowed");
+
+    let mut parcel = alice.say("say", 70_000);
+    parcel.context = Some(at("/booth"));
+    let sending = alice.raw.post(parcel).await;
+    let consult = carol.next_of(Family::Manager, "consult").await;
+    let asked = consult.value();
+    let told = |key| asked.get(key).and_then(Value::as_int);
+    assert_eq!((told("age"), told("age-error")), (Some(70_000), Some(1)));
+    // The time in which it waits for the answer makes it older.
+    clock.advance(Duration::from_millis(500));
+    carol.ask(answer(&consult)).await.expect("in time");
+    alice.raw.answer(sending).await.expect("allowed");
+    let heard = alice.raw.next_of(Family::Message, "say").await;
+    assert_eq!((heard.age, heard.age_error), (Some(570_000), Some(51)));
 }
 
 /// Its clock is set anew while it is connected: the next heartbeat shows it.

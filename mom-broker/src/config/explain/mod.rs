@@ -140,6 +140,7 @@ impl Config {
             Verb::Info,
             Verb::Join,
             Verb::Members,
+            Verb::Stats,
             Verb::Invite,
             Verb::Expel,
         ];

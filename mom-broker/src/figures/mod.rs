@@ -1,0 +1,209 @@
+//! What a channel counts: sent, delivered, dropped, and how old what was sent was (design §4).
+
+mod histogram;
+
+use std::collections::BTreeMap;
+
+use mom_hub::Route;
+use mom_proto::{Content, Map, Parcel, Value};
+
+pub(crate) use histogram::Histogram;
+
+/// The figures of a channel, of all who were ever in it and of who is in it now.
+#[derive(Debug, Default)]
+pub(crate) struct Figures {
+    all: Counts,
+    /// In the order of the route's members. Who leaves and comes back begins anew.
+    members: Vec<Counts>,
+}
+
+/// The figures of one peer in a channel, or of all.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Counts {
+    sent: u64,
+    bytes: u64,
+    /// Taken by a receiver's outbox.
+    delivered: u64,
+    /// Dropped for a receiver, at its outbox or while it waited there, by reason.
+    dropped: BTreeMap<&'static str, u64>,
+    /// The ages at ingress of what was sent, where they are known; made with the first.
+    ages: Option<Box<Histogram>>,
+}
+
+impl Figures {
+    pub(crate) fn new(route: &Route) -> Figures {
+        Figures {
+            all: Counts::default(),
+            members: vec![Counts::default(); route.members.len()],
+        }
+    }
+
+    /// Follows a change of the route: both lists are sorted by the numbers of the peers.
+    pub(crate) fn follow(&mut self, old: &Route, new: &Route) {
+        let members = std::mem::take(&mut self.members);
+        let mut known = old
+            .members
+            .iter()
+            .map(|member| member.peer)
+            .zip(members)
+            .peekable();
+        let counts = new.members.iter().map(|member| {
+            while known.next_if(|(peer, _)| *peer < member.peer).is_some() {}
+            let found = known.next_if(|(peer, _)| *peer == member.peer);
+            found.map(|(_, counts)| counts).unwrap_or_default()
+        });
+        self.members = counts.collect();
+    }
+
+    /// Counts an admitted message of the member at this place; none = it has left meanwhile.
+    pub(crate) fn sent(&mut self, place: Option<usize>, size: usize, age: Option<i64>) {
+        self.all.send(size, age);
+        if let Some(counts) = place.and_then(|place| self.members.get_mut(place)) {
+            counts.send(size, age);
+        }
+    }
+
+    /// Counts that the outbox of the member at this place took so many messages.
+    pub(crate) fn delivered(&mut self, place: usize, count: u64) {
+        self.all.delivered += count;
+        if let Some(counts) = self.members.get_mut(place) {
+            counts.delivered += count;
+        }
+    }
+
+    /// Counts what was dropped for a receiver.
+    pub(crate) fn dropped(&mut self, place: Option<usize>, reason: &'static str, count: u64) {
+        *self.all.dropped.entry(reason).or_default() += count;
+        if let Some(counts) = place.and_then(|place| self.members.get_mut(place)) {
+            *counts.dropped.entry(reason).or_default() += count;
+        }
+    }
+
+    /// Of all.
+    pub(crate) fn all(&self) -> &Counts {
+        &self.all
+    }
+
+    /// Of the members, in the order of the route.
+    pub(crate) fn members(&self) -> &[Counts] {
+        &self.members
+    }
+}
+
+impl Counts {
+    fn send(&mut self, size: usize, age: Option<i64>) {
+        self.sent += 1;
+        self.bytes += size as u64;
+        if let Some(age) = age {
+            let ages = self.ages.get_or_insert_with(|| Box::new(Histogram::new()));
+            ages.note(age);
+        }
+    }
+
+    /// In the words of the wire, `queued` bytes of it.
+    pub(crate) fn to_map(&self, map: Map, queued: usize) -> Map {
+        let dropped = self.dropped.iter();
+        let dropped = dropped.fold(Map::new(), |map, (reason, count)| map.with(reason, int(*count)));
+        let map = map
+            .with("sent", int(self.sent))
+            .with("bytes", int(self.bytes))
+            .with("delivered", int(self.delivered))
+            .with("dropped", dropped)
+            .with("queued", int(queued as u64));
+        match &self.ages {
+            Some(ages) => map.with("age", age_map(ages)),
+            None => map,
+        }
+    }
+}
+
+fn age_map(ages: &Histogram) -> Map {
+    let percentile = |percent| int(ages.percentile(percent).unwrap_or_default());
+    Map::new()
+        .with("count", int(ages.count()))
+        .with("p50", percentile(50))
+        .with("p99", percentile(99))
+        .with("most", int(ages.most()))
+}
+
+/// The size of a message, and its age where it is known.
+pub(crate) fn measures(parcel: &Parcel) -> (usize, Option<i64>) {
+    let size = parcel.content.as_ref().map_or(0, Content::size);
+    (size, parcel.age.filter(|_| parcel.age_error.is_some()))
+}
+
+fn int(number: u64) -> Value {
+    Value::Int(i64::try_from(number).unwrap_or(i64::MAX))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use mom_hub::{Member, PeerId};
+    use mom_managers::PeerFacts;
+    use mom_proto::{ContextNumber, Delivery, Path};
+
+    use super::*;
+
+    fn route(peers: &[u64]) -> Route {
+        let facts = |peer: &u64| PeerFacts {
+            name: peer.to_string().into(),
+            user: "user".into(),
+            level: 0,
+            groups: Arc::from([]),
+        };
+        let member = |peer: &u64| Arc::new(Member::new(PeerId(*peer), Arc::new(facts(peer))));
+        Route {
+            number: ContextNumber(1),
+            path: Path::root(),
+            members: peers.iter().map(member).collect(),
+            guard: None,
+            delivery: Delivery::default(),
+            keep: None,
+        }
+    }
+
+    #[test]
+    fn figures_stay_with_their_peers() {
+        let (first, second) = (route(&[2, 4, 6]), route(&[1, 4, 5, 6]));
+        let mut figures = Figures::new(&first);
+        figures.sent(first.position(PeerId(4)), 10, Some(70));
+        figures.sent(first.position(PeerId(4)), 10, None);
+        figures.delivered(0, 1);
+        figures.delivered(2, 1);
+        figures.dropped(first.position(PeerId(6)), "expired", 3);
+        figures.follow(&first, &second);
+        figures.sent(None, 5, None);
+        figures.dropped(second.position(PeerId(2)), "expired", 1);
+
+        let sent = |counts: &Counts| {
+            (
+                counts.sent,
+                counts.delivered,
+                counts.dropped.get("expired").copied(),
+            )
+        };
+        let members: Vec<_> = figures.members().iter().map(sent).collect();
+        assert_eq!(
+            members,
+            [(0, 0, None), (2, 0, None), (0, 0, None), (0, 1, Some(3))]
+        );
+        assert_eq!(sent(figures.all()), (3, 2, Some(4)));
+
+        let map = figures.members()[1].to_map(Map::new(), 9);
+        let age = Map::new()
+            .with("count", 1)
+            .with("p50", 70)
+            .with("p99", 70)
+            .with("most", 70);
+        let expected = Map::new()
+            .with("sent", 2)
+            .with("bytes", 20)
+            .with("delivered", 0)
+            .with("dropped", Map::new())
+            .with("queued", 9)
+            .with("age", age);
+        assert_eq!(map, expected);
+    }
+}

@@ -1,0 +1,153 @@
+//! What channels have counted.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use mom_proto::{Map, Parcel, Path, Time, Value};
+
+use crate::ClientError;
+use crate::error::bad_reply;
+use crate::info::{map_of, number, read_list, text};
+
+/// The figures of a channel, or of the channels of a session, at one moment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Stats {
+    /// When, by the hub's clock.
+    pub time: Time,
+    /// The channel, or those of the session that this peer may see.
+    pub channels: Vec<ChannelStats>,
+    /// Whether there are more channels than one reply tells.
+    pub more: bool,
+}
+
+/// The figures of one channel since it is there.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ChannelStats {
+    /// Where it is.
+    pub path: Path,
+    /// How many have joined it.
+    pub members: u64,
+    /// Of all who were ever in it.
+    pub all: Counts,
+    /// Of each who is in it now; only where one channel was asked about.
+    pub peers: Vec<PeerStats>,
+}
+
+/// The figures of one member since it has joined.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PeerStats {
+    /// Its name at the hub.
+    pub peer: String,
+    /// The user that it logged in as.
+    pub user: String,
+    /// What it sent, and what it got.
+    pub counts: Counts,
+}
+
+/// What was counted.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Counts {
+    /// Messages sent.
+    pub sent: u64,
+    /// The bytes of their content.
+    pub bytes: u64,
+    /// Messages taken by the queues of receivers.
+    pub delivered: u64,
+    /// Messages dropped for receivers, by reason.
+    pub dropped: BTreeMap<String, u64>,
+    /// Bytes that wait for the receivers now, from wherever.
+    pub queued: u64,
+    /// How old the messages sent were when the hub took them in; none where no age is known.
+    pub age: Option<AgeStats>,
+}
+
+/// How ages are spread; the percentiles are at most a quarter too high.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct AgeStats {
+    /// Messages of known age.
+    pub count: u64,
+    /// What half of them are not above.
+    pub p50: Duration,
+    /// What 99 of 100 are not above.
+    pub p99: Duration,
+    /// The greatest.
+    pub most: Duration,
+}
+
+impl Stats {
+    pub(crate) fn from_reply(reply: &Parcel) -> Result<Stats, ClientError> {
+        let map = map_of(reply);
+        let time = map.get("time").and_then(Value::as_time);
+        let channels = match map.get("channels") {
+            Some(_) => read_list(reply, "channels", ChannelStats::from_map)?,
+            None => vec![ChannelStats::from_map(&map).ok_or_else(|| bad_reply("figures"))?],
+        };
+        Ok(Stats {
+            time: time.ok_or_else(|| bad_reply("time"))?,
+            channels,
+            more: map.get("more").and_then(Value::as_bool).unwrap_or_default(),
+        })
+    }
+}
+
+impl ChannelStats {
+    fn from_map(map: &Map) -> Option<ChannelStats> {
+        let peers = map.get("peers").and_then(Value::as_list).unwrap_or_default();
+        Some(ChannelStats {
+            path: Path::parse(text(map, "path")?).ok()?,
+            members: number(map, "members")?,
+            all: Counts::from_map(map)?,
+            peers: peers
+                .iter()
+                .map(|peer| peer.as_map().and_then(PeerStats::from_map))
+                .collect::<Option<_>>()?,
+        })
+    }
+}
+
+impl PeerStats {
+    fn from_map(map: &Map) -> Option<PeerStats> {
+        Some(PeerStats {
+            peer: text(map, "peer")?.to_owned(),
+            user: text(map, "user")?.to_owned(),
+            counts: Counts::from_map(map)?,
+        })
+    }
+}
+
+impl Counts {
+    /// How many were dropped, for whatever reason.
+    pub fn lost(&self) -> u64 {
+        self.dropped.values().sum()
+    }
+
+    fn from_map(map: &Map) -> Option<Counts> {
+        let dropped = map.get("dropped").and_then(Value::as_map)?;
+        let dropped = dropped
+            .iter()
+            .map(|(reason, _)| Some((reason.to_string(), number(dropped, reason)?)));
+        Some(Counts {
+            sent: number(map, "sent")?,
+            bytes: number(map, "bytes")?,
+            delivered: number(map, "delivered")?,
+            dropped: dropped.collect::<Option<_>>()?,
+            queued: number(map, "queued")?,
+            age: map
+                .get("age")
+                .and_then(Value::as_map)
+                .and_then(AgeStats::from_map),
+        })
+    }
+}
+
+impl AgeStats {
+    fn from_map(map: &Map) -> Option<AgeStats> {
+        let age = |key| number(map, key).map(Duration::from_micros);
+        Some(AgeStats {
+            count: number(map, "count")?,
+            p50: age("p50")?,
+            p99: age("p99")?,
+            most: age("most")?,
+        })
+    }
+}

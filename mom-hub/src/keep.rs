@@ -1,0 +1,87 @@
+//! What a channel keeps for those who join later (design §4, §7).
+
+use mom_managers::Micros;
+use mom_proto::{Map, Value, WireError, event};
+use serde::Deserialize;
+
+use crate::args;
+
+/// What is kept where nothing else is said, and at most: content of parcels, in bytes.
+const BYTES: usize = 1 << 20;
+const MOST_BYTES: usize = 16 << 20;
+
+/// Parcels that are kept where only bytes or an age is said, and at most.
+const PARCELS: usize = 1000;
+const MOST_PARCELS: usize = 10_000;
+
+/// What a channel keeps. Never what its token guards, what is addressed, `command`, `stop`, `unstop` and `halt`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Keep {
+    /// Only the newest of each sender and name, as long as its sender is a member.
+    pub latest: bool,
+    /// At most so many parcels.
+    pub parcels: usize,
+    /// At most so many bytes.
+    pub bytes: usize,
+    /// Nothing that came longer ago, µs; none = however long ago.
+    pub age: Option<Micros>,
+}
+
+/// The key `keep` of a channel.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct KeepArgs {
+    /// Only the newest of each sender and name.
+    pub latest: bool,
+    /// At most so many parcels.
+    pub parcels: Option<usize>,
+    /// At most so many bytes.
+    pub bytes: Option<usize>,
+    /// Nothing older, ms.
+    pub age: Option<u64>,
+}
+
+impl KeepArgs {
+    pub(crate) fn read(self) -> Result<Keep, WireError> {
+        if self == KeepArgs::default() {
+            let text = "keep says latest = true, or parcels, bytes or age of a history";
+            return Err(args::bad("keep", text.to_owned()));
+        }
+        let within = |key: &str, value: Option<usize>, usual: usize, most: usize| {
+            let value = value.unwrap_or(usual);
+            let text = || format!("{key} is a number from 1 to {most}");
+            let fits = (1..=most).contains(&value);
+            fits.then_some(value)
+                .ok_or_else(|| args::bad(&format!("keep/{key}"), text()))
+        };
+        Ok(Keep {
+            latest: self.latest,
+            parcels: within("parcels", self.parcels, PARCELS, MOST_PARCELS)?,
+            bytes: within("bytes", self.bytes, BYTES, MOST_BYTES)?,
+            age: self
+                .age
+                .map(|millis| args::micros(millis, "keep/age"))
+                .transpose()?,
+        })
+    }
+}
+
+impl Keep {
+    /// Whether messages of this name are kept, but for what a token guards: nothing that moves a device is for later.
+    pub fn covers(name: &str) -> bool {
+        !matches!(name, "command" | event::STOP | event::UNSTOP | event::HALT)
+    }
+
+    /// For replies.
+    pub(crate) fn to_map(self) -> Map {
+        let size = |size: usize| Value::Int(i64::try_from(size).unwrap_or(i64::MAX));
+        let map = Map::new()
+            .with("latest", self.latest)
+            .with("parcels", size(self.parcels))
+            .with("bytes", size(self.bytes));
+        match self.age {
+            Some(age) => map.with("age", crate::ownership::millis(age)),
+            None => map,
+        }
+    }
+}

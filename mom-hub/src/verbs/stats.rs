@@ -1,0 +1,76 @@
+//! `context stats`: what a channel, or the channels of a session, have counted. Who may ask is decided here; the figures
+//! belong to the channels in the broker, which puts them in (design §4).
+
+use std::sync::Arc;
+
+use mom_proto::{Code, ContextKind, ContextNumber, Family, Verb, WireError};
+
+use super::Request;
+use crate::consult::Wish;
+use crate::pending::Refusal;
+use crate::{Effect, Hub};
+
+/// Channels of which one reply tells at most.
+const MOST: usize = 256;
+
+/// Contexts below a session at which it looks at most: each is a question to its manager.
+const LOOKS: usize = 4096;
+
+pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+    let number = hub.allowed(request)?;
+    let Some(context) = hub.tree.get(number) else {
+        return Err(hub.unknown_path(&request.path, None).into());
+    };
+    let (kind, mut content) = (context.kind(), context.summary());
+    content.set(
+        "members",
+        i64::try_from(context.members.len()).unwrap_or(i64::MAX),
+    );
+    let channels = match kind {
+        ContextKind::Channel => vec![number],
+        ContextKind::Session => {
+            let (channels, more) = channels_below(hub, request, number);
+            if more {
+                content.set("more", true);
+            }
+            channels
+        }
+        ContextKind::Token => {
+            let text = format!("{} is a token, and only channels count", request.path);
+            return Err(WireError::new(Code::WRONG_KIND, text).slot("context").into());
+        }
+    };
+    let mut parcel = hub.hub_parcel(Family::Reply, "ok", &request.path);
+    parcel.reference = request.parcel.id;
+    parcel.content = Some(content.into());
+    out.push(Effect::Stats {
+        to: request.peer,
+        parcel: Arc::new(parcel),
+        channels,
+        peers: kind == ContextKind::Channel,
+    });
+    Ok(())
+}
+
+/// The channels below a session whose figures the peer may see, and whether there may be more.
+fn channels_below(hub: &mut Hub, request: &Request, session: ContextNumber) -> (Vec<ContextNumber>, bool) {
+    let below = hub.tree.subtree(session);
+    let is_channel = |number: &ContextNumber| {
+        let context = hub.tree.get(*number);
+        context.is_some_and(|context| context.kind() == ContextKind::Channel)
+    };
+    let mut candidates: Vec<ContextNumber> = below.into_iter().filter(is_channel).collect();
+    candidates.sort_by_cached_key(|number| hub.path(*number).map(|path| path.as_str().to_owned()));
+    let mut more = candidates.len() > LOOKS;
+    let mut channels = Vec::new();
+    for channel in candidates.into_iter().take(LOOKS) {
+        if channels.len() == MOST {
+            more = true;
+            break;
+        }
+        if hub.ask(request.peer, &Wish::new(Verb::Stats, channel)).is_ok() {
+            channels.push(channel);
+        }
+    }
+    (channels, more)
+}
