@@ -33,6 +33,8 @@ pub(crate) struct Inner {
     gate: Gate,
     /// All members speak the binary form.
     binary: bool,
+    /// Some member is spared of something.
+    thins: bool,
     /// When something was sent here last.
     sent_at: u64,
     bounds: Bounds,
@@ -68,6 +70,7 @@ impl Channel {
         let history = route.keep.map(History::new);
         Channel {
             inner: Mutex::new(Inner {
+                thins: thins(&route),
                 route,
                 binary: all_binary(&outboxes),
                 sent_at: 0,
@@ -96,6 +99,7 @@ impl Channel {
     ) -> Vec<Arc<Outbox>> {
         let mut inner = self.inner.lock();
         inner.gate.store(fence_open(&route), Ordering::Release);
+        inner.settle_turns(&route);
         // Both lists are sorted, so most outboxes are found without a look-up.
         let old = std::mem::take(&mut inner.outboxes);
         let mut known = inner
@@ -114,6 +118,7 @@ impl Channel {
         });
         let outboxes: Vec<_> = outboxes.collect();
         inner.binary = all_binary(&outboxes);
+        inner.thins = thins(&route);
         inner.outboxes = outboxes;
         // Who leaves and comes back has used what it has used.
         inner
@@ -131,13 +136,30 @@ impl Inner {
     /// waits leaves any outbox, because nobody will tell this channel when its token changes hands.
     pub(crate) fn end(&mut self) {
         self.gate.store(0, Ordering::Release);
-        self.outboxes.clear();
-        let empty = Route {
+        let route = Route {
             members: Vec::new(),
             ..(*self.route).clone()
         };
-        self.figures.follow(&self.route, &empty);
-        self.route = Arc::new(empty);
+        self.settle_turns(&route);
+        self.outboxes.clear();
+        self.figures.follow(&self.route, &route);
+        self.route = Arc::new(route);
+    }
+
+    /// Ends the turns that another route does not know: whoever has left hears nothing any more, and whoever wants
+    /// something else than before hears at once what waited.
+    fn settle_turns(&self, route: &Route) {
+        if !self.thins {
+            return;
+        }
+        let members = self.route.members.iter().zip(&self.outboxes);
+        for (member, outbox) in members.filter(|(member, _)| member.thinning.rate.is_some()) {
+            let Some(outbox) = outbox else { continue };
+            let now = route.member(member.peer).map(|member| member.thinning);
+            if now != Some(member.thinning) {
+                outbox.end_turns(route.number, now.is_some());
+            }
+        }
     }
 
     /// The receivers among the members of another route, by their place among the members of this one; whoever is no
@@ -282,9 +304,10 @@ impl Inner {
         Ok(self.put(&packet, &places, now))
     }
 
-    /// Whether plain messages may go through here as a run: nobody needs another form, and nothing is kept.
+    /// Whether plain messages may go through here as a run: nobody needs another form or
+    /// only some of them, and nothing is kept.
     pub(crate) fn takes_runs(&self) -> bool {
-        self.binary && self.history.is_none()
+        self.binary && !self.thins && self.history.is_none()
     }
 
     /// Counts a message of a run.
@@ -328,6 +351,8 @@ impl Inner {
             ..Delivered::default()
         };
         self.sent_at = now;
+        let thins = self.thins && packet.may_be_thinned();
+        let mut latest: Option<Arc<Packet>> = None;
         for place in places.iter() {
             let name = || Arc::clone(&self.route.members[place].facts.name);
             let Some(outbox) = &self.outboxes[place] else {
@@ -336,9 +361,16 @@ impl Inner {
                     .dropped(Some(place), DropReason::Closed.word(), u64::from(packet.count));
                 continue;
             };
-            let (taken, first) = outbox.push(Arc::clone(packet));
+            let member = &self.route.members[place];
+            // Its own messages are what it waits for itself.
+            let (taken, first) = if thins && member.thinning.thins() && member.peer != packet.origin.sender {
+                let latest = latest.get_or_insert_with(|| Arc::new(packet.as_latest()));
+                outbox.push_thinned(Arc::clone(latest), member.thinning.interval())
+            } else {
+                outbox.push(Arc::clone(packet))
+            };
             match taken {
-                Taken::Yes => {
+                Taken::Yes | Taken::Later => {
                     result.delivered += u64::from(packet.count);
                     self.figures.delivered(place, u64::from(packet.count));
                 }
@@ -355,6 +387,10 @@ impl Inner {
         }
         result
     }
+}
+
+fn thins(route: &Route) -> bool {
+    route.members.iter().any(|member| member.thinning.thins())
 }
 
 fn all_binary(outboxes: &[Option<Arc<Outbox>>]) -> bool {

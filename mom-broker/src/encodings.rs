@@ -15,7 +15,7 @@ pub(crate) struct Bounds {
 }
 
 /// A parcel encoded once for each form among its receivers.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Encodings {
     xml: Option<Encoded>,
     binary: Option<Encoded>,

@@ -1,6 +1,6 @@
 //! A channel: where messages are exchanged (M27).
 
-use mom_proto::{Content, Path};
+use mom_proto::{Content, Path, Thinning};
 
 use crate::membership::Membership;
 use crate::{ClientError, Events, FenceGate, GuardState, Message};
@@ -44,6 +44,16 @@ impl Channel {
     /// The events of the token that guards the channel are among them.
     pub fn events(&self) -> Events {
         self.member.events()
+    }
+
+    /// Has the hub spare this client of some of what the others send here, from now on and over reconnects: the newest
+    /// of each sender and name only, or so many in a time. Never thinned are what the channel's token guards, `stop`,
+    /// `unstop`, `halt` and events. It holds for all proxies of this client; the default ends it.
+    ///
+    /// # Errors
+    /// `Refused` with `denied` or `unknown-path`, a lost link, a time-out.
+    pub async fn thin(&self, thinning: Thinning) -> Result<(), ClientError> {
+        self.member.shared().thin(self.path(), thinning).await
     }
 
     /// Sends a message to all members. A refusal comes as [`Event::Refused`](crate::Event::Refused).

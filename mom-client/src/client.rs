@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use mom_net::Transceiver;
-use mom_proto::{ContextKind, Family, Map, Parcel, Path};
+use mom_proto::{ContextKind, Family, Map, Parcel, Path, Thinning};
 use tokio::sync::watch;
 use tokio::time::timeout;
 
@@ -184,7 +184,7 @@ impl Client {
     /// `Refused` with `exists`, `denied`, `bad-content`, `unknown-manager` and others.
     pub async fn create(&self, path: &str, spec: Map) -> Result<ContextInfo, ClientError> {
         let above = Path::parse(path)?.parent().unwrap_or_else(Path::root);
-        let _member = self.enter(&above).await?;
+        let _member = self.enter(&above, None).await?;
         ContextInfo::from_reply(&self.ask(Family::Context, "create", path, Some(spec)).await?)
     }
 
@@ -202,7 +202,7 @@ impl Client {
     /// # Errors
     /// `Refused` with `unknown-path`, `unknown-peer` or `denied`.
     pub async fn invite(&self, path: &str, peer: &str) -> Result<(), ClientError> {
-        let _member = self.enter(&Path::parse(path)?).await?;
+        let _member = self.enter(&Path::parse(path)?, None).await?;
         let content = Map::new().with("peer", peer);
         self.ask(Family::Context, "invite", path, Some(content))
             .await
@@ -244,7 +244,7 @@ impl Client {
     /// # Errors
     /// `Refused` with `unknown-path` or `denied`; `Local` with `wrong-kind` if it is none.
     pub async fn session(&self, path: &str) -> Result<Session, ClientError> {
-        self.enter_kind(path, ContextKind::Session)
+        self.enter_kind(path, ContextKind::Session, None)
             .await
             .map(Session::new)
     }
@@ -254,7 +254,27 @@ impl Client {
     /// # Errors
     /// As [`Client::session`].
     pub async fn channel(&self, path: &str) -> Result<Channel, ClientError> {
-        self.enter_kind(path, ContextKind::Channel)
+        self.enter_kind(path, ContextKind::Channel, None)
+            .await
+            .map(Channel::new)
+    }
+
+    /// Joins a channel, parents first, spared of some of what the others send there; as [`Channel::thin`] says it
+    /// holds for all proxies of this client.
+    ///
+    /// ```no_run
+    /// # async fn example(client: mom_client::Client) -> Result<(), mom_client::ClientError> {
+    /// use mom_client::Thinning;
+    /// let thinning = Thinning { rate: Some("5/s".parse()?), ..Thinning::default() };
+    /// let camera = client.channel_thinned("/camera/x", thinning).await?;
+    /// # Ok(())
+    /// # }
+    /// ```
+    ///
+    /// # Errors
+    /// As [`Client::session`].
+    pub async fn channel_thinned(&self, path: &str, thinning: Thinning) -> Result<Channel, ClientError> {
+        self.enter_kind(path, ContextKind::Channel, Some(thinning))
             .await
             .map(Channel::new)
     }
@@ -264,7 +284,9 @@ impl Client {
     /// # Errors
     /// As [`Client::session`].
     pub async fn token(&self, path: &str) -> Result<Token, ClientError> {
-        self.enter_kind(path, ContextKind::Token).await.map(Token::new)
+        self.enter_kind(path, ContextKind::Token, None)
+            .await
+            .map(Token::new)
     }
 
     /// What no other subscription takes, from now on: events of contexts without a proxy, refusals of sends

@@ -11,7 +11,7 @@ use crate::login::{Connected, Connector, Welcome};
 use crate::outbox::Message;
 use crate::pending::Waiter;
 use crate::reconnect::Backoff;
-use crate::shared::{Shared, Status, verb};
+use crate::shared::{Shared, Status, join};
 use crate::{ClientError, Event, Link, Lost, Reconnect, link};
 
 /// Drives links until the client is closed.
@@ -137,10 +137,10 @@ impl Shared {
         if places.is_empty() {
             state.subscribers.deliver_unaddressed(Event::Rejoined);
         }
-        for (path, serial) in places {
+        for (path, serial, thinning) in places {
             let mut waiter = Some(Waiter::Join(path.clone(), serial));
             // The link is up, and a path that was joined before can be encoded.
-            let _ = self.ask_in(&mut state, verb(Family::Context, "join", &path), &mut waiter);
+            let _ = self.ask_in(&mut state, join(&path, thinning), &mut waiter);
         }
         drop(state);
         self.link.send_replace(Link::Up);

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use mom_proto::{Code, ContextKind, Map, Path, WireError};
+use mom_proto::{Code, ContextKind, Map, Path, Thinning, WireError};
 use tokio::time::timeout;
 
 use crate::client::{Client, Handle};
@@ -62,9 +62,14 @@ impl Drop for Inner {
 
 impl Client {
     /// Joins a context of this kind, parents first.
-    pub(crate) async fn enter_kind(&self, path: &str, kind: ContextKind) -> Result<Membership, ClientError> {
+    pub(crate) async fn enter_kind(
+        &self,
+        path: &str,
+        kind: ContextKind,
+        thinning: Option<Thinning>,
+    ) -> Result<Membership, ClientError> {
         let path = Path::parse(path)?;
-        let (member, info) = self.enter(&path).await?;
+        let (member, info) = self.enter(&path, thinning).await?;
         let found = info
             .as_ref()
             .map_or(Some(ContextKind::Session.word()), |info| text(info, "kind"));
@@ -79,10 +84,16 @@ impl Client {
         }
     }
 
-    /// Joins a context, parents first; gives what the hub said, which is nothing for the root.
-    pub(crate) async fn enter(&self, path: &Path) -> Result<(Membership, Option<Arc<Map>>), ClientError> {
+    /// Joins a context, parents first, spared of something there if that is said; gives what the hub said, which is
+    /// nothing for the root.
+    pub(crate) async fn enter(
+        &self,
+        path: &Path,
+        thinning: Option<Thinning>,
+    ) -> Result<(Membership, Option<Arc<Map>>), ClientError> {
         let shared = &self.handle.shared;
-        let (places, wants) = shared.want(&way_to(path))?;
+        let (places, wants) = shared.want(&way_to(path), thinning)?;
+        let again = thinning.filter(|_| !matches!(wants.last(), Some(Want::Join(_))));
         // From here on the count is given back whatever happens.
         let inner = Inner {
             handle: Arc::clone(&self.handle),
@@ -108,6 +119,9 @@ impl Client {
                     after,
                 })?;
             info = Some(joined.map_err(|_| ClientError::Connection(format!("{path} was left meanwhile")))??);
+        }
+        if let Some(thinning) = again {
+            shared.thin(path, thinning).await?;
         }
         Ok((member, info))
     }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use mom_proto::{Map, Path};
+use mom_proto::{Map, Path, Thinning};
 use tokio::sync::oneshot;
 
 use crate::{ClientError, FenceGate};
@@ -24,6 +24,8 @@ pub(crate) struct Place {
     pub(crate) serial: u64,
     pub(crate) phase: Phase,
     pub(crate) gate: FenceGate,
+    /// What this client is to be spared there, also after a lost link.
+    pub(crate) thinning: Thinning,
     wanted: usize,
 }
 
@@ -61,6 +63,7 @@ impl Places {
                 serial: *serial,
                 phase: Phase::Away,
                 gate: FenceGate::new(),
+                thinning: Thinning::default(),
                 wanted: 0,
             }
         });
@@ -100,6 +103,13 @@ impl Places {
     /// The place of this serial, unless it is gone.
     pub(crate) fn get(&mut self, path: &Path, serial: u64) -> Option<&mut Place> {
         self.places.get_mut(path).filter(|place| place.serial == serial)
+    }
+
+    /// Remembers what this client is to be spared, for the next link.
+    pub(crate) fn note_thinning(&mut self, path: &Path, thinning: Thinning) {
+        if let Some(place) = self.places.get_mut(path) {
+            place.thinning = thinning;
+        }
     }
 
     /// The gate of a channel.
@@ -151,13 +161,13 @@ impl Places {
     }
 
     /// The link is back: all places, parents first, are to be joined again.
-    pub(crate) fn rejoin(&mut self) -> Vec<(Path, u64)> {
+    pub(crate) fn rejoin(&mut self) -> Vec<(Path, u64, Thinning)> {
         let again = |(path, place): (&Path, &mut Place)| {
             place.phase = Phase::Joining {
                 again: true,
                 waiters: Vec::new(),
             };
-            (path.clone(), place.serial)
+            (path.clone(), place.serial, place.thinning)
         };
         self.places.iter_mut().map(again).collect()
     }

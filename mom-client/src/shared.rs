@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use mom_net::Outgoing;
 use mom_proto::codec::Form;
-use mom_proto::{Code, Family, Parcel, Path, WireError};
+use mom_proto::{Code, Family, Map, Parcel, Path, Thinning, WireError};
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::{Notify, Semaphore, oneshot, watch};
 use tokio::time::timeout;
@@ -234,12 +234,17 @@ impl Shared {
         Ok(Outgoing::Encoded(encoded))
     }
 
-    /// Wants contexts, the uppermost first, and asks to join those that this client is not in.
+    /// Wants contexts, the uppermost first, and asks to join those that this client is not in; the last of them
+    /// spared of something, if that is said.
     #[expect(
         clippy::type_complexity,
         reason = "two lists, each of pairs, used in one place"
     )]
-    pub(crate) fn want(&self, way: &[Path]) -> Result<(Vec<(Path, u64)>, Vec<Want>), ClientError> {
+    pub(crate) fn want(
+        &self,
+        way: &[Path],
+        thinning: Option<Thinning>,
+    ) -> Result<(Vec<(Path, u64)>, Vec<Want>), ClientError> {
         let mut state = self.lock();
         state.check_up()?;
         let (mut places, mut wants) = (Vec::new(), Vec::new());
@@ -249,7 +254,12 @@ impl Shared {
             places.push((path.clone(), serial));
             if matches!(want, Want::Join(_)) {
                 let mut waiter = Some(Waiter::Join(path.clone(), serial));
-                asked = self.ask_in(&mut state, verb(Family::Context, "join", path), &mut waiter);
+                let last = places.len() == way.len();
+                let thinning = thinning.filter(|_| last).unwrap_or_default();
+                if let Some(place) = state.places.get(path, serial) {
+                    place.thinning = thinning;
+                }
+                asked = self.ask_in(&mut state, join(path, thinning), &mut waiter);
             }
             wants.push(want);
             if asked.is_err() {
@@ -283,6 +293,17 @@ impl Shared {
         }
         drop(state);
         self.outgoing.notify_one();
+    }
+
+    /// Joins a channel again, to be spared of something else than before.
+    pub(crate) async fn thin(&self, path: &Path, thinning: Thinning) -> Result<(), ClientError> {
+        let mut content = Map::new();
+        thinning.describe(&mut content);
+        // An empty map too: without content the hub leaves everything as it was.
+        let parcel = verb(Family::Context, "join", path).content(content);
+        self.request(parcel).await?;
+        self.lock().places.note_thinning(path, thinning);
+        Ok(())
     }
 
     /// Leaves a context and all below it.
@@ -375,6 +396,17 @@ impl Drop for Ticket<'_> {
 /// A request about a context.
 pub(crate) fn verb(family: Family, name: &str, path: &Path) -> Parcel {
     Parcel::new(family, name).context(path.clone())
+}
+
+/// The request to join a context, spared of this there.
+pub(crate) fn join(path: &Path, thinning: Thinning) -> Parcel {
+    let parcel = verb(Family::Context, "join", path);
+    if !thinning.thins() {
+        return parcel;
+    }
+    let mut content = Map::new();
+    thinning.describe(&mut content);
+    parcel.content(content)
 }
 
 fn describe(parcel: &Parcel) -> String {

@@ -1,6 +1,6 @@
 //! What stands in the content of requests, typed.
 
-use mom_proto::{Code, Delivery, Parcel, Path, Value, WireError};
+use mom_proto::{Code, Delivery, MessageRate, Parcel, Path, Thinning, Value, WireError};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
@@ -79,6 +79,27 @@ pub struct SafeArgs {
     /// The message's content.
     #[serde(default)]
     pub content: Option<Value>,
+}
+
+/// The content of `context join`.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct JoinArgs {
+    #[serde(default)]
+    newest: bool,
+    #[serde(default)]
+    rate: Option<Value>,
+}
+
+impl JoinArgs {
+    /// What the member is to be spared, checked.
+    pub(crate) fn thinning(&self) -> Result<Thinning, WireError> {
+        let rate = self.rate.as_ref().map(MessageRate::from_value).transpose()?;
+        Ok(Thinning {
+            newest: self.newest,
+            rate,
+        })
+    }
 }
 
 impl ContextSpec {

@@ -12,7 +12,7 @@ use crate::consult::Wish;
 use crate::context::Role;
 use crate::create::manager_word;
 use crate::input::Configuration;
-use crate::{Audit, Effect, Hub, Member, PeerId, User};
+use crate::{Audit, Effect, Hub, PeerId, User};
 
 impl Hub {
     /// Takes over a configuration that was checked before.
@@ -221,9 +221,8 @@ impl Hub {
             .collect();
         for number in channels {
             if let Some(context) = self.tree.get_mut(number) {
-                for (peer, member) in &mut context.members {
-                    let fresh = Member::new(*peer, Arc::clone(&member.facts)).holding(member.is_held());
-                    *member = Arc::new(fresh);
+                for member in context.members.values_mut() {
+                    *member = Arc::new(member.unjudged(Arc::clone(&member.facts)));
                 }
             }
             self.changed.insert(number);

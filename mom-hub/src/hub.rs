@@ -14,7 +14,7 @@ use crate::pending::{Heard, Pending, Refusal};
 use crate::token::Token;
 use crate::tree::Tree;
 use crate::verbs::{self, Request};
-use crate::{Effect, Input, Member, PeerId, Record, Settings, Ticket, User};
+use crate::{Effect, Input, PeerId, Record, Settings, Ticket, User};
 
 /// The deterministic state machine that decides everything.
 #[derive(Debug)]
@@ -253,9 +253,9 @@ impl Hub {
             .unwrap_or_default();
         for number in joined {
             if let Some(context) = self.tree.get_mut(number) {
-                context
-                    .members
-                    .insert(peer, Arc::new(Member::new(peer, Arc::clone(&facts))));
+                if let Some(member) = context.members.get_mut(&peer) {
+                    *member = Arc::new(member.unjudged(Arc::clone(&facts)).holding(false));
+                }
                 self.changed.insert(number);
             }
         }

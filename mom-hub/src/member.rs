@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use mom_managers::{Answer, Micros, PeerFacts, Rate};
-use mom_proto::event;
+use mom_proto::{Thinning, event};
 
 /// A peer's connection; the broker gives each a number and never the same twice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -19,6 +19,8 @@ pub struct Member {
     pub peer: PeerId,
     /// What the hub knows of it.
     pub facts: Arc<PeerFacts>,
+    /// What it is to be spared of what the others send there.
+    pub thinning: Thinning,
     standing: Vec<StandingVerdict>,
     // An earlier message of it waits for a verdict, so that none may pass it by.
     held: bool,
@@ -51,19 +53,32 @@ impl Member {
         Member {
             peer,
             facts,
+            thinning: Thinning::default(),
             standing: Vec::new(),
             held: false,
+        }
+    }
+
+    /// This member, as it was when it had just joined: no verdict stands for its messages.
+    pub(crate) fn unjudged(&self, facts: Arc<PeerFacts>) -> Member {
+        Member {
+            thinning: self.thinning,
+            held: self.held,
+            ..Member::new(self.peer, facts)
+        }
+    }
+
+    /// This member, spared of something else.
+    pub(crate) fn thinned(&self, thinning: Thinning) -> Member {
+        Member {
+            thinning,
+            ..self.clone()
         }
     }
 
     /// This member, with its messages coming to the hub one by one, or not any more.
     pub(crate) fn holding(&self, held: bool) -> Member {
         Member { held, ..self.clone() }
-    }
-
-    /// Whether they do.
-    pub(crate) fn is_held(&self) -> bool {
-        self.held
     }
 
     /// The verdict that stands for a message of this name.
@@ -104,6 +119,7 @@ impl Member {
         Some(Member {
             peer: self.peer,
             facts: Arc::clone(&self.facts),
+            thinning: self.thinning,
             standing,
             held: self.held,
         })

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use mom_proto::event::{self, Reason};
-use mom_proto::{Code, ContextNumber, Map, WireError};
+use mom_proto::{Code, ContextNumber, Map, Thinning, WireError};
 
 use crate::context::Presence;
 use crate::durable::Storing;
@@ -29,6 +29,21 @@ impl Hub {
             .insert(peer, Arc::new(Member::new(peer, Arc::clone(&facts))));
         self.grown.insert(number);
         self.push_presence(number, event::JOINED, peer_map(&facts), out);
+    }
+
+    /// Spares a member of something else than before; its route says so before anything that comes after.
+    pub(crate) fn thin(&mut self, number: ContextNumber, peer: PeerId, thinning: Thinning) {
+        let member = self
+            .tree
+            .get_mut(number)
+            .and_then(|context| context.members.get_mut(&peer));
+        if let Some(member) = member.filter(|member| member.thinning != thinning) {
+            *member = Arc::new(member.thinned(thinning));
+            // Who has just joined is told so before it hears anything.
+            if !self.grown.contains(&number) {
+                self.changed.insert(number);
+            }
+        }
     }
 
     /// Takes a peer out of a context and of all below it, deepest first. What it owns there it gives up

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand};
+use mom_client::{MessageRate, WireError};
 
 mod control;
 
@@ -198,6 +199,12 @@ pub(crate) struct Watch {
     /// Only messages, no events
     #[arg(long, short)]
     pub(crate) messages: bool,
+    /// Of each sender and name only the newest, where messages come faster than the link takes them
+    #[arg(long)]
+    pub(crate) newest: bool,
+    /// Of each sender and name at most so many: 5/s, 12/min. The hub drops the others and tells how many
+    #[arg(long, value_name = "RATE", value_parser = rate)]
+    pub(crate) rate: Option<MessageRate>,
 }
 
 const WATCH: &str = "\
@@ -205,8 +212,9 @@ Examples:
   mom watch /chat /robot/arm
   mom watch --recursive /robot             who drives, what the robot is told and what it tells
   mom watch --json --count 1 /robot/arm    the next parcel with all its slots
+  mom watch --rate 1/s /robot/arm          its newest state once a second
 
-Times are UTC.";
+--newest and --rate leave out no command, stop or event. Times are UTC.";
 
 /// `mom send`
 #[derive(Args, Debug)]
@@ -335,6 +343,11 @@ Examples:
 
 The public key goes into the hub's users file: keys = [\"ed25519 ...\"]. With the private one the device
 logs in from anywhere: mom --user arm --key arm.key tree";
+
+/// `5/s`, `12/min`.
+fn rate(text: &str) -> Result<MessageRate, String> {
+    text.parse().map_err(|error: WireError| error.text)
+}
 
 /// `250ms`, `5s`, `2m`, `1h`; a number without a unit is refused, because nobody knows which one was meant.
 pub(crate) fn duration(text: &str) -> Result<Duration, String> {

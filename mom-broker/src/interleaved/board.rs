@@ -96,7 +96,14 @@ impl Lab {
 fn ask(board: &Switchboard, peer: PeerId, family: Family, name: &str, context: &str) {
     let parcel = Box::new(Parcel::new(family, name).context(path(context)).id(1000));
     let mut touched = Touched::new();
-    board.decide(Input::Request { peer, parcel }, &mut touched);
+    board.decide(
+        Input::Request {
+            peer,
+            parcel,
+            clock: None,
+        },
+        &mut touched,
+    );
     flush(&mut touched);
 }
 
@@ -108,7 +115,7 @@ fn say(board: &Switchboard, peer: PeerId, name: &str, id: u64) -> bool {
 /// A message, as a session carries it out; whether it was taken in.
 fn say_to(board: &Switchboard, peer: PeerId, parcel: Parcel) -> bool {
     let mut touched = Touched::new();
-    let result = board.message(peer, Box::new(parcel), &mut touched);
+    let result = board.message(peer, Box::new(parcel), &|_| None, &mut touched);
     flush(&mut touched);
     result.is_ok()
 }
@@ -282,8 +289,14 @@ fn a_deleted_channel_delivers_nothing() {
             .content(Map::new().with("kind", "channel").with("presence", "none"));
         let mut touched = Touched::new();
         let parcel = Box::new(parcel);
-        lab.board
-            .decide(Input::Request { peer: bob, parcel }, &mut touched);
+        lab.board.decide(
+            Input::Request {
+                peer: bob,
+                parcel,
+                clock: None,
+            },
+            &mut touched,
+        );
         flush(&mut touched);
         for outbox in &lab.outboxes {
             ask(&lab.board, outbox.peer, Family::Context, "join", "/lab/more");

@@ -13,9 +13,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use mom_hub::PeerId;
+use mom_managers::Micros;
 use mom_net::{GATHER, NetError, Writer};
 use mom_proto::codec::Form;
-use mom_proto::{Limit, WireError};
+use mom_proto::{ContextNumber, Limit, WireError};
 
 use flow::Flow;
 use packet::Piece;
@@ -128,6 +129,43 @@ impl Outbox {
         (taken, first)
     }
 
+    /// As [`Outbox::push`], for a receiver that wants the newest of each sender and name only, and one in `interval` µs
+    /// at most. What has to wait for its turn leaves by itself when that comes.
+    pub(crate) fn push_thinned(&self, packet: Arc<Packet>, interval: Micros) -> (Taken, bool) {
+        let now = self.clock.now();
+        let mut queue = self.queue.lock();
+        if self.closed.load(Ordering::Acquire) {
+            return (Taken::Dropped, false);
+        }
+        let before = queue.due();
+        let taken = queue.push_thinned(packet, interval, now);
+        let sooner = queue
+            .due()
+            .is_some_and(|due| before.is_none_or(|before| due < before));
+        drop(queue);
+        if sooner {
+            self.wake.notify_one();
+        }
+        if taken == Taken::Later {
+            return (taken, false);
+        }
+        let first = !self.touched.swap(true, Ordering::SeqCst);
+        // As in `push`.
+        fence(Ordering::SeqCst);
+        (taken, first)
+    }
+
+    /// Ends the turns of a channel; what waited for them goes now if the peer still hears it, and else not at all.
+    pub(crate) fn end_turns(&self, channel: ContextNumber, hears: bool) {
+        let mut queue = self.queue.lock();
+        match hears {
+            true => queue.hand_out_turns(channel),
+            false => queue.drop_turns(Some(channel)),
+        }
+        drop(queue);
+        self.wake.notify_one();
+    }
+
     /// Writes what waits as far as the link takes it, and leaves the rest to the writer task.
     pub(crate) fn flush(&self) {
         match self.try_flush() {
@@ -189,7 +227,7 @@ impl Outbox {
     }
 
     /// What was dropped since the last call; cheap where nothing was.
-    pub(crate) fn take_drops(&self) -> Vec<((mom_proto::ContextNumber, PeerId, DropReason), u64)> {
+    pub(crate) fn take_drops(&self) -> Vec<((ContextNumber, PeerId, DropReason), u64)> {
         let mut queue = self.queue.lock();
         match queue.has_drops() {
             true => queue.take_drops().into_iter().collect(),
@@ -200,7 +238,7 @@ impl Outbox {
     /// The writer task: writes whenever the link takes more, until the end.
     pub(crate) async fn run(&self) {
         loop {
-            self.wake.notified().await;
+            self.woken().await;
             // Asked before the last flush: what was to go out is in the queue by then.
             let ends = self.closing().is_some();
             loop {
@@ -219,6 +257,19 @@ impl Outbox {
                 self.writer.finish();
                 return;
             }
+        }
+    }
+
+    /// Waits until there is something to write: somebody says so, or a turn comes.
+    async fn woken(&self) {
+        let Some(due) = self.queue.lock().due() else {
+            return self.wake.notified().await;
+        };
+        // Few peers want a rate: the others' tasks need no room for a timer.
+        let turn = Box::pin(self.clock.reach(due));
+        tokio::select! {
+            () = self.wake.notified() => {}
+            () = turn => {}
         }
     }
 
@@ -284,6 +335,7 @@ impl Outbox {
         let piece = flow.piece();
         let now = self.clock.now();
         let mut queue = self.queue.lock();
+        queue.take_turns(now);
         let mut bytes = 0;
         while batch.len() < BATCH_PIECES {
             let next = match room.checked_sub(bytes) {

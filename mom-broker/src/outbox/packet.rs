@@ -17,7 +17,7 @@ use crate::sync::atomic::{AtomicU64, Ordering};
 pub(crate) type Gate = Arc<AtomicU64>;
 
 /// A parcel, or a run of small ones, with all that a queue has to know of it.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Packet {
     pub(crate) encodings: Encodings,
     pub(crate) lane: Lane,
@@ -63,6 +63,8 @@ pub(crate) enum DropReason {
     Expired,
     /// The token changed hands before the link took it.
     Fence,
+    /// The receiver wants fewer, and a newer one came before its turn.
+    Rate,
 }
 
 impl DropReason {
@@ -73,11 +75,26 @@ impl DropReason {
             DropReason::Closed => "receiver-gone",
             DropReason::Expired => "expired",
             DropReason::Fence => "older-fence",
+            DropReason::Rate => "rate",
         }
     }
 }
 
 impl Packet {
+    /// Whether a receiver may be spared of it: a message that needed no token and is no stop. What is guarded is a
+    /// command, of which each counts.
+    pub(crate) fn may_be_thinned(&self) -> bool {
+        matches!(self.lane, Lane::Data(_)) && self.gate.is_none()
+    }
+
+    /// The same for receivers that want the newest only, whatever its class is.
+    pub(crate) fn as_latest(&self) -> Packet {
+        Packet {
+            delivery: Delivery::Latest,
+            ..self.clone()
+        }
+    }
+
     /// Whether it may no longer leave: its time is over, or its owner owns no more.
     pub(crate) fn stale(&self, now: Micros) -> Option<DropReason> {
         if self.expires_at.is_some_and(|end| now >= end) {

@@ -2,6 +2,8 @@
 
 mod lane;
 mod take;
+mod thin;
+mod turns;
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, HashMap, VecDeque};
@@ -12,12 +14,15 @@ use mom_proto::{ContextNumber, Delivery, Limit, event};
 
 use super::packet::{DropReason, Entry, Lane, Origin, Packet};
 use lane::DataLane;
+use turns::Turns;
 
 /// What became of a parcel at the door.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Taken {
     /// It waits.
     Yes,
+    /// It waits for its turn, and there is nothing to write before that.
+    Later,
     /// It was dropped, as its class allows.
     Dropped,
     /// It may not be dropped and there is no room: the receiver is too slow.
@@ -40,6 +45,8 @@ pub(crate) struct Queue {
     data: BTreeMap<Reverse<i32>, DataLane>,
     data_bytes: usize,
     latest: HashMap<Origin, (Reverse<i32>, u64)>,
+    /// What waits for its turn, where the receiver wants so many in a time.
+    turns: Option<Box<Turns>>,
     /// Of which a part was given to the link; at most one of each urgency.
     open: Vec<Entry>,
     /// Streams of chunks that the receiver has to be told to forget.
@@ -63,6 +70,7 @@ impl Queue {
             data: BTreeMap::new(),
             data_bytes: 0,
             latest: HashMap::new(),
+            turns: None,
             open: Vec::new(),
             aborts: VecDeque::new(),
             last_stream: 0,
@@ -113,6 +121,7 @@ impl Queue {
         }
         self.latest.clear();
         self.data_bytes = 0;
+        self.drop_turns(None);
     }
 
     /// What was dropped since the last call.
@@ -295,3 +304,6 @@ fn size(packet: &Packet, form: Option<Form>) -> usize {
 
 #[cfg(test)]
 mod tests;
+
+#[cfg(test)]
+mod thinned;

@@ -2,7 +2,9 @@
 
 use std::time::Duration;
 
-use mom_client::{Builder, Client, Code, ErrorKind, Event, Family, Link, Map, Parcel, Reconnect, WireError};
+use mom_client::{
+    Builder, Client, Code, ErrorKind, Event, Family, Link, Map, Parcel, Reconnect, Thinning, WireError,
+};
 use tokio::time::Instant;
 
 use crate::common::{Hub, Peer, local, logged_in, next, path, tcp};
@@ -69,6 +71,46 @@ async fn everything_is_joined_again_parents_first() {
         assert!(matches!(next(&mut on_chat).await, Event::Message(_)), "{form}");
         assert_eq!(others.try_next(), None);
     }
+}
+
+#[tokio::test]
+async fn what_one_is_spared_of_is_asked_for_again() {
+    let (mut hub, builder) = local();
+    let (client, mut peer) = logged_in(&mut hub, quick(builder)).await;
+    let rate = |text: &str| Thinning {
+        rate: text.parse().ok(),
+        ..Thinning::default()
+    };
+    let member = Map::new().with("kind", "channel");
+    let (joined, ()) = tokio::join!(client.channel_thinned("/chat", rate("5/s")), async {
+        let join = peer.expect("context join /chat").await;
+        assert_eq!(join.value(), Map::new().with("rate", "5/s").into());
+        peer.ok(&join, member.clone()).await;
+    });
+    let chat = joined.unwrap();
+    // Who is there already joins again; who says nothing of it changes nothing.
+    let (joined, ()) = tokio::join!(client.channel_thinned("/chat", rate("1/min")), async {
+        let join = peer.expect("context join /chat").await;
+        assert_eq!(join.value(), Map::new().with("rate", "1/min").into());
+        peer.ok(&join, member.clone()).await;
+    });
+    joined.unwrap();
+    client.channel("/chat").await.unwrap();
+    peer.hang_up();
+    let mut peer = back(&mut hub, "ally").await;
+    let join = peer.expect("context join /chat").await;
+    assert_eq!(join.value(), Map::new().with("rate", "1/min").into());
+    peer.ok(&join, member.clone()).await;
+    client.state().wait_for(|link| *link == Link::Up).await.unwrap();
+    let (ended, ()) = tokio::join!(chat.thin(Thinning::default()), async {
+        let join = peer.expect("context join /chat").await;
+        assert_eq!(join.value(), Map::new().into(), "an empty map ends it");
+        peer.ok(&join, member.clone()).await;
+    });
+    ended.unwrap();
+    peer.hang_up();
+    let mut peer = back(&mut hub, "ally").await;
+    assert!(peer.expect("context join /chat").await.content.is_none());
 }
 
 #[tokio::test]

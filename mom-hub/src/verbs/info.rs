@@ -33,6 +33,9 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
         ),
         Role::Channel(channel) => {
             info.set("delivery", channel.delivery.word());
+            if let Some(member) = context.members.get(&request.peer) {
+                member.thinning.describe(&mut info);
+            }
             if let Some(keep) = channel.keep {
                 info.set("keep", keep.to_map());
             }

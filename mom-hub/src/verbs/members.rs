@@ -15,7 +15,11 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
         .into_iter()
         .flat_map(|context| context.members.values());
     let list: Vec<Value> = members
-        .map(|member| Value::Map(peer_map(&member.facts)))
+        .map(|member| {
+            let mut map = peer_map(&member.facts);
+            member.thinning.describe(&mut map);
+            Value::Map(map)
+        })
         .collect();
     hub.push_ok(
         request.peer,

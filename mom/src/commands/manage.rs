@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::io;
 
-use mom_client::{Client, ClientError, Code, Consult, Link};
+use mom_client::{Client, ClientError, Code, Consult, Link, Thinning};
 use serde_json::{Value as Json, json};
 use tokio::time::Instant;
 
@@ -25,7 +25,7 @@ pub(crate) async fn run(args: &cli::Manage, global: &Global, output: Output) -> 
     let mut joined = Vec::new();
     for path in &args.paths {
         let info = client.lookup(path).await.doing(format!("look up {path}"))?;
-        joined.push(events(&client, &info).await?);
+        joined.push(events(&client, &info, Thinning::default()).await?);
     }
     output.remark(ink(
         format_args!(

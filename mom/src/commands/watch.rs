@@ -1,6 +1,6 @@
 //! `mom watch`: what happens in contexts, one line per parcel.
 
-use mom_client::{Client, ContextInfo, ContextKind, Event, Events, Link, Path};
+use mom_client::{Client, ContextInfo, ContextKind, Event, Events, Link, Path, Thinning};
 use tokio::sync::mpsc;
 
 use crate::cli::{self, Global};
@@ -22,7 +22,11 @@ pub(crate) async fn run(args: &cli::Watch, global: &Global, output: Output) -> R
         let info = client.lookup(path).await.doing(format!("look up {path}"))?;
         add(&client, info, args.recursive, &mut contexts).await?;
     }
-    let mut happenings = subscribe(&client, &contexts).await?;
+    let thinning = Thinning {
+        newest: args.newest,
+        rate: args.rate,
+    };
+    let mut happenings = subscribe(&client, &contexts, thinning).await?;
     let what = match &contexts[..] {
         [one] => one.path.to_string(),
         many => format!("{} contexts", many.len()),
@@ -78,10 +82,11 @@ async fn add(
 async fn subscribe(
     client: &Client,
     contexts: &[ContextInfo],
+    thinning: Thinning,
 ) -> Result<mpsc::Receiver<(String, Event)>, Failure> {
     let (sender, receiver) = mpsc::channel(WAITING);
     for (index, info) in contexts.iter().enumerate() {
-        let mut events = events(client, info).await?;
+        let mut events = events(client, info, thinning).await?;
         let (sender, context) = (sender.clone(), info.path.clone());
         let watched: Vec<Path> = contexts.iter().map(|context| context.path.clone()).collect();
         tokio::spawn(async move {
@@ -104,13 +109,20 @@ async fn subscribe(
     Ok(receiver)
 }
 
-/// Joins a context; its events keep it joined.
-pub(super) async fn events(client: &Client, info: &ContextInfo) -> Result<Events, Failure> {
+/// Joins a context, if it is a channel spared of this; its events keep it joined.
+pub(super) async fn events(
+    client: &Client,
+    info: &ContextInfo,
+    thinning: Thinning,
+) -> Result<Events, Failure> {
     let path = info.path.as_str();
     let what = format!("join {path}");
     Ok(match info.kind {
         ContextKind::Session => client.session(path).await.doing(what)?.events(),
-        ContextKind::Channel => client.channel(path).await.doing(what)?.events(),
+        ContextKind::Channel => {
+            let channel = client.channel_thinned(path, thinning).await;
+            channel.doing(what)?.events()
+        }
         ContextKind::Token => client.token(path).await.doing(what)?.events(),
     })
 }

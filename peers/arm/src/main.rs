@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use anyhow::{Context, anyhow};
 use clap::Parser;
 use mom_arm::{ArmOptions, peer};
-use mom_client::Client;
+use mom_client::{Client, Key, Proof};
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
@@ -15,10 +15,11 @@ const EXAMPLES: &str = "\
 Examples:
   MOM_PASSWORD=arm mom-arm
   mom-arm --hub tcp://127.0.0.1:7666 --password-file arm.secret
+  mom-arm --hub bin://lab.example.org --key arm.key
   RUST_LOG=debug MOM_PASSWORD=arm mom-arm --channel /robot/arm
 
-The password is that of MOM_PASSWORD, unless --password-file names a file. The log goes to the standard
-error; RUST_LOG says how much of it. Ctrl-C and SIGTERM halt the arm and end the program.";
+The password is that of MOM_PASSWORD, unless --password-file names a file. A key (mom keygen) is taken from
+anywhere, a password over loopback only. The log goes to the standard error; RUST_LOG says how much of it. Ctrl-C and SIGTERM halt the arm and end the program.";
 
 /// The robot arm of the demonstration lab: obeys the scripts of the token's owner and tells its state.
 #[derive(Debug, Parser)]
@@ -31,8 +32,11 @@ struct Args {
     #[arg(long, default_value = "arm")]
     user: String,
     /// A file whose first line is the password
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", conflicts_with = "key")]
     password_file: Option<PathBuf>,
+    /// A file with the private key of the user, as mom keygen makes it; it needs no password
+    #[arg(long, value_name = "FILE")]
+    key: Option<PathBuf>,
     /// The channel of commands and states
     #[arg(long, value_name = "PATH", default_value = "/robot/arm")]
     channel: String,
@@ -50,7 +54,7 @@ async fn main() -> anyhow::Result<()> {
     let shutdown = shutdown()?;
     let client = Client::builder(&args.hub)
         .user(&args.user)
-        .password(&password(&args)?)
+        .proof(proof(&args)?)
         .connect()
         .await
         .with_context(|| format!("{} cannot log in at {}", args.user, args.hub))?;
@@ -62,10 +66,18 @@ async fn main() -> anyhow::Result<()> {
         .context("the arm ended")
 }
 
+/// By its key if it has one.
+fn proof(args: &Args) -> anyhow::Result<Proof> {
+    match &args.key {
+        Some(file) => Ok(Proof::Key(Key::from_file(file).context("--key")?)),
+        None => password(args).map(Proof::Password),
+    }
+}
+
 fn password(args: &Args) -> anyhow::Result<String> {
     let Some(file) = &args.password_file else {
         return std::env::var("MOM_PASSWORD")
-            .map_err(|_| anyhow!("set MOM_PASSWORD, or name a file with --password-file"));
+            .map_err(|_| anyhow!("set MOM_PASSWORD, or name a file with --password-file or --key"));
     };
     let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
     Ok(text.lines().next().unwrap_or_default().to_owned())

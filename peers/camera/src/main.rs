@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use anyhow::{Context, anyhow};
 use clap::Parser;
 use mom_camera::{CameraOptions, Settings, SettingsChange, View, peer};
-use mom_client::Client;
+use mom_client::{Client, Key, Proof};
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
@@ -15,10 +15,11 @@ const EXAMPLES: &str = "\
 Examples:
   MOM_PASSWORD=camera mom-camera
   mom-camera --hub tcp://127.0.0.1:7666 --password-file camera.secret --rate 5
+  mom-camera --hub bin://lab.example.org --key camera.key
   MOM_PASSWORD=camera mom-camera --view top --width 320 --height 240 --format png
 
-The password is that of MOM_PASSWORD, unless --password-file names a file. The log goes to the standard
-error; RUST_LOG says how much of it. Ctrl-C and SIGTERM end the program.";
+The password is that of MOM_PASSWORD, unless --password-file names a file. A key (mom keygen) is taken from
+anywhere, a password over loopback only. The log goes to the standard error; RUST_LOG says how much of it. Ctrl-C and SIGTERM end the program.";
 
 /// The camera of the demonstration lab: shows the robot's workspace after each of its states and on request.
 #[derive(Debug, Parser)]
@@ -31,8 +32,11 @@ struct Args {
     #[arg(long, default_value = "camera")]
     user: String,
     /// A file whose first line is the password
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", conflicts_with = "key")]
     password_file: Option<PathBuf>,
+    /// A file with the private key of the user, as mom keygen makes it; it needs no password
+    #[arg(long, value_name = "FILE")]
+    key: Option<PathBuf>,
     /// Where the camera stands: x, y, top or wrist
     #[arg(long, default_value = "x")]
     view: View,
@@ -78,7 +82,7 @@ async fn main() -> anyhow::Result<()> {
     let options = options(&args)?;
     let client = Client::builder(&args.hub)
         .user(&args.user)
-        .password(&password(&args)?)
+        .proof(proof(&args)?)
         .connect()
         .await
         .with_context(|| format!("{} cannot log in at {}", args.user, args.hub))?;
@@ -106,10 +110,18 @@ fn options(args: &Args) -> anyhow::Result<CameraOptions> {
     })
 }
 
+/// By its key if it has one.
+fn proof(args: &Args) -> anyhow::Result<Proof> {
+    match &args.key {
+        Some(file) => Ok(Proof::Key(Key::from_file(file).context("--key")?)),
+        None => password(args).map(Proof::Password),
+    }
+}
+
 fn password(args: &Args) -> anyhow::Result<String> {
     let Some(file) = &args.password_file else {
         return std::env::var("MOM_PASSWORD")
-            .map_err(|_| anyhow!("set MOM_PASSWORD, or name a file with --password-file"));
+            .map_err(|_| anyhow!("set MOM_PASSWORD, or name a file with --password-file or --key"));
     };
     let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
     Ok(text.lines().next().unwrap_or_default().to_owned())

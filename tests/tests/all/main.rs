@@ -2,6 +2,7 @@
 
 mod commands;
 mod control;
+mod device_keys;
 mod dialogues;
 mod late;
 mod login;
@@ -10,5 +11,6 @@ mod protocol;
 mod python;
 mod states;
 mod stats;
+mod thinning;
 mod threats;
 mod time;

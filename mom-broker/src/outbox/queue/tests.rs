@@ -49,19 +49,19 @@ fn entry(name: &str, lane: Lane, delivery: Delivery) -> Arc<Packet> {
     Arc::new(packet(name, lane, delivery))
 }
 
-fn data(name: &str, delivery: Delivery) -> Arc<Packet> {
+pub(super) fn data(name: &str, delivery: Delivery) -> Arc<Packet> {
     entry(name, Lane::Data(0), delivery)
 }
 
-fn queue(limit: usize) -> Queue {
+pub(super) fn queue(limit: usize) -> Queue {
     Queue::new(Some(Form::Binary), limit)
 }
 
-fn pop(queue: &mut Queue, now: Micros) -> Option<Piece> {
+pub(super) fn pop(queue: &mut Queue, now: Micros) -> Option<Piece> {
     queue.pop(now, usize::MAX)
 }
 
-fn name(piece: &Piece) -> String {
+pub(super) fn name(piece: &Piece) -> String {
     piece.packet.origin.name.to_string()
 }
 
