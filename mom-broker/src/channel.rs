@@ -310,6 +310,16 @@ impl Inner {
         self.binary && !self.thins && self.history.is_none()
     }
 
+    /// What a member has used of its rate.
+    pub(crate) fn usage(&self, peer: PeerId) -> Usage {
+        self.used.get(&peer).cloned().unwrap_or_default()
+    }
+
+    /// Notes what a member has used of its rate by a run.
+    pub(crate) fn set_usage(&mut self, peer: PeerId, usage: Usage) {
+        self.used.insert(peer, usage);
+    }
+
     /// Counts a message of a run.
     pub(crate) fn note_sent(&mut self, sender: Option<usize>, size: usize, age: Option<i64>) {
         self.figures.sent(sender, size, age);
@@ -377,7 +387,8 @@ impl Inner {
                 Taken::Dropped => result.dropped.push(name()),
                 Taken::Overflow => {
                     result.dropped.push(name());
-                    self.figures.dropped(Some(place), DropReason::Full.word(), 1);
+                    let count = u64::from(packet.count);
+                    self.figures.dropped(Some(place), DropReason::Full.word(), count);
                     result.too_slow.push(Arc::clone(outbox));
                 }
             }

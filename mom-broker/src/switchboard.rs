@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use dashmap::DashMap;
 use mom_hub::{
-    Admission, Alike, Effect, Hub, Ingress, Input, PeerClock, PeerId, Record, Route, Ticket, admit,
+    Admission, Alike, Effect, Hub, Ingress, Input, PeerClock, PeerId, Record, Route, Ticket, Usage, admit,
 };
-use mom_managers::Micros;
+use mom_managers::{Micros, Rate};
 use mom_net::Reader;
 use mom_proto::binary::{Plain, Run};
 use mom_proto::{Code, ContextNumber, Delivery, Family, Map, Parcel, Path, Value, Verb, WireError, event};
@@ -185,7 +185,7 @@ impl Switchboard {
         let ingress = self.ingress(clock);
         let admission = admit(&inner.route, peer, &mut stamped, &ingress);
         // All else is decided, told and counted where single messages are.
-        let Ok(Admission::Pass(receivers, None)) = admission else {
+        let Ok(Admission::Pass(receivers, rate)) = admission else {
             return false;
         };
         if stamped.delivery.unwrap_or(inner.route.delivery) != Delivery::Reliable {
@@ -194,6 +194,7 @@ impl Switchboard {
         let place = inner.route.position(peer);
         let alike = Alike::new(&inner.route, peer, &stamped.name, &ingress);
         let room = (reader.waiting() * 3 / 2).min(RUN) + 256;
+        let mut usage = rate.map(|rate| (rate, inner.usage(peer)));
         let mut run: Option<Run> = None;
         while let Some(plain) = reader.plain().filter(is_small) {
             let run = run.get_or_insert_with(|| Run::begin(&plain, &stamped, room));
@@ -203,14 +204,22 @@ impl Switchboard {
             let Some(age) = alike.age(plain.timestamp()) else {
                 break;
             };
+            let size = plain.content_length();
+            let spent = |(rate, usage): &mut (Rate, Usage)| usage.charge(rate, size, ingress.now).is_err();
+            if usage.as_mut().is_some_and(spent) {
+                break;
+            }
             run.push(&plain, age);
-            inner.note_sent(place, plain.content_length(), stamped.age_error.map(|_| age));
+            inner.note_sent(place, size, stamped.age_error.map(|_| age));
             let length = plain.length();
             reader.consume(length);
         }
         let Some(run) = run.filter(|run| run.count() > 0) else {
             return false;
         };
+        if let Some((_, usage)) = usage {
+            inner.set_usage(peer, usage);
+        }
         let delivered = inner.deliver_run(peer, run, &stamped, &receivers, ingress.now);
         let path = inner.route.path.clone();
         drop(inner);

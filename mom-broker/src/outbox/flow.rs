@@ -82,6 +82,11 @@ impl Flow {
         self.written += bytes as u64;
     }
 
+    /// Bytes that the other side had acknowledged when we last looked.
+    pub(super) fn taken(&self) -> u64 {
+        self.acknowledged
+    }
+
     /// Nothing waits any more, so the time from now on says nothing about the link.
     pub(super) fn rest(&mut self) {
         self.since = None;

@@ -35,6 +35,9 @@ const BATCH_BYTES: usize = 256 * 1024;
 /// How long a writer waits before it looks again whether the network has room.
 const PACE: Duration = Duration::from_millis(1);
 
+/// The same for a receiver that takes nothing.
+const LONGEST_PACE: Duration = Duration::from_millis(16);
+
 /// The outbox of one connection.
 #[derive(Debug)]
 pub(crate) struct Outbox {
@@ -241,6 +244,7 @@ impl Outbox {
             self.woken().await;
             // Asked before the last flush: what was to go out is in the queue by then.
             let ends = self.closing().is_some();
+            let (mut pause, mut seen) = (PACE, 0);
             loop {
                 match self.flush_after_others() {
                     Ok(Flushed::Done) => break,
@@ -249,7 +253,16 @@ impl Outbox {
                             return self.broken(&error);
                         }
                     }
-                    Ok(Flushed::Paced) => tokio::time::sleep(PACE).await,
+                    Ok(Flushed::Paced) => {
+                        tokio::time::sleep(pause).await;
+                        // A receiver that takes nothing is looked at less and less often.
+                        let taken = self.sending.lock().flow.taken();
+                        pause = match taken == seen {
+                            true => (pause * 2).min(LONGEST_PACE),
+                            false => PACE,
+                        };
+                        seen = taken;
+                    }
                     Err(error) => return self.broken(&error),
                 }
             }
