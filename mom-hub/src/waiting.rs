@@ -170,8 +170,10 @@ impl Hub {
             self.refuse_all(&[(waiter.peer, waiter.id)], &error, Verb::Grab, number, out);
             refused = true;
         }
-        // Once for all: each of thousands that may be refused moves all behind it.
-        if refused {
+        // Once for all: each of thousands that may be refused moves all behind it. Also after a grant that could not be
+        // stored or whose peer was gone, which left the queue for nothing; one that is being stored tells at its end.
+        let storing = self.token(number).is_some_and(|token| token.storing.is_some());
+        if refused || !storing {
             self.told_places(number, out);
         }
     }
