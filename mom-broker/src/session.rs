@@ -25,8 +25,8 @@ use crate::switchboard::{Switchboard, Touched, flush};
 /// How long an ending connection may take to hear why.
 const FAREWELL: Duration = Duration::from_secs(1);
 
-/// Frames after which a turn flushes and lets others run: a peer inside this process may never pause, and
-/// whoever adds to an outbox that somebody has touched leaves the flush to that one, a stop included.
+/// Frames after which a turn flushes and lets others run: a peer inside this process may never pause, and whoever
+/// adds something of usual urgency to an outbox that somebody has touched leaves the flush to that one.
 const TURN: usize = 256;
 
 /// What a connection has to know of its broker.
