@@ -9,6 +9,7 @@ mod login;
 mod programs;
 mod protocol;
 mod python;
+mod runs;
 mod states;
 mod stats;
 mod thinning;
