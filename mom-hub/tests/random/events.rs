@@ -104,9 +104,13 @@ impl Observer {
         let owner = self.owners.now.get(&path).map(|owned| owned.name.clone());
         let asks = word(&parcel.value(), "peer").and_then(|name| self.tree.person(&name));
         let ids = asks.map(|(peer, _)| self.answers.meant(peer, &path, Verb::Request, input));
-        let id = ids.and_then(|ids| ids.first().copied());
+        let ids = ids.unwrap_or_default();
+        // The one that is just carried out, if it is this peer's: else any that was held back, or waited for a chair.
+        let just =
+            |id: &&u64| matches!(input, Some(Input::Request { parcel, .. }) if parcel.id == Some(**id));
+        let ids = ids.first().filter(just).map_or(&ids[..], std::slice::from_ref);
         self.handover
-            .event(parcel, owner.as_deref(), id, self.now, &mut self.seen);
+            .event(parcel, owner.as_deref(), ids, self.now, &mut self.seen);
         let mut also = self.tree.guarded_members(&path);
         also.extend(self.tree.members_of(&path.parent().unwrap()));
         also

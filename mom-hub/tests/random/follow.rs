@@ -139,10 +139,15 @@ impl Observer {
     /// A grant is being stored: to who is called from the queue, or to somebody by other ways.
     fn promise(&mut self, path: &Path, name: &str) {
         if !self.rules(path).is_some_and(|rules| rules.calm) {
+            self.queues.promise(path, name);
             return;
         }
         let lost = self.owners.lost.get(path);
-        let returns = lost.is_some_and(|lost| lost.owned.from.as_deref() == Some(name));
+        let returns = lost.is_some_and(|lost| {
+            // What was broken or taken does not go back to who gave it; that one may be called like all others.
+            let kept = matches!(&*lost.reason, "broken" | "deleted" | "preempted");
+            lost.owned.from.as_deref() == Some(name) && !kept
+        });
         let owned = self.owners.now.contains_key(path);
         let called = !owned && !returns && !self.handover.converted(path, name);
         self.queues.stored(path, name, called);

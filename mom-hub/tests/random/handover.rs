@@ -18,7 +18,10 @@ struct Offer {
 /// A request to an owner.
 #[derive(Clone, Debug, PartialEq)]
 struct Request {
-    id: u64,
+    /// Which of its peer's requests on their way it may be.
+    ids: BTreeSet<u64>,
+    /// Whether there were several.
+    unclear: bool,
     to: String,
     until: u64,
 }
@@ -40,7 +43,7 @@ impl HandOver {
         &mut self,
         parcel: &Parcel,
         owner: Option<&str>,
-        id: Option<u64>,
+        ids: &[u64],
         now: u64,
         seen: &mut Seen,
     ) {
@@ -65,7 +68,8 @@ impl HandOver {
             }
             "requested" => {
                 let request = Request {
-                    id: id.unwrap(),
+                    ids: ids.iter().copied().collect(),
+                    unclear: ids.len() > 1,
                     to: owner.unwrap().to_owned(),
                     until: until(),
                 };
@@ -116,7 +120,10 @@ impl HandOver {
     /// A request to an owner was answered.
     pub(crate) fn answered(&mut self, path: &Path, id: u64) {
         if let Some(asking) = self.requests.get_mut(path) {
-            asking.retain(|_, request| request.id != id);
+            asking.retain(|_, request| {
+                request.ids.remove(&id);
+                !request.ids.is_empty()
+            });
         }
     }
 
@@ -142,7 +149,10 @@ impl HandOver {
     }
 
     /// All is as the hub says. `stored` = a change of owner waits until it is durable.
-    pub(crate) fn check(&self, path: &Path, look: &Look, stored: bool, now: u64) {
+    pub(crate) fn check(&mut self, path: &Path, look: &Look, stored: bool, now: u64) {
+        if let Some(asking) = self.requests.get_mut(path) {
+            asking.retain(|name, request| !request.unclear || look.requests.contains(name));
+        }
         let offer = self.offers.get(path);
         let offered = offer.map(|offer| offer.to.clone());
         let accepted = stored && look.offered.is_none();

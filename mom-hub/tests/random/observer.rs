@@ -150,7 +150,9 @@ impl Observer {
         self.follow(&effects, None);
         self.check_ends();
         let by_route = self.tree.admit(&self.hub, now, input);
-        check_early(early, by_route.as_ref());
+        if !effects.iter().any(taken_by_somebody) {
+            check_early(early, by_route.as_ref());
+        }
         self.answers.ask(input);
         self.configure(variant);
         let start = effects.len();
@@ -296,6 +298,15 @@ fn check_early(early: Option<Admitted>, late: Option<&Admitted>) {
             "an ownership that is over lets nothing pass"
         );
     }
+}
+
+/// Whether somebody takes a token, by a request that waited for an answer until now: that is no end which the owner,
+/// or a route, could have known of before.
+fn taken_by_somebody(effect: &Effect) -> bool {
+    let Effect::Deliver { parcel, .. } = effect else {
+        return false;
+    };
+    parcel.is(Family::Event, "released") && parcel.value().get("by").is_some()
 }
 
 /// A life of a hub that is over.

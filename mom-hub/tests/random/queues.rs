@@ -54,6 +54,10 @@ impl Queues {
         if self.unclear.contains(told.path) {
             return;
         }
+        let calm = told.rules.is_some_and(|rules| rules.calm);
+        if !calm && !self.waiting.get(told.path).is_none_or(|queue| fits(queue, told)) {
+            self.call(told.path);
+        }
         let queue = self.waiting.entry(told.path.clone()).or_default();
         if let Some(index) = queue.iter().position(|waiter| waiter.name == told.name) {
             assert_eq!(index + 1, told.place, "the place of {} is told", told.name);
@@ -84,7 +88,7 @@ impl Queues {
         }
         // Where one peer has two grabs on their way, the first of them waits and the other is refused; but not
         // where somebody is asked about both.
-        if told.ids.len() > 1 && !told.rules.is_some_and(|rules| rules.calm) {
+        if told.ids.len() > 1 && !calm {
             self.unclear.insert(told.path.clone());
         }
         let waiter = Waiter {
@@ -95,6 +99,21 @@ impl Queues {
             place: told.place,
         };
         queue.insert(index, waiter);
+    }
+
+    /// A grant to this peer is being stored, where it is not known whether that is in its turn.
+    pub(crate) fn promise(&mut self, path: &Path, name: &str) {
+        self.promised.insert(path.clone(), name.to_owned());
+    }
+
+    /// What others are told says that the grant which is being stored is in its turn: who waits for it was called.
+    fn call(&mut self, path: &Path) {
+        let (Some(name), Some(queue)) = (self.promised.get(path), self.waiting.get_mut(path)) else {
+            return;
+        };
+        if let Some(place) = queue.iter().position(|waiter| waiter.name == *name) {
+            self.called.insert(path.clone(), queue.remove(place));
+        }
     }
 
     /// A grant to this peer is being stored: in its turn, or by other ways.
@@ -111,7 +130,7 @@ impl Queues {
             _ => {
                 let decided = !in_turn || self.reserved.contains(path);
                 assert!(first.is_none() || decided, "{name} passes by {first:?} to {path}");
-                self.promised.insert(path.clone(), name.to_owned());
+                self.promise(path, name);
             }
         }
     }
@@ -214,4 +233,11 @@ impl Queues {
         self.called.retain(|path, _| !looks.lack(path));
         self.mixed.retain(|path| self.waiting.contains_key(path));
     }
+}
+
+/// Whether a place that is told is the one in this queue, or the next one.
+fn fits(queue: &[Waiter], told: &Told<'_>) -> bool {
+    let known = queue.iter().position(|waiter| waiter.name == told.name);
+    let place = known.unwrap_or(queue.len()) + 1;
+    place == told.place
 }

@@ -63,6 +63,10 @@ enum Item {
     Safe {
         number: ContextNumber,
     },
+    /// The channel is no more.
+    Gone {
+        number: ContextNumber,
+    },
     Command {
         number: ContextNumber,
         fence: u64,
@@ -102,9 +106,10 @@ impl Robots {
             Effect::Route(route) => self.route(route),
             Effect::RouteGone(number) => {
                 self.channels.remove(number);
-                self.links.values_mut().for_each(|link| {
-                    link.robots.remove(number);
-                });
+                let gone = Item::Gone { number: *number };
+                self.links
+                    .values_mut()
+                    .for_each(|link| link.control.push_back(gone.clone()));
             }
             Effect::Deliver { to, parcel } => {
                 if let Some(item) = control(parcel, safe) {
@@ -336,6 +341,7 @@ fn hear(
                 robot.moves = None;
             }
         }
+        Item::Gone { number } => drop(robots.remove(&number)),
         Item::Command { .. } => unreachable!("commands are obeyed"),
     }
 }
