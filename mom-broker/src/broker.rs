@@ -17,7 +17,7 @@ use crate::clock::Clock;
 use crate::config::{Config, ConfigError};
 use crate::encodings::Bounds;
 use crate::login::{LoginStats, Logins};
-use crate::session::{self, Context};
+use crate::session::{self, Context, Serving};
 use crate::store::{self, Answer, StoreError};
 use crate::switchboard::{Switchboard, Touched, flush};
 use crate::witness::Witness;
@@ -188,7 +188,8 @@ impl Broker {
         let (here, there) = mom_net::pair();
         let context = self.context.fresh();
         let login_by = Instant::now() + login_time(&context.limits);
-        tokio::spawn(session::serve(context, here, None, login_by));
+        let mut serving = Serving::begin(context, here, None, login_by);
+        tokio::spawn(async move { serving.run().await });
         there
     }
 
@@ -298,12 +299,33 @@ impl Context {
         mom_net::accept(stream, &before_login, too_late).await
     }
 
-    pub(crate) async fn take_in(self, stream: TcpStream, from: SocketAddr, _place: OwnedSemaphorePermit) {
-        let login_by = Instant::now() + login_time(&self.limits);
+    /// Serves a connection from its first bytes on.
+    pub(crate) fn take_in(
+        self,
+        stream: TcpStream,
+        from: SocketAddr,
+        place: OwnedSemaphorePermit,
+    ) -> impl Future<Output = ()> {
         // Apart, so that the connection does not keep the memory that this needs.
-        match Box::pin(self.greet(stream, login_by)).await {
-            Ok(transceiver) => session::serve(self, transceiver, Some(from.ip()), login_by).await,
-            Err(error) => tracing::info!(%from, %error, "refused"),
+        let begun = Box::pin(self.begin(stream, from));
+        async move {
+            // By reference, or it would be kept twice.
+            let mut begun = begun.await;
+            if let Some(serving) = &mut begun {
+                serving.run().await;
+            }
+            drop(place);
+        }
+    }
+
+    async fn begin(self, stream: TcpStream, from: SocketAddr) -> Option<Serving> {
+        let login_by = Instant::now() + login_time(&self.limits);
+        match self.greet(stream, login_by).await {
+            Ok(transceiver) => Some(Serving::begin(self, transceiver, Some(from.ip()), login_by)),
+            Err(error) => {
+                tracing::info!(%from, %error, "refused");
+                None
+            }
         }
     }
 }

@@ -38,12 +38,13 @@ pub(super) struct Book {
     pub(super) settings: LoginConfig,
     pub(super) hashing: Arc<Hashing>,
     verifier: Option<Arc<Verifier>>,
+    guest: Arc<User>,
 }
 
 /// A user of the file.
 #[derive(Debug)]
 pub(super) struct Entry {
-    pub(super) user: User,
+    pub(super) user: Arc<User>,
     pub(super) password: Option<String>,
     pub(super) keys: Vec<VerifyingKey>,
 }
@@ -51,7 +52,8 @@ pub(super) struct Entry {
 /// As whom a peer is here.
 #[derive(Clone, Debug)]
 pub(super) struct Standing {
-    pub(super) user: User,
+    /// Shared by all peers of a user.
+    pub(super) user: Arc<User>,
     pub(super) origin: Origin,
     /// What it has shown, which must still be the user's for it to stay.
     proof: Proof,
@@ -115,6 +117,7 @@ impl Book {
             settings,
             hashing,
             verifier,
+            guest: Arc::new(guest()),
         })
     }
 
@@ -127,7 +130,7 @@ impl Book {
             return Err(WireError::new(Code::BAD_LOGIN, "this hub lets no guests in"));
         }
         Ok(Standing {
-            user: guest(),
+            user: Arc::clone(&self.guest),
             origin: Origin::Guest,
             proof: Proof::Nothing,
         })
@@ -146,12 +149,12 @@ impl Book {
             (Some(entry), None) => Standing::of_file(entry, Proof::Token(Arc::clone(verifier))),
             (None, None) => return Err(refused("the token's user is none here")),
             (None, Some((level, groups))) if !self.is_guest(&name) => Standing {
-                user: User {
+                user: Arc::new(User {
                     name,
                     level,
                     groups,
                     details: Map::new(),
-                },
+                }),
                 origin: Origin::Claims,
                 proof: Proof::Token(Arc::clone(verifier)),
             },
@@ -188,14 +191,14 @@ impl Book {
 impl Standing {
     pub(super) fn of_file(entry: &Entry, proof: Proof) -> Standing {
         Standing {
-            user: entry.user.clone(),
+            user: Arc::clone(&entry.user),
             origin: Origin::File,
             proof,
         }
     }
 
     /// The user as another book has it; none = it is nobody there, or what it has shown proves nothing any more.
-    pub(super) fn as_of(&self, book: &Book) -> Option<User> {
+    pub(super) fn as_of(&self, book: &Book) -> Option<Arc<User>> {
         let entry = book.users.get(&self.user.name);
         let proven = match &self.proof {
             Proof::Password(hash) => entry.is_some_and(|entry| entry.password.as_ref() == Some(hash)),
@@ -210,11 +213,11 @@ impl Standing {
             return None;
         }
         match self.origin {
-            Origin::File => entry.map(|entry| entry.user.clone()),
-            Origin::Guest => book.settings.guests.then(guest),
+            Origin::File => entry.map(|entry| Arc::clone(&entry.user)),
+            Origin::Guest => book.settings.guests.then(|| Arc::clone(&book.guest)),
             Origin::Claims => {
                 let free = entry.is_none() && !book.is_guest(&self.user.name);
-                free.then(|| self.user.clone())
+                free.then(|| Arc::clone(&self.user))
             }
         }
     }
@@ -228,7 +231,7 @@ impl Entry {
             .map(|key| parse_key(key).map_err(|text| wrong("users", format!("{}: {text}", user.name))))
             .collect::<Result<_, _>>()?;
         Ok(Entry {
-            user: user.to_user(),
+            user: Arc::new(user.to_user()),
             password: user.password,
             keys,
         })

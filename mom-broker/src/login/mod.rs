@@ -101,7 +101,7 @@ impl Logins {
     /// The user of this name in the users file.
     #[cfg(test)]
     pub(crate) fn lookup(&self, user: &str) -> Option<User> {
-        self.book().users.get(user).map(|entry| entry.user.clone())
+        self.book().users.get(user).map(|entry| User::clone(&entry.user))
     }
 
     fn reconsider(&self, book: &Book) -> Vec<(PeerId, Option<User>)> {
@@ -110,8 +110,9 @@ impl Logins {
             let user = peer.as_of(book);
             if user.as_ref() != Some(&peer.user) {
                 if let Some(user) = &user {
-                    peer.user = user.clone();
+                    peer.user = Arc::clone(user);
                 }
+                let user = user.map(|user| User::clone(&user));
                 changed.push((*peer.key(), user));
             }
         }
@@ -218,7 +219,7 @@ impl Logins {
             standing.user = standing.as_of(&now).ok_or_else(gone)?;
             now.check_nickname(&standing.user, nickname.as_deref())?;
         }
-        let mut user = standing.user.clone();
+        let mut user = User::clone(&standing.user);
         if let Some(until) = until {
             user.details.set("until", until);
         }

@@ -17,7 +17,7 @@ use super::{Granted, Logins, Origin, Step};
 use crate::clock::Clock;
 use crate::config::{Config, UserEntry};
 use crate::encodings::Bounds;
-use crate::session::{Context, serve};
+use crate::session::{Context, Serving};
 use crate::switchboard::Switchboard;
 use crate::witness::Witness;
 
@@ -55,7 +55,8 @@ impl House {
         let (here, there) = mom_net::pair();
         let from = from.map(|from| from.parse::<IpAddr>().expect("an address"));
         let login_by = Instant::now() + Duration::from_secs(60);
-        tokio::spawn(serve(self.context.clone(), here, from, login_by));
+        let mut serving = Serving::begin(self.context.clone(), here, from, login_by);
+        tokio::spawn(async move { serving.run().await });
         Visitor { link: there, last: 0 }
     }
 

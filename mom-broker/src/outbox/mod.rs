@@ -238,33 +238,20 @@ impl Outbox {
         }
     }
 
-    /// The writer task: writes whenever the link takes more, until the end.
+    /// The writer: writes whenever the link takes more, until the end.
     pub(crate) async fn run(&self) {
         loop {
             self.woken().await;
             // Asked before the last flush: what was to go out is in the queue by then.
             let ends = self.closing().is_some();
-            let (mut pause, mut seen) = (PACE, 0);
-            loop {
-                match self.flush_after_others() {
-                    Ok(Flushed::Done) => break,
-                    Ok(Flushed::Blocked) => {
-                        if let Err(error) = self.writer.ready().await {
-                            return self.broken(&error);
-                        }
-                    }
-                    Ok(Flushed::Paced) => {
-                        tokio::time::sleep(pause).await;
-                        // A receiver that takes nothing is looked at less and less often.
-                        let taken = self.sending.lock().flow.taken();
-                        pause = match taken == seen {
-                            true => (pause * 2).min(LONGEST_PACE),
-                            false => PACE,
-                        };
-                        seen = taken;
-                    }
-                    Err(error) => return self.broken(&error),
-                }
+            let flushed = match self.flush_after_others() {
+                Ok(Flushed::Done) => Ok(()),
+                // Most links are never full: the others need no room for what waits for them.
+                Ok(flushed) => Box::pin(self.write_on(flushed)).await,
+                Err(error) => Err(error),
+            };
+            if let Err(error) = flushed {
+                return self.broken(&error);
             }
             if ends {
                 self.writer.finish();
@@ -273,17 +260,41 @@ impl Outbox {
         }
     }
 
+    /// Writes on where a flush came no further, until all is written.
+    async fn write_on(&self, mut flushed: Flushed) -> Result<(), NetError> {
+        let (mut pause, mut seen) = (PACE, 0);
+        loop {
+            match flushed {
+                Flushed::Done => return Ok(()),
+                Flushed::Blocked => self.writer.ready().await?,
+                Flushed::Paced => {
+                    tokio::time::sleep(pause).await;
+                    // A receiver that takes nothing is looked at less and less often.
+                    let taken = self.sending.lock().flow.taken();
+                    pause = match taken == seen {
+                        true => (pause * 2).min(LONGEST_PACE),
+                        false => PACE,
+                    };
+                    seen = taken;
+                }
+            }
+            flushed = self.flush_after_others()?;
+        }
+    }
+
     /// Waits until there is something to write: somebody says so, or a turn comes.
     async fn woken(&self) {
         let Some(due) = self.queue.lock().due() else {
             return self.wake.notified().await;
         };
-        // Few peers want a rate: the others' tasks need no room for a timer.
-        let turn = Box::pin(self.clock.reach(due));
-        tokio::select! {
-            () = self.wake.notified() => {}
-            () = turn => {}
-        }
+        // Few peers want a rate: the others need no room for a timer.
+        let woken = async {
+            tokio::select! {
+                () = self.wake.notified() => {}
+                () = self.clock.reach(due) => {}
+            }
+        };
+        Box::pin(woken).await;
     }
 
     fn try_flush(&self) -> Result<Flushed, NetError> {

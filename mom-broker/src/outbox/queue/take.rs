@@ -1,6 +1,7 @@
 //! What leaves next, and in which pieces.
 
 use std::cmp::Reverse;
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 use mom_managers::Micros;
@@ -132,10 +133,19 @@ impl Queue {
             {
                 Some(self.open.remove(open))
             }
-            (_, Some(Lane::Control)) => self.control.pop_front(),
+            (_, Some(Lane::Control)) => self.pop_control(),
             (_, Some(Lane::Data(priority))) => self.pop_data(Reverse(priority)),
             _ => None,
         }
+    }
+
+    fn pop_control(&mut self) -> Option<Entry> {
+        let entry = self.control.pop_front();
+        // Most peers hear what they are told at login and no more for a long time.
+        if self.control.is_empty() {
+            self.control = VecDeque::new();
+        }
+        entry
     }
 
     /// The highest priority at which something waits. The lane of the default priority stays, to be filled again;
