@@ -182,6 +182,7 @@ impl Admissions {
                 now: 1,
                 wall: Time::default(),
                 clock: None,
+                waited: 0,
             },
         )
     }

@@ -1,7 +1,10 @@
 //! A channel as the broker holds it: its route with the outboxes of its members.
 
+mod room;
+
 use std::collections::HashMap;
 use std::sync::Arc;
+use std::time::Duration;
 
 use bytes::Bytes;
 use mom_hub::{PeerId, Receivers, Route, Usage};
@@ -16,6 +19,7 @@ use crate::figures::{Figures, measures};
 use crate::gather;
 use crate::history::History;
 use crate::outbox::{DropReason, Gate, Lane, Origin, Outbox, Packet, Taken};
+use crate::room::{Full, Room, no_room};
 use crate::sync::atomic::{AtomicU64, Ordering};
 use crate::sync::{Mutex, MutexGuard};
 
@@ -56,6 +60,27 @@ pub(crate) struct Delivered {
     pub(crate) lively: bool,
     /// Receivers that were too slow for what may not be dropped.
     pub(crate) too_slow: Vec<Arc<Outbox>>,
+}
+
+/// Why a message went to nobody.
+#[derive(Debug)]
+pub(crate) enum Undelivered {
+    Refused(WireError),
+    /// It has to wait.
+    Full(Box<Full>),
+}
+
+/// When to try again where nobody has waited, as long as a sender waits by default.
+const RETRY: Duration = Duration::from_secs(1);
+
+impl Undelivered {
+    /// The error for a sender that does not wait.
+    pub(crate) fn error(self, path: &Path) -> WireError {
+        match self {
+            Undelivered::Refused(error) => error,
+            Undelivered::Full(full) => no_room(&full.slow, path, None, RETRY),
+        }
+    }
 }
 
 impl Channel {
@@ -100,6 +125,8 @@ impl Channel {
         let mut inner = self.inner.lock();
         inner.gate.store(fence_open(&route), Ordering::Release);
         inner.settle_turns(&route);
+        // What they wait for may be gone, or not allowed any more.
+        inner.call_waiting();
         // Both lists are sorted, so most outboxes are found without a look-up.
         let old = std::mem::take(&mut inner.outboxes);
         let mut known = inner
@@ -141,6 +168,7 @@ impl Inner {
             ..(*self.route).clone()
         };
         self.settle_turns(&route);
+        self.call_waiting();
         self.outboxes.clear();
         self.figures.follow(&self.route, &route);
         self.route = Arc::new(route);
@@ -253,8 +281,8 @@ impl Inner {
     /// Encodes an admitted message once per form and puts it into the outboxes.
     ///
     /// # Errors
-    /// More than the sender's rate, or content that cannot be opened for a receiver of another form: nobody gets
-    /// the message then.
+    /// More than the sender's rate, content that cannot be opened for a receiver of another form, or no room where
+    /// senders wait for it: nobody gets the message then.
     pub(crate) fn deliver(
         &mut self,
         sender: PeerId,
@@ -262,18 +290,16 @@ impl Inner {
         receivers: &Receivers,
         rate: Option<Rate>,
         now: u64,
-    ) -> Result<Delivered, WireError> {
-        let places = Places {
-            receivers,
-            count: self.outboxes.len(),
-        };
+        room: Room,
+    ) -> Result<Delivered, Undelivered> {
         let lane = lane_of(&parcel);
         // Stops and unstops are never refused for load.
-        if let (Some(rate), Lane::Data(_)) = (rate, lane) {
-            let size = parcel.content.as_ref().map_or(0, Content::size);
-            self.used.entry(sender).or_default().charge(&rate, size, now)?;
-        }
+        let rate = rate.filter(|_| matches!(lane, Lane::Data(_)));
+        let unused = rate
+            .map(|rate| self.charge(sender, &parcel, &rate, now))
+            .transpose()?;
         let delivery = parcel.delivery.unwrap_or(self.route.delivery);
+        let waiting = self.waits(lane, delivery).then(|| Box::new(parcel.clone()));
         let origin = Origin {
             context: self.route.number,
             sender,
@@ -283,10 +309,11 @@ impl Inner {
         let expires_at = expires_at(&parcel, now).filter(|_| lane != Lane::Stop);
         let gate = parcel.fence.map(|fence| (Arc::clone(&self.gate), fence));
         let (size, age) = measures(&parcel);
+        let kept = self.to_keep(&parcel);
+        let places = self.places(receivers);
         let outboxes = &self.outboxes;
         let form = |place: usize| outboxes[place].as_ref().map(|outbox| outbox.form());
         let forms = places.iter().filter_map(form);
-        let kept = self.to_keep(&parcel);
         let encodings = Encodings::with(parcel, forms, self.bounds, &mut self.scratch)?;
         let packet = Arc::new(Packet {
             encodings,
@@ -297,11 +324,29 @@ impl Inner {
             gate,
             count: 1,
         });
+        let claimed = waiting.map(|parcel| self.claim(&packet, &places, parcel, room));
+        // Given up when all is put in, so that the next one sees it.
+        let _place = match (claimed.transpose(), unused) {
+            (Ok(place), _) => place,
+            (Err(undelivered), unused) => {
+                unused.into_iter().for_each(|usage| self.set_usage(sender, usage));
+                return Err(undelivered);
+            }
+        };
         if let (Some(history), Some(parcel)) = (&mut self.history, kept) {
             history.note(sender, parcel, now);
         }
         self.figures.sent(self.route.position(sender), size, age);
         Ok(self.put(&packet, &places, now))
+    }
+
+    /// Charges a message to its sender's rate; gives what was used before.
+    fn charge(&mut self, sender: PeerId, parcel: &Parcel, rate: &Rate, now: u64) -> Result<Usage, WireError> {
+        let size = parcel.content.as_ref().map_or(0, Content::size);
+        let usage = self.used.entry(sender).or_default();
+        let before = usage.clone();
+        usage.charge(rate, size, now)?;
+        Ok(before)
     }
 
     /// Whether plain messages may go through here as a run: nobody needs another form or
@@ -348,11 +393,7 @@ impl Inner {
             gate: stamped.fence.map(|fence| (Arc::clone(&self.gate), fence)),
             count,
         });
-        let places = Places {
-            receivers,
-            count: self.outboxes.len(),
-        };
-        self.put(&packet, &places, now)
+        self.put(&packet, &self.places(receivers), now)
     }
 
     fn put(&mut self, packet: &Arc<Packet>, places: &Places<'_>, now: u64) -> Delivered {
@@ -397,6 +438,12 @@ impl Inner {
             }
         }
         result
+    }
+}
+
+impl From<WireError> for Undelivered {
+    fn from(error: WireError) -> Undelivered {
+        Undelivered::Refused(error)
     }
 }
 
@@ -508,6 +555,7 @@ mod tests {
             members: peers.iter().map(member).collect(),
             guard: None,
             delivery: Delivery::default(),
+            overflow: mom_proto::Overflow::default(),
             keep: None,
         }
     }

@@ -22,6 +22,7 @@ mod measure;
 mod outbox;
 mod record;
 mod reload;
+mod room;
 mod schema;
 mod session;
 mod stats;

@@ -22,7 +22,8 @@ use tokio::time::{Instant, timeout, timeout_at};
 use crate::login::{Challenge, Logins};
 use crate::measure::{Measure, Pings};
 use crate::outbox::Outbox;
-use crate::switchboard::{Switchboard, Touched, flush};
+use crate::room::Held;
+use crate::switchboard::{Sender, Sent, Switchboard, Touched, flush};
 
 /// How long an ending connection may take to hear why.
 const FAREWELL: Duration = Duration::from_secs(1);
@@ -86,6 +87,16 @@ struct Session {
     proven_until: Option<Micros>,
     requests: requests::Requests,
     ended: bool,
+}
+
+/// What a reader does after a frame.
+enum Next {
+    /// It reads on.
+    Frame,
+    /// It logs its peer in.
+    Login(Box<Parcel>),
+    /// It waits for room for a message of this id.
+    Room(Box<Held>, Option<u64>),
 }
 
 /// A connection that is served. Its futures borrow it: what a future is given by value it keeps twice.
@@ -293,11 +304,21 @@ impl Session {
                     Ok(Some(frame)) => frame,
                     Err(error) => break Err(self.failed(error)),
                 };
-                if let Some(login) = self.handle(frame, &mut touched) {
-                    // Apart, for it is rare and needs more memory than all the rest of a connection.
-                    let login = Box::pin(self.login(reader, &login, &mut touched));
-                    if let Err(error) = login.await {
-                        break Err(Some(error));
+                match self.handle(frame, &mut touched) {
+                    Next::Frame => {}
+                    Next::Login(login) => {
+                        // Apart, for it is rare and needs more memory than all the rest of a connection.
+                        let login = Box::pin(self.login(reader, &login, &mut touched));
+                        if let Err(error) = login.await {
+                            break Err(Some(error));
+                        }
+                    }
+                    Next::Room(held, reference) => {
+                        // Nothing is read meanwhile, so the network holds the peer back.
+                        let room = Box::pin(self.wait_for_room(held, reference, &mut touched));
+                        if let Err(end) = room.await {
+                            break Err(end);
+                        }
                     }
                 }
             }
@@ -318,7 +339,45 @@ impl Session {
     /// Passes on plain messages that are alike.
     fn run(&self, reader: &mut Reader, touched: &mut Touched) -> bool {
         let clock = |now| self.peer_clock(now);
-        self.logged_in && self.context.board.run(self.peer, reader, &clock, touched)
+        let sender = Sender {
+            peer: self.peer,
+            clock: &clock,
+            limits: &self.context.limits,
+        };
+        self.logged_in && self.context.board.run(&sender, reader, touched)
+    }
+
+    /// Waits until a message can go, or is refused; gives the error to say if the connection ends meanwhile.
+    async fn wait_for_room(
+        &mut self,
+        mut held: Box<Held>,
+        reference: Option<u64>,
+        touched: &mut Touched,
+    ) -> Result<(), Option<WireError>> {
+        let outbox = Arc::clone(&self.outbox);
+        loop {
+            flush(touched);
+            tokio::select! {
+                biased;
+                () = outbox.end.notified() => return Err(outbox.closing().and_then(|closing| closing.error)),
+                () = self.proof_over() => return Err(Some(login::proof_over())),
+                () = held.ready(&self.context.board.clock) => {}
+            }
+            let clock = |now| self.peer_clock(now);
+            let sender = Sender {
+                peer: self.peer,
+                clock: &clock,
+                limits: &self.context.limits,
+            };
+            match self.context.board.resume(&sender, *held, touched) {
+                Ok(Sent::Taken) => return Ok(()),
+                Ok(Sent::Waits(still)) => held = still,
+                Err(error) => {
+                    self.refuse(&error, reference, touched);
+                    return Ok(());
+                }
+            }
+        }
     }
 
     /// Why a connection ends that gives nothing more.
@@ -332,12 +391,12 @@ impl Session {
         }
     }
 
-    /// Handles one frame; gives a login back, which takes its time.
-    fn handle(&mut self, frame: Frame, touched: &mut Touched) -> Option<Box<Parcel>> {
+    /// Handles one frame; gives back what takes its time.
+    fn handle(&mut self, frame: Frame, touched: &mut Touched) -> Next {
         let parcel = match frame {
             Frame::Malformed { reference, error } => {
                 self.refuse(&error, reference, touched);
-                return None;
+                return Next::Frame;
             }
             Frame::Parcel(parcel) => parcel,
         };
@@ -345,18 +404,24 @@ impl Session {
             Family::Message if self.logged_in => {
                 let reference = parcel.id;
                 let clock = |now| self.peer_clock(now);
-                let sent = self.context.board.message(self.peer, parcel, &clock, touched);
-                if let Err(error) = sent {
-                    self.refuse(&error, reference, touched);
+                let sender = Sender {
+                    peer: self.peer,
+                    clock: &clock,
+                    limits: &self.context.limits,
+                };
+                match self.context.board.message(&sender, parcel, touched) {
+                    Ok(Sent::Taken) => {}
+                    Ok(Sent::Waits(held)) => return Next::Room(held, reference),
+                    Err(error) => self.refuse(&error, reference, touched),
                 }
             }
             Family::Time => self.time(&parcel, touched),
-            Family::Login if login::concerns(&parcel) => return Some(parcel),
+            Family::Login if login::concerns(&parcel) => return Next::Login(parcel),
             _ if self.logged_in => {
                 let now = self.context.board.clock.now();
                 if let Err(error) = self.requests.take(&parcel, self.context.limits.requests, now) {
                     self.refuse(&error, parcel.id, touched);
-                    return None;
+                    return Next::Frame;
                 }
                 self.context.board.decide(
                     Input::Request {
@@ -373,7 +438,7 @@ impl Session {
                 self.refuse(&WireError::new(Code::NOT_LOGGED_IN, text), parcel.id, touched);
             }
         }
-        None
+        Next::Frame
     }
 
     fn time(&mut self, parcel: &Parcel, touched: &mut Touched) {

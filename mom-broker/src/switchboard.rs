@@ -3,29 +3,24 @@
 use std::sync::Arc;
 
 use dashmap::DashMap;
-use mom_hub::{
-    Admission, Alike, Effect, Hub, Ingress, Input, PeerClock, PeerId, Record, Route, Ticket, Usage, admit,
-};
-use mom_managers::{Micros, Rate};
-use mom_net::Reader;
-use mom_proto::binary::{Plain, Run};
-use mom_proto::{Code, ContextNumber, Delivery, Family, Map, Parcel, Path, Value, Verb, WireError, event};
+use mom_hub::{Effect, Hub, Input, PeerId, Record, Ticket};
+use mom_managers::Micros;
+use mom_proto::{Code, ContextNumber, Family, Map, Parcel, Path, Value, WireError, event};
 
 use crate::channel::{Channel, Delivered, control, hub_origin, stamped};
 use crate::clock::Clock;
 use crate::encodings::{Bounds, Encodings};
 use crate::gather::{self, Gatherer};
 use crate::outbox::{Outbox, Packet, Taken};
+use crate::room::Room;
 use crate::store::Store;
 use crate::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use crate::sync::{Mutex, Notify};
 use crate::witness::Witness;
 
-/// Bytes of messages that are admitted and passed on together, while a channel's lock is held.
-const RUN: usize = 128 * 1024;
+mod sending;
 
-/// Larger content is not copied, so it does not go in a run.
-const SMALL: usize = 8 * 1024;
+pub(crate) use sending::{Sender, Sent};
 
 /// The switchboard of one broker.
 ///
@@ -116,130 +111,6 @@ impl Switchboard {
         }
         // Under the hub's lock, so that replies and events leave in the order of decisions.
         self.carry_out(effects, touched);
-    }
-
-    /// A message of a peer: by the channel's route if a verdict stands, else by the hub.
-    ///
-    /// # Errors
-    /// Why it was refused.
-    pub(crate) fn message(
-        &self,
-        peer: PeerId,
-        mut parcel: Box<Parcel>,
-        clock: &dyn Fn(Micros) -> Option<PeerClock>,
-        touched: &mut Touched,
-    ) -> Result<(), WireError> {
-        let Some(channel) = self.channel_of(&parcel) else {
-            let clock = clock(self.clock.now());
-            self.decide(Input::Request { peer, parcel, clock }, touched);
-            return Ok(());
-        };
-        let mut inner = channel.lock();
-        // Inside the critical section, so that hub time never runs against the channel's order.
-        let ingress = self.ingress(clock);
-        let now = ingress.now;
-        let message = Arc::clone(&parcel.name);
-        let admission = admit(&inner.route, peer, &mut parcel, &ingress);
-        let admission = admission.inspect_err(|error| self.note_refused(peer, &inner.route, &message, error));
-        match admission? {
-            Admission::Consult => {
-                drop(inner);
-                let clock = ingress.clock;
-                self.decide(Input::Request { peer, parcel, clock }, touched);
-            }
-            Admission::Pass(receivers, rate) => {
-                let receipt = receipt_of(&parcel);
-                let delivered = inner.deliver(peer, *parcel, &receivers, rate, now);
-                let delivered =
-                    delivered.inspect_err(|error| self.note_refused(peer, &inner.route, &message, error))?;
-                let path = inner.route.path.clone();
-                drop(inner);
-                self.settle(peer, receipt, &path, delivered, touched);
-            }
-        }
-        Ok(())
-    }
-
-    /// Passes on the plain messages that lie in front of a reader, as long as they are alike, and takes them from it.
-    /// False if there are none, or if what lies there needs [`Switchboard::message`]; nothing is taken then.
-    pub(crate) fn run(
-        &self,
-        peer: PeerId,
-        reader: &mut Reader,
-        clock: &dyn Fn(Micros) -> Option<PeerClock>,
-        touched: &mut Touched,
-    ) -> bool {
-        let Some(number) = reader.plain().filter(is_small).map(|plain| plain.number()) else {
-            return false;
-        };
-        let Some(channel) = self.channels.get(&number).map(|channel| Arc::clone(&channel)) else {
-            return false;
-        };
-        let Some(mut stamped) = reader.plain_head() else {
-            return false;
-        };
-        let mut inner = channel.lock();
-        if !inner.takes_runs() || Verb::of(stamped.family, &stamped.name).is_ok_and(is_urgent) {
-            return false;
-        }
-        let ingress = self.ingress(clock);
-        let admission = admit(&inner.route, peer, &mut stamped, &ingress);
-        // All else is decided, told and counted where single messages are.
-        let Ok(Admission::Pass(receivers, rate)) = admission else {
-            return false;
-        };
-        if stamped.delivery.unwrap_or(inner.route.delivery) != Delivery::Reliable {
-            return false;
-        }
-        let place = inner.route.position(peer);
-        let alike = Alike::new(&inner.route, peer, &stamped.name, &ingress);
-        let room = (reader.waiting() * 3 / 2).min(RUN) + 256;
-        let mut usage = rate.map(|rate| (rate, inner.usage(peer)));
-        let mut run: Option<Run> = None;
-        while let Some(plain) = reader.plain().filter(is_small) {
-            let run = run.get_or_insert_with(|| Run::begin(&plain, &stamped, room));
-            if !run.takes(&plain) || run.length() >= RUN {
-                break;
-            }
-            let Some(age) = alike.age(plain.timestamp()) else {
-                break;
-            };
-            let size = plain.content_length();
-            let spent = |(rate, usage): &mut (Rate, Usage)| usage.charge(rate, size, ingress.now).is_err();
-            if usage.as_mut().is_some_and(spent) {
-                break;
-            }
-            run.push(&plain, age);
-            inner.note_sent(place, size, stamped.age_error.map(|_| age));
-            let length = plain.length();
-            reader.consume(length);
-        }
-        let Some(run) = run.filter(|run| run.count() > 0) else {
-            return false;
-        };
-        if let Some((_, usage)) = usage {
-            inner.set_usage(peer, usage);
-        }
-        let delivered = inner.deliver_run(peer, run, &stamped, &receivers, ingress.now);
-        let path = inner.route.path.clone();
-        drop(inner);
-        self.settle(peer, None, &path, delivered, touched);
-        true
-    }
-
-    fn ingress(&self, clock: &dyn Fn(Micros) -> Option<PeerClock>) -> Ingress {
-        let now = self.clock.now();
-        Ingress {
-            now,
-            wall: self.clock.wall_at(now),
-            clock: clock(now),
-        }
-    }
-
-    /// Writes down a message that was refused without the hub.
-    fn note_refused(&self, peer: PeerId, route: &Route, message: &Arc<str>, error: &WireError) {
-        let name = self.outbox(peer).map(|outbox| outbox.name());
-        self.witness.refused((peer, name), route, message, error);
     }
 
     /// Says something of the broker's own to a peer.
@@ -422,11 +293,13 @@ impl Switchboard {
                     let mut inner = channel.lock();
                     // The same input may have taken members out after this was admitted.
                     let receivers = inner.translate(&route, receivers);
-                    let delivered = inner.deliver(from, *parcel, &receivers, rate, self.clock.now());
+                    let now = self.clock.now();
+                    let delivered = inner.deliver(from, *parcel, &receivers, rate, now, Room::Whole);
                     drop(inner);
                     match delivered {
                         Ok(delivered) => self.settle(from, receipt, &route.path, delivered, touched),
-                        Err(error) => {
+                        Err(undelivered) => {
+                            let error = undelivered.error(&route.path);
                             self.note_refused(from, &route, &message, &error);
                             self.tell(from, error.to_parcel(reference), touched);
                         }
@@ -523,14 +396,6 @@ impl Switchboard {
 
 fn shutdown() -> WireError {
     WireError::new(Code::SHUTDOWN, "the hub is shutting down; connect again later")
-}
-
-fn is_small(plain: &Plain<'_>) -> bool {
-    plain.content_length() <= SMALL
-}
-
-fn is_urgent(verb: Verb) -> bool {
-    matches!(verb, Verb::Stop | Verb::Unstop)
 }
 
 /// Flushes every outbox of a turn.

@@ -7,7 +7,7 @@ use mom_managers::{Answer, Denial, Micros, PeerFacts, Rate};
 use mom_proto::nearest::nearest;
 use mom_proto::{Code, Family, HISTORY, Parcel, Time, Verb, WireError, event};
 
-use crate::age::{age_of, aged, check_age, is_ahead, is_within};
+use crate::age::{age_of, aged, check_age, check_waited, is_ahead, is_within};
 use crate::route::{Guard, GuardOwner, Route};
 use crate::{Member, PeerClock, PeerId};
 
@@ -23,6 +23,8 @@ pub struct Ingress {
     pub wall: Time,
     /// The sender's clock; none = not known, and nothing is said of the message's age.
     pub clock: Option<PeerClock>,
+    /// How long it has waited since it came, until a receiver had room: that much older it is at least.
+    pub waited: Micros,
 }
 
 /// What became of a message.
@@ -144,7 +146,11 @@ pub fn admit_with(
         "only messages are admitted to channels"
     );
     let fence = check_guard(route, member, parcel, now)?;
-    let age = check_age(parcel, wall, ingress.clock.as_ref())?;
+    let (age, age_error) = match check_age(parcel, wall, ingress.clock.as_ref())? {
+        Some((age, error)) => (age, Some(error)),
+        // Without an estimate of the sender's clock the age is counted from ingress; no error bound says so.
+        None => (check_waited(parcel, ingress.waited)?, None),
+    };
     let receivers = receivers(route, peer, parcel)?;
     // The hub's own mark.
     parcel.extra.remove(HISTORY);
@@ -153,9 +159,8 @@ pub fn admit_with(
     parcel.number = Some(route.number);
     parcel.fence = fence;
     parcel.received = Some(wall);
-    // Without an estimate of the sender's clock the age is counted from ingress; no error bound says so.
-    parcel.age = Some(age.map_or(0, |(age, _)| age));
-    parcel.age_error = age.map(|(_, error)| error);
+    parcel.age = Some(age);
+    parcel.age_error = age_error;
     parcel.priority = parcel
         .priority
         .map(|priority| priority.clamp(*PRIORITY.start(), *PRIORITY.end()));
@@ -272,7 +277,11 @@ fn fence_value(fence: u64) -> i64 {
     i64::try_from(fence).unwrap_or(i64::MAX)
 }
 
-fn receivers(route: &Route, peer: PeerId, parcel: &Parcel) -> Result<Receivers, WireError> {
+/// Who a message is for, as its sender has addressed it.
+///
+/// # Errors
+/// `unknown-peer`.
+pub fn receivers(route: &Route, peer: PeerId, parcel: &Parcel) -> Result<Receivers, WireError> {
     let Some(address) = &parcel.address else {
         return Ok(match (parcel.echo, route.position(peer)) {
             (Some(false), Some(own)) => Receivers::AllBut(own),

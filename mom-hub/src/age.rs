@@ -64,16 +64,34 @@ pub(crate) fn check_age(
         );
         return Err(WireError::new(Code::BAD_SLOT, text).slot("timestamp"));
     }
-    let life = parcel.expires.map(|expires| i128::from(expires) * 1000);
-    if life.is_some_and(|life| i128::from(micros) >= life) {
-        let text = format!(
-            "it was worth something for {} ms, and is {} ms old",
-            parcel.expires.unwrap_or_default(),
-            micros / 1000
-        );
-        return Err(WireError::new(Code::EXPIRED, text).slot("expires"));
+    check_life(parcel, micros)?;
+    Ok(age)
+}
+
+/// The age of a message of which nothing is known but how long it has waited here.
+///
+/// # Errors
+/// `expired`.
+pub(crate) fn check_waited(parcel: &Parcel, waited: Micros) -> Result<i64, WireError> {
+    let age = i64::try_from(waited).unwrap_or(i64::MAX);
+    // What has come just now is looked at when it leaves.
+    if waited > 0 {
+        check_life(parcel, age)?;
     }
     Ok(age)
+}
+
+fn check_life(parcel: &Parcel, age: i64) -> Result<(), WireError> {
+    let life = parcel.expires.map(|expires| i128::from(expires) * 1000);
+    if life.is_none_or(|life| i128::from(age) < life) {
+        return Ok(());
+    }
+    let text = format!(
+        "it was worth something for {} ms, and is {} ms old",
+        parcel.expires.unwrap_or_default(),
+        age / 1000
+    );
+    Err(WireError::new(Code::EXPIRED, text).slot("expires"))
 }
 
 #[cfg(test)]
@@ -128,6 +146,15 @@ mod tests {
     }
 
     #[test]
+    fn what_has_waited_is_that_much_older() {
+        let mut parcel = Parcel::new(Family::Message, "state");
+        assert_eq!(check_waited(&parcel, 700_000), Ok(700_000));
+        parcel.expires = Some(700);
+        assert_eq!(check_waited(&parcel, 699_999), Ok(699_999));
+        assert_eq!(check_waited(&parcel, 700_000).unwrap_err().code, Code::EXPIRED);
+    }
+
+    #[test]
     fn a_stop_is_taken_whatever_its_stamps() {
         for old in [-86_400_000_000, 86_400_000_000] {
             assert_eq!(check("stop", old, Some(1)), Ok(Some((old, 2_000))));
@@ -141,6 +168,7 @@ mod tests {
         parcel.expires = Some(0);
         assert_eq!(check_age(&parcel, Time::default(), None), Ok(None));
         assert!(!is_within(None, Micros::MAX));
+        assert_eq!(check_waited(&parcel, 0), Ok(0), "looked at when it leaves");
         assert!(is_within(Some((1, 2)), 3) && !is_within(Some((2, 2)), 3));
         assert!(is_within(Some((i64::MIN, 0)), 0) && !is_within(Some((i64::MAX, u64::MAX)), Micros::MAX));
     }

@@ -1,6 +1,6 @@
 //! What stands in the content of requests, typed.
 
-use mom_proto::{Code, Delivery, MessageRate, Parcel, Path, Thinning, Value, WireError};
+use mom_proto::{Code, Delivery, MessageRate, Overflow, Parcel, Path, Thinning, Value, WireError};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
@@ -38,6 +38,9 @@ pub struct ContextSpec {
     /// Channels: the delivery class of parcels that name none.
     #[serde(default)]
     pub delivery: Option<String>,
+    /// Channels: what happens where a receiver has no room for a `reliable` parcel; absent = `close`.
+    #[serde(default)]
+    pub overflow: Option<String>,
     /// Channels: what is kept for those who join later; absent = nothing.
     #[serde(default)]
     pub keep: Option<KeepArgs>,
@@ -114,6 +117,15 @@ impl ContextSpec {
                 format!("{word:?} is not one of reliable, latest, fleeting"),
             )
         })
+    }
+
+    /// What happens where a receiver has no room, checked.
+    pub(crate) fn overflow(&self) -> Result<Overflow, WireError> {
+        let Some(word) = &self.overflow else {
+            return Ok(Overflow::default());
+        };
+        let unknown = || bad("overflow", format!("{word:?} is not one of close, wait"));
+        Overflow::from_word(word).ok_or_else(unknown)
     }
 }
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use mom_managers::{Manager, Micros};
-use mom_proto::{ContextKind, ContextNumber, Delivery, Map, Path, Value};
+use mom_proto::{ContextKind, ContextNumber, Delivery, Map, Overflow, Path, Value};
 use serde::Deserialize;
 
 use crate::token::Token;
@@ -65,6 +65,7 @@ pub(crate) enum Role {
 pub(crate) struct Channel {
     pub(crate) guard: Option<GuardSpec>,
     pub(crate) delivery: Delivery,
+    pub(crate) overflow: Overflow,
     pub(crate) keep: Option<Keep>,
 }
 

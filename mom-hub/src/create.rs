@@ -175,6 +175,7 @@ impl Hub {
         };
         only(spec.guard.is_some(), "guard", ContextKind::Channel)?;
         only(spec.delivery.is_some(), "delivery", ContextKind::Channel)?;
+        only(spec.overflow.is_some(), "overflow", ContextKind::Channel)?;
         only(spec.keep.is_some(), "keep", ContextKind::Channel)?;
         only(spec.safe.is_some(), "safe", ContextKind::Token)?;
         only(spec.lease.is_some(), "lease", ContextKind::Token)?;
@@ -186,6 +187,7 @@ impl Hub {
             ContextKind::Channel => Ok(Role::Channel(Channel {
                 guard: self.make_guard(spec)?,
                 delivery: spec.delivery()?,
+                overflow: spec.overflow()?,
                 keep: spec.keep.map(KeepArgs::read).transpose()?,
             })),
             ContextKind::Token => make_token(spec, terms).map(|token| Role::Token(Box::new(token))),

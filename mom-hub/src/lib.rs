@@ -53,7 +53,7 @@ mod tree;
 mod verbs;
 mod waiting;
 
-pub use admit::{Admission, Alike, Ingress, Receivers, admit, admit_with};
+pub use admit::{Admission, Alike, Ingress, Receivers, admit, admit_with, receivers};
 pub use age::PeerClock;
 pub use args::ContextSpec;
 pub use audit::Audit;

@@ -234,6 +234,7 @@ impl Hub {
             members: context.members.values().cloned().collect(),
             guard,
             delivery: channel.delivery,
+            overflow: channel.overflow,
             keep: channel.keep,
         })
     }

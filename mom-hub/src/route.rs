@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use mom_managers::Micros;
-use mom_proto::{ContextNumber, Delivery, Path};
+use mom_proto::{ContextNumber, Delivery, Overflow, Path};
 
 use crate::{Keep, Member, PeerId};
 
@@ -20,6 +20,8 @@ pub struct Route {
     pub guard: Option<Guard>,
     /// The delivery class of parcels that name none.
     pub delivery: Delivery,
+    /// What happens where a receiver has no room for a `reliable` parcel.
+    pub overflow: Overflow,
     /// What is kept for those who join later; none = nothing.
     pub keep: Option<Keep>,
 }

@@ -146,6 +146,7 @@ fn an_eager_lease_ends_for_who_holds_a_route() {
                 now,
                 wall: Time::default(),
                 clock: None,
+                waited: 0,
             },
         )
     };

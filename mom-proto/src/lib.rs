@@ -47,7 +47,7 @@ pub use clock_offset::{ClockOffset, Exchange, OffsetEstimator};
 pub use codes::Code;
 pub use content::Content;
 pub use context_kind::ContextKind;
-pub use delivery::Delivery;
+pub use delivery::{Delivery, Overflow};
 pub use error::WireError;
 pub use family::Family;
 pub use limits::{HARD_DEPTH, Limit, Limits, PROTOCOL_VERSION};

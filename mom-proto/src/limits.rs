@@ -122,6 +122,10 @@ pub struct Limits {
     pub login_time: u64,
     /// What waits for one peer.
     pub outbox: usize,
+    /// How long a sender waits for a receiver without room, where the channel has it wait.
+    pub send_wait: u64,
+    /// A receiver that makes no room for so long while senders wait for it is closed.
+    pub stalled: u64,
     /// A peer that has nothing to say says `time ping` this often.
     pub heartbeat: u64,
     /// A peer that says nothing for so long is gone.
@@ -150,6 +154,8 @@ impl Default for Limits {
             before_login: 16 * 1024,
             login_time: 10_000,
             outbox: 4 * 1024 * 1024,
+            send_wait: 1_000,
+            stalled: 5_000,
             heartbeat: 10_000,
             gone: 30_000,
             future: 1_000,
@@ -189,6 +195,7 @@ impl Limits {
             .with("header", size(self.header))
             .with("parts", size(self.parts))
             .with("outbox", size(self.outbox))
+            .with("send-wait", time(self.send_wait))
             .with("heartbeat", time(self.heartbeat))
             .with("gone", time(self.gone))
             .with("joined", limit(self.joined))

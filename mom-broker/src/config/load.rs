@@ -152,6 +152,8 @@ fn check(file: &File, source: &Source) -> Result<(), ConfigError> {
         ("limits", file.limits.login_time, "login-time"),
         ("limits", file.limits.future, "future"),
         ("limits", file.limits.outbox as u64, "outbox"),
+        ("limits", file.limits.send_wait, "send-wait"),
+        ("limits", file.limits.stalled, "stalled"),
         ("limits", file.limits.before_login as u64, "before-login"),
         ("limits", file.limits.attributes as u64, "attributes"),
         ("limits", file.limits.attribute_size as u64, "attribute-size"),

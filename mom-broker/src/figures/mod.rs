@@ -160,6 +160,7 @@ mod tests {
             members: peers.iter().map(member).collect(),
             guard: None,
             delivery: Delivery::default(),
+            overflow: mom_proto::Overflow::default(),
             keep: None,
         }
     }

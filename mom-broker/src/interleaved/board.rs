@@ -6,27 +6,28 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use mom_hub::{ContextSpec, Hub, Input, PeerId, Settings, User};
 use mom_managers::Registry;
 use mom_net::Reader;
-use mom_proto::{Family, Limit, Map, Parcel, Path, from_value};
+use mom_proto::{Family, Limit, Limits, Map, Parcel, Path, from_value};
 
 use super::{clock, explore, heard, link, on, said};
 use crate::config::Config;
 use crate::encodings::Bounds;
 use crate::outbox::Outbox;
-use crate::switchboard::{Switchboard, Touched, flush};
+use crate::switchboard::{Sender, Sent, Switchboard, Touched, flush};
 use crate::witness::Witness;
 
 /// A switchboard, and who is at it.
-struct Lab {
-    board: Arc<Switchboard>,
+pub(super) struct Lab {
+    pub(super) board: Arc<Switchboard>,
     /// Kept as the connections' tasks keep them.
-    outboxes: Vec<Arc<Outbox>>,
+    pub(super) outboxes: Vec<Arc<Outbox>>,
 }
 
-fn path(text: &str) -> Path {
+pub(super) fn path(text: &str) -> Path {
     Path::parse(text).expect("a path")
 }
 
-/// A session, a token in it that a higher level takes at once, and a channel whose commands it guards.
+/// A session, a token in it that a higher level takes at once, a channel whose commands it guards, and one in which
+/// senders wait for room.
 fn contexts() -> Vec<ContextSpec> {
     let context = |path: &str, kind: &str| {
         Map::new()
@@ -41,6 +42,7 @@ fn contexts() -> Vec<ContextSpec> {
         context("/lab", "session"),
         context("/lab/key", "token").with("manager", manager),
         context("/lab/arm", "channel").with("guard", guard),
+        context("/lab/bulk", "channel").with("overflow", "wait"),
     ];
     all.into_iter()
         .map(|spec| from_value(spec.into()).expect("a context"))
@@ -48,7 +50,7 @@ fn contexts() -> Vec<ContextSpec> {
 }
 
 impl Lab {
-    fn new() -> Lab {
+    pub(super) fn new() -> Lab {
         let settings = Settings::default();
         let registry = Registry::builtin();
         let hub = Hub::new(settings.clone(), registry, &"open".into(), &contexts()).expect("a hub");
@@ -64,7 +66,7 @@ impl Lab {
     }
 
     /// Somebody logs in and goes to the channel; what was said to it so far is forgotten.
-    fn enter(&mut self, name: &str, level: i32) -> (PeerId, Reader) {
+    pub(super) fn enter(&mut self, name: &str, level: i32) -> (PeerId, Reader) {
         let peer = self.board.next_peer();
         let (outbox, mut reader) = link(peer, 0);
         self.board.add_outbox(&outbox);
@@ -93,7 +95,7 @@ impl Lab {
 }
 
 /// A request, as a session carries it out.
-fn ask(board: &Switchboard, peer: PeerId, family: Family, name: &str, context: &str) {
+pub(super) fn ask(board: &Switchboard, peer: PeerId, family: Family, name: &str, context: &str) {
     let parcel = Box::new(Parcel::new(family, name).context(path(context)).id(1000));
     let mut touched = Touched::new();
     board.decide(
@@ -113,15 +115,30 @@ fn say(board: &Switchboard, peer: PeerId, name: &str, id: u64) -> bool {
 }
 
 /// A message, as a session carries it out; whether it was taken in.
-fn say_to(board: &Switchboard, peer: PeerId, parcel: Parcel) -> bool {
+pub(super) fn say_to(board: &Switchboard, peer: PeerId, parcel: Parcel) -> bool {
     let mut touched = Touched::new();
-    let result = board.message(peer, Box::new(parcel), &|_| None, &mut touched);
-    flush(&mut touched);
-    result.is_ok()
+    let limits = Limits::default();
+    let sender = Sender {
+        peer,
+        clock: &|_| None,
+        limits: &limits,
+    };
+    let mut sent = board.message(&sender, Box::new(parcel), &mut touched);
+    loop {
+        flush(&mut touched);
+        match sent {
+            Ok(Sent::Taken) => return true,
+            Ok(Sent::Waits(held)) => {
+                shuttle::future::block_on(held.ready(&board.clock));
+                sent = board.resume(&sender, *held, &mut touched);
+            }
+            Err(_) => return false,
+        }
+    }
 }
 
 /// Sender and id of the messages of one name.
-fn messages(parcels: &[Parcel], name: &str) -> Vec<(String, u64)> {
+pub(super) fn messages(parcels: &[Parcel], name: &str) -> Vec<(String, u64)> {
     let told = |parcel: &Parcel| {
         let sender = parcel.sender.as_deref().unwrap_or_default().to_owned();
         (sender, parcel.id.unwrap_or_default())

@@ -7,6 +7,7 @@
 
 mod board;
 mod outbox;
+mod room;
 
 use std::collections::VecDeque;
 use std::sync::Arc;

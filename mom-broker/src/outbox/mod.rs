@@ -6,6 +6,7 @@
 mod flow;
 mod packet;
 mod queue;
+mod room;
 
 use std::cell::Cell;
 use std::collections::VecDeque;
@@ -22,6 +23,7 @@ use flow::Flow;
 use packet::Piece;
 pub(crate) use packet::{DropReason, Gate, Lane, Origin, Packet};
 pub(crate) use queue::{Queue, Taken};
+pub(crate) use room::Place;
 
 use crate::clock::Clock;
 use crate::sync::atomic::{AtomicBool, Ordering, fence};
@@ -50,6 +52,8 @@ pub(crate) struct Outbox {
     sending: Mutex<Sending>,
     /// Something waits that nobody has tried to write yet.
     touched: AtomicBool,
+    /// Senders wait for room.
+    awaited: AtomicBool,
     wake: Notify,
     closing: Mutex<Option<Closing>>,
     closed: AtomicBool,
@@ -100,6 +104,7 @@ impl Outbox {
             writer,
             sending: Mutex::new(Sending::default()),
             touched: AtomicBool::new(false),
+            awaited: AtomicBool::new(false),
             wake: Notify::new(),
             closing: Mutex::new(None),
             closed: AtomicBool::new(false),
@@ -196,6 +201,7 @@ impl Outbox {
         self.touched.store(true, Ordering::Release);
         self.wake.notify_one();
         self.end.notify_one();
+        self.call_all();
     }
 
     /// Changes the bounds, of what waits and of one parcel, and notes the peer's name, as after login.
@@ -212,6 +218,7 @@ impl Outbox {
     /// Gives up what still waits, for an end at which nobody takes it any more.
     pub(crate) fn abandon(&self) {
         self.queue.lock().drop_data();
+        self.call_all();
     }
 
     /// Whether the connection is to end.
@@ -323,6 +330,7 @@ impl Outbox {
         self.touched.store(false, Ordering::Release);
         let flushed = self.write_all(&mut sending)?;
         drop(sending);
+        self.call_next();
         fence(Ordering::SeqCst);
         let settled = flushed != Flushed::Done || !self.touched.load(Ordering::Acquire);
         Ok(settled.then_some(flushed))
@@ -339,6 +347,10 @@ impl Outbox {
 
     fn write_batches(&self, batch: &mut VecDeque<Piece>, flow: &mut Flow) -> Result<Flushed, NetError> {
         loop {
+            if batch.is_empty() {
+                // All that was taken has left, so its room is real.
+                self.call_next();
+            }
             if batch.is_empty() && !self.take_batch(batch, flow) {
                 return Ok(Flushed::Paced);
             }

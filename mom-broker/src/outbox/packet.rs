@@ -16,6 +16,9 @@ use crate::sync::atomic::{AtomicU64, Ordering};
 /// The fence that lets guarded parcels of a channel pass now; 0 while nobody owns the token.
 pub(crate) type Gate = Arc<AtomicU64>;
 
+/// What a waiting parcel counts besides its bytes: the queue's own memory for it.
+const PLACE: usize = 64;
+
 /// A parcel, or a run of small ones, with all that a queue has to know of it.
 #[derive(Clone, Debug)]
 pub(crate) struct Packet {
@@ -125,6 +128,13 @@ impl Packet {
             Some(frames) => frames.len(),
             None => self.encodings.local_size(),
         }
+    }
+}
+
+impl Packet {
+    /// The bytes that it counts for a receiver of this form while it waits.
+    pub(crate) fn charge(&self, form: Option<Form>) -> usize {
+        self.length(form) + PLACE
     }
 }
 

@@ -1,6 +1,7 @@
 //! What waits for one peer: lanes, bounded in bytes, each way of being full with its name (design §7).
 
 mod lane;
+mod line;
 mod take;
 mod thin;
 mod turns;
@@ -14,6 +15,7 @@ use mom_proto::{ContextNumber, Delivery, Limit, event};
 
 use super::packet::{DropReason, Entry, Lane, Origin, Packet};
 use lane::DataLane;
+use line::Line;
 use turns::Turns;
 
 /// What became of a parcel at the door.
@@ -29,9 +31,6 @@ pub(crate) enum Taken {
     Overflow,
 }
 
-/// What a waiting parcel counts besides its bytes: the queue's own memory for it.
-const PLACE: usize = 64;
-
 /// The queue of one peer.
 #[derive(Debug)]
 pub(crate) struct Queue {
@@ -44,6 +43,10 @@ pub(crate) struct Queue {
     control_bytes: usize,
     data: BTreeMap<Reverse<i32>, DataLane>,
     data_bytes: usize,
+    /// Of which may not be dropped.
+    reliable_bytes: usize,
+    /// Who waits for room; most of the time there is none.
+    line: Option<Box<Line>>,
     latest: HashMap<Origin, (Reverse<i32>, u64)>,
     /// What waits for its turn, where the receiver wants so many in a time.
     turns: Option<Box<Turns>>,
@@ -69,6 +72,8 @@ impl Queue {
             control_bytes: 0,
             data: BTreeMap::new(),
             data_bytes: 0,
+            reliable_bytes: 0,
+            line: None,
             latest: HashMap::new(),
             turns: None,
             open: Vec::new(),
@@ -120,7 +125,7 @@ impl Queue {
             }
         }
         self.latest.clear();
-        self.data_bytes = 0;
+        (self.data_bytes, self.reliable_bytes) = (0, 0);
         self.drop_turns(None);
     }
 
@@ -193,6 +198,7 @@ impl Queue {
             };
         }
         self.data_bytes += size;
+        self.reliable_bytes += reliable(&entry.packet, size);
         let origin = (delivery == Delivery::Latest).then(|| entry.packet.origin.clone());
         let number = self.data.entry(priority).or_default().push(Some(entry));
         if let Some(origin) = origin {
@@ -299,8 +305,19 @@ impl Queue {
 
 /// The bytes that count against the bound.
 fn size(packet: &Packet, form: Option<Form>) -> usize {
-    packet.length(form) + PLACE
+    packet.charge(form)
 }
+
+/// How many of these bytes may not be dropped.
+fn reliable(packet: &Packet, size: usize) -> usize {
+    match packet.delivery {
+        Delivery::Reliable => size,
+        Delivery::Latest | Delivery::Fleeting => 0,
+    }
+}
+
+#[cfg(test)]
+mod lined;
 
 #[cfg(test)]
 mod tests;

@@ -1,6 +1,6 @@
 //! An entry of `[[contexts]]`.
 
-use mom_proto::{ContextKind, Delivery};
+use mom_proto::{ContextKind, Delivery, Overflow};
 use serde_json::{Value, json};
 
 use super::{flag, millis, names, table, text, with_default, words};
@@ -31,6 +31,13 @@ pub(super) fn context() -> Value {
         "delivery": with_default(
             words("Channels: the delivery class of parcels that name none.", &Delivery::ALL.map(Delivery::word)),
             Delivery::default().word()
+        ),
+        "overflow": with_default(
+            words(
+                "Channels: where a receiver has no room for a reliable parcel, it is closed (close), or the sender waits (wait).",
+                &Overflow::ALL.map(Overflow::word)
+            ),
+            Overflow::default().word()
         ),
         "keep": table("Channels: what those who join later are given; absent = nothing.", &keep, &[]),
         "safe": table("Tokens: what is sent when ownership ends; absent = halt to every guarded channel.", &safe, &["channel", "name"]),

@@ -116,6 +116,14 @@ fn limits() -> Value {
         ("login-time", "From connection to login, in ms."),
         ("outbox", "What waits for one peer, in bytes."),
         (
+            "send-wait",
+            "How long a sender waits for a receiver without room, in channels with overflow = wait, in ms.",
+        ),
+        (
+            "stalled",
+            "A receiver that makes no room for so long while senders wait for it is closed, in ms.",
+        ),
+        (
             "heartbeat",
             "A peer with nothing to say says time ping this often, in ms.",
         ),

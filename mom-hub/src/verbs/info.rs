@@ -33,6 +33,7 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
         ),
         Role::Channel(channel) => {
             info.set("delivery", channel.delivery.word());
+            info.set("overflow", channel.overflow.word());
             if let Some(member) = context.members.get(&request.peer) {
                 member.thinning.describe(&mut info);
             }

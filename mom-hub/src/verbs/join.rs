@@ -1,7 +1,7 @@
 //! `context join`: entered through its parent (M23). Joining again is answered, and changes only what the member is
 //! to be spared, if the content says so.
 
-use mom_proto::{Code, ContextNumber, Thinning, WireError};
+use mom_proto::{Code, ContextNumber, Overflow, Thinning, WireError};
 
 use super::Request;
 use crate::args::{self, JoinArgs};
@@ -39,6 +39,9 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
         }
         Role::Channel(channel) => {
             content.set("delivery", channel.delivery.word());
+            if channel.overflow == Overflow::Wait {
+                content.set("overflow", channel.overflow.word());
+            }
             if let Some(member) = context.members.get(&request.peer) {
                 member.thinning.describe(&mut content);
             }

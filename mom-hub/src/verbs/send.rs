@@ -84,6 +84,7 @@ impl Hub {
             now: self.now,
             wall: self.wall(),
             clock: self.clock_of(peer),
+            waited: 0,
         }
     }
 

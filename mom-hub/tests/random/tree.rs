@@ -85,6 +85,7 @@ impl Tree {
                 now,
                 wall,
                 clock: *clock,
+                waited: 0,
             },
         ) {
             Ok(Admission::Consult) => None,

@@ -9,7 +9,7 @@ use mom_proto::binary::{self, ChunkHead};
 use mom_proto::codec::{Encoded, Form};
 use mom_proto::{Delivery, event};
 
-use super::Queue;
+use super::{Queue, reliable};
 use crate::outbox::packet::{DropReason, Entry, Lane, Packet, Piece, Progress};
 
 /// Streams of chunks that a receiver keeps open at once (docs/PROTOCOL.md).
@@ -72,7 +72,11 @@ impl Queue {
         match entry.packet.lane {
             Lane::Stop => return self.put_back_stop(entry),
             Lane::Control => self.control_bytes += if piece.last { size } else { 0 },
-            Lane::Data(_) => self.data_bytes += if piece.last { size } else { 0 },
+            Lane::Data(_) if piece.last => {
+                self.data_bytes += size;
+                self.reliable_bytes += reliable(&entry.packet, size);
+            }
+            Lane::Data(_) => {}
         }
         match entry.packet.lane {
             _ if entry.begun() => self.open.push(entry),
@@ -269,7 +273,10 @@ impl Queue {
         match entry.packet.lane {
             Lane::Stop => {}
             Lane::Control => self.control_bytes -= size,
-            Lane::Data(_) => self.data_bytes -= size,
+            Lane::Data(_) => {
+                self.data_bytes -= size;
+                self.reliable_bytes -= reliable(&entry.packet, size);
+            }
         }
     }
 }
