@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
-use mom_hub::{PeerId, Receivers, Route, Usage};
+use mom_hub::{Budget, PeerId, Receivers, Route, Usage};
 use mom_managers::Rate;
 use mom_proto::binary::Run;
 use mom_proto::codec::{Form, Scratch};
@@ -329,7 +329,9 @@ impl Inner {
         let _place = match (claimed.transpose(), unused) {
             (Ok(place), _) => place,
             (Err(undelivered), unused) => {
-                unused.into_iter().for_each(|usage| self.set_usage(sender, usage));
+                unused
+                    .into_iter()
+                    .for_each(|usage| drop(self.used.insert(sender, usage)));
                 return Err(undelivered);
             }
         };
@@ -360,9 +362,9 @@ impl Inner {
         self.used.get(&peer).cloned().unwrap_or_default()
     }
 
-    /// Notes what a member has used of its rate by a run.
-    pub(crate) fn set_usage(&mut self, peer: PeerId, usage: Usage) {
-        self.used.insert(peer, usage);
+    /// Charges a member for a run.
+    pub(crate) fn settle(&mut self, peer: PeerId, budget: &Budget) {
+        self.used.entry(peer).or_default().settle(budget);
     }
 
     /// Counts a message of a run.

@@ -65,7 +65,7 @@ pub use input::{Configuration, Input, User};
 pub use judge::{Case, Judgement, Place};
 pub use keep::{Keep, KeepArgs};
 pub use member::{Member, PeerId, StandingVerdict};
-pub use rate::Usage;
+pub use rate::{Budget, Usage};
 pub use record::{Holder, Record, Ticket};
 pub use route::{Guard, GuardOwner, Route};
 pub use settings::Settings;

@@ -27,6 +27,32 @@ pub struct Usage {
     bytes: Left,
 }
 
+/// What a sender may send at one moment, where many parcels are charged together: the sums of [`Usage`] are made once
+/// for all of them.
+#[derive(Clone, Copy, Debug)]
+pub struct Budget {
+    rate: Rate,
+    now: Micros,
+    /// What is left of each; [`u64::MAX`] where there is no bound.
+    parcels: u64,
+    bytes: u64,
+    spent: (u64, u64),
+}
+
+impl Budget {
+    /// Takes one parcel of this size; false if there is not enough.
+    pub fn take(&mut self, size: usize) -> bool {
+        let size = u64::try_from(size).unwrap_or(u64::MAX);
+        let left = (self.parcels.checked_sub(1), self.bytes.checked_sub(size));
+        let (Some(parcels), Some(bytes)) = left else {
+            return false;
+        };
+        (self.parcels, self.bytes) = (parcels, bytes);
+        self.spent = (self.spent.0 + 1, self.spent.1.saturating_add(size));
+        true
+    }
+}
+
 #[derive(Clone, Copy, Debug, Default)]
 struct Left {
     /// What was taken and has not come back, in units.
@@ -58,14 +84,53 @@ impl Usage {
     }
 }
 
+impl Usage {
+    /// What may be taken now: as much as [`Usage::charge`] would let pass one after the other.
+    pub fn budget(&self, rate: &Rate, now: Micros) -> Budget {
+        Budget {
+            rate: *rate,
+            now,
+            parcels: self.parcels.room(&rate.parcels, now),
+            bytes: self.bytes.room(&rate.bytes, now),
+            spent: (0, 0),
+        }
+    }
+
+    /// Charges what was taken of a budget that was made of this.
+    pub fn settle(&mut self, budget: &Budget) {
+        let Budget { rate, now, spent, .. } = budget;
+        if let Ok(parcels) = self.parcels.after(&rate.parcels, spent.0, *now) {
+            self.parcels = parcels;
+        }
+        if let Ok(bytes) = self.bytes.after(&rate.bytes, spent.1, *now) {
+            self.bytes = bytes;
+        }
+    }
+}
+
 impl Left {
+    /// How much there is in the bucket.
+    fn room(self, bucket: &Bucket, now: Micros) -> u64 {
+        if *bucket == Bucket::UNLIMITED {
+            return u64::MAX;
+        }
+        let full = u128::from(bucket.burst) * UNIT;
+        let room = full.saturating_sub(self.not_back(bucket, now)) / UNIT;
+        u64::try_from(room).unwrap_or(u64::MAX)
+    }
+
+    /// What was taken and has not come back by now.
+    fn not_back(self, bucket: &Bucket, now: Micros) -> u128 {
+        let back = u128::from(bucket.per_second) * u128::from(now.saturating_sub(self.at));
+        self.taken.saturating_sub(back)
+    }
+
     /// The bucket after `count` was taken from it, or for how long there is not enough in it.
     fn after(self, bucket: &Bucket, count: u64, now: Micros) -> Result<Left, Option<Micros>> {
         if *bucket == Bucket::UNLIMITED {
             return Ok(self);
         }
-        let back = u128::from(bucket.per_second) * u128::from(now.saturating_sub(self.at));
-        let taken = self.taken.saturating_sub(back) + u128::from(count) * UNIT;
+        let taken = self.not_back(bucket, now) + u128::from(count) * UNIT;
         let full = u128::from(bucket.burst) * UNIT;
         if taken <= full {
             return Ok(Left { taken, at: now });
@@ -117,6 +182,34 @@ mod tests {
         let error = usage.charge(&rate, 2000, 10_000_000).unwrap_err();
         assert_eq!(error.retry_in(), None, "larger than the bucket: never");
         assert!(passed(&mut usage, 1000, 10_000_000));
+    }
+
+    #[test]
+    fn a_budget_is_what_charging_one_by_one_would_let_pass() {
+        let buckets = [
+            Bucket::UNLIMITED,
+            Bucket {
+                per_second: 3,
+                burst: 5,
+            },
+            Bucket {
+                per_second: 700,
+                burst: 900,
+            },
+        ];
+        for (parcels, bytes) in buckets.iter().flat_map(|one| buckets.map(|other| (*one, other))) {
+            let rate = Rate { parcels, bytes };
+            let (mut one_by_one, mut together) = (Usage::default(), Usage::default());
+            for now in (0..5_000_000).step_by(333_333) {
+                let sizes = (0..12_usize).map(|number| number * 37 % 101);
+                let passed = |size: &usize| one_by_one.charge(&rate, *size, now).is_ok();
+                let passed = sizes.clone().take_while(passed).count();
+                let mut budget = together.budget(&rate, now);
+                let taken = sizes.take_while(|size| budget.take(*size)).count();
+                together.settle(&budget);
+                assert_eq!(taken, passed, "{rate:?} at {now}");
+            }
+        }
     }
 
     #[test]

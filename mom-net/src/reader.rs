@@ -6,7 +6,7 @@ use std::pin::pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
 
-use bytes::{Buf, BytesMut};
+use bytes::Buf;
 use mom_proto::Limits;
 use mom_proto::Parcel;
 use mom_proto::binary::Plain;
@@ -15,11 +15,8 @@ use tokio::io::AsyncReadExt;
 use tokio::net::tcp::OwnedReadHalf;
 use tokio::sync::mpsc;
 
-use crate::{NetError, local, spare};
-
-/// Room below which a buffer is replaced; above it what is left is used up first, so that a peer of small
-/// parcels does not cost a buffer for each.
-const LEAST: usize = 4 * 1024;
+use crate::spare::ReadBuffer;
+use crate::{NetError, local};
 
 /// Gives the frames of a connection.
 #[derive(Debug)]
@@ -31,7 +28,7 @@ pub struct Reader {
 pub(crate) enum Source {
     Stream {
         stream: OwnedReadHalf,
-        buffer: BytesMut,
+        buffer: ReadBuffer,
         decoder: Decoder,
         form: Form,
     },
@@ -90,9 +87,15 @@ impl Reader {
                 }
                 Ok(arrived.is_some())
             }
-            Source::Stream { stream, buffer, .. } => {
-                match poll_fn(|context| poll_read(stream, buffer, context)).await? {
-                    0 if buffer.is_empty() => Ok(false),
+            Source::Stream {
+                stream,
+                buffer,
+                decoder,
+                ..
+            } => {
+                let announced = announced(decoder, &buffer.bytes);
+                match poll_fn(|context| poll_read(stream, buffer, announced, context)).await? {
+                    0 if buffer.bytes.is_empty() => Ok(false),
                     0 => Err(io::Error::from(io::ErrorKind::UnexpectedEof).into()),
                     _ => Ok(true),
                 }
@@ -108,7 +111,7 @@ impl Reader {
                 buffer,
                 decoder: Decoder::Binary(decoder),
                 ..
-            } => decoder.plain(buffer),
+            } => decoder.plain(&buffer.bytes),
             _ => None,
         }
     }
@@ -121,7 +124,7 @@ impl Reader {
                 decoder: Decoder::Binary(decoder),
                 ..
             } => {
-                let plain = decoder.plain(buffer)?;
+                let plain = decoder.plain(&buffer.bytes)?;
                 decoder.head(&plain)
             }
             _ => None,
@@ -131,7 +134,7 @@ impl Reader {
     /// How many bytes have arrived and wait to be looked at.
     pub fn waiting(&self) -> usize {
         match &self.source {
-            Source::Stream { buffer, .. } => buffer.len(),
+            Source::Stream { buffer, .. } => buffer.bytes.len(),
             Source::Local { .. } => 0,
         }
     }
@@ -139,7 +142,8 @@ impl Reader {
     /// Takes so many bytes of what has arrived: the length of a [`Plain`].
     pub fn consume(&mut self, length: usize) {
         if let Source::Stream { buffer, .. } = &mut self.source {
-            buffer.advance(length);
+            buffer.bytes.advance(length);
+            buffer.took(length);
         }
     }
 
@@ -148,8 +152,8 @@ impl Reader {
         match &mut self.source {
             Source::Local { receiver, .. } => while receiver.recv().await.is_some() {},
             Source::Stream { stream, buffer, .. } => loop {
-                buffer.clear();
-                match poll_fn(|context| poll_read(stream, buffer, context)).await {
+                buffer.bytes.clear();
+                match poll_fn(|context| poll_read(stream, buffer, 0, context)).await {
                     Ok(0) | Err(_) => return,
                     Ok(_) => {}
                 }
@@ -167,28 +171,39 @@ impl Reader {
                 let next = arrived.take().or_else(|| receiver.try_recv().ok());
                 Ok(next.map(local_frame))
             }
-            Source::Stream { buffer, decoder, .. } if !buffer.is_empty() => Ok(decoder.decode(buffer)?),
+            Source::Stream { buffer, decoder, .. } if !buffer.bytes.is_empty() => {
+                let before = buffer.bytes.len();
+                let frame = decoder.decode(&mut buffer.bytes)?;
+                if frame.is_some() {
+                    buffer.took(before - buffer.bytes.len());
+                }
+                Ok(frame)
+            }
             Source::Stream { .. } => Ok(None),
         }
+    }
+}
+
+/// The size of the frame that has begun to arrive, where it is known.
+fn announced(decoder: &Decoder, bytes: &[u8]) -> usize {
+    match decoder {
+        Decoder::Binary(decoder) => decoder.announced(bytes),
+        Decoder::Xml(_) => 0,
     }
 }
 
 /// Reads what has arrived. While nothing has, the connection holds no buffer: thousands of idle ones share a few.
 fn poll_read(
     stream: &mut OwnedReadHalf,
-    buffer: &mut BytesMut,
+    buffer: &mut ReadBuffer,
+    announced: usize,
     context: &mut Context<'_>,
 ) -> Poll<io::Result<usize>> {
-    if buffer.is_empty() && buffer.capacity() < LEAST {
-        *buffer = spare::take();
-    }
-    if buffer.capacity() - buffer.len() < LEAST {
-        buffer.reserve(spare::SIZE);
-    }
+    buffer.make_room(announced);
     // Stateless, so that it may be begun anew at each poll.
-    let read = pin!(stream.read_buf(buffer)).poll(context);
-    if read.is_pending() && buffer.is_empty() {
-        spare::give(std::mem::take(buffer));
+    let read = pin!(stream.read_buf(&mut buffer.bytes)).poll(context);
+    if read.is_pending() {
+        buffer.rest();
     }
     read
 }

@@ -10,6 +10,7 @@ use mom_proto::{Code, Limits, WireError};
 use tokio::net::TcpStream;
 
 use crate::reader::{Reader, Source};
+use crate::spare::ReadBuffer;
 use crate::writer::{Progress, Sink, Writer};
 use crate::{Address, NetError, Outgoing, Transceiver, options};
 
@@ -98,7 +99,7 @@ async fn start(
     }
     let reader = Reader::new(Source::Stream {
         stream,
-        buffer,
+        buffer: ReadBuffer::new(buffer),
         decoder,
         form,
     });

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_hub::{Admission, Alike, Ingress, Input, PeerClock, PeerId, Route, Usage, admit};
-use mom_managers::{Micros, Rate};
+use mom_hub::{Admission, Alike, Ingress, Input, PeerClock, PeerId, Route, admit};
+use mom_managers::Micros;
 use mom_net::Reader;
 use mom_proto::binary::{Plain, Run};
 use mom_proto::{Code, Delivery, Limits, Overflow, Parcel, Verb, WireError};
@@ -188,7 +188,7 @@ impl Switchboard {
             Overflow::Wait => inner.room_left(&receivers).min(RUN),
         };
         let room = (reader.waiting() * 3 / 2).min(most) + 256;
-        let mut usage = rate.map(|rate| (rate, inner.usage(peer)));
+        let mut budget = rate.map(|rate| inner.usage(peer).budget(&rate, ingress.now));
         let mut run: Option<Run> = None;
         while let Some(plain) = reader.plain().filter(is_small) {
             let run = run.get_or_insert_with(|| Run::begin(&plain, &stamped, room));
@@ -200,8 +200,7 @@ impl Switchboard {
                 break;
             };
             let size = plain.content_length();
-            let spent = |(rate, usage): &mut (Rate, Usage)| usage.charge(rate, size, ingress.now).is_err();
-            if usage.as_mut().is_some_and(spent) {
+            if budget.as_mut().is_some_and(|budget| !budget.take(size)) {
                 break;
             }
             run.push(&plain, age);
@@ -211,8 +210,8 @@ impl Switchboard {
         let Some(run) = run.filter(|run| run.count() > 0) else {
             return false;
         };
-        if let Some((_, usage)) = usage {
-            inner.set_usage(peer, usage);
+        if let Some(budget) = budget {
+            inner.settle(peer, &budget);
         }
         let delivered = inner.deliver_run(peer, run, &stamped, &receivers, ingress.now);
         let path = inner.route.path.clone();

@@ -116,6 +116,17 @@ impl BinaryDecoder {
         Ok(true)
     }
 
+    /// The bytes of the frame that `input` begins with, as far as they are announced: who reads may make room for all of
+    /// it. 0 if that is not known yet, or more than the limit.
+    pub fn announced(&self, input: &[u8]) -> usize {
+        let known = input.first_chunk::<4>().filter(|_| self.greeted);
+        let length = known.map_or(0, |announced| u32::from_be_bytes(*announced) as usize);
+        match length > 0 && self.parcel.allows(length) {
+            true => 4 + length,
+            false => 0,
+        }
+    }
+
     fn next_frame(&mut self, input: &mut BytesMut) -> Result<Option<Bytes>, WireError> {
         let Some(announced) = input.first_chunk::<4>() else {
             return Ok(None);
@@ -126,8 +137,6 @@ impl BinaryDecoder {
             return Err(WireError::new(Code::TOO_LARGE, text));
         }
         if input.len() < 4 + length {
-            // Room for the rest at once; at most what the limit allows.
-            input.reserve(4 + length - input.len());
             return Ok(None);
         }
         input.advance(4);
