@@ -329,9 +329,9 @@ impl Inner {
         let _place = match (claimed.transpose(), unused) {
             (Ok(place), _) => place,
             (Err(undelivered), unused) => {
-                unused
-                    .into_iter()
-                    .for_each(|usage| drop(self.used.insert(sender, usage)));
+                if let Some(usage) = unused {
+                    self.used.insert(sender, usage);
+                }
                 return Err(undelivered);
             }
         };

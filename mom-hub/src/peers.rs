@@ -27,7 +27,14 @@ pub(crate) struct Peers {
     by_name: BTreeMap<Arc<str>, PeerId>,
     // A name that its peer gave up: until when, and whose it was.
     resting: BTreeMap<Arc<str>, (Micros, Arc<str>)>,
+    /// The same by time, so that a thousand who come back at once do not each look at all.
+    rest_ends: BTreeSet<(Micros, Arc<str>)>,
+    /// Of nicknames that many have: below this number all are taken.
+    crowded: BTreeMap<Arc<str>, u32>,
 }
+
+/// From this number on a nickname is one that many have.
+const CROWD: u32 = 16;
 
 impl Peers {
     pub(crate) fn get(&self, peer: PeerId) -> Option<&Peer> {
@@ -48,9 +55,9 @@ impl Peers {
 
     /// Adds a peer under the nickname if it is free, else with `~2`, `~3` …
     pub(crate) fn add(&mut self, peer: PeerId, user: User, nickname: &str, now: Micros) -> Arc<PeerFacts> {
-        self.resting.retain(|_, (until, _)| *until > now);
+        self.end_rests(now);
         let name = self.free_name(nickname, &user.name);
-        self.resting.remove(&name);
+        self.end_rest(&name);
         let facts = Arc::new(PeerFacts {
             name: Arc::clone(&name),
             user: user.name.into(),
@@ -87,28 +94,61 @@ impl Peers {
     pub(crate) fn remove(&mut self, peer: PeerId, rest_until: Micros) -> Option<Peer> {
         let gone = self.by_id.remove(&peer)?;
         self.by_name.remove(&gone.facts.name);
-        self.resting.insert(
-            Arc::clone(&gone.facts.name),
-            (rest_until, Arc::clone(&gone.facts.user)),
-        );
+        let name = &gone.facts.name;
+        self.end_rest(name);
+        self.rest_ends.insert((rest_until, Arc::clone(name)));
+        let rest = (rest_until, Arc::clone(&gone.facts.user));
+        self.resting.insert(Arc::clone(name), rest);
+        let (nickname, count) = split_name(name);
+        if let Some(taken) = self.crowded.get_mut(nickname) {
+            *taken = count.min(*taken);
+            if *taken < CROWD {
+                self.crowded.remove(nickname);
+            }
+        }
         Some(gone)
     }
 
-    fn free_name(&self, nickname: &str, user: &str) -> Arc<str> {
+    fn free_name(&mut self, nickname: &str, user: &str) -> Arc<str> {
+        let known = self.crowded.get(nickname).copied();
+        let mut taken = known.unwrap_or(1);
+        while self.by_name.contains_key(&*numbered_name(nickname, taken)) {
+            taken += 1;
+        }
+        if taken >= CROWD && known != Some(taken) {
+            self.crowded.insert(nickname.into(), taken);
+        }
         // A user's own name is free for that user at once: whoever comes back is the same person.
         let free = |name: &str| {
             !self.by_name.contains_key(name)
                 && self.resting.get(name).is_none_or(|(_, whose)| **whose == *user)
         };
-        let mut count = 1;
-        loop {
-            let name = numbered_name(nickname, count);
-            if free(&name) {
-                return name.into();
+        let names = (taken..).map(|count| numbered_name(nickname, count));
+        let mut free = names.filter(|name| free(name));
+        free.next().map_or_else(|| nickname.into(), Into::into)
+    }
+
+    /// Ends the rests that are over.
+    fn end_rests(&mut self, now: Micros) {
+        while self.rest_ends.first().is_some_and(|(until, _)| *until <= now) {
+            if let Some((_, name)) = self.rest_ends.pop_first() {
+                self.resting.remove(&name);
             }
-            count += 1;
         }
     }
+
+    fn end_rest(&mut self, name: &Arc<str>) {
+        if let Some((until, _)) = self.resting.remove(name) {
+            self.rest_ends.remove(&(until, Arc::clone(name)));
+        }
+    }
+}
+
+/// The nickname and the number of a name.
+fn split_name(name: &str) -> (&str, u32) {
+    let numbered = name.rsplit_once('~');
+    let numbered = numbered.and_then(|(nickname, count)| Some((nickname, count.parse().ok()?)));
+    numbered.unwrap_or((name, 1))
 }
 
 #[cfg(test)]
@@ -136,5 +176,32 @@ mod tests {
         assert!(peers.remove(PeerId(4), 119).is_some());
         assert_eq!(name(peers.add(PeerId(5), user("bob"), "ally", 119)), "ally");
         assert_eq!(peers.id_of("ally"), Some(PeerId(5)));
+    }
+
+    #[test]
+    fn the_lowest_number_is_given_however_many_have_a_nickname() {
+        let mut peers = Peers::default();
+        let add = |peers: &mut Peers, id, by: &str, now| {
+            let facts = peers.add(PeerId(id), user(by), "ally", now);
+            facts.name.to_string()
+        };
+        for id in 1..=100 {
+            let name = add(&mut peers, id, "bob", 0);
+            assert_eq!(name, numbered_name("ally", u32::try_from(id).unwrap()));
+        }
+        for id in [90, 40, 7] {
+            peers.remove(PeerId(id), 60);
+        }
+        assert_eq!(add(&mut peers, 101, "carol", 59), "ally~101", "they rest");
+        assert_eq!(add(&mut peers, 102, "bob", 59), "ally~7", "its own");
+        assert_eq!(add(&mut peers, 103, "carol", 60), "ally~40");
+        assert_eq!(add(&mut peers, 104, "carol", 60), "ally~90");
+        assert_eq!(add(&mut peers, 105, "carol", 60), "ally~102");
+        for id in 1..=105 {
+            peers.remove(PeerId(id), 120);
+        }
+        assert!(peers.crowded.is_empty(), "{:?}", peers.crowded);
+        assert_eq!(add(&mut peers, 106, "carol", 120), "ally");
+        assert!(peers.resting.is_empty() && peers.rest_ends.is_empty());
     }
 }
