@@ -73,8 +73,16 @@ struct Scene {
 
 impl Scene {
     async fn new(form: Form) -> Scene {
+        Scene::with(form, |_| {}).await
+    }
+
+    async fn with(form: Form, change: impl FnOnce(&mut Config)) -> Scene {
         let clock = lab::clock();
-        let broker = lab::start_at(clock.clone(), with_bulk).await;
+        let broker = lab::start_at(clock.clone(), |config| {
+            with_bulk(config);
+            change(config);
+        })
+        .await;
         let address = broker.local_addr();
         let mut alice = Raw::login(address, form, "alice").await;
         let mut bob = Raw::connect_small(address, form).await;
@@ -218,6 +226,37 @@ async fn who_waits_holds_up_nobody_else() {
     Scene::check_hears(&mut scene.bob, before..scene.next + 1).await;
     scene.alice.answer(waiting).await.expect("there is room now");
     scene.alice.answer(behind).await.expect("then the next");
+    scene.end().await;
+}
+
+/// Of a sender that waits nothing is read, so it is not taken for gone. The others show that they are there.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn who_waits_is_not_gone() {
+    let gone = Duration::from_secs(2);
+    let mut scene = Scene::with(Form::Binary, |config| {
+        (config.limits.heartbeat, config.limits.gone) = (200, 2000);
+    })
+    .await;
+    let ping = || Parcel::new(Family::Time, "ping");
+    let id = loop {
+        scene.bob.post(ping()).await;
+        scene.carol.post(ping()).await;
+        let id = scene.alice.post(block(scene.next)).await;
+        match answer_within(&mut scene.alice, id, QUIET).await {
+            Some(receipt) => scene.note_taken(&receipt.expect("there is room")),
+            None => break id,
+        }
+    };
+    let since = std::time::Instant::now();
+    while since.elapsed() < gone + QUIET {
+        scene.bob.post(ping()).await;
+        scene.carol.post(ping()).await;
+        let answer = answer_within(&mut scene.alice, id, QUIET).await;
+        assert!(answer.is_none(), "nobody reads: {answer:?}");
+    }
+    Scene::check_hears(&mut scene.bob, 0..scene.next + 1).await;
+    scene.alice.answer(id).await.expect("there is room");
+    scene.alice.check_alive().await;
     scene.end().await;
 }
 
