@@ -44,15 +44,18 @@ pub enum Topic {
     Stop,
     /// Commands that need a token, where the protocol knows such a thing.
     Command,
+    /// What has to reach everybody and may come late: its sender waits, where the hub can have it wait.
+    Bulk,
 }
 
 impl Topic {
-    pub(crate) const ALL: [Topic; 5] = [
+    pub(crate) const ALL: [Topic; 6] = [
         Topic::Forth,
         Topic::Back,
         Topic::Image,
         Topic::Stop,
         Topic::Command,
+        Topic::Bulk,
     ];
 
     /// A word for it, good as a subject in any protocol; all have the same length.
@@ -63,6 +66,7 @@ impl Topic {
             Topic::Image => "image",
             Topic::Stop => "stops",
             Topic::Command => "comma",
+            Topic::Bulk => "bulks",
         }
     }
 }

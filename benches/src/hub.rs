@@ -56,6 +56,12 @@ kind = "channel"
 presence = "none"
 
 [[contexts]]
+path = "/bulk"
+kind = "channel"
+presence = "none"
+overflow = "wait"
+
+[[contexts]]
 path = "/camera"
 kind = "channel"
 presence = "none"

@@ -4,7 +4,8 @@ use std::path::Path;
 use std::time::Duration;
 
 use mom_benches::peers::{
-    Crowd, Metric, Place, Programs, SaturatedStop, SlowLink, idle, plan, raise_files, table,
+    Canary, Crowd, Hindrance, Metric, Place, Programs, SaturatedStop, SlowLink, idle, plan, raise_files,
+    table,
 };
 use mom_benches::peers::{Kind, run};
 use mom_benches::{Error, Hub, broker_folder};
@@ -125,6 +126,26 @@ fn every_row_that_the_relay_takes_has_figures_of_it() {
 fn a_program_that_is_not_there_is_told() {
     let started = programs().start(Kind::Mom, &Place::Loopback, false);
     assert!(matches!(started, Err(Error::Io { .. })));
+}
+
+#[test]
+fn a_stop_passes_a_flood_and_a_sleeper() {
+    let canary = Canary {
+        payload: 4 * 1024,
+        offered: 8e6,
+        times: 10.0,
+        stops: 5,
+        every: Duration::from_millis(30),
+        late: Duration::from_secs(2),
+    };
+    for hindrance in [Hindrance::Flood, Hindrance::Sleeper] {
+        let (sample, cut_off) = canary.run(&bench(Form::Binary).hub, hindrance).unwrap();
+        assert_eq!(cut_off, None, "{hindrance:?}");
+        // One that still waits says what the next would, so on a busy machine not all of them arrive.
+        let arrived = sample[&Metric::Arrived];
+        assert!((1.0..=5.0).contains(&arrived), "{hindrance:?}: {sample:?}");
+        assert!(sample[&Metric::Rate] > 0.0, "{hindrance:?}: {sample:?}");
+    }
 }
 
 /// Where namespaces may be made, that is as root; elsewhere the reason is told, and nothing is left behind.

@@ -44,6 +44,8 @@ pub struct Refusal<'a> {
     pub expected: Option<Duration>,
     /// The peers that hold the token together.
     pub holders: Vec<&'a str>,
+    /// The receivers that had no room for a message, in a channel where its sender waits for that.
+    pub slow: Vec<&'a str>,
 }
 
 impl<'a> Refusal<'a> {
@@ -52,7 +54,10 @@ impl<'a> Refusal<'a> {
         let string = |key| error.get(key).and_then(Value::as_str);
         let int = |key| error.get(key).and_then(Value::as_int);
         let number = |key| int(key).and_then(|number| u64::try_from(number).ok());
-        let holders = error.get("holders").and_then(Value::as_list);
+        let strings = |key| {
+            let list = error.get(key).and_then(Value::as_list).unwrap_or_default();
+            list.iter().filter_map(Value::as_str).collect()
+        };
         Refusal {
             code: &error.code,
             text: &error.text,
@@ -63,11 +68,8 @@ impl<'a> Refusal<'a> {
             retry_after: error.retry_in(),
             place: number("place"),
             expected: number("expected").map(Duration::from_millis),
-            holders: holders
-                .unwrap_or_default()
-                .iter()
-                .filter_map(Value::as_str)
-                .collect(),
+            holders: strings("holders"),
+            slow: strings("slow"),
         }
     }
 

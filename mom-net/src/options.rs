@@ -71,6 +71,11 @@ pub(crate) fn link(stream: &TcpStream) -> Option<Link> {
     if result != 0 || size as usize != size_of_val(&words) {
         return None;
     }
+    // Of a connection that was reset nothing more is acknowledged: whoever waits for that shall write, and be told.
+    const CLOSED: u8 = 7;
+    if words[0].to_ne_bytes()[0] == CLOSED {
+        return None;
+    }
     // A u64 as it lies in memory, whatever the byte order.
     let long = |at: usize| {
         let (one, two) = (words[at].to_ne_bytes(), words[at + 1].to_ne_bytes());

@@ -132,6 +132,14 @@ impl Raw {
         let _ = sent.expect("the broker reads or closes");
     }
 
+    /// Writes bytes, however long the broker lets them wait.
+    ///
+    /// # Errors
+    /// A connection that has ended.
+    pub async fn send_patiently(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.stream.write_all(bytes).await
+    }
+
     /// Writes bytes until the broker closes.
     ///
     /// # Panics

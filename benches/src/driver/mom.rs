@@ -30,6 +30,7 @@ fn channel(topic: Topic) -> &'static str {
         Topic::Image => "/camera",
         Topic::Stop => "/stop",
         Topic::Command => "/cell/arm",
+        Topic::Bulk => "/bulk",
     }
 }
 
@@ -62,7 +63,7 @@ impl MomDriver {
     fn message(&self, topic: Topic, content: Value) -> Parcel {
         let (path, number) = &self.channels[topic as usize];
         let name = match topic {
-            Topic::Forth | Topic::Back => "state",
+            Topic::Forth | Topic::Back | Topic::Bulk => "state",
             Topic::Image => "image",
             Topic::Stop => "stop",
             Topic::Command => "command",

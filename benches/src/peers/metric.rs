@@ -27,6 +27,14 @@ pub enum Metric {
     Told,
     /// The guarded channel's rate over the bare one's.
     Guarded,
+    /// As [`Metric::P50`], before the load.
+    IdleP50,
+    /// As [`Metric::P99`], before the load.
+    IdleP99,
+    /// Processor cores that the hub's process used.
+    Cores,
+    /// MiB that the hub's process grew by.
+    Grown,
 }
 
 /// What one run came to.
@@ -34,7 +42,7 @@ pub type Sample = BTreeMap<Metric, f64>;
 
 impl Metric {
     /// All of them.
-    pub const ALL: [Metric; 11] = [
+    pub const ALL: [Metric; 15] = [
         Metric::Rate,
         Metric::Share,
         Metric::P50,
@@ -46,6 +54,10 @@ impl Metric {
         Metric::Frames,
         Metric::Told,
         Metric::Guarded,
+        Metric::IdleP50,
+        Metric::IdleP99,
+        Metric::Cores,
+        Metric::Grown,
     ];
 
     /// Its key in the raw results.
@@ -62,6 +74,10 @@ impl Metric {
             Metric::Frames => "frames-arrived",
             Metric::Told => "frames-told-dropped",
             Metric::Guarded => "guarded-over-bare",
+            Metric::IdleP50 => "idle-p50-us",
+            Metric::IdleP99 => "idle-p99-us",
+            Metric::Cores => "cores",
+            Metric::Grown => "mib-grown",
         }
     }
 
@@ -84,6 +100,10 @@ impl Metric {
             Metric::Frames => "frames that arrived",
             Metric::Told => "dropped frames that the camera heard of",
             Metric::Guarded => "guarded over bare",
+            Metric::IdleP50 => "p50 before, µs",
+            Metric::IdleP99 => "p99 before, µs",
+            Metric::Cores => "cores of CPU",
+            Metric::Grown => "MiB that the hub grew by",
         }
     }
 
@@ -97,6 +117,7 @@ impl Metric {
             | Metric::Frames
             | Metric::Guarded => true,
             Metric::P50 | Metric::P99 | Metric::Cpu | Metric::Memory | Metric::Told => false,
+            Metric::IdleP50 | Metric::IdleP99 | Metric::Cores | Metric::Grown => false,
         }
     }
 
@@ -105,13 +126,16 @@ impl Metric {
         match self {
             Metric::Rate => crate::report::amount(value),
             Metric::Share | Metric::Link | Metric::Guarded => format!("{value:.3}"),
-            Metric::P50 | Metric::P99 if value >= 1e6 => format!("{:.1} s", value / 1e6),
-            Metric::P50 | Metric::P99 if value >= 10_000.0 => format!("{:.1} ms", value / 1000.0),
-            Metric::P50 | Metric::P99 | Metric::Arrived | Metric::Frames | Metric::Told => {
-                format!("{value:.0}")
+            Metric::P50 | Metric::P99 | Metric::IdleP50 | Metric::IdleP99 if value >= 1e6 => {
+                format!("{:.1} s", value / 1e6)
             }
-            Metric::Cpu => crate::report::short(value),
-            Metric::Memory => format!("{value:.1}"),
+            Metric::P50 | Metric::P99 | Metric::IdleP50 | Metric::IdleP99 if value >= 10_000.0 => {
+                format!("{:.1} ms", value / 1000.0)
+            }
+            Metric::P50 | Metric::P99 | Metric::IdleP50 | Metric::IdleP99 => format!("{value:.0}"),
+            Metric::Arrived | Metric::Frames | Metric::Told => format!("{value:.0}"),
+            Metric::Cpu | Metric::Cores => crate::report::short(value),
+            Metric::Memory | Metric::Grown => format!("{value:.1}"),
         }
     }
 }

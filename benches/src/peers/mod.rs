@@ -4,6 +4,7 @@
 //! [`crate::Driver`].
 
 mod brokers;
+mod canary;
 mod crowd;
 mod files;
 mod idle;
@@ -16,6 +17,7 @@ mod stop;
 pub mod table;
 
 pub use brokers::{Kind, Programs};
+pub use canary::{Canary, Hindrance};
 pub use crowd::Crowd;
 pub use idle::{idle, raise_files};
 pub use metric::{Metric, Sample};

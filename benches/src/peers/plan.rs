@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use super::brokers::Kind;
+use super::canary::{Canary, Hindrance};
 use super::crowd::Crowd;
 use super::metric::Metric;
 use super::stop::SaturatedStop;
@@ -36,6 +37,8 @@ pub enum Load {
     Idle,
     /// A stop that must pass a camera's frames on a slow link.
     Stop,
+    /// A stop to a receiver that is flooded, or beside one that reads nothing.
+    Canary(Hindrance),
     /// A channel with a token and managers beside one without.
     Guarded,
 }
@@ -85,6 +88,8 @@ pub struct Effort {
     pub idle: usize,
     /// The saturated stop.
     pub stop: SaturatedStop,
+    /// The canary.
+    pub canary: Canary,
     /// Pairs of streams, one on a bare channel and one on a guarded.
     pub pairs: usize,
 }
@@ -114,6 +119,14 @@ impl Effort {
                 every: Duration::from_millis(100),
                 late: Duration::from_secs(30),
             },
+            canary: Canary {
+                payload: 16 * 1024,
+                offered: 80e6,
+                times: 10.0,
+                stops: 100,
+                every: Duration::from_millis(40),
+                late: Duration::from_secs(5),
+            },
             pairs: 10,
         }
     }
@@ -136,6 +149,10 @@ impl Effort {
             stop: SaturatedStop {
                 stops: 20,
                 ..full.stop
+            },
+            canary: Canary {
+                stops: 20,
+                ..full.canary
             },
             pairs: 2,
             ..full
@@ -197,7 +214,7 @@ const fn row(
 }
 
 /// All scenarios.
-pub const ROWS: [Row; 16] = [
+pub const ROWS: [Row; 18] = [
     row("1→1, 16 B", Load::Stream(1), 16, STREAMS, TWICE),
     row("1→1, 256 B", Load::Stream(1), 256, STREAMS, TWICE),
     row("1→1, 1 KiB", Load::Stream(1), 1024, STREAMS, TWICE),
@@ -254,6 +271,23 @@ pub const ROWS: [Row; 16] = [
             goal(Metric::Link, Rule::AtLeast(0.9)),
             goal(Metric::Told, Rule::AtLeast(1.0)),
         ],
+    ),
+    row(
+        "stop to a receiver of a flood",
+        Load::Canary(Hindrance::Flood),
+        16 * 1024,
+        BROKERS,
+        &[
+            goal(Metric::Arrived, Rule::AtLeast(100.0)),
+            goal(Metric::P99, Rule::OfBest(0.1)),
+        ],
+    ),
+    row(
+        "stop beside a receiver that reads nothing",
+        Load::Canary(Hindrance::Sleeper),
+        16 * 1024,
+        BROKERS,
+        &[goal(Metric::Arrived, Rule::AtLeast(100.0))],
     ),
     row(
         "guarded and managed beside bare, 256 B",

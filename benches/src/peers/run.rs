@@ -107,10 +107,12 @@ pub fn run(
             }
             for kind in hubs {
                 let sampled = match row.load {
-                    Load::Stop => stop(kind, programs, effort).map(|(sample, note)| {
-                        outcome.notes.extend(note.map(|note| (kind, note)));
-                        sample
-                    }),
+                    Load::Stop | Load::Canary(_) => {
+                        stop(row.load, kind, programs, effort).map(|(sample, note)| {
+                            outcome.notes.extend(note.map(|note| (kind, note)));
+                            sample
+                        })
+                    }
                     _ => sample(&row, kind, programs, effort),
                 };
                 outcome.take(kind, sampled, &mut progress);
@@ -120,7 +122,17 @@ pub fn run(
     outcomes
 }
 
-fn stop(kind: Kind, programs: &Programs, effort: &Effort) -> Result<(Sample, Option<String>), Error> {
+/// Loads whose receiver may be cut off: the figures until then count, and with them why.
+fn stop(
+    load: Load,
+    kind: Kind,
+    programs: &Programs,
+    effort: &Effort,
+) -> Result<(Sample, Option<String>), Error> {
+    if let Load::Canary(hindrance) = load {
+        let hub = programs.start(kind, &Place::Loopback, false)?;
+        return effort.canary.run(&hub, hindrance);
+    }
     let link = SlowLink::new()?;
     let hub = programs.start(kind, &link.hub, false)?;
     effort.stop.run(&hub, &link)
@@ -138,7 +150,9 @@ fn sample(row: &Row, kind: Kind, programs: &Programs, effort: &Effort) -> Result
         Load::Crowd => effort.crowd.run(&hub),
         Load::Idle => idle(&hub, effort.idle.min(kind.most_idle())),
         Load::Guarded => guarded(row, &hub, effort),
-        Load::Stop | Load::PingPong => Err(Error::Unexpected("a load that is run elsewhere".to_owned())),
+        Load::Stop | Load::Canary(_) | Load::PingPong => {
+            Err(Error::Unexpected("a load that is run elsewhere".to_owned()))
+        }
     }
 }
 

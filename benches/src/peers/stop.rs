@@ -201,7 +201,7 @@ impl SaturatedStop {
     }
 }
 
-fn template(hub: &Hub, topic: Topic, payload: usize) -> Result<Template, Error> {
+pub(super) fn template(hub: &Hub, topic: Topic, payload: usize) -> Result<Template, Error> {
     hub.driver.template(Message {
         topic,
         payload,

@@ -6,6 +6,7 @@ use std::fmt::Write as _;
 use serde_json::{Map, Value, json};
 
 use super::brokers::{Kind, Programs};
+use super::canary::Hindrance;
 use super::metric::Metric;
 use super::plan::{Goal, Load, ROWS, Row, Rule};
 use super::run::Outcome;
@@ -68,7 +69,7 @@ pub fn markdown(outcomes: &[Outcome], programs: &Programs, runs: usize, load: Op
     let mut out = conditions(programs, runs, load);
     out += &goals(outcomes);
     for metric in [Metric::Rate, Metric::P50, Metric::P99, Metric::Cpu, Metric::Share] {
-        let streams = |row: &Row| row.load != Load::Stop;
+        let streams = |row: &Row| !matches!(row.load, Load::Stop | Load::Canary(_));
         out += &matrix(outcomes, &[metric], streams);
     }
     out += &matrix(outcomes, &[Metric::Memory], |row| row.load == Load::Idle);
@@ -82,6 +83,19 @@ pub fn markdown(outcomes: &[Outcome], programs: &Programs, runs: usize, load: Op
         Metric::Cpu,
     ];
     out += &matrix(outcomes, &stop, |row| row.load == Load::Stop);
+    let canary = [
+        Metric::IdleP50,
+        Metric::IdleP99,
+        Metric::P50,
+        Metric::P99,
+        Metric::Arrived,
+        Metric::Rate,
+        Metric::Cores,
+        Metric::Grown,
+    ];
+    for hindrance in [Hindrance::Flood, Hindrance::Sleeper] {
+        out += &matrix(outcomes, &canary, |row| row.load == Load::Canary(hindrance));
+    }
     out + &failures(outcomes, programs)
 }
 

@@ -9,6 +9,7 @@ mod login;
 mod programs;
 mod protocol;
 mod python;
+mod room;
 mod runs;
 mod states;
 mod stats;

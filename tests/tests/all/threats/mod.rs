@@ -1,6 +1,7 @@
 //! Ways to hurt a hub, over real sockets, with a canary beside that must not notice.
 
 mod arena;
+mod flood;
 mod framing;
 mod identity;
 mod leases;
