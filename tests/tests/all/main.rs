@@ -6,6 +6,7 @@ mod device_keys;
 mod dialogues;
 mod late;
 mod login;
+mod order;
 mod programs;
 mod protocol;
 mod python;
