@@ -16,3 +16,4 @@ mod stats;
 mod thinning;
 mod threats;
 mod time;
+mod uplink;

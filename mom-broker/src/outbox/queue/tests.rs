@@ -301,7 +301,7 @@ impl Receiver {
     fn take(&mut self, piece: &Piece) -> Vec<String> {
         let decoder = self.decoder.get_or_insert_with(|| {
             self.bytes.extend_from_slice(&PREFACE);
-            BinaryDecoder::new(&Limits::default())
+            BinaryDecoder::for_peer(&Limits::default())
         });
         let mut slices = Vec::new();
         piece.append_to(Some(Form::Binary), &mut slices);
