@@ -18,7 +18,7 @@ use mom_proto::codec::Form;
 use mom_proto::{ContextNumber, Limit, WireError};
 
 use packet::Piece;
-pub(crate) use packet::{DropReason, Gate, Lane, Origin, Packet};
+pub(crate) use packet::{DropReason, Dropped, Gate, Lane, Origin, Packet};
 pub(crate) use queue::{Queue, Taken};
 
 use crate::clock::Clock;
@@ -228,7 +228,7 @@ impl Outbox {
     }
 
     /// What was dropped since the last call; cheap where nothing was.
-    pub(crate) fn take_drops(&self) -> Vec<((ContextNumber, PeerId, DropReason), u64)> {
+    pub(crate) fn take_drops(&self) -> Vec<(Dropped, u64)> {
         let mut queue = self.queue.lock();
         match queue.has_drops() {
             true => queue.take_drops().into_iter().collect(),

@@ -68,6 +68,15 @@ pub(crate) enum DropReason {
     Rate,
 }
 
+/// What a receiver did not get: of whom, why, and of which class.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Dropped {
+    pub(crate) context: ContextNumber,
+    pub(crate) sender: PeerId,
+    pub(crate) reason: DropReason,
+    pub(crate) class: Delivery,
+}
+
 impl DropReason {
     pub(crate) fn word(self) -> &'static str {
         match self {
