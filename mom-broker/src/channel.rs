@@ -18,7 +18,7 @@ use crate::encodings::{Bounds, Encodings};
 use crate::figures::{Figures, measures};
 use crate::gather;
 use crate::history::History;
-use crate::outbox::{DropReason, Gate, Lane, Origin, Outbox, Packet, Taken};
+use crate::outbox::{DropReason, Dropped, Gate, Lane, Origin, Outbox, Packet, Taken};
 use crate::room::{Full, Room, no_room};
 use crate::sync::atomic::{AtomicU64, Ordering};
 use crate::sync::{Mutex, MutexGuard};
@@ -272,9 +272,9 @@ impl Inner {
     }
 
     /// Counts what a receiver did not get after all; gives the channel's path.
-    pub(crate) fn note_dropped(&mut self, receiver: PeerId, reason: DropReason, count: u64) -> Path {
+    pub(crate) fn note_dropped(&mut self, receiver: PeerId, dropped: Dropped, count: u64) -> Path {
         let place = self.route.position(receiver);
-        self.figures.dropped(place, reason.word(), count);
+        self.figures.dropped(place, dropped.reason, dropped.class, count);
         self.route.path.clone()
     }
 
@@ -410,8 +410,9 @@ impl Inner {
             let name = || Arc::clone(&self.route.members[place].facts.name);
             let Some(outbox) = &self.outboxes[place] else {
                 result.dropped.push(name());
+                let count = u64::from(packet.count);
                 self.figures
-                    .dropped(Some(place), DropReason::Closed.word(), u64::from(packet.count));
+                    .dropped(Some(place), DropReason::Closed, packet.delivery, count);
                 continue;
             };
             let member = &self.route.members[place];
@@ -431,7 +432,8 @@ impl Inner {
                 Taken::Overflow => {
                     result.dropped.push(name());
                     let count = u64::from(packet.count);
-                    self.figures.dropped(Some(place), DropReason::Full.word(), count);
+                    self.figures
+                        .dropped(Some(place), DropReason::Full, packet.delivery, count);
                     result.too_slow.push(Arc::clone(outbox));
                 }
             }

@@ -11,7 +11,7 @@ use crate::channel::{Channel, Delivered, control, hub_origin, stamped};
 use crate::clock::Clock;
 use crate::encodings::{Bounds, Encodings};
 use crate::gather::{self, Gatherer};
-use crate::outbox::{Outbox, Packet, Taken};
+use crate::outbox::{Dropped, Outbox, Packet, Taken};
 use crate::room::Room;
 use crate::store::Store;
 use crate::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -190,14 +190,16 @@ impl Switchboard {
 
     fn report_drops_of(&self, outbox: &Outbox, touched: &mut Touched) {
         let drops = outbox.take_drops();
-        for ((context, sender, reason), count) in drops {
+        for (dropped, count) in drops {
+            let Dropped { context, sender, .. } = dropped;
             let channel = self.channels.get(&context).map(|channel| Arc::clone(&channel));
-            let noted = channel.map(|channel| channel.lock().note_dropped(outbox.peer, reason, count));
+            let noted = channel.map(|channel| channel.lock().note_dropped(outbox.peer, dropped, count));
             let Some(path) = noted else {
                 continue;
             };
             let content = Map::new()
-                .with("reason", reason.word())
+                .with("reason", dropped.reason.word())
+                .with("delivery", dropped.class.word())
                 .with("count", i64::try_from(count).unwrap_or(i64::MAX))
                 .with("receiver", &*outbox.name())
                 .with(

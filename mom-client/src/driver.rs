@@ -8,7 +8,7 @@ use mom_proto::{Code, Family, Map, Parcel, Path, WireError};
 use tokio::time::{Instant, sleep};
 
 use crate::login::{Connected, Connector, Welcome};
-use crate::outbox::Message;
+use crate::outbox::{Entry, Room};
 use crate::pending::Waiter;
 use crate::reconnect::Backoff;
 use crate::shared::{Shared, Status, join};
@@ -30,7 +30,7 @@ pub(crate) async fn run(shared: Arc<Shared>, connector: Connector, first: mom_ne
             }
             (Some(reconnect), _) => reconnect.clone(),
         };
-        shared.lose_link(&why);
+        shared.lose_link(&why, true);
         match again(&shared, &connector, &reconnect).await {
             Ok(connected) => {
                 shared.raise_link(connected.welcome);
@@ -91,16 +91,18 @@ async fn again(
 
 impl Shared {
     /// The link is gone: nothing asked for will be answered, and tokens are lost (design §5).
-    fn lose_link(&self, why: &str) {
+    fn lose_link(&self, why: &str, link_is_gone: bool) {
         let mut state = self.lock();
         state.status = Status::Down;
         state.lose_holds(&Lost::new(names::Reason::Disconnected.word(), None));
-        let unsent = state.outbox.clear();
-        let room = unsent.iter().map(|message| message.room as usize).sum();
+        let unsent = state.outbox.clear(link_is_gone);
+        let mut room = Room::default();
+        unsent.iter().for_each(|message| room += message.room());
+        let reason = names::Reason::Disconnected.word();
         for (path, count) in count_unsent(&unsent) {
             state
                 .subscribers
-                .deliver(std::slice::from_ref(&path), dropped(&path, count));
+                .deliver(std::slice::from_ref(&path), dropped(&path, reason, count));
         }
         state.subscribers.deliver_all(&Event::LinkDown);
         let joins = state.places.lose_link();
@@ -123,7 +125,7 @@ impl Shared {
             return;
         }
         drop(state);
-        self.lose_link("logged in as another user");
+        self.lose_link("logged in as another user", false);
         self.raise_link(welcome);
     }
 
@@ -152,7 +154,7 @@ impl Shared {
         let mut state = self.lock();
         state.status = Status::Closed(error.clone());
         state.lose_holds(&Lost::new(names::Reason::Disconnected.word(), None));
-        state.outbox.clear();
+        state.outbox.clear(true);
         state.subscribers.close_all();
         let joins = state.places.lose_link();
         let waiters = state.pending.take_all();
@@ -168,17 +170,16 @@ impl Shared {
 }
 
 /// How many messages of each context were never written.
-fn count_unsent(unsent: &[Message]) -> BTreeMap<Path, u64> {
+fn count_unsent(unsent: &[Arc<Entry>]) -> BTreeMap<Path, u64> {
     let mut counts = BTreeMap::new();
-    for path in unsent.iter().filter_map(|message| message.path.clone()) {
+    for path in unsent.iter().filter_map(|message| message.path().cloned()) {
         *counts.entry(path).or_default() += 1;
     }
     counts
 }
 
 /// The event that the hub would send for parcels dropped on its side.
-fn dropped(path: &Path, count: u64) -> Event {
-    let reason = names::Reason::Disconnected.word();
+pub(crate) fn dropped(path: &Path, reason: &str, count: u64) -> Event {
     let content = Map::new()
         .with("reason", reason)
         .with("count", i64::try_from(count).unwrap_or(i64::MAX));

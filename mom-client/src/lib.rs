@@ -59,6 +59,7 @@ mod predict;
 mod proof;
 mod reconnect;
 mod refusal;
+mod sending;
 mod session;
 mod shared;
 mod state_gate;

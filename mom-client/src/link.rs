@@ -1,18 +1,17 @@
 //! One connection: a task that reads, a task that writes, and the keeper of heartbeats and leases.
 
-use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use mom_net::{NetError, Reader, Transceiver, Writer};
+use mom_net::{NetError, Reader, Transceiver};
 use mom_proto::Family;
 use mom_proto::codec::Frame;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until, timeout};
 
-use crate::outbox::Found;
 use crate::pending::Waiter;
+use crate::sending;
 use crate::shared::{Shared, verb};
 
 /// For the hub's last words once nothing more can be written, and for its end after our good-bye.
@@ -26,7 +25,7 @@ pub(crate) async fn run(shared: &Arc<Shared>, transceiver: Transceiver) -> Strin
     let reading = tasks
         .spawn(read(Arc::clone(shared), Arc::clone(&heard), transceiver.reader))
         .id();
-    tasks.spawn(write(Arc::clone(shared), transceiver.writer));
+    tasks.spawn(sending::write(Arc::clone(shared), transceiver.writer));
     let first = tokio::select! {
         ended = tasks.join_next_with_id() => ended,
         () = keep(shared, &heard) => return "the hub says nothing any more".to_owned(),
@@ -61,27 +60,6 @@ async fn read(shared: Arc<Shared>, heard: Arc<Moment>, mut reader: Reader) -> Re
         }
     }
     Ok(())
-}
-
-async fn write(shared: Arc<Shared>, writer: Writer) -> Result<(), NetError> {
-    let mut batch = VecDeque::new();
-    loop {
-        let found = shared.lock().outbox.take(&mut batch);
-        match found {
-            Found::Some { room } => shared.give_room(room),
-            Found::Nothing => {
-                shared.outgoing.notified().await;
-                continue;
-            }
-            Found::End => {
-                writer.finish();
-                return Ok(());
-            }
-        }
-        while writer.try_write(&mut batch)? == mom_net::Progress::Blocked {
-            writer.ready().await?;
-        }
-    }
 }
 
 /// Says `time ping` at once and each heartbeat, renews leases, and ends when the hub has been silent for too long.

@@ -1,60 +1,100 @@
-//! What waits to be written: control before messages, except where control gives something up.
+//! What waits to be written: stops, control, then messages by their priority, large ones in chunks between which
+//! what is more urgent goes; as the hub's outbox does it for the other direction (design §7).
 
-use std::collections::VecDeque;
+mod entry;
+mod take;
+
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, VecDeque};
+use std::ops::AddAssign;
+use std::sync::Arc;
 
 use mom_net::Outgoing;
-use mom_proto::{Family, Parcel, Path};
+use mom_proto::{Family, Parcel, Path, Verb};
 
-/// Handed to the writer at once: small, so that control waits for little.
-const BATCH: usize = 64 * 1024;
+pub(crate) use entry::{Entry, Lane, Message};
+use take::Open;
+pub(crate) use take::{Knife, Piece};
 
-/// The two queues of one link. The first is bounded by what a peer asks at a time; for the second its
-/// senders wait for room.
+/// The queues of one link. Control is bounded by what a peer asks at a time; for messages their senders wait for room, but for
+/// stops, of which one waits for each context.
 #[derive(Debug, Default)]
 pub(crate) struct Outbox {
-    control: VecDeque<Control>,
-    messages: VecDeque<Message>,
+    stop: VecDeque<Arc<Entry>>,
+    /// Pings and pongs, which nothing is ordered by and whose delay is what they measure.
+    signs: VecDeque<Arc<Entry>>,
+    control: VecDeque<Arc<Entry>>,
+    data: BTreeMap<Reverse<i32>, VecDeque<Arc<Entry>>>,
+    /// Of which chunks were given to the link; at most one of each urgency.
+    open: Vec<Open>,
+    /// Streams of chunks that the hub has to be told to forget.
+    aborts: VecDeque<u64>,
+    /// What the link has taken a part of.
+    begun: Option<Piece>,
+    last_stream: u64,
+    /// Messages that were ever put in.
     put: u64,
-    taken: u64,
     finished: bool,
 }
 
-#[derive(Debug)]
-struct Control {
-    /// Messages that go first.
-    after: u64,
-    outgoing: Outgoing,
+/// Room for messages, in units of 1 KiB.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Room {
+    /// Of messages of no or low priority.
+    pub(crate) usual: usize,
+    /// Of more urgent ones: who waits for the usual room is not waited for.
+    pub(crate) urgent: usize,
 }
 
-/// A message with the room that it takes.
+impl AddAssign for Room {
+    fn add_assign(&mut self, other: Room) {
+        self.usual += other.usual;
+        self.urgent += other.urgent;
+    }
+}
+
+/// An `unstop` that will not be sent, because a `stop` came after it.
 #[derive(Debug)]
-pub(crate) struct Message {
-    pub(crate) room: u32,
+pub(crate) struct Overruled {
+    pub(crate) id: Option<u64>,
+    /// Whom it would have been told, if nobody waits for its answer.
     pub(crate) path: Option<Path>,
-    pub(crate) outgoing: Outgoing,
-}
-
-/// What the writer finds.
-#[derive(Debug, PartialEq, Eq)]
-pub(crate) enum Found {
-    /// Something to write, and room for messages again.
-    Some { room: usize },
-    /// Nothing yet.
-    Nothing,
-    /// Nothing, and never again.
-    End,
+    pub(crate) room: Room,
 }
 
 impl Outbox {
     pub(crate) fn push_control(&mut self, parcel: &Parcel, outgoing: Outgoing) {
+        let lane = match parcel.family {
+            Family::Time => Lane::Sign,
+            _ => Lane::Control,
+        };
         // Control overtakes messages; but who gives up a token or a channel has sent these before.
         let after = if gives_up(parcel) { self.put } else { 0 };
-        self.control.push_back(Control { after, outgoing });
+        let entry = Arc::new(Entry::control(parcel, lane, after, outgoing));
+        match lane {
+            Lane::Sign => self.signs.push_back(entry),
+            _ => self.control.push_back(entry),
+        }
     }
 
-    pub(crate) fn push_message(&mut self, message: Message) {
-        self.put += 1;
-        self.messages.push_back(message);
+    /// Takes in a message; gives what it overrules.
+    pub(crate) fn push_message(&mut self, parcel: &Parcel, message: Message) -> Vec<Overruled> {
+        match Verb::of(parcel.family, parcel.name()) {
+            Ok(Verb::Stop) => return self.push_stop(parcel, message),
+            // Nothing that was said to a device at rest may reach it when it moves again.
+            Ok(Verb::Unstop) => {
+                let entry = Entry::message(parcel, Lane::Control, self.put, message);
+                self.control.push_back(Arc::new(entry));
+            }
+            _ => {
+                self.put += 1;
+                let priority = parcel.priority.unwrap_or_default();
+                let entry = Entry::message(parcel, Lane::Data(priority), self.put, message);
+                let lane = self.data.entry(Reverse(priority)).or_default();
+                lane.push_back(Arc::new(entry));
+            }
+        }
+        Vec::new()
     }
 
     /// Nothing follows what waits now.
@@ -67,36 +107,60 @@ impl Outbox {
         self.finished
     }
 
-    /// Moves a batch to the writer.
-    pub(crate) fn take(&mut self, batch: &mut VecDeque<Outgoing>) -> Found {
-        let (mut bytes, mut room) = (0, 0);
-        while bytes < BATCH {
-            let outgoing = match self.control.front() {
-                Some(control) if control.after <= self.taken => {
-                    self.control.pop_front().map(|control| control.outgoing)
-                }
-                _ => self.messages.pop_front().map(|message| {
-                    self.taken += 1;
-                    room += message.room as usize;
-                    message.outgoing
-                }),
-            };
-            let Some(outgoing) = outgoing else { break };
-            bytes += outgoing.len();
-            batch.push_back(outgoing);
-        }
-        match (batch.is_empty(), self.finished) {
-            (false, _) => Found::Some { room },
-            (true, false) => Found::Nothing,
-            (true, true) => Found::End,
-        }
+    /// Whether nothing waits.
+    pub(crate) fn is_empty(&self) -> bool {
+        let queues = [&self.stop, &self.signs, &self.control];
+        queues
+            .into_iter()
+            .chain(self.data.values())
+            .all(VecDeque::is_empty)
+            && self.open.is_empty()
+            && self.aborts.is_empty()
+            && self.begun.is_none()
     }
 
-    /// Forgets everything, as its link is gone; gives the messages.
-    pub(crate) fn clear(&mut self) -> Vec<Message> {
-        self.control.clear();
-        self.taken = self.put;
-        self.messages.drain(..).collect()
+    /// Whether something waits that no load may hold back.
+    pub(crate) fn is_urgent(&self) -> bool {
+        !self.stop.is_empty() || !self.signs.is_empty()
+    }
+
+    /// Forgets everything, as the peer is another one from now on, on this link or, if that is gone, the next; gives
+    /// the messages.
+    pub(crate) fn clear(&mut self, link_is_gone: bool) -> Vec<Arc<Entry>> {
+        self.control.retain(|entry| entry.is_message());
+        self.signs.clear();
+        let mut messages: Vec<Arc<Entry>> = self.stop.drain(..).chain(self.control.drain(..)).collect();
+        messages.extend(std::mem::take(&mut self.data).into_values().flatten());
+        for open in self.open.drain(..) {
+            self.aborts.push_back(open.stream);
+            messages.push(open.entry);
+        }
+        if link_is_gone {
+            self.aborts.clear();
+            let begun = self.begun.take().filter(|piece| piece.last);
+            messages.extend(begun.and_then(Piece::into_entry));
+        }
+        messages.retain(|entry| entry.is_message());
+        messages
+    }
+
+    // A second stop of a context says nothing that the first does not, unless somebody waits for its answer. But it
+    // overrules an unstop that still waits: stops leave first, so that would undo the later word by the earlier one.
+    fn push_stop(&mut self, parcel: &Parcel, message: Message) -> Vec<Overruled> {
+        let entry = Entry::message(parcel, Lane::Stop, 0, message);
+        let mut overruled = Vec::new();
+        self.control.retain(|waiting| {
+            let goes = waiting.is_message() && waiting.is_for_same_as(&entry);
+            if goes {
+                overruled.push(waiting.overruled());
+            }
+            !goes
+        });
+        let same = |waiting: &Arc<Entry>| waiting.is_for_same_as(&entry) && waiting.address == entry.address;
+        if entry.is_awaited() || !self.stop.iter().any(same) {
+            self.stop.push_back(Arc::new(entry));
+        }
+        overruled
     }
 }
 
@@ -111,88 +175,4 @@ fn gives_up(parcel: &Parcel) -> bool {
 }
 
 #[cfg(test)]
-mod tests {
-    use std::sync::Arc;
-
-    use super::*;
-
-    fn push(outbox: &mut Outbox, family: Family, name: &str) {
-        let parcel = Parcel::new(family, name);
-        let outgoing = Outgoing::Parcel(Arc::new(parcel.clone()));
-        match family {
-            Family::Message => outbox.push_message(Message {
-                room: 1,
-                path: None,
-                outgoing,
-            }),
-            _ => outbox.push_control(&parcel, outgoing),
-        }
-    }
-
-    fn taken(outbox: &mut Outbox) -> (Found, String) {
-        let mut batch = VecDeque::new();
-        let found = outbox.take(&mut batch);
-        let names: Vec<String> = batch
-            .iter()
-            .map(|outgoing| match outgoing {
-                Outgoing::Parcel(parcel) => parcel.name().to_owned(),
-                Outgoing::Encoded(_) => "encoded".to_owned(),
-            })
-            .collect();
-        (found, names.join(" "))
-    }
-
-    #[test]
-    fn control_overtakes_messages_but_gives_up_after_them() {
-        use Family::{Context, Login, Message, Time, Token};
-        for (pushed, expected, room) in [
-            (vec![(Message, "a"), (Time, "pong")], "pong a", 1),
-            (
-                vec![(Message, "a"), (Token, "grab"), (Message, "b")],
-                "grab a b",
-                2,
-            ),
-            (
-                vec![(Message, "a"), (Token, "release"), (Message, "b")],
-                "a release b",
-                2,
-            ),
-            (
-                vec![(Message, "a"), (Context, "leave"), (Context, "join")],
-                "a leave join",
-                1,
-            ),
-            (
-                vec![(Message, "a"), (Context, "join"), (Login, "logout")],
-                "join a logout",
-                1,
-            ),
-            (
-                vec![(Message, "a"), (Token, "decline"), (Token, "give")],
-                "decline a give",
-                1,
-            ),
-            (vec![(Message, "a"), (Token, "accept")], "accept a", 1),
-            (vec![(Context, "delete")], "delete", 0),
-        ] {
-            let mut outbox = Outbox::default();
-            pushed
-                .iter()
-                .for_each(|(family, name)| push(&mut outbox, *family, name));
-            assert_eq!(taken(&mut outbox), (Found::Some { room }, expected.to_owned()));
-            assert_eq!(taken(&mut outbox).0, Found::Nothing);
-            outbox.finish();
-            assert_eq!(taken(&mut outbox).0, Found::End);
-        }
-    }
-
-    #[test]
-    fn what_is_cleared_holds_nothing_back() {
-        let mut outbox = Outbox::default();
-        push(&mut outbox, Family::Message, "a");
-        push(&mut outbox, Family::Token, "release");
-        assert_eq!(outbox.clear().len(), 1);
-        push(&mut outbox, Family::Token, "release");
-        assert_eq!(taken(&mut outbox).1, "release");
-    }
-}
+mod tests;

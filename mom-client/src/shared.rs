@@ -6,16 +6,17 @@ use std::time::Duration;
 
 use mom_net::Outgoing;
 use mom_proto::codec::Form;
-use mom_proto::{Code, Family, Map, Parcel, Path, Thinning, WireError};
+use mom_proto::{Code, Family, Map, Parcel, Path, Thinning, Verb, WireError};
 use parking_lot::{Mutex, MutexGuard};
-use tokio::sync::{Notify, Semaphore, oneshot, watch};
+use tokio::sync::{AcquireError, Notify, Semaphore, SemaphorePermit, oneshot, watch};
 use tokio::time::timeout;
 
 use crate::clock::HubClock;
+use crate::driver::dropped;
 use crate::guards::Guards;
 use crate::handover::Handovers;
 use crate::login::Welcome;
-use crate::outbox::{Message, Outbox};
+use crate::outbox::{Message, Outbox, Overruled, Room};
 use crate::pending::{Pending, Waiter};
 use crate::places::{Places, Want};
 use crate::proof::Credentials;
@@ -23,9 +24,14 @@ use crate::subscribe::{Queue, Subscribers};
 use crate::waits::Waits;
 use crate::{ClientError, Link, Reconnect};
 
-/// Room for messages that wait to be written: 4 MiB in units of 1 KiB.
+/// Room for messages that wait to be written: 4 MiB in units of 1 KiB; and as much as a quarter of that for those of a
+/// priority above 0, which would else wait behind whoever waits for room.
 const ROOM: u32 = 4096;
+const URGENT_ROOM: u32 = 1024;
 const ROOM_UNIT: usize = 1024;
+
+/// Why an `unstop` is dropped that a `stop` overrules, in the hub's word.
+const REPLACED: &str = "replaced";
 
 /// What the builder was told.
 #[derive(Clone, Debug)]
@@ -48,6 +54,7 @@ pub(crate) struct Shared {
     state: Mutex<State>,
     pub(crate) ids: AtomicU64,
     room: Semaphore,
+    urgent_room: Semaphore,
     /// Wakes the writer.
     pub(crate) outgoing: Notify,
     /// Wakes the keeper of leases and heartbeats.
@@ -114,6 +121,7 @@ impl Shared {
             state: Mutex::new(state),
             ids,
             room: Semaphore::new(ROOM as usize),
+            urgent_room: Semaphore::new(URGENT_ROOM as usize),
             outgoing: Notify::new(),
             keeping: Notify::new(),
             link: watch::Sender::new(Link::Up),
@@ -130,13 +138,15 @@ impl Shared {
     }
 
     /// Room for messages again.
-    pub(crate) fn give_room(&self, room: usize) {
-        self.room.add_permits(room);
+    pub(crate) fn give_room(&self, room: Room) {
+        self.room.add_permits(room.usual);
+        self.urgent_room.add_permits(room.urgent);
     }
 
     /// Nobody need wait for room any more.
     pub(crate) fn close_room(&self) {
         self.room.close();
+        self.urgent_room.close();
     }
 
     /// Asks and waits for the reply.
@@ -200,24 +210,67 @@ impl Shared {
         let id = *parcel.id.get_or_insert_with(|| self.next_id());
         // Outside the lock: content may be large.
         let outgoing = self.prepare(&mut parcel, most)?;
-        let room = u32::try_from(1 + outgoing.len() / ROOM_UNIT).map_or(ROOM, |room| room.min(ROOM));
-        let Ok(permit) = self.room.acquire_many(room).await else {
+        let Ok((permit, room)) = self.acquire(&parcel, outgoing.len()).await else {
             return Err(self.lock().check_up().err().unwrap_or(ClientError::Closed(None)));
         };
         let mut state = self.lock();
         state.check_up()?;
-        permit.forget();
+        permit.into_iter().for_each(SemaphorePermit::forget);
         // The context is for those who are told of a loss; one that waits is told by its answer.
-        let path = parcel.context.filter(|_| waiter.is_none());
+        let path = parcel.context.clone().filter(|_| waiter.is_none());
         if let Some(waiter) = waiter {
             state.pending.insert(id, waiter);
         } else if let Some(path) = &path {
             state.pending.note(id, path.clone());
         }
-        state.outbox.push_message(Message { room, path, outgoing });
+        let message = Message { room, path, outgoing };
+        let overruled = state.outbox.push_message(&parcel, message);
         drop(state);
         self.outgoing.notify_one();
+        self.overrule(overruled);
         Ok(())
+    }
+
+    /// Waits for room for a message; a stop needs none.
+    async fn acquire(
+        &self,
+        parcel: &Parcel,
+        size: usize,
+    ) -> Result<(Option<SemaphorePermit<'_>>, Room), AcquireError> {
+        let units = |most: u32| u32::try_from(1 + size / ROOM_UNIT).map_or(most, |units| units.min(most));
+        if Verb::of(parcel.family, parcel.name()) == Ok(Verb::Stop) {
+            return Ok((None, Room::default()));
+        }
+        let urgent = parcel.priority.unwrap_or_default() > 0;
+        let (room, units) = match urgent {
+            true => (&self.urgent_room, units(URGENT_ROOM)),
+            false => (&self.room, units(ROOM)),
+        };
+        let permit = room.acquire_many(units).await?;
+        let mut taken = Room::default();
+        *(if urgent {
+            &mut taken.urgent
+        } else {
+            &mut taken.usual
+        }) = units as usize;
+        Ok((Some(permit), taken))
+    }
+
+    /// Tells who sent what a later word has overruled.
+    pub(crate) fn overrule(&self, overruled: Vec<Overruled>) {
+        for unstop in overruled {
+            self.give_room(unstop.room);
+            let mut state = self.lock();
+            if let Some(path) = &unstop.path {
+                let event = dropped(path, REPLACED, 1);
+                state.subscribers.deliver(std::slice::from_ref(path), event);
+            }
+            let waiter = unstop.id.and_then(|id| state.pending.take(id));
+            drop(state);
+            let text = "a stop came after this unstop, before it was sent";
+            let error = ClientError::Local(WireError::new(Code::WITHDRAWN, text));
+            waiter.into_iter().for_each(|waiter| self.fail(waiter, &error));
+        }
     }
 
     /// Stamps and encodes a parcel.

@@ -55,6 +55,8 @@ pub struct Counts {
     pub delivered: u64,
     /// Messages dropped for receivers, by reason.
     pub dropped: BTreeMap<String, u64>,
+    /// The same by delivery class: `reliable`, `latest`, `fleeting`.
+    pub dropped_classes: BTreeMap<String, u64>,
     /// Bytes that wait for the receivers now, from wherever.
     pub queued: u64,
     /// How old the messages sent were when the hub took them in; none where no age is known.
@@ -122,15 +124,16 @@ impl Counts {
     }
 
     fn from_map(map: &Map) -> Option<Counts> {
-        let dropped = map.get("dropped").and_then(Value::as_map)?;
-        let dropped = dropped
-            .iter()
-            .map(|(reason, _)| Some((reason.to_string(), number(dropped, reason)?)));
         Some(Counts {
             sent: number(map, "sent")?,
             bytes: number(map, "bytes")?,
             delivered: number(map, "delivered")?,
-            dropped: dropped.collect::<Option<_>>()?,
+            dropped: numbers(map.get("dropped").and_then(Value::as_map)?)?,
+            // Hubs of before did not tell.
+            dropped_classes: match map.get("dropped-classes").and_then(Value::as_map) {
+                Some(classes) => numbers(classes)?,
+                None => BTreeMap::new(),
+            },
             queued: number(map, "queued")?,
             age: map
                 .get("age")
@@ -138,6 +141,12 @@ impl Counts {
                 .and_then(AgeStats::from_map),
         })
     }
+}
+
+fn numbers(map: &Map) -> Option<BTreeMap<String, u64>> {
+    map.iter()
+        .map(|(word, _)| Some((word.to_string(), number(map, word)?)))
+        .collect()
 }
 
 impl AgeStats {

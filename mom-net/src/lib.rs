@@ -18,10 +18,12 @@
 
 mod address;
 mod error;
+mod flow;
 mod link;
 mod local;
 mod options;
 mod outgoing;
+mod part;
 mod reader;
 mod spare;
 mod tcp;
@@ -29,9 +31,11 @@ mod writer;
 
 pub use address::{Address, DEFAULT_PORT};
 pub use error::NetError;
+pub use flow::Flow;
 pub use link::Link;
 pub use local::pair;
 pub use outgoing::Outgoing;
+pub use part::Part;
 pub use reader::Reader;
 pub use tcp::{accept, connect};
 pub use writer::{GATHER, Progress, Writer};

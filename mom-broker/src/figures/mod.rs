@@ -5,9 +5,11 @@ mod histogram;
 use std::collections::BTreeMap;
 
 use mom_hub::Route;
-use mom_proto::{Content, Map, Parcel, Value};
+use mom_proto::{Content, Delivery, Map, Parcel, Value};
 
 pub(crate) use histogram::Histogram;
+
+use crate::outbox::DropReason;
 
 /// The figures of a channel, of all who were ever in it and of who is in it now.
 #[derive(Debug, Default)]
@@ -24,8 +26,8 @@ pub(crate) struct Counts {
     bytes: u64,
     /// Taken by a receiver's outbox.
     delivered: u64,
-    /// Dropped for a receiver, at its outbox or while it waited there, by reason.
-    dropped: BTreeMap<&'static str, u64>,
+    /// Dropped for a receiver, at its outbox or while it waited there, by reason and class.
+    dropped: BTreeMap<(DropReason, Delivery), u64>,
     /// The ages at ingress of what was sent, where they are known; made with the first.
     ages: Option<Box<Histogram>>,
 }
@@ -72,10 +74,10 @@ impl Figures {
     }
 
     /// Counts what was dropped for a receiver.
-    pub(crate) fn dropped(&mut self, place: Option<usize>, reason: &'static str, count: u64) {
-        *self.all.dropped.entry(reason).or_default() += count;
+    pub(crate) fn dropped(&mut self, place: Option<usize>, reason: DropReason, class: Delivery, count: u64) {
+        *self.all.dropped.entry((reason, class)).or_default() += count;
         if let Some(counts) = place.and_then(|place| self.members.get_mut(place)) {
-            *counts.dropped.entry(reason).or_default() += count;
+            *counts.dropped.entry((reason, class)).or_default() += count;
         }
     }
 
@@ -102,19 +104,28 @@ impl Counts {
 
     /// In the words of the wire, `queued` bytes of it.
     pub(crate) fn to_map(&self, map: Map, queued: usize) -> Map {
-        let dropped = self.dropped.iter();
-        let dropped = dropped.fold(Map::new(), |map, (reason, count)| map.with(reason, int(*count)));
+        let (mut by_reason, mut by_class) = (BTreeMap::new(), BTreeMap::new());
+        for ((reason, class), count) in &self.dropped {
+            *by_reason.entry(reason.word()).or_default() += count;
+            *by_class.entry(class.word()).or_default() += count;
+        }
         let map = map
             .with("sent", int(self.sent))
             .with("bytes", int(self.bytes))
             .with("delivered", int(self.delivered))
-            .with("dropped", dropped)
+            .with("dropped", numbers(&by_reason))
+            .with("dropped-classes", numbers(&by_class))
             .with("queued", int(queued as u64));
         match &self.ages {
             Some(ages) => map.with("age", age_map(ages)),
             None => map,
         }
     }
+}
+
+fn numbers(counts: &BTreeMap<&'static str, u64>) -> Map {
+    let counts = counts.iter();
+    counts.fold(Map::new(), |map, (word, count)| map.with(word, int(*count)))
 }
 
 fn age_map(ages: &Histogram) -> Map {
@@ -142,7 +153,7 @@ mod tests {
 
     use mom_hub::{Member, PeerId};
     use mom_managers::PeerFacts;
-    use mom_proto::{ContextNumber, Delivery, Path};
+    use mom_proto::{ContextNumber, Path};
 
     use super::*;
 
@@ -173,16 +184,29 @@ mod tests {
         figures.sent(first.position(PeerId(4)), 10, None);
         figures.delivered(0, 1);
         figures.delivered(2, 1);
-        figures.dropped(first.position(PeerId(6)), "expired", 3);
+        figures.dropped(
+            first.position(PeerId(6)),
+            DropReason::Expired,
+            Delivery::Latest,
+            3,
+        );
         figures.follow(&first, &second);
         figures.sent(None, 5, None);
-        figures.dropped(second.position(PeerId(2)), "expired", 1);
+        figures.dropped(
+            second.position(PeerId(2)),
+            DropReason::Expired,
+            Delivery::Latest,
+            1,
+        );
 
         let sent = |counts: &Counts| {
             (
                 counts.sent,
                 counts.delivered,
-                counts.dropped.get("expired").copied(),
+                counts
+                    .dropped
+                    .get(&(DropReason::Expired, Delivery::Latest))
+                    .copied(),
             )
         };
         let members: Vec<_> = figures.members().iter().map(sent).collect();
@@ -191,6 +215,16 @@ mod tests {
             [(0, 0, None), (2, 0, None), (0, 0, None), (0, 1, Some(3))]
         );
         assert_eq!(sent(figures.all()), (3, 2, Some(4)));
+
+        figures.dropped(None, DropReason::Full, Delivery::Latest, 2);
+        figures.dropped(None, DropReason::Full, Delivery::Fleeting, 5);
+        let all = figures.all().to_map(Map::new(), 0);
+        let reasons = Map::new().with("expired", 4).with("queue-full", 7);
+        let classes = Map::new().with("fleeting", 5).with("latest", 6);
+        assert_eq!(
+            (all.get("dropped"), all.get("dropped-classes")),
+            (Some(&Value::Map(reasons)), Some(&Value::Map(classes)))
+        );
 
         let map = figures.members()[1].to_map(Map::new(), 9);
         let age = Map::new()
@@ -203,6 +237,7 @@ mod tests {
             .with("bytes", 20)
             .with("delivered", 0)
             .with("dropped", Map::new())
+            .with("dropped-classes", Map::new())
             .with("queued", 9)
             .with("age", age);
         assert_eq!(map, expected);

@@ -148,7 +148,7 @@ fn nothing_of_an_old_owner_follows_the_word_of_the_change() {
         let drops = outbox.take_drops();
         let fenced: u64 = drops
             .iter()
-            .filter(|((_, _, reason), _)| *reason == DropReason::Fence)
+            .filter(|(dropped, _)| dropped.reason == DropReason::Fence)
             .map(|(_, count)| count)
             .sum();
         let left = names.iter().filter(|name| of_old(name)).count() as u64;

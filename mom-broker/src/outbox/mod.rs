@@ -3,7 +3,6 @@
 //! Whoever puts parcels in also tries to write them, in the same turn: on an idle link that saves waking a
 //! task, which costs more than the write. What the link does not take at once is the writer task's.
 
-mod flow;
 mod packet;
 mod queue;
 mod room;
@@ -15,13 +14,12 @@ use std::time::Duration;
 
 use mom_hub::PeerId;
 use mom_managers::Micros;
-use mom_net::{GATHER, NetError, Writer};
+use mom_net::{Flow, GATHER, NetError, Writer};
 use mom_proto::codec::Form;
 use mom_proto::{ContextNumber, Limit, WireError};
 
-use flow::Flow;
 use packet::Piece;
-pub(crate) use packet::{DropReason, Gate, Lane, Origin, Packet};
+pub(crate) use packet::{DropReason, Dropped, Gate, Lane, Origin, Packet};
 pub(crate) use queue::{Queue, Taken};
 pub(crate) use room::Place;
 
@@ -237,7 +235,7 @@ impl Outbox {
     }
 
     /// What was dropped since the last call; cheap where nothing was.
-    pub(crate) fn take_drops(&self) -> Vec<((ContextNumber, PeerId, DropReason), u64)> {
+    pub(crate) fn take_drops(&self) -> Vec<(Dropped, u64)> {
         let mut queue = self.queue.lock();
         match queue.has_drops() {
             true => queue.take_drops().into_iter().collect(),
@@ -403,7 +401,7 @@ impl Outbox {
         };
         flow.wrote(written);
         while let Some(front) = batch.front_mut() {
-            written = front.advance(written);
+            written = front.part.advance(written);
             if front.length() > 0 {
                 break;
             }
@@ -431,7 +429,7 @@ impl Outbox {
         let Some(first) = batch.front() else {
             return;
         };
-        if first.done > 0 {
+        if first.part.is_begun() {
             sending.begun = batch.pop_front().map(Box::new);
         }
         let mut queue = self.queue.lock();

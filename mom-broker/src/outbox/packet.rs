@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use mom_hub::PeerId;
 use mom_managers::Micros;
-use mom_proto::binary::{self, ChunkHead};
+use mom_net::Part;
+use mom_proto::binary;
 use mom_proto::codec::{Encoded, Form};
 use mom_proto::{ContextNumber, Delivery, Parcel};
 
@@ -68,6 +69,15 @@ pub(crate) enum DropReason {
     Fence,
     /// The receiver wants fewer, and a newer one came before its turn.
     Rate,
+}
+
+/// What a receiver did not get: of whom, why, and of which class.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Dropped {
+    pub(crate) context: ContextNumber,
+    pub(crate) sender: PeerId,
+    pub(crate) reason: DropReason,
+    pub(crate) class: Delivery,
 }
 
 impl DropReason {
@@ -182,12 +192,8 @@ impl Entry {
 #[derive(Debug)]
 pub(crate) struct Piece {
     pub(super) packet: Arc<Packet>,
-    /// Goes before the bytes of a chunk.
-    pub(super) lead: Option<ChunkHead>,
-    /// The bytes of the packet's frames.
-    pub(super) bytes: std::ops::Range<usize>,
-    /// How much of lead and bytes is written.
-    pub(super) done: usize,
+    /// Of the packet's frames.
+    pub(super) part: Part,
     /// How far the packet was before.
     pub(super) before: Progress,
     /// Nothing of the packet comes after it.
@@ -199,9 +205,7 @@ impl Piece {
     pub(super) fn abort(packet: Arc<Packet>, stream: u64) -> Piece {
         Piece {
             packet,
-            lead: Some(ChunkHead::abort(stream)),
-            bytes: 0..0,
-            done: 0,
+            part: Part::abort(stream),
             before: Progress {
                 sent: 0,
                 stream: Some(stream),
@@ -210,41 +214,14 @@ impl Piece {
         }
     }
 
-    pub(super) fn is_abort(&self) -> bool {
-        self.lead.is_some() && self.bytes.is_empty()
-    }
-
     /// The bytes that are not written yet.
     pub(super) fn length(&self) -> usize {
-        self.lead.map_or(0, |lead| lead.bytes().len()) + self.bytes.len() - self.done
+        self.part.left()
     }
 
     /// What is to be written of it.
     pub(super) fn append_to<'a>(&'a self, form: Option<Form>, slices: &mut Vec<IoSlice<'a>>) {
-        let lead = self.lead.as_ref().map_or(&[][..], ChunkHead::bytes);
-        let mut skip = self.done;
-        let mut add = |bytes: &'a [u8]| {
-            let skipped = skip.min(bytes.len());
-            skip -= skipped;
-            if skipped < bytes.len() {
-                slices.push(IoSlice::new(&bytes[skipped..]));
-            }
-        };
-        add(lead);
-        let Some(frames) = self.packet.frames(form) else {
-            return;
-        };
-        let split = frames.head.len();
-        let (from, to) = (self.bytes.start, self.bytes.end);
-        add(&frames.head[from.min(split)..to.min(split)]);
-        add(&frames.body[from.max(split) - split..to.max(split) - split]);
-    }
-
-    /// Counts written bytes; gives back how many were not its own.
-    pub(super) fn advance(&mut self, written: usize) -> usize {
-        let own = written.min(self.length());
-        self.done += own;
-        written - own
+        self.part.append_to(self.packet.frames(form), slices);
     }
 
     /// The parcel, for a peer in this process.

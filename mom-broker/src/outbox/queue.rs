@@ -11,9 +11,9 @@ use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::Arc;
 
 use mom_proto::codec::Form;
-use mom_proto::{ContextNumber, Delivery, Limit, event};
+use mom_proto::{Delivery, Limit, event};
 
-use super::packet::{DropReason, Entry, Lane, Origin, Packet};
+use super::packet::{DropReason, Dropped, Entry, Lane, Origin, Packet};
 use lane::DataLane;
 use line::Line;
 use turns::Turns;
@@ -57,8 +57,8 @@ pub(crate) struct Queue {
     last_stream: u64,
     /// The last word, and whether it still waits.
     farewell: Option<(Arc<Packet>, bool)>,
-    /// What was dropped since the last look: whose, why, how many.
-    drops: BTreeMap<(ContextNumber, mom_hub::PeerId, DropReason), u64>,
+    /// What was dropped since the last look, and how many.
+    drops: BTreeMap<Dropped, u64>,
 }
 
 impl Queue {
@@ -130,7 +130,7 @@ impl Queue {
     }
 
     /// What was dropped since the last call.
-    pub(crate) fn take_drops(&mut self) -> BTreeMap<(ContextNumber, mom_hub::PeerId, DropReason), u64> {
+    pub(crate) fn take_drops(&mut self) -> BTreeMap<Dropped, u64> {
         std::mem::take(&mut self.drops)
     }
 
@@ -298,7 +298,12 @@ impl Queue {
 
     fn note(&mut self, entry: &Entry, reason: DropReason) {
         let origin = &entry.packet.origin;
-        let key = (origin.context, origin.sender, reason);
+        let key = Dropped {
+            context: origin.context,
+            sender: origin.sender,
+            reason,
+            class: entry.packet.delivery,
+        };
         *self.drops.entry(key).or_default() += entry.remaining(self.form);
     }
 }

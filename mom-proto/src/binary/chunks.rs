@@ -18,8 +18,8 @@ const FIRST: u8 = 1;
 const LAST: u8 = 2;
 const ABORT: u8 = 4;
 
-/// Streams that may be open at once on one connection.
-const STREAMS: usize = 8;
+/// Streams of chunks that may be open at once on one connection.
+pub const STREAMS: usize = 8;
 
 /// The beginning of a chunk frame, to be followed by its bytes.
 ///

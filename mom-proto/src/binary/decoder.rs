@@ -20,11 +20,14 @@ pub struct BinaryDecoder {
     names: NameCache,
     contexts: HashMap<u64, Path>,
     bind: bool,
+    /// Whether parcels may come in chunks.
+    chunks: bool,
     assembly: Assembly,
 }
 
 impl BinaryDecoder {
-    /// A decoder for the hub's end of a connection: numbers of contexts stay numbers.
+    /// A decoder for the hub's end of a connection: numbers of contexts stay numbers, and parcels come whole until
+    /// [`BinaryDecoder::set_limits`] says that the peer has logged in.
     pub fn new(limits: &Limits) -> BinaryDecoder {
         BinaryDecoder {
             parcel: limits.parcel,
@@ -33,6 +36,7 @@ impl BinaryDecoder {
             names: NameCache::default(),
             contexts: HashMap::new(),
             bind: false,
+            chunks: false,
             assembly: Assembly::default(),
         }
     }
@@ -41,12 +45,14 @@ impl BinaryDecoder {
     pub fn for_peer(limits: &Limits) -> BinaryDecoder {
         BinaryDecoder {
             bind: true,
+            chunks: true,
             ..BinaryDecoder::new(limits)
         }
     }
 
-    /// Changes the limits, as after login.
+    /// Changes the limits, as after login; from then on parcels may come in chunks.
     pub fn set_limits(&mut self, limits: &Limits) {
+        self.chunks = true;
         self.parcel = limits.parcel;
         self.depth = limits.depth;
     }
@@ -65,6 +71,9 @@ impl BinaryDecoder {
             };
             match frame.first() {
                 Some(&KIND_PARCEL) => return self.parcel(&frame).map(Some),
+                Some(&KIND_CHUNK) if !self.chunks => {
+                    return Err(broken("parcels come whole until the login is over"));
+                }
                 Some(&KIND_CHUNK) => {
                     if let Some(whole) = self.assembly.add(&frame, self.parcel)? {
                         return self.parcel(&whole).map(Some);

@@ -46,7 +46,7 @@ mod tests;
 
 use bytes::Bytes;
 
-pub use chunks::{ChunkHead, chunks};
+pub use chunks::{ChunkHead, STREAMS, chunks};
 pub use decoder::BinaryDecoder;
 pub use plain::{Plain, Run, cut};
 pub use words::WORDS;

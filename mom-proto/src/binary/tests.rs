@@ -12,6 +12,7 @@ use crate::{Code, Content, ContextNumber, Family, Limit, Limits, Parcel, Path, V
 fn decoder() -> BinaryDecoder {
     let mut decoder = BinaryDecoder::new(&Limits::default());
     assert_eq!(decoder.decode(&mut BytesMut::from(&PREFACE[..])), Ok(None));
+    decoder.set_limits(&Limits::default());
     decoder
 }
 
@@ -252,6 +253,9 @@ fn broken_chunks_end_the_stream() {
         &frame(1, &[1, 1, 0xff, 0xff, 0xff, 0x7f]),
         &Code::TOO_LARGE,
     );
+    let mut stranger = BinaryDecoder::new(&Limits::default());
+    let early = [&PREFACE[..], &join(&[0])].concat();
+    check_broken(&mut stranger, &early, &Code::BAD_FRAME);
     let mut nine = Vec::new();
     (0..9).for_each(|stream| nine.extend(frame(1, &[stream, 1, 5])));
     check_broken(&mut decoder(), &nine, &Code::BAD_FRAME);

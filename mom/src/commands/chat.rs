@@ -111,10 +111,12 @@ fn human(path: &str, event: &Event) -> String {
 fn said(parcel: &Parcel) -> String {
     let sender = words::visible(parcel.sender.as_deref().unwrap_or("?"));
     let to_me = if parcel.address.is_some() { " (to you)" } else { "" };
+    let history = words::history(parcel).map(|history| ink(format_args!(" ({history})"), Ink::Faint));
     format!(
-        "{}{}: {}",
+        "{}{}{}: {}",
         ink(sender, Ink::Peer),
         ink(to_me, Ink::Faint),
+        history.unwrap_or_default(),
         words::said(parcel)
     )
 }
@@ -133,6 +135,9 @@ mod tests {
             address: Some(vec!["alice".into()]),
             ..parcel.clone()
         };
+        let mut old = parcel.clone();
+        old.age = Some(90_000_000);
+        old.extra.set(mom_client::HISTORY, true);
         let carol = Member {
             peer: "carol".to_owned(),
             user: "carol".to_owned(),
@@ -141,6 +146,10 @@ mod tests {
         for (event, line) in [
             (Event::Message(parcel), "bob: good\\u{9b} morning"),
             (Event::Message(addressed), "bob (to you): good\\u{9b} morning"),
+            (
+                Event::Message(old),
+                "bob (history, at least 1 min 30 s old): good\\u{9b} morning",
+            ),
             (Event::Joined(carol), "* carol joined (level 5)"),
         ] {
             assert_eq!(

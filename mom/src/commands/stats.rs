@@ -1,5 +1,6 @@
 //! `mom stats`: what channels have counted, as a table, once or again and again.
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use mom_client::{ChannelStats, ContextKind, Counts, Stats};
@@ -123,11 +124,21 @@ fn table(stats: &Stats, kind: ContextKind) -> String {
 fn cells(counts: &Counts) -> [String; 7] {
     let size = |bytes: u64| words::size(usize::try_from(bytes).unwrap_or(usize::MAX));
     let age = |age: Option<Duration>| age.map_or_else(|| "-".to_owned(), short);
-    let dropped: Vec<String> = counts
-        .dropped
-        .iter()
-        .map(|(reason, count)| format!("{count} {}", words::visible(reason)))
-        .collect();
+    let listed = |counts: &BTreeMap<String, u64>| {
+        let counts = counts.iter();
+        let counts: Vec<String> = counts
+            .map(|(word, count)| format!("{count} {}", words::visible(word)))
+            .collect();
+        counts.join(", ")
+    };
+    let dropped = match counts.dropped_classes.is_empty() {
+        true => listed(&counts.dropped),
+        false => format!(
+            "{} ({})",
+            listed(&counts.dropped),
+            listed(&counts.dropped_classes)
+        ),
+    };
     [
         counts.sent.to_string(),
         size(counts.bytes),
@@ -135,7 +146,7 @@ fn cells(counts: &Counts) -> [String; 7] {
         size(counts.queued),
         age(counts.age.map(|ages| ages.p50)),
         age(counts.age.map(|ages| ages.p99)),
-        dropped.join(", "),
+        dropped,
     ]
 }
 
@@ -186,6 +197,7 @@ fn counts_json(counts: &Counts) -> Json {
         "bytes": counts.bytes,
         "delivered": counts.delivered,
         "dropped": counts.dropped,
+        "dropped-classes": counts.dropped_classes,
         "queued": counts.queued,
     });
     if let Some(ages) = counts.age {
@@ -216,6 +228,7 @@ mod tests {
             bytes: 20_480,
             delivered: 2468,
             dropped: [("replaced".to_owned(), 7), ("expired".to_owned(), 2)].into(),
+            dropped_classes: [("latest".to_owned(), 8), ("fleeting".to_owned(), 1)].into(),
             queued: 3_000_000,
             age: Some(age(420, 12_345)),
         };
@@ -248,7 +261,7 @@ mod tests {
             text.trim_start(),
             "\
 sent     bytes  delivered   queued  age p50  age p99  dropped
-/robot/arm  1234  20.0 KiB       2468  2.8 MiB  0.42 ms    12 ms  2 expired, 7 replaced
+/robot/arm  1234  20.0 KiB       2468  2.8 MiB  0.42 ms    12 ms  2 expired, 7 replaced (1 fleeting, 8 latest)
   arm       1000       0 B          0      0 B   999 ms    3.5 s"
         );
         let none = Stats {
@@ -281,6 +294,7 @@ sent     bytes  delivered   queued  age p50  age p99  dropped
         );
         assert_eq!(channel["peers"][0]["age"]["p99"], 3_500_000);
         assert_eq!(channel["dropped"], json!({"expired": 2, "replaced": 7}));
+        assert_eq!(channel["dropped-classes"], json!({"fleeting": 1, "latest": 8}));
         let session = to_json(&stats(), ContextKind::Session);
         assert_eq!(
             (&session["channels"][0]["queued"], &session["more"]),

@@ -3,7 +3,7 @@
 use std::fmt::Display;
 use std::time::Duration;
 
-use mom_client::{ContextInfo, ContextKind, Event, Lost, Map, Member, Path, Value, WireError};
+use mom_client::{ContextInfo, ContextKind, Event, Lost, Map, Member, Parcel, Path, Value, WireError};
 
 use super::handover::{self, number, optional};
 use super::{error_map, words};
@@ -48,10 +48,18 @@ pub(crate) fn event_words(event: &Event) -> String {
         | Event::Inhibited { .. }
         | Event::Uninhibited { .. } => handover::words_of(event),
         Event::Invited { .. } | Event::Expelled { .. } => door_words(event),
-        Event::Dropped { reason, count, .. } => {
+        Event::Dropped {
+            reason,
+            count,
+            parcel,
+        } => {
+            let one = match class_of(parcel) {
+                Some(class) => format!("{} parcel", name(&class)),
+                None => "parcel".to_owned(),
+            };
             format!(
                 "{} dropped on the way: {}",
-                words::count(*count, "parcel"),
+                words::count(*count, &one),
                 name(reason)
             )
         }
@@ -171,11 +179,16 @@ pub(super) fn event_slots(event: &Event) -> (&'static str, Map) {
         ),
         Event::Grabbed { .. } => ("grabbed", ownership(event)),
         Event::Released { .. } => ("released", ownership(event)),
-        Event::Dropped { reason, count, .. } => (
+        Event::Dropped {
+            reason,
+            count,
+            parcel,
+        } => (
             "dropped",
             Map::new()
                 .with("reason", reason.as_str())
-                .with("count", number(*count)),
+                .with("count", number(*count))
+                .with("delivery", optional(class_of(parcel).as_deref())),
         ),
         Event::Refused(error, reference) => ("refused", refused(error, *reference)),
         Event::Lagged(count) => ("lagged", Map::new().with("count", number(*count))),
@@ -184,6 +197,11 @@ pub(super) fn event_slots(event: &Event) -> (&'static str, Map) {
         Event::Message(_) | Event::Other(_) => ("other", Map::new()),
         _ => ("unknown", Map::new()),
     }
+}
+
+/// The delivery class of what was dropped.
+fn class_of(dropped: &Parcel) -> Option<String> {
+    dropped.value().get("delivery")?.as_str().map(str::to_owned)
 }
 
 fn ownership(event: &Event) -> Map {

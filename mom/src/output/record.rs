@@ -26,6 +26,8 @@ enum What {
         address: Option<String>,
         name: String,
         content: String,
+        /// How old it was when it was given to a late joiner.
+        history: Option<String>,
     },
     /// Something happened there, in words.
     Event(String),
@@ -88,6 +90,7 @@ impl Record {
                 address,
                 name: words::visible(parcel.name()),
                 content: words::shorten(&words::said(parcel)),
+                history: words::history(parcel),
             },
             slots: parcel_slots(context, parcel),
         }
@@ -110,6 +113,7 @@ impl Record {
                 address,
                 name,
                 content,
+                history,
             } => {
                 let to = address
                     .as_ref()
@@ -119,10 +123,14 @@ impl Record {
                     true => String::new(),
                     false => format!(": {content}"),
                 };
+                let history = history
+                    .as_ref()
+                    .map(|history| ink(format_args!(" ({history})"), Ink::Faint));
                 format!(
-                    "{head} {}{to} {}{end}",
+                    "{head} {}{to} {}{}{end}",
                     ink(sender, Ink::Peer),
-                    ink(name, Ink::Strong)
+                    ink(name, Ink::Strong),
+                    history.unwrap_or_default()
                 )
             }
             What::Event(words) => format!("{head} {}", ink(format_args!("* {words}"), Ink::Notice)),
@@ -263,6 +271,47 @@ mod tests {
             "lagged",
             r#"{"count":2}"#,
         );
+    }
+
+    #[test]
+    fn what_was_dropped_says_its_class() {
+        let dropped = |content: Map| Event::Dropped {
+            reason: "queue-full".to_owned(),
+            count: 2,
+            parcel: Parcel::new(Family::Event, "dropped").content(content),
+        };
+        check(
+            &dropped(Map::new().with("delivery", "fleeting")),
+            "/robot ! 2 fleeting parcels dropped on the way: queue-full",
+            "dropped",
+            r#"{"reason":"queue-full","count":2,"delivery":"fleeting"}"#,
+        );
+        check(
+            &dropped(Map::new()),
+            "/robot ! 2 parcels dropped on the way: queue-full",
+            "dropped",
+            r#"{"reason":"queue-full","count":2,"delivery":null}"#,
+        );
+    }
+
+    #[test]
+    fn what_is_history_says_so_with_its_age() {
+        for (age, error, history, words) in [
+            (12_345_678, Some(400), true, " (history, 12 s old)"),
+            (61_000_000, None, true, " (history, at least 1 min 1 s old)"),
+            (45_600, Some(400), true, " (history, 45 ms old)"),
+            (45_600, Some(400), false, ""),
+        ] {
+            let mut parcel = Parcel::new(Family::Message, "state").content("up");
+            parcel.sender = Some("arm".into());
+            (parcel.age, parcel.age_error) = (Some(age), error);
+            parcel.extra.set(mom_client::HISTORY, history);
+            let record = Record::of("/robot", &Event::Message(parcel));
+            let line = anstream::adapter::strip_str(&record.line()).to_string();
+            assert!(line.ends_with(&format!(" /robot arm state{words}: up")), "{line}");
+            let json = record.json();
+            assert_eq!((&json["history"], &json["age"]), (&history.into(), &age.into()));
+        }
     }
 
     #[test]

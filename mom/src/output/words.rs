@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use mom_client::{Content, Map, Parcel, Value};
+use mom_client::{Content, HISTORY, Map, Parcel, Value};
 
 /// Beyond this a line is cut where a person reads it; JSON is never cut.
 const LONGEST: usize = 200;
@@ -67,6 +67,28 @@ pub(crate) fn visible(text: &str) -> String {
         }
     }
     shown
+}
+
+/// How old what was said before a late joiner came is: `history, 12 s old`; none for what is said now.
+pub(crate) fn history(parcel: &Parcel) -> Option<String> {
+    if parcel.extra.get(HISTORY).and_then(Value::as_bool) != Some(true) {
+        return None;
+    }
+    let age = parcel
+        .age
+        .and_then(|age| u64::try_from(age).ok())
+        .unwrap_or_default();
+    // Without a known clock of its sender the age counts from when the hub got it.
+    let least = if parcel.age_error.is_none() {
+        "at least "
+    } else {
+        ""
+    };
+    let age = match age {
+        0..1_000_000 => format!("{} ms", age / 1000),
+        _ => duration(Duration::from_secs(age / 1_000_000)),
+    };
+    Some(format!("history, {least}{age} old"))
 }
 
 /// What a parcel carries, on one line.

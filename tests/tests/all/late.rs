@@ -7,7 +7,10 @@ use mom_client::{Client, Event};
 use mom_proto::codec::Form;
 use mom_proto::{Code, Family, HISTORY, Map, Parcel, Value};
 use mom_tests::lab;
+use mom_tests::programs::{program, text};
 use mom_tests::raw::{PATIENCE, Raw, at, message};
+use tokio::process::Command;
+use tokio::task::spawn_blocking;
 use tokio::time::timeout;
 
 const PLACE: &str = "/desk";
@@ -177,4 +180,37 @@ async fn a_client_hears_it_first() {
             other => panic!("{other:?} instead of {number}"),
         }
     }
+}
+
+/// Who watches sees what was before, and that it was.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_command_line_marks_it() {
+    let clock = lab::clock();
+    let broker = lab::start_at(clock.clone(), |_| {}).await;
+    let mut carol = login(&broker, Form::Binary, "carol").await;
+    made(&mut carol, Map::new().with("parcels", 9)).await;
+    say(&mut carol, "state", "up").await;
+    clock.advance(Duration::from_secs(12));
+    let built = spawn_blocking(|| program("mom")).await.expect("it is built");
+    let watch = async |more: &[&str]| {
+        let mut command = Command::new(&built);
+        command
+            .args(["watch", "--messages", "--count", "1", PLACE])
+            .args(more);
+        command.env("MOM_HUB", format!("tcp://{}", broker.local_addr()));
+        command.env("MOM_USER", "bob").env("MOM_PASSWORD", "bob");
+        let output = timeout(PATIENCE, command.kill_on_drop(true).output()).await;
+        text(&output.expect("it ends").expect("it runs").stdout)
+    };
+    let line = watch(&[]).await;
+    assert!(
+        line.contains("carol state (history, at least 12 s old): up"),
+        "{line}"
+    );
+    let json: serde_json::Value = serde_json::from_str(&watch(&["--json"]).await).expect("JSON");
+    assert_eq!(
+        (&json["history"], &json["age"], &json["content"]),
+        (&true.into(), &12_000_000.into(), &"up".into()),
+        "{json}"
+    );
 }

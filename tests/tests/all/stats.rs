@@ -118,6 +118,7 @@ async fn what_was_dropped_and_what_waits() {
             );
             let all = &stats.channels[0].all;
             assert_eq!(all.dropped.get("queue-full"), Some(&dropped));
+            assert_eq!(all.dropped_classes, [("fleeting".to_owned(), dropped)].into());
             assert!(all.delivered <= all.sent, "one receiver: {all:?}");
             break;
         }

@@ -5,15 +5,13 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use mom_managers::Micros;
-use mom_proto::binary::{self, ChunkHead};
+use mom_net::Part;
+use mom_proto::binary::{self, STREAMS};
 use mom_proto::codec::{Encoded, Form};
 use mom_proto::{Delivery, event};
 
 use super::{Queue, reliable};
 use crate::outbox::packet::{DropReason, Entry, Lane, Packet, Piece, Progress};
-
-/// Streams of chunks that a receiver keeps open at once (docs/PROTOCOL.md).
-const STREAMS: usize = 8;
 
 impl Queue {
     /// The next piece for the link, of about `most` bytes if there is a way to cut it; what became stale on the
@@ -49,7 +47,7 @@ impl Queue {
     /// Puts back, in front, what was taken and of which nothing was written: so that it is looked at again, and
     /// what is more urgent can overtake it.
     pub(crate) fn put_back(&mut self, piece: Piece) {
-        if piece.is_abort() {
+        if piece.part.is_abort() {
             if let Some(stream) = piece.before.stream {
                 self.aborts.push_front((piece.packet, stream));
             }
@@ -218,7 +216,7 @@ impl Queue {
             return piece;
         }
         let progress = Progress {
-            sent: progress.sent + piece.bytes.len(),
+            sent: progress.sent + piece.part.size(),
             stream: match run {
                 true => None,
                 false => progress.stream.or(Some(self.last_stream)),
@@ -237,9 +235,7 @@ impl Queue {
         });
         Piece {
             packet,
-            lead: None,
-            bytes: from..from + length,
-            done: 0,
+            part: Part::plain(from..from + length),
             before,
             last: from + length >= whole,
         }
@@ -247,23 +243,17 @@ impl Queue {
 
     /// A chunk: the bytes of its stream are the frame without the length in front.
     fn cut_chunk(&mut self, packet: Arc<Packet>, before: Progress, most: usize) -> Piece {
-        const LENGTH: usize = 4;
-        let whole = packet.length(self.form) - LENGTH;
+        let length = packet.length(self.form);
         let stream = before.stream.unwrap_or_else(|| {
             self.last_stream += 1;
             self.last_stream
         });
-        let size = most.max(1).min(whole - before.sent);
-        let last = before.sent + size == whole;
-        let announce = before.stream.is_none().then_some(whole);
-        let from = LENGTH + before.sent;
+        let part = Part::chunk(stream, length, before.sent, most);
         Piece {
+            last: part.reaches(length),
             packet,
-            lead: Some(ChunkHead::new(stream, announce, last, size)),
-            bytes: from..from + size,
-            done: 0,
+            part,
             before,
-            last,
         }
     }
 
@@ -284,10 +274,8 @@ impl Queue {
 /// All of an entry at once.
 fn whole(entry: Entry, form: Option<Form>) -> Piece {
     Piece {
-        bytes: 0..entry.packet.frames(form).map_or(0, Encoded::len),
+        part: Part::plain(0..entry.packet.frames(form).map_or(0, Encoded::len)),
         packet: entry.packet,
-        lead: None,
-        done: 0,
         before: entry.progress,
         last: true,
     }

@@ -7,7 +7,7 @@ use mom_hub::PeerId;
 use mom_managers::Micros;
 use mom_proto::binary::{BinaryDecoder, PREFACE};
 use mom_proto::codec::{Encoded, Frame};
-use mom_proto::{Family, Limits, Parcel, Value};
+use mom_proto::{ContextNumber, Family, Limits, Parcel, Value};
 
 use super::*;
 use crate::encodings::Encodings;
@@ -139,10 +139,13 @@ fn latest_replaces_in_place() {
     assert_eq!(names(&mut queue), ["pose", "chat"]);
     assert!(queue.latest.is_empty());
     let drops: Vec<_> = queue.take_drops().into_iter().collect();
-    assert_eq!(
-        drops,
-        [((ContextNumber(1), PeerId(1), DropReason::Replaced), 1000)]
-    );
+    let replaced = Dropped {
+        context: ContextNumber(1),
+        sender: PeerId(1),
+        reason: DropReason::Replaced,
+        class: Delivery::Latest,
+    };
+    assert_eq!(drops, [(replaced, 1000)]);
 }
 
 #[test]
@@ -170,7 +173,7 @@ fn stale_parcels_do_not_leave() {
     let reasons: Vec<_> = queue
         .take_drops()
         .into_keys()
-        .map(|(_, _, reason)| reason)
+        .map(|dropped| dropped.reason)
         .collect();
     assert_eq!(reasons, [DropReason::Expired, DropReason::Fence]);
 }
@@ -258,7 +261,7 @@ fn what_is_put_back_keeps_its_place_and_no_privilege() {
     let reasons: Vec<_> = queue
         .take_drops()
         .into_keys()
-        .map(|(_, _, reason)| reason)
+        .map(|dropped| dropped.reason)
         .collect();
     assert_eq!(reasons, [DropReason::Replaced, DropReason::Fence]);
     assert_eq!(queue.data_bytes(), 0);
@@ -301,7 +304,7 @@ impl Receiver {
     fn take(&mut self, piece: &Piece) -> Vec<String> {
         let decoder = self.decoder.get_or_insert_with(|| {
             self.bytes.extend_from_slice(&PREFACE);
-            BinaryDecoder::new(&Limits::default())
+            BinaryDecoder::for_peer(&Limits::default())
         });
         let mut slices = Vec::new();
         piece.append_to(Some(Form::Binary), &mut slices);
@@ -393,7 +396,7 @@ fn what_is_begun_is_not_replaced_but_ends_with_its_gate_or_its_time() {
     let drops: Vec<_> = queue
         .take_drops()
         .into_iter()
-        .map(|((_, _, reason), count)| (reason, count))
+        .map(|(dropped, count)| (dropped.reason, count))
         .collect();
     assert_eq!(
         drops,

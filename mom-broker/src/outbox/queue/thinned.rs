@@ -36,7 +36,7 @@ fn leaves(queue: &mut Queue, now: Micros) -> Vec<(String, i32)> {
 
 fn drops(queue: &mut Queue) -> Vec<(DropReason, u64)> {
     let drops = queue.take_drops().into_iter();
-    drops.map(|((_, _, reason), count)| (reason, count)).collect()
+    drops.map(|(dropped, count)| (dropped.reason, count)).collect()
 }
 
 #[test]

@@ -2,10 +2,12 @@
 
 use std::time::Duration;
 
-use mom_proto::binary::PREFACE;
+use bytes::Bytes;
+use mom_proto::binary::{ChunkHead, PREFACE, chunks};
 use mom_proto::codec::Form;
-use mom_proto::{Family, WireError};
-use mom_tests::raw::Raw;
+use mom_proto::{Family, Value, WireError};
+use mom_tests::lab;
+use mom_tests::raw::{Raw, message};
 
 use super::{After, World, chat_binary, chat_xml, entity, frame};
 
@@ -248,7 +250,65 @@ async fn threat_6_lengths_in_binary() {
             .attack(what, Form::Binary, &bytes, code, After::Closed)
             .await;
     }
+    let stranger = Raw::connect(world.address(), Form::Binary).await;
+    let early = [chunk(1, 3, Some(whole), payload), smuggled.clone()].concat();
+    world
+        .attack_from(
+            stranger,
+            "chunks before login",
+            &early,
+            "bad-frame",
+            After::Closed,
+        )
+        .await;
     world.end().await;
+}
+
+/// Chunks as they should be: streams between each other, one given up, whole parcels in between; each parcel is said when its
+/// last chunk is there.
+#[tokio::test]
+async fn streams_of_chunks_go_between_each_other() {
+    let broker = lab::start().await;
+    let mut bob = Raw::login(broker.local_addr(), Form::Binary, "bob").await;
+    let mut carol = Raw::login(broker.local_addr(), Form::Binary, "carol").await;
+    bob.join(&["/chat"]).await;
+    carol.join(&["/chat"]).await;
+    let said = |what: usize, size: usize| {
+        let parcel = message("chat", "/chat", vec![Value::Int(what as i64); size]);
+        Form::Binary.encode(&parcel).expect("a frame")
+    };
+    let mut streams: Vec<Vec<Bytes>> = (0..8)
+        .map(|stream| chunks(&said(stream, 100 * (stream + 1)), stream as u64, 64))
+        .collect();
+    let mut sent = Vec::new();
+    while streams.iter().any(|stream| !stream.is_empty()) {
+        for stream in streams.iter_mut().filter(|stream| !stream.is_empty()) {
+            sent.extend_from_slice(&stream.remove(0));
+        }
+        sent.extend_from_slice(&said(99, 1).to_vec());
+        if streams[6].len() == 3 {
+            streams[6].clear();
+            sent.extend_from_slice(ChunkHead::abort(6).bytes());
+        }
+    }
+    carol.send(&sent).await;
+    let mut order = Vec::new();
+    while order.last() != Some(&7) {
+        let content = bob.next_of(Family::Message, "chat").await.value();
+        let list = content.as_list().expect("a list");
+        let what = list[0].as_int().expect("a number");
+        if what != 99 {
+            assert_eq!(list.len() as i64, 100 * (what + 1), "whole");
+            order.push(what);
+        }
+    }
+    assert_eq!(
+        order,
+        [0, 1, 2, 3, 4, 5, 7],
+        "as their last chunks came, without the one given up"
+    );
+    carol.check_alive().await;
+    broker.stop().await;
 }
 
 /// A healthy frame around a header that lies about its own lengths.

@@ -7,7 +7,7 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use mom_net::Link;
+use crate::Link;
 
 /// What may wait in the network beyond what fills it: enough to bridge a turn of the timer and keep a saturated
 /// link busy.
@@ -25,9 +25,9 @@ const LEAST_SEGMENTS: u64 = 2;
 /// Bytes to which the budget of a link that is faster than it can be looked at may grow.
 const MOST: u64 = 16 << 20;
 
-/// The account of one connection.
+/// The account of one connection: what it was given, what the other side has of it, and so what it may be given now.
 #[derive(Debug, Default)]
-pub(super) struct Flow {
+pub struct Flow {
     /// Bytes given to the link, and acknowledged when we last looked.
     written: u64,
     acknowledged: u64,
@@ -42,8 +42,9 @@ pub(super) struct Flow {
 }
 
 impl Flow {
-    /// How many bytes the link may be given now.
-    pub(super) fn room(&mut self, look: impl FnOnce() -> Option<Link>) -> usize {
+    /// How many bytes the link may be given now. `look` asks for its state ([`Writer::link`](crate::Writer::link)) and is called
+    /// only where that is needed.
+    pub fn room(&mut self, look: impl FnOnce() -> Option<Link>) -> usize {
         self.room_at(look, Instant::now)
     }
 
@@ -70,7 +71,7 @@ impl Flow {
     }
 
     /// The most that is given at once, so that something urgent can go in between.
-    pub(super) fn piece(&self) -> usize {
+    pub fn piece(&self) -> usize {
         if self.blind {
             return usize::MAX;
         }
@@ -78,17 +79,17 @@ impl Flow {
     }
 
     /// Notes what the link took.
-    pub(super) fn wrote(&mut self, bytes: usize) {
+    pub fn wrote(&mut self, bytes: usize) {
         self.written += bytes as u64;
     }
 
     /// Bytes that the other side had acknowledged when we last looked.
-    pub(super) fn taken(&self) -> u64 {
+    pub fn taken(&self) -> u64 {
         self.acknowledged
     }
 
     /// Nothing waits any more, so the time from now on says nothing about the link.
-    pub(super) fn rest(&mut self) {
+    pub fn rest(&mut self) {
         self.since = None;
     }
 
