@@ -1,15 +1,15 @@
 //! A channel as the broker holds it: its route with the outboxes of its members.
 
+mod kept;
 mod room;
+mod runs;
 
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use bytes::Bytes;
-use mom_hub::{Budget, PeerId, Receivers, Route, Usage};
+use mom_hub::{PeerId, Receivers, Route, Usage};
 use mom_managers::Rate;
-use mom_proto::binary::Run;
 use mom_proto::codec::{Form, Scratch};
 use mom_proto::{Content, ContextNumber, Delivery, Parcel, Path, Time, Verb, WireError};
 
@@ -201,71 +201,6 @@ impl Inner {
         }
     }
 
-    /// A copy of a message that is for later too. Its content is copied out of what was read with it, or little that is
-    /// kept would hold much that is not.
-    fn to_keep(&self, parcel: &Parcel) -> Option<Parcel> {
-        let guarded = self.route.guard.as_ref();
-        let guarded = guarded.is_some_and(|guard| guard.covers(&parcel.name));
-        if self.history.is_none() || guarded || !History::covers(parcel) {
-            return None;
-        }
-        let mut copy = parcel.clone();
-        if let Some(Content::Encoded(bytes)) = &copy.content {
-            copy.content = Some(Content::Encoded(Bytes::copy_from_slice(bytes)));
-        }
-        Some(copy)
-    }
-
-    /// After a change of the route: forgets what is not kept any more, and gives to who is new what is kept.
-    fn follow_history(&mut self, old: &Route, clock: &Clock) -> Vec<Arc<Outbox>> {
-        let known = self.history.as_ref().map(|history| *history.keep());
-        if known != self.route.keep {
-            self.history = self.route.keep.map(History::new);
-        }
-        let Some(history) = &mut self.history else {
-            return Vec::new();
-        };
-        let left = old.members.iter().map(|member| member.peer);
-        for peer in left.filter(|peer| self.route.position(*peer).is_none()) {
-            history.leave(peer);
-        }
-        let members = self.route.members.iter().zip(&self.outboxes);
-        let new = members.filter(|(member, _)| old.position(member.peer).is_none());
-        let new: Vec<Arc<Outbox>> = new.filter_map(|(_, outbox)| outbox.clone()).collect();
-        if new.is_empty() {
-            return new;
-        }
-        let now = clock.now();
-        let guard = self.route.guard.as_ref();
-        for parcel in history.give(now, clock.wall_at(now)) {
-            // The guard may have come after it.
-            if guard.is_some_and(|guard| guard.covers(&parcel.name)) {
-                continue;
-            }
-            let lane = Lane::Data(parcel.priority.unwrap_or_default());
-            let (origin, expires_at) = (hub_origin(&parcel), expires_at(&parcel, now));
-            let forms = new.iter().map(|outbox| outbox.form());
-            // What a form cannot hold was refused when it came, or its receivers were of other forms then.
-            let Ok(encodings) = Encodings::with(parcel, forms, self.bounds, &mut self.scratch) else {
-                continue;
-            };
-            let packet = Arc::new(Packet {
-                encodings,
-                lane,
-                // Who cannot take it all has the newest.
-                delivery: Delivery::Fleeting,
-                origin,
-                expires_at,
-                gate: None,
-                count: 1,
-            });
-            for outbox in &new {
-                outbox.push(Arc::clone(&packet));
-            }
-        }
-        new
-    }
-
     /// In the order of the route's members.
     pub(crate) fn outboxes(&self) -> &[Option<Arc<Outbox>>] {
         &self.outboxes
@@ -349,53 +284,6 @@ impl Inner {
         let before = usage.clone();
         usage.charge(rate, size, now)?;
         Ok(before)
-    }
-
-    /// Whether plain messages may go through here as a run: nobody needs another form or
-    /// only some of them, and nothing is kept.
-    pub(crate) fn takes_runs(&self) -> bool {
-        self.binary && !self.thins && self.history.is_none()
-    }
-
-    /// What a member has used of its rate.
-    pub(crate) fn usage(&self, peer: PeerId) -> Usage {
-        self.used.get(&peer).cloned().unwrap_or_default()
-    }
-
-    /// Charges a member for a run.
-    pub(crate) fn settle(&mut self, peer: PeerId, budget: &Budget) {
-        self.used.entry(peer).or_default().settle(budget);
-    }
-
-    /// Counts a message of a run.
-    pub(crate) fn note_sent(&mut self, sender: Option<usize>, size: usize, age: Option<i64>) {
-        self.figures.sent(sender, size, age);
-    }
-
-    /// Puts a run of a member's messages into the outboxes; all of them were admitted as `stamped` was.
-    pub(crate) fn deliver_run(
-        &mut self,
-        sender: PeerId,
-        run: Run,
-        stamped: &Parcel,
-        receivers: &Receivers,
-        now: u64,
-    ) -> Delivered {
-        let count = run.count();
-        let packet = Arc::new(Packet {
-            encodings: Encodings::of_run(run.finish()),
-            lane: Lane::Data(stamped.priority.unwrap_or_default()),
-            delivery: Delivery::Reliable,
-            origin: Origin {
-                context: self.route.number,
-                sender,
-                name: Arc::clone(&stamped.name),
-            },
-            expires_at: None,
-            gate: stamped.fence.map(|fence| (Arc::clone(&self.gate), fence)),
-            count,
-        });
-        self.put(&packet, &self.places(receivers), now)
     }
 
     fn put(&mut self, packet: &Arc<Packet>, places: &Places<'_>, now: u64) -> Delivered {
