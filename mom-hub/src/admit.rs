@@ -1,13 +1,14 @@
 //! Whether a message may pass, and to whom: one truth for the hub and for the broker's fast path.
 
 use std::collections::HashSet;
+use std::sync::Arc;
 use std::time::Duration;
 
 use mom_managers::{Answer, Denial, Micros, PeerFacts, Rate};
 use mom_proto::nearest::nearest;
 use mom_proto::{Code, Family, HISTORY, Parcel, Time, Verb, WireError, event};
 
-use crate::age::{age_of, aged, check_age, check_waited, is_ahead, is_within};
+use crate::age::{age_of, aged, check_age, check_life, is_ahead, is_within};
 use crate::route::{Guard, GuardOwner, Route};
 use crate::{Member, PeerClock, PeerId};
 
@@ -146,11 +147,10 @@ pub fn admit_with(
         "only messages are admitted to channels"
     );
     let fence = check_guard(route, member, parcel, now)?;
-    let (age, age_error) = match check_age(parcel, wall, ingress.clock.as_ref())? {
-        Some((age, error)) => (age, Some(error)),
-        // Without an estimate of the sender's clock the age is counted from ingress; no error bound says so.
-        None => (check_waited(parcel, ingress.waited)?, None),
-    };
+    let age = check_age(parcel, wall, ingress.clock.as_ref())?;
+    if age.is_none() && ingress.waited > 0 {
+        check_life(parcel, ingress.waited)?;
+    }
     let receivers = receivers(route, peer, parcel)?;
     // The hub's own mark.
     parcel.extra.remove(HISTORY);
@@ -159,8 +159,9 @@ pub fn admit_with(
     parcel.number = Some(route.number);
     parcel.fence = fence;
     parcel.received = Some(wall);
-    parcel.age = Some(age);
-    parcel.age_error = age_error;
+    // Without an estimate of the sender's clock the age is counted from ingress; no error bound says so.
+    parcel.age = Some(age.map_or(i64::try_from(ingress.waited).unwrap_or(i64::MAX), |(age, _)| age));
+    parcel.age_error = age.map(|(_, error)| error);
     parcel.priority = parcel
         .priority
         .map(|priority| priority.clamp(*PRIORITY.start(), *PRIORITY.end()));
@@ -281,13 +282,18 @@ fn fence_value(fence: u64) -> i64 {
 ///
 /// # Errors
 /// `unknown-peer`.
+#[inline]
 pub fn receivers(route: &Route, peer: PeerId, parcel: &Parcel) -> Result<Receivers, WireError> {
-    let Some(address) = &parcel.address else {
-        return Ok(match (parcel.echo, route.position(peer)) {
+    match &parcel.address {
+        Some(address) => addressed(route, address),
+        None => Ok(match (parcel.echo, route.position(peer)) {
             (Some(false), Some(own)) => Receivers::AllBut(own),
             _ => Receivers::All,
-        });
-    };
+        }),
+    }
+}
+
+fn addressed(route: &Route, address: &[Arc<str>]) -> Result<Receivers, WireError> {
     let mut places = Vec::new();
     // A parcel holds millions of names, and all who send here wait: each is looked for once.
     let mut seen = HashSet::new();

@@ -68,22 +68,16 @@ pub(crate) fn check_age(
     Ok(age)
 }
 
-/// The age of a message of which nothing is known but how long it has waited here.
+/// Checks that a message of this age in µs is worth something still.
 ///
 /// # Errors
 /// `expired`.
-pub(crate) fn check_waited(parcel: &Parcel, waited: Micros) -> Result<i64, WireError> {
-    let age = i64::try_from(waited).unwrap_or(i64::MAX);
-    // What has come just now is looked at when it leaves.
-    if waited > 0 {
-        check_life(parcel, age)?;
-    }
-    Ok(age)
-}
-
-fn check_life(parcel: &Parcel, age: i64) -> Result<(), WireError> {
-    let life = parcel.expires.map(|expires| i128::from(expires) * 1000);
-    if life.is_none_or(|life| i128::from(age) < life) {
+pub(crate) fn check_life(parcel: &Parcel, age: impl Into<i128>) -> Result<(), WireError> {
+    let (age, life) = (
+        age.into(),
+        parcel.expires.map(|expires| i128::from(expires) * 1000),
+    );
+    if life.is_none_or(|life| age < life) {
         return Ok(());
     }
     let text = format!(
@@ -148,10 +142,10 @@ mod tests {
     #[test]
     fn what_has_waited_is_that_much_older() {
         let mut parcel = Parcel::new(Family::Message, "state");
-        assert_eq!(check_waited(&parcel, 700_000), Ok(700_000));
+        assert_eq!(check_life(&parcel, 700_000_u64), Ok(()));
         parcel.expires = Some(700);
-        assert_eq!(check_waited(&parcel, 699_999), Ok(699_999));
-        assert_eq!(check_waited(&parcel, 700_000).unwrap_err().code, Code::EXPIRED);
+        assert_eq!(check_life(&parcel, 699_999_u64), Ok(()));
+        assert_eq!(check_life(&parcel, 700_000_u64).unwrap_err().code, Code::EXPIRED);
     }
 
     #[test]
@@ -168,7 +162,6 @@ mod tests {
         parcel.expires = Some(0);
         assert_eq!(check_age(&parcel, Time::default(), None), Ok(None));
         assert!(!is_within(None, Micros::MAX));
-        assert_eq!(check_waited(&parcel, 0), Ok(0), "looked at when it leaves");
         assert!(is_within(Some((1, 2)), 3) && !is_within(Some((2, 2)), 3));
         assert!(is_within(Some((i64::MIN, 0)), 0) && !is_within(Some((i64::MAX, u64::MAX)), Micros::MAX));
     }
