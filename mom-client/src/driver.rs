@@ -11,7 +11,7 @@ use crate::login::{Connected, Connector, Welcome};
 use crate::outbox::{Entry, Room};
 use crate::pending::Waiter;
 use crate::reconnect::Backoff;
-use crate::shared::{Shared, Status, join};
+use crate::shared::{Shared, State, Status, join};
 use crate::{ClientError, Event, Link, Lost, Reconnect, link};
 
 /// Drives links until the client is closed.
@@ -96,14 +96,7 @@ impl Shared {
         state.status = Status::Down;
         state.lose_holds(&Lost::new(names::Reason::Disconnected.word(), None));
         let unsent = state.outbox.clear(link_is_gone);
-        let mut room = Room::default();
-        unsent.iter().for_each(|message| room += message.room());
-        let reason = names::Reason::Disconnected.word();
-        for (path, count) in count_unsent(&unsent) {
-            state
-                .subscribers
-                .deliver(std::slice::from_ref(&path), dropped(&path, reason, count));
-        }
+        let room = state.lose(&unsent);
         state.subscribers.deliver_all(&Event::LinkDown);
         let joins = state.places.lose_link();
         let waiters = state.pending.take_all();
@@ -166,6 +159,20 @@ impl Shared {
         }
         waiters.into_iter().for_each(|waiter| self.fail(waiter, &closed));
         self.link.send_replace(Link::Closed(error));
+    }
+}
+
+impl State {
+    /// Tells of messages that a lost link has lost; gives their room.
+    pub(crate) fn lose(&mut self, unsent: &[Arc<Entry>]) -> Room {
+        let reason = names::Reason::Disconnected.word();
+        for (path, count) in count_unsent(unsent) {
+            let event = dropped(&path, reason, count);
+            self.subscribers.deliver(std::slice::from_ref(&path), event);
+        }
+        let mut room = Room::default();
+        unsent.iter().for_each(|message| room += message.room());
+        room
     }
 }
 

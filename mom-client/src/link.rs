@@ -25,7 +25,8 @@ pub(crate) async fn run(shared: &Arc<Shared>, transceiver: Transceiver) -> Strin
     let reading = tasks
         .spawn(read(Arc::clone(shared), Arc::clone(&heard), transceiver.reader))
         .id();
-    tasks.spawn(sending::write(Arc::clone(shared), transceiver.writer));
+    let link = shared.lock().outbox.mark().link;
+    tasks.spawn(sending::write(Arc::clone(shared), transceiver.writer, link));
     let first = tokio::select! {
         ended = tasks.join_next_with_id() => ended,
         () = keep(shared, &heard) => return "the hub says nothing any more".to_owned(),

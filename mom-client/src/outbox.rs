@@ -35,6 +35,25 @@ pub(crate) struct Outbox {
     /// Messages that were ever put in.
     put: u64,
     finished: bool,
+    now: Mark,
+}
+
+/// What has become of an outbox: what a writer took before that changed is not what waits now.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Mark {
+    /// Links that were lost.
+    pub(crate) link: u64,
+    /// How often everything was forgotten.
+    clears: u64,
+}
+
+/// What was not put back.
+#[derive(Debug)]
+pub(crate) enum Returned {
+    /// A stop came after it.
+    Overruled(Overruled),
+    /// Everything was forgotten meanwhile, and this message with it.
+    Lost(Arc<Entry>),
 }
 
 /// Room for messages, in units of 1 KiB.
@@ -107,6 +126,11 @@ impl Outbox {
         self.finished
     }
 
+    /// To be told again with what is put back.
+    pub(crate) fn mark(&self) -> Mark {
+        self.now
+    }
+
     /// Whether nothing waits.
     pub(crate) fn is_empty(&self) -> bool {
         let queues = [&self.stop, &self.signs, &self.control];
@@ -127,6 +151,8 @@ impl Outbox {
     /// Forgets everything, as the peer is another one from now on, on this link or, if that is gone, the next; gives
     /// the messages.
     pub(crate) fn clear(&mut self, link_is_gone: bool) -> Vec<Arc<Entry>> {
+        self.now.clears += 1;
+        self.now.link += u64::from(link_is_gone);
         self.control.retain(|entry| entry.is_message());
         self.signs.clear();
         let mut messages: Vec<Arc<Entry>> = self.stop.drain(..).chain(self.control.drain(..)).collect();

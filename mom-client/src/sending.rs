@@ -8,7 +8,7 @@ use mom_net::{Flow, GATHER, NetError, Writer};
 use mom_proto::codec::Form;
 use tokio::time::{Instant, sleep_until};
 
-use crate::outbox::{Knife, Piece, Room};
+use crate::outbox::{Knife, Mark, Piece, Room};
 use crate::shared::Shared;
 
 /// Taken at once: what is taken cannot be overtaken while it is written.
@@ -28,19 +28,23 @@ enum Turn {
     Nothing,
     /// Nothing, and never again.
     End,
+    /// The link is lost already, and the outbox another's.
+    Gone,
     /// The link takes no more now.
     Blocked,
     /// The network holds as much as it may.
     Paced,
 }
 
-/// Writes until the outbox says that nothing follows.
-pub(crate) async fn write(shared: Arc<Shared>, writer: Writer) -> Result<(), NetError> {
+/// Writes until the outbox says that nothing follows. `link` is the number of the link in the outbox's mark.
+pub(crate) async fn write(shared: Arc<Shared>, writer: Writer, link: u64) -> Result<(), NetError> {
     let mut sending = Sending {
         shared,
         writer,
         flow: Flow::default(),
         batch: VecDeque::new(),
+        taken: Mark::default(),
+        link,
     };
     let (mut pause, mut seen) = (PACE, 0);
     loop {
@@ -63,6 +67,7 @@ pub(crate) async fn write(shared: Arc<Shared>, writer: Writer) -> Result<(), Net
                 sending.writer.finish();
                 return Ok(());
             }
+            Turn::Gone => return Ok(()),
         }
     }
 }
@@ -75,6 +80,9 @@ struct Sending {
     /// Empty between turns: what a link did not take is in the outbox, where it can be overtaken and nothing of it is
     /// lost with this task.
     batch: VecDeque<Piece>,
+    /// The outbox as it was when the batch was taken.
+    taken: Mark,
+    link: u64,
 }
 
 impl Sending {
@@ -86,15 +94,15 @@ impl Sending {
         }
         let mut room = Room::default();
         let written = self.write_batch(&mut room);
-        let mut overruled = Vec::new();
+        let mut returned = Vec::new();
         if !self.batch.is_empty() {
             let mut state = self.shared.lock();
             while let Some(piece) = self.batch.pop_back() {
-                overruled.extend(state.outbox.put_back(piece));
+                returned.extend(state.outbox.put_back(piece, self.taken));
             }
         }
         self.shared.give_room(room);
-        self.shared.overrule(overruled);
+        self.shared.tell_returned(returned);
         Ok(if written? { Turn::Wrote } else { Turn::Blocked })
     }
 
@@ -104,6 +112,11 @@ impl Sending {
         let mut state = self.shared.lock();
         let parcel = state.me.limits.parcel;
         let outbox = &mut state.outbox;
+        // A lost link does not wait for the end of its writer, which stops at the next thing that it waits for.
+        if outbox.mark().link != self.link {
+            return Turn::Gone;
+        }
+        self.taken = outbox.mark();
         self.batch.extend(outbox.take_begun());
         let mut bytes = 0;
         while self.batch.len() < BATCH_PIECES {

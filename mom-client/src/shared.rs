@@ -16,7 +16,7 @@ use crate::driver::dropped;
 use crate::guards::Guards;
 use crate::handover::Handovers;
 use crate::login::Welcome;
-use crate::outbox::{Message, Outbox, Overruled, Room};
+use crate::outbox::{Message, Outbox, Overruled, Returned, Room};
 use crate::pending::{Pending, Waiter};
 use crate::places::{Places, Want};
 use crate::proof::Credentials;
@@ -254,6 +254,22 @@ impl Shared {
             &mut taken.usual
         }) = units as usize;
         Ok((Some(permit), taken))
+    }
+
+    /// Tells what a writer took and will not send after all.
+    pub(crate) fn tell_returned(&self, returned: Vec<Returned>) {
+        let (mut overruled, mut lost) = (Vec::new(), Vec::new());
+        for returned in returned {
+            match returned {
+                Returned::Overruled(unstop) => overruled.push(unstop),
+                Returned::Lost(entry) => lost.push(entry),
+            }
+        }
+        self.overrule(overruled);
+        if !lost.is_empty() {
+            let room = self.lock().lose(&lost);
+            self.give_room(room);
+        }
     }
 
     /// Tells who sent what a later word has overruled.

@@ -9,7 +9,7 @@ use mom_net::{Outgoing, Part};
 use mom_proto::Limit;
 use mom_proto::binary::STREAMS;
 
-use super::{Entry, Lane, Outbox, Overruled, Room};
+use super::{Entry, Lane, Mark, Outbox, Returned, Room};
 
 /// A parcel of which chunks were given to the link.
 #[derive(Debug)]
@@ -112,6 +112,12 @@ impl Piece {
     pub(super) fn into_entry(self) -> Option<Arc<Entry>> {
         self.entry
     }
+
+    /// A message that will not be sent; of one that was open its chunks are not what tells it.
+    fn lost(self) -> Option<Returned> {
+        let entry = self.entry.filter(|entry| self.last && entry.is_message());
+        entry.map(Returned::Lost)
+    }
 }
 
 impl Outbox {
@@ -155,11 +161,18 @@ impl Outbox {
     }
 
     /// Puts back, in front, what was taken and not written: what the link has begun to take stays the next, all else is
-    /// looked at again, so that what is more urgent can overtake it. Gives what a stop overruled meanwhile.
-    pub(crate) fn put_back(&mut self, piece: Piece) -> Option<Overruled> {
+    /// looked at again, so that what is more urgent can overtake it. `taken` is the mark when it was taken. Gives what
+    /// will not be sent after all. Several are put back the last one first.
+    pub(crate) fn put_back(&mut self, piece: Piece, taken: Mark) -> Option<Returned> {
+        if self.now.link != taken.link {
+            return piece.lost();
+        }
         if piece.is_begun() {
             self.begun = Some(piece);
             return None;
+        }
+        if self.now != taken && piece.entry.is_some() {
+            return self.forget(piece);
         }
         let Some(entry) = piece.entry else {
             self.aborts.extend(piece.stream);
@@ -178,13 +191,23 @@ impl Outbox {
                 Lane::Stop => self.stop.push_front(entry),
                 Lane::Sign => self.signs.push_front(entry),
                 Lane::Control if entry.is_message() && self.is_stopped(&entry) => {
-                    return Some(entry.overruled());
+                    return Some(Returned::Overruled(entry.overruled()));
                 }
                 Lane::Control => self.control.push_front(entry),
                 Lane::Data(priority) => self.data.entry(Reverse(priority)).or_default().push_front(entry),
             },
         }
         None
+    }
+
+    /// Forgets, as all else was forgotten while it was taken; the hub is told to forget only what it knows.
+    fn forget(&mut self, piece: Piece) -> Option<Returned> {
+        match piece.stream {
+            Some(stream) if piece.before == 0 => self.aborts.retain(|abort| *abort != stream),
+            Some(stream) if piece.last => self.aborts.push_back(stream),
+            _ => {}
+        }
+        piece.lost()
     }
 
     fn is_stopped(&self, unstop: &Entry) -> bool {

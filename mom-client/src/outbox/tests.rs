@@ -211,7 +211,8 @@ fn pieces_that_are_put_back_come_again() {
                 names.extend(hub.take(&piece));
             }
             while let Some(piece) = batch.pop_back() {
-                assert!(outbox.put_back(piece).is_none());
+                let mark = outbox.mark();
+                assert!(outbox.put_back(piece, mark).is_none());
             }
             if turn == 0 {
                 say(&mut outbox, "urgent", 10, 1);
@@ -233,7 +234,8 @@ fn a_stop_is_the_last_word() {
     say(&mut outbox, "unstop", 10, 0);
     let taken = outbox.pop(KNIFE).unwrap();
     assert!(say(&mut outbox, "stop", 10, 0).is_empty(), "the link has it");
-    assert!(outbox.put_back(taken).is_some(), "it had not");
+    let returned = outbox.put_back(taken, outbox.mark());
+    assert!(matches!(returned, Some(Returned::Overruled(_))), "it had not");
     assert!(say(&mut outbox, "stop", 10, 0).is_empty());
     say(&mut outbox, "unstop", 10, 0);
     assert_eq!(
@@ -272,7 +274,7 @@ fn another_peer_on_the_same_link_begins_anew() {
     let mut begun = outbox.pop(KNIFE).unwrap();
     let whole = begun.left();
     begun.advance(10);
-    assert!(outbox.put_back(begun).is_none());
+    assert!(outbox.put_back(begun, outbox.mark()).is_none());
     assert_eq!(outbox.clear(false).len(), 2);
     assert!(!outbox.is_empty());
     let begun = outbox.take_begun().unwrap();
@@ -292,4 +294,45 @@ fn another_peer_on_the_same_link_begins_anew() {
         say(&mut outbox, "map", 3000, 0);
     }
     assert_eq!(hub.take_all(&mut outbox), ["map"; STREAMS].join(" "));
+}
+
+/// A writer has taken something when everything is forgotten: none of it comes back, and each message is told once.
+#[test]
+fn what_was_taken_before_all_was_forgotten_is_lost() {
+    for link_is_gone in [true, false] {
+        for begun in [0, 10] {
+            let (mut outbox, mut hub) = (Outbox::default(), Hub::new());
+            say(&mut outbox, "picture", 1500, 1);
+            hub.take(&outbox.pop(KNIFE).unwrap());
+            say(&mut outbox, "chat", 10, 2);
+            say(&mut outbox, "map", 9000, 0);
+            ask(&mut outbox, Family::Token, "renew");
+            let mark = outbox.mark();
+            // The request, the chat, the end of the picture, the beginning of the map.
+            let mut batch: VecDeque<Piece> = (0..4).map_while(|_| outbox.pop(KNIFE)).collect();
+            batch[0].advance(begun);
+            say(&mut outbox, "waits", 10, 0);
+            let mut lost = outbox.clear(link_is_gone).len();
+            assert_eq!(lost, 2, "the map, and what waited");
+            while let Some(piece) = batch.pop_back() {
+                match outbox.put_back(piece, mark) {
+                    Some(Returned::Lost(_)) => lost += 1,
+                    None => {}
+                    other => panic!("{other:?}"),
+                }
+            }
+            assert_eq!(lost, 4, "and the chat and the picture");
+            let goes_on = outbox.take_begun();
+            assert_eq!(goes_on.is_some(), begun > 0 && !link_is_gone);
+            let aborts: Vec<Piece> = std::iter::from_fn(|| outbox.pop(KNIFE)).collect();
+            assert_eq!(
+                aborts.len(),
+                usize::from(!link_is_gone),
+                "of the picture, not of the map"
+            );
+            for abort in &aborts {
+                assert_eq!(hub.take(abort), [""; 0], "a stream that it knows");
+            }
+        }
+    }
 }
