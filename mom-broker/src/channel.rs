@@ -16,7 +16,7 @@ use mom_proto::{Content, ContextNumber, Delivery, Parcel, Path, Time, Verb, Wire
 use crate::clock::Clock;
 use crate::encodings::{Bounds, Encodings};
 use crate::figures::{Figures, measures};
-use crate::gather;
+use crate::gather::Pace;
 use crate::history::History;
 use crate::outbox::{DropReason, Dropped, Gate, Lane, Origin, Outbox, Packet, Taken};
 use crate::room::{Full, Room, no_room};
@@ -39,8 +39,7 @@ pub(crate) struct Inner {
     binary: bool,
     /// Some member is spared of something.
     thins: bool,
-    /// When something was sent here last.
-    sent_at: u64,
+    pace: Pace,
     bounds: Bounds,
     scratch: Scratch,
     pub(crate) figures: Figures,
@@ -98,7 +97,7 @@ impl Channel {
                 thins: thins(&route),
                 route,
                 binary: all_binary(&outboxes),
-                sent_at: 0,
+                pace: Pace::default(),
                 outboxes,
                 gate,
                 bounds,
@@ -288,10 +287,9 @@ impl Inner {
 
     fn put(&mut self, packet: &Arc<Packet>, places: &Places<'_>, now: u64) -> Delivered {
         let mut result = Delivered {
-            lively: packet.can_wait() && now.saturating_sub(self.sent_at) < gather::LIVELY,
+            lively: self.pace.is_lively(packet.count, now) && packet.can_wait(),
             ..Delivered::default()
         };
-        self.sent_at = now;
         let thins = self.thins && packet.may_be_thinned();
         let mut latest: Option<Arc<Packet>> = None;
         for place in places.iter() {

@@ -22,7 +22,32 @@ pub(crate) const RECEIVERS: usize = 8;
 pub(crate) const SMALL: usize = 4096;
 
 /// A channel in which nothing was said for so long (µs) does not expect the next message at once.
-pub(crate) const LIVELY: u64 = 1000;
+const LIVELY: u64 = 1000;
+
+/// Messages in that time beyond which nothing waits either: they come together by themselves, and who writes them at
+/// once reads more of them the next time. A reader that leaves all writing to others reads them one by one.
+const CROWDED: u32 = 32;
+
+/// How fast messages follow each other in a channel.
+#[derive(Debug, Default)]
+pub(crate) struct Pace {
+    last: u64,
+    /// Since when messages are counted, and how many there were.
+    since: u64,
+    count: u32,
+}
+
+impl Pace {
+    /// Notes messages; whether another is sure to follow at once, and worth waiting for.
+    pub(crate) fn is_lively(&mut self, count: u32, now: u64) -> bool {
+        let before = std::mem::replace(&mut self.last, now);
+        if now.saturating_sub(self.since) >= LIVELY {
+            (self.since, self.count) = (now, 0);
+        }
+        self.count = self.count.saturating_add(count);
+        now.saturating_sub(before) < LIVELY && self.count <= CROWDED
+    }
+}
 
 /// The thread that writes what was left for later; it starts with the first.
 #[derive(Debug, Default)]
@@ -95,5 +120,24 @@ impl Shared {
                 return;
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_messages_that_follow_each_other_soon_and_singly_wait() {
+        let mut pace = Pace::default();
+        assert!(!pace.is_lively(1, 5000), "the first in a while");
+        assert!(pace.is_lively(1, 5200), "the next is near");
+        assert!(!pace.is_lively(1, 6500), "alone again");
+        // Fifty talkers with a hundred messages a second each.
+        assert!((0..50).all(|number| pace.is_lively(1, 6700 + number * 200)));
+        assert!(!pace.is_lively(100, 16_600), "they come together");
+        // One that sends as fast as it can: a few wait in each millisecond, the others go.
+        let waiting = (0..1000_u64).filter(|number| pace.is_lively(1, 20_000 + number * 3));
+        assert!(waiting.count() <= 3 * CROWDED as usize);
     }
 }
