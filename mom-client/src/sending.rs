@@ -2,9 +2,8 @@
 
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::time::Duration;
 
-use mom_net::{Flow, GATHER, NetError, Writer};
+use mom_net::{Flow, GATHER, NetError, Pause, Writer};
 use mom_proto::codec::Form;
 use tokio::time::{Instant, sleep_until};
 
@@ -14,10 +13,6 @@ use crate::shared::Shared;
 /// Taken at once: what is taken cannot be overtaken while it is written.
 const BATCH_PIECES: usize = 64;
 const BATCH_BYTES: usize = 256 * 1024;
-
-/// How long it waits before it looks again whether the network has room, and for a hub that takes nothing.
-const PACE: Duration = Duration::from_millis(1);
-const LONGEST_PACE: Duration = Duration::from_millis(16);
 
 /// How far a turn came.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,7 +41,7 @@ pub(crate) async fn write(shared: Arc<Shared>, writer: Writer, link: u64) -> Res
         taken: Mark::default(),
         link,
     };
-    let (mut pause, mut seen) = (PACE, 0);
+    let mut pause = Pause::default();
     loop {
         let turn = sending.turn()?;
         match turn {
@@ -54,14 +49,8 @@ pub(crate) async fn write(shared: Arc<Shared>, writer: Writer, link: u64) -> Res
             Turn::Nothing => sending.shared.outgoing.notified().await,
             Turn::Blocked => sending.writer.ready().await?,
             Turn::Paced => {
-                sending.pause(Instant::now() + pause).await;
-                let taken = sending.flow.taken();
-                pause = if taken == seen {
-                    (pause * 2).min(LONGEST_PACE)
-                } else {
-                    PACE
-                };
-                seen = taken;
+                sending.pause(Instant::now() + pause.time()).await;
+                pause.look(&sending.flow);
             }
             Turn::End => {
                 sending.writer.finish();

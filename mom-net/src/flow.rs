@@ -84,7 +84,7 @@ impl Flow {
     }
 
     /// Bytes that the other side had acknowledged when we last looked.
-    pub fn taken(&self) -> u64 {
+    fn taken(&self) -> u64 {
         self.acknowledged
     }
 
@@ -144,6 +144,44 @@ impl Flow {
 
 fn clamp(bytes: u64) -> usize {
     usize::try_from(bytes).unwrap_or(usize::MAX)
+}
+
+/// How long a writer waits before it looks again whether the network has room.
+#[derive(Debug)]
+pub struct Pause {
+    time: Duration,
+    /// What the other side had taken when we last looked.
+    taken: u64,
+}
+
+impl Pause {
+    /// While the other side takes something.
+    const USUAL: Duration = Duration::from_millis(1);
+    /// For one that takes nothing.
+    const LONGEST: Duration = Duration::from_millis(16);
+
+    /// The time to wait.
+    pub fn time(&self) -> Duration {
+        self.time
+    }
+
+    /// Looks after a wait: a receiver that takes nothing is looked at less and less often.
+    pub fn look(&mut self, flow: &Flow) {
+        self.time = match flow.taken() == self.taken {
+            true => (self.time * 2).min(Pause::LONGEST),
+            false => Pause::USUAL,
+        };
+        self.taken = flow.taken();
+    }
+}
+
+impl Default for Pause {
+    fn default() -> Pause {
+        Pause {
+            time: Pause::USUAL,
+            taken: 0,
+        }
+    }
 }
 
 #[cfg(test)]

@@ -31,7 +31,7 @@ mod writer;
 
 pub use address::{Address, DEFAULT_PORT};
 pub use error::NetError;
-pub use flow::Flow;
+pub use flow::{Flow, Pause};
 pub use link::Link;
 pub use local::pair;
 pub use outgoing::Outgoing;

@@ -1,7 +1,7 @@
 //! The way out to one peer: a bounded queue and the writer that empties it.
 //!
 //! Whoever puts parcels in also tries to write them, in the same turn: on an idle link that saves waking a
-//! task, which costs more than the write. What the link does not take at once is the writer task's.
+//! task, which costs more than the write. What the link does not take at once is the writer's.
 
 mod packet;
 mod queue;
@@ -10,11 +10,10 @@ mod room;
 use std::cell::Cell;
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::time::Duration;
 
 use mom_hub::PeerId;
 use mom_managers::Micros;
-use mom_net::{Flow, GATHER, NetError, Writer};
+use mom_net::{Flow, GATHER, NetError, Pause, Writer};
 use mom_proto::codec::Form;
 use mom_proto::{ContextNumber, Limit, WireError};
 
@@ -31,12 +30,6 @@ use crate::sync::{Mutex, MutexGuard, Notify};
 /// overtaken any more.
 const BATCH_PIECES: usize = 256;
 const BATCH_BYTES: usize = 256 * 1024;
-
-/// How long a writer waits before it looks again whether the network has room.
-const PACE: Duration = Duration::from_millis(1);
-
-/// The same for a receiver that takes nothing.
-const LONGEST_PACE: Duration = Duration::from_millis(16);
 
 /// The outbox of one connection.
 #[derive(Debug)]
@@ -172,7 +165,7 @@ impl Outbox {
         self.wake.notify_one();
     }
 
-    /// Writes what waits as far as the link takes it, and leaves the rest to the writer task.
+    /// Writes what waits as far as the link takes it, and leaves the rest to the writer.
     pub(crate) fn flush(&self) {
         match self.try_flush() {
             Ok(Flushed::Done) => {}
@@ -267,20 +260,14 @@ impl Outbox {
 
     /// Writes on where a flush came no further, until all is written.
     async fn write_on(&self, mut flushed: Flushed) -> Result<(), NetError> {
-        let (mut pause, mut seen) = (PACE, 0);
+        let mut pause = Pause::default();
         loop {
             match flushed {
                 Flushed::Done => return Ok(()),
                 Flushed::Blocked => self.writer.ready().await?,
                 Flushed::Paced => {
-                    tokio::time::sleep(pause).await;
-                    // A receiver that takes nothing is looked at less and less often.
-                    let taken = self.sending.lock().flow.taken();
-                    pause = match taken == seen {
-                        true => (pause * 2).min(LONGEST_PACE),
-                        false => PACE,
-                    };
-                    seen = taken;
+                    tokio::time::sleep(pause.time()).await;
+                    pause.look(&self.sending.lock().flow);
                 }
             }
             flushed = self.flush_after_others()?;
