@@ -3,7 +3,7 @@
 use std::net::SocketAddr;
 
 use mom_broker::{Broker, Clock, Config};
-use mom_proto::Time;
+use mom_proto::{Map, Time, Value};
 
 /// Starts the lab's broker on a free port of loopback.
 pub async fn start() -> Broker {
@@ -29,6 +29,24 @@ pub async fn start_at(clock: Clock, change: impl FnOnce(&mut Config)) -> Broker 
     Broker::start_at(config, clock)
         .await
         .expect("the lab is a right configuration")
+}
+
+/// Lets a rule go before all others in the lab's chat, where everybody may do everything.
+///
+/// # Panics
+/// Never: the lab has a chat.
+pub fn rule_chat(config: &mut Config, rule: Map) {
+    let all = Map::new().with("allow", words(&["*"]));
+    let rules = vec![Value::from(rule), Value::from(all)];
+    let manager = Map::new().with("kind", "roles").with("rules", rules);
+    let mut contexts = config.contexts.iter_mut();
+    let chat = contexts.find(|spec| spec.path.as_deref() == Some("/chat"));
+    chat.expect("the lab has a chat").manager = Some(manager.into());
+}
+
+/// Words as they stand in a rule.
+pub fn words(words: &[&str]) -> Vec<Value> {
+    words.iter().map(|word| Value::from(*word)).collect()
 }
 
 /// A clock that stands still until the test moves it: a lease is over at once.

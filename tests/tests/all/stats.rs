@@ -129,18 +129,10 @@ async fn what_was_dropped_and_what_waits() {
 #[tokio::test]
 async fn who_may_not_ask_is_not_told() {
     let broker = lab::start_with(|config| {
-        let words = |words: &[&str]| words.iter().map(|word| Value::from(*word)).collect::<Vec<_>>();
         let secret = Map::new()
-            .with("deny", words(&["stats"]))
-            .with("users", words(&["bob"]));
-        let all = Map::new().with("allow", words(&["*"]));
-        let rules = vec![Value::from(secret), Value::from(all)];
-        let manager = Map::new().with("kind", "roles").with("rules", rules);
-        let chat = config
-            .contexts
-            .iter_mut()
-            .find(|spec| spec.path.as_deref() == Some("/chat"));
-        chat.expect("the lab has a chat").manager = Some(manager.into());
+            .with("deny", lab::words(&["stats"]))
+            .with("users", lab::words(&["bob"]));
+        lab::rule_chat(config, secret);
     })
     .await;
     let (alice, bob) = (

@@ -147,20 +147,12 @@ async fn what_is_of_the_future_or_over_is_refused_but_no_stop() {
 
 /// A channel whose manager lets `step` pass only while it is fresh.
 fn fresh_steps(config: &mut mom_broker::Config) {
-    let words = |words: &[&str]| words.iter().map(|word| Value::from(*word)).collect::<Vec<_>>();
     let fresh = Map::new()
         .with("name", "steps are fresh")
-        .with("allow", words(&["send"]))
-        .with("messages", words(&["step"]))
+        .with("allow", lab::words(&["send"]))
+        .with("messages", lab::words(&["step"]))
         .with("max-age", 500);
-    let all = Map::new().with("allow", words(&["*"]));
-    let rules = vec![Value::from(fresh), Value::from(all)];
-    let manager = Map::new().with("kind", "roles").with("rules", rules);
-    let chat = config
-        .contexts
-        .iter_mut()
-        .find(|spec| spec.path.as_deref() == Some("/chat"));
-    chat.expect("the lab has a chat").manager = Some(manager.into());
+    lab::rule_chat(config, fresh);
 }
 
 #[tokio::test]
