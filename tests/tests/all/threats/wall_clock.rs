@@ -18,7 +18,8 @@ const YEAR: i64 = 365 * DAY;
 
 /// The wall clock of one process, to be moved.
 struct Wall {
-    library: String,
+    /// What `faketime` puts into the environment of a program, but for the time.
+    library: Vec<(String, String)>,
     file: PathBuf,
 }
 
@@ -26,15 +27,22 @@ impl Wall {
     /// None where `faketime` is not installed, which is said.
     fn new(folder: &Path) -> Option<Wall> {
         let asked = Command::new("faketime")
-            .args(["-m", "-f", "+0s", "printenv", "LD_PRELOAD"])
+            .args(["-m", "-f", "+0s", "env", "-0"])
             .output();
-        let library = asked.ok().filter(|asked| asked.status.success());
-        let Some(library) = library else {
+        let Some(asked) = asked.ok().filter(|asked| asked.status.success()) else {
             let word = "skipped: faketime is not installed (apt-get install faketime)";
             writeln!(std::io::stderr(), "{word}").expect("standard error");
             return None;
         };
-        let library = String::from_utf8_lossy(&library.stdout).trim().to_owned();
+        let told = String::from_utf8_lossy(&asked.stdout);
+        let told = told.split('\0').filter_map(|line| line.split_once('='));
+        let new = told
+            .filter(|(key, value)| std::env::var(key).ok().as_deref() != Some(*value))
+            .filter(|(key, _)| !key.starts_with("FAKETIME") && *key != "_");
+        let library: Vec<_> = new
+            .map(|(key, value)| (key.to_owned(), value.to_owned()))
+            .collect();
+        assert!(!library.is_empty(), "faketime says where its library is");
         let file = folder.join("wall");
         Some(Wall { library, file })
     }
@@ -49,12 +57,12 @@ impl Wall {
 
     async fn start(&self, home: &Home) -> Service {
         let file = self.file.display().to_string();
-        let environment = [
-            ("LD_PRELOAD", &*self.library),
-            ("FAKETIME_TIMESTAMP_FILE", &file),
+        let mut environment = vec![
+            ("FAKETIME_TIMESTAMP_FILE", &*file),
             ("FAKETIME_NO_CACHE", "1"),
             ("FAKETIME_DONT_FAKE_MONOTONIC", "1"),
         ];
+        environment.extend(self.library.iter().map(|(key, value)| (&**key, &**value)));
         home.start_in(&environment).await
     }
 }
