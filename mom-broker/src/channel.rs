@@ -424,12 +424,13 @@ pub(crate) fn stamped(mut parcel: Parcel, wall: Time) -> Parcel {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use mom_hub::Member;
     use mom_managers::PeerFacts;
 
-    fn route(peers: &[u64]) -> Route {
+    /// Of a channel with these peers and nothing else.
+    pub(crate) fn route(peers: &[u64]) -> Route {
         let member = |peer: &u64| {
             let facts = PeerFacts {
                 name: peer.to_string().into(),

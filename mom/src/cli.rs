@@ -176,7 +176,7 @@ pub(crate) struct Stats {
 }
 
 const STATS: &str = "\
-Dropped messages are told by reason; ages are those at which the hub took messages in, where it knows the
+Dropped messages are told by reason and class; ages are those at which the hub took messages in, where it knows the
 sender's clock.
 
 Examples:

@@ -149,32 +149,10 @@ fn int(number: u64) -> Value {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
-    use mom_hub::{Member, PeerId};
-    use mom_managers::PeerFacts;
-    use mom_proto::{ContextNumber, Path};
+    use mom_hub::PeerId;
 
     use super::*;
-
-    fn route(peers: &[u64]) -> Route {
-        let facts = |peer: &u64| PeerFacts {
-            name: peer.to_string().into(),
-            user: "user".into(),
-            level: 0,
-            groups: Arc::from([]),
-        };
-        let member = |peer: &u64| Arc::new(Member::new(PeerId(*peer), Arc::new(facts(peer))));
-        Route {
-            number: ContextNumber(1),
-            path: Path::root(),
-            members: peers.iter().map(member).collect(),
-            guard: None,
-            delivery: Delivery::default(),
-            overflow: mom_proto::Overflow::default(),
-            keep: None,
-        }
-    }
+    use crate::channel::tests::route;
 
     #[test]
     fn figures_stay_with_their_peers() {

@@ -100,7 +100,7 @@ fn heard(reader: &mut Reader) -> Vec<Parcel> {
     std::iter::from_fn(next).collect()
 }
 
-/// The writer task of an outbox.
+/// The writer of an outbox, as a task.
 fn write(outbox: &Arc<Outbox>) -> shuttle::future::JoinHandle<()> {
     let outbox = Arc::clone(outbox);
     shuttle::future::spawn(async move { outbox.run().await })

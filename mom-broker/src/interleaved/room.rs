@@ -10,10 +10,10 @@ use mom_proto::{Code, ContextNumber, Family, Limit, Limits, WireError};
 
 use super::board::{Lab, ask, messages, path, say_to};
 use super::{explore, hear, heard, on, said, write};
+use crate::channel::control;
 use crate::encodings::Encodings;
-use crate::outbox::{Lane, Origin, Outbox, Packet};
+use crate::outbox::{Origin, Outbox};
 use crate::switchboard::{Sender, Sent, Switchboard, Touched};
-use mom_proto::Delivery;
 
 const BULK: &str = "/lab/bulk";
 
@@ -73,16 +73,8 @@ fn fill(outbox: &Outbox) {
             sender: PeerId(0),
             name: "filling".into(),
         };
-        let packet = Packet {
-            encodings: Encodings::new(said("filling", id), std::iter::once(None)).expect("no form needed"),
-            lane: Lane::Control,
-            delivery: Delivery::Reliable,
-            origin,
-            expires_at: None,
-            gate: None,
-            count: 1,
-        };
-        outbox.push(Arc::new(packet));
+        let encodings = Encodings::new(said("filling", id), std::iter::once(None));
+        outbox.push(control(encodings.expect("no form needed"), origin));
     }
     outbox.flush();
 }
@@ -205,7 +197,7 @@ fn a_stop_does_not_wait() {
         let speaks = on(&scene.lab.board, move |board| {
             (0..6).filter(|id| say(board, alice, *id)).count()
         });
-        // Without a writer task and without a reader, nothing makes room.
+        // Without a writer and without a reader, nothing makes room.
         let bob = scene.bob;
         let stops = on(&scene.lab.board, move |board| {
             say_to(board, bob, said("stop", 7).context(path(BULK)))
