@@ -4,12 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::sync::Arc;
 
+use mom_config::{Config, ConfigError};
 use mom_hub::{Configuration, Input, PeerId, User};
 use mom_proto::{Limits, Map, Value};
 
 use crate::Broker;
-use crate::config::{Config, ConfigError};
-use crate::switchboard::{Touched, flush};
+use crate::traffic::switchboard::{Touched, flush};
 
 /// What another configuration changed.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -56,7 +56,7 @@ impl Broker {
             report.peers = users.len();
             let configuration = configuration(&config, users);
             let input = Input::Configure(Box::new(configuration));
-            self.context.board.witness.configuring(&config);
+            self.context.board.tap.configuring(config.file());
             self.context.board.decide(input, &mut touched);
         };
         let (users, login) = (config.users.clone(), config.login.clone());

@@ -1,64 +1,45 @@
 //! `cargo xtask shuttle`: the tests that try the broker's threads in many orders of their steps.
 //!
-//! They are unit tests of `mom-broker`, built once more with `--cfg shuttle`, which reaches that package alone: what it
-//! depends on is shared with the other tests.
+//! They are unit tests of the packages whose threads meet, built once more with the feature `shuttle`: it swaps the locks
+//! of `mom-system`, and reaches nothing below that.
 
 use std::path::Path;
-use std::process::Stdio;
+use std::process::Command;
 
-use anyhow::{Context as _, Result};
-use serde_json::Value;
+use anyhow::Result;
 
-use crate::command::{cargo, line, output, shows};
+use crate::command::{cargo, line, shows};
 
 /// Part of the names of all of them, and of no other test.
 const NAME: &str = "interleaved";
+
+/// The packages that have some.
+const PACKAGES: &[&str] = &["mom-store", "mom-broker"];
 
 /// How to start it by hand.
 pub(crate) const COMMAND: &str = "cargo xtask shuttle";
 
 /// Builds and runs them; whether all orders went well. `orders` and `seed` as the tests have them if not said.
 pub(crate) fn run(root: &Path, orders: Option<u64>, seed: Option<u64>) -> Result<bool> {
-    let mut build = cargo(root);
-    build
-        .args([
-            "rustc",
-            "--locked",
-            "--package",
-            "mom-broker",
-            "--lib",
-            "--profile",
-            "test",
-        ])
-        .args([
-            "--message-format",
-            "json-render-diagnostics",
-            "--",
-            "--cfg",
-            "shuttle",
-        ])
-        .stderr(Stdio::inherit());
-    println!("$ {}", line(&build));
-    let messages = output(&mut build)?;
-    let program = messages
-        .lines()
-        .filter_map(program_of)
-        .next_back()
-        .context("cargo names no test program that it has built")?;
-    let mut tests = std::process::Command::new(&program);
-    tests.arg(NAME).current_dir(root).stdin(Stdio::null());
+    let mut tests = command(root);
     for (name, number) in [("MOM_ORDERS", orders), ("MOM_SEED", seed)] {
         if let Some(number) = number {
             tests.env(name, number.to_string());
         }
     }
+    println!("$ {}", line(&tests));
     shows(&mut tests)
 }
 
-/// The program that one of cargo's messages says it has built.
-fn program_of(message: &str) -> Option<String> {
-    let message: Value = serde_json::from_str(message).ok()?;
-    Some(message.get("executable")?.as_str()?.to_owned())
+fn command(root: &Path) -> Command {
+    let mut tests = cargo(root);
+    tests.args(["test", "--locked", "--lib"]);
+    for package in PACKAGES {
+        let feature = format!("{package}/shuttle");
+        tests.args(["--package", package, "--features", &feature]);
+    }
+    tests.arg(NAME);
+    tests
 }
 
 #[cfg(test)]
@@ -66,18 +47,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_program_is_found_among_messages() {
-        let messages = [
-            (r#"{"reason":"compiler-artifact","executable":null}"#, None),
-            (
-                r#"{"reason":"compiler-artifact","executable":"/t/mom_broker-1"}"#,
-                Some("/t/mom_broker-1"),
-            ),
-            (r#"{"reason":"build-finished","success":true}"#, None),
-            ("running 3 tests", None),
-        ];
-        for (message, program) in messages {
-            assert_eq!(program_of(message).as_deref(), program, "{message}");
+    fn each_package_is_built_with_its_feature() {
+        let command = line(&command(Path::new(".")));
+        for package in PACKAGES {
+            let words = format!("--package {package} --features {package}/shuttle");
+            assert!(command.contains(&words), "{command}");
         }
+        assert!(command.ends_with(NAME), "{command}");
     }
 }

@@ -4,10 +4,10 @@ use std::path::Path as FilePath;
 
 use mom_hub::{Holder, Record, Ticket};
 use mom_proto::{Path, Time};
+use mom_store::Store;
 use tempfile::TempDir;
 
 use super::Broker;
-use crate::store::Store;
 use crate::{BrokerError, Clock, Config, StoreError};
 
 fn config(state: &FilePath) -> Config {

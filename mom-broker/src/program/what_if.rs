@@ -37,7 +37,7 @@ pub(super) struct Args {
 /// Exits with 0 if nothing differs and 2 if something does.
 pub(super) fn run(args: &Args) -> Result<ExitCode> {
     let config = Config::load(&args.file)?;
-    let mut replay = Replay::open(config.clone(), &args.log)?;
+    let mut replay = config.replay(&args.log)?;
     if args.rules {
         replay.compare_rules();
     }

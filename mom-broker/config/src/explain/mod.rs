@@ -1,0 +1,388 @@
+//! Who may, and why: what a hub of this configuration would say to a request that nobody makes.
+
+mod words;
+
+use mom_hub::{Case, Judgement, Settings, User};
+use mom_login::{GUEST, guest};
+use mom_managers::{Answer, Ask, Defer};
+use mom_proto::nearest::nearest;
+use mom_proto::{ContextKind, Family, Map, Path, Pattern, Time, Value, Verb};
+use mom_system::Clock;
+use serde::Serialize;
+
+use super::{Config, ConfigError, Place};
+
+use words::{error_map, later, needs, stands};
+
+/// Stands for every message that no rule names.
+const ANY_OTHER: &str = "*";
+
+/// Who is supposed to ask where.
+#[derive(Clone, Debug)]
+pub struct Supposed {
+    /// The user.
+    pub user: String,
+    /// Its level and groups, for one whom the users file does not know, or does not know so.
+    pub level: Option<i32>,
+    /// As `level`.
+    pub groups: Option<Vec<String>>,
+    /// Where; for `create` the path to be made.
+    pub context: Path,
+    /// The kind to be made, for `create`.
+    pub kind: Option<ContextKind>,
+    /// The user who owns the token meanwhile, if it is one.
+    pub owner: Option<String>,
+    /// Whether a member has invited the user there.
+    pub invited: bool,
+    /// When; none = now.
+    pub at: Option<Time>,
+}
+
+/// What would be said, and by which rule.
+#[derive(Clone, Debug, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub struct Explanation {
+    /// The user.
+    pub user: String,
+    /// Its level.
+    pub level: i32,
+    /// Its groups.
+    pub groups: Vec<String>,
+    /// The verb.
+    pub verb: &'static str,
+    /// The message, for sends; `*` = any that no rule names.
+    pub message: Option<String>,
+    /// Where.
+    pub context: String,
+    /// What is there; none = nothing.
+    pub kind: Option<&'static str>,
+    /// `allow`, `deny`, `ask` (peers have to be asked first) or `wait` (there is a queue).
+    pub answer: &'static str,
+    /// The rule that decided; none = the manager as a whole, or the hub itself where `place` is none too.
+    pub rule: Option<String>,
+    /// Whether it is no rule but the manager's answer where none covers the request.
+    pub uncovered: bool,
+    /// Where that stands.
+    pub place: Option<Place>,
+    /// How the manager that was asked is named.
+    pub manager: String,
+    /// The context that it manages.
+    pub managed_at: String,
+    /// The error that the peer would get: its name, and all its content.
+    pub error: Option<Map>,
+    /// Whom it would ask first.
+    pub asks: Option<Asked>,
+    /// Whether the owner loses the token by it.
+    pub displaces: bool,
+    /// When the ownership would end, whatever the lease.
+    pub until: Option<Time>,
+    /// For how long the answer stands.
+    pub stands: String,
+    /// What the hub wants besides, whoever it is.
+    pub needs: Vec<String>,
+}
+
+/// Whom a manager would ask.
+#[derive(Clone, Debug, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub struct Asked {
+    /// In words.
+    pub who: String,
+    /// The users of the users file that could answer.
+    pub users: Vec<String>,
+    /// How long they have, in ms.
+    pub within: u64,
+}
+
+impl Config {
+    /// What a hub of this configuration would say to a request.
+    ///
+    /// # Errors
+    /// A user that is not known, a verb that no manager is asked about, a configuration that is wrong.
+    pub fn explain(
+        &self,
+        supposed: &Supposed,
+        verb: Verb,
+        message: Option<&str>,
+    ) -> Result<Explanation, ConfigError> {
+        if verb.family() == Family::Message && verb != Verb::Send && message.is_some() {
+            return Err(plain(format!("{verb} is a message itself; leave the name out")));
+        }
+        match verb {
+            Verb::Login | Verb::Answer | Verb::Logout | Verb::Verdict | Verb::Ping | Verb::Pong => {
+                Err(plain(format!("no manager is asked about {verb}")))
+            }
+            _ => self.judge(supposed, verb, message),
+        }
+    }
+
+    /// The same for everything that can be asked of a context: each verb, and each message that a rule names.
+    ///
+    /// # Errors
+    /// As [`Config::explain`].
+    pub fn explain_all(&self, supposed: &Supposed) -> Result<Vec<Explanation>, ConfigError> {
+        let place = self.hub()?.place(&supposed.context);
+        let verbs: &[Verb] = match place.as_ref().map(|place| place.kind) {
+            None => &[Verb::Create, Verb::Lookup],
+            Some(ContextKind::Session) => &[Verb::List],
+            Some(ContextKind::Channel) => &[],
+            Some(ContextKind::Token) => &[
+                Verb::Grab,
+                Verb::Renew,
+                Verb::Give,
+                Verb::Accept,
+                Verb::Request,
+                Verb::Break,
+                Verb::Inhibit,
+            ],
+        };
+        let everywhere = [
+            Verb::Lookup,
+            Verb::Info,
+            Verb::Join,
+            Verb::Members,
+            Verb::Stats,
+            Verb::Invite,
+            Verb::Expel,
+        ];
+        let everywhere = everywhere.iter().filter(|_| place.is_some());
+        let mut all = everywhere
+            .chain(verbs)
+            .map(|verb| self.judge(supposed, *verb, None))
+            .collect::<Result<Vec<_>, _>>()?;
+        match place.map(|place| (place.kind, place.managed_at)) {
+            Some((ContextKind::Session, _)) => {
+                let inside = Supposed {
+                    context: supposed
+                        .context
+                        .child("new")
+                        .map_err(|error| plain(error.to_string()))?,
+                    ..supposed.clone()
+                };
+                all.push(self.judge(&inside, Verb::Create, None)?);
+            }
+            Some((ContextKind::Channel, managed_at)) => {
+                for name in self.message_names(&supposed.context, &managed_at) {
+                    all.push(self.judge(supposed, Verb::Send, Some(&name))?);
+                }
+                for verb in [Verb::Stop, Verb::Unstop] {
+                    all.push(self.judge(supposed, verb, None)?);
+                }
+            }
+            _ => {}
+        }
+        Ok(all)
+    }
+
+    fn judge(
+        &self,
+        supposed: &Supposed,
+        verb: Verb,
+        message: Option<&str>,
+    ) -> Result<Explanation, ConfigError> {
+        let user = self.supposed_user(supposed)?;
+        let owner = supposed
+            .owner
+            .as_ref()
+            .map(|owner| self.user(owner))
+            .transpose()?;
+        let message = match verb {
+            Verb::Send => Some(message.unwrap_or(ANY_OTHER)),
+            // A message whose name is its verb.
+            Verb::Stop | Verb::Unstop => Some(verb.word()),
+            _ => message,
+        };
+        let anchor = supposed.at.unwrap_or_else(|| Clock::system().wall());
+        let hub = self.make_hub(Settings {
+            anchor,
+            limits: self.limits.clone(),
+            ..Settings::default()
+        });
+        let judgement = hub?.judge(&Case {
+            user: &user,
+            verb,
+            path: &supposed.context,
+            kind: supposed.kind,
+            message,
+            owner: owner.as_ref(),
+            invited: supposed.invited,
+        });
+        let kind = judgement.place.as_ref().map(|place| place.kind);
+        if owner.is_some() && kind != Some(ContextKind::Token) {
+            let text = format!("{} is no token, so nobody owns it", supposed.context);
+            return Err(plain(text));
+        }
+        let message = message.filter(|_| verb == Verb::Send).map(str::to_owned);
+        Ok(self.explanation(user, supposed, verb, message, &judgement, anchor))
+    }
+
+    fn explanation(
+        &self,
+        user: User,
+        supposed: &Supposed,
+        verb: Verb,
+        message: Option<String>,
+        judgement: &Judgement,
+        anchor: Time,
+    ) -> Explanation {
+        let Judgement {
+            verdict,
+            refusal,
+            managed_at,
+            ..
+        } = judgement;
+        let answer = match (&verdict.answer, refusal) {
+            (Answer::Defer(_), _) => "ask",
+            (Answer::Queue(_), _) => "wait",
+            (_, Some(_)) => "deny",
+            (Answer::Allow(_) | Answer::Deny(_), None) => "allow",
+        };
+        let grant = match &verdict.answer {
+            Answer::Allow(grant) => Some(grant),
+            _ => None,
+        };
+        // What the manager allowed and the hub refuses all the same is no matter of the configuration.
+        let by_hub = answer == "deny" && verdict.is_allow();
+        let rule = match refusal.as_ref().and_then(|error| error.get("rule")?.as_str()) {
+            Some(rule) => Some(rule.to_owned()),
+            None => verdict.rule.as_deref().filter(|_| !by_hub).map(str::to_owned),
+        };
+        let place = rule
+            .as_ref()
+            .and_then(|rule| self.locate_rule(rule, managed_at))
+            .or_else(|| self.locate_manager_of(managed_at))
+            .filter(|_| !by_hub);
+        let refused = rule.as_ref().filter(|_| answer == "deny");
+        let uncovered = refused.is_some_and(|rule| {
+            let managers = self.managers_at(managed_at);
+            let mut rules = managers.iter().filter(|manager| manager.kind == "roles");
+            rules.any(|manager| manager.label == *rule)
+        });
+        Explanation {
+            user: user.name,
+            level: user.level,
+            groups: user.groups,
+            verb: verb.word(),
+            message,
+            context: supposed.context.to_string(),
+            kind: judgement.place.as_ref().map(|place| place.kind.word()),
+            answer,
+            rule,
+            uncovered,
+            place,
+            manager: judgement.manager.clone(),
+            managed_at: managed_at.to_string(),
+            error: refusal.as_ref().map(error_map),
+            asks: match &verdict.answer {
+                Answer::Defer(defer) => Some(self.asked(defer)),
+                _ => None,
+            },
+            displaces: grant.is_some_and(|grant| grant.displace)
+                && answer == "allow"
+                && supposed.owner.is_some(),
+            until: grant.and_then(|grant| later(anchor, grant.until?)),
+            stands: stands(verdict.standing),
+            needs: needs(&supposed.context, verb, judgement),
+        }
+    }
+
+    /// The messages that rules tell apart on a channel, and one for all others.
+    fn message_names(&self, channel: &Path, managed_at: &Path) -> Vec<String> {
+        let mut specs = self.contexts.iter();
+        let spec = specs.find(|spec| spec.path.as_deref() == Some(channel.as_str()));
+        let guard = spec.and_then(|spec| spec.guard.as_ref());
+        let mut names = guard.map(|guard| guard.names.clone()).unwrap_or_default();
+        for manager in self.managers_at(managed_at) {
+            if let Some(params) = manager.params {
+                collect_messages(params, channel, &mut names);
+            }
+        }
+        names.retain(|name| !matches!(name.as_str(), "stop" | "unstop" | "halt" | ANY_OTHER));
+        names.sort_unstable();
+        names.dedup();
+        names.push(ANY_OTHER.to_owned());
+        names
+    }
+
+    fn supposed_user(&self, supposed: &Supposed) -> Result<User, ConfigError> {
+        let mut user = match self.user(&supposed.user) {
+            Ok(user) => user,
+            Err(_) if supposed.level.is_some() || supposed.groups.is_some() => User {
+                name: supposed.user.clone(),
+                level: 0,
+                groups: Vec::new(),
+                details: Map::new(),
+            },
+            Err(error) => return Err(error),
+        };
+        user.level = supposed.level.unwrap_or(user.level);
+        if let Some(groups) = &supposed.groups {
+            user.groups.clone_from(groups);
+        }
+        Ok(user)
+    }
+
+    fn user(&self, name: &str) -> Result<User, ConfigError> {
+        if self.login.guests && name == GUEST {
+            return Ok(guest());
+        }
+        let entry = self.users.iter().find(|entry| entry.name == name);
+        entry.map(|entry| entry.to_user()).ok_or_else(|| {
+            let near = nearest(name, self.users.iter().map(|entry| entry.name.as_str()));
+            let hint = near.map(|near| format!(" (did you mean {near}?)"));
+            plain(format!("there is no user {name:?}{}", hint.unwrap_or_default()))
+        })
+    }
+
+    fn asked(&self, defer: &Defer) -> Asked {
+        let (who, users) = match &defer.ask {
+            Ask::Creator => ("the peer that made the context".to_owned(), Vec::new()),
+            Ask::Chairs {
+                users,
+                groups,
+                min_level,
+            } => {
+                let chairs = self.users.iter().filter(|user| {
+                    let named = users.is_empty() && groups.is_empty();
+                    let listed = users.contains(&user.name);
+                    let grouped = user.groups.iter().any(|group| groups.contains(group));
+                    (named || listed || grouped) && min_level.is_none_or(|least| user.level >= least)
+                });
+                let who = "the first to answer of these who is in the context, or in the one above it";
+                (who.to_owned(), chairs.map(|user| user.name.clone()).collect())
+            }
+        };
+        Asked {
+            who,
+            users,
+            within: defer.within / 1000,
+        }
+    }
+}
+
+/// Collects the members of every list `messages`, but of rules that are about other places.
+fn collect_messages(map: &Map, channel: &Path, names: &mut Vec<String>) {
+    let strings = |key: &str| {
+        let list = map.get(key).and_then(Value::as_list).unwrap_or_default();
+        list.iter().filter_map(Value::as_str)
+    };
+    let mut places = strings("where").filter_map(|place| Pattern::parse(place).ok());
+    if map.contains_key("where") && !places.any(|place| place.matches(channel)) {
+        return;
+    }
+    names.extend(strings("messages").map(str::to_owned));
+    for inner in map.iter().filter_map(|(_, value)| value.as_list()).flatten() {
+        if let Some(inner) = inner.as_map() {
+            collect_messages(inner, channel, names);
+        }
+    }
+}
+
+fn plain(text: String) -> ConfigError {
+    ConfigError {
+        file: None,
+        line: None,
+        key: None,
+        text,
+    }
+}

@@ -1,0 +1,37 @@
+//! What the journal has to know of a configuration.
+
+use std::path::Path;
+
+use mom_journal::{ConfigFile, RecordError, Replay};
+use sha2::{Digest, Sha256};
+
+use crate::Config;
+
+impl Config {
+    /// Its file, as the journal names it.
+    pub fn file(&self) -> ConfigFile {
+        let source = self.source.as_ref();
+        let name = source.and_then(|source| Path::new(&source.name).file_name());
+        let sha256 = |text: &str| {
+            Sha256::digest(text)
+                .iter()
+                .map(|byte| format!("{byte:02x}"))
+                .collect()
+        };
+        ConfigFile {
+            name: name.map(|name| name.to_string_lossy().into_owned()),
+            sha256: source.map(|source| sha256(&source.text)),
+        }
+    }
+
+    /// Opens a recording, to decide it again by this configuration.
+    ///
+    /// # Errors
+    /// A file that is no recording, or a configuration that is wrong.
+    pub fn replay(&self, log: &Path) -> Result<Replay, RecordError> {
+        let users = self.users.iter().map(|user| user.to_user()).collect();
+        Replay::open(log, self.limits.clone(), users, |settings| {
+            self.make_hub(settings)
+        })
+    }
+}

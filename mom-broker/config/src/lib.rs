@@ -1,0 +1,143 @@
+//! The configuration: what the file may say, and its defaults.
+
+mod error;
+mod explain;
+mod journal;
+mod load;
+mod locate;
+mod login;
+mod managers;
+mod review;
+mod schema;
+mod users;
+
+use std::collections::BTreeMap;
+
+use mom_hub::{ContextSpec, Hub, Settings};
+use mom_journal::{AuditConfig, RecordConfig};
+use mom_login::{LoginConfig, UserEntry};
+use mom_managers::Registry;
+use mom_proto::{Limits, Value};
+use mom_store::StoreConfig;
+use serde::Deserialize;
+
+pub use error::ConfigError;
+pub use explain::{Asked, Explanation, Supposed};
+pub use locate::Place;
+pub use schema::{config_schema, users_schema};
+
+use locate::Source;
+
+/// All that a broker can be told.
+///
+/// ```
+/// use mom_config::Config;
+/// let config = Config::default();
+/// assert_eq!(config.listen, ["127.0.0.1:7666"]);
+/// assert!(config.users.is_empty(), "closed by default");
+/// ```
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// The addresses to listen at.
+    pub listen: Vec<String>,
+    /// Connections at once.
+    pub connections: usize,
+    /// What to log, in the words of `tracing`'s filters.
+    pub log: String,
+    /// When the file is read again.
+    pub reload: ReloadOn,
+    /// What the hub takes.
+    pub limits: Limits,
+    /// How logins are checked.
+    pub login: LoginConfig,
+    /// What outlives the broker.
+    pub store: StoreConfig,
+    /// Where the audit log goes.
+    pub audit: AuditConfig,
+    /// Where control inputs are recorded.
+    pub record: RecordConfig,
+    /// The manager of the root.
+    pub root: Value,
+    /// The managers that have names.
+    pub managers: BTreeMap<String, Value>,
+    /// The contexts that are always there.
+    pub contexts: Vec<ContextSpec>,
+    /// The users.
+    pub users: Vec<UserEntry>,
+    source: Option<Source>,
+}
+
+/// When the configuration file is read again.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ReloadOn {
+    /// When it or the users file has changed, and at SIGHUP.
+    #[default]
+    Change,
+    /// At SIGHUP only.
+    Signal,
+}
+
+impl Default for Config {
+    fn default() -> Config {
+        Config {
+            listen: vec!["127.0.0.1:7666".to_owned()],
+            connections: 10_000,
+            log: "info".to_owned(),
+            reload: ReloadOn::default(),
+            limits: Limits::default(),
+            login: LoginConfig::default(),
+            store: StoreConfig::default(),
+            audit: AuditConfig::default(),
+            record: RecordConfig::default(),
+            root: Value::from("closed"),
+            managers: BTreeMap::new(),
+            contexts: Vec::new(),
+            users: Vec::new(),
+            source: None,
+        }
+    }
+}
+
+impl Config {
+    /// Checks all that can be checked without starting: managers, contexts, paths.
+    ///
+    /// # Errors
+    /// What is wrong, with file, line and key where it came from a file.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        for name in self.managers.keys() {
+            let built = self.registry().build(&Value::from(name.as_str()));
+            built.map_err(|error| self.locate_manager(name, &error))?;
+        }
+        self.check_login()?;
+        self.hub().map(|_| ())
+    }
+
+    /// A hub of this configuration to which nobody has come yet, to ask what it would say.
+    ///
+    /// # Errors
+    /// As [`Config::check`].
+    pub fn hub(&self) -> Result<Hub, ConfigError> {
+        self.make_hub(Settings {
+            limits: self.limits.clone(),
+            ..Settings::default()
+        })
+    }
+
+    /// The hub of this configuration.
+    ///
+    /// # Errors
+    /// As [`Config::check`].
+    pub fn make_hub(&self, settings: Settings) -> Result<Hub, ConfigError> {
+        Hub::new(settings, self.registry(), &self.root, &self.contexts).map_err(|error| self.locate(&error))
+    }
+
+    /// The managers that contexts can name.
+    pub fn registry(&self) -> Registry {
+        let mut registry = Registry::builtin();
+        for (name, spec) in &self.managers {
+            registry.define(name, spec.clone());
+        }
+        registry
+    }
+}

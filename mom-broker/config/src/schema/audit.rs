@@ -1,0 +1,33 @@
+//! The tables `[audit]` and `[record]`.
+
+use mom_journal::{AuditConfig, RecordConfig};
+use serde_json::{Value, json};
+
+use super::{number, table, text, with_default};
+
+pub(super) fn audit() -> Value {
+    let default = AuditConfig::default();
+    let properties = json!({
+        "path": text("The file, relative to this one; absent = the log, at level info as target audit."),
+        "size": with_default(at_least("Bytes after which a new file is begun.", AuditConfig::LEAST), default.size),
+        "keep": with_default(at_least("Files that are kept beside the present one.", 0), default.keep),
+    });
+    let description = "Who was given, refused and lost what, by which rule, as JSON lines.";
+    table(description, &properties, &[])
+}
+
+pub(super) fn record() -> Value {
+    let default = RecordConfig::default();
+    let properties = json!({
+        "path": text("The file, relative to this one; absent = nothing is recorded."),
+        "size": with_default(at_least("Bytes after which recording stops.", RecordConfig::LEAST), default.size),
+    });
+    let description = "All that is asked of the hub and what it decides, for mom-broker what-if.";
+    table(description, &properties, &[])
+}
+
+fn at_least(description: &str, least: u64) -> Value {
+    let mut number = number(description);
+    number["minimum"] = least.into();
+    number
+}

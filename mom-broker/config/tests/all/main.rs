@@ -1,0 +1,5 @@
+//! Configuration files as people write them.
+
+mod files;
+mod review;
+mod schema;

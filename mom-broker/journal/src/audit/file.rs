@@ -1,0 +1,283 @@
+//! The audit log's file: appended to, and begun anew when it is long enough.
+
+use std::fs::{self, File};
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use mom_system::{numbered, open_own};
+
+use super::fact::LONGEST;
+use super::sink::Sink;
+
+/// A file of at most so many bytes, and those before it.
+#[derive(Debug)]
+pub(super) struct RotatingFile {
+    path: PathBuf,
+    file: File,
+    length: u64,
+    size: u64,
+    keep: u32,
+    unsynced: bool,
+}
+
+impl RotatingFile {
+    /// Opens the file to go on where it ends; gives the number of its last line too, 0 for none.
+    pub(super) fn open(path: &Path, size: u64, keep: u32) -> io::Result<(RotatingFile, u64)> {
+        let mut file = open_own(path)?;
+        let mut length = file.metadata()?.len();
+        let tail = tail(&mut file, length)?;
+        if tail.last().is_some_and(|byte| *byte != b'\n') {
+            // The last line was cut off by a crash: what comes stands on lines of its own.
+            file.write_all(b"\n")?;
+            length += 1;
+        }
+        let opened = RotatingFile {
+            path: path.to_owned(),
+            file,
+            length,
+            size,
+            keep,
+            unsynced: false,
+        };
+        Ok((opened, last_seq(&tail)))
+    }
+
+    /// Begins a new file; the present one becomes the youngest of those before.
+    fn rotate(&mut self) -> io::Result<()> {
+        self.file.sync_data()?;
+        // Before anything is moved: where there is no room for a new file the old ones stay as they are.
+        let new = numbered(&self.path, "new");
+        match fs::remove_file(&new) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+            _ => {}
+        }
+        let file = open_own(&new)?;
+        match self.keep {
+            0 => {}
+            keep => {
+                for number in (1..keep).rev() {
+                    let (from, to) = (numbered(&self.path, number), numbered(&self.path, number + 1));
+                    match fs::rename(from, to) {
+                        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+                        _ => {}
+                    }
+                }
+                fs::rename(&self.path, numbered(&self.path, 1))?;
+            }
+        }
+        fs::rename(&new, &self.path)?;
+        if let Some(folder) = self.path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+            // The names are durable too, where folders can be synced at all.
+            let _ = File::open(folder).and_then(|folder| folder.sync_all());
+        }
+        (self.file, self.length) = (file, 0);
+        Ok(())
+    }
+
+    /// Writes whole lines; gives how many are in the file.
+    fn write(&mut self, lines: &[Vec<u8>]) -> (usize, io::Result<()>) {
+        let bytes = lines.concat();
+        let mut written = 0;
+        let result = loop {
+            if written == bytes.len() {
+                break Ok(());
+            }
+            match self.file.write(&bytes[written..]) {
+                Ok(0) => break Err(io::ErrorKind::WriteZero.into()),
+                Ok(more) => written += more,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => break Err(error),
+            }
+        };
+        self.unsynced |= written > 0;
+        self.length += written as u64;
+        if result.is_ok() {
+            return (lines.len(), result);
+        }
+        let (count, whole) = whole_lines(lines, written);
+        if written > whole {
+            self.cut((written - whole) as u64);
+        }
+        (count, result)
+    }
+
+    /// Takes the beginning of a line back, so that the next stands on a line of its own.
+    fn cut(&mut self, bytes: u64) {
+        let end = self.length.saturating_sub(bytes);
+        match self.file.set_len(end) {
+            Ok(()) => self.length = end,
+            // Then the next line shares one with it, and nothing better can be done here.
+            Err(error) => tracing::error!(%error, "the audit log has a broken line"),
+        }
+    }
+}
+
+/// How many lines fit in so many bytes, and how many bytes they have.
+fn whole_lines(lines: &[Vec<u8>], bytes: usize) -> (usize, usize) {
+    let mut whole = (0, 0);
+    for line in lines {
+        if whole.1 + line.len() > bytes {
+            break;
+        }
+        whole = (whole.0 + 1, whole.1 + line.len());
+    }
+    whole
+}
+
+impl Drop for RotatingFile {
+    fn drop(&mut self) {
+        // Closing would do, but for a process that is just being made and has all files of this one until it becomes
+        // its own program. What fails here is closed all the same.
+        let _ = self.file.unlock();
+    }
+}
+
+impl Sink for RotatingFile {
+    fn append(&mut self, lines: &[Vec<u8>]) -> (usize, io::Result<()>) {
+        let mut done = 0;
+        while done < lines.len() {
+            let room = usize::try_from(self.size.saturating_sub(self.length)).unwrap_or(usize::MAX);
+            let (mut fit, _) = whole_lines(&lines[done..], room);
+            if fit == 0 && self.length > 0 {
+                match self.rotate() {
+                    Ok(()) => continue,
+                    // A file that is too long is better than a line that is lost.
+                    Err(error) => {
+                        tracing::error!(%error, "the audit log could not be rotated and grows on");
+                        fit = lines.len() - done;
+                    }
+                }
+            }
+            let (written, result) = self.write(&lines[done..done + fit.max(1)]);
+            done += written;
+            if result.is_err() {
+                return (done, result);
+            }
+        }
+        (done, Ok(()))
+    }
+
+    fn sync(&mut self) -> io::Result<()> {
+        if std::mem::take(&mut self.unsynced) {
+            // A device such as a terminal cannot be synced, and has nothing to lose.
+            return match self.file.sync_data() {
+                Err(error) if error.kind() == io::ErrorKind::InvalidInput => Ok(()),
+                result => result,
+            };
+        }
+        Ok(())
+    }
+}
+
+/// The end of the file, long enough for its last line.
+fn tail(file: &mut File, length: u64) -> io::Result<Vec<u8>> {
+    let mut tail = Vec::new();
+    if length > 0 {
+        file.seek(SeekFrom::Start(length.saturating_sub(2 * LONGEST as u64)))?;
+        file.read_to_end(&mut tail)?;
+    }
+    Ok(tail)
+}
+
+fn last_seq(tail: &[u8]) -> u64 {
+    let seq = |line: &[u8]| serde_json::from_slice::<serde_json::Value>(line).ok()?["seq"].as_u64();
+    tail.rsplit(|byte| *byte == b'\n')
+        .find_map(seq)
+        .unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tempfile::TempDir;
+
+    fn lines(from: u64, to: u64) -> Vec<Vec<u8>> {
+        (from..to)
+            .map(|seq| format!("{{\"seq\":{seq}}}\n").into_bytes())
+            .collect()
+    }
+
+    fn read(path: &Path) -> String {
+        fs::read_to_string(path).unwrap()
+    }
+
+    #[test]
+    fn old_files_are_kept_as_far_as_wished() {
+        let folder = TempDir::new().unwrap();
+        let path = folder.path().join("audit.jsonl");
+        // Three lines of ten bytes each have room.
+        let (mut file, last) = RotatingFile::open(&path, 35, 2).unwrap();
+        assert_eq!(last, 0);
+        let (written, result) = file.append(&lines(10, 20));
+        assert!(result.is_ok() && written == 10);
+        file.sync().unwrap();
+        let text = |from, to| String::from_utf8(lines(from, to).concat()).unwrap();
+        assert_eq!(read(&path), text(19, 20));
+        assert_eq!(read(&numbered(&path, 1)), text(16, 19));
+        assert_eq!(read(&numbered(&path, 2)), text(13, 16));
+        let names = fs::read_dir(folder.path()).unwrap().count();
+        assert_eq!(names, 3, "the oldest is gone, and nothing else lies about");
+        #[cfg(unix)]
+        for entry in fs::read_dir(folder.path()).unwrap() {
+            let mode =
+                std::os::unix::fs::PermissionsExt::mode(&entry.unwrap().metadata().unwrap().permissions());
+            assert_eq!(mode & 0o777, 0o600);
+        }
+    }
+
+    #[test]
+    fn none_is_kept_if_none_is_wished() {
+        let folder = TempDir::new().unwrap();
+        let path = folder.path().join("a");
+        let (mut file, _) = RotatingFile::open(&path, 25, 0).unwrap();
+        assert_eq!(file.append(&lines(10, 13)).0, 3);
+        assert_eq!(read(&path), "{\"seq\":12}\n");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn it_goes_on_after_a_crash() {
+        let folder = TempDir::new().unwrap();
+        let path = folder.path().join("audit.jsonl");
+        fs::write(&path, "{\"seq\":41}\n{\"seq\":42}\n{\"at\":\"2026").unwrap();
+        let (mut file, last) = RotatingFile::open(&path, 1000, 2).unwrap();
+        assert_eq!(last, 42);
+        assert_eq!(file.append(&lines(43, 44)).0, 1);
+        assert!(read(&path).ends_with("{\"seq\":42}\n{\"at\":\"2026\n{\"seq\":43}\n"));
+        let other = RotatingFile::open(&path, 1000, 2).unwrap_err();
+        assert!(other.to_string().contains("another broker"), "{other}");
+    }
+
+    #[test]
+    fn a_line_longer_than_a_file_has_one_of_its_own() {
+        let folder = TempDir::new().unwrap();
+        let path = folder.path().join("a");
+        let (mut file, _) = RotatingFile::open(&path, 4, 8).unwrap();
+        assert_eq!(file.append(&lines(10, 13)).0, 3);
+        assert_eq!(read(&numbered(&path, 2)), "{\"seq\":10}\n");
+    }
+
+    #[test]
+    fn where_it_cannot_rotate_it_grows() {
+        let folder = TempDir::new().unwrap();
+        let path = folder.path().join("a");
+        // A folder in the way of the new file.
+        fs::create_dir_all(numbered(&path, "new").join("x")).unwrap();
+        fs::write(numbered(&path, 1), "old").unwrap();
+        let (mut file, _) = RotatingFile::open(&path, 25, 3).unwrap();
+        for seq in 10..20 {
+            assert_eq!(file.append(&lines(seq, seq + 1)).0, 1);
+        }
+        assert_eq!(read(&path).lines().count(), 10);
+        assert_eq!(read(&numbered(&path, 1)), "old");
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_full_disk_is_told() {
+        let (mut file, _) = RotatingFile::open(Path::new("/dev/full"), 1000, 2).unwrap();
+        let (written, result) = file.append(&lines(1, 3));
+        assert_eq!(written, 0);
+        assert_eq!(result.unwrap_err().kind(), io::ErrorKind::StorageFull);
+    }
+}

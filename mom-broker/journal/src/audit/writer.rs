@@ -1,0 +1,288 @@
+//! The thread that writes: it may wait for a disk, the hub may not.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::{Duration, Instant};
+
+use mom_system::Clock;
+use parking_lot::Mutex;
+use tokio::sync::oneshot;
+
+use super::Fact;
+use super::refusals::Refusals;
+use super::sink::Sink;
+use super::successes::Successes;
+
+/// What was written is durable after so long, and refusals and what is folded are counted up this often.
+const TICK: Duration = Duration::from_secs(1);
+
+/// Facts that are written at once.
+const BATCH: usize = 256;
+
+/// What the writer is told.
+#[derive(Debug)]
+pub(super) enum Note {
+    /// A fact to write.
+    Fact(Box<Fact>),
+    /// All before this is to be written and durable before the answer.
+    Flush(oneshot::Sender<()>),
+}
+
+/// What the writer shares with those who tell it.
+#[derive(Debug, Default)]
+pub(super) struct Shared {
+    pub(super) refusals: Mutex<Refusals>,
+    pub(super) successes: Mutex<Successes>,
+    /// Facts that found no place in the queue and that no line tells of yet.
+    pub(super) lost: AtomicU64,
+}
+
+/// Writes lines into a sink.
+pub(super) struct Writer<S> {
+    sink: S,
+    clock: Clock,
+    shared: Arc<Shared>,
+    seq: u64,
+    lines: Vec<Line>,
+    flushes: Vec<oneshot::Sender<()>>,
+    /// What went wrong since it was last logged.
+    failure: Option<std::io::Error>,
+}
+
+struct Line {
+    bytes: Vec<u8>,
+    /// How many facts are lost if it is.
+    facts: u64,
+}
+
+impl<S: Sink> Writer<S> {
+    /// A writer whose first line has the number after `seq`.
+    pub(super) fn new(sink: S, clock: Clock, shared: Arc<Shared>, seq: u64) -> Writer<S> {
+        Writer {
+            sink,
+            clock,
+            shared,
+            seq,
+            lines: Vec::new(),
+            flushes: Vec::new(),
+            failure: None,
+        }
+    }
+
+    /// Writes until nobody can tell it anything any more.
+    pub(super) fn run(mut self, notes: &Receiver<Note>) {
+        let mut next = Instant::now() + TICK;
+        loop {
+            match notes.recv_timeout(next.saturating_duration_since(Instant::now())) {
+                Ok(note) => {
+                    self.take(note);
+                    notes.try_iter().take(BATCH - 1).for_each(|note| self.take(note));
+                }
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => {
+                    self.unfold(notes);
+                    self.tick();
+                    return;
+                }
+            }
+            self.write();
+            if Instant::now() >= next || !self.flushes.is_empty() {
+                self.unfold(notes);
+                self.tick();
+                next = Instant::now() + TICK;
+            }
+        }
+    }
+
+    fn take(&mut self, note: Note) {
+        match note {
+            Note::Fact(fact) => self.push(&fact, 1),
+            Note::Flush(done) => self.flushes.push(done),
+        }
+    }
+
+    /// Writes down what was folded, after all that was told before it.
+    fn unfold(&mut self, notes: &Receiver<Note>) {
+        let shared = Arc::clone(&self.shared);
+        let mut successes = shared.successes.lock();
+        notes.try_iter().for_each(|note| self.take(note));
+        successes
+            .drain()
+            .iter()
+            .for_each(|fact| self.push(fact, fact.count.unwrap_or(1)));
+    }
+
+    fn push(&mut self, fact: &Fact, facts: u64) {
+        self.seq += 1;
+        let bytes = fact.line(self.seq);
+        self.lines.push(Line { bytes, facts });
+    }
+
+    /// What is due each second.
+    fn tick(&mut self) {
+        let counted = self.shared.refusals.lock().drain();
+        counted.iter().for_each(|fact| self.push(fact, 1));
+        self.write();
+        if let Err(error) = self.sink.sync() {
+            self.failure = Some(error);
+        }
+        if let Some(error) = self.failure.take() {
+            let lost = self.shared.lost.load(Ordering::Relaxed);
+            tracing::error!(%error, lost, "the audit log cannot be written");
+        }
+        for done in self.flushes.drain(..) {
+            // Whoever does not wait any more need not know.
+            let _ = done.send(());
+        }
+    }
+
+    fn write(&mut self) {
+        // They found no place because of those that are written now.
+        let lost = self.shared.lost.swap(0, Ordering::Relaxed);
+        if lost > 0 {
+            let mut fact = Fact::of(self.clock.wall(), "audit-lost");
+            fact.count = Some(lost);
+            self.push(&fact, lost);
+        }
+        if self.lines.is_empty() {
+            return;
+        }
+        let lines = std::mem::take(&mut self.lines);
+        let (bytes, facts): (Vec<Vec<u8>>, Vec<u64>) =
+            lines.into_iter().map(|line| (line.bytes, line.facts)).unzip();
+        let (written, result) = self.sink.append(&bytes);
+        let unwritten: u64 = facts[written..].iter().sum();
+        self.shared.lost.fetch_add(unwritten, Ordering::Relaxed);
+        match result {
+            Err(error) => self.failure = Some(error),
+            Ok(()) if lost > 0 => tracing::error!(lost, "the audit log has lost facts"),
+            Ok(()) => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io;
+    use std::sync::mpsc;
+
+    use super::*;
+    use mom_hub::Audit;
+    use mom_proto::Time;
+    use serde_json::Value as Json;
+
+    /// A disk with room for so many lines more.
+    #[derive(Debug, Default)]
+    struct Disk {
+        room: usize,
+        lines: Vec<Json>,
+        syncs: u32,
+    }
+
+    impl Sink for &mut Disk {
+        fn append(&mut self, lines: &[Vec<u8>]) -> (usize, io::Result<()>) {
+            let written = lines.len().min(self.room);
+            self.room -= written;
+            let read = lines[..written]
+                .iter()
+                .map(|line| serde_json::from_slice(line).unwrap());
+            self.lines.extend(read);
+            match written < lines.len() {
+                true => (written, Err(io::ErrorKind::StorageFull.into())),
+                false => (written, Ok(())),
+            }
+        }
+
+        fn sync(&mut self) -> io::Result<()> {
+            self.syncs += 1;
+            Ok(())
+        }
+    }
+
+    fn writer<'a>(disk: &'a mut Disk, shared: &Arc<Shared>) -> Writer<&'a mut Disk> {
+        Writer::new(disk, Clock::manual(Time::default()), Arc::clone(shared), 10)
+    }
+
+    fn fact(what: &'static str) -> Note {
+        Note::Fact(Box::new(Fact::new(Time::default(), Audit::new(what))))
+    }
+
+    fn told(disk: &Disk) -> Vec<String> {
+        let told = |line: &Json| {
+            let count = line
+                .get("count")
+                .map(|count| format!(" {count}"))
+                .unwrap_or_default();
+            format!("{} {}{count}", line["seq"], line["what"].as_str().unwrap())
+        };
+        disk.lines.iter().map(told).collect()
+    }
+
+    #[test]
+    fn what_a_full_disk_did_not_take_is_counted() {
+        let shared = Arc::new(Shared::default());
+        let mut disk = Disk {
+            room: 2,
+            ..Disk::default()
+        };
+        let mut writer = writer(&mut disk, &shared);
+        for _ in 0..4 {
+            writer.take(fact("granted"));
+        }
+        writer.write();
+        writer.take(fact("lost"));
+        writer.tick();
+        assert_eq!(shared.lost.load(Ordering::Relaxed), 3);
+        writer.sink.room = 10;
+        writer.take(fact("login"));
+        writer.tick();
+        writer.tick();
+        assert_eq!(shared.lost.load(Ordering::Relaxed), 0);
+        // The numbers show the gap too: 13 and 14, and what was tried in between.
+        let told = told(&disk);
+        assert_eq!(told[..2], ["11 granted", "12 granted"]);
+        assert_eq!(told[2..], ["17 login", "18 audit-lost 3"]);
+    }
+
+    #[test]
+    fn what_found_no_place_is_told_next() {
+        let shared = Arc::new(Shared::default());
+        let mut disk = Disk {
+            room: 10,
+            ..Disk::default()
+        };
+        let mut writer = writer(&mut disk, &shared);
+        shared.lost.store(7, Ordering::Relaxed);
+        writer.take(fact("granted"));
+        writer.write();
+        assert_eq!(told(&disk), ["11 granted", "12 audit-lost 7"]);
+    }
+
+    #[test]
+    fn the_end_writes_all_and_counts_up() {
+        let shared = Arc::new(Shared::default());
+        let mut disk = Disk {
+            room: 1000,
+            ..Disk::default()
+        };
+        let refused = |_| {
+            shared
+                .refusals
+                .lock()
+                .take(Fact::new(Time::default(), Audit::new("refused")))
+        };
+        let first = (0..5).filter_map(refused).count();
+        assert_eq!(first, 1, "the others are counted");
+        let (sender, notes) = mpsc::sync_channel(600);
+        for _ in 0..600 {
+            sender.try_send(fact("granted")).unwrap();
+        }
+        drop(sender);
+        writer(&mut disk, &shared).run(&notes);
+        let told = told(&disk);
+        assert_eq!(told.len(), 601);
+        assert_eq!(told[600], "611 refused 4");
+        assert!(disk.syncs > 0);
+    }
+}

@@ -1,0 +1,22 @@
+//! What keeps a journal from being written.
+
+use std::path::{Path, PathBuf};
+
+/// A file that the journal shall write and cannot.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot write the {what} {}: {error}", path.display())]
+pub struct WriteError {
+    /// What it is for.
+    pub what: &'static str,
+    /// The file.
+    pub path: PathBuf,
+    /// What the system says.
+    pub error: std::io::Error,
+}
+
+impl WriteError {
+    pub(crate) fn of(what: &'static str, path: Option<&Path>) -> impl FnOnce(std::io::Error) -> WriteError {
+        let path = path.unwrap_or(Path::new("")).to_owned();
+        move |error| WriteError { what, path, error }
+    }
+}

@@ -1,0 +1,291 @@
+//! The lines of a recording: its head, inputs with what was decided on them, its end.
+
+use mom_hub::{Holder, Hub, Input, PeerClock, Record, Settings, Ticket, User};
+use mom_proto::{ClockOffset, Content, ContextNumber, Family, Limits, Parcel, Path, Time};
+use serde::{Deserialize, Serialize};
+
+use super::Outcome;
+use super::value::Recorded;
+use crate::ConfigFile;
+
+/// The form of recordings that this program writes and reads.
+pub(super) const VERSION: u32 = 1;
+
+/// One line of a recording.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(super) enum Line {
+    /// The first.
+    Head(Box<Head>),
+    /// One input of the hub.
+    Step(Box<Step>),
+    /// The last of a recording that was ended, and why.
+    End(String),
+}
+
+/// What a replay has to know before the first input.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(super) struct Head {
+    /// The form of the lines.
+    pub(super) form: u32,
+    /// The broker's version.
+    pub(super) version: String,
+    /// Wall time at monotonic time 0.
+    pub(super) anchor: Time,
+    /// The upper part of fences.
+    pub(super) epoch: u64,
+    /// The configuration's file, without folders.
+    #[serde(default)]
+    pub(super) config: Option<String>,
+    /// The SHA-256 of its text.
+    #[serde(default)]
+    pub(super) hash: Option<String>,
+    /// Whether changes of ownership waited until they were durable.
+    pub(super) durable: bool,
+    /// What was durable before the start.
+    #[serde(default)]
+    pub(super) records: Vec<OldRecord>,
+    /// The limits, for who reads the file; a replay goes by those of its own configuration.
+    pub(super) limits: Limits,
+}
+
+/// What was kept of a token.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(super) struct OldRecord {
+    path: String,
+    fence: u64,
+    owner: Option<(String, String)>,
+    before: Option<(String, String)>,
+    lease: Option<u64>,
+}
+
+/// An input and what was decided on it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(super) struct Step {
+    /// Monotonic µs.
+    pub(super) now: u64,
+    /// What came.
+    pub(super) input: Told,
+    /// What was decided.
+    pub(super) decided: Vec<Outcome>,
+    /// When the hub wanted to be called next.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) deadline: Option<u64>,
+}
+
+/// An input as it is told: no secrets, and of messages no content.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(super) enum Told {
+    Login(LoginTold),
+    Gone(u64),
+    Request(Box<RequestTold>),
+    Stored(u64, bool),
+    /// The configuration was changed: its file's name and the SHA-256 of its text, as far as known.
+    Configure(Option<String>, Option<String>),
+    Tick,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(super) struct LoginTold {
+    pub(super) peer: u64,
+    pub(super) user: String,
+    pub(super) level: i32,
+    pub(super) groups: Vec<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) nickname: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) id: Option<u64>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(super) struct RequestTold {
+    pub(super) peer: u64,
+    pub(super) family: String,
+    pub(super) name: String,
+    /// Where; a number that the peer used is told as the path that it stood for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) context: Option<String>,
+    /// A number that stood for nothing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) number: Option<u64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) id: Option<u64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) address: Option<Vec<String>>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) fence: Option<u64>,
+    /// Of a message: when it was created by its sender's clock, µs since the epoch, and for how long it is worth anything.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) timestamp: Option<i64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) expires: Option<u64>,
+    /// What was known of that clock: offset and error in µs, and how far ahead a stamp may be.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) clock: Option<(i64, u64, u64)>,
+    /// The size of content that is not told.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) size: Option<usize>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) content: Option<Recorded>,
+}
+
+impl Head {
+    pub(super) fn new(settings: &Settings, config: &ConfigFile) -> Head {
+        Head {
+            form: VERSION,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            anchor: settings.anchor,
+            epoch: settings.epoch,
+            config: config.name.clone(),
+            hash: config.sha256.clone(),
+            durable: settings.durable,
+            records: settings.records.iter().map(OldRecord::new).collect(),
+            limits: settings.limits.clone(),
+        }
+    }
+
+    /// The settings of a hub that replays what was recorded, with these limits.
+    pub(super) fn settings(&self, limits: Limits) -> Result<Settings, String> {
+        let records = self.records.iter().map(OldRecord::record);
+        Ok(Settings {
+            anchor: self.anchor,
+            epoch: self.epoch,
+            durable: self.durable,
+            records: records.collect::<Result<_, _>>()?,
+            limits,
+            ..Settings::default()
+        })
+    }
+}
+
+impl OldRecord {
+    fn new(record: &Record) -> OldRecord {
+        let holder = |holder: &Holder| (holder.user.clone(), holder.name.clone());
+        OldRecord {
+            path: record.path.to_string(),
+            fence: record.fence,
+            owner: record.owner.as_ref().map(holder),
+            before: record.before.as_ref().map(holder),
+            lease: record.lease,
+        }
+    }
+
+    fn record(&self) -> Result<Record, String> {
+        let holder = |holder: &(String, String)| Holder {
+            user: holder.0.clone(),
+            name: holder.1.clone(),
+        };
+        Ok(Record {
+            path: path(&self.path)?,
+            fence: self.fence,
+            owner: self.owner.as_ref().map(holder),
+            before: self.before.as_ref().map(holder),
+            lease: self.lease,
+        })
+    }
+}
+
+impl Told {
+    /// What is told of an input; `hub` as it is before.
+    pub(super) fn of(input: &Input, hub: &Hub) -> Told {
+        match input {
+            Input::Login {
+                peer,
+                user,
+                nickname,
+                id,
+            } => Told::Login(LoginTold {
+                peer: peer.0,
+                user: user.name.clone(),
+                level: user.level,
+                groups: user.groups.clone(),
+                nickname: nickname.clone(),
+                id: *id,
+            }),
+            Input::Gone { peer } => Told::Gone(peer.0),
+            Input::Request { peer, parcel, clock } => {
+                Told::Request(Box::new(RequestTold::of(peer.0, parcel, *clock, hub)))
+            }
+            Input::Stored {
+                ticket: Ticket(ticket),
+                ok,
+            } => Told::Stored(*ticket, *ok),
+            Input::Configure(_) => Told::Configure(None, None),
+            Input::Tick => Told::Tick,
+        }
+    }
+
+    /// The peer that it comes from.
+    pub(super) fn peer(&self) -> Option<u64> {
+        match self {
+            Told::Login(login) => Some(login.peer),
+            Told::Gone(peer) => Some(*peer),
+            Told::Request(request) => Some(request.peer),
+            Told::Stored(..) | Told::Configure(..) | Told::Tick => None,
+        }
+    }
+}
+
+impl LoginTold {
+    /// The user as it was then.
+    pub(super) fn user(&self) -> User {
+        User {
+            name: self.user.clone(),
+            level: self.level,
+            groups: self.groups.clone(),
+            details: mom_proto::Map::new(),
+        }
+    }
+}
+
+impl RequestTold {
+    fn of(peer: u64, parcel: &Parcel, clock: Option<PeerClock>, hub: &Hub) -> RequestTold {
+        // The path first, as the hub does.
+        let named = || hub.path(parcel.number?);
+        let context = parcel.context.as_ref().or_else(named).map(Path::to_string);
+        let content = parcel.content.as_ref();
+        // What control is asked for is what a replay has to know; anything else is nobody's business here.
+        let control = matches!(parcel.family, Family::Context | Family::Token | Family::Manager);
+        let message = parcel.family == Family::Message;
+        let address = parcel.address.as_ref();
+        RequestTold {
+            peer,
+            family: parcel.family.word().to_owned(),
+            name: parcel.name().to_owned(),
+            number: parcel
+                .number
+                .filter(|_| context.is_none())
+                .map(|ContextNumber(number)| number),
+            context,
+            id: parcel.id,
+            address: address.map(|names| names.iter().map(|name| name.to_string()).collect()),
+            fence: parcel.fence,
+            timestamp: parcel.timestamp.filter(|_| message).map(Time::micros),
+            expires: parcel.expires.filter(|_| message),
+            clock: clock
+                .filter(|_| message)
+                .map(|clock| (clock.offset.micros, clock.offset.error, clock.future)),
+            size: content.filter(|_| !control).map(Content::size),
+            content: content.filter(|_| control).cloned().map(Recorded),
+        }
+    }
+
+    /// What was known of the sender's clock.
+    pub(super) fn peer_clock(&self) -> Option<PeerClock> {
+        self.clock.map(|(micros, error, future)| PeerClock {
+            offset: ClockOffset { micros, error },
+            future,
+        })
+    }
+}
+
+/// A path of a recording.
+pub(super) fn path(text: &str) -> Result<Path, String> {
+    Path::parse(text).map_err(|error| format!("{text:?} is no path: {}", error.text))
+}

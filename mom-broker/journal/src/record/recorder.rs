@@ -1,0 +1,251 @@
+//! Writes a recording, from a thread of its own.
+
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::time::Duration;
+
+use mom_hub::{Effect, Hub, Input, Settings};
+use mom_managers::Micros;
+use mom_proto::{Family, Verb};
+use mom_system::{numbered, open_own};
+use tokio::sync::oneshot;
+
+use super::RecordConfig;
+use super::line::{Head, Line, Step, Told};
+use super::outcome::outcomes;
+use crate::ConfigFile;
+
+/// The last line of a recording that nothing has cut short.
+pub(super) const STOPPED: &str = "the broker stopped";
+
+/// Inputs that wait for the writer, and their bytes, about.
+const QUEUE: usize = 16 * 1024;
+const WAITING: usize = 64 * 1024 * 1024;
+
+/// What an input takes beside its content, about.
+const INPUT: usize = 512;
+
+/// What was told stands in the file after so long.
+const TICK: Duration = Duration::from_secs(1);
+
+/// A stopping broker waits so long for the end of the file.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// Records what the hub is told and what it decides.
+///
+/// A recording with a gap would replay into nonsense: so where the disk does not keep up it stops for good, and says
+/// so in its last line and in the log.
+#[derive(Debug)]
+pub(crate) struct Recorder {
+    queue: SyncSender<Note>,
+    shared: Arc<Shared>,
+}
+
+#[derive(Debug, Default)]
+struct Shared {
+    stopped: AtomicBool,
+    overflow: AtomicBool,
+    waiting: AtomicUsize,
+}
+
+#[derive(Debug)]
+enum Note {
+    Step(Box<Step>, usize),
+    End(oneshot::Sender<()>),
+}
+
+/// An input that the hub is just about to take.
+#[derive(Debug)]
+pub(crate) struct Noted {
+    told: Told,
+    asked: Option<(u64, Option<Verb>)>,
+    cost: usize,
+}
+
+impl Recorder {
+    /// Begins a recording of a hub with these settings, if one is wished.
+    ///
+    /// # Errors
+    /// What the system says about the file, or that another broker writes it.
+    pub(crate) fn start(
+        record: &RecordConfig,
+        settings: &Settings,
+        config: &ConfigFile,
+    ) -> io::Result<Option<Recorder>> {
+        let Some(path) = &record.path else {
+            return Ok(None);
+        };
+        let mut writer = Writer {
+            file: BufWriter::new(begin(path)?),
+            length: 0,
+            size: record.size,
+            shared: Arc::default(),
+        };
+        writer.write(&Line::Head(Box::new(Head::new(settings, config))))?;
+        writer.file.flush()?;
+        let shared = Arc::clone(&writer.shared);
+        let (queue, notes) = sync_channel(QUEUE);
+        std::thread::Builder::new()
+            .name("record".to_owned())
+            .spawn(move || writer.run(&notes))?;
+        Ok(Some(Recorder { queue, shared }))
+    }
+
+    /// Notes an input; `hub` is as it was before. None once the recording has stopped.
+    pub(crate) fn note(&self, input: &Input, hub: &Hub) -> Option<Noted> {
+        if self.shared.stopped.load(Ordering::Relaxed) {
+            return None;
+        }
+        let (asked, content) = match input {
+            Input::Request { peer, parcel, .. } => {
+                let verb = Verb::of(parcel.family, &parcel.name).ok();
+                // Nobody waits for the answer to a message: it has one only if it is refused.
+                let size = parcel.content.as_ref().map_or(0, |content| content.size());
+                let kept = if parcel.family == Family::Message { 0 } else { size };
+                (Some((peer.0, verb)), kept)
+            }
+            _ => (None, 0),
+        };
+        Some(Noted {
+            told: Told::of(input, hub),
+            asked,
+            cost: content + INPUT,
+        })
+    }
+
+    /// Writes down what was decided on it.
+    pub(crate) fn decided(&self, now: Micros, noted: Noted, effects: &[Effect], deadline: Option<Micros>) {
+        let step = Step {
+            now,
+            input: noted.told,
+            decided: outcomes(effects, noted.asked),
+            deadline,
+        };
+        let waiting = self.shared.waiting.fetch_add(noted.cost, Ordering::Relaxed);
+        let full = waiting > WAITING;
+        if full
+            || self
+                .queue
+                .try_send(Note::Step(Box::new(step), noted.cost))
+                .is_err()
+        {
+            self.shared.overflow.store(true, Ordering::Relaxed);
+            self.shared.stopped.store(true, Ordering::Relaxed);
+        }
+    }
+
+    /// The configuration that the next input brings.
+    pub(crate) fn name_configuration(noted: &mut Option<Noted>, config: &ConfigFile) {
+        if let Some(Noted {
+            told: told @ Told::Configure(..),
+            ..
+        }) = noted
+        {
+            *told = Told::Configure(config.name.clone(), config.sha256.clone());
+        }
+    }
+
+    /// Ends the recording; returns when it stands in the file, or after a while.
+    pub(crate) async fn end(&self) {
+        if self.shared.stopped.swap(true, Ordering::Relaxed) && !self.shared.overflow.load(Ordering::Relaxed)
+        {
+            return;
+        }
+        let (done, written) = oneshot::channel();
+        let queue = self.queue.clone();
+        // The queue may be full, and a disk that hangs must not hold up the program's end.
+        let sent = std::thread::Builder::new()
+            .name("record-end".to_owned())
+            .spawn(move || queue.send(Note::End(done)).is_ok());
+        if sent.is_err() || tokio::time::timeout(PATIENCE, written).await.is_err() {
+            tracing::error!("the recording could not be written to its end");
+        }
+    }
+}
+
+/// An empty file; one that was there before has `.1` behind its name then.
+fn begin(path: &Path) -> io::Result<File> {
+    let file = open_own(path)?;
+    let known = file.metadata()?;
+    if !known.is_file() || known.len() == 0 {
+        return Ok(file);
+    }
+    fs::rename(path, numbered(path, 1))?;
+    open_own(path)
+}
+
+struct Writer {
+    file: BufWriter<File>,
+    length: u64,
+    size: u64,
+    shared: Arc<Shared>,
+}
+
+impl Drop for Writer {
+    fn drop(&mut self) {
+        // As for the audit log: whoever starts next shall find the file free.
+        let _ = self.file.get_ref().unlock();
+    }
+}
+
+impl Writer {
+    fn run(mut self, notes: &Receiver<Note>) {
+        if let Err(error) = self.take_all(notes) {
+            tracing::error!(%error, "the recording stops: it cannot be written");
+        }
+        self.shared.stopped.store(true, Ordering::Relaxed);
+    }
+
+    fn take_all(&mut self, notes: &Receiver<Note>) -> io::Result<()> {
+        loop {
+            let mut next = notes.recv_timeout(TICK);
+            loop {
+                match next {
+                    Ok(Note::Step(step, cost)) => {
+                        self.shared.waiting.fetch_sub(cost, Ordering::Relaxed);
+                        if self.write(&Line::Step(step))? {
+                            return self.end("it has reached its size", true);
+                        }
+                    }
+                    Ok(Note::End(done)) => {
+                        let ended = self.end(STOPPED, false);
+                        // Whoever does not wait any more need not know.
+                        let _ = done.send(());
+                        return ended;
+                    }
+                    Err(RecvTimeoutError::Timeout) => break,
+                    Err(RecvTimeoutError::Disconnected) => return self.end(STOPPED, false),
+                }
+                next = notes.try_recv().map_err(|_| RecvTimeoutError::Timeout);
+            }
+            if self.shared.overflow.load(Ordering::Relaxed) {
+                return self.end("the disk did not keep up", true);
+            }
+            self.file.flush()?;
+        }
+    }
+
+    /// True if there is no room for it.
+    fn write(&mut self, line: &Line) -> io::Result<bool> {
+        let mut bytes = serde_json::to_vec(line)?;
+        bytes.push(b'\n');
+        let length = self.length + bytes.len() as u64;
+        if length > self.size && matches!(line, Line::Step(_)) {
+            return Ok(true);
+        }
+        self.length = length;
+        self.file.write_all(&bytes).map(|()| false)
+    }
+
+    fn end(&mut self, why: &str, early: bool) -> io::Result<()> {
+        if early {
+            tracing::warn!(why, "the recording stops");
+        }
+        self.write(&Line::End(why.to_owned()))?;
+        self.file.flush()
+    }
+}

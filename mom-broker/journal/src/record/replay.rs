@@ -1,0 +1,302 @@
+//! Decides a recording again, by another configuration.
+
+use std::path::Path as FilePath;
+use std::sync::Arc;
+
+use bytes::Bytes;
+use mom_hub::{Hub, Input, PeerId, Settings, User};
+use mom_managers::Micros;
+use mom_proto::{Content, ContextNumber, Family, Limits, Parcel, Time, Verb};
+
+use super::difference::{Difference, Names};
+use super::line::{Head, Line, LoginTold, RequestTold, Step, Told, path};
+use super::log::{Log, RecordError};
+use super::outcome::{Outcome, outcomes};
+use super::translations::Translations;
+
+/// A recording on its way through another configuration, one input at a time.
+#[derive(Debug)]
+pub struct Replay {
+    /// The users of the new configuration.
+    users: Vec<User>,
+    log: Log,
+    head: Head,
+    hub: Hub,
+    rules: bool,
+    names: Names,
+    translations: Translations,
+    /// When the recorded hub wanted to be called next; none before its first input, when nobody has noted it.
+    deadline: Option<Option<Micros>>,
+    zeros: Bytes,
+    summary: Summary,
+}
+
+/// What a replay has come to.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Summary {
+    /// Inputs.
+    pub inputs: u64,
+    /// Inputs on which something else was decided.
+    pub differ: u64,
+    /// How often the configuration was changed while it was recorded; the replay goes by the new one throughout.
+    pub configured: u64,
+    /// Users that the new configuration does not know, taken as they were.
+    pub unknown_users: Vec<String>,
+    /// Why the recording ends, if it says so.
+    pub end: Option<String>,
+    /// Whether its last line is damaged and was left out.
+    pub torn: bool,
+}
+
+impl Replay {
+    /// How [`Summary::end`] says that the recording goes on until its broker stopped.
+    pub const WHOLE: &str = super::recorder::STOPPED;
+
+    /// Opens a recording, to be replayed by the hub that `make` makes of a configuration with these limits and users.
+    ///
+    /// # Errors
+    /// A file that is no recording, or a configuration of which no hub can be made.
+    pub fn open<E: std::fmt::Display>(
+        log: &FilePath,
+        limits: Limits,
+        users: Vec<User>,
+        make: impl FnOnce(Settings) -> Result<Hub, E>,
+    ) -> Result<Replay, RecordError> {
+        let (log, head) = Log::open(log)?;
+        let settings = head.settings(limits).map_err(|text| log.error(text))?;
+        let hub = make(settings).map_err(|error| RecordError::Config(error.to_string()))?;
+        let mut translations = Translations::default();
+        hub.routes().iter().for_each(|route| translations.route(route));
+        Ok(Replay {
+            users,
+            log,
+            head,
+            hub,
+            rules: false,
+            names: Names::default(),
+            translations,
+            deadline: None,
+            zeros: Bytes::new(),
+            summary: Summary::default(),
+        })
+    }
+
+    /// Takes a decision for another one too if it is the same by another rule.
+    pub fn compare_rules(&mut self) {
+        self.rules = true;
+    }
+
+    /// Replays one input; gives what was decided otherwise, nothing mostly. None at the recording's end.
+    ///
+    /// # Errors
+    /// A damaged line that is not the last.
+    pub fn step(&mut self) -> Result<Option<Vec<Difference>>, RecordError> {
+        match self.log.next()? {
+            Some(Line::Step(step)) => {
+                self.summary.inputs += 1;
+                let differences = self.replay(&step).map_err(|text| self.log.error(text))?;
+                self.summary.differ += differences.len() as u64;
+                Ok(Some(differences))
+            }
+            Some(Line::End(why)) => {
+                self.summary.end = Some(why);
+                Ok(Some(Vec::new()))
+            }
+            Some(Line::Head(_)) => Err(self.log.error("a second head: this is two recordings".to_owned())),
+            None => {
+                self.summary.torn = self.log.is_torn();
+                Ok(None)
+            }
+        }
+    }
+
+    /// What it has come to so far.
+    pub fn summary(&self) -> &Summary {
+        &self.summary
+    }
+
+    /// The configuration's file at the time of the recording, without folders.
+    pub fn recorded_file(&self) -> Option<&str> {
+        self.head.config.as_deref()
+    }
+
+    /// Bytes of the recording that are read, and all of them.
+    pub fn progress(&self) -> (u64, u64) {
+        self.log.progress()
+    }
+
+    fn replay(&mut self, step: &Step) -> Result<Vec<Difference>, String> {
+        let mut differences = Vec::new();
+        while let Some(at) = self.own_deadline(step.now) {
+            let decided = self.handle(at, Input::Tick, None, &[]);
+            differences.extend(self.compare(at, &Told::Tick, &[], &decided));
+        }
+        let input = self.input(&step.input)?;
+        let asked = match &step.input {
+            Told::Request(request) => Some((request.peer, verb(request))),
+            _ => None,
+        };
+        // Before it is decided: afterwards a peer that goes has no name any more.
+        self.names.note(&self.hub, step.input.peer(), None);
+        let decided = self.handle(step.now, input, asked, &step.decided);
+        let user = match &step.input {
+            Told::Login(login) => Some(login.user.clone()),
+            _ => None,
+        };
+        self.names.note(&self.hub, step.input.peer(), user);
+        differences.extend(self.compare(step.now, &step.input, &step.decided, &decided));
+        self.deadline = Some(step.deadline);
+        Ok(differences)
+    }
+
+    /// A time at which this hub wants to be called and the recorded one did not: nothing in the recording calls it.
+    fn own_deadline(&self, before: Micros) -> Option<Micros> {
+        let recorded = self.deadline?;
+        let own = self.hub.deadline().filter(|own| *own <= before)?;
+        recorded.is_none_or(|recorded| own < recorded).then_some(own)
+    }
+
+    fn handle(
+        &mut self,
+        now: Micros,
+        input: Input,
+        asked: Option<(u64, Option<Verb>)>,
+        recorded: &[Outcome],
+    ) -> Vec<Outcome> {
+        let mut effects = Vec::new();
+        self.hub.handle(now, input, &mut effects);
+        let mut from = 0;
+        // Of each kind and place the first here is the first there.
+        let mut left: Vec<&Outcome> = recorded.iter().collect();
+        // What waits for a disk here and did not there would wait forever.
+        loop {
+            let own = self.translations.note(&effects[from..], &mut left);
+            from = effects.len();
+            if own.is_empty() {
+                return outcomes(&effects, asked);
+            }
+            for ticket in own {
+                let stored = Input::Stored { ticket, ok: true };
+                self.hub.handle(now, stored, &mut effects);
+            }
+        }
+    }
+
+    fn compare(&self, now: Micros, input: &Told, was: &[Outcome], is: &[Outcome]) -> Option<Difference> {
+        let (was, is) = (self.only(was, is), self.only(is, was));
+        if was.is_empty() && is.is_empty() {
+            return None;
+        }
+        Some(Difference::new(
+            self.wall(now),
+            self.log.line(),
+            input,
+            &was,
+            &is,
+            &self.names,
+        ))
+    }
+
+    /// What is decided in one list and not in the other.
+    fn only(&self, these: &[Outcome], those: &[Outcome]) -> Vec<Outcome> {
+        let decision = |outcome: &Outcome| outcome.decision(self.rules);
+        let mut left: Vec<Outcome> = those.iter().filter_map(decision).collect();
+        let mut only = Vec::new();
+        for outcome in these {
+            let Some(decision) = decision(outcome) else {
+                continue;
+            };
+            match left.iter().position(|other| *other == decision) {
+                Some(same) => drop(left.swap_remove(same)),
+                None => only.push(outcome.clone()),
+            }
+        }
+        only
+    }
+
+    fn wall(&self, now: Micros) -> Time {
+        let since = i64::try_from(now).unwrap_or(i64::MAX);
+        Time::from_micros(self.head.anchor.micros().saturating_add(since)).unwrap_or(Time::MAX)
+    }
+
+    fn input(&mut self, told: &Told) -> Result<Input, String> {
+        Ok(match told {
+            Told::Login(login) => Input::Login {
+                peer: PeerId(login.peer),
+                user: self.user(login),
+                nickname: login.nickname.clone(),
+                id: login.id,
+            },
+            Told::Gone(peer) => Input::Gone { peer: PeerId(*peer) },
+            Told::Request(request) => Input::Request {
+                peer: PeerId(request.peer),
+                parcel: Box::new(self.parcel(request)?),
+                clock: request.peer_clock(),
+            },
+            Told::Stored(ticket, ok) => match self.translations.ticket(*ticket) {
+                Some(ticket) => Input::Stored { ticket, ok: *ok },
+                // Nothing was stored here.
+                None => Input::Tick,
+            },
+            Told::Configure(..) => {
+                self.summary.configured += 1;
+                Input::Tick
+            }
+            Told::Tick => Input::Tick,
+        })
+    }
+
+    /// The user as the new configuration has it, or as it was.
+    fn user(&mut self, login: &LoginTold) -> User {
+        let mut user = login.user();
+        match self.users.iter().find(|known| known.name == user.name) {
+            Some(known) => {
+                user.level = known.level;
+                user.groups.clone_from(&known.groups);
+            }
+            None if self.summary.unknown_users.contains(&user.name) => {}
+            None => self.summary.unknown_users.push(user.name.clone()),
+        }
+        user
+    }
+
+    fn parcel(&mut self, told: &RequestTold) -> Result<Parcel, String> {
+        let family = Family::from_word(&told.family);
+        let family = family.ok_or_else(|| format!("there is no family {:?}", told.family))?;
+        let mut parcel = Parcel::new(family, told.name.as_str());
+        parcel.context = told.context.as_deref().map(path).transpose()?;
+        // It stood for nothing then, so it may not stand for something now.
+        parcel.number = told.number.map(|_| ContextNumber(u64::MAX));
+        parcel.id = told.id;
+        parcel.address = told
+            .address
+            .as_ref()
+            .map(|names| names.iter().map(|name| Arc::from(name.as_str())).collect());
+        parcel.fence = told
+            .fence
+            .map(|fence| self.translations.fence(parcel.context.as_ref(), fence));
+        parcel.timestamp = told.timestamp.and_then(Time::from_micros);
+        parcel.expires = told.expires;
+        parcel.content = match (&told.content, told.size) {
+            (Some(content), _) => Some(content.0.clone()),
+            (None, Some(size)) => Some(Content::Encoded(self.zeros(size))),
+            (None, None) => None,
+        };
+        if verb(told) == Some(Verb::Verdict) {
+            self.translations.verdict(&mut parcel);
+        }
+        Ok(parcel)
+    }
+
+    /// As many bytes as a message had; the hub looks at no others.
+    fn zeros(&mut self, size: usize) -> Bytes {
+        if self.zeros.len() < size {
+            self.zeros = vec![0; size].into();
+        }
+        self.zeros.slice(..size)
+    }
+}
+
+fn verb(told: &RequestTold) -> Option<Verb> {
+    Verb::of(Family::from_word(&told.family)?, &told.name).ok()
+}

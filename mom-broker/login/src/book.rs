@@ -1,0 +1,251 @@
+//! One configuration of logins: the users, and who else is let in.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use ed25519_dalek::VerifyingKey;
+use mom_hub::User;
+use mom_managers::Micros;
+use mom_proto::{Code, Map, Time, WireError, looks_of};
+
+use super::jwt::{Proven, Verifier};
+use super::key::parse_key;
+use super::password::Hashing;
+use crate::{LoginConfig, SettingError, UserEntry};
+
+/// The user and the group of guests.
+pub const GUEST: &str = "guest";
+
+/// Where a user comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Origin {
+    /// The users file.
+    File,
+    /// Nowhere: a guest.
+    Guest,
+    /// The claims of a token.
+    Claims,
+}
+
+/// All that logins go by.
+#[derive(Debug)]
+pub(super) struct Book {
+    pub(super) users: BTreeMap<String, Entry>,
+    /// Of each look of a user's name whose it is; none = of several.
+    looks: BTreeMap<String, Option<String>>,
+    /// The most keys that a user has.
+    pub(super) keys: usize,
+    pub(super) settings: LoginConfig,
+    pub(super) hashing: Arc<Hashing>,
+    verifier: Option<Arc<Verifier>>,
+    guest: Arc<User>,
+}
+
+/// A user of the file.
+#[derive(Debug)]
+pub(super) struct Entry {
+    pub(super) user: Arc<User>,
+    pub(super) password: Option<String>,
+    pub(super) keys: Vec<VerifyingKey>,
+}
+
+/// As whom a peer is here.
+#[derive(Clone, Debug)]
+pub(super) struct Standing {
+    /// Shared by all peers of a user.
+    pub(super) user: Arc<User>,
+    pub(super) origin: Origin,
+    /// What it has shown, which must still be the user's for it to stay.
+    proof: Proof,
+}
+
+/// By what a peer has shown who it is.
+#[derive(Clone, Debug)]
+pub(super) enum Proof {
+    /// A password; the hash that it was checked against, which is another one after each change.
+    Password(String),
+    /// The key that signed.
+    Key(Box<VerifyingKey>),
+    /// A token, by what it was checked.
+    Token(Arc<Verifier>),
+    /// Nothing: a guest.
+    Nothing,
+}
+
+impl Book {
+    /// What an earlier one had and still holds is kept: the places at which passwords are hashed, and the
+    /// verifier, by which bearers of tokens are known to be still trusted.
+    pub(super) fn new(
+        users: Vec<UserEntry>,
+        settings: LoginConfig,
+        earlier: Option<&Book>,
+    ) -> Result<Book, SettingError> {
+        let hashing = earlier
+            .map(|earlier| &earlier.hashing)
+            .filter(|hashing| hashing.hashers == settings.hashers)
+            .map_or_else(|| Arc::new(Hashing::new(settings.hashers)), Arc::clone);
+        let known = earlier
+            .and_then(|earlier| earlier.verifier.as_ref())
+            .filter(|verifier| settings.jwt.as_ref() == Some(&verifier.config));
+        let verifier = match (&settings.jwt, known) {
+            (_, Some(known)) => Some(Arc::clone(known)),
+            (Some(jwt), None) => Some(Arc::new(
+                Verifier::new(jwt).map_err(|error| error.below(&["login", "jwt"]))?,
+            )),
+            (None, None) => None,
+        };
+        let users = users
+            .into_iter()
+            .map(|user| Ok((user.name.clone(), Entry::new(user)?)))
+            .collect::<Result<BTreeMap<_, _>, SettingError>>()?;
+        let mut looks: BTreeMap<String, Option<String>> = BTreeMap::new();
+        for name in users.keys() {
+            looks
+                .entry(looks_of(name))
+                .and_modify(|whose| *whose = None)
+                .or_insert_with(|| Some(name.clone()));
+        }
+        Ok(Book {
+            looks,
+            keys: users
+                .values()
+                .map(|user| user.keys.len())
+                .max()
+                .unwrap_or_default()
+                .max(1),
+            users,
+            settings,
+            hashing,
+            verifier,
+            guest: Arc::new(guest()),
+        })
+    }
+
+    pub(super) fn challenge_time(&self) -> Micros {
+        self.settings.challenge_time.saturating_mul(1000)
+    }
+
+    pub(super) fn guest(&self) -> Result<Standing, WireError> {
+        if !self.settings.guests {
+            return Err(WireError::new(Code::BAD_LOGIN, "this hub lets no guests in"));
+        }
+        Ok(Standing {
+            user: Arc::clone(&self.guest),
+            origin: Origin::Guest,
+            proof: Proof::Nothing,
+        })
+    }
+
+    /// The bearer of a token, and when it must prove itself again.
+    pub(super) fn bearer(&self, token: &str, now: Time) -> Result<(Standing, Time), WireError> {
+        let refused = |text: &str| WireError::new(Code::BAD_LOGIN, text);
+        let verifier = self
+            .verifier
+            .as_ref()
+            .ok_or_else(|| refused("this hub takes no tokens"))?;
+        let Proven { name, claims, until } = verifier.verify(token, now)?;
+        let entry = self.users.get(&name);
+        let standing = match (entry, claims) {
+            (Some(entry), None) => Standing::of_file(entry, Proof::Token(Arc::clone(verifier))),
+            (None, None) => return Err(refused("the token's user is none here")),
+            (None, Some((level, groups))) if !self.is_guest(&name) => Standing {
+                user: Arc::new(User {
+                    name,
+                    level,
+                    groups,
+                    details: Map::new(),
+                }),
+                origin: Origin::Claims,
+                proof: Proof::Token(Arc::clone(verifier)),
+            },
+            // Whoever is in the file has its rights from there, and those may be more.
+            (_, Some(_)) => return Err(refused("the token's user is one of this hub's own")),
+        };
+        Ok((standing, until))
+    }
+
+    /// Refuses the name of another user, and what looks like it: this one could be taken for that.
+    pub(super) fn check_nickname(&self, user: &User, nickname: Option<&str>) -> Result<(), WireError> {
+        let Some(nickname) = nickname.filter(|nickname| *nickname != user.name) else {
+            return Ok(());
+        };
+        let looks = looks_of(nickname);
+        let whose = self.looks.get(&looks);
+        let anothers = whose.is_some_and(|whose| whose.as_ref() != Some(&user.name));
+        let guests = self.settings.guests && looks == looks_of(GUEST);
+        if !anothers && !guests {
+            return Ok(());
+        }
+        let text = match self.users.contains_key(nickname) || self.is_guest(nickname) {
+            true => format!("the nickname {nickname:?} is another user's name"),
+            false => format!("the nickname {nickname:?} looks like another user's name"),
+        };
+        Err(WireError::new(Code::BAD_NAME, text).slot("content/nickname"))
+    }
+
+    fn is_guest(&self, name: &str) -> bool {
+        self.settings.guests && name == GUEST
+    }
+}
+
+impl Standing {
+    pub(super) fn of_file(entry: &Entry, proof: Proof) -> Standing {
+        Standing {
+            user: Arc::clone(&entry.user),
+            origin: Origin::File,
+            proof,
+        }
+    }
+
+    /// The user as another book has it; none = it is nobody there, or what it has shown proves nothing any more.
+    pub(super) fn as_of(&self, book: &Book) -> Option<Arc<User>> {
+        let entry = book.users.get(&self.user.name);
+        let proven = match &self.proof {
+            Proof::Password(hash) => entry.is_some_and(|entry| entry.password.as_ref() == Some(hash)),
+            Proof::Key(key) => entry.is_some_and(|entry| entry.keys.contains(key)),
+            Proof::Token(trusted) => book
+                .verifier
+                .as_ref()
+                .is_some_and(|now| Arc::ptr_eq(now, trusted)),
+            Proof::Nothing => true,
+        };
+        if !proven {
+            return None;
+        }
+        match self.origin {
+            Origin::File => entry.map(|entry| Arc::clone(&entry.user)),
+            Origin::Guest => book.settings.guests.then(|| Arc::clone(&book.guest)),
+            Origin::Claims => {
+                let free = entry.is_none() && !book.is_guest(&self.user.name);
+                free.then(|| Arc::clone(&self.user))
+            }
+        }
+    }
+}
+
+impl Entry {
+    fn new(user: UserEntry) -> Result<Entry, SettingError> {
+        let keys = user
+            .keys
+            .iter()
+            .map(|key| {
+                parse_key(key).map_err(|text| SettingError::new(&["users"], format!("{}: {text}", user.name)))
+            })
+            .collect::<Result<_, _>>()?;
+        Ok(Entry {
+            user: Arc::new(user.to_user()),
+            password: user.password,
+            keys,
+        })
+    }
+}
+
+/// The user that all guests are.
+pub fn guest() -> User {
+    User {
+        name: GUEST.to_owned(),
+        level: 0,
+        groups: vec![GUEST.to_owned()],
+        details: Map::new(),
+    }
+}

@@ -1,0 +1,365 @@
+//! Who is it? Passwords, keys, tokens and guests (M12, M13).
+
+mod book;
+mod content;
+mod error;
+mod jwt;
+mod key;
+mod password;
+mod settings;
+mod throttle;
+mod user;
+
+use std::net::IpAddr;
+use std::sync::Arc;
+
+use dashmap::DashMap;
+use mom_hub::{PeerId, User};
+use mom_managers::Micros;
+use mom_proto::{Code, Parcel, Time, WireError};
+use mom_system::Clock;
+use parking_lot::RwLock;
+
+use self::book::{Book, Standing};
+use self::content::{Proof, Request, read_signature};
+use self::throttle::Throttle;
+
+pub use book::{GUEST, Origin, guest};
+pub use error::SettingError;
+pub use jwt::Verifier;
+pub use key::Challenge;
+pub use password::{LoginStats, hash};
+pub use settings::{FailureRate, JwtConfig, JwtKey, JwtUsers, LoginConfig, ThrottleConfig};
+pub use user::UserEntry;
+
+/// What follows on a login that is not refused.
+#[derive(Debug)]
+pub enum Step {
+    /// A key has to answer this first.
+    Challenge(Challenge),
+    /// It is that user.
+    Granted(Granted),
+}
+
+/// A user that has proven who it is, before the hub knows.
+#[derive(Debug)]
+pub struct Granted {
+    standing: Standing,
+    nickname: Option<String>,
+    until: Option<Time>,
+    /// By which it was proven.
+    book: Arc<Book>,
+}
+
+/// The users, and all that logins go through.
+#[derive(Debug)]
+pub struct Logins {
+    clock: Clock,
+    /// Replaced whole by a new configuration.
+    book: RwLock<Arc<Book>>,
+    throttle: Throttle,
+    /// As whom each peer is here.
+    peers: DashMap<PeerId, Standing>,
+    /// Checked in place of an unknown user's, so that the time says nothing about who exists.
+    dummy: String,
+}
+
+impl Logins {
+    /// # Errors
+    /// A user or a setting that [`LoginConfig::check`] or [`UserEntry::check`] would refuse too.
+    pub fn new(users: Vec<UserEntry>, settings: LoginConfig, clock: Clock) -> Result<Logins, SettingError> {
+        Ok(Logins {
+            clock,
+            book: RwLock::new(Arc::new(Book::new(users, settings, None)?)),
+            throttle: Throttle::new(),
+            peers: DashMap::new(),
+            dummy: hash("no such user").unwrap_or_default(),
+        })
+    }
+
+    /// Takes another configuration: from now on logins go by it, those under way included. `apply` gets the peers
+    /// whose user has changed since they logged in, as it is now (none = it may not be here any more), to tell the
+    /// hub; nobody logs in before it has returned.
+    ///
+    /// # Errors
+    /// As [`Logins::new`]; then all stays as it is.
+    pub fn replace(
+        &self,
+        users: Vec<UserEntry>,
+        settings: LoginConfig,
+        apply: impl FnOnce(Vec<(PeerId, Option<User>)>),
+    ) -> Result<(), SettingError> {
+        let book = Arc::new(Book::new(users, settings, Some(&self.book()))?);
+        let mut present = self.book.write();
+        *present = Arc::clone(&book);
+        apply(self.reconsider(&book));
+        Ok(())
+    }
+
+    fn reconsider(&self, book: &Book) -> Vec<(PeerId, Option<User>)> {
+        let mut changed = Vec::new();
+        for mut peer in self.peers.iter_mut() {
+            let user = peer.as_of(book);
+            if user.as_ref() != Some(&peer.user) {
+                if let Some(user) = &user {
+                    peer.user = Arc::clone(user);
+                }
+                let user = user.map(|user| User::clone(&user));
+                changed.push((*peer.key(), user));
+            }
+        }
+        changed
+    }
+
+    /// Whether the users file has a user of this name.
+    pub fn knows(&self, user: &str) -> bool {
+        self.book().users.contains_key(user)
+    }
+
+    /// Failed logins after which a connection is closed.
+    pub fn attempts(&self) -> u32 {
+        self.book().settings.attempts
+    }
+
+    /// What hashing has come to.
+    pub fn stats(&self) -> LoginStats {
+        self.book().hashing.stats()
+    }
+
+    /// Checks a `login login`.
+    ///
+    /// # Errors
+    /// Why it is refused.
+    pub async fn check(&self, parcel: &Parcel, from: Option<IpAddr>) -> Result<Step, WireError> {
+        let Request { proof, nickname } = Request::read(parcel)?;
+        let book = self.book();
+        let (standing, until) = match proof {
+            Proof::Password { name, password } => {
+                (self.by_password(&book, &name, password, from).await?, None)
+            }
+            Proof::Token(token) => self.by_token(&book, &token, from)?,
+            Proof::Guest => (book.guest()?, None),
+            Proof::Key { name } => {
+                let until = self.clock.now().saturating_add(book.challenge_time());
+                let challenge = Challenge::new(name, nickname, &book.settings.hub, until)?;
+                return Ok(Step::Challenge(challenge));
+            }
+        };
+        Granted::new(standing, nickname, until, book).map(Step::Granted)
+    }
+
+    /// Checks a `login answer` to the last challenge of its connection, which is used up by that.
+    ///
+    /// # Errors
+    /// Why it is refused.
+    pub fn answer(
+        &self,
+        parcel: &Parcel,
+        challenge: Option<Challenge>,
+        from: Option<IpAddr>,
+    ) -> Result<Granted, WireError> {
+        let signature = read_signature(parcel)?;
+        let book = self.book();
+        let attempt = self.enter(&book, from, None)?;
+        let challenge = challenge.filter(|challenge| challenge.is_open(self.clock.now()));
+        let Some(challenge) = challenge else {
+            attempt.fail();
+            let text =
+                "there is no challenge to answer, any more or at all: ask for one with login {name, key}";
+            return Err(WireError::new(Code::BAD_LOGIN, text));
+        };
+        // Unknown users and those without keys get a challenge too, and fail only here.
+        let entry = book.users.get(&challenge.user);
+        let keys = entry.map_or(&[][..], |entry| &entry.keys);
+        match entry.zip(challenge.is_answered(keys, book.keys, &signature)) {
+            Some((entry, key)) => {
+                let standing = Standing::of_file(entry, book::Proof::Key(Box::new(key)));
+                Granted::new(standing, challenge.nickname, None, Arc::clone(&book))
+            }
+            None => {
+                attempt.fail();
+                let text = "no user has this name and a key that made this signature";
+                Err(WireError::new(Code::BAD_LOGIN, text))
+            }
+        }
+    }
+
+    /// Lets a user in that has proven who it is: `decide` tells the hub. No other configuration comes in between.
+    ///
+    /// # Errors
+    /// `bad-login` if the configuration has changed meanwhile and the user is none any more.
+    pub fn admit(
+        &self,
+        peer: PeerId,
+        granted: Granted,
+        decide: impl FnOnce(User, Option<String>),
+    ) -> Result<Option<Micros>, WireError> {
+        let Granted {
+            mut standing,
+            nickname,
+            until,
+            book,
+        } = granted;
+        let now = self.book.read();
+        if !Arc::ptr_eq(&book, &now) {
+            let gone = || {
+                WireError::new(
+                    Code::BAD_LOGIN,
+                    "this user is none any more, or proves itself by something else",
+                )
+            };
+            standing.user = standing.as_of(&now).ok_or_else(gone)?;
+            now.check_nickname(&standing.user, nickname.as_deref())?;
+        }
+        let mut user = User::clone(&standing.user);
+        if let Some(until) = until {
+            user.details.set("until", until);
+        }
+        self.peers.insert(peer, standing);
+        decide(user, nickname);
+        Ok(until.map(|until| self.monotonic(until)))
+    }
+
+    /// A peer is gone.
+    pub fn forget(&self, peer: PeerId) {
+        self.peers.remove(&peer);
+    }
+
+    /// Takes all places at which passwords are hashed, until what it gives is dropped: for tests.
+    #[cfg(feature = "occupy")]
+    pub async fn occupy(&self) -> tokio::sync::OwnedSemaphorePermit {
+        self.book().hashing.occupy().await
+    }
+
+    fn book(&self) -> Arc<Book> {
+        Arc::clone(&self.book.read())
+    }
+
+    async fn by_password(
+        &self,
+        book: &Book,
+        name: &str,
+        password: String,
+        from: Option<IpAddr>,
+    ) -> Result<Standing, WireError> {
+        password::check_private(from, "password")?;
+        let attempt = self.enter(book, from, Some(name))?;
+        let entry = book.users.get(name).filter(|entry| entry.password.is_some());
+        let expected = entry.and_then(|entry| entry.password.clone());
+        let expected = expected.unwrap_or_else(|| self.dummy.clone());
+        let shown = expected.clone();
+        let matches = book
+            .hashing
+            .verify(password, expected, book.settings.waiting)
+            .await?;
+        match entry.filter(|_| matches) {
+            Some(entry) => {
+                attempt.succeed();
+                Ok(Standing::of_file(entry, book::Proof::Password(shown)))
+            }
+            None => {
+                attempt.fail();
+                Err(WireError::new(
+                    Code::BAD_LOGIN,
+                    "no user has this name and password",
+                ))
+            }
+        }
+    }
+
+    fn by_token(
+        &self,
+        book: &Book,
+        token: &str,
+        from: Option<IpAddr>,
+    ) -> Result<(Standing, Option<Time>), WireError> {
+        password::check_private(from, "token")?;
+        let attempt = self.enter(book, from, None)?;
+        let standing = book.bearer(token, self.clock.wall());
+        if standing.is_err() {
+            attempt.fail();
+        }
+        standing.map(|(standing, until)| (standing, Some(until)))
+    }
+
+    /// An attempt to prove something, if none has to be waited for.
+    fn enter<'a>(
+        &'a self,
+        book: &'a Book,
+        from: Option<IpAddr>,
+        account: Option<&str>,
+    ) -> Result<Attempt<'a>, WireError> {
+        let source = from.map(|from| self.throttle.source(from, account));
+        let attempt = Attempt {
+            logins: self,
+            book,
+            source,
+        };
+        let Some(source) = source else {
+            // Who is inside this process need not guess.
+            return Ok(attempt);
+        };
+        self.throttle
+            .check(source, self.clock.now(), &book.settings.throttle)
+            .map_err(|wait| {
+                WireError::new(Code::TRY_LATER, "too many logins have failed").retry_after(wait)
+            })?;
+        Ok(attempt)
+    }
+
+    /// The broker's monotonic time at a wall time.
+    fn monotonic(&self, wall: Time) -> Micros {
+        let since = wall.micros().saturating_sub(self.clock.anchor().micros());
+        u64::try_from(since).unwrap_or_default()
+    }
+}
+
+impl Granted {
+    fn new(
+        standing: Standing,
+        nickname: Option<String>,
+        until: Option<Time>,
+        book: Arc<Book>,
+    ) -> Result<Granted, WireError> {
+        // Only now: before, it would tell anybody which users there are.
+        book.check_nickname(&standing.user, nickname.as_deref())?;
+        Ok(Granted {
+            standing,
+            nickname,
+            until,
+            book,
+        })
+    }
+
+    /// The user's name, for logs.
+    pub fn user(&self) -> &str {
+        &self.standing.user.name
+    }
+
+    /// Where the user comes from, for logs.
+    pub fn origin(&self) -> Origin {
+        self.standing.origin
+    }
+}
+
+/// One attempt, to be counted by its outcome; without an outcome it does not count.
+struct Attempt<'a> {
+    logins: &'a Logins,
+    book: &'a Book,
+    source: Option<throttle::Source>,
+}
+
+impl Attempt<'_> {
+    fn fail(self) {
+        if let Some(source) = self.source {
+            let Logins { throttle, clock, .. } = self.logins;
+            throttle.fail(source, clock.now(), &self.book.settings.throttle);
+        }
+    }
+
+    fn succeed(self) {
+        if let Some(source) = self.source {
+            self.logins.throttle.succeed(source, self.logins.clock.now());
+        }
+    }
+}

@@ -1,0 +1,153 @@
+//! The part of a session that asks who its peer is.
+
+use std::sync::Arc;
+
+use mom_hub::Input;
+use mom_login::{Challenge, Granted, Step};
+use mom_net::Reader;
+use mom_proto::{Code, Family, Parcel, Path, Value, Verb, WireError};
+
+use super::Session;
+use crate::traffic::switchboard::{Touched, flush};
+
+/// Whether this is part of a login.
+pub(super) fn concerns(parcel: &Parcel) -> bool {
+    [Verb::Login, Verb::Answer]
+        .iter()
+        .any(|verb| verb.word() == parcel.name())
+}
+
+/// What a peer hears whose token has expired.
+pub(super) fn proof_over() -> WireError {
+    let text = "the token has expired; log in again with a new one before that";
+    WireError::new(Code::REVOKED, text)
+}
+
+impl Session {
+    pub(super) async fn login(
+        &mut self,
+        reader: &mut Reader,
+        parcel: &Parcel,
+        touched: &mut Touched,
+    ) -> Result<(), WireError> {
+        // What was caused so far must not wait for a password to be hashed.
+        flush(touched);
+        let logins = Arc::clone(&self.context.logins);
+        let claimed = self.claimed(parcel);
+        // Whatever comes now, the last challenge is over.
+        let challenge = self.challenge.take();
+        let step = if parcel.name() == Verb::Answer.word() {
+            logins
+                .answer(parcel, challenge.map(|challenge| *challenge), self.from)
+                .map(Step::Granted)
+        } else {
+            logins.check(parcel, self.from).await
+        };
+        let refused = match step {
+            Ok(Step::Challenge(challenge)) => {
+                self.challenge(challenge, parcel.id, touched);
+                return Ok(());
+            }
+            Ok(Step::Granted(granted)) => self.admit(reader, granted, parcel.id, touched),
+            Err(error) => Err(error),
+        };
+        refused.or_else(|error| self.refuse_login(error, claimed, parcel.id, touched))
+    }
+
+    /// Waits until the proof of who the peer is, if it is one for a time, is over.
+    pub(super) async fn proof_over(&self) {
+        match self.proven_until {
+            Some(until) => Box::pin(self.context.board.clock.reach(until)).await,
+            None => std::future::pending().await,
+        }
+    }
+
+    /// Whether it is over by now.
+    pub(super) fn is_proof_over(&self) -> bool {
+        self.proven_until
+            .is_some_and(|until| self.context.board.clock.now() >= until)
+    }
+
+    fn challenge(&mut self, challenge: Challenge, reference: Option<u64>, touched: &mut Touched) {
+        let mut reply = Parcel::new(Family::Reply, "challenge")
+            .context(Path::root())
+            .content(challenge.content());
+        reply.reference = reference;
+        self.context.board.tell(self.peer, reply, touched);
+        self.challenge = Some(Box::new(challenge));
+    }
+
+    fn admit(
+        &mut self,
+        reader: &mut Reader,
+        granted: Granted,
+        id: Option<u64>,
+        touched: &mut Touched,
+    ) -> Result<(), WireError> {
+        let (peer, board) = (self.peer, Arc::clone(&self.context.board));
+        tracing::info!(peer = peer.0, user = granted.user(), origin = ?granted.origin(), from = ?self.from, "logged in");
+        let logged_in = &mut self.logged_in;
+        let decide = |user, nickname| {
+            // First: whatever happens then, the hub hears of the end.
+            *logged_in = true;
+            let login = Input::Login {
+                peer,
+                user,
+                nickname,
+                id,
+            };
+            board.decide(login, touched);
+        };
+        self.proven_until = self.context.logins.admit(peer, granted, decide)?;
+        reader.set_limits(&self.context.limits);
+        let name = board.peer_name(peer).unwrap_or_default();
+        let limits = &self.context.limits;
+        self.outbox.admit(limits.outbox, limits.parcel, name);
+        Ok(())
+    }
+
+    fn refuse_login(
+        &mut self,
+        error: WireError,
+        claimed: Option<Arc<str>>,
+        reference: Option<u64>,
+        touched: &mut Touched,
+    ) -> Result<(), WireError> {
+        self.audit_login(claimed.clone(), &error.code);
+        tracing::info!(peer = self.peer.0, from = ?self.from, code = %error.code, "login refused");
+        if error.code == Code::BAD_LOGIN {
+            self.failures += 1;
+        }
+        if error.code.closes() {
+            return Err(error);
+        }
+        self.refuse(&error, reference, touched);
+        if self.failures < self.context.logins.attempts() {
+            return Ok(());
+        }
+        self.audit_login(claimed, &Code::TOO_MANY_LOGINS);
+        Err(WireError::new(
+            Code::TOO_MANY_LOGINS,
+            "too many failed logins on one connection",
+        ))
+    }
+
+    /// The user that a peer claims to be, if there is one of that name: others may be secrets in the wrong place.
+    fn claimed(&self, parcel: &Parcel) -> Option<Arc<str>> {
+        let content = parcel.value();
+        let name = match &self.challenge {
+            Some(challenge) if parcel.name() == Verb::Answer.word() => Some(challenge.user()),
+            _ => content.get("name").and_then(Value::as_str),
+        };
+        let known = |name: &&str| self.context.logins.knows(name);
+        name.filter(known).map(Arc::from)
+    }
+
+    /// Notes a login that was refused.
+    fn audit_login(&self, claimed: Option<Arc<str>>, code: &Code) {
+        // Only who was here before, as another user perhaps, has a name.
+        let name = Some(self.outbox.name()).filter(|name| !name.is_empty());
+        let tap = &self.context.board.tap;
+        tap.login_refused(self.peer, name, claimed, code);
+    }
+}

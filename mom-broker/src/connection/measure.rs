@@ -1,0 +1,98 @@
+//! The clock of a peer, measured by the hub's own pings (M34, design §7).
+
+use mom_managers::Micros;
+use mom_proto::{ClockOffset, Exchange, Family, Map, OffsetEstimator, Parcel, Path, Time, Value};
+use mom_system::Clock;
+use parking_lot::Mutex;
+
+/// Exchanges right after the first answer, one after the other; from then on one each heartbeat.
+const QUICK: usize = 4;
+
+/// The pings to one peer: the heartbeat says them, the reader hears the answers.
+#[derive(Debug, Default)]
+pub(crate) struct Pings {
+    state: Mutex<State>,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    next: u64,
+    /// The last one, if it is not answered: its id, and when it was sent.
+    asked: Option<(u64, Time)>,
+    /// The peer answers with its stamps, so that asking is worth it.
+    stamps: bool,
+}
+
+/// What a reader knows of its peer's clock.
+#[derive(Debug, Default)]
+pub(crate) struct Measure {
+    estimator: OffsetEstimator,
+}
+
+impl Pings {
+    /// The next ping, sent now. An answer to the one before is of no use any more.
+    pub(crate) fn next(&self, clock: &Clock) -> Parcel {
+        let mut state = self.state.lock();
+        let (id, sent) = (state.next, clock.wall());
+        state.next += 1;
+        state.asked = Some((id, sent));
+        let content = Map::new().with("sent", sent);
+        Parcel::new(Family::Time, "ping")
+            .context(Path::root())
+            .id(id)
+            .content(content)
+    }
+
+    /// Whether the peer answers with its stamps.
+    pub(crate) fn are_stamped(&self) -> bool {
+        self.state.lock().stamps
+    }
+
+    fn answered(&self, pong: &Parcel) -> Option<Time> {
+        let mut state = self.state.lock();
+        let (id, sent) = state.asked?;
+        (pong.reference == Some(id)).then(|| {
+            state.asked = None;
+            sent
+        })
+    }
+}
+
+impl Measure {
+    /// The answer to a ping of the peer.
+    pub(crate) fn pong(ping: &Parcel, clock: &Clock) -> Parcel {
+        let content = Map::new()
+            .with("received", clock.wall())
+            .with("sent", clock.wall());
+        let mut pong = Parcel::new(Family::Time, "pong")
+            .context(Path::root())
+            .content(content);
+        pong.reference = ping.id;
+        pong
+    }
+
+    /// Whether a ping of the peer shows that it stamps, while nothing is known of its clock yet.
+    pub(crate) fn begins(&self, ping: &Parcel, pings: &Pings) -> bool {
+        self.estimator.exchanges() == 0
+            && !pings.are_stamped()
+            && matches!(ping.value().get("sent"), Some(Value::Time(_)))
+    }
+
+    /// Learns from the answer to a ping; whether to ask again at once.
+    pub(crate) fn learn(&mut self, pong: &Parcel, pings: &Pings, clock: &Clock) -> bool {
+        let Some(sent) = pings.answered(pong) else {
+            return false;
+        };
+        // Without stamps it is a sign of life and nothing else.
+        let Some(exchange) = Exchange::of(sent, pong, clock.wall()) else {
+            return false;
+        };
+        pings.state.lock().stamps = true;
+        self.estimator.push(exchange, clock.now()) && self.estimator.exchanges() < QUICK
+    }
+
+    /// The peer's clock minus the hub's; none if it is not known.
+    pub(crate) fn offset(&self, now: Micros) -> Option<ClockOffset> {
+        self.estimator.at(now)
+    }
+}

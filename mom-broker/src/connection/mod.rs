@@ -1,0 +1,404 @@
+//! One connection, from its first byte to its end.
+
+mod login;
+mod measure;
+mod requests;
+mod serving;
+#[cfg(test)]
+mod tests;
+
+use std::net::IpAddr;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use mom_hub::{Input, PeerClock, PeerId};
+use mom_login::{Challenge, Logins};
+use mom_managers::Micros;
+use mom_net::{NetError, Reader};
+use mom_proto::codec::Frame;
+use mom_proto::{Code, Family, Limits, Parcel, Verb, WireError};
+use parking_lot::RwLock;
+use tokio::time::{Instant, timeout_at};
+
+use crate::traffic::capacity::Held;
+use crate::traffic::outbox::Outbox;
+use crate::traffic::switchboard::{Sender, Sent, Switchboard, Touched, flush};
+
+use measure::{Measure, Pings};
+
+pub(crate) use serving::Serving;
+
+/// Frames after which a turn flushes and lets others run: a peer inside this process may never pause, and whoever
+/// adds something of usual urgency to an outbox that somebody has touched leaves the flush to that one.
+const TURN: usize = 256;
+
+/// What a connection has to know of its broker.
+#[derive(Clone, Debug)]
+pub(crate) struct Context {
+    pub(crate) board: Arc<Switchboard>,
+    pub(crate) logins: Arc<Logins>,
+    /// What holds for this connection as long as it lasts: it was told so.
+    pub(crate) limits: Arc<Limits>,
+    /// What holds for the next one.
+    pub(crate) next_limits: Arc<RwLock<Arc<Limits>>>,
+}
+
+impl Context {
+    pub(crate) fn new(board: Switchboard, logins: Logins, limits: Limits) -> Context {
+        let limits = Arc::new(limits);
+        Context {
+            board: Arc::new(board),
+            logins: Arc::new(logins),
+            next_limits: Arc::new(RwLock::new(Arc::clone(&limits))),
+            limits,
+        }
+    }
+
+    /// For a new connection.
+    pub(crate) fn fresh(&self) -> Context {
+        let limits = Arc::clone(&self.next_limits.read());
+        Context {
+            limits,
+            ..self.clone()
+        }
+    }
+}
+
+/// One connection as its reader sees it.
+struct Session {
+    context: Context,
+    peer: PeerId,
+    outbox: Arc<Outbox>,
+    /// Where it comes from, none inside this process.
+    from: Option<IpAddr>,
+    logged_in: bool,
+    /// Logins that failed.
+    failures: u32,
+    /// When the last whole frame was here.
+    heard_at: Instant,
+    /// When to look next whether the peer is there.
+    beat_at: Instant,
+    pings: Pings,
+    /// What its pongs say of its clock.
+    measure: Measure,
+    /// What a key has to answer.
+    challenge: Option<Box<Challenge>>,
+    /// When the proof of who it is will be over, none if it lasts.
+    proven_until: Option<Micros>,
+    requests: requests::Requests,
+    ended: bool,
+}
+
+/// What a reader does after a frame.
+enum Next {
+    /// It reads on.
+    Frame,
+    /// It logs its peer in.
+    Login(Box<Parcel>),
+    /// It waits for room for a message of this id.
+    Room(Box<Held>, Option<u64>),
+}
+
+/// However a session ends, cut off or by a fault of its own, its peer must not stay behind as the owner of
+/// anything.
+impl Drop for Session {
+    fn drop(&mut self) {
+        if !self.ended {
+            self.end(None);
+            self.context.board.remove_outbox(&self.outbox);
+        }
+    }
+}
+
+impl Session {
+    /// Reads until the connection ends; gives the error to say if there is one.
+    #[expect(clippy::manual_async_fn, reason = "an async fn keeps what it is given twice")]
+    fn read<'a>(
+        &'a mut self,
+        reader: &'a mut Reader,
+        login_by: Instant,
+    ) -> impl Future<Output = Option<WireError>> + 'a {
+        async move {
+            // What came with the first bytes, by which the form was told.
+            if let Err(end) = self.take_turn(reader).await {
+                return end;
+            }
+            let outbox = Arc::clone(&self.outbox);
+            loop {
+                let wake = self.deadline(login_by).min(self.beat_at);
+                let arrived = tokio::select! {
+                    biased;
+                    () = outbox.end.notified() => return outbox.closing().and_then(|closing| closing.error),
+                    () = self.proof_over() => return Some(login::proof_over()),
+                    arrived = timeout_at(wake, reader.arrive()) => arrived,
+                };
+                match arrived {
+                    Ok(Ok(true)) => {}
+                    Ok(Ok(false)) => return None,
+                    Ok(Err(error)) => return self.failed(error),
+                    Err(_) if Instant::now() < self.deadline(login_by) => self.beat(),
+                    Err(_) if self.logged_in => return Some(silent(self.gone())),
+                    Err(_) => return Some(login_timeout(self.context.limits.login_time)),
+                }
+                if let Err(end) = self.take_turn(reader).await {
+                    return end;
+                }
+            }
+        }
+    }
+
+    /// For how long a peer may say nothing.
+    fn gone(&self) -> Duration {
+        Duration::from_millis(self.context.limits.gone)
+    }
+
+    /// When the connection ends if nothing is heard.
+    fn deadline(&self, login_by: Instant) -> Instant {
+        match self.logged_in {
+            true => self.heard_at + self.gone(),
+            false => login_by,
+        }
+    }
+
+    /// Asks a peer that says or hears nothing else whether it is there, and one that stamps its answers for its
+    /// clock.
+    fn beat(&mut self) {
+        self.beat_at = Instant::now() + Duration::from_millis(self.context.limits.heartbeat);
+        let quiet = !self.outbox.active.swap(false, Ordering::Relaxed);
+        // A peer that only listens has to be asked too, or it would be taken for gone.
+        let silent = !self.outbox.heard.swap(false, Ordering::Relaxed);
+        if quiet || silent || self.pings.are_stamped() {
+            let mut touched = Touched::new();
+            let ping = self.pings.next(&self.context.board.clock);
+            self.context.board.tell(self.peer, ping, &mut touched);
+            flush(&mut touched);
+            // A ping alone is not activity, or the next one would wait twice as long.
+            self.outbox.active.store(false, Ordering::Relaxed);
+        }
+    }
+
+    /// Handles all that has arrived, and flushes what it caused.
+    async fn take_turn(&mut self, reader: &mut Reader) -> Result<(), Option<WireError>> {
+        let mut touched = Touched::new();
+        let mut handled = 0;
+        let result = loop {
+            let goes_on = !self.outbox.is_closed() && !self.is_proof_over();
+            if !goes_on {
+                break Ok(());
+            }
+            if !self.run(reader, &mut touched) {
+                let frame = match reader.try_next() {
+                    Ok(None) => break Ok(()),
+                    Ok(Some(frame)) => frame,
+                    Err(error) => break Err(self.failed(error)),
+                };
+                match self.handle(frame, &mut touched) {
+                    Next::Frame => {}
+                    Next::Login(login) => {
+                        // Apart, for it is rare and needs more memory than all the rest of a connection.
+                        let login = Box::pin(self.login(reader, &login, &mut touched));
+                        if let Err(error) = login.await {
+                            break Err(Some(error));
+                        }
+                    }
+                    Next::Room(held, reference) => {
+                        // Nothing is read meanwhile, so the network holds the peer back.
+                        let room = Box::pin(self.wait_for_room(held, reference, &mut touched));
+                        if let Err(end) = room.await {
+                            break Err(end);
+                        }
+                    }
+                }
+            }
+            handled += 1;
+            if handled % TURN == 0 {
+                flush(&mut touched);
+                tokio::task::yield_now().await;
+            }
+        };
+        flush(&mut touched);
+        if handled > 0 {
+            self.outbox.heard.store(true, Ordering::Relaxed);
+            self.heard_at = Instant::now();
+        }
+        result
+    }
+
+    /// Passes on plain messages that are alike.
+    fn run(&self, reader: &mut Reader, touched: &mut Touched) -> bool {
+        let clock = |now| self.peer_clock(now);
+        let sender = Sender {
+            peer: self.peer,
+            clock: &clock,
+            limits: &self.context.limits,
+        };
+        self.logged_in && self.context.board.run(&sender, reader, touched)
+    }
+
+    /// Waits until a message can go, or is refused; gives the error to say if the connection ends meanwhile.
+    async fn wait_for_room(
+        &mut self,
+        mut held: Box<Held>,
+        reference: Option<u64>,
+        touched: &mut Touched,
+    ) -> Result<(), Option<WireError>> {
+        let outbox = Arc::clone(&self.outbox);
+        loop {
+            flush(touched);
+            tokio::select! {
+                biased;
+                () = outbox.end.notified() => return Err(outbox.closing().and_then(|closing| closing.error)),
+                () = self.proof_over() => return Err(Some(login::proof_over())),
+                () = held.ready(&self.context.board.clock) => {}
+            }
+            let clock = |now| self.peer_clock(now);
+            let sender = Sender {
+                peer: self.peer,
+                clock: &clock,
+                limits: &self.context.limits,
+            };
+            match self.context.board.resume(&sender, *held, touched) {
+                Ok(Sent::Taken) => return Ok(()),
+                Ok(Sent::Waits(still)) => held = still,
+                Err(error) => {
+                    self.refuse(&error, reference, touched);
+                    return Ok(());
+                }
+            }
+        }
+    }
+
+    /// Why a connection ends that gives nothing more.
+    fn failed(&self, error: NetError) -> Option<WireError> {
+        match error {
+            NetError::Wire(error) => Some(error),
+            error => {
+                tracing::debug!(peer = self.peer.0, %error, "link failed");
+                None
+            }
+        }
+    }
+
+    /// Handles one frame; gives back what takes its time.
+    fn handle(&mut self, frame: Frame, touched: &mut Touched) -> Next {
+        let parcel = match frame {
+            Frame::Malformed { reference, error } => {
+                self.refuse(&error, reference, touched);
+                return Next::Frame;
+            }
+            Frame::Parcel(parcel) => parcel,
+        };
+        match parcel.family {
+            Family::Message if self.logged_in => {
+                let reference = parcel.id;
+                let clock = |now| self.peer_clock(now);
+                let sender = Sender {
+                    peer: self.peer,
+                    clock: &clock,
+                    limits: &self.context.limits,
+                };
+                match self.context.board.message(&sender, parcel, touched) {
+                    Ok(Sent::Taken) => {}
+                    Ok(Sent::Waits(held)) => return Next::Room(held, reference),
+                    Err(error) => self.refuse(&error, reference, touched),
+                }
+            }
+            Family::Time => self.time(&parcel, touched),
+            Family::Login if login::concerns(&parcel) => return Next::Login(parcel),
+            _ if self.logged_in => {
+                let now = self.context.board.clock.now();
+                if let Err(error) = self.requests.take(&parcel, self.context.limits.requests, now) {
+                    self.refuse(&error, parcel.id, touched);
+                    return Next::Frame;
+                }
+                self.context.board.decide(
+                    Input::Request {
+                        peer: self.peer,
+                        parcel,
+                        // Only messages have an age.
+                        clock: None,
+                    },
+                    touched,
+                );
+            }
+            _ => {
+                let text = "log in first: family login, name login, content {name, password}";
+                self.refuse(&WireError::new(Code::NOT_LOGGED_IN, text), parcel.id, touched);
+            }
+        }
+        Next::Frame
+    }
+
+    fn time(&mut self, parcel: &Parcel, touched: &mut Touched) {
+        match Verb::of(parcel.family, &parcel.name) {
+            Ok(Verb::Ping) => {
+                let pong = Measure::pong(parcel, &self.context.board.clock);
+                self.context.board.tell(self.peer, pong, touched);
+                if self.logged_in && self.measure.begins(parcel, &self.pings) {
+                    self.ping(touched);
+                }
+            }
+            Ok(_) => {
+                let clock = &self.context.board.clock;
+                if self.measure.learn(parcel, &self.pings, clock) && self.logged_in {
+                    self.ping(touched);
+                }
+            }
+            Err(error) => self.refuse(&error, parcel.id, touched),
+        }
+    }
+
+    fn peer_clock(&self, now: Micros) -> Option<PeerClock> {
+        self.measure.offset(now).map(|offset| PeerClock {
+            offset,
+            future: self.context.limits.future.saturating_mul(1000),
+        })
+    }
+
+    fn ping(&self, touched: &mut Touched) {
+        let ping = self.pings.next(&self.context.board.clock);
+        self.context.board.tell(self.peer, ping, touched);
+    }
+
+    fn refuse(&self, error: &WireError, reference: Option<u64>, touched: &mut Touched) {
+        // Not its words: they quote what was said, and that may have been a password.
+        tracing::debug!(peer = self.peer.0, code = %error.code, "refused");
+        self.context
+            .board
+            .tell(self.peer, error.to_parcel(reference), touched);
+    }
+
+    /// Ends the connection: the hub first, so that tokens are free before anything else.
+    fn end(&mut self, error: Option<WireError>) {
+        self.ended = true;
+        let mut touched = Touched::new();
+        self.context.logins.forget(self.peer);
+        if self.logged_in {
+            let name = self.context.board.peer_name(self.peer).unwrap_or_default();
+            self.context
+                .board
+                .decide(Input::Gone { peer: self.peer }, &mut touched);
+            tracing::info!(peer = self.peer.0, %name, code = ?error.as_ref().map(|error| error.code.word()), "gone");
+        } else if let Some(error) = &error {
+            tracing::info!(peer = self.peer.0, from = ?self.from, code = %error.code, "closed");
+        }
+        self.context.board.close(&self.outbox, error);
+        flush(&mut touched);
+    }
+}
+
+fn silent(gone: Duration) -> WireError {
+    let text = format!(
+        "nothing was heard for {} s; say time ping before that",
+        gone.as_secs()
+    );
+    WireError::new(Code::SILENT, text)
+}
+
+pub(crate) fn login_timeout(millis: u64) -> WireError {
+    WireError::new(
+        Code::LOGIN_TIMEOUT,
+        format!("no login within {} s", millis / 1000),
+    )
+}

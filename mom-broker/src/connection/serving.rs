@@ -1,0 +1,148 @@
+//! One connection with its reader and its writer, in one task.
+
+use std::future::poll_fn;
+use std::net::IpAddr;
+use std::pin::{Pin, pin};
+use std::sync::Arc;
+use std::task::Poll;
+use std::time::Duration;
+
+use mom_net::{Reader, Transceiver};
+use tokio::time::{Instant, timeout};
+
+use super::measure::{Measure, Pings};
+use super::{Context, Session, requests};
+use crate::traffic::outbox::Outbox;
+
+/// How long an ending connection may take to hear why.
+const FAREWELL: Duration = Duration::from_secs(1);
+
+/// A connection that is served. Its futures borrow it: what a future is given by value it keeps twice.
+pub(crate) struct Serving {
+    session: Session,
+    reader: Reader,
+    login_by: Instant,
+}
+
+impl Serving {
+    /// Begins to serve a connection.
+    pub(crate) fn begin(
+        context: Context,
+        transceiver: Transceiver,
+        from: Option<IpAddr>,
+        login_by: Instant,
+    ) -> Serving {
+        let Transceiver { reader, writer } = transceiver;
+        let peer = context.board.next_peer();
+        let outbox = Arc::new(Outbox::new(
+            peer,
+            context.board.clock.clone(),
+            writer,
+            context.limits.before_login,
+        ));
+        context.board.tap.audit.arrived(peer, from);
+        context.board.add_outbox(&outbox);
+        let beat = Duration::from_millis(context.limits.heartbeat);
+        let session = Session {
+            context,
+            peer,
+            outbox,
+            from,
+            logged_in: false,
+            failures: 0,
+            heard_at: Instant::now(),
+            beat_at: Instant::now() + beat,
+            pings: Pings::default(),
+            measure: Measure::default(),
+            challenge: None,
+            proven_until: None,
+            requests: requests::Requests::default(),
+            ended: false,
+        };
+        Serving {
+            session,
+            reader,
+            login_by,
+        }
+    }
+
+    /// Serves it until it ends.
+    pub(crate) async fn run(&mut self) {
+        let outbox = Arc::clone(&self.session.outbox);
+        // In the same task: for a connection that waits, a task of its own would be a tenth of its memory.
+        let mut writer = Writing {
+            future: pin!(outbox.run()),
+            over: false,
+        };
+        let error = {
+            let mut read = pin!(self.session.read(&mut self.reader, self.login_by));
+            poll_fn(|task| {
+                let _ = writer.poll(task);
+                read.as_mut().poll(task)
+            })
+            .await
+        };
+        self.session.end(error);
+        Box::pin(self.part(&mut writer)).await;
+    }
+
+    /// Gives the last words their time.
+    async fn part(&mut self, writer: &mut Writing<'_, impl Future<Output = ()>>) {
+        let board = &self.session.context.board;
+        // The error gets a second to go out, and when the broker stops all that waits gets its time; a link that does
+        // not take it is cut.
+        let patience = match board.is_stopping() {
+            true => crate::broker::DRAIN,
+            false => FAREWELL,
+        };
+        let written = poll_fn(|task| writer.poll(task));
+        if timeout(patience, written).await.is_err() {
+            let peer = self.session.peer.0;
+            tracing::debug!(peer, "what waited for it was not taken in time");
+        } else if timeout(FAREWELL, self.reader.drain()).await.is_err() {
+            // What the peer still said was read and thrown away so long: closing with unread bytes would have reset
+            // the link, and the error with it.
+            tracing::debug!(
+                peer = self.session.peer.0,
+                "not closed from the other side in time"
+            );
+        }
+        board.remove_outbox(&self.session.outbox);
+    }
+}
+
+/// The writer of a connection, which may end before the reader does.
+struct Writing<'a, F> {
+    future: Pin<&'a mut F>,
+    over: bool,
+}
+
+impl<F: Future<Output = ()>> Writing<'_, F> {
+    fn poll(&mut self, task: &mut std::task::Context<'_>) -> Poll<()> {
+        if !self.over {
+            self.over = self.future.as_mut().poll(task).is_ready();
+        }
+        match self.over {
+            true => Poll::Ready(()),
+            false => Poll::Pending,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What `call` would give, unpolled: only its size is asked for.
+    fn size_of_future<A, B, C, D, F: Future>(_: &impl Fn(A, B, C, D) -> F) -> usize {
+        size_of::<F>()
+    }
+
+    /// Ten thousand idle peers cost what their tasks keep: what is rare is boxed while it lasts (docs/performance.md).
+    #[test]
+    fn an_idle_connection_is_small() {
+        let connection = |context: Context, stream, from, place| context.take_in(stream, from, place);
+        let all = [size_of_future(&connection), size_of::<Outbox>()];
+        assert!(all.iter().sum::<usize>() <= 1536, "{all:?}");
+    }
+}

@@ -1,0 +1,80 @@
+//! Channels in which senders wait for receivers that have no room (design §7).
+//!
+//! A message goes to all of its receivers or to none: before it is put into the first outbox there is room in every
+//! one. If there is not, its sender's reader waits without a lock for the first that is full, and looks again with
+//! everything that had to hold. So the network holds the sender back, and nobody else.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use mom_managers::Micros;
+use mom_proto::{Code, Parcel, Path, Value, WireError};
+use mom_system::Clock;
+
+use crate::traffic::outbox::Place;
+
+/// Names of slow receivers that a refusal lists at most.
+const NAMED: usize = 16;
+
+/// How a message comes by its room.
+#[derive(Debug)]
+pub(crate) enum Room {
+    /// Its sender can wait; the place that it has in a line so far.
+    Waits(Option<Place>),
+    /// It has come from the hub, where nobody waits: it may use all of an outbox.
+    Whole,
+}
+
+/// Some receiver has no room.
+#[derive(Debug)]
+pub(crate) struct Full {
+    /// What was to be sent.
+    pub(crate) parcel: Box<Parcel>,
+    /// Where its sender waits.
+    pub(crate) place: Place,
+    /// The receivers without room.
+    pub(crate) slow: Vec<Arc<str>>,
+}
+
+/// A message that waits for room.
+#[derive(Debug)]
+pub(crate) struct Held {
+    pub(crate) parcel: Box<Parcel>,
+    pub(crate) since: Micros,
+    /// When to look again in any case.
+    pub(crate) until: Micros,
+    pub(crate) place: Place,
+}
+
+impl Held {
+    /// Waits until it is worth looking again.
+    pub(crate) async fn ready(&self, clock: &Clock) {
+        tokio::select! {
+            biased;
+            () = self.place.called() => {}
+            () = clock.reach(self.until) => {}
+        }
+    }
+}
+
+/// `try-later`, with the names of those who have no room, and when to try again.
+pub(crate) fn no_room(
+    slow: &[Arc<str>],
+    path: &Path,
+    waited: Option<Duration>,
+    retry: Duration,
+) -> WireError {
+    let who = slow.first().map_or("a receiver", |name| &**name);
+    let others = match slow.len() {
+        0 | 1 => String::new(),
+        more => format!(" and {} more", more - 1),
+    };
+    let waited = waited.map_or(String::new(), |waited| {
+        format!(" within {} ms", waited.as_millis())
+    });
+    let text = format!("{who}{others} in {path} had no room for it{waited}; nobody got it");
+    let names: Vec<Value> = slow.iter().take(NAMED).map(|name| Value::from(&**name)).collect();
+    WireError::new(Code::TRY_LATER, text)
+        .detail("slow", names)
+        .retry_after(retry)
+}

@@ -1,0 +1,473 @@
+//! A channel as the broker holds it: its route with the outboxes of its members.
+
+mod kept;
+mod room;
+mod runs;
+
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use mom_hub::{PeerId, Receivers, Route, Usage};
+use mom_managers::Rate;
+use mom_proto::codec::{Form, Scratch};
+use mom_proto::{Content, ContextNumber, Delivery, Parcel, Path, Time, Verb, WireError};
+use mom_system::Clock;
+use mom_system::sync::atomic::{AtomicU64, Ordering};
+use mom_system::sync::{Mutex, MutexGuard};
+
+use crate::traffic::capacity::{Full, Room, no_room};
+use crate::traffic::encodings::{Bounds, Encodings};
+use crate::traffic::figures::{Figures, measures};
+use crate::traffic::gather::Pace;
+use crate::traffic::history::History;
+use crate::traffic::outbox::{DropReason, Dropped, Gate, Lane, Origin, Outbox, Packet, Taken};
+
+/// The critical section of a channel: who holds it decides the one order for all receivers (M27).
+#[derive(Debug)]
+pub(crate) struct Channel {
+    inner: Mutex<Inner>,
+}
+
+#[derive(Debug)]
+pub(crate) struct Inner {
+    pub(crate) route: Arc<Route>,
+    /// In the order of the route's members.
+    outboxes: Vec<Option<Arc<Outbox>>>,
+    gate: Gate,
+    /// All members speak the binary form.
+    binary: bool,
+    /// Some member is spared of something.
+    thins: bool,
+    pace: Pace,
+    bounds: Bounds,
+    scratch: Scratch,
+    pub(crate) figures: Figures,
+    history: Option<History>,
+    /// What members, and connections that were some, have used of the rates that their manager set.
+    used: HashMap<PeerId, Usage>,
+}
+
+/// Where a delivered parcel went.
+#[derive(Debug, Default)]
+pub(crate) struct Delivered {
+    pub(crate) delivered: u64,
+    pub(crate) dropped: Vec<Arc<str>>,
+    /// Outboxes that have to be flushed.
+    pub(crate) touched: Vec<Arc<Outbox>>,
+    /// More of it is sure to come at once, so that they may be flushed a little later.
+    pub(crate) lively: bool,
+    /// Receivers that were too slow for what may not be dropped.
+    pub(crate) too_slow: Vec<Arc<Outbox>>,
+}
+
+/// Why a message went to nobody.
+#[derive(Debug)]
+pub(crate) enum Undelivered {
+    Refused(WireError),
+    /// It has to wait.
+    Full(Box<Full>),
+}
+
+/// When to try again where nobody has waited, as long as a sender waits by default.
+const RETRY: Duration = Duration::from_secs(1);
+
+impl Undelivered {
+    /// The error for a sender that does not wait.
+    pub(crate) fn error(self, path: &Path) -> WireError {
+        match self {
+            Undelivered::Refused(error) => error,
+            Undelivered::Full(full) => no_room(&full.slow, path, None, RETRY),
+        }
+    }
+}
+
+impl Channel {
+    pub(crate) fn new(
+        route: Arc<Route>,
+        bounds: Bounds,
+        outbox: impl Fn(PeerId) -> Option<Arc<Outbox>>,
+    ) -> Channel {
+        let outboxes: Vec<_> = route.members.iter().map(|member| outbox(member.peer)).collect();
+        let gate = Arc::new(AtomicU64::new(fence_open(&route)));
+        let figures = Figures::new(&route);
+        let history = route.keep.map(History::new);
+        Channel {
+            inner: Mutex::new(Inner {
+                thins: thins(&route),
+                route,
+                binary: all_binary(&outboxes),
+                pace: Pace::default(),
+                outboxes,
+                gate,
+                bounds,
+                scratch: Scratch::pooled(),
+                figures,
+                history,
+                used: HashMap::new(),
+            }),
+        }
+    }
+
+    pub(crate) fn lock(&self) -> MutexGuard<'_, Inner> {
+        self.inner.lock()
+    }
+
+    /// Swaps in a new route. From here on nothing of an old owner leaves any outbox. Who is new gets what is kept;
+    /// the outboxes that have to be flushed for that.
+    pub(crate) fn swap(
+        &self,
+        route: Arc<Route>,
+        clock: &Clock,
+        outbox: impl Fn(PeerId) -> Option<Arc<Outbox>>,
+    ) -> Vec<Arc<Outbox>> {
+        let mut inner = self.inner.lock();
+        inner.gate.store(fence_open(&route), Ordering::Release);
+        inner.settle_turns(&route);
+        // What they wait for may be gone, or not allowed any more.
+        inner.call_waiting();
+        // Both lists are sorted, so most outboxes are found without a look-up.
+        let old = std::mem::take(&mut inner.outboxes);
+        let mut known = inner
+            .route
+            .members
+            .iter()
+            .map(|member| member.peer)
+            .zip(old)
+            .peekable();
+        let outboxes = route.members.iter().map(|member| {
+            while known.next_if(|(peer, _)| *peer < member.peer).is_some() {}
+            match known.next_if(|(peer, _)| *peer == member.peer) {
+                Some((_, found)) => found,
+                None => outbox(member.peer),
+            }
+        });
+        let outboxes: Vec<_> = outboxes.collect();
+        inner.binary = all_binary(&outboxes);
+        inner.thins = thins(&route);
+        inner.outboxes = outboxes;
+        // Who leaves and comes back has used what it has used.
+        inner
+            .used
+            .retain(|peer, _| route.member(*peer).is_some() || outbox(*peer).is_some());
+        let inner = &mut *inner;
+        inner.figures.follow(&inner.route, &route);
+        let old = std::mem::replace(&mut inner.route, route);
+        inner.follow_history(&old, clock)
+    }
+}
+
+impl Inner {
+    /// Empties the route of a channel that is no more: nobody sends there, and no guarded message that still
+    /// waits leaves any outbox, because nobody will tell this channel when its token changes hands.
+    pub(crate) fn end(&mut self) {
+        self.gate.store(0, Ordering::Release);
+        let route = Route {
+            members: Vec::new(),
+            ..(*self.route).clone()
+        };
+        self.settle_turns(&route);
+        self.call_waiting();
+        self.outboxes.clear();
+        self.figures.follow(&self.route, &route);
+        self.route = Arc::new(route);
+    }
+
+    /// Ends the turns that another route does not know: whoever has left hears nothing any more, and whoever wants
+    /// something else than before hears at once what waited.
+    fn settle_turns(&self, route: &Route) {
+        if !self.thins {
+            return;
+        }
+        let members = self.route.members.iter().zip(&self.outboxes);
+        for (member, outbox) in members.filter(|(member, _)| member.thinning.rate.is_some()) {
+            let Some(outbox) = outbox else { continue };
+            let now = route.member(member.peer).map(|member| member.thinning);
+            if now != Some(member.thinning) {
+                outbox.end_turns(route.number, now.is_some());
+            }
+        }
+    }
+
+    /// The receivers among the members of another route, by their place among the members of this one; whoever is no
+    /// member any more is left out.
+    pub(crate) fn translate(&self, other: &Route, receivers: Receivers) -> Receivers {
+        let here = |place: usize| self.route.position(other.members.get(place)?.peer);
+        match receivers {
+            Receivers::All => Receivers::All,
+            Receivers::AllBut(own) => here(own).map_or(Receivers::All, Receivers::AllBut),
+            Receivers::These(places) => Receivers::These(places.into_iter().filter_map(here).collect()),
+        }
+    }
+
+    /// In the order of the route's members.
+    pub(crate) fn outboxes(&self) -> &[Option<Arc<Outbox>>] {
+        &self.outboxes
+    }
+
+    /// Counts what a receiver did not get after all; gives the channel's path.
+    pub(crate) fn note_dropped(&mut self, receiver: PeerId, dropped: Dropped, count: u64) -> Path {
+        let place = self.route.position(receiver);
+        self.figures.dropped(place, dropped.reason, dropped.class, count);
+        self.route.path.clone()
+    }
+
+    /// Encodes an admitted message once per form and puts it into the outboxes.
+    ///
+    /// # Errors
+    /// More than the sender's rate, content that cannot be opened for a receiver of another form, or no room where
+    /// senders wait for it: nobody gets the message then.
+    pub(crate) fn deliver(
+        &mut self,
+        sender: PeerId,
+        parcel: Parcel,
+        receivers: &Receivers,
+        rate: Option<Rate>,
+        now: u64,
+        room: Room,
+    ) -> Result<Delivered, Undelivered> {
+        let lane = lane_of(&parcel);
+        // Stops and unstops are never refused for load.
+        let rate = rate.filter(|_| matches!(lane, Lane::Data(_)));
+        let unused = rate
+            .map(|rate| self.charge(sender, &parcel, &rate, now))
+            .transpose()?;
+        let delivery = parcel.delivery.unwrap_or(self.route.delivery);
+        let waiting = self.waits(lane, delivery).then(|| Box::new(parcel.clone()));
+        let origin = Origin {
+            context: self.route.number,
+            sender,
+            name: Arc::clone(&parcel.name),
+        };
+        // A device must halt also if its operator's clock is wrong.
+        let expires_at = expires_at(&parcel, now).filter(|_| lane != Lane::Stop);
+        let gate = parcel.fence.map(|fence| (Arc::clone(&self.gate), fence));
+        let (size, age) = measures(&parcel);
+        let kept = self.to_keep(&parcel);
+        let places = self.places(receivers);
+        let outboxes = &self.outboxes;
+        let form = |place: usize| outboxes[place].as_ref().map(|outbox| outbox.form());
+        let forms = places.iter().filter_map(form);
+        let encodings = Encodings::with(parcel, forms, self.bounds, &mut self.scratch)?;
+        let packet = Arc::new(Packet {
+            encodings,
+            lane,
+            delivery,
+            origin,
+            expires_at,
+            gate,
+            count: 1,
+        });
+        let claimed = waiting.map(|parcel| self.claim(&packet, &places, parcel, room));
+        // Given up when all is put in, so that the next one sees it.
+        let _place = match (claimed.transpose(), unused) {
+            (Ok(place), _) => place,
+            (Err(undelivered), unused) => {
+                if let Some(usage) = unused {
+                    self.used.insert(sender, usage);
+                }
+                return Err(undelivered);
+            }
+        };
+        if let (Some(history), Some(parcel)) = (&mut self.history, kept) {
+            history.note(sender, parcel, now);
+        }
+        self.figures.sent(self.route.position(sender), size, age);
+        Ok(self.put(&packet, &places, now))
+    }
+
+    /// Charges a message to its sender's rate; gives what was used before.
+    fn charge(&mut self, sender: PeerId, parcel: &Parcel, rate: &Rate, now: u64) -> Result<Usage, WireError> {
+        let size = parcel.content.as_ref().map_or(0, Content::size);
+        let usage = self.used.entry(sender).or_default();
+        let before = usage.clone();
+        usage.charge(rate, size, now)?;
+        Ok(before)
+    }
+
+    fn put(&mut self, packet: &Arc<Packet>, places: &Places<'_>, now: u64) -> Delivered {
+        let mut result = Delivered {
+            lively: self.pace.is_lively(packet.count, now) && packet.can_wait(),
+            ..Delivered::default()
+        };
+        let thins = self.thins && packet.may_be_thinned();
+        let mut latest: Option<Arc<Packet>> = None;
+        for place in places.iter() {
+            let name = || Arc::clone(&self.route.members[place].facts.name);
+            let Some(outbox) = &self.outboxes[place] else {
+                result.dropped.push(name());
+                let count = u64::from(packet.count);
+                self.figures
+                    .dropped(Some(place), DropReason::Closed, packet.delivery, count);
+                continue;
+            };
+            let member = &self.route.members[place];
+            // Its own messages are what it waits for itself.
+            let (taken, first) = if thins && member.thinning.thins() && member.peer != packet.origin.sender {
+                let latest = latest.get_or_insert_with(|| Arc::new(packet.as_latest()));
+                outbox.push_thinned(Arc::clone(latest), member.thinning.interval())
+            } else {
+                outbox.push(Arc::clone(packet))
+            };
+            match taken {
+                Taken::Yes | Taken::Later => {
+                    result.delivered += u64::from(packet.count);
+                    self.figures.delivered(place, u64::from(packet.count));
+                }
+                Taken::Dropped => result.dropped.push(name()),
+                Taken::Overflow => {
+                    result.dropped.push(name());
+                    let count = u64::from(packet.count);
+                    self.figures
+                        .dropped(Some(place), DropReason::Full, packet.delivery, count);
+                    result.too_slow.push(Arc::clone(outbox));
+                }
+            }
+            if first {
+                result.touched.push(Arc::clone(outbox));
+            }
+        }
+        result
+    }
+}
+
+impl From<WireError> for Undelivered {
+    fn from(error: WireError) -> Undelivered {
+        Undelivered::Refused(error)
+    }
+}
+
+fn thins(route: &Route) -> bool {
+    route.members.iter().any(|member| member.thinning.thins())
+}
+
+fn all_binary(outboxes: &[Option<Arc<Outbox>>]) -> bool {
+    outboxes
+        .iter()
+        .flatten()
+        .all(|outbox| outbox.form() == Some(Form::Binary))
+}
+
+fn lane_of(parcel: &Parcel) -> Lane {
+    match Verb::of(parcel.family, &parcel.name) {
+        Ok(Verb::Stop) => Lane::Stop,
+        Ok(Verb::Unstop) => Lane::Control,
+        _ => Lane::Data(parcel.priority.unwrap_or_default()),
+    }
+}
+
+/// The receivers of a message by their place among the members.
+struct Places<'a> {
+    receivers: &'a Receivers,
+    count: usize,
+}
+
+impl Places<'_> {
+    fn iter(&self) -> impl Iterator<Item = usize> {
+        let (listed, all, but) = match self.receivers {
+            Receivers::All => (&[][..], self.count, None),
+            Receivers::AllBut(own) => (&[][..], self.count, Some(*own)),
+            Receivers::These(places) => (&places[..], 0, None),
+        };
+        (0..all)
+            .filter(move |place| Some(*place) != but)
+            .chain(listed.iter().copied())
+    }
+}
+
+/// When a parcel is over: `expires` counts from its creation, of which `age` has passed at ingress.
+fn expires_at(parcel: &Parcel, now: u64) -> Option<u64> {
+    let life = parcel.expires?.saturating_mul(1000);
+    let age = parcel
+        .age
+        .and_then(|age| u64::try_from(age).ok())
+        .unwrap_or_default();
+    Some(now.saturating_add(life.saturating_sub(age)))
+}
+
+fn fence_open(route: &Route) -> u64 {
+    route
+        .guard
+        .as_ref()
+        .filter(|guard| guard.owner.is_some())
+        .map_or(0, |guard| guard.fence)
+}
+
+/// The origin of what the hub itself says.
+pub(crate) fn hub_origin(parcel: &Parcel) -> Origin {
+    let context = parcel.number.unwrap_or(ContextNumber(0));
+    Origin {
+        context,
+        sender: PeerId(0),
+        name: Arc::clone(&parcel.name),
+    }
+}
+
+/// What goes by the control lane.
+pub(crate) fn control(encodings: Encodings, origin: Origin) -> Arc<Packet> {
+    Arc::new(Packet {
+        encodings,
+        lane: Lane::Control,
+        delivery: Delivery::Reliable,
+        origin,
+        expires_at: None,
+        gate: None,
+        count: 1,
+    })
+}
+
+/// Stamps what the broker says by itself.
+pub(crate) fn stamped(mut parcel: Parcel, wall: Time) -> Parcel {
+    parcel.sender = Some(mom_proto::HUB.into());
+    parcel.timestamp = Some(wall);
+    parcel
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use mom_hub::Member;
+    use mom_managers::PeerFacts;
+
+    /// Of a channel with these peers and nothing else.
+    pub(crate) fn route(peers: &[u64]) -> Route {
+        let member = |peer: &u64| {
+            let facts = PeerFacts {
+                name: peer.to_string().into(),
+                user: "user".into(),
+                level: 0,
+                groups: Arc::from([]),
+            };
+            Arc::new(Member::new(PeerId(*peer), Arc::new(facts)))
+        };
+        Route {
+            number: ContextNumber(1),
+            path: mom_proto::Path::root(),
+            members: peers.iter().map(member).collect(),
+            guard: None,
+            delivery: Delivery::default(),
+            overflow: mom_proto::Overflow::default(),
+            keep: None,
+        }
+    }
+
+    /// One input admits a message and then takes members out; the route of the end is swapped in before all else.
+    #[test]
+    fn receivers_are_who_they_were() {
+        let channel = Channel::new(
+            Arc::new(route(&[1, 3, 4])),
+            Bounds {
+                depth: 32,
+                parcel: mom_proto::Limit::At(1 << 20),
+            },
+            |_| None,
+        );
+        let then = route(&[1, 2, 3, 4]);
+        let inner = channel.lock();
+        let now = |receivers| inner.translate(&then, receivers);
+        assert_eq!(now(Receivers::These(vec![3, 1, 0])), Receivers::These(vec![2, 0]));
+        assert_eq!(now(Receivers::AllBut(3)), Receivers::AllBut(2));
+        assert_eq!(now(Receivers::AllBut(1)), Receivers::All, "it is gone anyhow");
+        assert_eq!(now(Receivers::All), Receivers::All);
+    }
+}

@@ -1,0 +1,14 @@
+//! From a sender to its receivers: who gets a message, what it waits for, and what becomes of it.
+
+pub(crate) mod capacity;
+pub(crate) mod channel;
+pub(crate) mod encodings;
+mod figures;
+mod gather;
+mod history;
+#[cfg(all(test, feature = "shuttle"))]
+#[path = "../../tests/interleaved/mod.rs"]
+mod interleaved;
+pub(crate) mod outbox;
+mod stats;
+pub(crate) mod switchboard;

@@ -1,0 +1,100 @@
+//! What waits at one priority.
+
+use std::collections::VecDeque;
+
+use mom_proto::Delivery;
+
+use crate::traffic::outbox::packet::Entry;
+
+/// Holes that a lane may keep before they are closed.
+const HOLES: usize = 64;
+
+/// One priority: holes are left where an entry was replaced or dropped, so that numbers stay.
+#[derive(Debug)]
+pub(super) struct DataLane {
+    /// The number of the entry in front; it goes down again where entries are put back.
+    first: u64,
+    pub(super) holes: usize,
+    entries: VecDeque<Option<Entry>>,
+}
+
+impl Default for DataLane {
+    fn default() -> DataLane {
+        DataLane {
+            first: u64::MAX / 2,
+            holes: 0,
+            entries: VecDeque::new(),
+        }
+    }
+}
+
+impl DataLane {
+    /// Adds an entry at the end; gives its number.
+    pub(super) fn push(&mut self, entry: Option<Entry>) -> u64 {
+        let number = self.first + self.entries.len() as u64;
+        self.entries.push_back(entry);
+        number
+    }
+
+    /// Adds an entry in front; gives its number.
+    pub(super) fn push_front(&mut self, entry: Entry) -> u64 {
+        self.first -= 1;
+        self.entries.push_front(Some(entry));
+        self.first
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.entries.is_empty()
+    }
+
+    /// The number of places, holes included.
+    #[cfg(test)]
+    pub(super) fn places(&self) -> usize {
+        self.entries.len()
+    }
+
+    /// The entry in front, without the holes before it.
+    pub(super) fn front(&mut self) -> Option<&Entry> {
+        while let Some(None) = self.entries.front() {
+            self.entries.pop_front();
+            self.first += 1;
+            self.holes -= 1;
+        }
+        self.entries.front().and_then(Option::as_ref)
+    }
+
+    pub(super) fn pop(&mut self) -> Option<Entry> {
+        self.front()?;
+        self.first += 1;
+        self.entries.pop_front().flatten()
+    }
+
+    pub(super) fn place(&mut self, number: u64) -> Option<&mut Option<Entry>> {
+        let index = usize::try_from(number.checked_sub(self.first)?).ok()?;
+        self.entries.get_mut(index)
+    }
+
+    pub(super) fn take_first(&mut self, class: Delivery) -> Option<Entry> {
+        let of_class =
+            |entry: &&mut Option<Entry>| entry.as_ref().is_some_and(|entry| entry.packet.delivery == class);
+        let taken = self.entries.iter_mut().find(of_class).and_then(Option::take);
+        self.holes += usize::from(taken.is_some());
+        taken
+    }
+
+    /// Closes the holes once they are most of the lane; gives the entries of class `latest` that have a new number.
+    pub(super) fn close_holes(&mut self) -> impl Iterator<Item = (u64, &Entry)> {
+        let due = self.holes >= HOLES && self.holes * 2 >= self.entries.len();
+        if due {
+            self.entries.retain(Option::is_some);
+            self.holes = 0;
+        }
+        (self.first..)
+            .zip(self.entries.iter().flatten())
+            .filter(move |(_, entry)| due && entry.packet.delivery == Delivery::Latest)
+    }
+
+    pub(super) fn into_entries(self) -> impl Iterator<Item = Entry> {
+        self.entries.into_iter().flatten()
+    }
+}

@@ -1,0 +1,108 @@
+//! `context stats`: the hub decides who may ask, and here the figures are put in.
+
+use std::sync::Arc;
+
+use mom_hub::PeerId;
+use mom_proto::{ContextNumber, Map, Parcel, Value};
+
+use crate::traffic::channel::Channel;
+use crate::traffic::figures::Counts;
+use crate::traffic::outbox::Outbox;
+use crate::traffic::switchboard::{Switchboard, Touched};
+
+/// A channel as it stood at one moment; made into words when its lock is given back.
+struct Snapshot {
+    path: mom_proto::Path,
+    all: Counts,
+    members: Vec<MemberSnapshot>,
+}
+
+struct MemberSnapshot {
+    facts: Arc<mom_managers::PeerFacts>,
+    counts: Counts,
+    outbox: Option<Arc<Outbox>>,
+}
+
+impl Switchboard {
+    /// Answers with the figures of these channels: of one with those of each member, or of several.
+    pub(crate) fn push_stats(
+        &self,
+        to: PeerId,
+        parcel: &Parcel,
+        channels: &[ContextNumber],
+        peers: bool,
+        touched: &mut Touched,
+    ) {
+        let mut content = match parcel.value() {
+            Value::Map(map) => map,
+            _ => Map::new(),
+        };
+        content.set("time", self.clock.wall());
+        let snapshots = channels.iter().filter_map(|number| {
+            let channel = self.channel(*number)?;
+            Some((*number, Snapshot::of(&channel)))
+        });
+        if peers {
+            for (_, snapshot) in snapshots {
+                content = snapshot.to_map(content);
+                content.set("peers", snapshot.peers());
+            }
+        } else {
+            let list = snapshots.map(|(number, snapshot)| {
+                let map = Map::new()
+                    .with("path", snapshot.path.as_str())
+                    .with("number", i64::try_from(number.0).unwrap_or(i64::MAX))
+                    .with(
+                        "members",
+                        i64::try_from(snapshot.members.len()).unwrap_or(i64::MAX),
+                    );
+                Value::Map(snapshot.to_map(map))
+            });
+            let list: Vec<Value> = list.collect();
+            content.set("channels", list);
+        }
+        let mut reply = parcel.clone();
+        reply.content = Some(content.into());
+        self.push_to_all(&[to], &Arc::new(reply), touched);
+    }
+}
+
+impl Snapshot {
+    fn of(channel: &Channel) -> Snapshot {
+        let inner = channel.lock();
+        let members = inner.route.members.iter().zip(inner.figures.members());
+        let members = members.zip(inner.outboxes());
+        let members = members.map(|((member, counts), outbox)| MemberSnapshot {
+            facts: Arc::clone(&member.facts),
+            counts: counts.clone(),
+            outbox: outbox.clone(),
+        });
+        Snapshot {
+            path: inner.route.path.clone(),
+            all: inner.figures.all().clone(),
+            members: members.collect(),
+        }
+    }
+
+    fn to_map(&self, map: Map) -> Map {
+        let queued = self.members.iter().map(MemberSnapshot::queued).sum();
+        self.all.to_map(map, queued)
+    }
+
+    fn peers(&self) -> Vec<Value> {
+        let peers = self.members.iter().map(|member| {
+            let map = Map::new()
+                .with("peer", &*member.facts.name)
+                .with("user", &*member.facts.user);
+            Value::Map(member.counts.to_map(map, member.queued()))
+        });
+        peers.collect()
+    }
+}
+
+impl MemberSnapshot {
+    /// What waits for this peer, from wherever.
+    fn queued(&self) -> usize {
+        self.outbox.as_ref().map_or(0, |outbox| outbox.queued())
+    }
+}

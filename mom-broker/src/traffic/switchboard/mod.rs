@@ -1,0 +1,405 @@
+//! All that connections share: the hub, the channels, the outboxes, and how effects are carried out.
+
+use std::sync::Arc;
+
+use dashmap::DashMap;
+use mom_hub::{Effect, Hub, Input, PeerId, Record, Ticket};
+use mom_journal::Tap;
+use mom_managers::Micros;
+use mom_proto::{Code, ContextNumber, Family, Map, Parcel, Path, Value, WireError, event};
+use mom_store::Store;
+use mom_system::Clock;
+use mom_system::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use mom_system::sync::{Mutex, Notify};
+
+use crate::traffic::capacity::Room;
+use crate::traffic::channel::{Channel, Delivered, control, hub_origin, stamped};
+use crate::traffic::encodings::{Bounds, Encodings};
+use crate::traffic::gather::{self, Gatherer};
+use crate::traffic::outbox::{Dropped, Outbox, Packet, Taken};
+
+mod sending;
+
+pub(crate) use sending::{Sender, Sent};
+
+/// The switchboard of one broker.
+///
+/// Locks are taken in the order hub, channel, outbox, and none is held over an await. The store's is taken under
+/// the hub's and takes no other.
+#[derive(Debug)]
+pub(crate) struct Switchboard {
+    pub(crate) clock: Clock,
+    hub: Mutex<Hub>,
+    pub(crate) tap: Tap,
+    channels: DashMap<ContextNumber, Arc<Channel>>,
+    by_path: DashMap<Path, ContextNumber>,
+    bounds: Bounds,
+    /// None where nothing outlives the broker; the hub knows, and stores nothing.
+    pub(crate) store: Option<Store>,
+    pub(crate) outboxes: DashMap<PeerId, Arc<Outbox>>,
+    gatherer: Gatherer,
+    last_peer: AtomicU64,
+    /// The hub's deadline may have come closer.
+    pub(crate) deadline_changed: Notify,
+    /// The last connection has ended.
+    empty: Notify,
+    stopping: AtomicBool,
+}
+
+/// Outboxes that were given something in the present turn and have to be flushed at its end.
+pub(crate) type Touched = Vec<Arc<Outbox>>;
+
+impl Switchboard {
+    pub(crate) fn new(hub: Hub, clock: Clock, bounds: Bounds, store: Option<Store>, tap: Tap) -> Switchboard {
+        let routes = hub.routes();
+        let board = Switchboard {
+            clock,
+            hub: Mutex::new(hub),
+            tap,
+            channels: DashMap::new(),
+            by_path: DashMap::new(),
+            bounds,
+            store,
+            outboxes: DashMap::new(),
+            gatherer: Gatherer::default(),
+            last_peer: AtomicU64::new(0),
+            deadline_changed: Notify::new(),
+            empty: Notify::new(),
+            stopping: AtomicBool::new(false),
+        };
+        for route in routes {
+            // Nobody is there yet.
+            let _ = board.swap_route(route);
+        }
+        board
+    }
+
+    /// A number for a new connection.
+    pub(crate) fn next_peer(&self) -> PeerId {
+        PeerId(self.last_peer.fetch_add(1, Ordering::Relaxed) + 1)
+    }
+
+    /// When the hub wants to be called.
+    pub(crate) fn deadline(&self) -> Option<Micros> {
+        self.hub.lock().deadline()
+    }
+
+    /// Asserts the hub's invariants.
+    pub(crate) fn check(&self) {
+        self.hub.lock().check();
+    }
+
+    /// The name of a peer, for logs.
+    pub(crate) fn peer_name(&self, peer: PeerId) -> Option<Arc<str>> {
+        self.hub.lock().peer_name(peer)
+    }
+
+    /// Gives the hub an input and carries out what it wants.
+    pub(crate) fn decide(&self, input: Input, touched: &mut Touched) {
+        let mut effects = Vec::new();
+        let mut hub = self.hub.lock();
+        let before = hub.deadline();
+        self.tap.handle(&mut hub, input, &mut effects);
+        if hub.deadline() != before {
+            self.deadline_changed.notify_one();
+        }
+        // Under the hub's lock, so that replies and events leave in the order of decisions.
+        self.carry_out(effects, touched);
+    }
+
+    /// Says something of the broker's own to a peer.
+    pub(crate) fn tell(&self, peer: PeerId, parcel: Parcel, touched: &mut Touched) {
+        if let Some(outbox) = self.outbox(peer) {
+            self.push_control(&outbox, stamped(parcel, self.clock.wall()), touched);
+        }
+    }
+
+    /// Closes a connection with an error that says why.
+    pub(crate) fn close(&self, outbox: &Outbox, error: Option<WireError>) {
+        let farewell = error.as_ref().and_then(|error| {
+            let parcel = stamped(error.to_parcel(None), self.clock.wall());
+            let origin = hub_origin(&parcel);
+            let encodings = Encodings::new(parcel, std::iter::once(outbox.form())).ok()?;
+            Some(control(encodings, origin))
+        });
+        // Whoever goes by its own wish, or because the broker stops, gets all that waits; whoever is put out does not.
+        let drain = error.as_ref().is_none_or(|error| error.code == Code::SHUTDOWN);
+        outbox.close(error, farewell, drain);
+    }
+
+    /// Takes in a new connection; one that comes while the broker stops is told so at once.
+    pub(crate) fn add_outbox(&self, outbox: &Arc<Outbox>) {
+        self.outboxes.insert(outbox.peer, Arc::clone(outbox));
+        if self.stopping.load(Ordering::SeqCst) {
+            self.close(outbox, Some(shutdown()));
+        }
+    }
+
+    /// Tells all connections that the broker stops, now and from now on.
+    pub(crate) fn shut_down(&self) {
+        // The flag first: a connection that the walk misses sees it after its own arrival.
+        self.stopping.store(true, Ordering::SeqCst);
+        let outboxes: Vec<Arc<Outbox>> = self.outboxes.iter().map(|outbox| Arc::clone(&outbox)).collect();
+        outboxes
+            .iter()
+            .for_each(|outbox| self.close(outbox, Some(shutdown())));
+    }
+
+    /// Whether the broker stops.
+    pub(crate) fn is_stopping(&self) -> bool {
+        self.stopping.load(Ordering::SeqCst)
+    }
+
+    /// Forgets a connection that has ended; what still waited for it is told to its senders.
+    pub(crate) fn remove_outbox(&self, outbox: &Outbox) {
+        outbox.abandon();
+        let mut touched = Touched::new();
+        self.report_drops_of(outbox, &mut touched);
+        flush(&mut touched);
+        self.outboxes.remove(&outbox.peer);
+        self.tap.audit.left(outbox.peer);
+        if self.outboxes.is_empty() {
+            self.empty.notify_one();
+        }
+    }
+
+    /// Returns when there is no connection any more.
+    pub(crate) async fn wait_empty(&self) {
+        while !self.outboxes.is_empty() {
+            self.empty.notified().await;
+        }
+    }
+
+    pub(crate) fn outbox(&self, peer: PeerId) -> Option<Arc<Outbox>> {
+        self.outboxes.get(&peer).map(|outbox| Arc::clone(&outbox))
+    }
+
+    /// Tells receivers and senders what was dropped on its way (design §5, §7).
+    pub(crate) fn report_drops(&self, touched: &mut Touched) {
+        let outboxes: Vec<Arc<Outbox>> = self.outboxes.iter().map(|outbox| Arc::clone(&outbox)).collect();
+        for outbox in outboxes {
+            self.report_drops_of(&outbox, touched);
+        }
+    }
+
+    fn report_drops_of(&self, outbox: &Outbox, touched: &mut Touched) {
+        let drops = outbox.take_drops();
+        for (dropped, count) in drops {
+            let Dropped { context, sender, .. } = dropped;
+            let channel = self.channels.get(&context).map(|channel| Arc::clone(&channel));
+            let noted = channel.map(|channel| channel.lock().note_dropped(outbox.peer, dropped, count));
+            let Some(path) = noted else {
+                continue;
+            };
+            let content = Map::new()
+                .with("reason", dropped.reason.word())
+                .with("delivery", dropped.class.word())
+                .with("count", i64::try_from(count).unwrap_or(i64::MAX))
+                .with("receiver", &*outbox.name())
+                .with(
+                    "sender",
+                    &*self
+                        .outbox(sender)
+                        .map(|sender| sender.name())
+                        .unwrap_or_default(),
+                );
+            let mut parcel = Parcel::new(Family::Event, event::DROPPED)
+                .context(path)
+                .content(content);
+            parcel.number = Some(context);
+            let told = if sender == outbox.peer {
+                vec![sender]
+            } else {
+                vec![sender, outbox.peer]
+            };
+            told.into_iter()
+                .for_each(|peer| self.tell(peer, parcel.clone(), touched));
+        }
+    }
+
+    fn channel_of(&self, parcel: &Parcel) -> Option<Arc<Channel>> {
+        // The path first, as the hub does.
+        let number = match (&parcel.context, parcel.number) {
+            (Some(path), _) => *self.by_path.get(path)?,
+            (None, Some(number)) => number,
+            (None, None) => return None,
+        };
+        self.channel(number)
+    }
+
+    pub(crate) fn channel(&self, number: ContextNumber) -> Option<Arc<Channel>> {
+        self.channels.get(&number).map(|channel| Arc::clone(&channel))
+    }
+
+    fn swap_route(&self, route: Arc<mom_hub::Route>) -> Touched {
+        let number = route.number;
+        let known = self.channels.get(&number).map(|channel| Arc::clone(&channel));
+        match known {
+            Some(channel) => channel.swap(route, &self.clock, |peer| self.outbox(peer)),
+            None => {
+                self.by_path.insert(route.path.clone(), number);
+                self.channels.insert(
+                    number,
+                    Arc::new(Channel::new(route, self.bounds, |peer| self.outbox(peer))),
+                );
+                Touched::new()
+            }
+        }
+    }
+
+    fn drop_route(&self, number: ContextNumber) {
+        if let Some((_, channel)) = self.channels.remove(&number) {
+            let mut inner = channel.lock();
+            self.by_path
+                .remove_if(&inner.route.path, |_, known| *known == number);
+            // A reader that found the channel just before gets what it would get after.
+            inner.end();
+        }
+    }
+
+    fn carry_out(&self, effects: Vec<Effect>, touched: &mut Touched) {
+        for effect in effects {
+            match effect {
+                Effect::Route(route) => touched.extend(self.swap_route(route)),
+                Effect::RouteGone(number) => self.drop_route(number),
+                Effect::Deliver { to, parcel } => self.push_to_all(&to, &parcel, touched),
+                Effect::Reply { to, parcel } => self.push_to_all(&[to], &parcel, touched),
+                Effect::Stats {
+                    to,
+                    parcel,
+                    channels,
+                    peers,
+                } => self.push_stats(to, &parcel, &channels, peers, touched),
+                Effect::Send {
+                    from,
+                    parcel,
+                    receivers,
+                    route,
+                    rate,
+                } => {
+                    let Some(channel) = self
+                        .channels
+                        .get(&route.number)
+                        .map(|channel| Arc::clone(&channel))
+                    else {
+                        continue;
+                    };
+                    let (receipt, reference) = (receipt_of(&parcel), parcel.id);
+                    let message = Arc::clone(&parcel.name);
+                    let mut inner = channel.lock();
+                    // The same input may have taken members out after this was admitted.
+                    let receivers = inner.translate(&route, receivers);
+                    let now = self.clock.now();
+                    let delivered = inner.deliver(from, *parcel, &receivers, rate, now, Room::Whole);
+                    drop(inner);
+                    match delivered {
+                        Ok(delivered) => self.settle(from, receipt, &route.path, delivered, touched),
+                        Err(undelivered) => {
+                            let error = undelivered.error(&route.path);
+                            self.note_refused(from, &route, &message, &error);
+                            self.tell(from, error.to_parcel(reference), touched);
+                        }
+                    }
+                }
+                Effect::Store { record, ticket } => self.keep(record, ticket),
+                Effect::Audit(_) => {}
+                Effect::Close { peer, error } => {
+                    if let Some(outbox) = self.outbox(peer) {
+                        self.close(&outbox, error);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Hands a record to the store, which answers by [`Input::Stored`] later and never waits here.
+    pub(crate) fn keep(&self, record: Record, ticket: Option<Ticket>) {
+        match &self.store {
+            Some(store) => store.put(record, ticket),
+            // Its settings tell the hub that nothing is durable here, so it awaits nothing.
+            None => tracing::error!(token = %record.path, ?ticket, "a record without a store"),
+        }
+    }
+
+    /// After a delivery: flushes are noted, slow receivers closed, a receipt given.
+    fn settle(
+        &self,
+        sender: PeerId,
+        receipt: Option<Option<u64>>,
+        path: &Path,
+        delivered: Delivered,
+        touched: &mut Touched,
+    ) {
+        if delivered.lively && delivered.touched.len() >= gather::RECEIVERS {
+            self.gatherer.defer(delivered.touched);
+        } else {
+            touched.extend(delivered.touched);
+        }
+        for outbox in delivered.too_slow {
+            let text = "what waited for this peer reached its limit and may not be dropped";
+            tracing::info!(peer = outbox.peer.0, context = %path, "slow receiver closed");
+            self.close(&outbox, Some(WireError::new(Code::SLOW_RECEIVER, text)));
+        }
+        if let Some(reference) = receipt {
+            let dropped: Vec<Value> = delivered
+                .dropped
+                .iter()
+                .map(|name| Value::from(&**name))
+                .collect();
+            let count = i64::try_from(delivered.delivered).unwrap_or(i64::MAX);
+            let content = Map::new().with("delivered", count).with("dropped", dropped);
+            let mut parcel = Parcel::new(Family::Reply, "ok")
+                .context(path.clone())
+                .content(content);
+            parcel.reference = reference;
+            self.tell(sender, parcel, touched);
+        }
+    }
+
+    pub(crate) fn push_to_all(&self, to: &[PeerId], parcel: &Arc<Parcel>, touched: &mut Touched) {
+        let outboxes: Vec<Arc<Outbox>> = to.iter().filter_map(|peer| self.outbox(*peer)).collect();
+        let forms = outboxes.iter().map(|outbox| outbox.form());
+        match Encodings::new((**parcel).clone(), forms) {
+            Ok(encodings) => {
+                let packet = control(encodings, hub_origin(parcel));
+                for outbox in outboxes {
+                    self.push(&outbox, Arc::clone(&packet), touched);
+                }
+            }
+            // Only content that an application chose can do this: the safe state of a token.
+            Err(error) => tracing::warn!(name = parcel.name(), %error, "cannot be encoded"),
+        }
+    }
+
+    fn push_control(&self, outbox: &Arc<Outbox>, parcel: Parcel, touched: &mut Touched) {
+        let origin = hub_origin(&parcel);
+        if let Ok(encodings) = Encodings::new(parcel, std::iter::once(outbox.form())) {
+            self.push(outbox, control(encodings, origin), touched);
+        }
+    }
+
+    fn push(&self, outbox: &Arc<Outbox>, packet: Arc<Packet>, touched: &mut Touched) {
+        let (taken, first) = outbox.push(packet);
+        if first {
+            touched.push(Arc::clone(outbox));
+        }
+        if taken == Taken::Overflow {
+            let text = "replies and events that waited for this peer reached its limit";
+            self.close(outbox, Some(WireError::new(Code::SLOW_RECEIVER, text)));
+        }
+    }
+}
+
+fn shutdown() -> WireError {
+    WireError::new(Code::SHUTDOWN, "the hub is shutting down; connect again later")
+}
+
+/// Flushes every outbox of a turn.
+pub(crate) fn flush(touched: &mut Touched) {
+    touched.drain(..).for_each(|outbox| outbox.flush());
+}
+
+/// The reference of the receipt that a message asks for.
+fn receipt_of(parcel: &Parcel) -> Option<Option<u64>> {
+    (parcel.receipt == Some(true)).then_some(parcel.id)
+}

@@ -1,0 +1,209 @@
+//! Which records wait, which lane takes which, and who is answered: no IO, no threads.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use mom_hub::{Record, Ticket};
+use mom_proto::Path;
+
+use super::row::Meta;
+
+/// A record and its place in the order of all.
+pub(super) type Numbered = (u64, Arc<Record>);
+
+/// The records that wait, and what the lanes are at.
+///
+/// Per token only the newest record waits: it is the one that would win. There is no bound of its own: the hub
+/// awaits one ticket per token, and has as many tokens as its limits allow.
+#[derive(Debug)]
+pub(super) struct Queue {
+    epoch: u64,
+    sequence: u64,
+    awaited: BTreeMap<Path, Awaited>,
+    loose: BTreeMap<Path, Numbered>,
+    lanes: Vec<Lane>,
+    /// Per lane the highest sequence that is durable.
+    seen: Vec<u64>,
+}
+
+/// The newest record of a token, and whoever awaits it or an older one that it stands for.
+#[derive(Debug)]
+struct Awaited {
+    newest: Numbered,
+    tickets: Vec<Ticket>,
+    /// The newest that nobody awaits; it is not given up if the awaited one fails.
+    loose: Option<Numbered>,
+}
+
+#[derive(Debug)]
+struct Lane {
+    state: State,
+    /// Whether its latest batch was one that nobody awaits: then the other kind has precedence.
+    was_loose: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    Idle,
+    Busy {
+        loose: bool,
+    },
+    /// Broken, or closed.
+    Gone,
+}
+
+/// What one lane makes durable at once.
+#[derive(Debug)]
+pub(super) struct Batch {
+    pub(super) meta: Meta,
+    pub(super) records: Vec<Numbered>,
+    tickets: Vec<Ticket>,
+    loose: Vec<Numbered>,
+}
+
+/// A ticket and whether its record is durable.
+pub type Answer = (Ticket, bool);
+
+impl Queue {
+    /// A queue that goes on after what the lanes hold: `seen` is their last sequences.
+    pub(super) fn new(epoch: u64, seen: Vec<u64>) -> Queue {
+        let lane = || Lane {
+            state: State::Idle,
+            was_loose: true,
+        };
+        Queue {
+            epoch,
+            sequence: seen.iter().copied().max().unwrap_or_default(),
+            awaited: BTreeMap::new(),
+            loose: BTreeMap::new(),
+            lanes: seen.iter().map(|_| lane()).collect(),
+            seen,
+        }
+    }
+
+    /// Takes a record in; false if there is no lane left that could keep it.
+    pub(super) fn put(&mut self, record: Record, ticket: Option<Ticket>) -> bool {
+        if self.is_dead() {
+            return false;
+        }
+        self.sequence += 1;
+        let path = record.path.clone();
+        let newest = (self.sequence, Arc::new(record));
+        match (ticket, self.awaited.get_mut(&path)) {
+            (None, None) => drop(self.loose.insert(path, newest)),
+            (None, Some(awaited)) => {
+                awaited.newest = newest.clone();
+                awaited.loose = Some(newest);
+            }
+            (Some(ticket), Some(awaited)) => {
+                awaited.newest = newest;
+                awaited.tickets.push(ticket);
+            }
+            (Some(ticket), None) => {
+                let awaited = Awaited {
+                    newest,
+                    tickets: vec![ticket],
+                    loose: self.loose.remove(&path),
+                };
+                self.awaited.insert(path, awaited);
+            }
+        }
+        true
+    }
+
+    /// What an idle lane is to write now.
+    ///
+    /// All that is awaited goes together. What nobody awaits is in one lane at a time, so that many releases
+    /// at once never keep a grant waiting; a lane that has both before it takes them by turns.
+    pub(super) fn take(&mut self, lane: usize) -> Option<Batch> {
+        debug_assert_eq!(self.lanes[lane].state, State::Idle);
+        let free = !self
+            .lanes
+            .iter()
+            .any(|lane| lane.state == State::Busy { loose: true });
+        let loose =
+            free && !self.loose.is_empty() && (self.awaited.is_empty() || !self.lanes[lane].was_loose);
+        if !loose && self.awaited.is_empty() {
+            return None;
+        }
+        self.lanes[lane] = Lane {
+            state: State::Busy { loose },
+            was_loose: loose,
+        };
+        let mut batch = Batch {
+            meta: self.meta(lane),
+            records: Vec::new(),
+            tickets: Vec::new(),
+            loose: Vec::new(),
+        };
+        if loose {
+            batch.records = std::mem::take(&mut self.loose).into_values().collect();
+            batch.loose.clone_from(&batch.records);
+        } else {
+            for awaited in std::mem::take(&mut self.awaited).into_values() {
+                batch.records.push(awaited.newest);
+                batch.tickets.extend(awaited.tickets);
+                batch.loose.extend(awaited.loose);
+            }
+        }
+        let last = batch.records.iter().map(|(sequence, _)| *sequence).max();
+        batch.meta.seen[lane] = last.unwrap_or_default().max(self.seen[lane]);
+        Some(batch)
+    }
+
+    /// Notes how a batch ended. A lane that failed is not used again: what its file holds since is not known.
+    pub(super) fn finish(&mut self, lane: usize, batch: Batch, ok: bool) -> Vec<Answer> {
+        let mut answers: Vec<Answer> = batch.tickets.into_iter().map(|ticket| (ticket, ok)).collect();
+        if ok {
+            self.lanes[lane].state = State::Idle;
+            self.seen[lane] = batch.meta.last();
+            return answers;
+        }
+        self.lanes[lane].state = State::Gone;
+        batch.loose.into_iter().for_each(|record| self.put_back(record));
+        if self.is_dead() {
+            self.loose.clear();
+            let failed = std::mem::take(&mut self.awaited);
+            let tickets = failed.into_values().flat_map(|awaited| awaited.tickets);
+            answers.extend(tickets.map(|ticket| (ticket, false)));
+        }
+        answers
+    }
+
+    /// Another lane shall write what nobody awaits, unless something newer waits already.
+    fn put_back(&mut self, record: Numbered) {
+        let path = record.1.path.clone();
+        match self.awaited.get_mut(&path) {
+            Some(awaited) => {
+                awaited.loose.get_or_insert(record);
+            }
+            None => {
+                self.loose.entry(path).or_insert(record);
+            }
+        }
+    }
+
+    /// A lane takes nothing more.
+    pub(super) fn leave(&mut self, lane: usize) {
+        self.lanes[lane].state = State::Gone;
+    }
+
+    /// Whether nothing waits and nothing is being written.
+    pub(super) fn is_quiet(&self) -> bool {
+        let busy = |lane: &Lane| matches!(lane.state, State::Busy { .. });
+        self.awaited.is_empty() && self.loose.is_empty() && !self.lanes.iter().any(busy)
+    }
+
+    /// Whether no lane is left.
+    pub(super) fn is_dead(&self) -> bool {
+        self.lanes.iter().all(|lane| lane.state == State::Gone)
+    }
+
+    fn meta(&self, lane: usize) -> Meta {
+        Meta {
+            lane,
+            epoch: self.epoch,
+            seen: self.seen.clone(),
+        }
+    }
+}

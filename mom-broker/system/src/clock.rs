@@ -1,0 +1,111 @@
+//! The broker's one clock: monotonic for what is decided, wall time for what is shown.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use mom_managers::Micros;
+use mom_proto::Time;
+use tokio::sync::watch;
+
+/// Monotonic µs since the broker's start, and the wall time of that start.
+///
+/// Leases, expiries, names that rest and all stamps go by it. [`Clock::manual`] stands still until
+/// [`Clock::advance`] moves it, for simulations and tests: a lease of three minutes is over at once.
+/// Whatever guards a link (heartbeats, login deadlines) goes by the system's time on either.
+///
+/// ```
+/// use std::time::Duration;
+/// use mom_system::Clock;
+/// use mom_proto::Time;
+///
+/// let clock = Clock::manual(Time::from_micros(0).unwrap());
+/// clock.advance(Duration::from_secs(181));
+/// assert_eq!(clock.wall().to_string(), "1970-01-01T00:03:01.000000Z");
+/// ```
+#[derive(Clone, Debug)]
+pub struct Clock {
+    anchor: Time,
+    source: Source,
+}
+
+#[derive(Clone, Debug)]
+enum Source {
+    System(Instant),
+    Manual(Arc<watch::Sender<Micros>>),
+}
+
+impl Clock {
+    /// The system's time from now on.
+    pub fn system() -> Clock {
+        let wall = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let anchor = i64::try_from(wall.as_micros())
+            .ok()
+            .and_then(Time::from_micros)
+            .unwrap_or_default();
+        Clock {
+            anchor,
+            source: Source::System(Instant::now()),
+        }
+    }
+
+    /// A clock that stands at this wall time until it is advanced.
+    pub fn manual(anchor: Time) -> Clock {
+        Clock {
+            anchor,
+            source: Source::Manual(Arc::new(watch::Sender::new(0))),
+        }
+    }
+
+    /// Moves a manual clock, with all its clones, and wakes what waits for a time that has come. The
+    /// system's time goes by itself and stays as it is.
+    pub fn advance(&self, by: Duration) {
+        if let Source::Manual(now) = &self.source {
+            now.send_modify(|now| *now = now.saturating_add(micros(by)));
+        }
+    }
+
+    /// µs since the start.
+    pub fn now(&self) -> Micros {
+        match &self.source {
+            Source::System(start) => micros(start.elapsed()),
+            Source::Manual(now) => *now.borrow(),
+        }
+    }
+
+    /// Wall time now, by the monotonic clock: it does not jump.
+    pub fn wall(&self) -> Time {
+        self.wall_at(self.now())
+    }
+
+    /// Wall time at the start.
+    pub fn anchor(&self) -> Time {
+        self.anchor
+    }
+
+    /// Wall time at a monotonic time.
+    pub fn wall_at(&self, now: Micros) -> Time {
+        let micros = self
+            .anchor
+            .micros()
+            .saturating_add(i64::try_from(now).unwrap_or(i64::MAX));
+        Time::from_micros(micros).unwrap_or(Time::MAX)
+    }
+
+    /// Waits until a monotonic time has come.
+    pub async fn reach(&self, at: Micros) {
+        match &self.source {
+            Source::System(start) => {
+                let at = *start + Duration::from_micros(at);
+                tokio::time::sleep_until(at.into()).await;
+            }
+            Source::Manual(now) => {
+                // The sender lives as long as this clock, so the wait ends only with the time.
+                let _ = now.subscribe().wait_for(|now| *now >= at).await;
+            }
+        }
+    }
+}
+
+fn micros(duration: Duration) -> Micros {
+    u64::try_from(duration.as_micros()).unwrap_or(u64::MAX)
+}

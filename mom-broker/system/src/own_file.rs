@@ -1,0 +1,37 @@
+//! Files that only this broker writes and only its owner reads.
+
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io;
+use std::path::Path;
+
+/// Opens a file to append to it, or makes it; nobody else may read it, and no other broker may write it.
+///
+/// # Errors
+/// What the system says, or that another broker has the file.
+pub fn open_own(path: &Path) -> io::Result<File> {
+    let mut options = OpenOptions::new();
+    options.read(true).append(true).create(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    let file = options.open(path)?;
+    match file.try_lock() {
+        Err(TryLockError::WouldBlock) => {
+            let text = "another broker writes to it";
+            return Err(io::Error::new(io::ErrorKind::ResourceBusy, text));
+        }
+        // File systems without locks are taken as they are.
+        Ok(()) | Err(TryLockError::Error(_)) => {}
+    }
+    #[cfg(unix)]
+    if file.metadata()?.is_file() {
+        file.set_permissions(std::os::unix::fs::PermissionsExt::from_mode(0o600))?;
+    }
+    Ok(file)
+}
+
+/// The path with `.` and this behind its name: `audit.jsonl.1`.
+pub fn numbered(path: &Path, number: impl std::fmt::Display) -> std::path::PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(format!(".{number}"));
+    name.into()
+}
