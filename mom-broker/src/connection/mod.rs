@@ -22,8 +22,9 @@ use parking_lot::RwLock;
 use tokio::time::{Instant, timeout_at};
 
 use crate::traffic::capacity::Held;
+use crate::traffic::channel::Sender;
 use crate::traffic::outbox::Outbox;
-use crate::traffic::switchboard::{Sender, Sent, Switchboard, Touched, flush};
+use crate::traffic::switchboard::{Handled, Switchboard, Touched, flush};
 
 use measure::{Measure, Pings};
 
@@ -231,7 +232,6 @@ impl Session {
         let sender = Sender {
             peer: self.peer,
             clock: &clock,
-            limits: &self.context.limits,
         };
         self.logged_in && self.context.board.run(&sender, reader, touched)
     }
@@ -256,11 +256,14 @@ impl Session {
             let sender = Sender {
                 peer: self.peer,
                 clock: &clock,
-                limits: &self.context.limits,
             };
-            match self.context.board.resume(&sender, *held, touched) {
-                Ok(Sent::Taken) => return Ok(()),
-                Ok(Sent::Waits(still)) => held = still,
+            match self
+                .context
+                .board
+                .resume(&sender, &self.context.limits, *held, touched)
+            {
+                Ok(Handled::Done) => return Ok(()),
+                Ok(Handled::Waits(still)) => held = still,
                 Err(error) => {
                     self.refuse(&error, reference, touched);
                     return Ok(());
@@ -296,11 +299,14 @@ impl Session {
                 let sender = Sender {
                     peer: self.peer,
                     clock: &clock,
-                    limits: &self.context.limits,
                 };
-                match self.context.board.message(&sender, parcel, touched) {
-                    Ok(Sent::Taken) => {}
-                    Ok(Sent::Waits(held)) => return Next::Room(held, reference),
+                match self
+                    .context
+                    .board
+                    .message(&sender, &self.context.limits, parcel, touched)
+                {
+                    Ok(Handled::Done) => {}
+                    Ok(Handled::Waits(held)) => return Next::Room(held, reference),
                     Err(error) => self.refuse(&error, reference, touched),
                 }
             }

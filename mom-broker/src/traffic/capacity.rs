@@ -1,8 +1,8 @@
-//! Channels in which senders wait for receivers that have no room (design §7).
+//! Channels in which senders wait for receivers that have no capacity (design §7).
 //!
-//! A message goes to all of its receivers or to none: before it is put into the first outbox there is room in every
-//! one. If there is not, its sender's reader waits without a lock for the first that is full, and looks again with
-//! everything that had to hold. So the network holds the sender back, and nobody else.
+//! A message goes to all of its receivers or to none: before it is put into the first outbox, every one has capacity for
+//! it. If one has not, the sender's reader waits for it without a lock, and then admits the message again from the start.
+//! So the network holds the sender back, and nobody else.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -16,27 +16,27 @@ use crate::traffic::outbox::Place;
 /// Names of slow receivers that a refusal lists at most.
 const NAMED: usize = 16;
 
-/// How a message comes by its room.
+/// What a message does where a receiver has no capacity.
 #[derive(Debug)]
-pub(crate) enum Room {
-    /// Its sender can wait; the place that it has in a line so far.
-    Waits(Option<Place>),
-    /// It has come from the hub, where nobody waits: it may use all of an outbox.
-    Whole,
+pub(crate) enum WhenFull {
+    /// Its sender waits: the place that it has among the waiters so far, and since when it waits.
+    Wait(Option<Place>, Micros),
+    /// It is refused: it comes from the hub, where nobody waits, and may use all of an outbox.
+    Refuse,
 }
 
-/// Some receiver has no room.
+/// A receiver of a message has no capacity for it.
 #[derive(Debug)]
-pub(crate) struct Full {
+pub(crate) struct NoCapacity {
     /// What was to be sent.
     pub(crate) parcel: Box<Parcel>,
     /// Where its sender waits.
     pub(crate) place: Place,
-    /// The receivers without room.
+    /// The receivers without capacity.
     pub(crate) slow: Vec<Arc<str>>,
 }
 
-/// A message that waits for room.
+/// A message that waits for capacity.
 #[derive(Debug)]
 pub(crate) struct Held {
     pub(crate) parcel: Box<Parcel>,
@@ -57,8 +57,8 @@ impl Held {
     }
 }
 
-/// `try-later`, with the names of those who have no room, and when to try again.
-pub(crate) fn no_room(
+/// `try-later`, with the names of those who have no capacity, and when to try again.
+pub(crate) fn no_capacity(
     slow: &[Arc<str>],
     path: &Path,
     waited: Option<Duration>,

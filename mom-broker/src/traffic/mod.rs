@@ -3,12 +3,11 @@
 pub(crate) mod capacity;
 pub(crate) mod channel;
 pub(crate) mod encodings;
-mod figures;
 mod gather;
 mod history;
 #[cfg(all(test, feature = "shuttle"))]
 #[path = "../../tests/interleaved/mod.rs"]
 mod interleaved;
 pub(crate) mod outbox;
-mod stats;
+mod statistics;
 pub(crate) mod switchboard;

@@ -10,9 +10,10 @@ use mom_net::Reader;
 use mom_proto::{Family, Limit, Limits, Map, Parcel, Path, from_value};
 
 use super::{clock, explore, heard, link, on, said};
+use crate::traffic::channel::Sender;
 use crate::traffic::encodings::Bounds;
 use crate::traffic::outbox::Outbox;
-use crate::traffic::switchboard::{Sender, Sent, Switchboard, Touched, flush};
+use crate::traffic::switchboard::{Handled, Switchboard, Touched, flush};
 
 /// A switchboard, and who is at it.
 pub(super) struct Lab {
@@ -121,16 +122,15 @@ pub(super) fn say_to(board: &Switchboard, peer: PeerId, parcel: Parcel) -> bool 
     let sender = Sender {
         peer,
         clock: &|_| None,
-        limits: &limits,
     };
-    let mut sent = board.message(&sender, Box::new(parcel), &mut touched);
+    let mut sent = board.message(&sender, &limits, Box::new(parcel), &mut touched);
     loop {
         flush(&mut touched);
         match sent {
-            Ok(Sent::Taken) => return true,
-            Ok(Sent::Waits(held)) => {
+            Ok(Handled::Done) => return true,
+            Ok(Handled::Waits(held)) => {
                 shuttle::future::block_on(held.ready(&board.clock));
-                sent = board.resume(&sender, *held, &mut touched);
+                sent = board.resume(&sender, &limits, *held, &mut touched);
             }
             Err(_) => return false,
         }

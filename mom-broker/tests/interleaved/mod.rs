@@ -6,8 +6,8 @@
 //! one processor sees later than another: to it every atomic is `SeqCst`, and a fence is nothing.
 
 mod board;
+mod capacity;
 mod outbox;
-mod room;
 
 use std::collections::VecDeque;
 use std::sync::Arc;

@@ -7,12 +7,12 @@ use mom_hub::Route;
 use mom_proto::{Content, Delivery, Parcel};
 use mom_system::Clock;
 
-use super::{Inner, expires_at, hub_origin};
+use super::{State, expires_at, hub_origin};
 use crate::traffic::encodings::Encodings;
 use crate::traffic::history::History;
 use crate::traffic::outbox::{Lane, Outbox, Packet};
 
-impl Inner {
+impl State {
     /// A copy of a message that is for later too. Its content is copied out of what was read with it, or little that is
     /// kept would hold much that is not.
     pub(super) fn to_keep(&self, parcel: &Parcel) -> Option<Parcel> {

@@ -1,48 +1,51 @@
 //! A channel as the broker holds it: its route with the outboxes of its members.
 
+mod capacity;
 mod kept;
-mod room;
-mod runs;
+mod send;
+mod snapshot;
 
 use std::collections::HashMap;
 use std::sync::Arc;
-use std::time::Duration;
 
 use mom_hub::{PeerId, Receivers, Route, Usage};
-use mom_managers::Rate;
 use mom_proto::codec::{Form, Scratch};
-use mom_proto::{Content, ContextNumber, Delivery, Parcel, Path, Time, Verb, WireError};
+use mom_proto::{ContextNumber, Delivery, Parcel, Path, Time, Verb};
 use mom_system::Clock;
+use mom_system::sync::Mutex;
 use mom_system::sync::atomic::{AtomicU64, Ordering};
-use mom_system::sync::{Mutex, MutexGuard};
 
-use crate::traffic::capacity::{Full, Room, no_room};
 use crate::traffic::encodings::{Bounds, Encodings};
-use crate::traffic::figures::{Figures, measures};
 use crate::traffic::gather::Pace;
 use crate::traffic::history::History;
 use crate::traffic::outbox::{DropReason, Dropped, Gate, Lane, Origin, Outbox, Packet, Taken};
+use crate::traffic::statistics::Statistics;
 
-/// The critical section of a channel: who holds it decides the one order for all receivers (M27).
+pub(crate) use send::{Message, Outcome, Sender, Sent, Unsent, Why, run_ahead};
+pub(crate) use snapshot::{MemberSnapshot, Snapshot};
+
+/// A channel. Its lock is its critical section: who holds it decides the one order for all receivers (M27). Messages
+/// enter it by [`Channel::send`] and by nothing else.
 #[derive(Debug)]
 pub(crate) struct Channel {
-    inner: Mutex<Inner>,
+    state: Mutex<State>,
 }
 
+/// What the critical section guards.
 #[derive(Debug)]
-pub(crate) struct Inner {
-    pub(crate) route: Arc<Route>,
+struct State {
+    route: Arc<Route>,
     /// In the order of the route's members.
     outboxes: Vec<Option<Arc<Outbox>>>,
     gate: Gate,
     /// All members speak the binary form.
     binary: bool,
-    /// Some member is spared of something.
+    /// At least one member asked for thinning.
     thins: bool,
     pace: Pace,
     bounds: Bounds,
     scratch: Scratch,
-    pub(crate) figures: Figures,
+    statistics: Statistics,
     history: Option<History>,
     /// What members, and connections that were some, have used of the rates that their manager set.
     used: HashMap<PeerId, Usage>,
@@ -61,27 +64,6 @@ pub(crate) struct Delivered {
     pub(crate) too_slow: Vec<Arc<Outbox>>,
 }
 
-/// Why a message went to nobody.
-#[derive(Debug)]
-pub(crate) enum Undelivered {
-    Refused(WireError),
-    /// It has to wait.
-    Full(Box<Full>),
-}
-
-/// When to try again where nobody has waited, as long as a sender waits by default.
-const RETRY: Duration = Duration::from_secs(1);
-
-impl Undelivered {
-    /// The error for a sender that does not wait.
-    pub(crate) fn error(self, path: &Path) -> WireError {
-        match self {
-            Undelivered::Refused(error) => error,
-            Undelivered::Full(full) => no_room(&full.slow, path, None, RETRY),
-        }
-    }
-}
-
 impl Channel {
     pub(crate) fn new(
         route: Arc<Route>,
@@ -90,10 +72,10 @@ impl Channel {
     ) -> Channel {
         let outboxes: Vec<_> = route.members.iter().map(|member| outbox(member.peer)).collect();
         let gate = Arc::new(AtomicU64::new(fence_open(&route)));
-        let figures = Figures::new(&route);
+        let statistics = Statistics::new(&route);
         let history = route.keep.map(History::new);
         Channel {
-            inner: Mutex::new(Inner {
+            state: Mutex::new(State {
                 thins: thins(&route),
                 route,
                 binary: all_binary(&outboxes),
@@ -102,15 +84,11 @@ impl Channel {
                 gate,
                 bounds,
                 scratch: Scratch::pooled(),
-                figures,
+                statistics,
                 history,
                 used: HashMap::new(),
             }),
         }
-    }
-
-    pub(crate) fn lock(&self) -> MutexGuard<'_, Inner> {
-        self.inner.lock()
     }
 
     /// Swaps in a new route. From here on nothing of an old owner leaves any outbox. Who is new gets what is kept;
@@ -121,14 +99,14 @@ impl Channel {
         clock: &Clock,
         outbox: impl Fn(PeerId) -> Option<Arc<Outbox>>,
     ) -> Vec<Arc<Outbox>> {
-        let mut inner = self.inner.lock();
-        inner.gate.store(fence_open(&route), Ordering::Release);
-        inner.settle_turns(&route);
+        let mut state = self.state.lock();
+        state.gate.store(fence_open(&route), Ordering::Release);
+        state.settle_turns(&route);
         // What they wait for may be gone, or not allowed any more.
-        inner.call_waiting();
+        state.call_waiting();
         // Both lists are sorted, so most outboxes are found without a look-up.
-        let old = std::mem::take(&mut inner.outboxes);
-        let mut known = inner
+        let old = std::mem::take(&mut state.outboxes);
+        let mut known = state
             .route
             .members
             .iter()
@@ -143,36 +121,48 @@ impl Channel {
             }
         });
         let outboxes: Vec<_> = outboxes.collect();
-        inner.binary = all_binary(&outboxes);
-        inner.thins = thins(&route);
-        inner.outboxes = outboxes;
+        state.binary = all_binary(&outboxes);
+        state.thins = thins(&route);
+        state.outboxes = outboxes;
         // Who leaves and comes back has used what it has used.
-        inner
+        state
             .used
             .retain(|peer, _| route.member(*peer).is_some() || outbox(*peer).is_some());
-        let inner = &mut *inner;
-        inner.figures.follow(&inner.route, &route);
-        let old = std::mem::replace(&mut inner.route, route);
-        inner.follow_history(&old, clock)
+        let state = &mut *state;
+        state.statistics.follow(&state.route, &route);
+        let old = std::mem::replace(&mut state.route, route);
+        state.follow_history(&old, clock)
+    }
+
+    /// Empties the route of a channel that is no more: nobody sends there, and no guarded message that still
+    /// waits leaves any outbox, because nobody will tell this channel when its token changes hands. Gives its path.
+    pub(crate) fn end(&self) -> Path {
+        let mut state = self.state.lock();
+        let state = &mut *state;
+        state.gate.store(0, Ordering::Release);
+        let route = Route {
+            members: Vec::new(),
+            ..(*state.route).clone()
+        };
+        state.settle_turns(&route);
+        state.call_waiting();
+        state.outboxes.clear();
+        state.statistics.follow(&state.route, &route);
+        let path = route.path.clone();
+        state.route = Arc::new(route);
+        path
+    }
+
+    /// Counts what a receiver did not get after all; gives the channel's path.
+    pub(crate) fn note_dropped(&self, receiver: PeerId, dropped: Dropped, count: u64) -> Path {
+        let mut state = self.state.lock();
+        let at = state.route.position(receiver);
+        state.statistics.dropped(at, dropped.reason, dropped.class, count);
+        state.route.path.clone()
     }
 }
 
-impl Inner {
-    /// Empties the route of a channel that is no more: nobody sends there, and no guarded message that still
-    /// waits leaves any outbox, because nobody will tell this channel when its token changes hands.
-    pub(crate) fn end(&mut self) {
-        self.gate.store(0, Ordering::Release);
-        let route = Route {
-            members: Vec::new(),
-            ..(*self.route).clone()
-        };
-        self.settle_turns(&route);
-        self.call_waiting();
-        self.outboxes.clear();
-        self.figures.follow(&self.route, &route);
-        self.route = Arc::new(route);
-    }
-
+impl State {
     /// Ends the turns that another route does not know: whoever has left hears nothing any more, and whoever wants
     /// something else than before hears at once what waited.
     fn settle_turns(&self, route: &Route) {
@@ -189,9 +179,9 @@ impl Inner {
         }
     }
 
-    /// The receivers among the members of another route, by their place among the members of this one; whoever is no
+    /// The receivers among the members of another route, by their position among the members of this one; whoever is no
     /// member any more is left out.
-    pub(crate) fn translate(&self, other: &Route, receivers: Receivers) -> Receivers {
+    fn translate(&self, other: &Route, receivers: Receivers) -> Receivers {
         let here = |place: usize| self.route.position(other.members.get(place)?.peer);
         match receivers {
             Receivers::All => Receivers::All,
@@ -200,92 +190,8 @@ impl Inner {
         }
     }
 
-    /// In the order of the route's members.
-    pub(crate) fn outboxes(&self) -> &[Option<Arc<Outbox>>] {
-        &self.outboxes
-    }
-
-    /// Counts what a receiver did not get after all; gives the channel's path.
-    pub(crate) fn note_dropped(&mut self, receiver: PeerId, dropped: Dropped, count: u64) -> Path {
-        let place = self.route.position(receiver);
-        self.figures.dropped(place, dropped.reason, dropped.class, count);
-        self.route.path.clone()
-    }
-
-    /// Encodes an admitted message once per form and puts it into the outboxes.
-    ///
-    /// # Errors
-    /// More than the sender's rate, content that cannot be opened for a receiver of another form, or no room where
-    /// senders wait for it: nobody gets the message then.
-    pub(crate) fn deliver(
-        &mut self,
-        sender: PeerId,
-        parcel: Parcel,
-        receivers: &Receivers,
-        rate: Option<Rate>,
-        now: u64,
-        room: Room,
-    ) -> Result<Delivered, Undelivered> {
-        let lane = lane_of(&parcel);
-        // Stops and unstops are never refused for load.
-        let rate = rate.filter(|_| matches!(lane, Lane::Data(_)));
-        let unused = rate
-            .map(|rate| self.charge(sender, &parcel, &rate, now))
-            .transpose()?;
-        let delivery = parcel.delivery.unwrap_or(self.route.delivery);
-        let waiting = self.waits(lane, delivery).then(|| Box::new(parcel.clone()));
-        let origin = Origin {
-            context: self.route.number,
-            sender,
-            name: Arc::clone(&parcel.name),
-        };
-        // A device must halt also if its operator's clock is wrong.
-        let expires_at = expires_at(&parcel, now).filter(|_| lane != Lane::Stop);
-        let gate = parcel.fence.map(|fence| (Arc::clone(&self.gate), fence));
-        let (size, age) = measures(&parcel);
-        let kept = self.to_keep(&parcel);
-        let places = self.places(receivers);
-        let outboxes = &self.outboxes;
-        let form = |place: usize| outboxes[place].as_ref().map(|outbox| outbox.form());
-        let forms = places.iter().filter_map(form);
-        let encodings = Encodings::with(parcel, forms, self.bounds, &mut self.scratch)?;
-        let packet = Arc::new(Packet {
-            encodings,
-            lane,
-            delivery,
-            origin,
-            expires_at,
-            gate,
-            count: 1,
-        });
-        let claimed = waiting.map(|parcel| self.claim(&packet, &places, parcel, room));
-        // Given up when all is put in, so that the next one sees it.
-        let _place = match (claimed.transpose(), unused) {
-            (Ok(place), _) => place,
-            (Err(undelivered), unused) => {
-                if let Some(usage) = unused {
-                    self.used.insert(sender, usage);
-                }
-                return Err(undelivered);
-            }
-        };
-        if let (Some(history), Some(parcel)) = (&mut self.history, kept) {
-            history.note(sender, parcel, now);
-        }
-        self.figures.sent(self.route.position(sender), size, age);
-        Ok(self.put(&packet, &places, now))
-    }
-
-    /// Charges a message to its sender's rate; gives what was used before.
-    fn charge(&mut self, sender: PeerId, parcel: &Parcel, rate: &Rate, now: u64) -> Result<Usage, WireError> {
-        let size = parcel.content.as_ref().map_or(0, Content::size);
-        let usage = self.used.entry(sender).or_default();
-        let before = usage.clone();
-        usage.charge(rate, size, now)?;
-        Ok(before)
-    }
-
-    fn put(&mut self, packet: &Arc<Packet>, places: &Places<'_>, now: u64) -> Delivered {
+    /// Puts a packet into the outboxes of the members at these positions.
+    fn put(&mut self, packet: &Arc<Packet>, places: &Positions<'_>, now: u64) -> Delivered {
         let mut result = Delivered {
             lively: self.pace.is_lively(packet.count, now) && packet.can_wait(),
             ..Delivered::default()
@@ -297,7 +203,7 @@ impl Inner {
             let Some(outbox) = &self.outboxes[place] else {
                 result.dropped.push(name());
                 let count = u64::from(packet.count);
-                self.figures
+                self.statistics
                     .dropped(Some(place), DropReason::Closed, packet.delivery, count);
                 continue;
             };
@@ -312,13 +218,13 @@ impl Inner {
             match taken {
                 Taken::Yes | Taken::Later => {
                     result.delivered += u64::from(packet.count);
-                    self.figures.delivered(place, u64::from(packet.count));
+                    self.statistics.delivered(place, u64::from(packet.count));
                 }
                 Taken::Dropped => result.dropped.push(name()),
                 Taken::Overflow => {
                     result.dropped.push(name());
                     let count = u64::from(packet.count);
-                    self.figures
+                    self.statistics
                         .dropped(Some(place), DropReason::Full, packet.delivery, count);
                     result.too_slow.push(Arc::clone(outbox));
                 }
@@ -328,12 +234,6 @@ impl Inner {
             }
         }
         result
-    }
-}
-
-impl From<WireError> for Undelivered {
-    fn from(error: WireError) -> Undelivered {
-        Undelivered::Refused(error)
     }
 }
 
@@ -356,13 +256,13 @@ fn lane_of(parcel: &Parcel) -> Lane {
     }
 }
 
-/// The receivers of a message by their place among the members.
-struct Places<'a> {
+/// The receivers of a message by their position among the members.
+struct Positions<'a> {
     receivers: &'a Receivers,
     count: usize,
 }
 
-impl Places<'_> {
+impl Positions<'_> {
     fn iter(&self) -> impl Iterator<Item = usize> {
         let (listed, all, but) = match self.receivers {
             Receivers::All => (&[][..], self.count, None),
@@ -463,8 +363,8 @@ pub(crate) mod tests {
             |_| None,
         );
         let then = route(&[1, 2, 3, 4]);
-        let inner = channel.lock();
-        let now = |receivers| inner.translate(&then, receivers);
+        let state = channel.state.lock();
+        let now = |receivers| state.translate(&then, receivers);
         assert_eq!(now(Receivers::These(vec![3, 1, 0])), Receivers::These(vec![2, 0]));
         assert_eq!(now(Receivers::AllBut(3)), Receivers::AllBut(2));
         assert_eq!(now(Receivers::AllBut(1)), Receivers::All, "it is gone anyhow");

@@ -12,15 +12,14 @@ use mom_system::Clock;
 use mom_system::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use mom_system::sync::{Mutex, Notify};
 
-use crate::traffic::capacity::Room;
-use crate::traffic::channel::{Channel, Delivered, control, hub_origin, stamped};
+use crate::traffic::channel::{Channel, Message, Sent, control, hub_origin, stamped};
 use crate::traffic::encodings::{Bounds, Encodings};
 use crate::traffic::gather::{self, Gatherer};
 use crate::traffic::outbox::{Dropped, Outbox, Packet, Taken};
 
 mod sending;
 
-pub(crate) use sending::{Sender, Sent};
+pub(crate) use sending::Handled;
 
 /// The switchboard of one broker.
 ///
@@ -186,11 +185,10 @@ impl Switchboard {
         let drops = outbox.take_drops();
         for (dropped, count) in drops {
             let Dropped { context, sender, .. } = dropped;
-            let channel = self.channels.get(&context).map(|channel| Arc::clone(&channel));
-            let noted = channel.map(|channel| channel.lock().note_dropped(outbox.peer, dropped, count));
-            let Some(path) = noted else {
+            let Some(channel) = self.channel(context) else {
                 continue;
             };
+            let path = channel.note_dropped(outbox.peer, dropped, count);
             let content = Map::new()
                 .with("reason", dropped.reason.word())
                 .with("delivery", dropped.class.word())
@@ -233,8 +231,7 @@ impl Switchboard {
 
     fn swap_route(&self, route: Arc<mom_hub::Route>) -> Touched {
         let number = route.number;
-        let known = self.channels.get(&number).map(|channel| Arc::clone(&channel));
-        match known {
+        match self.channel(number) {
             Some(channel) => channel.swap(route, &self.clock, |peer| self.outbox(peer)),
             None => {
                 self.by_path.insert(route.path.clone(), number);
@@ -249,11 +246,9 @@ impl Switchboard {
 
     fn drop_route(&self, number: ContextNumber) {
         if let Some((_, channel)) = self.channels.remove(&number) {
-            let mut inner = channel.lock();
-            self.by_path
-                .remove_if(&inner.route.path, |_, known| *known == number);
             // A reader that found the channel just before gets what it would get after.
-            inner.end();
+            let path = channel.end();
+            self.by_path.remove_if(&path, |_, known| *known == number);
         }
     }
 
@@ -277,28 +272,9 @@ impl Switchboard {
                     route,
                     rate,
                 } => {
-                    let Some(channel) = self
-                        .channels
-                        .get(&route.number)
-                        .map(|channel| Arc::clone(&channel))
-                    else {
-                        continue;
-                    };
-                    let (receipt, reference) = (receipt_of(&parcel), parcel.id);
-                    let message = Arc::clone(&parcel.name);
-                    let mut inner = channel.lock();
-                    // The same input may have taken members out after this was admitted.
-                    let receivers = inner.translate(&route, receivers);
-                    let now = self.clock.now();
-                    let delivered = inner.deliver(from, *parcel, &receivers, rate, now, Room::Whole);
-                    drop(inner);
-                    match delivered {
-                        Ok(delivered) => self.settle(from, receipt, &route.path, delivered, touched),
-                        Err(undelivered) => {
-                            let error = undelivered.error(&route.path);
-                            self.note_refused(from, &route, &message, &error);
-                            self.tell(from, error.to_parcel(reference), touched);
-                        }
+                    if let Some(channel) = self.channel(route.number) {
+                        let message = Message::Admitted(parcel, &route, receivers, rate);
+                        self.send_admitted(from, message, &channel, touched);
                     }
                 }
                 Effect::Store { record, ticket } => self.keep(record, ticket),
@@ -322,14 +298,13 @@ impl Switchboard {
     }
 
     /// After a delivery: flushes are noted, slow receivers closed, a receipt given.
-    fn settle(
-        &self,
-        sender: PeerId,
-        receipt: Option<Option<u64>>,
-        path: &Path,
-        delivered: Delivered,
-        touched: &mut Touched,
-    ) {
+    fn settle(&self, sender: PeerId, sent: Sent, touched: &mut Touched) {
+        let Sent {
+            delivered,
+            route,
+            receipt,
+        } = sent;
+        let path = &route.path;
         if delivered.lively && delivered.touched.len() >= gather::RECEIVERS {
             self.gatherer.defer(delivered.touched);
         } else {
@@ -397,9 +372,4 @@ fn shutdown() -> WireError {
 /// Flushes every outbox of a turn.
 pub(crate) fn flush(touched: &mut Touched) {
     touched.drain(..).for_each(|outbox| outbox.flush());
-}
-
-/// The reference of the receipt that a message asks for.
-fn receipt_of(parcel: &Parcel) -> Option<Option<u64>> {
-    (parcel.receipt == Some(true)).then_some(parcel.id)
 }

@@ -13,14 +13,17 @@ pub struct Mutex<T>(shuttle::sync::Mutex<T>);
 pub struct MutexGuard<'a, T>(Option<shuttle::sync::MutexGuard<'a, T>>);
 
 impl<T> Mutex<T> {
+    /// As its model.
     pub fn new(value: T) -> Mutex<T> {
         Mutex(shuttle::sync::Mutex::new(value))
     }
 
+    /// As its model.
     pub fn lock(&self) -> MutexGuard<'_, T> {
         MutexGuard(Some(self.0.lock().unwrap_or_else(PoisonError::into_inner)))
     }
 
+    /// As its model.
     pub fn try_lock(&self) -> Option<MutexGuard<'_, T>> {
         match self.0.try_lock() {
             Ok(guard) => Some(MutexGuard(Some(guard))),
@@ -49,10 +52,12 @@ impl<T> DerefMut for MutexGuard<'_, T> {
 pub struct Condvar(shuttle::sync::Condvar);
 
 impl Condvar {
+    /// As its model.
     pub fn new() -> Condvar {
         Condvar::default()
     }
 
+    /// As its model.
     pub fn wait<T>(&self, guard: &mut MutexGuard<'_, T>) {
         let held = guard.0.take().expect("nobody else waits with it");
         guard.0 = Some(self.0.wait(held).unwrap_or_else(PoisonError::into_inner));
@@ -76,10 +81,12 @@ struct Permit {
 }
 
 impl Notify {
+    /// Without a permit.
     pub fn new() -> Notify {
         Notify(Mutex::new(Permit::default()))
     }
 
+    /// Gives the permit, and wakes the task that waits for it.
     pub fn notify_one(&self) {
         let mut permit = self.0.lock();
         permit.given = true;
@@ -90,6 +97,7 @@ impl Notify {
         }
     }
 
+    /// Waits for the permit and takes it.
     pub async fn notified(&self) {
         std::future::poll_fn(|context| {
             let mut permit = self.0.lock();

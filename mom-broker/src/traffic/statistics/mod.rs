@@ -1,6 +1,7 @@
 //! What a channel counts: sent, delivered, dropped, and how old what was sent was (design §4).
 
 mod histogram;
+mod reply;
 
 use std::collections::BTreeMap;
 
@@ -11,15 +12,15 @@ pub(crate) use histogram::Histogram;
 
 use crate::traffic::outbox::DropReason;
 
-/// The figures of a channel, of all who were ever in it and of who is in it now.
+/// The counts of a channel, of all who were ever in it and of who is in it now.
 #[derive(Debug, Default)]
-pub(crate) struct Figures {
+pub(crate) struct Statistics {
     all: Counts,
     /// In the order of the route's members. Who leaves and comes back begins anew.
     members: Vec<Counts>,
 }
 
-/// The figures of one peer in a channel, or of all.
+/// The counts of one peer in a channel, or of all.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Counts {
     sent: u64,
@@ -32,9 +33,9 @@ pub(crate) struct Counts {
     ages: Option<Box<Histogram>>,
 }
 
-impl Figures {
-    pub(crate) fn new(route: &Route) -> Figures {
-        Figures {
+impl Statistics {
+    pub(crate) fn new(route: &Route) -> Statistics {
+        Statistics {
             all: Counts::default(),
             members: vec![Counts::default(); route.members.len()],
         }
@@ -155,22 +156,22 @@ mod tests {
     use crate::traffic::channel::tests::route;
 
     #[test]
-    fn figures_stay_with_their_peers() {
+    fn statistics_stay_with_their_peers() {
         let (first, second) = (route(&[2, 4, 6]), route(&[1, 4, 5, 6]));
-        let mut figures = Figures::new(&first);
-        figures.sent(first.position(PeerId(4)), 10, Some(70));
-        figures.sent(first.position(PeerId(4)), 10, None);
-        figures.delivered(0, 1);
-        figures.delivered(2, 1);
-        figures.dropped(
+        let mut statistics = Statistics::new(&first);
+        statistics.sent(first.position(PeerId(4)), 10, Some(70));
+        statistics.sent(first.position(PeerId(4)), 10, None);
+        statistics.delivered(0, 1);
+        statistics.delivered(2, 1);
+        statistics.dropped(
             first.position(PeerId(6)),
             DropReason::Expired,
             Delivery::Latest,
             3,
         );
-        figures.follow(&first, &second);
-        figures.sent(None, 5, None);
-        figures.dropped(
+        statistics.follow(&first, &second);
+        statistics.sent(None, 5, None);
+        statistics.dropped(
             second.position(PeerId(2)),
             DropReason::Expired,
             Delivery::Latest,
@@ -187,16 +188,16 @@ mod tests {
                     .copied(),
             )
         };
-        let members: Vec<_> = figures.members().iter().map(sent).collect();
+        let members: Vec<_> = statistics.members().iter().map(sent).collect();
         assert_eq!(
             members,
             [(0, 0, None), (2, 0, None), (0, 0, None), (0, 1, Some(3))]
         );
-        assert_eq!(sent(figures.all()), (3, 2, Some(4)));
+        assert_eq!(sent(statistics.all()), (3, 2, Some(4)));
 
-        figures.dropped(None, DropReason::Full, Delivery::Latest, 2);
-        figures.dropped(None, DropReason::Full, Delivery::Fleeting, 5);
-        let all = figures.all().to_map(Map::new(), 0);
+        statistics.dropped(None, DropReason::Full, Delivery::Latest, 2);
+        statistics.dropped(None, DropReason::Full, Delivery::Fleeting, 5);
+        let all = statistics.all().to_map(Map::new(), 0);
         let reasons = Map::new().with("expired", 4).with("queue-full", 7);
         let classes = Map::new().with("fleeting", 5).with("latest", 6);
         assert_eq!(
@@ -204,7 +205,7 @@ mod tests {
             (Some(&Value::Map(reasons)), Some(&Value::Map(classes)))
         );
 
-        let map = figures.members()[1].to_map(Map::new(), 9);
+        let map = statistics.members()[1].to_map(Map::new(), 9);
         let age = Map::new()
             .with("count", 1)
             .with("p50", 70)

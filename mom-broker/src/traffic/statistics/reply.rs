@@ -5,23 +5,8 @@ use std::sync::Arc;
 use mom_hub::PeerId;
 use mom_proto::{ContextNumber, Map, Parcel, Value};
 
-use crate::traffic::channel::Channel;
-use crate::traffic::figures::Counts;
-use crate::traffic::outbox::Outbox;
+use crate::traffic::channel::{MemberSnapshot, Snapshot};
 use crate::traffic::switchboard::{Switchboard, Touched};
-
-/// A channel as it stood at one moment; made into words when its lock is given back.
-struct Snapshot {
-    path: mom_proto::Path,
-    all: Counts,
-    members: Vec<MemberSnapshot>,
-}
-
-struct MemberSnapshot {
-    facts: Arc<mom_managers::PeerFacts>,
-    counts: Counts,
-    outbox: Option<Arc<Outbox>>,
-}
 
 impl Switchboard {
     /// Answers with the figures of these channels: of one with those of each member, or of several.
@@ -40,7 +25,7 @@ impl Switchboard {
         content.set("time", self.clock.wall());
         let snapshots = channels.iter().filter_map(|number| {
             let channel = self.channel(*number)?;
-            Some((*number, Snapshot::of(&channel)))
+            Some((*number, channel.snapshot()))
         });
         if peers {
             for (_, snapshot) in snapshots {
@@ -68,22 +53,6 @@ impl Switchboard {
 }
 
 impl Snapshot {
-    fn of(channel: &Channel) -> Snapshot {
-        let inner = channel.lock();
-        let members = inner.route.members.iter().zip(inner.figures.members());
-        let members = members.zip(inner.outboxes());
-        let members = members.map(|((member, counts), outbox)| MemberSnapshot {
-            facts: Arc::clone(&member.facts),
-            counts: counts.clone(),
-            outbox: outbox.clone(),
-        });
-        Snapshot {
-            path: inner.route.path.clone(),
-            all: inner.figures.all().clone(),
-            members: members.collect(),
-        }
-    }
-
     fn to_map(&self, map: Map) -> Map {
         let queued = self.members.iter().map(MemberSnapshot::queued).sum();
         self.all.to_map(map, queued)

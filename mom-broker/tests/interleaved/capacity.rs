@@ -1,4 +1,4 @@
-//! Senders that wait for a receiver without room, while it reads, leaves, is closed, or another of them goes.
+//! Senders that wait for a receiver without capacity, while it reads, leaves, is closed, or another of them goes.
 //!
 //! The clock stands still, so a sender that nobody calls waits forever, and shows.
 
@@ -10,10 +10,11 @@ use mom_proto::{Code, ContextNumber, Family, Limit, Limits, WireError};
 
 use super::board::{Lab, ask, messages, path, say_to};
 use super::{explore, hear, heard, on, said, write};
+use crate::traffic::channel::Sender;
 use crate::traffic::channel::control;
 use crate::traffic::encodings::Encodings;
 use crate::traffic::outbox::{Origin, Outbox};
-use crate::traffic::switchboard::{Sender, Sent, Switchboard, Touched};
+use crate::traffic::switchboard::{Handled, Switchboard, Touched};
 
 const BULK: &str = "/lab/bulk";
 
@@ -156,14 +157,13 @@ fn who_goes_makes_way() {
             let sender = Sender {
                 peer: alice,
                 clock: &|_| None,
-                limits: &limits,
             };
             let mut waited = 0;
             for _ in 0..6 {
-                let sent = board.message(&sender, Box::new(parcel.clone()), &mut touched);
+                let sent = board.message(&sender, &limits, Box::new(parcel.clone()), &mut touched);
                 crate::traffic::switchboard::flush(&mut touched);
                 // Dropped, as the task of a connection drops it.
-                waited += usize::from(matches!(sent, Ok(Sent::Waits(_))));
+                waited += usize::from(matches!(sent, Ok(Handled::Waits(_))));
             }
             waited
         });
