@@ -114,7 +114,8 @@ impl Tree {
                 continue;
             };
             let path = format!("{prefix}{name}");
-            if kind.is_file() {
+            // In a worktree `.git` is a file, and names the checkout that it belongs to.
+            if kind.is_file() && name != ".git" {
                 self.read_file(&entry.path(), path)?;
             } else if kind.is_dir() && !is_skipped(&entry.path(), &name) {
                 self.read_folder(&entry.path(), &format!("{path}/"))?;
