@@ -1,6 +1,7 @@
 //! `cargo xtask tidy`: what the compiler does not check. One file per check, each with the reason for its rule.
 
 mod codes;
+mod glossary;
 mod imports;
 mod leftovers;
 mod links;
@@ -49,6 +50,7 @@ const CHECKS: &[(&str, Check)] = &[
     ("purity", purity::check),
     ("leftover", leftovers::check),
     ("link", links::check),
+    ("word", glossary::check),
     ("name", names::check),
 ];
 
