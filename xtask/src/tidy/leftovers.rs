@@ -20,11 +20,13 @@ pub(crate) fn check(tree: &Tree, report: &mut Report<'_>) -> Result<()> {
         .flat_map(|package| reached(tree, package))
         .collect();
     for (path, source) in tree.with_extension(&["rs"]) {
-        let text = RustText::new(source);
+        let Some(text) = tree.rust_text(path) else {
+            continue;
+        };
         let mut report = |at: usize, message: String| report(path, line_at(source, at), message);
         notes(&text.comments, &mut report);
         stubs(&text.code, &mut report);
-        switched_off(&text, &mut report);
+        switched_off(text, &mut report);
         let all_is_test = is_test_file(path) || reached.get(path) == Some(&Use::TestOnly);
         let tests = if all_is_test {
             std::iter::once(0..source.len()).collect()

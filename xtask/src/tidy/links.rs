@@ -65,7 +65,7 @@ fn fault(tree: &Tree, path: &str, target: &str) -> Option<String> {
 }
 
 /// The lines of a document outside its code blocks, with their numbers.
-fn prose(text: &str) -> impl Iterator<Item = (usize, &str)> {
+pub(super) fn prose(text: &str) -> impl Iterator<Item = (usize, &str)> {
     let mut fence: Option<&str> = None;
     text.lines().enumerate().filter_map(move |(number, line)| {
         let start = line.trim_start();

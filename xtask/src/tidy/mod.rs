@@ -1,6 +1,8 @@
 //! `cargo xtask tidy`: what the compiler does not check. One file per check, each with the reason for its rule.
 
+mod citations;
 mod codes;
+mod glossary;
 mod imports;
 mod leftovers;
 mod links;
@@ -49,6 +51,8 @@ const CHECKS: &[(&str, Check)] = &[
     ("purity", purity::check),
     ("leftover", leftovers::check),
     ("link", links::check),
+    ("cite", citations::check),
+    ("word", glossary::check),
     ("name", names::check),
 ];
 

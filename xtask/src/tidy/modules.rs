@@ -39,8 +39,10 @@ pub(crate) fn reached(tree: &Tree, package: &str) -> BTreeMap<String, Use> {
         {
             continue;
         }
-        let Some(text) = tree.text(&path) else { continue };
-        for declaration in declarations(&RustText::new(text)) {
+        let Some(text) = tree.rust_text(&path) else {
+            continue;
+        };
+        for declaration in declarations(text) {
             let how = if declaration.test_only { Use::TestOnly } else { how };
             let found = declaration.files(&path, roots.contains(&path));
             open.extend(

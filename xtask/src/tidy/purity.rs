@@ -5,7 +5,7 @@ use anyhow::Result;
 
 use super::Report;
 use super::modules::{Use, reached};
-use super::rust_text::{RustText, group_end};
+use super::rust_text::group_end;
 use super::tree::{Tree, line_at};
 
 /// The folders of `mom-proto`, `mom-managers` and `mom-hub`.
@@ -31,15 +31,16 @@ pub(crate) fn check(tree: &Tree, report: &mut Report<'_>) -> Result<()> {
     for package in PURE {
         for (path, how) in reached(tree, package) {
             if how == Use::Shipped && !path.ends_with("build.rs") {
-                check_file(&path, tree.text(&path).unwrap_or_default(), report);
+                check_file(tree, &path, report);
             }
         }
     }
     Ok(())
 }
 
-fn check_file(path: &str, source: &str, report: &mut Report<'_>) {
-    let text = RustText::new(source);
+fn check_file(tree: &Tree, path: &str, report: &mut Report<'_>) {
+    let Some(text) = tree.rust_text(path) else { return };
+    let source = &text.with_strings;
     let tests = text.test_regions();
     let mut fault = |at: usize, message: String| {
         if !tests.iter().any(|region| region.contains(&at)) {

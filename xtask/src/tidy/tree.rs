@@ -1,15 +1,33 @@
 //! The files of a checkout, read once and given to every check; in tests, a few lines of text.
 
+use std::cell::OnceCell;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result};
 
+use super::rust_text::RustText;
+
 /// The files by their path from the root of the checkout, with `/` between the parts.
 pub(crate) struct Tree {
     root: PathBuf,
-    files: BTreeMap<String, String>,
+    files: BTreeMap<String, File>,
+}
+
+struct File {
+    text: String,
+    /// Several checks look at the same source, and telling its parts apart is most of their work.
+    rust: OnceCell<RustText>,
+}
+
+impl From<String> for File {
+    fn from(text: String) -> File {
+        File {
+            text,
+            rust: OnceCell::new(),
+        }
+    }
 }
 
 /// Folders that begin with a dot hold the tools' own things, save these.
@@ -32,7 +50,7 @@ impl Tree {
     pub(crate) fn of(files: &[(&str, &str)]) -> Tree {
         let files = files
             .iter()
-            .map(|(path, text)| ((*path).to_owned(), (*text).to_owned()))
+            .map(|(path, text)| ((*path).to_owned(), File::from((*text).to_owned())))
             .collect();
         Tree {
             root: PathBuf::from("."),
@@ -51,14 +69,20 @@ impl Tree {
 
     /// The text of a file; bytes that are no UTF-8 are replaced.
     pub(crate) fn text(&self, path: &str) -> Option<&str> {
-        self.files.get(path).map(String::as_str)
+        self.files.get(path).map(|file| file.text.as_str())
+    }
+
+    /// The parts of a file, as Rust source.
+    pub(crate) fn rust_text(&self, path: &str) -> Option<&RustText> {
+        let file = self.files.get(path)?;
+        Some(file.rust.get_or_init(|| RustText::new(&file.text)))
     }
 
     /// All files with their text, in the order of their paths.
     pub(crate) fn files(&self) -> impl Iterator<Item = (&str, &str)> {
         self.files
             .iter()
-            .map(|(path, text)| (path.as_str(), text.as_str()))
+            .map(|(path, file)| (path.as_str(), file.text.as_str()))
     }
 
     /// The files whose name ends in `.` and one of `extensions`.
@@ -90,7 +114,8 @@ impl Tree {
                 continue;
             };
             let path = format!("{prefix}{name}");
-            if kind.is_file() {
+            // In a worktree `.git` is a file, and names the checkout that it belongs to.
+            if kind.is_file() && name != ".git" {
                 self.read_file(&entry.path(), path)?;
             } else if kind.is_dir() && !is_skipped(&entry.path(), &name) {
                 self.read_folder(&entry.path(), &format!("{path}/"))?;
@@ -103,7 +128,7 @@ impl Tree {
         match fs::read(file) {
             Ok(bytes) => {
                 self.files
-                    .insert(path, String::from_utf8_lossy(&bytes).into_owned());
+                    .insert(path, String::from_utf8_lossy(&bytes).into_owned().into());
                 Ok(())
             }
             // An editor may have removed its temporary file since the folder was listed.

@@ -1,0 +1,348 @@
+//! A reserved word of the glossary is the name of one thing: a type of that name may be defined only in the rooms that
+//! its row names, and once in each. A second meaning under the same name misleads every reader who knows the first.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use anyhow::Result;
+
+use super::Report;
+use super::modules::{Use, packages, reached};
+use super::rust_text::{RustText, words};
+use super::tree::{Tree, line_at};
+
+const GLOSSARY: &str = "docs/glossary.md";
+const THIS: &str = "xtask/src/tidy/glossary.rs";
+
+/// Packages that are not shipped: in a test `Peer` may be whoever speaks.
+const NOT_SHIPPED: &[&str] = &["", "tests", "benches", "xtask"];
+
+/// Types that have a reserved name and mean something else, to be renamed; the list only shrinks.
+const EXCEPTIONS: &[(&str, &str)] = &[
+    ("managers/src/schedule.rs", "Slot"),
+    ("mom-broker/src/audit/writer.rs", "Line"),
+    ("mom-broker/src/config/locate.rs", "Place"),
+    ("mom-broker/src/figures/mod.rs", "Figures"),
+    ("mom-broker/src/gather.rs", "Gatherer"),
+    ("mom-broker/src/login/book.rs", "Origin"),
+    ("mom-broker/src/outbox/queue.rs", "Queue"),
+    ("mom-broker/src/outbox/queue/line.rs", "Line"),
+    ("mom-broker/src/outbox/queue/turns.rs", "Turn"),
+    ("mom-broker/src/outbox/room.rs", "Place"),
+    ("mom-broker/src/program/check.rs", "Line"),
+    ("mom-broker/src/record/line.rs", "Line"),
+    ("mom-broker/src/room.rs", "Room"),
+    ("mom-broker/src/session.rs", "Context"),
+    ("mom-broker/src/session.rs", "Session"),
+    ("mom-broker/src/store/queue.rs", "Lane"),
+    ("mom-broker/src/store/queue.rs", "Queue"),
+    ("mom-broker/src/witness.rs", "Origin"),
+    ("mom-broker/src/witness.rs", "Witness"),
+    ("mom-client/src/handover.rs", "Turn"),
+    ("mom-client/src/outbox.rs", "Room"),
+    ("mom-client/src/pending.rs", "Waiter"),
+    ("mom-client/src/places.rs", "Place"),
+    ("mom-client/src/reconnect.rs", "Link"),
+    ("mom-client/src/sending.rs", "Turn"),
+    ("mom-client/src/subscribe.rs", "Queue"),
+    ("mom-hub/src/judge.rs", "Place"),
+    ("mom-hub/src/token.rs", "Waiter"),
+    ("mom-net/src/link.rs", "Link"),
+    ("mom-proto/src/binary/plain.rs", "Run"),
+    ("mom-proto/src/xml/text.rs", "Place"),
+    ("mom-proto/src/xml/token.rs", "Token"),
+    ("mom/src/cli.rs", "Run"),
+    ("mom/src/cli/control.rs", "Token"),
+    ("mom/src/commands/grab.rs", "Queue"),
+    ("mom/src/output/record.rs", "Record"),
+];
+
+/// One reserved word.
+#[derive(Debug, PartialEq, Eq)]
+struct Row<'a> {
+    line: usize,
+    /// The word as the name of a type.
+    name: String,
+    /// Where a type of that name may be defined; empty = nowhere.
+    rooms: Vec<&'a str>,
+}
+
+/// A type that has the name of a reserved word.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Definition {
+    path: String,
+    line: usize,
+}
+
+pub(crate) fn check(tree: &Tree, report: &mut Report<'_>) -> Result<()> {
+    check_but(tree, EXCEPTIONS, report)
+}
+
+fn check_but(tree: &Tree, exceptions: &[(&str, &str)], report: &mut Report<'_>) -> Result<()> {
+    let rows = rows(tree.text(GLOSSARY).unwrap_or_default());
+    if rows.is_empty() {
+        let text = "no row `| word | meaning | rooms |` is found here";
+        report(GLOSSARY, 1, text.to_owned());
+        return Ok(());
+    }
+    let mut defined = definitions(tree, &rows);
+    let mut needed = BTreeSet::new();
+    for row in &rows {
+        for room in row.rooms.iter().filter(|room| !tree.exists(room)) {
+            let text = format!("`{room}`, where `{}` may be, is not here", row.name);
+            report(GLOSSARY, row.line, text);
+        }
+        let is_excepted = |definition: &Definition| {
+            let exception = (definition.path.as_str(), row.name.as_str());
+            exceptions.contains(&exception)
+        };
+        let all = defined.remove(&row.name).unwrap_or_default();
+        let (excepted, others): (Vec<_>, Vec<_>) = all.into_iter().partition(is_excepted);
+        let taken = row.check(&others, report);
+        // What is alone in a room of the row is what the row means.
+        let excepted = excepted.into_iter().map(|definition| definition.path);
+        let clashing = excepted.filter(|path| row.room_of(path).is_none_or(|room| taken.contains(room)));
+        needed.extend(clashing.map(|path| (path, row.name.clone())));
+    }
+    for (path, name) in exceptions {
+        if !needed.contains(&((*path).to_owned(), (*name).to_owned())) {
+            let source = tree.text(THIS).unwrap_or_default();
+            let entry = source.find(&format!("(\"{path}\", \"{name}\")"));
+            let text = format!("`{name}` of {path} is no exception any more: take it out of EXCEPTIONS");
+            report(THIS, entry.map_or(1, |at| line_at(source, at)), text);
+        }
+    }
+    Ok(())
+}
+
+impl Row<'_> {
+    /// Reports the definitions that are in no room of this word, or not the first in one; gives the rooms that have one.
+    fn check(&self, definitions: &[Definition], report: &mut Report<'_>) -> BTreeSet<&str> {
+        let mut first: BTreeMap<&str, &str> = BTreeMap::new();
+        for Definition { path, line } in definitions {
+            let Some(room) = self.room_of(path) else {
+                report(path, *line, self.foreign());
+                continue;
+            };
+            if let Some(first) = first.get(room) {
+                let name = &self.name;
+                let text = format!("`{name}` is defined in {first} too: one of them needs another name");
+                report(path, *line, text);
+            }
+            first.entry(room).or_insert(path);
+        }
+        first.into_keys().collect()
+    }
+
+    fn room_of(&self, path: &str) -> Option<&str> {
+        let mut rooms = self.rooms.iter();
+        rooms
+            .find(|room| {
+                path.strip_prefix(**room)
+                    .is_some_and(|rest| rest.starts_with('/'))
+            })
+            .copied()
+    }
+
+    fn foreign(&self) -> String {
+        let name = &self.name;
+        match self.rooms.is_empty() {
+            true => format!(
+                "`{name}` is the name of no type: {GLOSSARY} says what the word means, or what to say instead"
+            ),
+            false => format!(
+                "`{name}` may be defined only in {}: give this another name, or {GLOSSARY} another row",
+                self.rooms.join(", ")
+            ),
+        }
+    }
+}
+
+/// The rows of all tables: the word first, its rooms last.
+fn rows(document: &str) -> Vec<Row<'_>> {
+    let mut found = Vec::new();
+    for (number, line) in document.lines().enumerate() {
+        let Some(cells) = line
+            .trim()
+            .strip_prefix('|')
+            .and_then(|line| line.strip_suffix('|'))
+        else {
+            continue;
+        };
+        let cells: Vec<&str> = cells.split('|').map(str::trim).collect();
+        let ([word, .., last], true) = (&cells[..], cells.len() == 3) else {
+            continue;
+        };
+        let is_head = *word == "word" || word.chars().all(|next| "-: ".contains(next));
+        if !is_head {
+            found.push(Row {
+                line: number + 1,
+                name: type_name(word),
+                rooms: last
+                    .split('`')
+                    .skip(1)
+                    .step_by(2)
+                    .filter(|span| span.contains('/'))
+                    .collect(),
+            });
+        }
+    }
+    found
+}
+
+/// `parcel run` as `ParcelRun`.
+fn type_name(word: &str) -> String {
+    let capital = |part: &str| {
+        let mut letters = part.chars();
+        letters
+            .next()
+            .map(|first| first.to_uppercase().chain(letters).collect::<String>())
+    };
+    word.split([' ', '-']).filter_map(capital).collect()
+}
+
+/// Where the shipped code defines types that have the names of `rows`.
+fn definitions(tree: &Tree, rows: &[Row<'_>]) -> BTreeMap<String, Vec<Definition>> {
+    let names: BTreeSet<&str> = rows.iter().map(|row| row.name.as_str()).collect();
+    let mut found: BTreeMap<String, Vec<Definition>> = BTreeMap::new();
+    let packages = packages(tree).into_iter();
+    for package in packages.filter(|package| !NOT_SHIPPED.contains(package)) {
+        for (path, how) in reached(tree, package) {
+            let Some(text) = tree.rust_text(&path).filter(|_| how == Use::Shipped) else {
+                continue;
+            };
+            for (at, name) in types(text, &names) {
+                found.entry(name.to_owned()).or_default().push(Definition {
+                    path: path.clone(),
+                    line: line_at(&text.code, at),
+                });
+            }
+        }
+    }
+    found
+}
+
+/// The types with one of these names that a source defines outside of its tests.
+fn types<'a>(text: &'a RustText, names: &BTreeSet<&str>) -> Vec<(usize, &'a str)> {
+    let code = text.code.as_str();
+    let mut found = Vec::new();
+    let mut words = words(code).peekable();
+    while let Some((at, keyword)) = words.next() {
+        let Some(&(_, name)) = words.peek().filter(|(_, name)| names.contains(name)) else {
+            continue;
+        };
+        let defines = match keyword {
+            "struct" | "enum" | "trait" => true,
+            // Deeper it is the associated type of a trait, whose name the trait has chosen.
+            "type" => code[..at].matches('{').count() == code[..at].matches('}').count(),
+            _ => false,
+        };
+        if defines {
+            found.push((at, name));
+        }
+    }
+    if !found.is_empty() {
+        let tests = text.test_regions();
+        found.retain(|(at, _)| !tests.iter().any(|region| region.contains(at)));
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::found;
+    use super::*;
+
+    const TABLE: &str = "# Words\n\n| word | meaning | types |\n|---|---|---|\n\
+        | token | What one peer owns. | `hub/src`, `cli/src` |\n\
+        | parcel run | Messages. | `hub/src` |\n\
+        | fence | A number. | none |\n";
+
+    fn faults(exceptions: &[(&str, &str)], hub: &str, cli: &str) -> Vec<String> {
+        let files = [
+            (GLOSSARY, TABLE),
+            ("hub/Cargo.toml", ""),
+            ("hub/src/lib.rs", hub),
+            ("cli/Cargo.toml", ""),
+            ("cli/src/lib.rs", cli),
+            ("tests/Cargo.toml", ""),
+            ("tests/src/lib.rs", "struct Fence;"),
+        ];
+        let mut found = Vec::new();
+        check_but(&Tree::of(&files), exceptions, &mut |file: &str, line, message| {
+            found.push(format!("{file}:{line}: {message}"));
+        })
+        .unwrap();
+        found
+    }
+
+    const NONE: [&str; 0] = [];
+
+    #[test]
+    fn a_word_is_defined_in_its_rooms() {
+        let hub = "pub(crate) struct Token { a: u8 }\nenum ParcelRun {}\nstruct Tokens;\n// struct Fence;\n";
+        let cli = "pub struct Token<'a>(&'a str);\nimpl Iterator for X { type Fence = u8; }\n\
+            #[cfg(test)]\nmod tests { struct Fence; }";
+        assert_eq!(faults(&[], hub, cli), NONE);
+    }
+
+    #[test]
+    fn a_word_in_another_room_is_found() {
+        assert_eq!(
+            faults(&[], "", "\npub trait ParcelRun {}"),
+            [
+                "cli/src/lib.rs:2: `ParcelRun` may be defined only in hub/src: give this another name, or docs/glossary.md another row"
+            ]
+        );
+        assert_eq!(
+            faults(&[], "type Fence = u64;", ""),
+            [
+                "hub/src/lib.rs:1: `Fence` is the name of no type: docs/glossary.md says what the word means, or what to say instead"
+            ]
+        );
+    }
+
+    #[test]
+    fn a_word_is_defined_once_in_a_room() {
+        assert_eq!(
+            faults(&[], "struct Token;\nmod a { enum Token {} }", ""),
+            ["hub/src/lib.rs:2: `Token` is defined in hub/src/lib.rs too: one of them needs another name"]
+        );
+    }
+
+    #[test]
+    fn an_exception_is_taken_out_when_it_is_not_needed() {
+        let fence = [("hub/src/lib.rs", "Fence")];
+        assert_eq!(faults(&fence, "struct Fence;", ""), NONE);
+        for (exception, hub) in [
+            (fence[0], "struct Hedge;"),
+            (("hub/src/lib.rs", "Token"), "struct Token;"),
+        ] {
+            let (path, name) = exception;
+            assert_eq!(
+                faults(&[exception], hub, ""),
+                [format!(
+                    "{THIS}:1: `{name}` of {path} is no exception any more: take it out of EXCEPTIONS"
+                )]
+            );
+        }
+    }
+
+    #[test]
+    fn a_table_of_another_shape_is_no_success() {
+        let found = found(
+            |tree, report| check_but(tree, &[], report),
+            &[(GLOSSARY, "| a |\n|---|\n| b |")],
+        );
+        assert_eq!(
+            found,
+            ["docs/glossary.md:1: no row `| word | meaning | rooms |` is found here"]
+        );
+        let rooms = TABLE.replace("cli/src", "gone/src");
+        let files = [(GLOSSARY, rooms.as_str()), ("hub/src/lib.rs", "")];
+        let found = super::super::found(|tree, report| check_but(tree, &[], report), &files);
+        assert_eq!(
+            found,
+            ["docs/glossary.md:5: `gone/src`, where `Token` may be, is not here"]
+        );
+    }
+}
