@@ -18,6 +18,8 @@ use crate::traffic::gather::{self, Gatherer};
 use crate::traffic::outbox::{Dropped, Outbox, Packet, Taken};
 
 mod sending;
+#[cfg(test)]
+mod tests;
 
 pub(crate) use sending::Handled;
 
