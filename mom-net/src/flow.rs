@@ -7,7 +7,7 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use crate::Link;
+use crate::{Link, Writer};
 
 /// What may wait in the network beyond what fills it: enough to bridge a turn of the timer and keep a saturated
 /// link busy.
@@ -41,10 +41,27 @@ pub struct Flow {
     blind: bool,
 }
 
+/// What a link may be given now.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Allowance {
+    /// All together.
+    pub bytes: usize,
+    /// At once, so that something urgent can go in between.
+    pub piece: usize,
+}
+
 impl Flow {
-    /// How many bytes the link may be given now. `look` asks for its state ([`Writer::link`](crate::Writer::link)) and is called
+    /// What the link behind a writer may be given now.
+    pub fn allowance(&mut self, writer: &Writer) -> Allowance {
+        Allowance {
+            bytes: self.room(|| writer.link()),
+            piece: self.piece(),
+        }
+    }
+
+    /// How many bytes the link may be given now. `look` asks for its state ([`Writer::link`]) and is called
     /// only where that is needed.
-    pub fn room(&mut self, look: impl FnOnce() -> Option<Link>) -> usize {
+    fn room(&mut self, look: impl FnOnce() -> Option<Link>) -> usize {
         self.room_at(look, Instant::now)
     }
 
@@ -71,7 +88,7 @@ impl Flow {
     }
 
     /// The most that is given at once, so that something urgent can go in between.
-    pub fn piece(&self) -> usize {
+    fn piece(&self) -> usize {
         if self.blind {
             return usize::MAX;
         }

@@ -11,7 +11,7 @@ use mom_managers::Micros;
 use mom_proto::{Code, Parcel, Path, Value, WireError};
 use mom_system::Clock;
 
-use crate::traffic::outbox::Place;
+use crate::traffic::outbox::WaiterHandle;
 
 /// Names of slow receivers that a refusal lists at most.
 const NAMED: usize = 16;
@@ -20,7 +20,7 @@ const NAMED: usize = 16;
 #[derive(Debug)]
 pub(crate) enum WhenFull {
     /// Its sender waits: the place that it has among the waiters so far, and since when it waits.
-    Wait(Option<Place>, Micros),
+    Wait(Option<WaiterHandle>, Micros),
     /// It is refused: it comes from the hub, where nobody waits, and may use all of an outbox.
     Refuse,
 }
@@ -31,7 +31,7 @@ pub(crate) struct NoCapacity {
     /// What was to be sent.
     pub(crate) parcel: Box<Parcel>,
     /// Where its sender waits.
-    pub(crate) place: Place,
+    pub(crate) place: WaiterHandle,
     /// The receivers without capacity.
     pub(crate) slow: Vec<Arc<str>>,
 }
@@ -43,7 +43,7 @@ pub(crate) struct Held {
     pub(crate) since: Micros,
     /// When to look again in any case.
     pub(crate) until: Micros,
-    pub(crate) place: Place,
+    pub(crate) place: WaiterHandle,
 }
 
 impl Held {

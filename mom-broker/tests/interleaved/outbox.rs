@@ -4,13 +4,14 @@ use std::sync::Arc;
 
 use mom_hub::PeerId;
 use mom_net::Reader;
+use mom_net::{DropReason, Lane, Taken};
 use mom_proto::{Code, ContextNumber, Delivery, Parcel, WireError};
 use mom_system::sync::atomic::{AtomicU64, Ordering};
 use shuttle::thread;
 
 use super::{explore, hear, link, said, write};
 use crate::traffic::encodings::Encodings;
-use crate::traffic::outbox::{DropReason, Gate, Lane, Origin, Outbox, Packet, Taken};
+use crate::traffic::outbox::{Gate, Origin, Outbox, Packet};
 
 const READER: PeerId = PeerId(9);
 

@@ -4,13 +4,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use mom_hub::{PeerId, Receivers, receivers};
+use mom_net::{Item, Lane};
 use mom_proto::codec::Form;
 use mom_proto::{Content, Delivery, Overflow, Parcel, Path, WireError};
 
 use super::send::Why;
 use super::{Positions, State, lane_of};
 use crate::traffic::capacity::{NoCapacity, WhenFull, no_capacity};
-use crate::traffic::outbox::{Lane, Outbox, Packet, Place};
+use crate::traffic::outbox::{Outbox, Packet, WaiterHandle};
 
 /// What a message needs, about, besides its content.
 const SLOTS: usize = 256;
@@ -56,7 +57,7 @@ impl State {
         positions: &Positions<'_>,
         parcel: Box<Parcel>,
         when_full: WhenFull,
-    ) -> Result<Option<Place>, Why> {
+    ) -> Result<Option<WaiterHandle>, Why> {
         let demand = Demand {
             positions,
             sender: packet.origin.sender,
@@ -102,7 +103,7 @@ impl State {
         &self,
         sender: PeerId,
         parcel: Box<Parcel>,
-        mut place: Option<Place>,
+        mut place: Option<WaiterHandle>,
     ) -> Result<Box<Parcel>, Box<NoCapacity>> {
         let delivery = parcel.delivery.unwrap_or(self.route.delivery);
         if !self.waits(lane_of(&parcel), delivery) {
@@ -130,7 +131,7 @@ impl State {
         let positions = self.positions(receivers);
         let outboxes = positions.iter().filter_map(|at| self.outboxes[at].as_ref());
         outboxes
-            .map(|outbox| outbox.room_left())
+            .map(|outbox| outbox.capacity_left())
             .min()
             .unwrap_or(usize::MAX)
     }
@@ -143,13 +144,13 @@ impl State {
     }
 
     /// Waits at the first receiver without capacity; gives the names of all of those, if there are any.
-    fn wait(&self, demand: &Demand<'_>, place: &mut Option<Place>) -> Result<(), Slow> {
+    fn wait(&self, demand: &Demand<'_>, place: &mut Option<WaiterHandle>) -> Result<(), Slow> {
         let mut slow = Vec::new();
         for (at, outbox) in self.bound_to_have_it(demand) {
             let need = (demand.bytes)(outbox.form());
             // At one outbox at a time: two who wait for each other's places would both wait in vain.
             let full = match slow.is_empty() {
-                true => outbox.line_up(need, place),
+                true => outbox.wait_for(need, place),
                 false => outbox.is_full_for(need),
             };
             if full {

@@ -4,13 +4,14 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use mom_hub::Route;
+use mom_net::Lane;
 use mom_proto::{Content, Delivery, Parcel};
 use mom_system::Clock;
 
 use super::{State, expires_at, hub_origin};
 use crate::traffic::encodings::Encodings;
 use crate::traffic::history::History;
-use crate::traffic::outbox::{Lane, Outbox, Packet};
+use crate::traffic::outbox::{Outbox, Packet};
 
 impl State {
     /// A copy of a message that is for later too. Its content is copied out of what was read with it, or little that is

@@ -9,6 +9,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use mom_hub::{PeerId, Receivers, Route, Usage};
+use mom_net::{DropReason, Lane, Taken};
 use mom_proto::codec::{Form, Scratch};
 use mom_proto::{ContextNumber, Delivery, Parcel, Path, Time, Verb};
 use mom_system::Clock;
@@ -18,7 +19,7 @@ use mom_system::sync::atomic::{AtomicU64, Ordering};
 use crate::traffic::encodings::{Bounds, Encodings};
 use crate::traffic::gather::Pace;
 use crate::traffic::history::History;
-use crate::traffic::outbox::{DropReason, Dropped, Gate, Lane, Origin, Outbox, Packet, Taken};
+use crate::traffic::outbox::{Dropped, Gate, Origin, Outbox, Packet};
 use crate::traffic::statistics::Statistics;
 
 pub(crate) use send::{Message, Outcome, Sender, Sent, Unsent, Why, run_ahead};
@@ -101,7 +102,7 @@ impl Channel {
     ) -> Vec<Arc<Outbox>> {
         let mut state = self.state.lock();
         state.gate.store(fence_open(&route), Ordering::Release);
-        state.settle_turns(&route);
+        state.settle_thinning(&route);
         // What they wait for may be gone, or not allowed any more.
         state.call_waiting();
         // Both lists are sorted, so most outboxes are found without a look-up.
@@ -144,7 +145,7 @@ impl Channel {
             members: Vec::new(),
             ..(*state.route).clone()
         };
-        state.settle_turns(&route);
+        state.settle_thinning(&route);
         state.call_waiting();
         state.outboxes.clear();
         state.statistics.follow(&state.route, &route);
@@ -163,9 +164,9 @@ impl Channel {
 }
 
 impl State {
-    /// Ends the turns that another route does not know: whoever has left hears nothing any more, and whoever wants
-    /// something else than before hears at once what waited.
-    fn settle_turns(&self, route: &Route) {
+    /// Ends the thinning that another route does not know: whoever has left hears nothing any more, and whoever wants
+    /// something else than before hears at once what was held back.
+    fn settle_thinning(&self, route: &Route) {
         if !self.thins {
             return;
         }
@@ -174,7 +175,7 @@ impl State {
             let Some(outbox) = outbox else { continue };
             let now = route.member(member.peer).map(|member| member.thinning);
             if now != Some(member.thinning) {
-                outbox.end_turns(route.number, now.is_some());
+                outbox.end_thinning(route.number, now.is_some());
             }
         }
     }
@@ -213,15 +214,16 @@ impl State {
                 let latest = latest.get_or_insert_with(|| Arc::new(packet.as_latest()));
                 outbox.push_thinned(Arc::clone(latest), member.thinning.interval())
             } else {
-                outbox.push(Arc::clone(packet))
+                let (taken, first) = outbox.push(Arc::clone(packet));
+                (Some(taken), first)
             };
             match taken {
-                Taken::Yes | Taken::Later => {
+                None | Some(Taken::Yes) => {
                     result.delivered += u64::from(packet.count);
                     self.statistics.delivered(place, u64::from(packet.count));
                 }
-                Taken::Dropped => result.dropped.push(name()),
-                Taken::Overflow => {
+                Some(Taken::Dropped) => result.dropped.push(name()),
+                Some(Taken::Overflow) => {
                     result.dropped.push(name());
                     let count = u64::from(packet.count);
                     self.statistics

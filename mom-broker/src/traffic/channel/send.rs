@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use mom_hub::{Admission, Alike, Ingress, PeerClock, PeerId, Receivers, Route, Usage, admit};
 use mom_managers::{Micros, Rate};
+use mom_net::Lane;
 use mom_net::Reader;
 use mom_proto::binary::{Plain, Run};
 use mom_proto::{ContextNumber, Delivery, Overflow, Parcel, WireError};
@@ -12,7 +13,7 @@ use mom_system::Clock;
 use super::{Channel, Delivered, State, expires_at, lane_of};
 use crate::traffic::capacity::{NoCapacity, WhenFull};
 use crate::traffic::encodings::Encodings;
-use crate::traffic::outbox::{Lane, Origin, Packet, Place};
+use crate::traffic::outbox::{Origin, Packet, WaiterHandle};
 use crate::traffic::statistics::measures;
 
 /// Bytes of messages that are admitted and passed on together, while a channel's lock is held.
@@ -32,7 +33,7 @@ pub(crate) struct Sender<'a> {
 /// What is to be sent.
 pub(crate) enum Message<'a> {
     /// One message, and since when and where it has waited for capacity.
-    One(Box<Parcel>, Option<(Micros, Place)>),
+    One(Box<Parcel>, Option<(Micros, WaiterHandle)>),
     /// One that the hub has admitted, to these members of this route.
     Admitted(Box<Parcel>, &'a Route, Receivers, Option<Rate>),
     /// The plain messages in front of a reader, as long as they are alike: they leave it only as they are sent.
@@ -118,7 +119,7 @@ impl State {
         &mut self,
         sender: &Sender<'_>,
         mut parcel: Box<Parcel>,
-        waited: Option<(Micros, Place)>,
+        waited: Option<(Micros, WaiterHandle)>,
         clock: &Clock,
     ) -> Outcome {
         let (since, place) = waited.unzip();

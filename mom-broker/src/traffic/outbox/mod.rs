@@ -5,7 +5,7 @@
 
 mod packet;
 mod queue;
-mod room;
+mod waiter;
 
 use std::cell::Cell;
 use std::collections::VecDeque;
@@ -13,23 +13,17 @@ use std::sync::Arc;
 
 use mom_hub::PeerId;
 use mom_managers::Micros;
-use mom_net::{Flow, GATHER, NetError, Pause, Writer};
+use mom_net::{Flow, NetError, Pause, Piece, Taken, Writer, write_batch};
 use mom_proto::codec::Form;
 use mom_proto::{ContextNumber, Limit, WireError};
 
-use packet::Piece;
-pub(crate) use packet::{DropReason, Dropped, Gate, Lane, Origin, Packet};
-pub(crate) use queue::{Queue, Taken};
-pub(crate) use room::Place;
+pub(crate) use packet::{Dropped, Gate, Origin, Packet};
+pub(crate) use queue::PeerQueue;
+pub(crate) use waiter::WaiterHandle;
 
 use mom_system::Clock;
 use mom_system::sync::atomic::{AtomicBool, Ordering, fence};
 use mom_system::sync::{Mutex, MutexGuard, Notify};
-
-/// Taken from the queue at once: more than a system call gathers is no faster, and what is taken cannot be
-/// overtaken any more.
-const BATCH_PIECES: usize = 256;
-const BATCH_BYTES: usize = 256 * 1024;
 
 /// The outbox of one connection.
 #[derive(Debug)]
@@ -37,13 +31,13 @@ pub(crate) struct Outbox {
     pub(crate) peer: PeerId,
     name: Mutex<Arc<str>>,
     clock: Clock,
-    queue: Mutex<Queue>,
+    queue: Mutex<PeerQueue>,
     writer: Writer,
     /// Held by whoever writes.
-    sending: Mutex<Sending>,
+    flow: Mutex<Flow>,
     /// Something waits that nobody has tried to write yet.
     touched: AtomicBool,
-    /// Senders wait for room.
+    /// Senders wait for capacity.
     awaited: AtomicBool,
     wake: Notify,
     closing: Mutex<Option<Closing>>,
@@ -55,17 +49,9 @@ pub(crate) struct Outbox {
     pub(crate) heard: AtomicBool,
 }
 
-/// The writer's part.
-#[derive(Debug, Default)]
-struct Sending {
-    /// What the link has taken a part of. Boxed, for most of the time there is none.
-    begun: Option<Box<Piece>>,
-    flow: Flow,
-}
-
 thread_local! {
     /// What a writer takes from a queue: used within a turn only, so that idle connections need no memory for it.
-    static BATCH: Cell<VecDeque<Piece>> = const { Cell::new(VecDeque::new()) };
+    static BATCH: Cell<VecDeque<Piece<Packet>>> = const { Cell::new(VecDeque::new()) };
 }
 
 /// How far a flush came.
@@ -91,9 +77,9 @@ impl Outbox {
             peer,
             name: Mutex::new("".into()),
             clock,
-            queue: Mutex::new(Queue::new(writer.form(), limit)),
+            queue: Mutex::new(PeerQueue::new(writer.form(), limit)),
             writer,
-            sending: Mutex::new(Sending::default()),
+            flow: Mutex::new(Flow::default()),
             touched: AtomicBool::new(false),
             awaited: AtomicBool::new(false),
             wake: Notify::new(),
@@ -118,7 +104,7 @@ impl Outbox {
         if self.closed.load(Ordering::Acquire) {
             return (Taken::Dropped, false);
         }
-        let urgent = packet.lane > Lane::Data(0);
+        let urgent = packet.lane.is_urgent();
         let taken = queue.push(packet);
         drop(queue);
         // Whoever touched it before may take its time, which nothing urgent has.
@@ -129,12 +115,12 @@ impl Outbox {
     }
 
     /// As [`Outbox::push`], for a receiver that wants the newest of each sender and name only, and one in `interval` µs
-    /// at most. What has to wait for its turn leaves by itself when that comes.
-    pub(crate) fn push_thinned(&self, packet: Arc<Packet>, interval: Micros) -> (Taken, bool) {
+    /// at most. None: it waits for its time, and leaves by itself when that comes.
+    pub(crate) fn push_thinned(&self, packet: Arc<Packet>, interval: Micros) -> (Option<Taken>, bool) {
         let now = self.clock.now();
         let mut queue = self.queue.lock();
         if self.closed.load(Ordering::Acquire) {
-            return (Taken::Dropped, false);
+            return (Some(Taken::Dropped), false);
         }
         let before = queue.due();
         let taken = queue.push_thinned(packet, interval, now);
@@ -145,8 +131,8 @@ impl Outbox {
         if sooner {
             self.wake.notify_one();
         }
-        if taken == Taken::Later {
-            return (taken, false);
+        if taken.is_none() {
+            return (None, false);
         }
         let first = !self.touched.swap(true, Ordering::SeqCst);
         // As in `push`.
@@ -154,12 +140,12 @@ impl Outbox {
         (taken, first)
     }
 
-    /// Ends the turns of a channel; what waited for them goes now if the peer still hears it, and else not at all.
-    pub(crate) fn end_turns(&self, channel: ContextNumber, hears: bool) {
+    /// Ends the thinning of a channel; what it holds back goes now if the peer still hears it, and else not at all.
+    pub(crate) fn end_thinning(&self, channel: ContextNumber, hears: bool) {
         let mut queue = self.queue.lock();
         match hears {
-            true => queue.hand_out_turns(channel),
-            false => queue.drop_turns(Some(channel)),
+            true => queue.release_thinned(channel),
+            false => queue.drop_thinned(Some(channel)),
         }
         drop(queue);
         self.wake.notify_one();
@@ -185,7 +171,7 @@ impl Outbox {
             queue.drop_data();
         }
         if let Some(packet) = farewell {
-            queue.push_farewell(packet);
+            queue.push_last(packet);
         }
         drop(queue);
         *self.closing.lock() = Some(Closing { error });
@@ -229,11 +215,8 @@ impl Outbox {
 
     /// What was dropped since the last call; cheap where nothing was.
     pub(crate) fn take_drops(&self) -> Vec<(Dropped, u64)> {
-        let mut queue = self.queue.lock();
-        match queue.has_drops() {
-            true => queue.take_drops().into_iter().collect(),
-            false => Vec::new(),
-        }
+        let drops = self.queue.lock().take_drops();
+        drops.into_iter().collect()
     }
 
     /// The writer: writes whenever the link takes more, until the end.
@@ -267,7 +250,7 @@ impl Outbox {
                 Flushed::Blocked => self.writer.ready().await?,
                 Flushed::Paced => {
                     tokio::time::sleep(pause.time()).await;
-                    pause.look(&self.sending.lock().flow);
+                    pause.look(&self.flow.lock());
                 }
             }
             flushed = self.flush_after_others()?;
@@ -292,10 +275,10 @@ impl Outbox {
     fn try_flush(&self) -> Result<Flushed, NetError> {
         loop {
             // Whoever is writing looks at `touched` again after letting go, so nothing is forgotten.
-            let Some(sending) = self.sending.try_lock() else {
+            let Some(flow) = self.flow.try_lock() else {
                 return Ok(Flushed::Done);
             };
-            if let Some(flushed) = self.flush_once(sending)? {
+            if let Some(flushed) = self.flush_once(flow)? {
                 return Ok(flushed);
             }
         }
@@ -304,39 +287,44 @@ impl Outbox {
     /// Waits for whoever is writing now, who never waits for the link: when this says done, all is written.
     fn flush_after_others(&self) -> Result<Flushed, NetError> {
         loop {
-            if let Some(flushed) = self.flush_once(self.sending.lock())? {
+            if let Some(flushed) = self.flush_once(self.flow.lock())? {
                 return Ok(flushed);
             }
         }
     }
 
     /// Writes what waits; none if there is more by now.
-    fn flush_once(&self, mut sending: MutexGuard<'_, Sending>) -> Result<Option<Flushed>, NetError> {
+    fn flush_once(&self, mut flow: MutexGuard<'_, Flow>) -> Result<Option<Flushed>, NetError> {
         self.touched.store(false, Ordering::Release);
-        let flushed = self.write_all(&mut sending)?;
-        drop(sending);
+        let flushed = self.write_all(&mut flow)?;
+        drop(flow);
         self.call_next();
         fence(Ordering::SeqCst);
         let settled = flushed != Flushed::Done || !self.touched.load(Ordering::Acquire);
         Ok(settled.then_some(flushed))
     }
 
-    fn write_all(&self, sending: &mut Sending) -> Result<Flushed, NetError> {
+    fn write_all(&self, flow: &mut Flow) -> Result<Flushed, NetError> {
         let mut batch = BATCH.take();
-        batch.extend(sending.begun.take().map(|piece| *piece));
-        let result = self.write_batches(&mut batch, &mut sending.flow);
-        self.put_back(&mut batch, sending);
+        let result = self.write_batches(&mut batch, flow);
+        if !batch.is_empty() {
+            // It may be overtaken, replaced, or lose its owner before the link takes more.
+            self.queue.lock().put_back(&mut batch);
+        }
         BATCH.set(batch);
         result
     }
 
-    fn write_batches(&self, batch: &mut VecDeque<Piece>, flow: &mut Flow) -> Result<Flushed, NetError> {
+    fn write_batches(
+        &self,
+        batch: &mut VecDeque<Piece<Packet>>,
+        flow: &mut Flow,
+    ) -> Result<Flushed, NetError> {
         loop {
-            if batch.is_empty() {
-                // All that was taken has left, so its room is real.
-                self.call_next();
-            }
-            if batch.is_empty() && !self.take_batch(batch, flow) {
+            // All that was taken has left, so its capacity is real.
+            self.call_next();
+            let (allowance, now) = (flow.allowance(&self.writer), self.clock.now());
+            if !self.queue.lock().take(now, allowance, batch) {
                 return Ok(Flushed::Paced);
             }
             if batch.is_empty() {
@@ -344,84 +332,9 @@ impl Outbox {
                 return Ok(Flushed::Done);
             }
             self.active.store(true, Ordering::Relaxed);
-            if !self.write(batch, flow)? {
+            if !write_batch(&self.writer, flow, batch, |_| {})? {
                 return Ok(Flushed::Blocked);
             }
-        }
-    }
-
-    /// Takes what the network has room for; false if something waits and there is no room.
-    fn take_batch(&self, batch: &mut VecDeque<Piece>, flow: &mut Flow) -> bool {
-        let room = flow.room(|| self.writer.link()).min(BATCH_BYTES);
-        let piece = flow.piece();
-        let now = self.clock.now();
-        let mut queue = self.queue.lock();
-        queue.take_turns(now);
-        let mut bytes = 0;
-        while batch.len() < BATCH_PIECES {
-            let next = match room.checked_sub(bytes) {
-                // Pieces rather a little too large than very small ones.
-                Some(left) if left > 0 => queue.pop(now, piece.min(left.max(piece / 2))),
-                _ => queue.pop_urgent(),
-            };
-            let Some(next) = next else { break };
-            bytes += next.length();
-            batch.push_back(next);
-        }
-        !batch.is_empty() || queue.is_empty()
-    }
-
-    /// Writes from the front of the batch; false if the link takes nothing now.
-    fn write(&self, batch: &mut VecDeque<Piece>, flow: &mut Flow) -> Result<bool, NetError> {
-        let Some(form) = self.writer.form() else {
-            return self.pass(batch);
-        };
-        let mut slices = Vec::with_capacity(GATHER.min(batch.len() * 2 + 1));
-        for piece in batch.iter() {
-            if slices.len() + 3 > GATHER {
-                break;
-            }
-            piece.append_to(Some(form), &mut slices);
-        }
-        let Some(mut written) = self.writer.try_write_pieces(&slices)? else {
-            return Ok(false);
-        };
-        flow.wrote(written);
-        while let Some(front) = batch.front_mut() {
-            written = front.part.advance(written);
-            if front.length() > 0 {
-                break;
-            }
-            batch.pop_front();
-        }
-        Ok(true)
-    }
-
-    /// Passes parcels to a peer in this process.
-    fn pass(&self, batch: &mut VecDeque<Piece>) -> Result<bool, NetError> {
-        while let Some(front) = batch.front() {
-            if let Some(parcel) = front.parcel()
-                && !self.writer.try_pass(parcel)?
-            {
-                return Ok(false);
-            }
-            batch.pop_front();
-        }
-        Ok(true)
-    }
-
-    /// Only what the link has begun to take stays out of the queue: the rest may be overtaken, replaced, or
-    /// lose its owner before the link takes more.
-    fn put_back(&self, batch: &mut VecDeque<Piece>, sending: &mut Sending) {
-        let Some(first) = batch.front() else {
-            return;
-        };
-        if first.part.is_begun() {
-            sending.begun = batch.pop_front().map(Box::new);
-        }
-        let mut queue = self.queue.lock();
-        while let Some(piece) = batch.pop_back() {
-            queue.put_back(piece);
         }
     }
 

@@ -10,7 +10,7 @@ use mom_proto::{Content, Delivery, Map, Parcel, Value};
 
 pub(crate) use histogram::Histogram;
 
-use crate::traffic::outbox::DropReason;
+use mom_net::DropReason;
 
 /// The counts of a channel, of all who were ever in it and of who is in it now.
 #[derive(Debug, Default)]

@@ -6,6 +6,7 @@ use dashmap::DashMap;
 use mom_hub::{Effect, Hub, Input, PeerId, Record, Ticket};
 use mom_journal::Tap;
 use mom_managers::Micros;
+use mom_net::Taken;
 use mom_proto::{Code, ContextNumber, Family, Map, Parcel, Path, Value, WireError, event};
 use mom_store::Store;
 use mom_system::Clock;
@@ -15,7 +16,7 @@ use mom_system::sync::{Mutex, Notify};
 use crate::traffic::channel::{Channel, Message, Sent, control, hub_origin, stamped};
 use crate::traffic::encodings::{Bounds, Encodings};
 use crate::traffic::gather::{self, Gatherer};
-use crate::traffic::outbox::{Dropped, Outbox, Packet, Taken};
+use crate::traffic::outbox::{Dropped, Outbox, Packet};
 
 mod sending;
 #[cfg(test)]

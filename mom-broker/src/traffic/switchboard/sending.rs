@@ -11,7 +11,7 @@ use mom_proto::{Code, Limits, Parcel, Path, WireError};
 use super::{Switchboard, Touched};
 use crate::traffic::capacity::{Held, NoCapacity, no_capacity};
 use crate::traffic::channel::{Channel, Message, Outcome, Sender, Unsent, Why, run_ahead};
-use crate::traffic::outbox::{Outbox, Place};
+use crate::traffic::outbox::{Outbox, WaiterHandle};
 
 /// What became of a message that was not refused.
 #[derive(Debug)]
@@ -91,7 +91,7 @@ impl Switchboard {
         &self,
         sender: &Sender<'_>,
         limits: &Limits,
-        (parcel, waited): (Box<Parcel>, Option<(Micros, Place)>),
+        (parcel, waited): (Box<Parcel>, Option<(Micros, WaiterHandle)>),
         touched: &mut Touched,
     ) -> Result<Handled, WireError> {
         let peer = sender.peer;

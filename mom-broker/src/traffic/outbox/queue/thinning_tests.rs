@@ -4,10 +4,11 @@ use std::sync::Arc;
 
 use mom_hub::PeerId;
 use mom_managers::Micros;
+use mom_net::Lane;
 use mom_proto::{ContextNumber, Delivery};
 
 use super::tests::{data, name, pop, queue};
-use super::{DropReason, Lane, Packet, Queue, Taken};
+use super::{DropReason, Packet, PeerQueue, Taken};
 
 const EVERY: Micros = 1000;
 
@@ -18,23 +19,23 @@ fn message(name: &str, number: i32) -> Packet {
     packet
 }
 
-fn offer(queue: &mut Queue, name: &str, number: i32, now: Micros) -> Taken {
+fn offer(queue: &mut PeerQueue, name: &str, number: i32, now: Micros) -> Option<Taken> {
     queue.push_thinned(Arc::new(message(name, number)), EVERY, now)
 }
 
 /// What leaves by now: names and numbers.
-fn leaves(queue: &mut Queue, now: Micros) -> Vec<(String, i32)> {
-    queue.take_turns(now);
+fn leaves(queue: &mut PeerQueue, now: Micros) -> Vec<(String, i32)> {
+    queue.release_due(now);
     let number = |lane| match lane {
         Lane::Data(number) => number,
         _ => panic!("{lane:?}"),
     };
     std::iter::from_fn(|| pop(queue, now))
-        .map(|piece| (name(&piece), number(piece.packet.lane)))
+        .map(|piece| (name(&piece), number(piece.item().expect("no abort").lane)))
         .collect()
 }
 
-fn drops(queue: &mut Queue) -> Vec<(DropReason, u64)> {
+fn drops(queue: &mut PeerQueue) -> Vec<(DropReason, u64)> {
     let drops = queue.take_drops().into_iter();
     drops.map(|(dropped, count)| (dropped.reason, count)).collect()
 }
@@ -42,35 +43,38 @@ fn drops(queue: &mut Queue) -> Vec<(DropReason, u64)> {
 #[test]
 fn of_each_name_the_newest_leaves_when_its_turn_comes() {
     let mut queue = queue(100_000);
-    assert_eq!(offer(&mut queue, "pose", 1, 0), Taken::Yes);
+    assert_eq!(offer(&mut queue, "pose", 1, 0), Some(Taken::Yes));
     assert_eq!(leaves(&mut queue, 0), [("pose".to_owned(), 1)]);
     assert_eq!(queue.due(), None, "nothing waits, so nobody is woken");
     for number in 2..=4 {
-        assert_eq!(offer(&mut queue, "pose", number, 500), Taken::Later);
+        assert_eq!(offer(&mut queue, "pose", number, 500), None);
     }
     assert_eq!(
         offer(&mut queue, "image", 5, 600),
-        Taken::Yes,
+        Some(Taken::Yes),
         "a turn of its own"
     );
-    assert_eq!(offer(&mut queue, "image", 6, 700), Taken::Later);
+    assert_eq!(offer(&mut queue, "image", 6, 700), None);
     assert_eq!(queue.due(), Some(1000));
-    assert!(!queue.is_empty());
+    assert!(!queue.queue.is_empty());
     assert_eq!(leaves(&mut queue, 999), [("image".to_owned(), 5)]);
-    assert!(queue.is_empty(), "what waits for its turn is nothing to write");
+    assert!(
+        queue.queue.is_empty(),
+        "what waits for its turn is nothing to write"
+    );
     assert_eq!(leaves(&mut queue, 1000), [("pose".to_owned(), 4)]);
     assert_eq!(queue.due(), Some(1600));
     // A timer that is late: turns are counted from when one was taken, so that two never come together.
     assert_eq!(leaves(&mut queue, 5000), [("image".to_owned(), 6)]);
-    assert_eq!(offer(&mut queue, "image", 7, 5999), Taken::Later);
+    assert_eq!(offer(&mut queue, "image", 7, 5999), None);
     assert_eq!(
         offer(&mut queue, "image", 8, 6000),
-        Taken::Yes,
+        Some(Taken::Yes),
         "the newest has the turn"
     );
     assert_eq!(leaves(&mut queue, 6000), [("image".to_owned(), 8)]);
     assert_eq!(drops(&mut queue), [(DropReason::Rate, 3)]);
-    assert_eq!((queue.due(), queue.data_bytes()), (None, 0));
+    assert_eq!((queue.due(), queue.queue.data_bytes()), (None, 0));
 }
 
 #[test]
@@ -99,7 +103,7 @@ fn newest_only_replaces_what_the_link_has_not_taken() {
     let mut queue = queue(100_000);
     for _ in 0..3 {
         let packet = Arc::new(message("chat", 0));
-        assert_eq!(queue.push_thinned(packet, 0, 0), Taken::Yes);
+        assert_eq!(queue.push_thinned(packet, 0, 0), Some(Taken::Yes));
     }
     assert_eq!(leaves(&mut queue, 0), [("chat".to_owned(), 0)]);
     assert_eq!(drops(&mut queue), [(DropReason::Replaced, 2)]);
@@ -112,7 +116,7 @@ fn a_turn_that_comes_too_late_for_a_message_drops_it() {
     assert_eq!(leaves(&mut queue, 0), [("pose".to_owned(), 1)]);
     let mut over = message("pose", 2);
     over.expires_at = Some(900);
-    assert_eq!(queue.push_thinned(Arc::new(over), EVERY, 10), Taken::Later);
+    assert_eq!(queue.push_thinned(Arc::new(over), EVERY, 10), None);
     assert_eq!(leaves(&mut queue, 1000), []);
     assert_eq!(drops(&mut queue), [(DropReason::Expired, 1)]);
 }
@@ -132,21 +136,21 @@ fn turns_end_with_their_channel() {
         queue.push_thinned(elsewhere(4), EVERY, 3);
         assert_eq!(leaves(&mut queue, 4).len(), 2);
         if hears {
-            queue.hand_out_turns(ContextNumber(1));
+            queue.release_thinned(ContextNumber(1));
             assert_eq!(leaves(&mut queue, 5), [("pose".to_owned(), 2)]);
         } else {
-            queue.drop_turns(Some(ContextNumber(1)));
+            queue.drop_thinned(Some(ContextNumber(1)));
             assert_eq!(leaves(&mut queue, 5), []);
             assert_eq!(drops(&mut queue), [(DropReason::Closed, 1)]);
         }
         assert_eq!(
             offer(&mut queue, "pose", 9, 6),
-            Taken::Yes,
+            Some(Taken::Yes),
             "a turn of a new count"
         );
         assert_eq!(queue.due(), Some(1002), "of the other channel");
         queue.drop_data();
-        assert_eq!((queue.due(), queue.is_empty()), (None, true));
+        assert_eq!((queue.due(), queue.queue.is_empty()), (None, true));
         let closed: u64 = drops(&mut queue).into_iter().map(|(_, count)| count).sum();
         assert_eq!(closed, 2);
     }
@@ -160,14 +164,10 @@ fn what_waits_for_its_turn_is_bounded() {
         leaves(&mut queue, 0);
     }
     for name in ["a", "b", "c"] {
-        assert_eq!(offer(&mut queue, name, 1, 1), Taken::Later);
+        assert_eq!(offer(&mut queue, name, 1, 1), None);
     }
-    assert_eq!(offer(&mut queue, "d", 1, 1), Taken::Dropped);
-    assert_eq!(
-        offer(&mut queue, "c", 2, 1),
-        Taken::Later,
-        "in place of the older one"
-    );
+    assert_eq!(offer(&mut queue, "d", 1, 1), Some(Taken::Dropped));
+    assert_eq!(offer(&mut queue, "c", 2, 1), None, "in place of the older one");
     assert_eq!(drops(&mut queue), [(DropReason::Full, 1), (DropReason::Rate, 1)]);
     assert_eq!(leaves(&mut queue, 2000).len(), 3);
 }
@@ -187,6 +187,6 @@ fn turns_are_bounded_too() {
         queue.push_thinned(Arc::new(packet), EVERY, peer * EVERY);
         leaves(&mut queue, peer * EVERY);
     }
-    let kept = queue.turns.as_ref().map_or(0, |turns| turns.senders());
+    let kept = queue.thinner.as_ref().map_or(0, |thinner| thinner.senders());
     assert!(kept <= 64, "{kept}");
 }

@@ -4,22 +4,23 @@ use std::collections::VecDeque;
 
 use mom_proto::Delivery;
 
-use crate::traffic::outbox::packet::Entry;
+use super::Item;
+use super::piece::Entry;
 
 /// Holes that a lane may keep before they are closed.
 const HOLES: usize = 64;
 
 /// One priority: holes are left where an entry was replaced or dropped, so that numbers stay.
 #[derive(Debug)]
-pub(super) struct DataLane {
+pub(super) struct DataLane<I> {
     /// The number of the entry in front; it goes down again where entries are put back.
     first: u64,
     pub(super) holes: usize,
-    entries: VecDeque<Option<Entry>>,
+    entries: VecDeque<Option<Entry<I>>>,
 }
 
-impl Default for DataLane {
-    fn default() -> DataLane {
+impl<I> Default for DataLane<I> {
+    fn default() -> DataLane<I> {
         DataLane {
             first: u64::MAX / 2,
             holes: 0,
@@ -28,16 +29,16 @@ impl Default for DataLane {
     }
 }
 
-impl DataLane {
+impl<I: Item> DataLane<I> {
     /// Adds an entry at the end; gives its number.
-    pub(super) fn push(&mut self, entry: Option<Entry>) -> u64 {
+    pub(super) fn push(&mut self, entry: Option<Entry<I>>) -> u64 {
         let number = self.first + self.entries.len() as u64;
         self.entries.push_back(entry);
         number
     }
 
     /// Adds an entry in front; gives its number.
-    pub(super) fn push_front(&mut self, entry: Entry) -> u64 {
+    pub(super) fn push_front(&mut self, entry: Entry<I>) -> u64 {
         self.first -= 1;
         self.entries.push_front(Some(entry));
         self.first
@@ -54,7 +55,7 @@ impl DataLane {
     }
 
     /// The entry in front, without the holes before it.
-    pub(super) fn front(&mut self) -> Option<&Entry> {
+    pub(super) fn front(&mut self) -> Option<&Entry<I>> {
         while let Some(None) = self.entries.front() {
             self.entries.pop_front();
             self.first += 1;
@@ -63,27 +64,28 @@ impl DataLane {
         self.entries.front().and_then(Option::as_ref)
     }
 
-    pub(super) fn pop(&mut self) -> Option<Entry> {
+    pub(super) fn pop(&mut self) -> Option<Entry<I>> {
         self.front()?;
         self.first += 1;
         self.entries.pop_front().flatten()
     }
 
-    pub(super) fn place(&mut self, number: u64) -> Option<&mut Option<Entry>> {
+    pub(super) fn place(&mut self, number: u64) -> Option<&mut Option<Entry<I>>> {
         let index = usize::try_from(number.checked_sub(self.first)?).ok()?;
         self.entries.get_mut(index)
     }
 
-    pub(super) fn take_first(&mut self, class: Delivery) -> Option<Entry> {
-        let of_class =
-            |entry: &&mut Option<Entry>| entry.as_ref().is_some_and(|entry| entry.packet.delivery == class);
+    pub(super) fn take_first(&mut self, class: Delivery) -> Option<Entry<I>> {
+        let of_class = |entry: &&mut Option<Entry<I>>| {
+            entry.as_ref().is_some_and(|entry| entry.item.delivery() == class)
+        };
         let taken = self.entries.iter_mut().find(of_class).and_then(Option::take);
         self.holes += usize::from(taken.is_some());
         taken
     }
 
     /// Closes the holes once they are most of the lane; gives the entries of class `latest` that have a new number.
-    pub(super) fn close_holes(&mut self) -> impl Iterator<Item = (u64, &Entry)> {
+    pub(super) fn close_holes(&mut self) -> impl Iterator<Item = (u64, &Entry<I>)> {
         let due = self.holes >= HOLES && self.holes * 2 >= self.entries.len();
         if due {
             self.entries.retain(Option::is_some);
@@ -91,10 +93,10 @@ impl DataLane {
         }
         (self.first..)
             .zip(self.entries.iter().flatten())
-            .filter(move |(_, entry)| due && entry.packet.delivery == Delivery::Latest)
+            .filter(move |(_, entry)| due && entry.item.delivery() == Delivery::Latest)
     }
 
-    pub(super) fn into_entries(self) -> impl Iterator<Item = Entry> {
+    pub(super) fn into_entries(self) -> impl Iterator<Item = Entry<I>> {
         self.entries.into_iter().flatten()
     }
 }

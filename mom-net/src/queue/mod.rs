@@ -1,0 +1,387 @@
+//! What waits to be sent over one connection.
+//!
+//! The hub and its clients send through the same queue. It has lanes (stop, signs of life, control, data by priority), cuts
+//! large frames into chunks between which more urgent ones go, takes back what the link did not take, and is bounded in
+//! bytes. Its user says by a [`DropPolicy`] what may no longer leave, and is told what was dropped and why.
+//!
+//! A writer asks [`Flow`](crate::Flow) how much the network has room for, [takes](SendQueue::take) a batch of that size,
+//! [writes](write_batch) it, and [puts back](SendQueue::put_back) the rest.
+
+mod data_lane;
+mod item;
+mod piece;
+mod take;
+#[cfg(test)]
+mod tests;
+mod write;
+
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::sync::Arc;
+
+use mom_proto::codec::Form;
+use mom_proto::{Delivery, Limit};
+
+pub use item::{DropPolicy, DropReason, Item, Lane};
+pub use piece::Piece;
+pub use write::write_batch;
+
+use data_lane::DataLane;
+use piece::Entry;
+
+/// What became of an item that was put in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Taken {
+    /// It waits.
+    Yes,
+    /// It was dropped, as its class allows.
+    Dropped,
+    /// It may not be dropped and there is no capacity.
+    Overflow,
+}
+
+/// The queue of one connection.
+#[derive(Debug)]
+pub struct SendQueue<I: Item, P> {
+    form: Option<Form>,
+    limit: usize,
+    /// The largest parcel that the receiver takes, and the bytes that all its open streams together may announce.
+    parcel: Limit,
+    /// Stops, then signs of life.
+    unpaced: VecDeque<Entry<I>>,
+    control: VecDeque<Entry<I>>,
+    control_bytes: usize,
+    data: BTreeMap<Reverse<i32>, DataLane<I>>,
+    data_bytes: usize,
+    /// Part of `data_bytes` that may not be dropped.
+    reliable_bytes: usize,
+    /// Where the waiting item of class `latest` of each key is.
+    latest: HashMap<I::Key, (Reverse<i32>, u64)>,
+    /// Items of which a part was given to the link; at most one of each urgency.
+    open: Vec<Entry<I>>,
+    /// Streams of chunks that the receiver has to be told to forget.
+    aborts: VecDeque<u64>,
+    /// What the link has taken a part of.
+    begun: Option<Box<Piece<I>>>,
+    /// The last word.
+    last: Option<Arc<I>>,
+    last_stream: u64,
+    /// Data items that were ever put in.
+    put: u64,
+    /// The highest number for which an item in `control` waits.
+    barrier: u64,
+    policy: P,
+}
+
+impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
+    /// An empty queue for a link of this form (none inside a process) that is bounded to so many bytes.
+    pub fn new(form: Option<Form>, limit: usize, policy: P) -> SendQueue<I, P> {
+        SendQueue {
+            form,
+            limit,
+            parcel: Limit::Unlimited,
+            unpaced: VecDeque::new(),
+            control: VecDeque::new(),
+            control_bytes: 0,
+            data: BTreeMap::new(),
+            data_bytes: 0,
+            reliable_bytes: 0,
+            latest: HashMap::new(),
+            open: Vec::new(),
+            aborts: VecDeque::new(),
+            begun: None,
+            last: None,
+            last_stream: 0,
+            put: 0,
+            barrier: 0,
+            policy,
+        }
+    }
+
+    /// Puts an item in, at the end of its lane.
+    pub fn push(&mut self, item: Arc<I>) -> Taken {
+        self.push_entry(Entry::new(item, 0))
+    }
+
+    /// Puts an item of the control lane in that must not overtake the data that waits now.
+    pub fn push_after_data(&mut self, item: Arc<I>) -> Taken {
+        self.barrier = self.put;
+        self.push_entry(Entry::new(item, self.put))
+    }
+
+    /// Takes in the last word to a connection, however much waits: it leaves after all else.
+    pub fn push_last(&mut self, item: Arc<I>) {
+        self.last = Some(item);
+    }
+
+    /// Changes the bounds, as after login: of what waits, and of one parcel.
+    pub fn set_limits(&mut self, limit: usize, parcel: Limit) {
+        self.limit = limit;
+        self.parcel = parcel;
+    }
+
+    /// Says in which form frames leave from now on, none inside a process.
+    pub fn set_form(&mut self, form: Option<Form>) {
+        self.form = form;
+    }
+
+    /// Whether nothing waits.
+    pub fn is_empty(&self) -> bool {
+        self.unpaced.is_empty()
+            && self.aborts.is_empty()
+            && self.control_bytes == 0
+            && self.data_bytes == 0
+            && self.control.is_empty()
+            && self.last.is_none()
+            && self.begun.is_none()
+    }
+
+    /// Whether something waits that pacing does not hold back.
+    pub fn has_unpaced(&self) -> bool {
+        !self.unpaced.is_empty()
+    }
+
+    /// The bytes of data and control that wait.
+    pub fn bytes(&self) -> usize {
+        self.data_bytes + self.control_bytes
+    }
+
+    /// The bytes of data that wait.
+    pub fn data_bytes(&self) -> usize {
+        self.data_bytes
+    }
+
+    /// The bytes of data that wait and may not be dropped.
+    pub fn reliable_bytes(&self) -> usize {
+        self.reliable_bytes
+    }
+
+    /// The most bytes of data that may wait.
+    pub fn limit(&self) -> usize {
+        self.limit
+    }
+
+    /// The form in which frames leave.
+    pub fn form(&self) -> Option<Form> {
+        self.form
+    }
+
+    /// The bytes that an item counts while it waits here.
+    pub fn charge(&self, item: &I) -> usize {
+        item.charge(self.form)
+    }
+
+    /// The policy, to collect what it was told.
+    pub fn policy(&mut self) -> &mut P {
+        &mut self.policy
+    }
+
+    /// Tells the policy of an item that was dropped before it was put in.
+    pub fn note_dropped(&mut self, item: &Arc<I>, reason: DropReason) {
+        self.policy.dropped(item, u64::from(item.count()), reason);
+    }
+
+    /// Drops all data, for a connection that is to hear only why it ends. What the link has begun to take goes on.
+    pub fn drop_data(&mut self) {
+        let data = std::mem::take(&mut self.data);
+        let open = std::mem::take(&mut self.open);
+        let waiting = data.into_values().flat_map(DataLane::into_entries);
+        for entry in waiting.chain(open) {
+            match entry.item.lane() {
+                Lane::Data(_) => self.note(&entry, DropReason::Closed),
+                _ => self.control_bytes = self.control_bytes.saturating_sub(self.charge(&entry.item)),
+            }
+        }
+        self.latest.clear();
+        (self.data_bytes, self.reliable_bytes) = (0, 0);
+    }
+
+    /// Forgets everything and gives it, because the peer is another one from now on: on this link, whose other end is
+    /// told to forget what it has a part of, or on the next one.
+    pub fn clear(&mut self, link_is_gone: bool) -> Vec<Arc<I>> {
+        let data = std::mem::take(&mut self.data);
+        let waiting = self.unpaced.drain(..).chain(self.control.drain(..));
+        let waiting = waiting.chain(data.into_values().flat_map(DataLane::into_entries));
+        let mut items: Vec<Arc<I>> = waiting.map(|entry| entry.item).collect();
+        for entry in self.open.drain(..) {
+            if entry.progress.stream > 0 {
+                self.aborts.push_back(entry.progress.stream);
+            }
+            items.push(entry.item);
+        }
+        self.latest.clear();
+        (self.control_bytes, self.data_bytes, self.reliable_bytes) = (0, 0, 0);
+        if link_is_gone {
+            self.aborts.clear();
+            let begun = self.begun.take().filter(|piece| piece.last);
+            items.extend(begun.and_then(|piece| piece.item));
+        }
+        items
+    }
+
+    fn push_entry(&mut self, entry: Entry<I>) -> Taken {
+        match entry.item.lane() {
+            lane @ (Lane::Stop | Lane::Sign) => self.push_unpaced(entry, lane),
+            Lane::Control => self.push_control(entry),
+            Lane::Data(priority) => self.push_data(entry, Reverse(priority)),
+        }
+    }
+
+    // A second stop may say nothing that the first does not. It overrules an unstop that still waits: stops leave first,
+    // so the later word would be undone by the earlier one.
+    fn push_unpaced(&mut self, entry: Entry<I>, lane: Lane) -> Taken {
+        while let Some(at) = self
+            .control
+            .iter()
+            .position(|waiting| entry.item.overrules(&waiting.item))
+        {
+            if let Some(overruled) = self.control.remove(at) {
+                self.control_bytes -= self.charge(&overruled.item);
+                self.note(&overruled, DropReason::Overruled);
+            }
+        }
+        if !self
+            .unpaced
+            .iter()
+            .any(|waiting| entry.item.repeats(&waiting.item))
+        {
+            let behind = self.unpaced.iter().position(|waiting| waiting.item.lane() < lane);
+            self.unpaced.insert(behind.unwrap_or(self.unpaced.len()), entry);
+        }
+        Taken::Yes
+    }
+
+    // Control is never dropped, and has a bound of its own so that data cannot crowd it out.
+    fn push_control(&mut self, entry: Entry<I>) -> Taken {
+        let size = self.charge(&entry.item);
+        if self.control_bytes.saturating_add(size) > self.limit && !self.control.is_empty() {
+            return Taken::Overflow;
+        }
+        self.control_bytes += size;
+        self.control.push_back(entry);
+        Taken::Yes
+    }
+
+    fn push_data(&mut self, mut entry: Entry<I>, priority: Reverse<i32>) -> Taken {
+        let (delivery, size) = (entry.item.delivery(), self.charge(&entry.item));
+        self.put += 1;
+        entry.number = self.put;
+        if delivery == Delivery::Latest && self.replace(&entry, priority) {
+            return Taken::Yes;
+        }
+        if !self.fits(size) && !self.make_room(delivery, size) {
+            return match delivery {
+                Delivery::Reliable => Taken::Overflow,
+                Delivery::Latest | Delivery::Fleeting => {
+                    self.note(&entry, DropReason::Full);
+                    Taken::Dropped
+                }
+            };
+        }
+        self.data_bytes += size;
+        self.reliable_bytes += reliable(&*entry.item, size);
+        let key = (delivery == Delivery::Latest).then(|| entry.item.key());
+        let number = self.data.entry(priority).or_default().push(Some(entry));
+        if let Some(key) = key {
+            self.latest.insert(key, (priority, number));
+        }
+        Taken::Yes
+    }
+
+    /// Puts a newer value into the place of an older one that still waits at the same priority.
+    fn replace(&mut self, entry: &Entry<I>, priority: Reverse<i32>) -> bool {
+        let key = entry.item.key();
+        let Some(&(waits_at, number)) = self.latest.get(&key) else {
+            return false;
+        };
+        let Some(place) = self.data.get_mut(&waits_at).and_then(|lane| lane.place(number)) else {
+            return false;
+        };
+        let Some(old) = place.as_ref() else {
+            return false;
+        };
+        let (old_size, new_size) = (old.item.charge(self.form), entry.item.charge(self.form));
+        // What was put in before a barrier leaves before it, and nothing that came later does.
+        if waits_at != priority || old.number <= self.barrier {
+            let replaced = place.take();
+            self.data_bytes -= old_size;
+            self.latest.remove(&key);
+            replaced
+                .iter()
+                .for_each(|entry| self.note(entry, DropReason::Replaced));
+            if let Some(lane) = self.data.get_mut(&waits_at) {
+                lane.holes += 1;
+            }
+            self.close_holes(waits_at);
+            return false;
+        }
+        if (self.data_bytes - old_size).saturating_add(new_size) > self.limit {
+            return false;
+        }
+        let newer = Entry::new(Arc::clone(&entry.item), old.number);
+        let replaced = place.replace(newer);
+        self.data_bytes = self.data_bytes - old_size + new_size;
+        replaced
+            .iter()
+            .for_each(|entry| self.note(entry, DropReason::Replaced));
+        true
+    }
+
+    /// Drops what may be dropped, the least urgent and oldest first, until there is room for an item of this class.
+    fn make_room(&mut self, delivery: Delivery, need: usize) -> bool {
+        for class in [Delivery::Fleeting, Delivery::Latest] {
+            // What may be dropped itself pushes out its own class at most.
+            if delivery == Delivery::Fleeting && class == Delivery::Latest {
+                break;
+            }
+            let priorities: Vec<Reverse<i32>> = self.data.keys().rev().copied().collect();
+            for priority in priorities {
+                while !self.fits(need) {
+                    let Some(dropped) = self
+                        .data
+                        .get_mut(&priority)
+                        .and_then(|lane| lane.take_first(class))
+                    else {
+                        break;
+                    };
+                    self.data_bytes -= self.charge(&dropped.item);
+                    if class == Delivery::Latest {
+                        self.latest.remove(&dropped.item.key());
+                    }
+                    self.note(&dropped, DropReason::Full);
+                    self.close_holes(priority);
+                }
+            }
+        }
+        self.fits(need)
+    }
+
+    /// Whether so many bytes may be added. An empty queue takes anything: one parcel may be larger than the
+    /// bound, and its receiver is not slow for that.
+    fn fits(&self, need: usize) -> bool {
+        self.data_bytes == 0 || self.data_bytes.saturating_add(need) <= self.limit
+    }
+
+    /// Closes the holes of a lane once they are most of it, or a link that stands still would collect them.
+    fn close_holes(&mut self, priority: Reverse<i32>) {
+        let Some(lane) = self.data.get_mut(&priority) else {
+            return;
+        };
+        for (number, entry) in lane.close_holes() {
+            self.latest.insert(entry.item.key(), (priority, number));
+        }
+    }
+
+    fn note(&mut self, entry: &Entry<I>, reason: DropReason) {
+        let remaining = entry.remaining(self.form);
+        self.policy.dropped(&entry.item, remaining, reason);
+    }
+}
+
+/// How many of these bytes may not be dropped.
+fn reliable<I: Item>(item: &I, size: usize) -> usize {
+    match item.delivery() {
+        Delivery::Reliable => size,
+        Delivery::Latest | Delivery::Fleeting => 0,
+    }
+}

@@ -1,0 +1,350 @@
+//! What leaves next, and in which pieces.
+
+use std::cmp::Reverse;
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use mom_proto::Delivery;
+use mom_proto::binary::{self, STREAMS};
+use mom_proto::codec::Form;
+
+use super::data_lane::DataLane;
+use super::piece::{Entry, Piece, Progress};
+use super::{DropPolicy, DropReason, Item, Lane, SendQueue, reliable};
+use crate::{Allowance, Part};
+
+/// Taken at once: more than a system call gathers is no faster, and what is taken cannot be overtaken any more.
+const BATCH_PIECES: usize = 256;
+const BATCH_BYTES: usize = 256 * 1024;
+
+/// The number of the last word.
+const LAST: u64 = u64::MAX;
+
+impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
+    /// Adds to a batch what may be written now: what the link has begun to take, and as much more as the network has room
+    /// for. False if something waits and there is no room for it.
+    pub fn take(&mut self, now: u64, allowance: Allowance, batch: &mut VecDeque<Piece<I>>) -> bool {
+        batch.extend(self.begun.take().map(|piece| *piece));
+        let bytes = allowance.bytes.min(BATCH_BYTES);
+        let mut taken = 0;
+        while batch.len() < BATCH_PIECES {
+            let next = match bytes.checked_sub(taken) {
+                // Pieces rather a little too large than very small ones.
+                Some(left) if left > 0 => self.pop(now, allowance.piece.min(left.max(allowance.piece / 2))),
+                _ => self.pop_unpaced(),
+            };
+            let Some(next) = next else { break };
+            taken += next.left();
+            batch.push_back(next);
+        }
+        !batch.is_empty() || self.is_empty()
+    }
+
+    /// The next piece for the link, of about `most` bytes if there is a way to cut it; what became stale on the
+    /// way is dropped.
+    pub fn pop(&mut self, now: u64, most: usize) -> Option<Piece<I>> {
+        if let Some(unpaced) = self.pop_unpaced() {
+            return Some(unpaced);
+        }
+        if let Some(stream) = self.aborts.pop_front() {
+            return Some(Piece::abort(stream));
+        }
+        loop {
+            let Some(entry) = self.next(most) else {
+                return self.pop_last();
+            };
+            let Some(reason) = self.policy.stale(&entry.item, now) else {
+                return Some(self.cut(entry, most));
+            };
+            self.note(&entry, reason);
+            self.leave(&entry.item);
+            if entry.progress.stream > 0 {
+                return Some(Piece::abort(entry.progress.stream));
+            }
+        }
+    }
+
+    /// The next piece that pacing does not hold back: a stop, or a sign of life.
+    pub fn pop_unpaced(&mut self) -> Option<Piece<I>> {
+        let form = self.form;
+        self.unpaced.pop_front().map(|entry| Piece::whole(entry, form))
+    }
+
+    /// Puts a batch back, of which the link took nothing more.
+    pub fn put_back_all(&mut self, batch: &mut VecDeque<Piece<I>>) {
+        while let Some(piece) = batch.pop_back() {
+            self.put_back(piece);
+        }
+    }
+
+    /// Puts back, in front, what was taken and not written. What the link has begun to take stays the next; all else is
+    /// looked at again, so that it can be overtaken, replaced or dropped. Several are put back the last one first.
+    pub fn put_back(&mut self, piece: Piece<I>) {
+        if piece.is_begun() {
+            self.begun = Some(Box::new(piece));
+            return;
+        }
+        let last = piece.last;
+        let Some(item) = piece.item else {
+            return self.aborts.push_front(piece.stream);
+        };
+        if piece.number == LAST {
+            self.last = Some(item);
+            return;
+        }
+        if !last {
+            self.open.retain(|open| !Arc::ptr_eq(&open.item, &item));
+        }
+        let entry = Entry {
+            item,
+            number: piece.number,
+            progress: piece.before,
+        };
+        let (lane, size) = (entry.item.lane(), self.charge(&entry.item));
+        match lane {
+            Lane::Control if last => self.control_bytes += size,
+            Lane::Data(_) if last => {
+                self.data_bytes += size;
+                self.reliable_bytes += reliable(&*entry.item, size);
+            }
+            _ => {}
+        }
+        match lane {
+            _ if entry.is_begun() => self.open.push(entry),
+            Lane::Data(priority) => self.put_back_data(entry, Reverse(priority)),
+            Lane::Control => self.put_back_control(entry),
+            Lane::Stop | Lane::Sign => self.put_back_unpaced(entry),
+        }
+    }
+
+    /// Takes back a piece of what was cleared after it was taken: the receiver is told to forget the chunks that it has of
+    /// it. Gives the item if [`SendQueue::clear`] did not.
+    pub fn forget(&mut self, piece: Piece<I>) -> Option<Arc<I>> {
+        let stream = piece.stream;
+        if piece.item.is_some() && stream > 0 {
+            if piece.before.sent == 0 {
+                self.aborts.retain(|abort| *abort != stream);
+            } else if piece.last {
+                self.aborts.push_back(stream);
+            }
+        }
+        let last = piece.last;
+        piece.item.filter(|_| last)
+    }
+
+    fn pop_last(&mut self) -> Option<Piece<I>> {
+        let item = self.last.take()?;
+        Some(Piece::whole(Entry::new(item, LAST), self.form))
+    }
+
+    fn put_back_unpaced(&mut self, entry: Entry<I>) {
+        if !self
+            .unpaced
+            .iter()
+            .any(|waiting| entry.item.repeats(&waiting.item))
+        {
+            let lane = entry.item.lane();
+            let behind = self
+                .unpaced
+                .iter()
+                .position(|waiting| waiting.item.lane() <= lane);
+            self.unpaced.insert(behind.unwrap_or(self.unpaced.len()), entry);
+        }
+    }
+
+    fn put_back_control(&mut self, entry: Entry<I>) {
+        if self.unpaced.iter().any(|stop| stop.item.overrules(&entry.item)) {
+            self.leave(&entry.item);
+            return self.note(&entry, DropReason::Overruled);
+        }
+        self.control.push_front(entry);
+    }
+
+    fn put_back_data(&mut self, entry: Entry<I>, priority: Reverse<i32>) {
+        let key = (entry.item.delivery() == Delivery::Latest).then(|| entry.item.key());
+        if key.as_ref().is_some_and(|key| self.latest.contains_key(key)) {
+            self.leave(&entry.item);
+            return self.note(&entry, DropReason::Replaced);
+        }
+        let number = self.data.entry(priority).or_default().push_front(entry);
+        if let Some(key) = key {
+            self.latest.insert(key, (priority, number));
+        }
+    }
+
+    /// The most urgent entry, taken out of its lane.
+    fn next(&mut self, most: usize) -> Option<Entry<I>> {
+        let open = (0..self.open.len()).max_by_key(|at| self.open[*at].item.lane());
+        let waiting = self.front();
+        match (open, waiting) {
+            // What was begun goes on before another of the same urgency begins.
+            (Some(open), waiting)
+                if Some(self.open[open].item.lane()) >= waiting
+                    || waiting.is_some_and(|lane| !self.may_begin(lane, most)) =>
+            {
+                Some(self.open.remove(open))
+            }
+            (_, Some(Lane::Data(priority))) => self.pop_data(Reverse(priority)),
+            (_, Some(_)) => self.pop_control(),
+            (_, None) => None,
+        }
+    }
+
+    /// The lane of what goes next of all that has not begun.
+    fn front(&mut self) -> Option<Lane> {
+        let up_to = match self.control.front().map(|control| control.number) {
+            Some(number) if !self.has_data_up_to(number) => return Some(Lane::Control),
+            // Nothing that was put in after it goes before it.
+            Some(number) => number,
+            None => u64::MAX,
+        };
+        self.first_priority(up_to).map(|priority| Lane::Data(priority.0))
+    }
+
+    /// Whether data that was put in so early has not left.
+    fn has_data_up_to(&mut self, number: u64) -> bool {
+        let is_early = |entry: &Entry<I>| entry.number <= number;
+        let fronts = |lane: &mut DataLane<I>| lane.front().is_some_and(is_early);
+        number > 0
+            && (self.data.values_mut().any(fronts)
+                || self
+                    .open
+                    .iter()
+                    .any(|open| matches!(open.item.lane(), Lane::Data(_)) && is_early(open)))
+    }
+
+    fn pop_control(&mut self) -> Option<Entry<I>> {
+        let entry = self.control.pop_front();
+        // Most peers hear what they are told at login and no more for a long time.
+        if self.control.is_empty() {
+            self.control = VecDeque::new();
+        }
+        entry
+    }
+
+    /// The highest priority at which something waits that was put in so early. The lane of the default priority stays, to
+    /// be filled again; others go when they are empty.
+    fn first_priority(&mut self, up_to: u64) -> Option<Reverse<i32>> {
+        let mut after = None;
+        loop {
+            let above = |priority: &Reverse<i32>| after.is_some_and(|after| *priority <= after);
+            let (priority, lane) = self
+                .data
+                .iter_mut()
+                .find(|(priority, lane)| !above(priority) && !lane.is_empty())?;
+            let priority = *priority;
+            match lane.front().map(|front| front.number) {
+                Some(number) if number <= up_to => return Some(priority),
+                Some(_) => after = Some(priority),
+                None if priority == Reverse(0) => {}
+                None => drop(self.data.remove(&priority)),
+            }
+        }
+    }
+
+    fn pop_data(&mut self, priority: Reverse<i32>) -> Option<Entry<I>> {
+        let lane = self.data.get_mut(&priority)?;
+        let entry = lane.pop()?;
+        if lane.is_empty() && priority != Reverse(0) {
+            self.data.remove(&priority);
+        }
+        if entry.item.delivery() == Delivery::Latest {
+            self.latest.remove(&entry.item.key());
+        }
+        Some(entry)
+    }
+
+    /// Whether what is in front of a lane may begin beside what is open: a receiver keeps so many streams open, and no
+    /// more bytes in them than one parcel may have.
+    fn may_begin(&mut self, lane: Lane, most: usize) -> bool {
+        let form = self.form;
+        let front = match lane {
+            Lane::Data(priority) => self
+                .data
+                .get_mut(&Reverse(priority))
+                .and_then(|lane| lane.front()),
+            _ => self.control.front(),
+        };
+        let Some(length) = front
+            .map(|front| front.length(form))
+            .filter(|length| *length > most)
+        else {
+            return true;
+        };
+        let announced: usize = self.open.iter().map(|open| open.length(form)).sum();
+        self.open.len() < STREAMS && self.parcel.allows(announced.saturating_add(length))
+    }
+
+    /// The next piece of an entry; what is left of it stays open.
+    fn cut(&mut self, entry: Entry<I>, most: usize) -> Piece<I> {
+        let length = entry.length(self.form);
+        if self.form != Some(Form::Binary) || (!entry.is_begun() && length <= most) {
+            self.leave(&entry.item);
+            return Piece::whole(entry, self.form);
+        }
+        let piece = match entry.item.count() > 1 {
+            true => cut_run(&entry, self.form, most),
+            false => self.cut_chunk(&entry, length, most),
+        };
+        if piece.last {
+            self.leave(&entry.item);
+            return piece;
+        }
+        let progress = Progress {
+            sent: entry.progress.sent + piece.part.size(),
+            stream: piece.stream,
+        };
+        self.open.push(Entry { progress, ..entry });
+        piece
+    }
+
+    /// A chunk: the bytes of its stream are the frame without the length in front.
+    fn cut_chunk(&mut self, entry: &Entry<I>, length: usize, most: usize) -> Piece<I> {
+        let stream = match entry.progress.stream {
+            0 => {
+                self.last_stream += 1;
+                self.last_stream
+            }
+            stream => stream,
+        };
+        let part = Part::chunk(stream, length, entry.progress.sent, most);
+        Piece {
+            last: part.reaches(length),
+            item: Some(Arc::clone(&entry.item)),
+            part,
+            number: entry.number,
+            before: entry.progress,
+            stream,
+        }
+    }
+
+    /// An item is the queue's no more.
+    fn leave(&mut self, item: &I) {
+        let size = self.charge(item);
+        match item.lane() {
+            Lane::Stop | Lane::Sign => {}
+            Lane::Control => self.control_bytes -= size,
+            Lane::Data(_) => {
+                self.data_bytes -= size;
+                self.reliable_bytes -= reliable(item, size);
+            }
+        }
+    }
+}
+
+/// Whole frames of an item that has several, one at least.
+fn cut_run<I: Item>(entry: &Entry<I>, form: Option<Form>, most: usize) -> Piece<I> {
+    let from = entry.progress.sent;
+    let (length, whole) = entry.item.frames(form).map_or((0, 0), |frames| {
+        let rest = &frames.head[from.min(frames.head.len())..];
+        (binary::cut(rest, most).0, frames.head.len())
+    });
+    Piece {
+        item: Some(Arc::clone(&entry.item)),
+        part: Part::plain(from..from + length),
+        number: entry.number,
+        before: entry.progress,
+        stream: 0,
+        last: from + length >= whole,
+    }
+}

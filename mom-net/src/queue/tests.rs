@@ -1,0 +1,628 @@
+//! The promises of the queue.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use bytes::{Bytes, BytesMut};
+use mom_proto::binary::{BinaryDecoder, PREFACE};
+use mom_proto::codec::{Encoded, Frame};
+use mom_proto::{Family, Limits, Parcel, Value};
+
+use super::*;
+
+/// A parcel, or several, as the hub's outboxes have them.
+#[derive(Clone, Debug)]
+struct Packet {
+    frames: Encoded,
+    lane: Lane,
+    delivery: Delivery,
+    origin: Origin,
+    expires_at: Option<u64>,
+    gate: Option<(Arc<AtomicU64>, u64)>,
+    count: u32,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+struct Origin {
+    context: u64,
+    name: Arc<str>,
+}
+
+impl Item for Packet {
+    type Key = Origin;
+
+    fn lane(&self) -> Lane {
+        self.lane
+    }
+
+    fn delivery(&self) -> Delivery {
+        self.delivery
+    }
+
+    fn key(&self) -> Origin {
+        self.origin.clone()
+    }
+
+    fn frames(&self, _: Option<Form>) -> Option<&Encoded> {
+        Some(&self.frames)
+    }
+
+    fn parcel(&self) -> Option<&Arc<Parcel>> {
+        None
+    }
+
+    fn charge(&self, _: Option<Form>) -> usize {
+        self.frames.len() + 64
+    }
+
+    fn count(&self) -> u32 {
+        self.count
+    }
+
+    fn repeats(&self, waiting: &Packet) -> bool {
+        self.origin == waiting.origin
+    }
+
+    fn overrules(&self, waiting: &Packet) -> bool {
+        self.origin.context == waiting.origin.context && &*waiting.origin.name == "unstop"
+    }
+}
+
+/// What was dropped, by reason and class.
+#[derive(Debug, Default)]
+struct Drops(BTreeMap<(DropReason, Delivery), u64>);
+
+impl DropPolicy<Packet> for Drops {
+    fn stale(&self, packet: &Packet, now: u64) -> Option<DropReason> {
+        let closed = |(gate, fence): &(Arc<AtomicU64>, u64)| gate.load(Ordering::Acquire) != *fence;
+        match packet {
+            Packet {
+                expires_at: Some(end),
+                ..
+            } if now >= *end => Some(DropReason::Expired),
+            Packet { gate: Some(gate), .. } if closed(gate) => Some(DropReason::Fence),
+            _ => None,
+        }
+    }
+
+    fn dropped(&mut self, packet: &Arc<Packet>, parcels: u64, reason: DropReason) {
+        *self.0.entry((reason, packet.delivery)).or_default() += parcels;
+    }
+}
+
+type Queue = SendQueue<Packet, Drops>;
+type Piece = super::Piece<Packet>;
+
+impl Queue {
+    fn take_drops(&mut self) -> BTreeMap<(DropReason, Delivery), u64> {
+        std::mem::take(&mut self.policy().0)
+    }
+}
+
+/// 936 bytes and the queue's own 64 make 1000.
+const SIZE: usize = 936;
+
+fn packet(name: &str, lane: Lane, delivery: Delivery) -> Packet {
+    frame(
+        name,
+        lane,
+        delivery,
+        name.as_bytes().repeat(SIZE)[..SIZE].to_vec(),
+    )
+}
+
+fn frame(name: &str, lane: Lane, delivery: Delivery, frame: Vec<u8>) -> Packet {
+    Packet {
+        frames: Encoded {
+            head: Bytes::from(frame),
+            body: Bytes::new(),
+        },
+        lane,
+        delivery,
+        origin: Origin {
+            context: 1,
+            name: name.into(),
+        },
+        expires_at: None,
+        gate: None,
+        count: 1,
+    }
+}
+
+fn entry(name: &str, lane: Lane, delivery: Delivery) -> Arc<Packet> {
+    Arc::new(packet(name, lane, delivery))
+}
+
+fn data(name: &str, delivery: Delivery) -> Arc<Packet> {
+    entry(name, Lane::Data(0), delivery)
+}
+
+fn queue(limit: usize) -> Queue {
+    SendQueue::new(Some(Form::Binary), limit, Drops::default())
+}
+
+fn pop(queue: &mut Queue, now: u64) -> Option<Piece> {
+    queue.pop(now, usize::MAX)
+}
+
+fn name(piece: &Piece) -> String {
+    piece
+        .item()
+        .map(|item| item.origin.name.to_string())
+        .unwrap_or_default()
+}
+
+fn names(queue: &mut Queue) -> Vec<String> {
+    std::iter::from_fn(|| pop(queue, 0))
+        .map(|piece| name(&piece))
+        .collect()
+}
+
+#[test]
+fn lanes_leave_in_their_order() {
+    let mut queue = queue(100_000);
+    for (name, lane) in [
+        ("low", Lane::Data(-1)),
+        ("first", Lane::Data(0)),
+        ("second", Lane::Data(0)),
+        ("high", Lane::Data(7)),
+        ("reply", Lane::Control),
+        ("stop", Lane::Stop),
+        ("stop", Lane::Stop),
+    ] {
+        assert_eq!(queue.push(entry(name, lane, Delivery::Reliable)), Taken::Yes);
+    }
+    assert_eq!(
+        names(&mut queue),
+        ["stop", "reply", "high", "first", "second", "low"]
+    );
+    assert!(queue.is_empty());
+}
+
+#[test]
+fn a_full_queue_drops_by_class() {
+    let mut queue = queue(3000);
+    for name in ["a", "b", "c"] {
+        assert_eq!(queue.push(data(name, Delivery::Fleeting)), Taken::Yes);
+    }
+    assert_eq!(
+        queue.push(data("d", Delivery::Fleeting)),
+        Taken::Yes,
+        "the oldest went"
+    );
+    assert_eq!(
+        queue.push(data("l", Delivery::Latest)),
+        Taken::Yes,
+        "fleeting makes room"
+    );
+    assert_eq!(queue.push(data("r", Delivery::Reliable)), Taken::Yes);
+    assert_eq!(queue.push(data("r", Delivery::Reliable)), Taken::Yes);
+    assert_eq!(
+        queue.push(data("f", Delivery::Fleeting)),
+        Taken::Dropped,
+        "latest is not dropped for fleeting"
+    );
+    assert_eq!(
+        queue.push(data("r", Delivery::Reliable)),
+        Taken::Yes,
+        "latest is dropped for reliable"
+    );
+    assert_eq!(queue.push(data("r", Delivery::Reliable)), Taken::Overflow);
+    assert_eq!(queue.data_bytes(), 3000);
+    assert_eq!(queue.take_drops().values().sum::<u64>(), 6);
+    assert_eq!(names(&mut queue), ["r", "r", "r"]);
+    assert_eq!(queue.data_bytes(), 0);
+}
+
+#[test]
+fn latest_replaces_in_place() {
+    let mut queue = queue(3000);
+    queue.push(data("pose", Delivery::Latest));
+    queue.push(data("chat", Delivery::Reliable));
+    for _ in 0..1000 {
+        assert_eq!(queue.push(data("pose", Delivery::Latest)), Taken::Yes);
+    }
+    assert_eq!(queue.data_bytes(), 2000);
+    assert_eq!(names(&mut queue), ["pose", "chat"]);
+    assert!(queue.latest.is_empty());
+    let drops: Vec<_> = queue.take_drops().into_iter().collect();
+    assert_eq!(drops, [((DropReason::Replaced, Delivery::Latest), 1000)]);
+}
+
+#[test]
+fn stale_parcels_do_not_leave() {
+    let mut queue = queue(10_000);
+    let gate = Arc::new(AtomicU64::new(7));
+    let guarded = Arc::new(Packet {
+        gate: Some((Arc::clone(&gate), 7)),
+        ..packet("command", Lane::Data(0), Delivery::Reliable)
+    });
+    queue.push(Arc::clone(&guarded));
+    queue.push(Arc::new(Packet {
+        expires_at: Some(50),
+        ..packet("old", Lane::Data(0), Delivery::Reliable)
+    }));
+    queue.push(data("chat", Delivery::Reliable));
+    assert_eq!(
+        pop(&mut queue, 49).map(|piece| name(&piece)),
+        Some("command".into())
+    );
+    queue.push(guarded);
+    gate.store(8, Ordering::Release);
+    assert_eq!(pop(&mut queue, 50).map(|piece| name(&piece)), Some("chat".into()));
+    assert!(pop(&mut queue, 50).is_none());
+    let reasons: Vec<_> = queue.take_drops().into_keys().map(|(reason, _)| reason).collect();
+    assert_eq!(reasons, [DropReason::Expired, DropReason::Fence]);
+}
+
+/// Whatever waits in which order, a device that was stopped last stays stopped.
+#[test]
+fn a_stop_overrules_an_unstop_that_waits() {
+    let mut queue = queue(100_000);
+    let stop = entry("stop", Lane::Stop, Delivery::Reliable);
+    let unstop = entry("unstop", Lane::Control, Delivery::Reliable);
+    for each in [&stop, &unstop, &stop] {
+        assert_eq!(queue.push(each.clone()), Taken::Yes);
+    }
+    assert_eq!(names(&mut queue), ["stop"]);
+    assert_eq!(queue.take_drops().values().sum::<u64>(), 1, "the unstop is told");
+    queue.push(stop.clone());
+    queue.push(unstop.clone());
+    assert_eq!(names(&mut queue), ["stop", "unstop"]);
+    queue.push(unstop);
+    queue.push(Arc::new(Packet {
+        origin: Origin {
+            context: 2,
+            ..stop.origin.clone()
+        },
+        ..packet("stop", Lane::Stop, Delivery::Reliable)
+    }));
+    assert_eq!(names(&mut queue), ["stop", "unstop"], "of another channel");
+}
+
+/// A parcel may be larger than the bound; a receiver that is not behind gets it.
+#[test]
+fn an_empty_queue_takes_any_parcel() {
+    for class in [Delivery::Reliable, Delivery::Latest, Delivery::Fleeting] {
+        let mut queue = queue(900);
+        assert_eq!(queue.push(data("large", class)), Taken::Yes, "{class:?}");
+        assert_eq!(
+            queue.push(data("more", Delivery::Reliable)),
+            match class {
+                Delivery::Reliable => Taken::Overflow,
+                _ => Taken::Yes,
+            }
+        );
+    }
+}
+
+/// What was dropped leaves nothing behind, however long the link stands still.
+#[test]
+fn a_queue_that_stands_still_does_not_grow() {
+    let mut queue = queue(3000);
+    queue.push(data("first", Delivery::Reliable));
+    for turn in 0..10_000 {
+        queue.push(data("fleeting", Delivery::Fleeting));
+        queue.push(entry("pose", Lane::Data(turn % 2), Delivery::Latest));
+    }
+    let places: usize = queue.data.values().map(|lane| lane.places()).sum();
+    assert!(places < 500, "{places} places for 3 parcels");
+    assert_eq!(
+        pop(&mut queue, 0).map(|piece| name(&piece)).as_deref(),
+        Some("pose")
+    );
+}
+
+/// What a blocked link did not take is looked at again: it may be overtaken, replaced, or lose its owner.
+#[test]
+fn what_is_put_back_keeps_its_place_and_no_privilege() {
+    let mut queue = queue(100_000);
+    let gate = Arc::new(AtomicU64::new(7));
+    let command = Arc::new(Packet {
+        gate: Some((Arc::clone(&gate), 7)),
+        ..packet("command", Lane::Data(0), Delivery::Reliable)
+    });
+    for each in [
+        &data("first", Delivery::Reliable),
+        &command,
+        &data("pose", Delivery::Latest),
+    ] {
+        queue.push(each.clone());
+    }
+    let taken: Vec<Piece> = std::iter::from_fn(|| pop(&mut queue, 0)).collect();
+    queue.push(data("pose", Delivery::Latest));
+    queue.push(entry("stop", Lane::Stop, Delivery::Reliable));
+    gate.store(8, Ordering::Release);
+    taken.into_iter().rev().for_each(|piece| queue.put_back(piece));
+    assert_eq!(names(&mut queue), ["stop", "first", "pose"]);
+    let reasons: Vec<_> = queue.take_drops().into_keys().map(|(reason, _)| reason).collect();
+    assert_eq!(reasons, [DropReason::Replaced, DropReason::Fence]);
+    assert_eq!(queue.data_bytes(), 0);
+}
+
+#[test]
+fn an_unstop_is_not_put_back_behind_a_stop() {
+    let mut queue = queue(100_000);
+    queue.push(entry("unstop", Lane::Control, Delivery::Reliable));
+    let unstop = pop(&mut queue, 0).unwrap();
+    queue.push(entry("stop", Lane::Stop, Delivery::Reliable));
+    queue.put_back(unstop);
+    assert_eq!(names(&mut queue), ["stop"]);
+}
+
+#[test]
+fn the_last_word_leaves_last_however_full_the_queue_is() {
+    let mut queue = queue(1000);
+    queue.push(data("chat", Delivery::Reliable));
+    queue.push_last(entry("shutdown", Lane::Control, Delivery::Reliable));
+    queue.push(entry("reply", Lane::Control, Delivery::Reliable));
+    assert_eq!(names(&mut queue), ["reply", "chat", "shutdown"]);
+}
+
+/// A message of so many bytes as one frame.
+fn message(name: &str, size: usize, priority: i32, delivery: Delivery) -> Packet {
+    let parcel = Parcel::new(Family::Message, name).content(Value::from(Bytes::from(vec![7; size])));
+    let encoded = Form::Binary.encode(&parcel).unwrap();
+    frame(name, Lane::Data(priority), delivery, encoded.to_vec())
+}
+
+/// What a receiver makes of all pieces until now.
+#[derive(Default)]
+struct Receiver {
+    bytes: BytesMut,
+    decoder: Option<BinaryDecoder>,
+}
+
+impl Receiver {
+    fn take(&mut self, piece: &Piece) -> Vec<String> {
+        let decoder = self.decoder.get_or_insert_with(|| {
+            self.bytes.extend_from_slice(&PREFACE);
+            BinaryDecoder::for_peer(&Limits::default())
+        });
+        let mut slices = Vec::new();
+        piece.append_to(Some(Form::Binary), &mut slices);
+        slices
+            .iter()
+            .for_each(|slice| self.bytes.extend_from_slice(slice));
+        let mut names = Vec::new();
+        while let Some(frame) = decoder.decode(&mut self.bytes).unwrap() {
+            let Frame::Parcel(parcel) = frame else {
+                panic!("{frame:?}")
+            };
+            names.push(parcel.name().to_owned());
+        }
+        names
+    }
+
+    fn take_all(&mut self, queue: &mut Queue) -> Vec<String> {
+        std::iter::from_fn(|| queue.pop(0, 4096))
+            .flat_map(|piece| self.take(&piece))
+            .collect()
+    }
+}
+
+/// The urgent overtake inside a large parcel, nested, and what is begun comes to its end.
+#[test]
+fn urgent_parcels_overtake_inside_large_ones() {
+    let mut queue = queue(1 << 20);
+    let mut receiver = Receiver::default();
+    let push = |queue: &mut Queue, packet: Packet| {
+        assert_eq!(queue.push(Arc::new(packet)), Taken::Yes);
+    };
+    push(&mut queue, message("image", 64 * 1024, 0, Delivery::Latest));
+    for _ in 0..3 {
+        let piece = queue.pop(0, 4096).unwrap();
+        assert!(piece.left() <= 4096 + 16, "{}", piece.left());
+        assert_eq!(receiver.take(&piece), [""; 0]);
+    }
+    push(&mut queue, message("map", 20_000, 5, Delivery::Reliable));
+    let piece = queue.pop(0, 4096).unwrap();
+    assert_eq!(receiver.take(&piece), [""; 0]);
+    push(&mut queue, message("chat", 10, 0, Delivery::Reliable));
+    push(&mut queue, message("command", 10, 5, Delivery::Reliable));
+    push(&mut queue, message("urgent", 10, 9, Delivery::Reliable));
+    let stop = message("stop", 10, 0, Delivery::Reliable);
+    push(
+        &mut queue,
+        Packet {
+            lane: Lane::Stop,
+            ..stop
+        },
+    );
+    assert_eq!(
+        receiver.take_all(&mut queue),
+        ["stop", "urgent", "map", "command", "image", "chat"]
+    );
+    assert!(queue.is_empty());
+    assert_eq!(queue.data_bytes(), 0);
+}
+
+/// A newer image does not stop the one that is half there, or on a slow link none would ever arrive.
+#[test]
+fn what_is_begun_is_not_replaced_but_ends_with_its_gate_or_its_time() {
+    let mut queue = queue(1 << 20);
+    let mut receiver = Receiver::default();
+    let image = || Arc::new(message("image", 64 * 1024, 0, Delivery::Latest));
+    queue.push(image());
+    receiver.take(&queue.pop(0, 4096).unwrap());
+    queue.push(image());
+    queue.push(image());
+    assert_eq!(receiver.take_all(&mut queue), ["image", "image"]);
+
+    let gate = Arc::new(AtomicU64::new(7));
+    let upload = |name: &str| message(name, 64 * 1024, 0, Delivery::Reliable);
+    queue.push(Arc::new(Packet {
+        gate: Some((Arc::clone(&gate), 7)),
+        ..upload("program")
+    }));
+    queue.push(Arc::new(Packet {
+        expires_at: Some(50),
+        ..upload("view")
+    }));
+    receiver.take(&queue.pop(0, 4096).unwrap());
+    gate.store(8, Ordering::Release);
+    receiver.take(&queue.pop(0, 4096).unwrap());
+    receiver.take(&queue.pop(49, 4096).unwrap());
+    receiver.take(&queue.pop(50, 4096).unwrap());
+    assert!(queue.pop(50, 4096).is_none());
+    assert_eq!(queue.data_bytes(), 0);
+    let drops: Vec<_> = queue
+        .take_drops()
+        .into_iter()
+        .map(|((reason, _), count)| (reason, count))
+        .collect();
+    assert_eq!(
+        drops,
+        [
+            (DropReason::Replaced, 1),
+            (DropReason::Expired, 1),
+            (DropReason::Fence, 1)
+        ]
+    );
+    queue.push(Arc::new(message("chat", 10, 0, Delivery::Reliable)));
+    assert_eq!(
+        receiver.take_all(&mut queue),
+        ["chat"],
+        "the receiver forgot both streams"
+    );
+}
+
+/// A link that takes nothing at any point: whatever is put back comes again, and nothing twice.
+#[test]
+fn pieces_that_are_put_back_come_again() {
+    for refuse in 1..6 {
+        let mut queue = queue(1 << 20);
+        let mut receiver = Receiver::default();
+        queue.push(Arc::new(message("image", 9000, 0, Delivery::Latest)));
+        queue.push(Arc::new(message("chat", 10, 0, Delivery::Reliable)));
+        queue.push(Arc::new(message("map", 9000, 0, Delivery::Reliable)));
+        let mut arrived = Vec::new();
+        for turn in 0.. {
+            let batch: Vec<Piece> = (0..3).map_while(|_| queue.pop(0, 4096)).collect();
+            if batch.is_empty() {
+                break;
+            }
+            let taken = if turn % 2 == 0 { refuse % 3 } else { 3 };
+            let mut rest = Vec::new();
+            for (at, piece) in batch.into_iter().enumerate() {
+                if at < taken {
+                    arrived.extend(receiver.take(&piece));
+                } else {
+                    rest.push(piece);
+                }
+            }
+            rest.into_iter().rev().for_each(|piece| queue.put_back(piece));
+        }
+        assert_eq!(arrived, ["image", "chat", "map"], "{refuse}");
+        assert_eq!(queue.data_bytes(), 0);
+        assert!(queue.take_drops().is_empty());
+    }
+}
+
+/// A receiver keeps a parcel's bytes and eight streams open, no more.
+#[test]
+fn no_more_is_open_than_the_receiver_keeps() {
+    let mut queue = queue(1 << 20);
+    queue.set_limits(1 << 20, Limit::At(100_000));
+    let mut receiver = Receiver::default();
+    for priority in 0..3 {
+        let size = 40_000;
+        queue.push(Arc::new(message(
+            &format!("p{priority}"),
+            size,
+            priority,
+            Delivery::Reliable,
+        )));
+        assert_eq!(receiver.take(&queue.pop(0, 4096).unwrap()), [""; 0]);
+    }
+    assert_eq!(queue.open.len(), 2);
+    assert_eq!(receiver.take_all(&mut queue), ["p1", "p2", "p0"]);
+    for priority in 0..20 {
+        queue.push(Arc::new(message(
+            &format!("p{priority}"),
+            5000,
+            priority,
+            Delivery::Reliable,
+        )));
+        assert_eq!(receiver.take(&queue.pop(0, 100).unwrap()), [""; 0]);
+    }
+    assert_eq!(queue.open.len(), 8);
+    assert_eq!(receiver.take_all(&mut queue).len(), 20);
+}
+
+/// A run of small frames is cut between them, and what did not leave of it is counted.
+#[test]
+fn a_run_is_cut_between_frames() {
+    let frames: Vec<u8> = (0..10)
+        .flat_map(|_| {
+            let parcel = Parcel::new(Family::Message, "chat").content(Value::from(Bytes::from(vec![7; 500])));
+            Form::Binary.encode(&parcel).unwrap().to_vec()
+        })
+        .collect();
+    let mut queue = queue(1 << 20);
+    let mut receiver = Receiver::default();
+    let run = Packet {
+        count: 10,
+        ..frame("chat", Lane::Data(0), Delivery::Reliable, frames)
+    };
+    queue.push(Arc::new(run));
+    assert_eq!(receiver.take(&queue.pop(0, 1000).unwrap()).len(), 2);
+    queue.push(Arc::new(message("urgent", 10, 1, Delivery::Reliable)));
+    queue.push(Arc::new(message("after", 10, 0, Delivery::Reliable)));
+    assert_eq!(receiver.take(&queue.pop(0, 1000).unwrap()), ["urgent"]);
+    assert_eq!(receiver.take(&queue.pop(0, 2000).unwrap()).len(), 4);
+    queue.drop_data();
+    let drops: Vec<u64> = queue.take_drops().into_values().collect();
+    assert_eq!(drops, [5], "four of the run and the one after it");
+    assert!(queue.pop(0, 1000).is_none());
+}
+
+/// A client's `release` leaves after what was sent before it, and nothing that is newer leaves in front of it, not even in
+/// the place of an older value.
+#[test]
+fn nothing_crosses_a_barrier() {
+    let mut queue = queue(100_000);
+    queue.push(data("pose", Delivery::Latest));
+    queue.push(entry("low", Lane::Data(-5), Delivery::Reliable));
+    assert_eq!(
+        queue.push_after_data(entry("release", Lane::Control, Delivery::Reliable)),
+        Taken::Yes
+    );
+    queue.push(data("pose", Delivery::Latest));
+    queue.push(entry("high", Lane::Data(5), Delivery::Reliable));
+    queue.push(entry("ping", Lane::Sign, Delivery::Reliable));
+    queue.push(entry("stop", Lane::Stop, Delivery::Reliable));
+    assert_eq!(
+        names(&mut queue),
+        ["stop", "ping", "low", "release", "high", "pose"]
+    );
+    assert_eq!(queue.take_drops().values().sum::<u64>(), 1, "the older pose");
+    queue.push(data("pose", Delivery::Latest));
+    queue.push(data("pose", Delivery::Latest));
+    assert_eq!(names(&mut queue), ["pose"], "the barrier has left");
+}
+
+/// What a writer had taken when all was forgotten comes back to nobody, and the receiver forgets the chunks that it has.
+#[test]
+fn what_is_cleared_leaves_no_trace() {
+    for begun in [false, true] {
+        let mut queue = queue(1 << 20);
+        let mut receiver = Receiver::default();
+        queue.push(Arc::new(message("image", 9000, 0, Delivery::Latest)));
+        queue.push(Arc::new(message("chat", 10, 0, Delivery::Reliable)));
+        if begun {
+            receiver.take(&queue.pop(0, 4096).unwrap());
+        }
+        let taken = queue.pop(0, 4096).unwrap();
+        assert_eq!(queue.clear(false).len(), 2);
+        assert_eq!((queue.bytes(), queue.forget(taken).is_none()), (0, true));
+        let aborts: Vec<Piece> = std::iter::from_fn(|| queue.pop(0, 4096)).collect();
+        assert_eq!(aborts.len(), usize::from(begun), "the receiver knows the stream");
+        aborts
+            .iter()
+            .for_each(|abort| assert_eq!(receiver.take(abort), [""; 0]));
+        queue.push(Arc::new(message("image", 9000, 0, Delivery::Latest)));
+        assert_eq!(receiver.take_all(&mut queue), ["image"]);
+    }
+}
