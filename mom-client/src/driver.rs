@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use mom_net::DropReason;
 use mom_proto::event as names;
 use mom_proto::{Code, Family, Map, Parcel, Path, WireError};
 use tokio::time::{Instant, sleep};
 
 use crate::login::{Connected, Connector, Welcome};
-use crate::outbox::{Entry, Room};
+use crate::outbox::{Capacity, Entry};
 use crate::pending::Waiter;
 use crate::reconnect::Backoff;
 use crate::shared::{Shared, State, Status, join};
@@ -96,12 +97,12 @@ impl Shared {
         state.status = Status::Down;
         state.lose_holds(&Lost::new(names::Reason::Disconnected.word(), None));
         let unsent = state.outbox.clear(link_is_gone);
-        let room = state.lose(&unsent);
+        let capacity = state.lose(&unsent);
         state.subscribers.deliver_all(&Event::LinkDown);
         let joins = state.places.lose_link();
         let waiters = state.pending.take_all();
         drop(state);
-        self.give_room(room);
+        self.give_capacity(capacity);
         let error = ClientError::Connection(why.to_owned());
         for join in joins {
             drop(join.send(Err(error.clone())));
@@ -152,7 +153,7 @@ impl Shared {
         let joins = state.places.lose_link();
         let waiters = state.pending.take_all();
         drop(state);
-        self.close_room();
+        self.close_capacity();
         let closed = ClientError::Closed(error.clone());
         for join in joins {
             drop(join.send(Err(closed.clone())));
@@ -163,30 +164,30 @@ impl Shared {
 }
 
 impl State {
-    /// Tells of messages that a lost link has lost; gives their room.
-    pub(crate) fn lose(&mut self, unsent: &[Arc<Entry>]) -> Room {
-        let reason = names::Reason::Disconnected.word();
-        for (path, count) in count_unsent(unsent) {
-            let event = dropped(&path, reason, count);
-            self.subscribers.deliver(std::slice::from_ref(&path), event);
+    /// Tells of messages that will not be sent; gives their capacity.
+    pub(crate) fn lose(&mut self, messages: &[(Arc<Entry>, DropReason)]) -> Capacity {
+        let mut counts: BTreeMap<(&Path, &str), u64> = BTreeMap::new();
+        let mut capacity = Capacity::default();
+        for (message, reason) in messages {
+            capacity += message.capacity();
+            let word = match reason {
+                DropReason::Closed => names::Reason::Disconnected.word(),
+                reason => reason.word(),
+            };
+            if let Some(path) = message.path() {
+                *counts.entry((path, word)).or_default() += 1;
+            }
         }
-        let mut room = Room::default();
-        unsent.iter().for_each(|message| room += message.room());
-        room
+        for ((path, word), count) in counts {
+            let event = dropped(path, word, count);
+            self.subscribers.deliver(std::slice::from_ref(path), event);
+        }
+        capacity
     }
-}
-
-/// How many messages of each context were never written.
-fn count_unsent(unsent: &[Arc<Entry>]) -> BTreeMap<Path, u64> {
-    let mut counts = BTreeMap::new();
-    for path in unsent.iter().filter_map(|message| message.path().cloned()) {
-        *counts.entry(path).or_default() += 1;
-    }
-    counts
 }
 
 /// The event that the hub would send for parcels dropped on its side.
-pub(crate) fn dropped(path: &Path, reason: &str, count: u64) -> Event {
+fn dropped(path: &Path, reason: &str, count: u64) -> Event {
     let content = Map::new()
         .with("reason", reason)
         .with("count", i64::try_from(count).unwrap_or(i64::MAX));

@@ -3,22 +3,17 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use mom_net::{Flow, GATHER, NetError, Pause, Writer};
-use mom_proto::codec::Form;
+use mom_net::{Flow, NetError, Pause, Piece, Writer, write_batch};
 use tokio::time::{Instant, sleep_until};
 
-use crate::outbox::{Knife, Mark, Piece, Room};
+use crate::outbox::{Capacity, Entry, Mark};
 use crate::shared::Shared;
 
-/// Taken at once: what is taken cannot be overtaken while it is written.
-const BATCH_PIECES: usize = 64;
-const BATCH_BYTES: usize = 256 * 1024;
-
-/// How far a turn came.
+/// How far a write came.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Turn {
+enum Written {
     /// Something was written, and there may be more.
-    Wrote,
+    Some,
     /// Nothing waits.
     Nothing,
     /// Nothing, and never again.
@@ -33,7 +28,7 @@ enum Turn {
 
 /// Writes until the outbox says that nothing follows. `link` is the number of the link in the outbox's mark.
 pub(crate) async fn write(shared: Arc<Shared>, writer: Writer, link: u64) -> Result<(), NetError> {
-    let mut sending = Sending {
+    let mut sending = LinkWriter {
         shared,
         writer,
         flow: Flow::default(),
@@ -43,130 +38,84 @@ pub(crate) async fn write(shared: Arc<Shared>, writer: Writer, link: u64) -> Res
     };
     let mut pause = Pause::default();
     loop {
-        let turn = sending.turn()?;
-        match turn {
-            Turn::Wrote => {}
-            Turn::Nothing => sending.shared.outgoing.notified().await,
-            Turn::Blocked => sending.writer.ready().await?,
-            Turn::Paced => {
+        match sending.write_on()? {
+            Written::Some => {}
+            Written::Nothing => sending.shared.outgoing.notified().await,
+            Written::Blocked => sending.writer.ready().await?,
+            Written::Paced => {
                 sending.pause(Instant::now() + pause.time()).await;
                 pause.look(&sending.flow);
             }
-            Turn::End => {
+            Written::End => {
                 sending.writer.finish();
                 return Ok(());
             }
-            Turn::Gone => return Ok(()),
+            Written::Gone => return Ok(()),
         }
     }
 }
 
 /// One link's writer.
-struct Sending {
+struct LinkWriter {
     shared: Arc<Shared>,
     writer: Writer,
     flow: Flow,
-    /// Empty between turns: what a link did not take is in the outbox, where it can be overtaken and nothing of it is
+    /// Empty between writes: what a link did not take is in the outbox, where it can be overtaken and nothing of it is
     /// lost with this task.
-    batch: VecDeque<Piece>,
+    batch: VecDeque<Piece<Entry>>,
     /// The outbox as it was when the batch was taken.
     taken: Mark,
     link: u64,
 }
 
-impl Sending {
+impl LinkWriter {
     /// Takes what may be written, writes it, and puts back what the link did not take.
-    fn turn(&mut self) -> Result<Turn, NetError> {
-        let turn = self.take();
+    fn write_on(&mut self) -> Result<Written, NetError> {
+        let taken = self.take();
         if self.batch.is_empty() {
-            return Ok(turn);
-        }
-        let mut room = Room::default();
-        let written = self.write_batch(&mut room);
-        let mut returned = Vec::new();
-        if !self.batch.is_empty() {
-            let mut state = self.shared.lock();
-            while let Some(piece) = self.batch.pop_back() {
-                returned.extend(state.outbox.put_back(piece, self.taken));
+            if taken == Written::Nothing {
+                self.flow.rest();
             }
+            return Ok(taken);
         }
-        self.shared.give_room(room);
-        self.shared.tell_returned(returned);
-        Ok(if written? { Turn::Wrote } else { Turn::Blocked })
+        let mut capacity = Capacity::default();
+        let written = write_batch(&self.writer, &mut self.flow, &mut self.batch, |piece| {
+            let entry = piece.item().filter(|_| piece.is_last());
+            capacity += entry.map(|entry| entry.capacity()).unwrap_or_default();
+        });
+        self.shared.give_capacity(capacity);
+        if !self.batch.is_empty() {
+            let dropped = {
+                let mut state = self.shared.lock();
+                state.outbox.put_back(&mut self.batch, self.taken);
+                state.outbox.take_dropped()
+            };
+            self.shared.tell_dropped(dropped);
+        }
+        Ok(if written? { Written::Some } else { Written::Blocked })
     }
 
-    fn take(&mut self) -> Turn {
-        let room = self.flow.room(|| self.writer.link()).min(BATCH_BYTES);
-        let piece = self.flow.piece();
+    fn take(&mut self) -> Written {
+        let allowance = self.flow.allowance(&self.writer);
+        let wall = self.shared.clock.wall();
+        let now = wall.and_then(|wall| u64::try_from(wall.micros()).ok());
         let mut state = self.shared.lock();
         let parcel = state.me.limits.parcel;
         let outbox = &mut state.outbox;
         // A lost link does not wait for the end of its writer, which stops at the next thing that it waits for.
         if outbox.mark().link != self.link {
-            return Turn::Gone;
+            return Written::Gone;
         }
         self.taken = outbox.mark();
-        self.batch.extend(outbox.take_begun());
-        let mut bytes = 0;
-        while self.batch.len() < BATCH_PIECES {
-            let next = match room.checked_sub(bytes) {
-                // Pieces rather a little too large than very small ones.
-                Some(left) if left > 0 => outbox.pop(match self.writer.form() {
-                    Some(Form::Binary) => Knife {
-                        most: piece.min(left.max(piece / 2)),
-                        parcel,
-                    },
-                    _ => Knife::blunt(),
-                }),
-                _ => outbox.pop_urgent(),
-            };
-            let Some(next) = next else { break };
-            bytes += next.left();
-            self.batch.push_back(next);
+        let all = outbox.take(now.unwrap_or_default(), allowance, parcel, &mut self.batch);
+        let (finished, expired) = (outbox.is_finished(), outbox.take_dropped());
+        drop(state);
+        self.shared.tell_dropped(expired);
+        match (all, finished) {
+            (false, _) => Written::Paced,
+            (true, true) => Written::End,
+            (true, false) => Written::Nothing,
         }
-        if !outbox.is_empty() {
-            return Turn::Paced;
-        }
-        self.flow.rest();
-        match outbox.is_finished() {
-            true => Turn::End,
-            false => Turn::Nothing,
-        }
-    }
-
-    /// Writes the batch as far as the link takes it: false if it takes no more now. Adds the room of what has left.
-    fn write_batch(&mut self, room: &mut Room) -> Result<bool, NetError> {
-        while let Some(front) = self.batch.front() {
-            if self.writer.form().is_none() {
-                if let Some(parcel) = front.parcel()
-                    && !self.writer.try_pass(parcel)?
-                {
-                    return Ok(false);
-                }
-                *room += self
-                    .batch
-                    .pop_front()
-                    .map_or_else(Room::default, |piece| piece.room());
-                continue;
-            }
-            let mut slices = Vec::with_capacity(GATHER.min(self.batch.len() * 2 + 1));
-            self.batch.iter().for_each(|piece| piece.append_to(&mut slices));
-            let Some(mut written) = self.writer.try_write_pieces(&slices)? else {
-                return Ok(false);
-            };
-            self.flow.wrote(written);
-            while let Some(front) = self.batch.front_mut() {
-                written = front.advance(written);
-                if front.left() > 0 {
-                    break;
-                }
-                *room += self
-                    .batch
-                    .pop_front()
-                    .map_or_else(Room::default, |piece| piece.room());
-            }
-        }
-        Ok(true)
     }
 
     /// Waits for the network, unless something comes that does not.
@@ -175,7 +124,7 @@ impl Sending {
             tokio::select! {
                 () = sleep_until(end) => return,
                 () = self.shared.outgoing.notified() => {
-                    if self.shared.lock().outbox.is_urgent() {
+                    if self.shared.lock().outbox.has_unpaced() {
                         return;
                     }
                 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use mom_net::Outgoing;
+use mom_net::{DropReason, Lane, Outgoing};
 use mom_proto::codec::Form;
 use mom_proto::{Code, Family, Map, Parcel, Path, Thinning, Verb, WireError};
 use parking_lot::{Mutex, MutexGuard};
@@ -12,11 +12,10 @@ use tokio::sync::{AcquireError, Notify, Semaphore, SemaphorePermit, oneshot, wat
 use tokio::time::timeout;
 
 use crate::clock::HubClock;
-use crate::driver::dropped;
 use crate::guards::Guards;
 use crate::handover::Handovers;
 use crate::login::Welcome;
-use crate::outbox::{Message, Outbox, Overruled, Returned, Room};
+use crate::outbox::{Capacity, Dropped, Message, Outbox};
 use crate::pending::{Pending, Waiter};
 use crate::places::{Places, Want};
 use crate::proof::Credentials;
@@ -24,14 +23,11 @@ use crate::subscribe::{Queue, Subscribers};
 use crate::waits::Waits;
 use crate::{ClientError, Link, Reconnect};
 
-/// Room for messages that wait to be written: 4 MiB in units of 1 KiB; and as much as a quarter of that for those of a
-/// priority above 0, which would else wait behind whoever waits for room.
-const ROOM: u32 = 4096;
-const URGENT_ROOM: u32 = 1024;
-const ROOM_UNIT: usize = 1024;
-
-/// Why an `unstop` is dropped that a `stop` overrules, in the hub's word.
-const REPLACED: &str = "replaced";
+/// Capacity for messages that wait to be written: 4 MiB in units of 1 KiB; and a quarter of that more for urgent ones, which
+/// would else wait behind whoever waits for capacity.
+const CAPACITY: u32 = 4096;
+const URGENT_CAPACITY: u32 = 1024;
+const CAPACITY_UNIT: usize = 1024;
 
 /// What the builder was told.
 #[derive(Clone, Debug)]
@@ -53,8 +49,8 @@ pub(crate) struct Shared {
     form: Option<Form>,
     state: Mutex<State>,
     pub(crate) ids: AtomicU64,
-    room: Semaphore,
-    urgent_room: Semaphore,
+    capacity: Semaphore,
+    urgent_capacity: Semaphore,
     /// Wakes the writer.
     pub(crate) outgoing: Notify,
     /// Wakes the keeper of leases and heartbeats.
@@ -102,7 +98,7 @@ impl Shared {
         let state = State {
             status: Status::Up,
             me: Arc::new(me),
-            outbox: Outbox::default(),
+            outbox: Outbox::new(form),
             pending: Pending::default(),
             places: Places::default(),
             subscribers: Subscribers::default(),
@@ -120,8 +116,8 @@ impl Shared {
             form,
             state: Mutex::new(state),
             ids,
-            room: Semaphore::new(ROOM as usize),
-            urgent_room: Semaphore::new(URGENT_ROOM as usize),
+            capacity: Semaphore::new(CAPACITY as usize),
+            urgent_capacity: Semaphore::new(URGENT_CAPACITY as usize),
             outgoing: Notify::new(),
             keeping: Notify::new(),
             link: watch::Sender::new(Link::Up),
@@ -137,16 +133,16 @@ impl Shared {
         self.ids.fetch_add(1, Ordering::Relaxed)
     }
 
-    /// Room for messages again.
-    pub(crate) fn give_room(&self, room: Room) {
-        self.room.add_permits(room.usual);
-        self.urgent_room.add_permits(room.urgent);
+    /// Capacity for messages again.
+    pub(crate) fn give_capacity(&self, capacity: Capacity) {
+        self.capacity.add_permits(capacity.usual);
+        self.urgent_capacity.add_permits(capacity.urgent);
     }
 
-    /// Nobody need wait for room any more.
-    pub(crate) fn close_room(&self) {
-        self.room.close();
-        self.urgent_room.close();
+    /// Nobody need wait for capacity any more.
+    pub(crate) fn close_capacity(&self) {
+        self.capacity.close();
+        self.urgent_capacity.close();
     }
 
     /// Asks and waits for the reply.
@@ -200,7 +196,7 @@ impl Shared {
         Ok(())
     }
 
-    /// Queues a message, waiting for room.
+    /// Queues a message, waiting for capacity.
     pub(crate) async fn post(&self, mut parcel: Parcel, waiter: Option<Waiter>) -> Result<(), ClientError> {
         let most = {
             let state = self.lock();
@@ -210,7 +206,7 @@ impl Shared {
         let id = *parcel.id.get_or_insert_with(|| self.next_id());
         // Outside the lock: content may be large.
         let outgoing = self.prepare(&mut parcel, most)?;
-        let Ok((permit, room)) = self.acquire(&parcel, outgoing.len()).await else {
+        let Ok((permit, capacity)) = self.acquire(&parcel, outgoing.len()).await else {
             return Err(self.lock().check_up().err().unwrap_or(ClientError::Closed(None)));
         };
         let mut state = self.lock();
@@ -223,31 +219,35 @@ impl Shared {
         } else if let Some(path) = &path {
             state.pending.note(id, path.clone());
         }
-        let message = Message { room, path, outgoing };
-        let overruled = state.outbox.push_message(&parcel, message);
+        let message = Message {
+            capacity,
+            path,
+            outgoing,
+        };
+        let dropped = state.outbox.push_message(&parcel, message);
         drop(state);
         self.outgoing.notify_one();
-        self.overrule(overruled);
+        self.tell_dropped(dropped);
         Ok(())
     }
 
-    /// Waits for room for a message; a stop needs none.
+    /// Waits for capacity for a message; a stop needs none.
     async fn acquire(
         &self,
         parcel: &Parcel,
         size: usize,
-    ) -> Result<(Option<SemaphorePermit<'_>>, Room), AcquireError> {
-        let units = |most: u32| u32::try_from(1 + size / ROOM_UNIT).map_or(most, |units| units.min(most));
+    ) -> Result<(Option<SemaphorePermit<'_>>, Capacity), AcquireError> {
+        let units = |most: u32| u32::try_from(1 + size / CAPACITY_UNIT).map_or(most, |units| units.min(most));
         if Verb::of(parcel.family, parcel.name()) == Ok(Verb::Stop) {
-            return Ok((None, Room::default()));
+            return Ok((None, Capacity::default()));
         }
-        let urgent = parcel.priority.unwrap_or_default() > 0;
-        let (room, units) = match urgent {
-            true => (&self.urgent_room, units(URGENT_ROOM)),
-            false => (&self.room, units(ROOM)),
+        let urgent = Lane::Data(parcel.priority.unwrap_or_default()).is_urgent();
+        let (capacity, units) = match urgent {
+            true => (&self.urgent_capacity, units(URGENT_CAPACITY)),
+            false => (&self.capacity, units(CAPACITY)),
         };
-        let permit = room.acquire_many(units).await?;
-        let mut taken = Room::default();
+        let permit = capacity.acquire_many(units).await?;
+        let mut taken = Capacity::default();
         *(if urgent {
             &mut taken.urgent
         } else {
@@ -256,36 +256,23 @@ impl Shared {
         Ok((Some(permit), taken))
     }
 
-    /// Tells what a writer took and will not send after all.
-    pub(crate) fn tell_returned(&self, returned: Vec<Returned>) {
-        let (mut overruled, mut lost) = (Vec::new(), Vec::new());
-        for returned in returned {
-            match returned {
-                Returned::Overruled(unstop) => overruled.push(unstop),
-                Returned::Lost(entry) => lost.push(entry),
-            }
+    /// Tells of messages that will not be sent: whoever waits for an answer by that, all others where the context is heard.
+    pub(crate) fn tell_dropped(&self, dropped: Dropped) {
+        if dropped.is_empty() {
+            return;
         }
-        self.overrule(overruled);
-        if !lost.is_empty() {
-            let room = self.lock().lose(&lost);
-            self.give_room(room);
+        let mut failed = Vec::new();
+        let mut state = self.lock();
+        let capacity = state.lose(&dropped);
+        for (entry, reason) in &dropped {
+            let Some(error) = unsent(*reason) else { continue };
+            let waiter = entry.id.and_then(|id| state.pending.take(id));
+            failed.extend(waiter.map(|waiter| (waiter, error)));
         }
-    }
-
-    /// Tells who sent what a later word has overruled.
-    pub(crate) fn overrule(&self, overruled: Vec<Overruled>) {
-        for unstop in overruled {
-            self.give_room(unstop.room);
-            let mut state = self.lock();
-            if let Some(path) = &unstop.path {
-                let event = dropped(path, REPLACED, 1);
-                state.subscribers.deliver(std::slice::from_ref(path), event);
-            }
-            let waiter = unstop.id.and_then(|id| state.pending.take(id));
-            drop(state);
-            let text = "a stop came after this unstop, before it was sent";
-            let error = ClientError::Local(WireError::new(Code::WITHDRAWN, text));
-            waiter.into_iter().for_each(|waiter| self.fail(waiter, &error));
+        drop(state);
+        self.give_capacity(capacity);
+        for (waiter, error) in failed {
+            self.fail(waiter, &ClientError::Local(error));
         }
     }
 
@@ -485,4 +472,18 @@ fn describe(parcel: &Parcel) -> String {
         .map(|path| format!(" {path}"))
         .unwrap_or_default();
     format!("{} {}{path}", parcel.family, parcel.name())
+}
+
+/// What who waits for the answer to a message hears that will not be sent; none where a lost link tells it.
+fn unsent(reason: DropReason) -> Option<WireError> {
+    let (code, text) = match reason {
+        DropReason::Overruled => (
+            Code::WITHDRAWN,
+            "a stop came after this unstop, before it was sent",
+        ),
+        DropReason::Replaced => (Code::WITHDRAWN, "a newer one came after it, before it was sent"),
+        DropReason::Expired => (Code::EXPIRED, "its time was over before it was sent"),
+        _ => return None,
+    };
+    Some(WireError::new(code, text))
 }

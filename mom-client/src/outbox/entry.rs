@@ -1,114 +1,165 @@
 //! One parcel that waits.
 
+use std::ops::AddAssign;
 use std::sync::Arc;
 
-use mom_net::Outgoing;
-use mom_proto::{Parcel, Path};
+use mom_net::{Item, Lane, Outgoing};
+use mom_proto::codec::{Encoded, Form};
+use mom_proto::{Delivery, Parcel, Path};
 
-use super::{Overruled, Room};
-
-/// Which lane a parcel waits in, the most urgent last.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Lane {
-    /// Messages, by their priority.
-    Data(i32),
-    /// Requests, and `unstop`.
-    Control,
-    /// Pings and pongs.
-    Sign,
-    /// `stop`.
-    Stop,
+/// Capacity for messages, in units of 1 KiB.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Capacity {
+    /// For messages of no or low priority.
+    pub(crate) usual: usize,
+    /// For urgent ones: who waits for the usual capacity is not waited for.
+    pub(crate) urgent: usize,
 }
 
-/// A message with the room that it takes.
+impl AddAssign for Capacity {
+    fn add_assign(&mut self, other: Capacity) {
+        self.usual += other.usual;
+        self.urgent += other.urgent;
+    }
+}
+
+/// A message with the capacity that it takes.
 #[derive(Debug)]
 pub(crate) struct Message {
-    pub(crate) room: Room,
+    pub(crate) capacity: Capacity,
     /// Its context, if a loss of it is told there; one that is awaited is told by its answer.
     pub(crate) path: Option<Path>,
     pub(crate) outgoing: Outgoing,
 }
 
+/// Where a message goes and under which name: a newer one of class `latest` replaces an older one that goes there too.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct Destination {
+    context: Option<Path>,
+    name: Arc<str>,
+    address: Option<Vec<Arc<str>>>,
+}
+
 /// A parcel as it waits.
 #[derive(Debug)]
 pub(crate) struct Entry {
-    pub(super) lane: Lane,
-    /// Of messages their number in the order of sending; of control, that of the last message that goes first.
-    pub(super) number: u64,
-    pub(crate) outgoing: Outgoing,
-    id: Option<u64>,
-    context: Option<Path>,
-    pub(super) address: Option<Vec<Arc<str>>>,
+    lane: Lane,
+    delivery: Delivery,
+    outgoing: Outgoing,
+    pub(crate) id: Option<u64>,
+    /// Kept of what may replace or overrule another message.
+    destination: Option<Box<Destination>>,
+    /// When its time is over, in µs of the wall clock.
+    pub(super) expires_at: Option<u64>,
     /// None of what is no message.
-    room: Option<Room>,
+    capacity: Option<Capacity>,
     path: Option<Path>,
 }
 
 impl Entry {
-    pub(super) fn control(parcel: &Parcel, lane: Lane, after: u64, outgoing: Outgoing) -> Entry {
+    /// A request or a sign of life.
+    pub(super) fn control(parcel: &Parcel, lane: Lane, outgoing: Outgoing) -> Entry {
         Entry {
             lane,
-            number: after,
+            delivery: Delivery::Reliable,
             outgoing,
             id: parcel.id,
-            context: None,
-            address: None,
-            room: None,
+            destination: None,
+            expires_at: None,
+            capacity: None,
             path: None,
         }
     }
 
-    pub(super) fn message(parcel: &Parcel, lane: Lane, number: u64, message: Message) -> Entry {
-        let named = !matches!(lane, Lane::Data(_));
+    pub(super) fn message(parcel: &Parcel, lane: Lane, message: Message) -> Entry {
+        // What its channel makes of a message without a class is known to the hub alone.
+        let delivery = parcel.delivery.unwrap_or(Delivery::Reliable);
+        let named = !matches!(lane, Lane::Data(_)) || delivery == Delivery::Latest;
+        let destination = || {
+            Box::new(Destination {
+                context: parcel.context.clone(),
+                name: Arc::clone(&parcel.name),
+                address: parcel.address.clone(),
+            })
+        };
         Entry {
             lane,
-            number,
+            delivery,
             outgoing: message.outgoing,
             id: parcel.id,
-            context: parcel.context.clone().filter(|_| named),
-            address: parcel.address.clone().filter(|_| named),
-            room: Some(message.room),
+            destination: named.then(destination),
+            // A device must halt also if its operator's clock is wrong.
+            expires_at: expires_at(parcel).filter(|_| lane != Lane::Stop),
+            capacity: Some(message.capacity),
             path: message.path,
         }
     }
 
     /// Whether it is a message, and none of this client's own requests.
     pub(crate) fn is_message(&self) -> bool {
-        self.room.is_some()
+        self.capacity.is_some()
     }
 
-    /// The room that is free again when it has left.
-    pub(crate) fn room(&self) -> Room {
-        self.room.unwrap_or_default()
+    /// The capacity that is free again when it has left.
+    pub(crate) fn capacity(&self) -> Capacity {
+        self.capacity.unwrap_or_default()
     }
 
-    /// Where its loss is told.
+    /// Where its loss is told; none if somebody waits for its answer.
     pub(crate) fn path(&self) -> Option<&Path> {
         self.path.as_ref()
     }
 
-    pub(super) fn is_for_same_as(&self, other: &Entry) -> bool {
-        self.context == other.context
+    fn context(&self) -> Option<&Path> {
+        self.destination.as_ref()?.context.as_ref()
+    }
+}
+
+impl Item for Entry {
+    type Key = Option<Box<Destination>>;
+
+    fn lane(&self) -> Lane {
+        self.lane
     }
 
-    /// Whether somebody waits for its answer.
-    pub(super) fn is_awaited(&self) -> bool {
-        self.path.is_none()
+    fn delivery(&self) -> Delivery {
+        self.delivery
     }
 
-    pub(super) fn overruled(&self) -> Overruled {
-        Overruled {
-            id: self.id,
-            path: self.path.clone(),
-            room: self.room(),
-        }
+    fn key(&self) -> Self::Key {
+        self.destination.clone()
     }
 
-    /// The bytes of its frame; 0 within a process.
-    pub(super) fn length(&self) -> usize {
+    fn frames(&self, _: Option<Form>) -> Option<&Encoded> {
         match &self.outgoing {
-            Outgoing::Encoded(encoded) => encoded.len(),
-            Outgoing::Parcel(_) => 0,
+            Outgoing::Encoded(encoded) => Some(encoded),
+            Outgoing::Parcel(_) => None,
         }
     }
+
+    fn parcel(&self) -> Option<&Arc<Parcel>> {
+        match &self.outgoing {
+            Outgoing::Parcel(parcel) => Some(parcel),
+            Outgoing::Encoded(_) => None,
+        }
+    }
+
+    fn charge(&self, _: Option<Form>) -> usize {
+        self.outgoing.len()
+    }
+
+    // A second stop of a context says nothing that the first does not, unless somebody waits for its answer.
+    fn repeats(&self, waiting: &Entry) -> bool {
+        self.lane == Lane::Stop && self.path.is_some() && self.destination == waiting.destination
+    }
+
+    fn overrules(&self, waiting: &Entry) -> bool {
+        self.lane == Lane::Stop && waiting.is_message() && self.context() == waiting.context()
+    }
+}
+
+/// When a message is over: `expires` counts from its creation.
+fn expires_at(parcel: &Parcel) -> Option<u64> {
+    let created = u64::try_from(parcel.timestamp?.micros()).ok()?;
+    Some(created.saturating_add(parcel.expires?.saturating_mul(1000)))
 }

@@ -2,8 +2,8 @@
 
 use bytes::{Bytes, BytesMut};
 use mom_proto::binary::{BinaryDecoder, PREFACE, STREAMS};
-use mom_proto::codec::{Form, Frame};
-use mom_proto::{Limit, Limits, Value};
+use mom_proto::codec::Frame;
+use mom_proto::{Delivery, Limits, Path, Time, Value};
 
 use super::*;
 
@@ -24,9 +24,9 @@ impl Hub {
     }
 
     /// The names of the parcels that a piece completes.
-    fn take(&mut self, piece: &Piece) -> Vec<String> {
+    fn take(&mut self, piece: &Piece<Entry>) -> Vec<String> {
         let mut slices = Vec::new();
-        piece.append_to(&mut slices);
+        piece.append_to(Some(Form::Binary), &mut slices);
         for slice in &slices {
             self.bytes.extend_from_slice(slice);
         }
@@ -42,17 +42,19 @@ impl Hub {
 
     fn take_all(&mut self, outbox: &mut Outbox) -> String {
         let mut names = Vec::new();
-        while let Some(piece) = outbox.pop(KNIFE) {
+        while let Some(piece) = outbox.queue.pop(0, MOST) {
             names.extend(self.take(&piece));
         }
         names.join(" ")
     }
 }
 
-const KNIFE: Knife = Knife {
-    most: 1000,
-    parcel: Limit::At(1 << 20),
-};
+/// How pieces are cut.
+const MOST: usize = 1000;
+
+fn new() -> Outbox {
+    Outbox::new(Some(Form::Binary))
+}
 
 fn path() -> Path {
     Path::parse("/robot/arm").unwrap()
@@ -63,13 +65,13 @@ fn frame(parcel: &Parcel) -> Outgoing {
 }
 
 /// Puts in a message of so many bytes and this priority, which nobody waits for.
-fn say(outbox: &mut Outbox, name: &str, size: usize, priority: i32) -> Vec<Overruled> {
+fn say(outbox: &mut Outbox, name: &str, size: usize, priority: i32) -> Dropped {
     let mut parcel = Parcel::new(Family::Message, name)
         .context(path())
         .content(Value::from(Bytes::from(vec![7; size])));
     parcel.priority = Some(priority);
     let message = Message {
-        room: Room { usual: 1, urgent: 0 },
+        capacity: Capacity { usual: 1, urgent: 0 },
         path: Some(path()),
         outgoing: frame(&parcel),
     };
@@ -115,7 +117,7 @@ fn control_overtakes_messages_but_gives_up_after_them() {
         ),
         (vec![(Message, "a"), (Message, "stop")], "stop a"),
     ] {
-        let mut outbox = Outbox::default();
+        let mut outbox = new();
         for (family, name) in pushed {
             match family {
                 Message => drop(say(&mut outbox, name, 10, 0)),
@@ -123,14 +125,14 @@ fn control_overtakes_messages_but_gives_up_after_them() {
             }
         }
         assert_eq!(Hub::new().take_all(&mut outbox), expected);
-        assert!(outbox.is_empty());
+        assert!(outbox.queue.is_empty());
     }
 }
 
 /// What was sent after a good-bye is none of it, however urgent.
 #[test]
 fn what_gives_up_waits_for_what_was_sent_before_only() {
-    let mut outbox = Outbox::default();
+    let mut outbox = new();
     say(&mut outbox, "low", 5000, -5);
     say(&mut outbox, "usual", 10, 0);
     ask(&mut outbox, Family::Token, "release");
@@ -140,14 +142,14 @@ fn what_gives_up_waits_for_what_was_sent_before_only() {
 
 #[test]
 fn urgent_ones_go_between_the_chunks_of_large_ones() {
-    let (mut outbox, mut hub) = (Outbox::default(), Hub::new());
+    let (mut outbox, mut hub) = (new(), Hub::new());
     say(&mut outbox, "map", 10_000, 0);
     say(&mut outbox, "next", 10, 0);
     for _ in 0..3 {
-        assert_eq!(hub.take(&outbox.pop(KNIFE).unwrap()), [""; 0]);
+        assert_eq!(hub.take(&outbox.queue.pop(0, MOST).unwrap()), [""; 0]);
     }
     say(&mut outbox, "picture", 5000, 1);
-    assert_eq!(hub.take(&outbox.pop(KNIFE).unwrap()), [""; 0]);
+    assert_eq!(hub.take(&outbox.queue.pop(0, MOST).unwrap()), [""; 0]);
     say(&mut outbox, "command", 10, 2);
     ask(&mut outbox, Family::Token, "renew");
     say(&mut outbox, "stop", 10, 0);
@@ -161,48 +163,22 @@ fn urgent_ones_go_between_the_chunks_of_large_ones() {
 
 #[test]
 fn nothing_is_cut_that_has_no_chunks() {
-    let (mut outbox, mut hub) = (Outbox::default(), Hub::new());
+    let mut outbox = Outbox::new(Some(Form::Xml));
     say(&mut outbox, "map", 100_000, 0);
-    assert_eq!(hub.take(&outbox.pop(Knife::blunt()).unwrap()), ["map"]);
-}
-
-/// The hub keeps eight streams open and no more bytes in them than one parcel may have.
-#[test]
-fn no_more_is_open_than_the_hub_keeps() {
-    let (mut outbox, mut hub) = (Outbox::default(), Hub::new());
-    let small = Knife {
-        most: 100,
-        parcel: Limit::At(100_000),
-    };
-    for priority in 0..3 {
-        say(&mut outbox, &format!("p{priority}"), 40_000, priority);
-        hub.take(&outbox.pop(small).unwrap());
-    }
-    assert_eq!(outbox.open.len(), 2);
-    let mut names = Vec::new();
-    while let Some(piece) = outbox.pop(small) {
-        names.extend(hub.take(&piece));
-    }
-    assert_eq!(names, ["p1", "p2", "p0"]);
-    for priority in 0..12 {
-        say(&mut outbox, &format!("p{priority}"), 5000, priority);
-        hub.take(&outbox.pop(small).unwrap());
-    }
-    assert_eq!(outbox.open.len(), STREAMS);
-    assert_eq!(hub.take_all(&mut outbox).split(' ').count(), 12);
+    assert!(outbox.queue.pop(0, MOST).unwrap().is_last());
 }
 
 /// A link that takes nothing at any point: whatever is put back comes again, nothing twice, and an urgent one first.
 #[test]
 fn pieces_that_are_put_back_come_again() {
     for refuse in 0..3 {
-        let (mut outbox, mut hub) = (Outbox::default(), Hub::new());
+        let (mut outbox, mut hub) = (new(), Hub::new());
         say(&mut outbox, "image", 3500, 0);
         say(&mut outbox, "chat", 10, 0);
         say(&mut outbox, "map", 3500, 0);
         let mut names = Vec::new();
         for turn in 0.. {
-            let mut batch: VecDeque<Piece> = (0..3).map_while(|_| outbox.pop(KNIFE)).collect();
+            let mut batch: VecDeque<Piece<Entry>> = (0..3).map_while(|_| outbox.queue.pop(0, MOST)).collect();
             if batch.is_empty() {
                 break;
             }
@@ -210,10 +186,9 @@ fn pieces_that_are_put_back_come_again() {
             for piece in batch.drain(..taken.min(batch.len())) {
                 names.extend(hub.take(&piece));
             }
-            while let Some(piece) = batch.pop_back() {
-                let mark = outbox.mark();
-                assert!(outbox.put_back(piece, mark).is_none());
-            }
+            let mark = outbox.mark();
+            outbox.put_back(&mut batch, mark);
+            assert!(outbox.take_dropped().is_empty());
             if turn == 0 {
                 say(&mut outbox, "urgent", 10, 1);
             }
@@ -225,17 +200,21 @@ fn pieces_that_are_put_back_come_again() {
 /// A stop overrules an unstop that has not left, wherever that is.
 #[test]
 fn a_stop_is_the_last_word() {
-    let (mut outbox, mut hub) = (Outbox::default(), Hub::new());
+    let (mut outbox, mut hub) = (new(), Hub::new());
     say(&mut outbox, "unstop", 10, 0);
     let overruled = say(&mut outbox, "stop", 10, 0);
-    assert!(overruled.len() == 1 && overruled[0].path == Some(path()));
+    let [(unstop, DropReason::Overruled)] = &overruled[..] else {
+        panic!("{overruled:?}")
+    };
+    assert_eq!(unstop.path(), Some(&path()));
     assert_eq!(hub.take_all(&mut outbox), "stop");
 
     say(&mut outbox, "unstop", 10, 0);
-    let taken = outbox.pop(KNIFE).unwrap();
+    let taken = outbox.queue.pop(0, MOST).unwrap();
     assert!(say(&mut outbox, "stop", 10, 0).is_empty(), "the link has it");
-    let returned = outbox.put_back(taken, outbox.mark());
-    assert!(matches!(returned, Some(Returned::Overruled(_))), "it had not");
+    outbox.put_back(&mut [taken].into(), outbox.mark());
+    let dropped = outbox.take_dropped();
+    assert!(matches!(dropped[..], [(_, DropReason::Overruled)]), "it had not");
     assert!(say(&mut outbox, "stop", 10, 0).is_empty());
     say(&mut outbox, "unstop", 10, 0);
     assert_eq!(
@@ -247,19 +226,19 @@ fn a_stop_is_the_last_word() {
 
 #[test]
 fn what_is_cleared_holds_nothing_back() {
-    let (mut outbox, mut hub) = (Outbox::default(), Hub::new());
+    let (mut outbox, mut hub) = (new(), Hub::new());
     say(&mut outbox, "a", 10, 0);
     say(&mut outbox, "map", 9000, 1);
     say(&mut outbox, "unstop", 10, 1);
-    hub.take(&outbox.pop(KNIFE).unwrap());
+    hub.take(&outbox.queue.pop(0, MOST).unwrap());
     ask(&mut outbox, Family::Token, "release");
     let lost = outbox.clear(true);
     assert_eq!(lost.len(), 3, "also what was half sent");
     assert!(
         lost.iter()
-            .all(|entry| entry.room().usual == 1 && entry.path() == Some(&path()))
+            .all(|(entry, _)| entry.capacity().usual == 1 && entry.path() == Some(&path()))
     );
-    assert!(outbox.is_empty());
+    assert!(outbox.queue.is_empty());
     ask(&mut outbox, Family::Token, "release");
     assert_eq!(Hub::new().take_all(&mut outbox), "release");
 }
@@ -267,28 +246,33 @@ fn what_is_cleared_holds_nothing_back() {
 /// The link goes on: what has begun ends, and the hub forgets what was half sent.
 #[test]
 fn another_peer_on_the_same_link_begins_anew() {
-    let (mut outbox, mut hub) = (Outbox::default(), Hub::new());
+    let (mut outbox, mut hub) = (new(), Hub::new());
     say(&mut outbox, "map", 9000, 0);
     say(&mut outbox, "chat", 10, 0);
-    hub.take(&outbox.pop(KNIFE).unwrap());
-    let mut begun = outbox.pop(KNIFE).unwrap();
+    hub.take(&outbox.queue.pop(0, MOST).unwrap());
+    let mut begun = outbox.queue.pop(0, MOST).unwrap();
     let whole = begun.left();
     begun.advance(10);
-    assert!(outbox.put_back(begun, outbox.mark()).is_none());
+    outbox.put_back(&mut [begun].into(), outbox.mark());
     assert_eq!(outbox.clear(false).len(), 2);
-    assert!(!outbox.is_empty());
-    let begun = outbox.take_begun().unwrap();
-    assert_eq!(
-        (begun.left(), begun.room()),
-        (whole - 10, Room::default()),
-        "its room is given already"
+    assert!(!outbox.queue.is_empty());
+    let mut batch = VecDeque::new();
+    let nothing = Allowance {
+        bytes: 0,
+        piece: MOST,
+    };
+    outbox.take(0, nothing, Limit::Unlimited, &mut batch);
+    let begun = batch.pop_front().unwrap();
+    assert!(
+        begun.left() == whole - 10 && !begun.is_last(),
+        "its capacity is given already"
     );
     // The hub has the first ten bytes.
     let mut slices = Vec::new();
-    begun.append_to(&mut slices);
+    begun.append_to(Some(Form::Binary), &mut slices);
     let rest: usize = slices.iter().map(|slice| slice.len()).sum();
     assert_eq!(rest, whole - 10);
-    let abort = outbox.pop(KNIFE).unwrap();
+    let abort = outbox.queue.pop(0, MOST).unwrap();
     assert_eq!(hub.take(&abort), [""; 0], "a stream that it knows");
     for _ in 0..STREAMS {
         say(&mut outbox, "map", 3000, 0);
@@ -301,30 +285,31 @@ fn another_peer_on_the_same_link_begins_anew() {
 fn what_was_taken_before_all_was_forgotten_is_lost() {
     for link_is_gone in [true, false] {
         for begun in [0, 10] {
-            let (mut outbox, mut hub) = (Outbox::default(), Hub::new());
+            let (mut outbox, mut hub) = (new(), Hub::new());
             say(&mut outbox, "picture", 1500, 1);
-            hub.take(&outbox.pop(KNIFE).unwrap());
+            hub.take(&outbox.queue.pop(0, MOST).unwrap());
             say(&mut outbox, "chat", 10, 2);
             say(&mut outbox, "map", 9000, 0);
             ask(&mut outbox, Family::Token, "renew");
             let mark = outbox.mark();
             // The request, the chat, the end of the picture, the beginning of the map.
-            let mut batch: VecDeque<Piece> = (0..4).map_while(|_| outbox.pop(KNIFE)).collect();
+            let mut batch: VecDeque<Piece<Entry>> = (0..4).map_while(|_| outbox.queue.pop(0, MOST)).collect();
             batch[0].advance(begun);
             say(&mut outbox, "waits", 10, 0);
             let mut lost = outbox.clear(link_is_gone).len();
             assert_eq!(lost, 2, "the map, and what waited");
-            while let Some(piece) = batch.pop_back() {
-                match outbox.put_back(piece, mark) {
-                    Some(Returned::Lost(_)) => lost += 1,
-                    None => {}
-                    other => panic!("{other:?}"),
-                }
-            }
+            outbox.put_back(&mut batch, mark);
+            let dropped = outbox.take_dropped();
+            assert!(dropped.iter().all(|(_, reason)| *reason == DropReason::Closed));
+            lost += dropped.len();
             assert_eq!(lost, 4, "and the chat and the picture");
-            let goes_on = outbox.take_begun();
-            assert_eq!(goes_on.is_some(), begun > 0 && !link_is_gone);
-            let aborts: Vec<Piece> = std::iter::from_fn(|| outbox.pop(KNIFE)).collect();
+            let nothing = Allowance {
+                bytes: 0,
+                piece: MOST,
+            };
+            outbox.take(0, nothing, Limit::Unlimited, &mut batch);
+            assert_eq!(batch.len(), usize::from(begun > 0 && !link_is_gone));
+            let aborts: Vec<Piece<Entry>> = std::iter::from_fn(|| outbox.queue.pop(0, MOST)).collect();
             assert_eq!(
                 aborts.len(),
                 usize::from(!link_is_gone),
@@ -335,4 +320,77 @@ fn what_was_taken_before_all_was_forgotten_is_lost() {
             }
         }
     }
+}
+
+/// The hub keeps eight streams open and no more bytes in them than one parcel may have.
+#[test]
+fn no_more_is_open_than_the_hub_keeps() {
+    let (mut outbox, mut hub) = (new(), Hub::new());
+    const SMALL: usize = 100;
+    outbox.queue.set_limits(usize::MAX, Limit::At(100_000));
+    for priority in 0..3 {
+        say(&mut outbox, &format!("p{priority}"), 40_000, priority);
+        hub.take(&outbox.queue.pop(0, SMALL).unwrap());
+    }
+    let mut names = Vec::new();
+    while let Some(piece) = outbox.queue.pop(0, SMALL) {
+        names.extend(hub.take(&piece));
+    }
+    assert_eq!(names, ["p1", "p2", "p0"]);
+    for priority in 0..12 {
+        say(&mut outbox, &format!("p{priority}"), 5000, priority);
+        hub.take(&outbox.queue.pop(0, SMALL).unwrap());
+    }
+    assert_eq!(hub.take_all(&mut outbox).split(' ').count(), 12);
+}
+
+/// A state that waits gives way to a newer one that goes to the same peers, and to no other.
+#[test]
+fn the_newest_state_replaces_older_ones() {
+    let state = |outbox: &mut Outbox, name: &str, to: Option<&str>| {
+        let mut parcel = Parcel::new(Family::Message, name).context(path());
+        parcel.delivery = Some(Delivery::Latest);
+        parcel.address = to.map(|to| vec![to.into()]);
+        let message = Message {
+            capacity: Capacity { usual: 1, urgent: 0 },
+            path: None,
+            outgoing: frame(&parcel),
+        };
+        outbox.push_message(&parcel, message)
+    };
+    let (mut outbox, mut hub) = (new(), Hub::new());
+    assert!(state(&mut outbox, "pose", None).is_empty());
+    assert!(state(&mut outbox, "pose", Some("bob")).is_empty());
+    assert!(state(&mut outbox, "image", None).is_empty());
+    let dropped = state(&mut outbox, "pose", None);
+    let [(older, DropReason::Replaced)] = &dropped[..] else {
+        panic!("{dropped:?}")
+    };
+    assert_eq!(older.capacity().usual, 1, "its capacity is free again");
+    assert_eq!(hub.take_all(&mut outbox), "pose pose image");
+}
+
+/// `expires` counts from the timestamp; a stop has no age.
+#[test]
+fn what_is_over_does_not_leave() {
+    let (mut outbox, mut hub) = (new(), Hub::new());
+    for name in ["chat", "stop"] {
+        let mut parcel = Parcel::new(Family::Message, name).context(path());
+        (parcel.timestamp, parcel.expires) = (Time::from_micros(1_000_000), Some(500));
+        let message = Message {
+            capacity: Capacity { usual: 1, urgent: 0 },
+            path: Some(path()),
+            outgoing: frame(&parcel),
+        };
+        outbox.push_message(&parcel, message);
+    }
+    let mut batch = VecDeque::new();
+    let all = Allowance {
+        bytes: MOST,
+        piece: MOST,
+    };
+    assert!(outbox.take(1_500_000, all, Limit::Unlimited, &mut batch));
+    assert_eq!(hub.take(&batch.pop_front().unwrap()), ["stop"]);
+    assert!(batch.is_empty());
+    assert!(matches!(outbox.take_dropped()[..], [(_, DropReason::Expired)]));
 }

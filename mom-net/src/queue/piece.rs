@@ -103,6 +103,11 @@ impl<I: Item> Piece<I> {
         self.item.as_ref()
     }
 
+    /// The item, if nothing of it comes after this piece.
+    pub fn into_last(self) -> Option<Arc<I>> {
+        self.item.filter(|_| self.last)
+    }
+
     /// Whether nothing of its item comes after it.
     pub fn is_last(&self) -> bool {
         self.last

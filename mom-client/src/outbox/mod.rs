@@ -1,0 +1,170 @@
+//! What waits to be written: stops, signs of life, control, then messages by their priority, in the queue that the hub
+//! sends through as well (design §7).
+
+mod entry;
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use mom_net::{Allowance, DropPolicy, DropReason, Lane, Outgoing, Piece, SendQueue};
+use mom_proto::codec::Form;
+use mom_proto::{Family, Limit, Parcel, Verb};
+
+pub(crate) use entry::{Capacity, Entry, Message};
+
+/// The queue of one client, over all of its links. Control is bounded by what a peer asks at a time; for messages their
+/// senders wait for capacity, but for stops, of which one waits for each context.
+#[derive(Debug)]
+pub(crate) struct Outbox {
+    queue: SendQueue<Entry, Drops>,
+    finished: bool,
+    now: Mark,
+}
+
+/// What an outbox has come through: what a writer took before that changed is not what waits now.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Mark {
+    /// Links that were lost.
+    pub(crate) link: u64,
+    /// How often everything was forgotten.
+    clears: u64,
+}
+
+/// Messages that will not be sent, and why: `Closed` if the link was lost.
+pub(crate) type Dropped = Vec<(Arc<Entry>, DropReason)>;
+
+#[derive(Debug, Default)]
+struct Drops(Dropped);
+
+impl DropPolicy<Entry> for Drops {
+    fn stale(&self, entry: &Entry, now: u64) -> Option<DropReason> {
+        let over = entry.expires_at.is_some_and(|end| now >= end);
+        over.then_some(DropReason::Expired)
+    }
+
+    fn dropped(&mut self, entry: &Arc<Entry>, _: u64, reason: DropReason) {
+        self.0.push((Arc::clone(entry), reason));
+    }
+}
+
+impl Outbox {
+    /// For links of this form, none inside a process.
+    pub(crate) fn new(form: Option<Form>) -> Outbox {
+        Outbox {
+            queue: SendQueue::new(form, usize::MAX, Drops::default()),
+            finished: false,
+            now: Mark::default(),
+        }
+    }
+
+    pub(crate) fn push_control(&mut self, parcel: &Parcel, outgoing: Outgoing) {
+        let lane = match parcel.family {
+            Family::Time => Lane::Sign,
+            _ => Lane::Control,
+        };
+        let entry = Arc::new(Entry::control(parcel, lane, outgoing));
+        // Control overtakes messages; but who gives up a token or a channel has sent these before.
+        match gives_up(parcel) {
+            true => self.queue.push_after_data(entry),
+            false => self.queue.push(entry),
+        };
+    }
+
+    /// Takes in a message; gives what it replaces or overrules.
+    pub(crate) fn push_message(&mut self, parcel: &Parcel, message: Message) -> Dropped {
+        match Verb::of(parcel.family, parcel.name()) {
+            Ok(Verb::Stop) => {
+                let entry = Entry::message(parcel, Lane::Stop, message);
+                self.queue.push(Arc::new(entry));
+            }
+            // Nothing that was said to a device at rest may reach it when it moves again.
+            Ok(Verb::Unstop) => {
+                let entry = Entry::message(parcel, Lane::Control, message);
+                self.queue.push_after_data(Arc::new(entry));
+            }
+            _ => {
+                let lane = Lane::Data(parcel.priority.unwrap_or_default());
+                self.queue.push(Arc::new(Entry::message(parcel, lane, message)));
+            }
+        }
+        self.take_dropped()
+    }
+
+    /// Nothing follows what waits now.
+    pub(crate) fn finish(&mut self) {
+        self.finished = true;
+    }
+
+    /// Whether nothing should follow what waits.
+    pub(crate) fn is_finished(&self) -> bool {
+        self.finished
+    }
+
+    /// To be told again with what is put back.
+    pub(crate) fn mark(&self) -> Mark {
+        self.now
+    }
+
+    /// Whether something waits that pacing does not hold back.
+    pub(crate) fn has_unpaced(&self) -> bool {
+        self.queue.has_unpaced()
+    }
+
+    /// Takes what the network has room for, at this time in µs of the wall clock; false if something waits and there is no
+    /// room. `parcel` is the largest one that the hub takes.
+    pub(crate) fn take(
+        &mut self,
+        now: u64,
+        allowance: Allowance,
+        parcel: Limit,
+        batch: &mut VecDeque<Piece<Entry>>,
+    ) -> bool {
+        self.queue.set_limits(usize::MAX, parcel);
+        self.queue.take(now, allowance, batch)
+    }
+
+    /// Puts back what was taken at `taken` and not written. What was forgotten meanwhile will not be sent after all.
+    pub(crate) fn put_back(&mut self, batch: &mut VecDeque<Piece<Entry>>, taken: Mark) {
+        while let Some(piece) = batch.pop_back() {
+            let lost = if self.now.link != taken.link {
+                piece.into_last()
+            } else if self.now != taken && !piece.is_begun() {
+                self.queue.forget(piece)
+            } else {
+                self.queue.put_back(piece);
+                None
+            };
+            let lost = lost.filter(|entry| entry.is_message());
+            let drops = &mut self.queue.policy().0;
+            drops.extend(lost.map(|entry| (entry, DropReason::Closed)));
+        }
+    }
+
+    /// The messages that were dropped since this was last asked.
+    pub(crate) fn take_dropped(&mut self) -> Dropped {
+        std::mem::take(&mut self.queue.policy().0)
+    }
+
+    /// Forgets everything, as the peer is another one from now on, on this link or, if that is gone, the next; gives
+    /// the messages.
+    pub(crate) fn clear(&mut self, link_is_gone: bool) -> Dropped {
+        self.now.clears += 1;
+        self.now.link += u64::from(link_is_gone);
+        let entries = self.queue.clear(link_is_gone).into_iter();
+        let messages = entries.filter(|entry| entry.is_message());
+        messages.map(|entry| (entry, DropReason::Closed)).collect()
+    }
+}
+
+fn gives_up(parcel: &Parcel) -> bool {
+    match (parcel.family, parcel.name()) {
+        (Family::Context, "leave" | "delete") | (Family::Login, "logout") => true,
+        (Family::Token, "release" | "give") => true,
+        // An owner's answer to who asked; that to an offer gives nothing up.
+        (Family::Token, "accept") => parcel.value().get("peer").is_some(),
+        _ => false,
+    }
+}
+
+#[cfg(test)]
+mod tests;
