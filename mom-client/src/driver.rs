@@ -174,8 +174,12 @@ impl State {
                 DropReason::Closed => names::Reason::Disconnected.word(),
                 reason => reason.word(),
             };
-            if let Some(path) = message.path() {
-                *counts.entry((path, word)).or_default() += 1;
+            match message.path() {
+                Some(path) if *reason == DropReason::Replaced => {
+                    *self.replaced.entry(path.clone()).or_default() += 1;
+                }
+                Some(path) => *counts.entry((path, word)).or_default() += 1,
+                None => {}
             }
         }
         for ((path, word), count) in counts {
@@ -183,6 +187,14 @@ impl State {
             self.subscribers.deliver(std::slice::from_ref(path), event);
         }
         capacity
+    }
+
+    /// Tells how many messages newer ones have replaced since this was last done.
+    pub(crate) fn tell_replaced(&mut self) {
+        for (path, count) in std::mem::take(&mut self.replaced) {
+            let event = dropped(&path, DropReason::Replaced.word(), count);
+            self.subscribers.deliver(std::slice::from_ref(&path), event);
+        }
     }
 }
 

@@ -109,6 +109,7 @@ impl LinkWriter {
         self.taken = outbox.mark();
         let all = outbox.take(now.unwrap_or_default(), allowance, parcel, &mut self.batch);
         let (finished, expired) = (outbox.is_finished(), outbox.take_dropped());
+        state.tell_replaced();
         drop(state);
         self.shared.tell_dropped(expired);
         match (all, finished) {

@@ -1,5 +1,6 @@
 //! What all proxies and the tasks of the link share.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -65,6 +66,8 @@ pub(crate) struct State {
     pub(crate) status: Status,
     pub(crate) me: Arc<Welcome>,
     pub(crate) outbox: Outbox,
+    /// Messages that newer ones have replaced, by context: told when the link takes something again, all at once.
+    pub(crate) replaced: BTreeMap<Path, u64>,
     pub(crate) pending: Pending,
     pub(crate) places: Places,
     pub(crate) subscribers: Subscribers,
@@ -99,6 +102,7 @@ impl Shared {
             status: Status::Up,
             me: Arc::new(me),
             outbox: Outbox::new(form),
+            replaced: BTreeMap::new(),
             pending: Pending::default(),
             places: Places::default(),
             subscribers: Subscribers::default(),

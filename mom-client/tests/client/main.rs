@@ -9,6 +9,7 @@ mod login;
 mod managing;
 mod reconnect;
 mod requests;
+mod slow_link;
 mod time;
 mod tokens;
 mod waiting;

@@ -43,7 +43,6 @@ pub mod blocks;
 pub mod contact;
 pub mod error;
 pub mod motion;
-mod outbox;
 mod outlet;
 pub mod path;
 pub mod peer;

@@ -1,21 +1,25 @@
 //! The way out to the hub: one parcel after the other, in order, over lost links too.
 
+use std::collections::VecDeque;
 use std::future::{Future, pending};
 use std::pin::Pin;
 
 use mom_client::{ClientError, Delivery, ErrorKind, Parcel};
 
-use crate::outbox::Outbox;
+/// The most parcels that are held back; a whole queue of commands that ends at once is far below.
+const MOST: usize = 4096;
 
 /// A parcel on its way into the client's queue.
 pub(crate) type Sending = Pin<Box<dyn Future<Output = Result<(), ClientError>> + Send>>;
 
 /// Sends what waits, beside the arm's own work, so that a slow link holds up neither motion nor halts.
 ///
-/// While the link is down everything waits, because who sent a command wants to hear how it ended.
+/// The client's queue bounds, orders and replaces what waits for a slow link. Here waits only what that queue has no
+/// capacity for, and, while the link is down, everything that has to be said all the same: who sent a command wants to
+/// hear how it ended.
 pub(crate) struct Outlet<S> {
     send: S,
-    outbox: Outbox,
+    held: VecDeque<Parcel>,
     sending: Option<(Parcel, Sending)>,
     down: bool,
 }
@@ -25,7 +29,7 @@ impl<S: Fn(Parcel) -> Sending> Outlet<S> {
     pub(crate) fn new(send: S) -> Self {
         Self {
             send,
-            outbox: Outbox::default(),
+            held: VecDeque::new(),
             sending: None,
             down: false,
         }
@@ -33,9 +37,16 @@ impl<S: Fn(Parcel) -> Sending> Outlet<S> {
 
     /// Takes what is to be sent.
     pub(crate) fn push(&mut self, out: &mut Vec<Parcel>) {
-        out.drain(..).for_each(|parcel| self.outbox.push(parcel));
-        let dropped = self.outbox.take_dropped();
+        for parcel in out.drain(..) {
+            if parcel.delivery == Some(Delivery::Latest) {
+                // The newer one goes to the end, not to the older one's place: it must not overtake what led to it.
+                self.held.retain(|older| !replaces(&parcel, older));
+            }
+            self.held.push_back(parcel);
+        }
+        let dropped = self.held.len().saturating_sub(MOST);
         if dropped > 0 {
+            self.held.drain(..dropped);
             tracing::warn!(dropped, "the link is too slow; messages were dropped");
         }
     }
@@ -49,8 +60,8 @@ impl<S: Fn(Parcel) -> Sending> Outlet<S> {
     pub(crate) async fn work(&mut self) {
         if self.sending.is_none() && !self.down {
             self.sending = self
-                .outbox
-                .pop()
+                .held
+                .pop_front()
                 .map(|parcel| (parcel.clone(), (self.send)(parcel)));
         }
         let Some((_, sending)) = &mut self.sending else {
@@ -68,7 +79,7 @@ impl<S: Fn(Parcel) -> Sending> Outlet<S> {
 
     /// Sends all that waits, unless the link is down.
     pub(crate) async fn flush(&mut self) {
-        while self.sending.is_some() || !(self.down || self.outbox.is_empty()) {
+        while self.sending.is_some() || !(self.down || self.held.is_empty()) {
             self.work().await;
         }
     }
@@ -76,9 +87,14 @@ impl<S: Fn(Parcel) -> Sending> Outlet<S> {
     /// A state is told anew when the link is back; all else has to be said later.
     fn keep(&mut self, parcel: Option<Parcel>) {
         if let Some(parcel) = parcel.filter(|parcel| parcel.delivery != Some(Delivery::Latest)) {
-            self.outbox.put_back(parcel);
+            self.held.push_front(parcel);
         }
     }
+}
+
+/// Whether a newer state makes an older one useless.
+fn replaces(newer: &Parcel, older: &Parcel) -> bool {
+    older.delivery == Some(Delivery::Latest) && older.name == newer.name && older.address == newer.address
 }
 
 #[cfg(test)]
@@ -142,5 +158,41 @@ mod tests {
         outlet.set_down(false);
         outlet.work().await;
         assert_eq!(*sent.lock().unwrap(), ["a"]);
+    }
+
+    /// What is held back after these were pushed while the link was down; words that end in `bob` are for bob.
+    fn held(words: &[&str]) -> Vec<String> {
+        let (mut outlet, _) = outlet(&[]);
+        outlet.set_down(true);
+        for word in words {
+            let mut parcel = Parcel::new(Family::Message, word.split('-').next().unwrap()).content(*word);
+            parcel.delivery = word.starts_with("state").then_some(Delivery::Latest);
+            parcel.address = word.ends_with("bob").then(|| vec!["bob".into()]);
+            outlet.push(&mut vec![parcel]);
+        }
+        let words = outlet.held.iter();
+        words
+            .map(|parcel| parcel.value().as_str().unwrap().to_owned())
+            .collect()
+    }
+
+    #[test]
+    fn a_newer_state_replaces_an_older_one_and_nothing_else() {
+        for (pushed, expected) in [
+            (&["state-1", "state-2"][..], &["state-2"][..]),
+            (&["state-1", "status-1", "state-2"], &["status-1", "state-2"]),
+            (&["status-1", "status-2"], &["status-1", "status-2"]),
+            (&["state-1-bob", "state-2"], &["state-1-bob", "state-2"]),
+        ] {
+            assert_eq!(held(pushed), expected, "{pushed:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_held_back_is_bounded_and_the_oldest_goes() {
+        let words: Vec<String> = (0..MOST + 3).map(|number| format!("status-{number}")).collect();
+        let words: Vec<&str> = words.iter().map(String::as_str).collect();
+        let held = held(&words);
+        assert_eq!((held.len(), &*held[0]), (MOST, "status-3"));
     }
 }
