@@ -56,12 +56,12 @@ impl Broker {
             report.peers = users.len();
             let configuration = configuration(&config, users);
             let input = Input::Configure(Box::new(configuration));
-            self.context.board.tap.configuring(config.file());
-            self.context.board.decide(input, &mut touched);
+            self.services.board.tap.configuring(config.file());
+            self.services.board.decide(input, &mut touched);
         };
         let (users, login) = (config.users.clone(), config.login.clone());
-        self.context.logins.replace(users, login, configure)?;
-        *self.context.next_limits.write() = Arc::new(config.limits.clone());
+        self.services.logins.replace(users, login, configure)?;
+        *self.services.next_limits.write() = Arc::new(config.limits.clone());
         flush(&mut touched);
         *running = config;
         tracing::info!("configuration: {report}");

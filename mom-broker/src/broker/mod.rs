@@ -1,4 +1,4 @@
-//! The service: listeners, sessions, the hub's timer, and its end.
+//! The service: its listeners, the hub's timer, and its end.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -8,17 +8,15 @@ use mom_config::{Config, ConfigError};
 use mom_hub::{Input, Settings};
 use mom_journal::{Tap, WriteError};
 use mom_login::{LoginStats, Logins};
-use mom_net::{NetError, Transceiver};
-use mom_proto::{Code, Limits, WireError};
+use mom_net::Transceiver;
 use mom_store::{Answer, StoreError};
 use mom_system::Clock;
 use parking_lot::Mutex;
-use tokio::net::{TcpListener, TcpSocket, TcpStream, lookup_host};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, watch};
+use tokio::sync::{Semaphore, mpsc, watch};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, timeout_at};
 
-use crate::connection::{self, Context, Serving};
+use crate::connection::{Listener, Services, Serving, listen, login_time};
 use crate::traffic::encodings::Bounds;
 use crate::traffic::switchboard::{Switchboard, Touched, flush};
 
@@ -28,11 +26,7 @@ const REPORTS: Duration = Duration::from_millis(250);
 /// A stop lets what waits go out for at most so long.
 pub(crate) const DRAIN: Duration = Duration::from_secs(10);
 
-/// Connections that may wait to be taken in; the system may allow less. When a crowd comes back at once and more
-/// wait than that, Linux turns to SYN cookies, and a connection whose cookie has grown old is reset.
-const BACKLOG: u32 = 16 * 1024;
-
-/// Of which the last part is for the records of what the peers' going changed.
+/// Part of `DRAIN` reserved for store writes caused by disconnects.
 const LAST_RECORDS: Duration = Duration::from_secs(1);
 
 /// A broker that cannot start.
@@ -79,7 +73,7 @@ fn hint(error: &std::io::Error) -> &'static str {
 /// ```
 #[derive(Debug)]
 pub struct Broker {
-    pub(crate) context: Context,
+    pub(crate) services: Services,
     addresses: Vec<SocketAddr>,
     stopping: watch::Sender<bool>,
     tasks: JoinSet<()>,
@@ -127,7 +121,7 @@ impl Broker {
         let logins = Logins::new(config.users.clone(), config.login.clone(), clock.clone())
             .map_err(ConfigError::from)?;
         let board = Switchboard::new(hub, clock, bounds, store, tap);
-        let context = Context::new(board, logins, config.limits.clone());
+        let services = Services::new(board, logins, config.limits.clone());
         let (stopping, stop) = watch::channel(false);
         let connections = Arc::new(Semaphore::new(config.connections));
         let mut tasks = JoinSet::new();
@@ -139,21 +133,21 @@ impl Broker {
             };
             let listener = listen(address).await.map_err(failed)?;
             addresses.push(listener.local_addr().map_err(failed)?);
-            let listen = Listen {
-                context: context.clone(),
+            let listener_task = Listener {
+                services: services.clone(),
                 connections: Arc::clone(&connections),
                 stop: stop.clone(),
             };
-            tasks.spawn(listen.run(listener));
+            tasks.spawn(listener_task.run(listener));
         }
         if let Some(answers) = answers {
-            tasks.spawn(take_answers(Arc::clone(&context.board), answers));
+            tasks.spawn(take_answers(Arc::clone(&services.board), answers));
         }
-        tasks.spawn(keep_deadlines(Arc::clone(&context.board), stop.clone()));
-        tasks.spawn(report_drops(Arc::clone(&context.board), stop));
+        tasks.spawn(keep_deadlines(Arc::clone(&services.board), stop.clone()));
+        tasks.spawn(report_drops(Arc::clone(&services.board), stop));
         tracing::info!(?addresses, "broker started");
         Ok(Broker {
-            context,
+            services,
             addresses,
             stopping,
             tasks,
@@ -181,16 +175,16 @@ impl Broker {
     /// A connection from inside this process (M18). The peer still has to log in.
     pub fn connect_local(&self) -> Transceiver {
         let (here, there) = mom_net::pair();
-        let context = self.context.fresh();
-        let login_by = Instant::now() + login_time(&context.limits);
-        let mut serving = Serving::begin(context, here, None, login_by);
+        let services = self.services.fresh();
+        let login_by = Instant::now() + login_time(&services.limits);
+        let mut serving = Serving::begin(services, here, None, login_by);
         tokio::spawn(async move { serving.run().await });
         there
     }
 
     /// What the hashing of passwords has come to.
     pub fn login_stats(&self) -> LoginStats {
-        self.context.logins.stats()
+        self.services.logins.stats()
     }
 
     /// Asserts the invariants of the hub (design §4), as tests do after each step.
@@ -198,19 +192,19 @@ impl Broker {
     /// # Panics
     /// If one of them does not hold: the hub's own fault.
     pub fn check(&self) {
-        self.context.board.check();
+        self.services.board.check();
     }
 
     /// Takes no more connections, tells all peers, lets what waits go out and the store write, at most 10 s.
     pub async fn stop(mut self) {
         let deadline = Instant::now() + DRAIN;
-        let store = &self.context.board.store;
+        let store = &self.services.board.store;
         let peers_by = store.as_ref().map_or(deadline, |_| deadline - LAST_RECORDS);
         // Nobody is listening any more if all tasks have ended.
         let _ = self.stopping.send(true);
         self.connections.close();
-        self.context.board.shut_down();
-        if timeout_at(peers_by, self.context.board.wait_empty())
+        self.services.board.shut_down();
+        if timeout_at(peers_by, self.services.board.wait_empty())
             .await
             .is_err()
         {
@@ -223,123 +217,8 @@ impl Broker {
         }
         // What is left are connections that have not said in which form they speak.
         self.tasks.shutdown().await;
-        self.context.board.tap.stop().await;
+        self.services.board.tap.stop().await;
         tracing::info!("broker stopped");
-    }
-}
-
-/// Listens at the first address of a name that can be had.
-async fn listen(address: &str) -> std::io::Result<TcpListener> {
-    let mut failure = std::io::Error::from(std::io::ErrorKind::AddrNotAvailable);
-    for address in lookup_host(address).await? {
-        let bind = || {
-            let socket = match address.is_ipv4() {
-                true => TcpSocket::new_v4(),
-                false => TcpSocket::new_v6(),
-            }?;
-            // What is left of connections of the last start must not keep this one from its address.
-            socket.set_reuseaddr(true)?;
-            socket.bind(address)?;
-            socket.listen(BACKLOG)
-        };
-        match bind() {
-            Ok(listener) => return Ok(listener),
-            Err(error) => failure = error,
-        }
-    }
-    Err(failure)
-}
-
-/// One listener with all its sessions.
-struct Listen {
-    context: Context,
-    connections: Arc<Semaphore>,
-    stop: watch::Receiver<bool>,
-}
-
-impl Listen {
-    async fn run(mut self, listener: TcpListener) {
-        let mut sessions = JoinSet::new();
-        loop {
-            let accepted = tokio::select! {
-                _ = self.stop.changed() => break,
-                Some(_) = sessions.join_next() => continue,
-                accepted = listener.accept() => accepted,
-            };
-            match accepted {
-                Ok((stream, from)) => match Arc::clone(&self.connections).try_acquire_owned() {
-                    Ok(place) => drop(sessions.spawn(self.context.fresh().take_in(stream, from, place))),
-                    Err(_) => refuse(&stream).await,
-                },
-                Err(error) => {
-                    // Mostly no descriptors left: existing connections go on, new ones wait a moment.
-                    tracing::warn!(%error, "cannot accept");
-                    tokio::time::sleep(Duration::from_millis(100)).await;
-                }
-            }
-        }
-        drop(listener);
-        while sessions.join_next().await.is_some() {}
-    }
-}
-
-impl Context {
-    /// Waits for the first bytes of a peer, which tell its form.
-    async fn greet(&self, stream: TcpStream, login_by: Instant) -> Result<Transceiver, NetError> {
-        let before_login = self.limits.before_login();
-        let too_late = async {
-            tokio::time::sleep_until(login_by).await;
-            connection::login_timeout(self.limits.login_time)
-        };
-        mom_net::accept(stream, &before_login, too_late).await
-    }
-
-    /// Serves a connection from its first bytes on.
-    pub(crate) fn take_in(
-        self,
-        stream: TcpStream,
-        from: SocketAddr,
-        place: OwnedSemaphorePermit,
-    ) -> impl Future<Output = ()> {
-        // Apart, so that the connection does not keep the memory that this needs.
-        let begun = Box::pin(self.begin(stream, from));
-        async move {
-            // By reference, or it would be kept twice.
-            let mut begun = begun.await;
-            if let Some(serving) = &mut begun {
-                serving.run().await;
-            }
-            drop(place);
-        }
-    }
-
-    async fn begin(self, stream: TcpStream, from: SocketAddr) -> Option<Serving> {
-        let login_by = Instant::now() + login_time(&self.limits);
-        match self.greet(stream, login_by).await {
-            Ok(transceiver) => Some(Serving::begin(self, transceiver, Some(from.ip()), login_by)),
-            Err(error) => {
-                tracing::info!(%from, %error, "refused");
-                None
-            }
-        }
-    }
-}
-
-fn login_time(limits: &Limits) -> Duration {
-    Duration::from_millis(limits.login_time)
-}
-
-async fn refuse(stream: &TcpStream) {
-    tracing::warn!("too many connections");
-    let error = WireError::new(
-        Code::TOO_MANY_CONNECTIONS,
-        "this hub has as many connections as it may have",
-    );
-    if let Ok(encoded) = mom_proto::codec::Form::Xml.encode(&error.to_parcel(None)) {
-        // Best effort and without waiting: the peer is closed either way.
-        if stream.writable().await.is_ok() {
-            let _ = stream.try_write(&encoded.head);
-        }
     }
 }
 

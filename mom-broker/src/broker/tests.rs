@@ -38,7 +38,7 @@ async fn a_broker_that_stops_has_written_all() {
     let records: Vec<Record> = (0..50).map(record).collect();
     for (number, record) in records.iter().enumerate() {
         let ticket = (number % 2 == 0).then_some(Ticket(number as u64));
-        broker.context.board.keep(record.clone(), ticket);
+        broker.services.board.keep(record.clone(), ticket);
     }
     broker.stop().await;
     let now = Time::from_micros(0).expect("a time");

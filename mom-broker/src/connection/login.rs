@@ -1,4 +1,4 @@
-//! The part of a session that asks who its peer is.
+//! The part of a connection that asks who its peer is.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use mom_login::{Challenge, Granted, Step};
 use mom_net::Reader;
 use mom_proto::{Code, Family, Parcel, Path, Value, Verb, WireError};
 
-use super::Session;
+use super::Connection;
 use crate::traffic::switchboard::{Touched, flush};
 
 /// Whether this is part of a login.
@@ -23,7 +23,7 @@ pub(super) fn proof_over() -> WireError {
     WireError::new(Code::REVOKED, text)
 }
 
-impl Session {
+impl Connection {
     pub(super) async fn login(
         &mut self,
         reader: &mut Reader,
@@ -32,7 +32,7 @@ impl Session {
     ) -> Result<(), WireError> {
         // What was caused so far must not wait for a password to be hashed.
         flush(touched);
-        let logins = Arc::clone(&self.context.logins);
+        let logins = Arc::clone(&self.services.logins);
         let claimed = self.claimed(parcel);
         // Whatever comes now, the last challenge is over.
         let challenge = self.challenge.take();
@@ -57,7 +57,7 @@ impl Session {
     /// Waits until the proof of who the peer is, if it is one for a time, is over.
     pub(super) async fn proof_over(&self) {
         match self.proven_until {
-            Some(until) => Box::pin(self.context.board.clock.reach(until)).await,
+            Some(until) => Box::pin(self.services.board.clock.reach(until)).await,
             None => std::future::pending().await,
         }
     }
@@ -65,7 +65,7 @@ impl Session {
     /// Whether it is over by now.
     pub(super) fn is_proof_over(&self) -> bool {
         self.proven_until
-            .is_some_and(|until| self.context.board.clock.now() >= until)
+            .is_some_and(|until| self.services.board.clock.now() >= until)
     }
 
     fn challenge(&mut self, challenge: Challenge, reference: Option<u64>, touched: &mut Touched) {
@@ -73,7 +73,7 @@ impl Session {
             .context(Path::root())
             .content(challenge.content());
         reply.reference = reference;
-        self.context.board.tell(self.peer, reply, touched);
+        self.services.board.tell(self.peer, reply, touched);
         self.challenge = Some(Box::new(challenge));
     }
 
@@ -84,7 +84,7 @@ impl Session {
         id: Option<u64>,
         touched: &mut Touched,
     ) -> Result<(), WireError> {
-        let (peer, board) = (self.peer, Arc::clone(&self.context.board));
+        let (peer, board) = (self.peer, Arc::clone(&self.services.board));
         tracing::info!(peer = peer.0, user = granted.user(), origin = ?granted.origin(), from = ?self.from, "logged in");
         let logged_in = &mut self.logged_in;
         let decide = |user, nickname| {
@@ -98,10 +98,10 @@ impl Session {
             };
             board.decide(login, touched);
         };
-        self.proven_until = self.context.logins.admit(peer, granted, decide)?;
-        reader.set_limits(&self.context.limits);
+        self.proven_until = self.services.logins.admit(peer, granted, decide)?;
+        reader.set_limits(&self.services.limits);
         let name = board.peer_name(peer).unwrap_or_default();
-        let limits = &self.context.limits;
+        let limits = &self.services.limits;
         self.outbox.admit(limits.outbox, limits.parcel, name);
         Ok(())
     }
@@ -122,7 +122,7 @@ impl Session {
             return Err(error);
         }
         self.refuse(&error, reference, touched);
-        if self.failures < self.context.logins.attempts() {
+        if self.failures < self.services.logins.attempts() {
             return Ok(());
         }
         self.audit_login(claimed, &Code::TOO_MANY_LOGINS);
@@ -139,7 +139,7 @@ impl Session {
             Some(challenge) if parcel.name() == Verb::Answer.word() => Some(challenge.user()),
             _ => content.get("name").and_then(Value::as_str),
         };
-        let known = |name: &&str| self.context.logins.knows(name);
+        let known = |name: &&str| self.services.logins.knows(name);
         name.filter(known).map(Arc::from)
     }
 
@@ -147,7 +147,7 @@ impl Session {
     fn audit_login(&self, claimed: Option<Arc<str>>, code: &Code) {
         // Only who was here before, as another user perhaps, has a name.
         let name = Some(self.outbox.name()).filter(|name| !name.is_empty());
-        let tap = &self.context.board.tap;
+        let tap = &self.services.board.tap;
         tap.login_refused(self.peer, name, claimed, code);
     }
 }

@@ -11,11 +11,11 @@ const QUICK: usize = 4;
 /// The pings to one peer: the heartbeat says them, the reader hears the answers.
 #[derive(Debug, Default)]
 pub(crate) struct Pings {
-    state: Mutex<State>,
+    state: Mutex<PingState>,
 }
 
 #[derive(Debug, Default)]
-struct State {
+struct PingState {
     next: u64,
     /// The last one, if it is not answered: its id, and when it was sent.
     asked: Option<(u64, Time)>,

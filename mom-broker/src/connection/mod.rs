@@ -1,5 +1,6 @@
 //! One connection, from its first byte to its end.
 
+mod listen;
 mod login;
 mod measure;
 mod requests;
@@ -21,22 +22,23 @@ use mom_proto::{Code, Family, Limits, Parcel, Verb, WireError};
 use parking_lot::RwLock;
 use tokio::time::{Instant, timeout_at};
 
-use crate::traffic::capacity::Held;
+use crate::traffic::capacity::WaitingMessage;
 use crate::traffic::channel::Sender;
 use crate::traffic::outbox::Outbox;
 use crate::traffic::switchboard::{Handled, Switchboard, Touched, flush};
 
 use measure::{Measure, Pings};
 
+pub(crate) use listen::{Listener, listen, login_time};
 pub(crate) use serving::Serving;
 
-/// Frames after which a turn flushes and lets others run: a peer inside this process may never pause, and whoever
-/// adds something of usual urgency to an outbox that somebody has touched leaves the flush to that one.
-const TURN: usize = 256;
+/// Frames after which a reader flushes and yields: a peer inside this process may never pause, and whoever adds
+/// something that is not urgent to an outbox that somebody has touched leaves the flush to that one.
+const FRAMES: usize = 256;
 
 /// What a connection has to know of its broker.
 #[derive(Clone, Debug)]
-pub(crate) struct Context {
+pub(crate) struct Services {
     pub(crate) board: Arc<Switchboard>,
     pub(crate) logins: Arc<Logins>,
     /// What holds for this connection as long as it lasts: it was told so.
@@ -45,10 +47,10 @@ pub(crate) struct Context {
     pub(crate) next_limits: Arc<RwLock<Arc<Limits>>>,
 }
 
-impl Context {
-    pub(crate) fn new(board: Switchboard, logins: Logins, limits: Limits) -> Context {
+impl Services {
+    pub(crate) fn new(board: Switchboard, logins: Logins, limits: Limits) -> Services {
         let limits = Arc::new(limits);
-        Context {
+        Services {
             board: Arc::new(board),
             logins: Arc::new(logins),
             next_limits: Arc::new(RwLock::new(Arc::clone(&limits))),
@@ -57,9 +59,9 @@ impl Context {
     }
 
     /// For a new connection.
-    pub(crate) fn fresh(&self) -> Context {
+    pub(crate) fn fresh(&self) -> Services {
         let limits = Arc::clone(&self.next_limits.read());
-        Context {
+        Services {
             limits,
             ..self.clone()
         }
@@ -67,8 +69,8 @@ impl Context {
 }
 
 /// One connection as its reader sees it.
-struct Session {
-    context: Context,
+struct Connection {
+    services: Services,
     peer: PeerId,
     outbox: Arc<Outbox>,
     /// Where it comes from, none inside this process.
@@ -97,22 +99,22 @@ enum Next {
     Frame,
     /// It logs its peer in.
     Login(Box<Parcel>),
-    /// It waits for room for a message of this id.
-    Room(Box<Held>, Option<u64>),
+    /// It waits for capacity for a message of this id.
+    Capacity(Box<WaitingMessage>, Option<u64>),
 }
 
-/// However a session ends, cut off or by a fault of its own, its peer must not stay behind as the owner of
+/// However a connection ends, cut off or by a fault of its own, its peer must not stay behind as the owner of
 /// anything.
-impl Drop for Session {
+impl Drop for Connection {
     fn drop(&mut self) {
         if !self.ended {
             self.end(None);
-            self.context.board.remove_outbox(&self.outbox);
+            self.services.board.remove_outbox(&self.outbox);
         }
     }
 }
 
-impl Session {
+impl Connection {
     /// Reads until the connection ends; gives the error to say if there is one.
     #[expect(clippy::manual_async_fn, reason = "an async fn keeps what it is given twice")]
     fn read<'a>(
@@ -122,7 +124,7 @@ impl Session {
     ) -> impl Future<Output = Option<WireError>> + 'a {
         async move {
             // What came with the first bytes, by which the form was told.
-            if let Err(end) = self.take_turn(reader).await {
+            if let Err(end) = self.handle_arrived(reader).await {
                 return end;
             }
             let outbox = Arc::clone(&self.outbox);
@@ -140,9 +142,9 @@ impl Session {
                     Ok(Err(error)) => return self.failed(error),
                     Err(_) if Instant::now() < self.deadline(login_by) => self.beat(),
                     Err(_) if self.logged_in => return Some(silent(self.gone())),
-                    Err(_) => return Some(login_timeout(self.context.limits.login_time)),
+                    Err(_) => return Some(login_timeout(self.services.limits.login_time)),
                 }
-                if let Err(end) = self.take_turn(reader).await {
+                if let Err(end) = self.handle_arrived(reader).await {
                     return end;
                 }
             }
@@ -151,7 +153,7 @@ impl Session {
 
     /// For how long a peer may say nothing.
     fn gone(&self) -> Duration {
-        Duration::from_millis(self.context.limits.gone)
+        Duration::from_millis(self.services.limits.gone)
     }
 
     /// When the connection ends if nothing is heard.
@@ -165,14 +167,14 @@ impl Session {
     /// Asks a peer that says or hears nothing else whether it is there, and one that stamps its answers for its
     /// clock.
     fn beat(&mut self) {
-        self.beat_at = Instant::now() + Duration::from_millis(self.context.limits.heartbeat);
+        self.beat_at = Instant::now() + Duration::from_millis(self.services.limits.heartbeat);
         let quiet = !self.outbox.active.swap(false, Ordering::Relaxed);
         // A peer that only listens has to be asked too, or it would be taken for gone.
         let silent = !self.outbox.heard.swap(false, Ordering::Relaxed);
         if quiet || silent || self.pings.are_stamped() {
             let mut touched = Touched::new();
-            let ping = self.pings.next(&self.context.board.clock);
-            self.context.board.tell(self.peer, ping, &mut touched);
+            let ping = self.pings.next(&self.services.board.clock);
+            self.services.board.tell(self.peer, ping, &mut touched);
             flush(&mut touched);
             // A ping alone is not activity, or the next one would wait twice as long.
             self.outbox.active.store(false, Ordering::Relaxed);
@@ -180,7 +182,7 @@ impl Session {
     }
 
     /// Handles all that has arrived, and flushes what it caused.
-    async fn take_turn(&mut self, reader: &mut Reader) -> Result<(), Option<WireError>> {
+    async fn handle_arrived(&mut self, reader: &mut Reader) -> Result<(), Option<WireError>> {
         let mut touched = Touched::new();
         let mut handled = 0;
         let result = loop {
@@ -203,17 +205,17 @@ impl Session {
                             break Err(Some(error));
                         }
                     }
-                    Next::Room(held, reference) => {
+                    Next::Capacity(held, reference) => {
                         // Nothing is read meanwhile, so the network holds the peer back.
-                        let room = Box::pin(self.wait_for_room(held, reference, &mut touched));
-                        if let Err(end) = room.await {
+                        let waiting = Box::pin(self.wait_for_capacity(held, reference, &mut touched));
+                        if let Err(end) = waiting.await {
                             break Err(end);
                         }
                     }
                 }
             }
             handled += 1;
-            if handled % TURN == 0 {
+            if handled % FRAMES == 0 {
                 flush(&mut touched);
                 tokio::task::yield_now().await;
             }
@@ -233,13 +235,13 @@ impl Session {
             peer: self.peer,
             clock: &clock,
         };
-        self.logged_in && self.context.board.run(&sender, reader, touched)
+        self.logged_in && self.services.board.run(&sender, reader, touched)
     }
 
     /// Waits until a message can go, or is refused; gives the error to say if the connection ends meanwhile.
-    async fn wait_for_room(
+    async fn wait_for_capacity(
         &mut self,
-        mut held: Box<Held>,
+        mut held: Box<WaitingMessage>,
         reference: Option<u64>,
         touched: &mut Touched,
     ) -> Result<(), Option<WireError>> {
@@ -250,7 +252,7 @@ impl Session {
                 biased;
                 () = outbox.end.notified() => return Err(outbox.closing().and_then(|closing| closing.error)),
                 () = self.proof_over() => return Err(Some(login::proof_over())),
-                () = held.ready(&self.context.board.clock) => {}
+                () = held.ready(&self.services.board.clock) => {}
             }
             let clock = |now| self.peer_clock(now);
             let sender = Sender {
@@ -258,9 +260,9 @@ impl Session {
                 clock: &clock,
             };
             match self
-                .context
+                .services
                 .board
-                .resume(&sender, &self.context.limits, *held, touched)
+                .resume(&sender, &self.services.limits, *held, touched)
             {
                 Ok(Handled::Done) => return Ok(()),
                 Ok(Handled::Waits(still)) => held = still,
@@ -301,24 +303,24 @@ impl Session {
                     clock: &clock,
                 };
                 match self
-                    .context
+                    .services
                     .board
-                    .message(&sender, &self.context.limits, parcel, touched)
+                    .message(&sender, &self.services.limits, parcel, touched)
                 {
                     Ok(Handled::Done) => {}
-                    Ok(Handled::Waits(held)) => return Next::Room(held, reference),
+                    Ok(Handled::Waits(held)) => return Next::Capacity(held, reference),
                     Err(error) => self.refuse(&error, reference, touched),
                 }
             }
             Family::Time => self.time(&parcel, touched),
             Family::Login if login::concerns(&parcel) => return Next::Login(parcel),
             _ if self.logged_in => {
-                let now = self.context.board.clock.now();
-                if let Err(error) = self.requests.take(&parcel, self.context.limits.requests, now) {
+                let now = self.services.board.clock.now();
+                if let Err(error) = self.requests.take(&parcel, self.services.limits.requests, now) {
                     self.refuse(&error, parcel.id, touched);
                     return Next::Frame;
                 }
-                self.context.board.decide(
+                self.services.board.decide(
                     Input::Request {
                         peer: self.peer,
                         parcel,
@@ -339,14 +341,14 @@ impl Session {
     fn time(&mut self, parcel: &Parcel, touched: &mut Touched) {
         match Verb::of(parcel.family, &parcel.name) {
             Ok(Verb::Ping) => {
-                let pong = Measure::pong(parcel, &self.context.board.clock);
-                self.context.board.tell(self.peer, pong, touched);
+                let pong = Measure::pong(parcel, &self.services.board.clock);
+                self.services.board.tell(self.peer, pong, touched);
                 if self.logged_in && self.measure.begins(parcel, &self.pings) {
                     self.ping(touched);
                 }
             }
             Ok(_) => {
-                let clock = &self.context.board.clock;
+                let clock = &self.services.board.clock;
                 if self.measure.learn(parcel, &self.pings, clock) && self.logged_in {
                     self.ping(touched);
                 }
@@ -358,19 +360,19 @@ impl Session {
     fn peer_clock(&self, now: Micros) -> Option<PeerClock> {
         self.measure.offset(now).map(|offset| PeerClock {
             offset,
-            future: self.context.limits.future.saturating_mul(1000),
+            future: self.services.limits.future.saturating_mul(1000),
         })
     }
 
     fn ping(&self, touched: &mut Touched) {
-        let ping = self.pings.next(&self.context.board.clock);
-        self.context.board.tell(self.peer, ping, touched);
+        let ping = self.pings.next(&self.services.board.clock);
+        self.services.board.tell(self.peer, ping, touched);
     }
 
     fn refuse(&self, error: &WireError, reference: Option<u64>, touched: &mut Touched) {
         // Not its words: they quote what was said, and that may have been a password.
         tracing::debug!(peer = self.peer.0, code = %error.code, "refused");
-        self.context
+        self.services
             .board
             .tell(self.peer, error.to_parcel(reference), touched);
     }
@@ -379,17 +381,17 @@ impl Session {
     fn end(&mut self, error: Option<WireError>) {
         self.ended = true;
         let mut touched = Touched::new();
-        self.context.logins.forget(self.peer);
+        self.services.logins.forget(self.peer);
         if self.logged_in {
-            let name = self.context.board.peer_name(self.peer).unwrap_or_default();
-            self.context
+            let name = self.services.board.peer_name(self.peer).unwrap_or_default();
+            self.services
                 .board
                 .decide(Input::Gone { peer: self.peer }, &mut touched);
             tracing::info!(peer = self.peer.0, %name, code = ?error.as_ref().map(|error| error.code.word()), "gone");
         } else if let Some(error) = &error {
             tracing::info!(peer = self.peer.0, from = ?self.from, code = %error.code, "closed");
         }
-        self.context.board.close(&self.outbox, error);
+        self.services.board.close(&self.outbox, error);
         flush(&mut touched);
     }
 }
@@ -402,7 +404,7 @@ fn silent(gone: Duration) -> WireError {
     WireError::new(Code::SILENT, text)
 }
 
-pub(crate) fn login_timeout(millis: u64) -> WireError {
+fn login_timeout(millis: u64) -> WireError {
     WireError::new(
         Code::LOGIN_TIMEOUT,
         format!("no login within {} s", millis / 1000),

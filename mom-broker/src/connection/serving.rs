@@ -11,7 +11,7 @@ use mom_net::{Reader, Transceiver};
 use tokio::time::{Instant, timeout};
 
 use super::measure::{Measure, Pings};
-use super::{Context, Session, requests};
+use super::{Connection, Services, requests};
 use crate::traffic::outbox::Outbox;
 
 /// How long an ending connection may take to hear why.
@@ -19,7 +19,7 @@ const FAREWELL: Duration = Duration::from_secs(1);
 
 /// A connection that is served. Its futures borrow it: what a future is given by value it keeps twice.
 pub(crate) struct Serving {
-    session: Session,
+    connection: Connection,
     reader: Reader,
     login_by: Instant,
 }
@@ -27,24 +27,24 @@ pub(crate) struct Serving {
 impl Serving {
     /// Begins to serve a connection.
     pub(crate) fn begin(
-        context: Context,
+        services: Services,
         transceiver: Transceiver,
         from: Option<IpAddr>,
         login_by: Instant,
     ) -> Serving {
         let Transceiver { reader, writer } = transceiver;
-        let peer = context.board.next_peer();
+        let peer = services.board.next_peer();
         let outbox = Arc::new(Outbox::new(
             peer,
-            context.board.clock.clone(),
+            services.board.clock.clone(),
             writer,
-            context.limits.before_login,
+            services.limits.before_login,
         ));
-        context.board.tap.audit.arrived(peer, from);
-        context.board.add_outbox(&outbox);
-        let beat = Duration::from_millis(context.limits.heartbeat);
-        let session = Session {
-            context,
+        services.board.tap.audit.arrived(peer, from);
+        services.board.add_outbox(&outbox);
+        let beat = Duration::from_millis(services.limits.heartbeat);
+        let connection = Connection {
+            services,
             peer,
             outbox,
             from,
@@ -60,7 +60,7 @@ impl Serving {
             ended: false,
         };
         Serving {
-            session,
+            connection,
             reader,
             login_by,
         }
@@ -68,27 +68,27 @@ impl Serving {
 
     /// Serves it until it ends.
     pub(crate) async fn run(&mut self) {
-        let outbox = Arc::clone(&self.session.outbox);
+        let outbox = Arc::clone(&self.connection.outbox);
         // In the same task: for a connection that waits, a task of its own would be a tenth of its memory.
         let mut writer = Writing {
             future: pin!(outbox.run()),
             over: false,
         };
         let error = {
-            let mut read = pin!(self.session.read(&mut self.reader, self.login_by));
+            let mut read = pin!(self.connection.read(&mut self.reader, self.login_by));
             poll_fn(|task| {
                 let _ = writer.poll(task);
                 read.as_mut().poll(task)
             })
             .await
         };
-        self.session.end(error);
+        self.connection.end(error);
         Box::pin(self.part(&mut writer)).await;
     }
 
     /// Gives the last words their time.
     async fn part(&mut self, writer: &mut Writing<'_, impl Future<Output = ()>>) {
-        let board = &self.session.context.board;
+        let board = &self.connection.services.board;
         // The error gets a second to go out, and when the broker stops all that waits gets its time; a link that does
         // not take it is cut.
         let patience = match board.is_stopping() {
@@ -97,17 +97,17 @@ impl Serving {
         };
         let written = poll_fn(|task| writer.poll(task));
         if timeout(patience, written).await.is_err() {
-            let peer = self.session.peer.0;
+            let peer = self.connection.peer.0;
             tracing::debug!(peer, "what waited for it was not taken in time");
         } else if timeout(FAREWELL, self.reader.drain()).await.is_err() {
             // What the peer still said was read and thrown away so long: closing with unread bytes would have reset
             // the link, and the error with it.
             tracing::debug!(
-                peer = self.session.peer.0,
+                peer = self.connection.peer.0,
                 "not closed from the other side in time"
             );
         }
-        board.remove_outbox(&self.session.outbox);
+        board.remove_outbox(&self.connection.outbox);
     }
 }
 
@@ -141,7 +141,7 @@ mod tests {
     /// Ten thousand idle peers cost what their tasks keep: what is rare is boxed while it lasts (docs/performance.md).
     #[test]
     fn an_idle_connection_is_small() {
-        let connection = |context: Context, stream, from, place| context.take_in(stream, from, place);
+        let connection = |services: Services, stream, from, place| services.take_in(stream, from, place);
         let all = [size_of_future(&connection), size_of::<Outbox>()];
         assert!(all.iter().sum::<usize>() <= 1536, "{all:?}");
     }

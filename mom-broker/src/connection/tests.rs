@@ -17,13 +17,13 @@ use mom_system::Clock;
 use tokio::sync::mpsc;
 use tokio::time::Instant;
 
-use super::{Context, Serving};
+use super::{Services, Serving};
 use crate::traffic::encodings::Bounds;
 use crate::traffic::switchboard::Switchboard;
 
 /// The lab without a listener.
 struct House {
-    context: Context,
+    services: Services,
 }
 
 impl House {
@@ -47,7 +47,7 @@ impl House {
         let logins = Logins::new(config.users, config.login, clock.clone()).expect("right");
         let board = Switchboard::new(hub.expect("right"), clock, bounds, None, tap);
         House {
-            context: Context::new(board, logins, config.limits),
+            services: Services::new(board, logins, config.limits),
         }
     }
 
@@ -56,13 +56,13 @@ impl House {
         let (here, there) = mom_net::pair();
         let from = from.map(|from| from.parse::<IpAddr>().expect("an address"));
         let login_by = Instant::now() + Duration::from_secs(60);
-        let mut serving = Serving::begin(self.context.clone(), here, from, login_by);
+        let mut serving = Serving::begin(self.services.clone(), here, from, login_by);
         tokio::spawn(async move { serving.run().await });
         Visitor { link: there, last: 0 }
     }
 
     fn logins(&self) -> &Logins {
-        &self.context.logins
+        &self.services.logins
     }
 }
 

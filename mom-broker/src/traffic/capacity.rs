@@ -38,7 +38,7 @@ pub(crate) struct NoCapacity {
 
 /// A message that waits for capacity.
 #[derive(Debug)]
-pub(crate) struct Held {
+pub(crate) struct WaitingMessage {
     pub(crate) parcel: Box<Parcel>,
     pub(crate) since: Micros,
     /// When to look again in any case.
@@ -46,7 +46,7 @@ pub(crate) struct Held {
     pub(crate) place: WaiterHandle,
 }
 
-impl Held {
+impl WaitingMessage {
     /// Waits until it is worth looking again.
     pub(crate) async fn ready(&self, clock: &Clock) {
         tokio::select! {

@@ -1,9 +1,9 @@
 //! From a sender to its receivers: who gets a message, what it waits for, and what becomes of it.
 
+mod batch;
 pub(crate) mod capacity;
 pub(crate) mod channel;
 pub(crate) mod encodings;
-mod gather;
 mod history;
 #[cfg(all(test, feature = "shuttle"))]
 #[path = "../../tests/interleaved/mod.rs"]

@@ -16,8 +16,8 @@ use mom_system::Clock;
 use mom_system::sync::Mutex;
 use mom_system::sync::atomic::{AtomicU64, Ordering};
 
+use crate::traffic::batch::Pace;
 use crate::traffic::encodings::{Bounds, Encodings};
-use crate::traffic::gather::Pace;
 use crate::traffic::history::History;
 use crate::traffic::outbox::{Dropped, Gate, Origin, Outbox, Packet};
 use crate::traffic::statistics::Statistics;

@@ -13,9 +13,9 @@ use mom_system::Clock;
 use mom_system::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use mom_system::sync::{Mutex, Notify};
 
+use crate::traffic::batch::{self, BatchWriter};
 use crate::traffic::channel::{Channel, Message, Sent, control, hub_origin, stamped};
 use crate::traffic::encodings::{Bounds, Encodings};
-use crate::traffic::gather::{self, Gatherer};
 use crate::traffic::outbox::{Dropped, Outbox, Packet};
 
 mod sending;
@@ -39,7 +39,7 @@ pub(crate) struct Switchboard {
     /// None where nothing outlives the broker; the hub knows, and stores nothing.
     pub(crate) store: Option<Store>,
     pub(crate) outboxes: DashMap<PeerId, Arc<Outbox>>,
-    gatherer: Gatherer,
+    batch_writer: BatchWriter,
     last_peer: AtomicU64,
     /// The hub's deadline may have come closer.
     pub(crate) deadline_changed: Notify,
@@ -63,7 +63,7 @@ impl Switchboard {
             bounds,
             store,
             outboxes: DashMap::new(),
-            gatherer: Gatherer::default(),
+            batch_writer: BatchWriter::default(),
             last_peer: AtomicU64::new(0),
             deadline_changed: Notify::new(),
             empty: Notify::new(),
@@ -308,8 +308,8 @@ impl Switchboard {
             receipt,
         } = sent;
         let path = &route.path;
-        if delivered.lively && delivered.touched.len() >= gather::RECEIVERS {
-            self.gatherer.defer(delivered.touched);
+        if delivered.lively && delivered.touched.len() >= batch::RECEIVERS {
+            self.batch_writer.defer(delivered.touched);
         } else {
             touched.extend(delivered.touched);
         }

@@ -9,7 +9,7 @@ use mom_net::Reader;
 use mom_proto::{Code, Limits, Parcel, Path, WireError};
 
 use super::{Switchboard, Touched};
-use crate::traffic::capacity::{Held, NoCapacity, no_capacity};
+use crate::traffic::capacity::{NoCapacity, WaitingMessage, no_capacity};
 use crate::traffic::channel::{Channel, Message, Outcome, Sender, Unsent, Why, run_ahead};
 use crate::traffic::outbox::{Outbox, WaiterHandle};
 
@@ -19,7 +19,7 @@ pub(crate) enum Handled {
     /// Its receivers have it, or the hub has.
     Done,
     /// It has to wait for capacity; nobody has it.
-    Waits(Box<Held>),
+    Waits(Box<WaitingMessage>),
 }
 
 impl Switchboard {
@@ -45,7 +45,7 @@ impl Switchboard {
         &self,
         sender: &Sender<'_>,
         limits: &Limits,
-        held: Held,
+        held: WaitingMessage,
         touched: &mut Touched,
     ) -> Result<Handled, WireError> {
         let waited = Some((held.since, held.place));
@@ -139,7 +139,7 @@ impl Switchboard {
             let waited = Duration::from_micros(now.saturating_sub(since));
             return Err(no_capacity(&slow, path, Some(waited), wait));
         }
-        Ok(Handled::Waits(Box::new(Held {
+        Ok(Handled::Waits(Box::new(WaitingMessage {
             parcel,
             since,
             until: stalled_at.map_or(end, |at| at.min(end)),

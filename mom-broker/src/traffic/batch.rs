@@ -2,7 +2,7 @@
 //!
 //! In a channel of fifty talkers nearly all of the work is one system call for each message and receiver. Where the
 //! next message is sure to follow at once, waiting for it costs each a fraction of a millisecond and saves half of the
-//! calls. Whatever is urgent, large, for few, or alone is written in the turn of its reader as ever.
+//! calls. Whatever is urgent, large, for few receivers, or alone is written at once by its reader.
 
 use std::sync::{Arc, OnceLock};
 use std::thread;
@@ -49,26 +49,26 @@ impl Pace {
     }
 }
 
-/// The thread that writes what was left for later; it starts with the first.
+/// The thread that writes deferred batches; it starts with the first.
 #[derive(Debug, Default)]
-pub(crate) struct Gatherer {
-    shared: Arc<Shared>,
+pub(crate) struct BatchWriter {
+    shared: Arc<BatchShared>,
     started: OnceLock<()>,
 }
 
 #[derive(Debug, Default)]
-struct Shared {
-    state: Mutex<State>,
+struct BatchShared {
+    state: Mutex<BatchState>,
     wake: Condvar,
 }
 
 #[derive(Debug, Default)]
-struct State {
+struct BatchState {
     waiting: Vec<Arc<Outbox>>,
     ended: bool,
 }
 
-impl Gatherer {
+impl BatchWriter {
     /// Flushes these in a moment. Whatever else is put into them until then goes with it.
     pub(crate) fn defer(&self, outboxes: Vec<Arc<Outbox>>) {
         self.started.get_or_init(|| {
@@ -95,14 +95,14 @@ impl Gatherer {
     }
 }
 
-impl Drop for Gatherer {
+impl Drop for BatchWriter {
     fn drop(&mut self) {
         self.shared.state.lock().ended = true;
         self.shared.wake.notify_one();
     }
 }
 
-impl Shared {
+impl BatchShared {
     fn run(&self) {
         loop {
             let mut state = self.state.lock();

@@ -1,0 +1,134 @@
+//! From a listening socket to a connection that is served.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use mom_net::{NetError, Transceiver};
+use mom_proto::{Code, Limits, WireError};
+use tokio::net::{TcpListener, TcpSocket, TcpStream, lookup_host};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
+use tokio::task::JoinSet;
+use tokio::time::Instant;
+
+use super::{Services, Serving, login_timeout};
+
+/// Connections that may wait to be taken in; the system may allow less. When a crowd comes back at once and more
+/// wait than that, Linux turns to SYN cookies, and a connection whose cookie has grown old is reset.
+const BACKLOG: u32 = 16 * 1024;
+
+/// Listens at the first address of a name that can be had.
+pub(crate) async fn listen(address: &str) -> std::io::Result<TcpListener> {
+    let mut failure = std::io::Error::from(std::io::ErrorKind::AddrNotAvailable);
+    for address in lookup_host(address).await? {
+        let bind = || {
+            let socket = match address.is_ipv4() {
+                true => TcpSocket::new_v4(),
+                false => TcpSocket::new_v6(),
+            }?;
+            // What is left of connections of the last start must not keep this one from its address.
+            socket.set_reuseaddr(true)?;
+            socket.bind(address)?;
+            socket.listen(BACKLOG)
+        };
+        match bind() {
+            Ok(listener) => return Ok(listener),
+            Err(error) => failure = error,
+        }
+    }
+    Err(failure)
+}
+
+/// One listener with all its connections.
+pub(crate) struct Listener {
+    pub(crate) services: Services,
+    /// The places for connections from outside.
+    pub(crate) connections: Arc<Semaphore>,
+    pub(crate) stop: watch::Receiver<bool>,
+}
+
+impl Listener {
+    pub(crate) async fn run(mut self, listener: TcpListener) {
+        let mut served = JoinSet::new();
+        loop {
+            let accepted = tokio::select! {
+                _ = self.stop.changed() => break,
+                Some(_) = served.join_next() => continue,
+                accepted = listener.accept() => accepted,
+            };
+            match accepted {
+                Ok((stream, from)) => match Arc::clone(&self.connections).try_acquire_owned() {
+                    Ok(place) => drop(served.spawn(self.services.fresh().take_in(stream, from, place))),
+                    Err(_) => refuse(&stream).await,
+                },
+                Err(error) => {
+                    // Mostly no descriptors left: existing connections go on, new ones wait a moment.
+                    tracing::warn!(%error, "cannot accept");
+                    tokio::time::sleep(Duration::from_millis(100)).await;
+                }
+            }
+        }
+        drop(listener);
+        while served.join_next().await.is_some() {}
+    }
+}
+
+impl Services {
+    /// Waits for the first bytes of a peer, which tell its form.
+    async fn greet(&self, stream: TcpStream, login_by: Instant) -> Result<Transceiver, NetError> {
+        let before_login = self.limits.before_login();
+        let too_late = async {
+            tokio::time::sleep_until(login_by).await;
+            login_timeout(self.limits.login_time)
+        };
+        mom_net::accept(stream, &before_login, too_late).await
+    }
+
+    /// Serves a connection from its first bytes on.
+    pub(crate) fn take_in(
+        self,
+        stream: TcpStream,
+        from: SocketAddr,
+        place: OwnedSemaphorePermit,
+    ) -> impl Future<Output = ()> {
+        // Apart, so that the connection does not keep the memory that this needs.
+        let begun = Box::pin(self.begin(stream, from));
+        async move {
+            // By reference, or it would be kept twice.
+            let mut begun = begun.await;
+            if let Some(serving) = &mut begun {
+                serving.run().await;
+            }
+            drop(place);
+        }
+    }
+
+    async fn begin(self, stream: TcpStream, from: SocketAddr) -> Option<Serving> {
+        let login_by = Instant::now() + login_time(&self.limits);
+        match self.greet(stream, login_by).await {
+            Ok(transceiver) => Some(Serving::begin(self, transceiver, Some(from.ip()), login_by)),
+            Err(error) => {
+                tracing::info!(%from, %error, "refused");
+                None
+            }
+        }
+    }
+}
+
+pub(crate) fn login_time(limits: &Limits) -> Duration {
+    Duration::from_millis(limits.login_time)
+}
+
+async fn refuse(stream: &TcpStream) {
+    tracing::warn!("too many connections");
+    let error = WireError::new(
+        Code::TOO_MANY_CONNECTIONS,
+        "this hub has as many connections as it may have",
+    );
+    if let Ok(encoded) = mom_proto::codec::Form::Xml.encode(&error.to_parcel(None)) {
+        // Best effort and without waiting: the peer is closed either way.
+        if stream.writable().await.is_ok() {
+            let _ = stream.try_write(&encoded.head);
+        }
+    }
+}
