@@ -5,10 +5,10 @@ use mom_proto::{Code, Verb, WireError};
 use serde::Deserialize;
 
 use super::Request;
-use crate::args;
-use crate::consult::{Allowed, Wish};
-use crate::durable::Change;
-use crate::pending::Refusal;
+use crate::asking::consult::{Allowed, Wish};
+use crate::asking::questions::Refusal;
+use crate::ownership::grant::Change;
+use crate::tree::spec as args;
 use crate::{Effect, Hub, PeerId};
 
 #[derive(Default, Deserialize)]

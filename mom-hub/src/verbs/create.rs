@@ -3,9 +3,9 @@
 use mom_proto::{Code, ContextKind, Verb, WireError};
 
 use super::Request;
-use crate::args::{self, ContextSpec};
-use crate::consult::Wish;
-use crate::pending::Refusal;
+use crate::asking::consult::Wish;
+use crate::asking::questions::Refusal;
+use crate::tree::spec::{self as args, ContextSpec};
 use crate::{Effect, Hub};
 
 pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {

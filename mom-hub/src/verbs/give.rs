@@ -5,10 +5,10 @@ use mom_proto::{Code, ContextNumber, Map, Verb, WireError};
 use serde::Deserialize;
 
 use super::Request;
-use crate::args;
-use crate::ownership::millis;
-use crate::pending::Refusal;
-use crate::token::Offer;
+use crate::asking::questions::Refusal;
+use crate::ownership::change::millis;
+use crate::token::state::Offer;
+use crate::tree::spec as args;
 use crate::{Effect, Hub, PeerId};
 
 #[derive(Deserialize)]

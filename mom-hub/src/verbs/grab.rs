@@ -6,11 +6,11 @@ use mom_proto::{Code, ContextNumber, Value, WireError};
 use serde::Deserialize;
 
 use super::Request;
-use crate::args;
-use crate::consult::Wish;
-use crate::durable::Change;
-use crate::pending::Refusal;
-use crate::waiting::Wait;
+use crate::asking::consult::Wish;
+use crate::asking::questions::Refusal;
+use crate::ownership::grant::Change;
+use crate::ownership::queue::Wait;
+use crate::tree::spec as args;
 use crate::{Effect, Hub};
 
 #[derive(Default, Deserialize)]

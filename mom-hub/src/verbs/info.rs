@@ -3,9 +3,9 @@
 use mom_proto::Map;
 
 use super::Request;
-use crate::context::{Presence, Role};
-use crate::ownership::expiry_word;
-use crate::pending::Refusal;
+use crate::asking::questions::Refusal;
+use crate::ownership::change::expiry_word;
+use crate::tree::context::{Presence, Role};
 use crate::{Effect, Hub};
 
 pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {

@@ -9,10 +9,10 @@ use mom_proto::{Code, ContextNumber, WireError};
 use serde::Deserialize;
 
 use super::Request;
-use crate::args;
-use crate::handover::{AGAIN, not_again};
-use crate::ownership::millis;
-use crate::pending::Refusal;
+use crate::asking::questions::Refusal;
+use crate::ownership::change::millis;
+use crate::ownership::handover::{AGAIN, not_again};
+use crate::tree::spec as args;
 use crate::{Audit, Effect, Hub, PeerId};
 
 /// How long an invitation counts, µs.
@@ -142,7 +142,7 @@ impl Hub {
         };
         let (path, root) = (context.path.clone(), context.parent.is_none());
         let mut content = match self.peers.get(peer) {
-            Some(known) => crate::events::peer_map(&known.facts),
+            Some(known) => crate::world::events::peer_map(&known.facts),
             None => return,
         };
         if let Some(by) = by {

@@ -4,9 +4,9 @@
 use mom_proto::{Code, ContextNumber, Overflow, Thinning, WireError};
 
 use super::Request;
-use crate::args::{self, JoinArgs};
-use crate::context::Role;
-use crate::pending::Refusal;
+use crate::asking::questions::Refusal;
+use crate::tree::context::Role;
+use crate::tree::spec::{self as args, JoinArgs};
 use crate::{Effect, Hub};
 
 pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {

@@ -4,7 +4,7 @@ use mom_proto::event::Reason;
 use mom_proto::{Code, WireError};
 
 use super::Request;
-use crate::pending::Refusal;
+use crate::asking::questions::Refusal;
 use crate::{Effect, Hub};
 
 pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {

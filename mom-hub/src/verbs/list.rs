@@ -3,8 +3,8 @@
 use mom_proto::{ContextKind, ContextNumber, Map, Value, Verb};
 
 use super::{Request, of_kind};
-use crate::consult::Wish;
-use crate::pending::Refusal;
+use crate::asking::consult::Wish;
+use crate::asking::questions::Refusal;
 use crate::{Effect, Hub};
 
 pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {

@@ -1,7 +1,7 @@
 //! `context lookup`: what is at a path (M32).
 
 use super::Request;
-use crate::pending::Refusal;
+use crate::asking::questions::Refusal;
 use crate::{Effect, Hub};
 
 pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {

@@ -3,8 +3,8 @@
 use mom_proto::{Map, Value};
 
 use super::Request;
-use crate::events::peer_map;
-use crate::pending::Refusal;
+use crate::asking::questions::Refusal;
+use crate::world::events::peer_map;
 use crate::{Effect, Hub};
 
 pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {

@@ -23,11 +23,11 @@ mod verdict;
 use mom_managers::Answer;
 use mom_proto::{Code, ContextKind, ContextNumber, Family, Parcel, Path, Verb, WireError};
 
-use crate::consult::{Allowed, Wish};
-use crate::context::Context;
-use crate::pending::{Refusal, take_parcel};
-use crate::token::HeldBack;
-use crate::waiting::MOST;
+use crate::asking::consult::{Allowed, Wish};
+use crate::asking::questions::{Refusal, take_parcel};
+use crate::ownership::queue::MOST;
+use crate::token::state::HeldBack;
+use crate::tree::context::Context;
 
 /// Requests of one peer that wait while a change of a token is being stored.
 const MOST_OF_ONE: usize = 16;

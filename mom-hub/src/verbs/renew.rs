@@ -5,7 +5,7 @@ use std::time::Duration;
 use mom_proto::{Code, ContextNumber, WireError};
 
 use super::Request;
-use crate::pending::Refusal;
+use crate::asking::questions::Refusal;
 use crate::{Effect, Hub};
 
 pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {

@@ -4,10 +4,10 @@ use mom_proto::{Code, Verb, WireError};
 use serde::Deserialize;
 
 use super::{Request, grab};
-use crate::args;
-use crate::handover::ASKING;
-use crate::pending::Refusal;
-use crate::token::Asking;
+use crate::asking::questions::Refusal;
+use crate::ownership::handover::ASKING;
+use crate::token::state::Asking;
+use crate::tree::spec as args;
 use crate::{Effect, Hub};
 
 #[derive(Deserialize)]

@@ -6,11 +6,11 @@ use mom_managers::{Answer, Grant, Micros, Scope, Standing, Verdict};
 use mom_proto::{Content, ContextKind, ContextNumber, Parcel, Verb, WireError};
 
 use super::{Request, of_kind};
-use crate::admit::admit_with;
-use crate::age::{Aged, age_of, is_within};
-use crate::consult::Wish;
-use crate::member::has_own_right;
-use crate::pending::{Refusal, take_parcel};
+use crate::asking::consult::Wish;
+use crate::asking::questions::{Refusal, take_parcel};
+use crate::messages::admit::admit_with;
+use crate::messages::age::{Aged, age_of, is_within};
+use crate::tree::member::has_own_right;
 use crate::{Effect, Hub, Ingress, PeerClock, PeerId, Route, StandingVerdict};
 
 pub(crate) fn on(hub: &mut Hub, request: &mut Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {

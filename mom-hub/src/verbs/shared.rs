@@ -4,7 +4,7 @@ use mom_proto::event::Reason;
 use mom_proto::{Code, Map, WireError};
 
 use super::Request;
-use crate::pending::Refusal;
+use crate::asking::questions::Refusal;
 use crate::{Effect, Hub, PeerId};
 
 /// Takes a token away from its owner, from all who hold it together, and from who had it before a restart.

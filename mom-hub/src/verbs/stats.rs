@@ -6,8 +6,8 @@ use std::sync::Arc;
 use mom_proto::{Code, ContextKind, ContextNumber, Family, Verb, WireError};
 
 use super::Request;
-use crate::consult::Wish;
-use crate::pending::Refusal;
+use crate::asking::consult::Wish;
+use crate::asking::questions::Refusal;
 use crate::{Effect, Hub};
 
 /// Channels of which one reply tells at most.

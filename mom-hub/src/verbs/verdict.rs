@@ -7,8 +7,8 @@ use mom_proto::{Code, WireError};
 use serde::Deserialize;
 
 use super::Request;
-use crate::args;
-use crate::pending::Refusal;
+use crate::asking::questions::Refusal;
+use crate::tree::spec as args;
 use crate::{Effect, Hub};
 
 #[derive(Deserialize)]

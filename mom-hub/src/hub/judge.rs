@@ -4,9 +4,9 @@ use mom_managers::{Answer, Micros, Terms, Verdict};
 use mom_proto::event::Reason;
 use mom_proto::{Code, ContextKind, ContextNumber, Family, Path, Verb, WireError};
 
-use crate::consult::Wish;
-use crate::context::Context;
-use crate::ownership::Grantee;
+use crate::asking::consult::Wish;
+use crate::ownership::change::Grantee;
+use crate::tree::context::Context;
 use crate::verbs::of_kind;
 use crate::{Hub, PeerId, User};
 

@@ -8,10 +8,10 @@ use mom_proto::event;
 use mom_proto::nearest::nearest;
 use mom_proto::{Code, Content, ContextKind, ContextNumber, Path, WireError};
 
-use crate::args::{self, ContextSpec};
-use crate::context::{Channel, Context, GuardSpec, Presence, Role};
 use crate::hub::Timer;
-use crate::token::{SafeState, Token};
+use crate::token::state::{SafeState, Token};
+use crate::tree::context::{Channel, Context, GuardSpec, Presence, Role};
+use crate::tree::spec::{self as args, ContextSpec};
 use crate::{Hub, KeepArgs, PeerId};
 
 /// Channels that one token may guard: each renewal gives new routes to all of them.

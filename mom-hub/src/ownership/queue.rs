@@ -4,12 +4,12 @@ use mom_managers::{Answer, Micros};
 use mom_proto::event::{self, Reason};
 use mom_proto::{Code, ContextNumber, Map, Verb, WireError};
 
-use crate::consult::Wish;
-use crate::durable::Change;
+use crate::asking::consult::Wish;
+use crate::asking::questions::Heard;
 use crate::hub::Timer;
-use crate::ownership::{fence_value, millis};
-use crate::pending::Heard;
-use crate::token::{Token, Waiter};
+use crate::ownership::change::{fence_value, millis};
+use crate::ownership::grant::Change;
+use crate::token::state::{Token, Waiter};
 use crate::{Effect, Hub, PeerId};
 
 /// Grabs that may wait for one token.

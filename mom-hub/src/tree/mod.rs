@@ -1,11 +1,17 @@
 //! All contexts, by number and by path.
 
+pub(crate) mod context;
+pub(crate) mod keep;
+pub(crate) mod member;
+pub(crate) mod peers;
+pub(crate) mod spec;
+
 use std::collections::BTreeMap;
 
 use mom_proto::{ContextNumber, Path};
 
 use crate::PeerId;
-use crate::context::Context;
+use crate::tree::context::Context;
 
 /// The tree under one root (M21).
 #[derive(Debug, Default)]

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use mom_proto::event::{self, Reason};
 use mom_proto::{ContextNumber, HUB, Parcel, Path, Value, Verb, WireError};
 
-use crate::ownership::Ended;
+use crate::ownership::change::Ended;
 use crate::{Audit, Effect, Hub, PeerId};
 
 impl Hub {

@@ -10,9 +10,9 @@ use mom_managers::{Expiry, Micros};
 use mom_proto::event::{self, Reason};
 use mom_proto::{Content, ContextNumber, Family, Map, Path, Value, Verb};
 
-use crate::durable::Change;
 use crate::hub::Timer;
-use crate::token::{Delegation, Ownership, Token};
+use crate::ownership::grant::Change;
+use crate::token::state::{Delegation, Ownership, Token};
 use crate::{Effect, Hub, PeerId};
 
 /// Numbers of one epoch; grants beyond run into the next, which is why epochs are seconds apart.

@@ -6,11 +6,11 @@ use std::sync::Arc;
 use mom_proto::event::{self, Reason};
 use mom_proto::{Code, ContextNumber, Map, Thinning, WireError};
 
-use crate::context::Presence;
-use crate::durable::Storing;
-use crate::events::peer_map;
 use crate::hub::Timer;
-use crate::route::{Guard, GuardOwner, Route};
+use crate::messages::route::{Guard, GuardOwner, Route};
+use crate::ownership::grant::Storing;
+use crate::tree::context::Presence;
+use crate::world::events::peer_map;
 use crate::{Effect, Hub, Member, PeerId};
 
 impl Hub {

@@ -9,13 +9,13 @@ use mom_managers::{
 };
 use mom_proto::{Code, ContextKind, ContextNumber, Path, Verb, WireError};
 
-use crate::admit::refusal;
-use crate::age::Aged;
-use crate::context::Context;
-use crate::ownership::{fence_value, millis};
-use crate::pending::{Deferred, Refusal};
-use crate::token::Token;
-use crate::waiting::{Turns, place_of};
+use crate::asking::questions::{Deferred, Refusal};
+use crate::messages::admit::refusal;
+use crate::messages::age::Aged;
+use crate::ownership::change::{fence_value, millis};
+use crate::ownership::queue::{Turns, place_of};
+use crate::token::state::Token;
+use crate::tree::context::Context;
 use crate::{Hub, PeerId};
 
 /// What a request wants, for the manager's question.

@@ -3,8 +3,8 @@
 use mom_proto::{ContextNumber, Map, Value};
 
 use crate::Hub;
-use crate::ownership::{fence_value, millis};
-use crate::token::Token;
+use crate::ownership::change::{fence_value, millis};
+use crate::token::state::Token;
 
 impl Hub {
     /// What is known of a token's owner: fence, and with an owner who, since when, lease left.
@@ -42,7 +42,11 @@ impl Hub {
                 .filter_map(|waiter| {
                     let facts = &self.peers.get(waiter.peer)?.facts;
                     let waiting = millis(self.now.saturating_sub(waiter.since));
-                    Some(crate::events::peer_map(facts).with("waiting", waiting).into())
+                    Some(
+                        crate::world::events::peer_map(facts)
+                            .with("waiting", waiting)
+                            .into(),
+                    )
                 })
                 .collect();
             map.set("queue", queue);

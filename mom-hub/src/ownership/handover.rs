@@ -7,8 +7,8 @@ use mom_proto::event;
 use mom_proto::{Code, ContextNumber, Map, Value, Verb, WireError};
 
 use crate::hub::Timer;
-use crate::ownership::{fence_value, millis};
-use crate::token::{Asking, Offer};
+use crate::ownership::change::{fence_value, millis};
+use crate::token::state::{Asking, Offer};
 use crate::{Effect, Hub, PeerId};
 
 /// Peers that may ask one owner at a time.
@@ -155,7 +155,7 @@ impl Hub {
             return;
         };
         let mut content = match self.peers.get(peer) {
-            Some(known) => crate::events::peer_map(&known.facts),
+            Some(known) => crate::world::events::peer_map(&known.facts),
             None => return,
         };
         content.set("within", self.millis_until(until));

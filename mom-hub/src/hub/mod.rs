@@ -1,5 +1,10 @@
 //! The hub: its state, and the way in.
 
+mod check;
+mod configure;
+pub(crate) mod input;
+pub(crate) mod judge;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -7,12 +12,12 @@ use mom_managers::{Micros, Registry};
 use mom_proto::event::Reason;
 use mom_proto::{Code, ContextNumber, Family, Map, PROTOCOL_VERSION, Parcel, Path, Value, Verb, WireError};
 
-use crate::args::{self, ContextSpec};
-use crate::create::{SetupError, make_root, manager_word};
-use crate::peers::Peers;
-use crate::pending::{Heard, Pending, Refusal};
-use crate::token::Token;
+use crate::asking::questions::{Heard, Pending, Refusal};
+use crate::contexts::make::{SetupError, make_root, manager_word};
+use crate::token::state::Token;
 use crate::tree::Tree;
+use crate::tree::peers::Peers;
+use crate::tree::spec::{self as args, ContextSpec};
 use crate::verbs::{self, Request};
 use crate::{Effect, Input, PeerId, Record, Settings, Ticket, User};
 
@@ -279,7 +284,7 @@ impl Hub {
             .map(|group| Value::from(group.as_str()))
             .collect::<Vec<_>>();
         let (major, minor) = PROTOCOL_VERSION;
-        crate::events::peer_map(&peer.facts)
+        crate::world::events::peer_map(&peer.facts)
             .with("groups", groups)
             .with(
                 "protocol",

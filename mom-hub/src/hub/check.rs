@@ -4,9 +4,9 @@ use std::collections::BTreeSet;
 
 use mom_proto::ContextNumber;
 
-use crate::context::Context;
 use crate::hub::Timer;
-use crate::token::Token;
+use crate::token::state::Token;
+use crate::tree::context::Context;
 use crate::{Hub, PeerId};
 
 impl Hub {

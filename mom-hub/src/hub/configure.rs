@@ -7,11 +7,11 @@ use mom_managers::Answer;
 use mom_proto::event::Reason;
 use mom_proto::{Code, ContextNumber, Path, Verb, WireError};
 
-use crate::args::ContextSpec;
-use crate::consult::Wish;
-use crate::context::Role;
-use crate::create::manager_word;
-use crate::input::Configuration;
+use crate::asking::consult::Wish;
+use crate::contexts::make::manager_word;
+use crate::hub::input::Configuration;
+use crate::tree::context::Role;
+use crate::tree::spec::ContextSpec;
 use crate::{Audit, Effect, Hub, PeerId, User};
 
 impl Hub {

@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use mom_managers::{Expiry, Micros, Terms};
 use mom_proto::{Content, ContextNumber, Parcel, Path, Verb};
 
-use crate::durable::Storing;
-use crate::pending::Heard;
+use crate::asking::questions::Heard;
+use crate::ownership::grant::Storing;
 use crate::{Holder, PeerId, Record};
 
 /// A token.

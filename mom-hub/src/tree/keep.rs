@@ -4,7 +4,7 @@ use mom_managers::Micros;
 use mom_proto::{Map, Value, WireError, event};
 use serde::Deserialize;
 
-use crate::args;
+use crate::tree::spec as args;
 
 /// What is kept where nothing else is said, and at most: content of parcels, in bytes.
 const BYTES: usize = 1 << 20;
@@ -80,7 +80,7 @@ impl Keep {
             .with("parcels", size(self.parcels))
             .with("bytes", size(self.bytes));
         match self.age {
-            Some(age) => map.with("age", crate::ownership::millis(age)),
+            Some(age) => map.with("age", crate::ownership::change::millis(age)),
             None => map,
         }
     }

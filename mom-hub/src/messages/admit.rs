@@ -8,8 +8,8 @@ use mom_managers::{Answer, Denial, Micros, PeerFacts, Rate};
 use mom_proto::nearest::nearest;
 use mom_proto::{Code, Family, HISTORY, Parcel, Time, Verb, WireError, event};
 
-use crate::age::{age_of, aged, check_age, check_life, is_ahead, is_within};
-use crate::route::{Guard, GuardOwner, Route};
+use crate::messages::age::{age_of, aged, check_age, check_life, is_ahead, is_within};
+use crate::messages::route::{Guard, GuardOwner, Route};
 use crate::{Member, PeerClock, PeerId};
 
 /// The priorities that peers may use; others are brought into this range (M7).

@@ -9,8 +9,8 @@ use mom_managers::Micros;
 use mom_proto::event::Reason;
 use mom_proto::{Code, ContextNumber, Family, Parcel, Path, Verb, WireError};
 
-use crate::ownership::Grantee;
-use crate::token::{Delegation, Reserved, Token};
+use crate::ownership::change::Grantee;
+use crate::token::state::{Delegation, Reserved, Token};
 use crate::{Effect, Holder, Hub, PeerId, Record, Ticket};
 
 /// What rests after a restart where a token has no lease, µs: as long as a lost peer may go unnoticed.

@@ -9,8 +9,8 @@ use std::sync::Arc;
 use mom_managers::{Ask, Defer, Given, Micros};
 use mom_proto::{Code, Content, ContextNumber, Family, Map, Parcel, Path, Value, Verb, WireError};
 
-use crate::age::Aged;
 use crate::hub::Timer;
+use crate::messages::age::Aged;
 use crate::{Effect, Hub, PeerId};
 
 /// Questions of one peer that may wait, and of all.
@@ -200,7 +200,7 @@ impl Hub {
             return;
         };
         let mut content = Map::new().with("verb", deferred.verb.word());
-        for (key, value) in crate::events::peer_map(facts) {
+        for (key, value) in crate::world::events::peer_map(facts) {
             content.set(&key, value);
         }
         let groups: Vec<Value> = facts

@@ -7,7 +7,7 @@ use mom_managers::{Manager, Micros};
 use mom_proto::{ContextKind, ContextNumber, Delivery, Map, Overflow, Path, Value};
 use serde::Deserialize;
 
-use crate::token::Token;
+use crate::token::state::Token;
 use crate::{Keep, Member, PeerId};
 
 /// Who is told who comes and goes (design §7).

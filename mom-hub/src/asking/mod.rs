@@ -1,0 +1,4 @@
+//! Asking managers, peers and chairs.
+
+pub(crate) mod consult;
+pub(crate) mod questions;

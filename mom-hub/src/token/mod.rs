@@ -1,0 +1,4 @@
+//! One token.
+
+pub(crate) mod record;
+pub(crate) mod state;
