@@ -1,4 +1,4 @@
-//! `token accept` and `token decline`: the answers to an offer, and those of an owner to who asks.
+//! `token accept`: the answer to an offer, and that of an owner to who asks.
 
 use mom_proto::event::Reason;
 use mom_proto::{Code, Verb, WireError};
@@ -13,14 +13,14 @@ use crate::{Effect, Hub, PeerId};
 
 #[derive(Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-struct Args {
+pub(super) struct Args {
     /// Whose request the owner answers; absent = the offer made to this peer.
-    peer: Option<String>,
+    pub(super) peer: Option<String>,
     /// Plain words for who is declined.
-    text: Option<String>,
+    pub(super) text: Option<String>,
 }
 
-pub(crate) fn on_accept(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
     let args: Args = args::read_or_default(&request.parcel)?;
     let number = hub.find_token(request)?;
     let (peer, answers) = (request.peer, vec![(request.peer, request.parcel.id)]);
@@ -65,27 +65,8 @@ pub(crate) fn on_accept(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>)
     Ok(())
 }
 
-pub(crate) fn on_decline(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let number = hub.find_token(request)?;
-    let args: Args = args::read_or_default(&request.parcel)?;
-    hub.allow(request, number)?;
-    if let Some(name) = &args.peer {
-        hub.check_owner(request, number)?;
-        let to = asking(hub, request, name)?;
-        let text = args.text.as_deref().unwrap_or("not now");
-        let text = format!("{} declined: {text}", hub.name_of(request.peer));
-        let error = WireError::new(Code::DECLINED, text).rule("the owner's word");
-        hub.end_asking(number, to, &error, None, out);
-    } else {
-        offered(hub, request)?;
-        hub.end_offer(number, "declined", out);
-    }
-    hub.push_ok(request.peer, request.parcel.id, &request.path, None, out);
-    Ok(())
-}
-
 /// The peer of this name that has asked the owner.
-fn asking(hub: &Hub, request: &Request, name: &str) -> Result<PeerId, WireError> {
+pub(super) fn asking(hub: &Hub, request: &Request, name: &str) -> Result<PeerId, WireError> {
     let token = hub.tree.find(&request.path).and_then(|context| context.token());
     let peer = hub.peers.id_of(name);
     let asks =
@@ -97,7 +78,7 @@ fn asking(hub: &Hub, request: &Request, name: &str) -> Result<PeerId, WireError>
 }
 
 /// Checks that there is an offer to the peer.
-fn offered(hub: &Hub, request: &Request) -> Result<(), WireError> {
+pub(super) fn offered(hub: &Hub, request: &Request) -> Result<(), WireError> {
     let token = hub.tree.find(&request.path).and_then(|context| context.token());
     let offer = token.and_then(|token| token.offer.as_ref());
     if offer.is_some_and(|offer| offer.to == request.peer) {

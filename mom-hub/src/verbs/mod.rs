@@ -1,23 +1,28 @@
 //! One verb per file: what it needs, what it changes, what it answers.
 
 mod accept;
+mod breaking;
 mod create;
+mod decline;
 mod delete;
+mod expel;
 mod give;
 mod grab;
 mod info;
+mod inhibit;
 mod invite;
 mod join;
 mod leave;
 mod list;
+mod logout;
 mod lookup;
 mod members;
 mod release;
 mod renew;
 mod request;
 mod send;
-mod shared;
 mod stats;
+mod uninhibit;
 mod verdict;
 
 use mom_managers::Answer;
@@ -56,22 +61,22 @@ pub(crate) fn carry_out(hub: &mut Hub, request: &mut Request, out: &mut Vec<Effe
         Verb::Delete => delete::on(hub, request, out),
         Verb::Members => members::on(hub, request, out),
         Verb::Stats => stats::on(hub, request, out),
-        Verb::Invite => invite::on_invite(hub, request, out),
-        Verb::Expel => invite::on_expel(hub, request, out),
+        Verb::Invite => invite::on(hub, request, out),
+        Verb::Expel => expel::on(hub, request, out),
         Verb::Grab => grab::on(hub, request, out),
         Verb::Release => release::on(hub, request, out),
         Verb::Renew => renew::on(hub, request, out),
         Verb::Give => give::on(hub, request, out),
-        Verb::Accept => accept::on_accept(hub, request, out),
-        Verb::Decline => accept::on_decline(hub, request, out),
+        Verb::Accept => accept::on(hub, request, out),
+        Verb::Decline => decline::on(hub, request, out),
         Verb::Request => request::on(hub, request, out),
-        Verb::Break => shared::on_break(hub, request, out),
-        Verb::Inhibit => shared::on_inhibit(hub, request, out),
-        Verb::Uninhibit => shared::on_uninhibit(hub, request, out),
+        Verb::Break => breaking::on(hub, request, out),
+        Verb::Inhibit => inhibit::on(hub, request, out),
+        Verb::Uninhibit => uninhibit::on(hub, request, out),
         Verb::Send | Verb::Stop | Verb::Unstop => send::on(hub, request, out),
         Verb::Verdict => verdict::on(hub, request, out),
         Verb::Logout => {
-            logout(hub, request, out);
+            logout::on(hub, request, out);
             Ok(())
         }
         // Those need what the hub does not have: passwords, keys and clocks. The broker answers them.
@@ -80,16 +85,6 @@ pub(crate) fn carry_out(hub: &mut Hub, request: &mut Request, out: &mut Vec<Effe
             Err(WireError::new(Code::UNKNOWN_VERB, text).into())
         }
     }
-}
-
-fn logout(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) {
-    // The departure first: whoever reads `ok` has left everything and owns nothing.
-    hub.handle_gone(request.peer, out);
-    hub.push_ok(request.peer, request.parcel.id, &Path::root(), None, out);
-    out.push(Effect::Close {
-        peer: request.peer,
-        error: None,
-    });
 }
 
 impl Hub {
