@@ -21,27 +21,33 @@
 //! ```
 
 mod asking;
+mod content;
 mod contexts;
+mod heard;
 mod hub;
 mod messages;
 mod ownership;
+mod peer_id;
 mod token;
 mod tree;
+mod values;
 mod verbs;
 mod world;
 
 pub use contexts::make::SetupError;
 pub use hub::Hub;
-pub use hub::input::{Configuration, Input, User};
+pub use hub::input::{Configuration, Input};
 pub use hub::judge::{Case, Judgement, Place};
 pub use messages::admit::{Admission, Alike, Ingress, Receivers, admit, admit_with, receivers};
-pub use messages::age::PeerClock;
 pub use messages::rate::{Budget, Usage};
 pub use messages::route::{Guard, GuardOwner, Route};
+pub use peer_id::PeerId;
 pub use token::record::{Holder, Record, Ticket};
+pub use tree::clock::PeerClock;
 pub use tree::context::Presence;
 pub use tree::keep::{Keep, KeepArgs};
-pub use tree::member::{Member, PeerId, StandingVerdict};
+pub use tree::member::{Member, StandingVerdict};
+pub use tree::peers::User;
 pub use tree::spec::ContextSpec;
 pub use world::audit::Audit;
 pub use world::effect::Effect;

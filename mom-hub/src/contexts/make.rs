@@ -3,16 +3,16 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use mom_managers::Terms;
+use mom_managers::{Manager, Terms};
 use mom_proto::event;
 use mom_proto::nearest::nearest;
-use mom_proto::{Code, Content, ContextKind, ContextNumber, Path, WireError};
+use mom_proto::{Code, Content, ContextKind, ContextNumber, Path, Value, WireError};
 
-use crate::hub::Timer;
+use crate::content::{bad, micros, path as read_path};
 use crate::token::state::{SafeState, Token};
 use crate::tree::context::{Channel, Context, GuardSpec, Presence, Role};
-use crate::tree::spec::{self as args, ContextSpec};
-use crate::{Hub, KeepArgs, PeerId};
+use crate::world::{Timer, World};
+use crate::{ContextSpec, Effect, KeepArgs, PeerId};
 
 /// Channels that one token may guard: each renewal gives new routes to all of them.
 const GUARDED: usize = 256;
@@ -26,7 +26,18 @@ pub struct SetupError {
     pub error: WireError,
 }
 
-impl Hub {
+impl World {
+    /// Makes a context of the configuration, which stays for good.
+    pub(crate) fn make_configured(&mut self, spec: &ContextSpec) -> Result<ContextNumber, WireError> {
+        let Some(path) = &spec.path else {
+            return Err(bad(
+                "path",
+                "a context of the configuration needs its path".to_owned(),
+            ));
+        };
+        self.make(read_path(path, "path")?, spec, None)
+    }
+
     /// Makes a context below an existing session; checks everything before anything changes.
     pub(crate) fn make(
         &mut self,
@@ -34,7 +45,7 @@ impl Hub {
         spec: &ContextSpec,
         creator: Option<PeerId>,
     ) -> Result<ContextNumber, WireError> {
-        let parent = self.parent_for(&path)?;
+        let parent = self.tree.parent_for(&path)?;
         if self.tree.find(&path).is_some() {
             return Err(
                 WireError::new(Code::EXISTS, format!("there is a context {path} already")).slot("context"),
@@ -57,7 +68,6 @@ impl Hub {
         let mut role = self.make_role(spec, managed_terms)?;
         self.check_guarded(&role)?;
         if let Role::Token(token) = &mut role {
-            // Above all fences that were ever given out at this path.
             self.restore(&path, token);
         }
         let number = self.tree.next_number();
@@ -95,7 +105,9 @@ impl Hub {
     /// Lets a new channel's token know what it guards, and a new token the channels that wait for one at
     /// its path since it was deleted there.
     pub(crate) fn link_guards(&mut self, number: ContextNumber) {
-        let Some(made) = self.tree.get(number) else { return };
+        let Some(made) = self.tree.get(number) else {
+            return self.fault("a context that is not there guards or is guarded");
+        };
         let guards = |channel: &Context| {
             channel
                 .channel()
@@ -105,8 +117,8 @@ impl Hub {
         let (token, guarded): (Option<ContextNumber>, Vec<ContextNumber>) = match &made.role {
             Role::Session => return,
             Role::Channel(_) => {
-                let token = guards(made).and_then(|token| self.tree.find(&token));
-                (token.map(|token| token.number), vec![number])
+                let token = guards(made).and_then(|token| self.tree.token_at(&token));
+                (token.map(|(number, _)| number), vec![number])
             }
             Role::Token(_) => {
                 let waiting = self
@@ -116,7 +128,8 @@ impl Hub {
                 (Some(number), waiting.map(|channel| channel.number).collect())
             }
         };
-        if let Some(token) = token.and_then(|token| self.tree.get_mut(token)?.token_mut()) {
+        // A channel may have no guard, or one whose token was deleted.
+        if let Some(token) = token.and_then(|token| self.token_mut(token)) {
             token.guarded.extend(guarded);
         }
     }
@@ -134,43 +147,27 @@ impl Hub {
         Ok(())
     }
 
-    /// The session in which a path is to be made.
-    pub(crate) fn parent_for(&self, path: &Path) -> Result<ContextNumber, WireError> {
-        let Some(above) = path.parent() else {
-            return Err(WireError::new(Code::EXISTS, "the root is there already").slot("context"));
-        };
-        let parent = self
-            .tree
-            .find(&above)
-            .ok_or_else(|| self.unknown_path(&above, None))?;
-        match parent.kind() {
-            ContextKind::Session => Ok(parent.number),
-            kind => {
-                let text = format!("{above} is a {kind}; only sessions have contexts in them");
-                Err(WireError::new(Code::WRONG_KIND, text).slot("context"))
-            }
-        }
-    }
-
+    /// The terms of tokens whose manager is that of this session, or of the nearest one above.
     pub(crate) fn terms_above(&self, parent: ContextNumber) -> Terms {
-        let managing = self.managing(parent).and_then(|number| self.tree.get(number));
+        let managing = self.tree.managing(parent);
         managing
             .and_then(|context| context.manager.as_ref())
             .map(|manager| manager.terms())
             .unwrap_or_default()
     }
 
+    /// What a context is made to be besides a place, by its specification.
     pub(crate) fn make_role(&self, spec: &ContextSpec, terms: Terms) -> Result<Role, WireError> {
         let kind = ContextKind::from_word(&spec.kind).ok_or_else(|| {
             let near = nearest(&spec.kind, ContextKind::ALL.map(ContextKind::word));
-            args::bad(
+            bad(
                 "kind",
                 format!("{:?} is not one of session, channel, token", spec.kind),
             )
             .nearest_opt(near)
         })?;
         let only = |present: bool, key: &str, of: ContextKind| match present && kind != of {
-            true => Err(args::bad(key, format!("only a {of} has {key}"))),
+            true => Err(bad(key, format!("only a {of} has {key}"))),
             false => Ok(()),
         };
         only(spec.guard.is_some(), "guard", ContextKind::Channel)?;
@@ -198,19 +195,15 @@ impl Hub {
         let Some(guard) = &spec.guard else {
             return Ok(None);
         };
-        let token = args::path(&guard.token, "guard/token")?;
-        if self
-            .tree
-            .find(&token)
-            .and_then(|context| context.token())
-            .is_none()
-        {
+        let token = read_path(&guard.token, "guard/token")?;
+        if self.tree.token_at(&token).is_none() {
             return Err(self
+                .tree
                 .unknown_path(&token, Some(ContextKind::Token))
                 .slot("content/guard/token"));
         }
         if guard.names.is_empty() {
-            return Err(args::bad(
+            return Err(bad(
                 "guard/names",
                 "a guard needs the names of messages, or *".to_owned(),
             ));
@@ -229,72 +222,32 @@ impl Hub {
         else {
             return Ok(());
         };
-        let token = self.tree.find(&guard.token).and_then(|context| context.token());
-        if token.is_some_and(|token| token.guarded.len() >= GUARDED) {
+        let token = self.tree.token_at(&guard.token);
+        if token.is_some_and(|(_, token)| token.guarded.len() >= GUARDED) {
             let text = format!("{} guards {GUARDED} channels, as many as may be", guard.token);
             return Err(WireError::new(Code::FULL, text).slot("content/guard/token"));
         }
         Ok(())
     }
 
-    /// The error for a path that nothing is at, with the nearest one that is.
-    pub(crate) fn unknown_path(&self, path: &Path, kind: Option<ContextKind>) -> WireError {
-        let what = kind.map_or("context", ContextKind::word);
-        WireError::new(Code::UNKNOWN_PATH, format!("there is no {what} {path}"))
-            .slot("context")
-            .nearest_opt(self.nearest_path(path).as_ref().map(Path::as_str))
-    }
-
-    /// The path that was probably meant: one segment of this one mistyped.
-    ///
-    /// Only the children of the nearest context above are looked at, and not all of a great many: a typo must
-    /// not cost a walk over the tree.
-    pub(crate) fn nearest_path(&self, path: &Path) -> Option<Path> {
-        const CHILDREN: usize = 1000;
-        let above = self.tree.find_or_above(path)?;
-        let mut missing = path.segments().skip(above.path.segments().count());
-        let mistyped = missing.next()?;
-        let child = nearest(
-            mistyped,
-            above.children.keys().take(CHILDREN).map(|child| &**child),
-        )?;
-        let found = above.path.child(child).ok()?;
-        let full = missing.try_fold(found.clone(), |path, segment| path.child(segment));
-        Some(
-            full.ok()
-                .filter(|full| self.tree.find(full).is_some())
-                .unwrap_or(found),
-        )
-    }
-
     /// Tells the members of a session about a new child.
-    pub(crate) fn push_created(
-        &self,
-        number: ContextNumber,
-        by: Option<PeerId>,
-        out: &mut Vec<crate::Effect>,
-    ) {
-        let Some(context) = self.tree.get(number) else {
-            return;
-        };
-        let Some(parent) = context.parent.and_then(|parent| self.tree.get(parent)) else {
-            return;
+    pub(crate) fn push_created(&self, number: ContextNumber, by: Option<PeerId>, out: &mut Vec<Effect>) {
+        let context = self.tree.get(number);
+        let parent = context.and_then(|context| self.tree.get(context.parent?));
+        let (Some(context), Some(parent)) = (context, parent) else {
+            return self.fault("a context was made that is not there");
         };
         let mut content = context.summary();
         if let Some(by) = by {
             content.set("by", self.name_of(by));
         }
         let to = parent.members.keys().copied().collect();
-        self.push_event(mom_proto::event::CREATED, &parent.path, to, content, out);
+        self.push_event(event::CREATED, &parent.path, to, content, out);
     }
 }
 
 /// The root: a session that is always there, whose members are not told of each other.
-pub(crate) fn make_root(
-    number: ContextNumber,
-    manager: Box<dyn mom_managers::Manager>,
-    word: String,
-) -> Context {
+pub(crate) fn make_root(number: ContextNumber, manager: Box<dyn Manager>, word: String) -> Context {
     Context {
         number,
         path: Path::root(),
@@ -317,7 +270,7 @@ pub(crate) fn make_root(
 }
 
 /// How a manager was named, for people.
-pub(crate) fn manager_word(spec: &mom_proto::Value) -> String {
+pub(crate) fn manager_word(spec: &Value) -> String {
     match spec.as_str().or_else(|| spec.get("kind")?.as_str()) {
         Some(word) => word.to_owned(),
         None => "unnamed".to_owned(),
@@ -327,7 +280,7 @@ pub(crate) fn manager_word(spec: &mom_proto::Value) -> String {
 fn make_token(spec: &ContextSpec, terms: Terms) -> Result<Token, WireError> {
     let lease = match spec.lease {
         None => terms.lease,
-        Some(millis) => Some(args::micros(millis, "lease")?),
+        Some(millis) => Some(micros(millis, "lease")?),
     };
     let safe = match &spec.safe {
         None => None,
@@ -335,16 +288,20 @@ fn make_token(spec: &ContextSpec, terms: Terms) -> Result<Token, WireError> {
             mom_proto::check_message_name(&safe.name).map_err(|error| error.slot("content/safe/name"))?;
             if matches!(&*safe.name, event::STOP | event::UNSTOP) {
                 let text = "stop and unstop are for peers with a right to them; leave safe out for halt";
-                return Err(args::bad("safe/name", text.to_owned()));
+                return Err(bad("safe/name", text.to_owned()));
             }
-            let channel = args::path(&safe.channel, "safe/channel")?;
+            let channel = read_path(&safe.channel, "safe/channel")?;
             let content = safe.content.clone().map(Content::Value);
-            Some(SafeState::new(channel, safe.name.clone(), content))
+            Some(SafeState {
+                channel,
+                name: safe.name.clone(),
+                content,
+            })
         }
     };
     let deadman = match spec.deadman {
         None => terms.deadman,
-        Some(millis) => Some(args::micros(millis, "deadman")?),
+        Some(millis) => Some(micros(millis, "deadman")?),
     };
     Ok(Token {
         terms: Terms {
@@ -362,7 +319,7 @@ fn make_token(spec: &ContextSpec, terms: Terms) -> Result<Token, WireError> {
 fn in_manager(error: WireError) -> WireError {
     let inner = error
         .get("slot")
-        .and_then(mom_proto::Value::as_str)
+        .and_then(Value::as_str)
         .map(|slot| format!("/{slot}"))
         .unwrap_or_default();
     error.slot(&format!("content/manager{inner}"))

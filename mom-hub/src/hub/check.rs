@@ -4,9 +4,9 @@ use std::collections::BTreeSet;
 
 use mom_proto::ContextNumber;
 
-use crate::hub::Timer;
 use crate::token::state::Token;
 use crate::tree::context::Context;
+use crate::world::{EPOCH_BITS, Timer};
 use crate::{Hub, PeerId};
 
 impl Hub {
@@ -18,22 +18,25 @@ impl Hub {
     /// - The fence of an owner is above all of the epochs before.
     /// - Guards and the tokens they name know each other.
     /// - A timer waits for exactly each deadline of a token.
-    /// - Nobody owns what several hold; who waits, asks, is offered or holds is in the token's parent, and knows it.
+    /// - Nobody owns what several hold; each peer that waits, asks, is offered or holds is in the token's parent, and knows it.
     /// - Requests on a token are held back only while a change of it is being stored.
-    /// - Questions that wait have somebody to answer them, and a timer.
+    /// - Questions that wait have somebody to answer, and a timer.
     ///
     /// # Panics
     /// If one of them does not hold: the hub's own fault.
     pub fn check(&self) {
-        self.tree.iter().for_each(|context| self.check_context(context));
-        for (id, peer) in self.peers.iter() {
+        self.world
+            .tree
+            .iter()
+            .for_each(|context| self.check_context(context));
+        for (id, peer) in self.world.peers.iter() {
             assert_eq!(
-                self.peers.id_of(&peer.facts.name),
+                self.world.peers.id_of(&peer.facts.name),
                 Some(id),
                 "names and peers agree"
             );
             for number in &peer.joined {
-                let context = self.tree.get(*number).expect("a joined context exists");
+                let context = self.world.tree.get(*number).expect("a joined context exists");
                 assert!(
                     context.members.contains_key(&id),
                     "{} is a member of {}",
@@ -42,7 +45,7 @@ impl Hub {
                 );
             }
             for number in &peer.owns {
-                let owner = self.token(*number).and_then(|token| token.owner.as_ref());
+                let owner = self.world.token(*number).and_then(|token| token.owner.as_ref());
                 assert_eq!(
                     owner.map(|owner| owner.peer),
                     Some(id),
@@ -51,15 +54,17 @@ impl Hub {
                 );
             }
         }
-        for (question, pending) in &self.pending {
-            assert!(self.peers.get(pending.peer).is_some(), "who asks is there");
+        for (question, pending) in &self.questions.pending {
+            assert!(
+                self.world.peers.get(pending.request.peer).is_some(),
+                "who asks is there"
+            );
             assert!(!pending.asked.is_empty(), "somebody is asked");
             let timer = (pending.until, Timer::Answer(*question));
-            assert!(self.timers.contains(&timer), "question {question} ends");
+            assert!(self.world.timers.contains(&timer), "question {question} ends");
         }
-        assert!(self.answers.is_empty(), "answers belong to one request");
         assert!(
-            self.changed.is_empty() && self.grown.is_empty(),
+            self.world.changed.is_empty() && self.world.grown.is_empty(),
             "changed routes were given out"
         );
     }
@@ -67,18 +72,18 @@ impl Hub {
     fn check_context(&self, context: &Context) {
         let path = &context.path;
         assert_eq!(
-            self.tree.find(path).map(|found| found.number),
+            self.world.tree.find(path).map(|found| found.number),
             Some(context.number),
             "{path} is found"
         );
-        let parent = context.parent.and_then(|parent| self.tree.get(parent));
+        let parent = context.parent.and_then(|parent| self.world.tree.get(parent));
         assert_eq!(
             parent.map(|parent| &parent.path),
             path.parent().as_ref(),
             "{path} lies in its parent"
         );
         for (id, member) in &context.members {
-            let peer = self.peers.get(*id).expect("a member is there");
+            let peer = self.world.peers.get(*id).expect("a member is there");
             assert!(
                 peer.joined.contains(&context.number),
                 "{} knows that it joined {path}",
@@ -96,17 +101,13 @@ impl Hub {
             );
         }
         let guard = context.channel().and_then(|channel| channel.guard.as_ref());
-        let token = guard
-            .and_then(|guard| self.tree.find(&guard.token))
-            .and_then(|context| context.token());
-        if let (Some(guard), Some(token)) = (guard, token) {
-            {
-                assert!(
-                    token.guarded.contains(&context.number),
-                    "{} knows that it guards {path}",
-                    guard.token
-                );
-            }
+        let token = guard.and_then(|guard| self.world.tree.token_at(&guard.token));
+        if let (Some(guard), Some((_, token))) = (guard, token) {
+            assert!(
+                token.guarded.contains(&context.number),
+                "{} knows that it guards {path}",
+                guard.token
+            );
         }
         self.check_token(context);
     }
@@ -114,7 +115,7 @@ impl Hub {
     fn check_token(&self, context: &Context) {
         let Some(token) = context.token() else { return };
         let path = &context.path;
-        let epoch = self.settings.epoch << 20;
+        let epoch = self.world.settings.epoch << EPOCH_BITS;
         assert!(
             token.owner.is_none() || token.fence > epoch,
             "the fence of {path} is of this epoch"
@@ -123,7 +124,7 @@ impl Hub {
             .guarded
             .iter()
             .copied()
-            .filter(|channel| self.tree.get(*channel).is_some())
+            .filter(|channel| self.world.tree.get(*channel).is_some())
             .collect();
         assert_eq!(guarded, token.guarded, "{path} guards channels that exist");
         assert_eq!(
@@ -133,6 +134,7 @@ impl Hub {
         );
         let timer = token.timer.map(|at| (at, Timer::Lease(context.number)));
         let timers: Vec<_> = self
+            .world
             .timers
             .iter()
             .filter(|(_, timer)| *timer == Timer::Lease(context.number))
@@ -140,7 +142,7 @@ impl Hub {
         assert_eq!(timers, timer.iter().collect::<Vec<_>>(), "one timer for {path}");
         self.check_waiting(context, token);
         let Some(owner) = &token.owner else { return };
-        let peer = self.peers.get(owner.peer).expect("an owner is there");
+        let peer = self.world.peers.get(owner.peer).expect("an owner is there");
         assert!(
             peer.owns.contains(&context.number),
             "{} knows that it owns {path}",
@@ -168,7 +170,7 @@ impl Hub {
         let all = waiting.clone().chain(asking).chain(offered);
         let all = all.chain(token.promised()).chain(token.giver());
         for peer in all.chain(token.holders.keys().copied()).chain(held_back) {
-            let known = self.peers.get(peer).expect("who waits is there");
+            let known = self.world.peers.get(peer).expect("who waits is there");
             assert!(
                 known.involved.contains(&context.number),
                 "{} knows that it waits for {path}",
@@ -177,7 +179,7 @@ impl Hub {
         }
         for peer in waiting.chain(token.holders.keys().copied()) {
             assert!(
-                self.is_member(peer, parent),
+                self.world.tree.is_member(peer, parent),
                 "who waits for {path} is in its parent"
             );
         }
@@ -188,7 +190,7 @@ impl Hub {
                 waiter.until.unwrap_or_default(),
                 Timer::Wait(context.number, waiter.ticket),
             );
-            assert!(self.timers.contains(&timer), "the wait for {path} ends");
+            assert!(self.world.timers.contains(&timer), "the wait for {path} ends");
         }
         let owned = token.owner.is_some();
         assert!(owned || token.offer.is_none(), "only an owner offers {path}");
@@ -196,12 +198,13 @@ impl Hub {
             owned || token.asking.is_empty(),
             "only an owner is asked for {path}"
         );
-        let storing = token.storing.as_ref().map(|storing| storing.ticket);
+        let storing = token.granting.as_ref().map(|granting| granting.ticket);
         assert!(
             storing.is_some() || token.held_back.is_empty(),
             "nothing waits for {path} without cause"
         );
-        let known = storing.and_then(|ticket| self.storing.get(&ticket));
+        let storing = storing.map(|ticket| ticket.expect("a change that is not stored has ended"));
+        let known = storing.and_then(|ticket| self.world.storing.get(&ticket));
         assert_eq!(
             known.copied(),
             storing.map(|_| context.number),

@@ -1,9 +1,9 @@
 //! What the hub is told.
 
 use mom_managers::Registry;
-use mom_proto::{Limits, Map, Parcel, Value};
+use mom_proto::{Limits, Parcel, Value};
 
-use crate::{ContextSpec, PeerClock, PeerId, Ticket};
+use crate::{ContextSpec, PeerClock, PeerId, Ticket, User};
 
 /// One input; all that the hub ever reacts to, besides time.
 #[derive(Clone, Debug)]
@@ -59,17 +59,4 @@ pub struct Configuration {
     pub limits: Limits,
     /// The peers whose user has changed, as it is now; none = there is no such user any more.
     pub users: Vec<(PeerId, Option<User>)>,
-}
-
-/// A user as the login found it (M13).
-#[derive(Clone, Debug, PartialEq)]
-pub struct User {
-    /// The name.
-    pub name: String,
-    /// The authority level; higher is more.
-    pub level: i32,
-    /// The groups.
-    pub groups: Vec<String>,
-    /// Preferences and personal information, for the login reply.
-    pub details: Map,
 }

@@ -4,8 +4,8 @@ use mom_managers::{Answer, Micros, Terms, Verdict};
 use mom_proto::event::Reason;
 use mom_proto::{Code, ContextKind, ContextNumber, Family, Path, Verb, WireError};
 
-use crate::asking::consult::Wish;
-use crate::ownership::change::Grantee;
+use crate::asking::wish::Wish;
+use crate::token::grant::Grantee;
 use crate::tree::context::Context;
 use crate::verbs::of_kind;
 use crate::{Hub, PeerId, User};
@@ -69,11 +69,11 @@ pub struct Place {
 impl Hub {
     /// What is at a path.
     pub fn place(&self, path: &Path) -> Option<Place> {
-        self.tree.find(path).map(|context| self.place_of(context))
+        self.world.tree.find(path).map(|context| self.place_of(context))
     }
 
     fn place_of(&self, context: &Context) -> Place {
-        let (managed_at, manager) = self.manager_of(self.managing(context.number));
+        let (managed_at, manager) = manager_of(self.world.tree.managing(context.number));
         Place {
             path: context.path.clone(),
             kind: context.kind(),
@@ -83,28 +83,17 @@ impl Hub {
         }
     }
 
-    /// The path of a managing context, and how its manager was named.
-    fn manager_of(&self, managing: Option<ContextNumber>) -> (Path, String) {
-        match managing.and_then(|number| self.tree.get(number)) {
-            Some(context) => (
-                context.path.clone(),
-                context.manager_word.clone().unwrap_or_default(),
-            ),
-            None => (Path::root(), String::new()),
-        }
-    }
-
     /// Asks the manager of a place as a request would, and says what would come of it. This is the end of the hub,
     /// which now holds what the case supposes: make one for each case.
     pub fn judge(mut self, case: &Case<'_>) -> Judgement {
         self.suppose(case);
         let place = self.place(case.path);
         // Where nothing is, the manager of the nearest context above decides.
-        let at = self.tree.find_or_above(case.path);
+        let at = self.world.tree.find_or_above(case.path);
         let at = at
             .map(|context| context.number)
             .expect("the root is always there");
-        let (managed_at, manager) = self.manager_of(self.managing(at));
+        let (managed_at, manager) = manager_of(self.world.tree.managing(at));
         let wish = Wish {
             path: Some(case.path),
             kind: case.kind,
@@ -113,7 +102,7 @@ impl Hub {
             age: case.message.map(|_| (0, 0)),
             ..Wish::new(case.verb, at)
         };
-        let verdict = self.consult(ASKER, &wish);
+        let verdict = self.world.consult(ASKER, &wish, &[]);
         Judgement {
             refusal: self.refusal_of(&verdict, case, &wish),
             place,
@@ -126,14 +115,15 @@ impl Hub {
 
     /// Lets the asking peer in, and the owner of the token, who has just got it.
     fn suppose(&mut self, case: &Case<'_>) {
-        self.peers
-            .add(ASKER, case.user.clone(), &case.user.name, self.now);
-        let found = self.tree.find(case.path).map(|context| context.number);
+        self.world
+            .peers
+            .add(ASKER, case.user.clone(), &case.user.name, self.world.now);
+        let found = self.world.tree.find(case.path).map(|context| context.number);
         let Some(number) = found else { return };
-        if let Some(context) = self.tree.get_mut(number).filter(|_| case.invited) {
+        if let Some(context) = self.world.tree.get_mut(number).filter(|_| case.invited) {
             context.invited.insert(ASKER, Micros::MAX);
         }
-        let Some(owner) = case.owner.filter(|_| self.token(number).is_some()) else {
+        let Some(owner) = case.owner.filter(|_| self.world.token(number).is_some()) else {
             return;
         };
         let peer = if owner.name == case.user.name {
@@ -142,30 +132,27 @@ impl Hub {
             OWNER
         };
         if peer == OWNER {
-            self.peers.add(OWNER, owner.clone(), &owner.name, self.now);
+            self.world
+                .peers
+                .add(OWNER, owner.clone(), &owner.name, self.world.now);
         }
-        let grantee = Grantee {
-            peer,
-            until: None,
-            delegation: None,
-            rule: None,
-            turn: None,
-        };
+        let grantee = Grantee::plain(peer);
         let mut nobody_hears = Vec::new();
         let reason = Reason::Released;
-        self.change_owner(number, Some(grantee), reason, None, false, &mut nobody_hears);
+        self.world
+            .change_owner(number, Some(grantee), reason, None, false, &mut nobody_hears);
     }
 
     fn refusal_of(&mut self, verdict: &Verdict, case: &Case<'_>, wish: &Wish<'_>) -> Option<WireError> {
         match &verdict.answer {
-            Answer::Deny(denial) => Some(self.explain(ASKER, wish, denial)),
-            Answer::Queue(wait) => Some(self.explain(ASKER, wish, &wait.denial)),
+            Answer::Deny(denial) => Some(self.world.explain(ASKER, wish, denial)),
+            Answer::Queue(wait) => Some(self.world.explain(ASKER, wish, &wait.denial)),
             Answer::Defer(_) => None,
             // A manager that allows a grab takes nothing from a living owner by that alone.
             Answer::Allow(grant) => {
-                let owner = self.owner_of(wish.at).filter(|owner| *owner != ASKER);
+                let owner = self.world.owner_of(wish.at).filter(|owner| *owner != ASKER);
                 match owner.filter(|_| case.verb == Verb::Grab && !grant.displace) {
-                    Some(_) => Some(self.held(ASKER, wish.at)),
+                    Some(_) => Some(self.world.held(ASKER, wish.at)),
                     None => self.impossible(case),
                 }
             }
@@ -174,13 +161,13 @@ impl Hub {
 
     /// Why a request comes to nothing although its manager allows it.
     fn impossible(&mut self, case: &Case<'_>) -> Option<WireError> {
-        match (case.verb, self.tree.find(case.path)) {
-            (Verb::Create, None) => self.parent_for(case.path).err(),
+        match (case.verb, self.world.tree.find(case.path)) {
+            (Verb::Create, None) => self.world.tree.parent_for(case.path).err(),
             (Verb::Create, Some(_)) => {
                 let text = format!("there is a context {} already", case.path);
                 Some(WireError::new(Code::EXISTS, text).slot("context"))
             }
-            (_, None) => Some(self.unknown_to(ASKER, case.path)),
+            (_, None) => Some(self.world.unknown_to(ASKER, case.path, &[])),
             (Verb::Delete, Some(context)) if context.permanent => {
                 let text = format!("{} belongs to the configuration and stays", context.path);
                 Some(WireError::new(Code::PERMANENT, text).slot("context"))
@@ -191,10 +178,21 @@ impl Hub {
 
     /// The token that guards the message of a case.
     fn guard_of(&self, case: &Case<'_>, at: ContextNumber) -> Option<Path> {
-        let guard = self.tree.get(at)?.channel()?.guard.as_ref()?;
+        let guard = self.world.tree.get(at)?.channel()?.guard.as_ref()?;
         let message = case.message.filter(|_| case.verb == Verb::Send)?;
         let guarded = guard.names.iter().any(|name| name == message || name == "*");
         guarded.then(|| guard.token.clone())
+    }
+}
+
+/// The path of a managing context, and how its manager was named.
+fn manager_of(managing: Option<&Context>) -> (Path, String) {
+    match managing {
+        Some(context) => (
+            context.path.clone(),
+            context.manager_word.clone().unwrap_or_default(),
+        ),
+        None => (Path::root(), String::new()),
     }
 }
 

@@ -8,8 +8,9 @@ use mom_managers::{Answer, Denial, Micros, PeerFacts, Rate};
 use mom_proto::nearest::nearest;
 use mom_proto::{Code, Family, HISTORY, Parcel, Time, Verb, WireError, event};
 
-use crate::messages::age::{age_of, aged, check_age, check_life, is_ahead, is_within};
-use crate::messages::route::{Guard, GuardOwner, Route};
+use super::age::{age_of, aged, check_age, check_life, is_ahead, is_within};
+use super::route::{Guard, GuardOwner, Route};
+use crate::values::number;
 use crate::{Member, PeerClock, PeerId};
 
 /// The priorities that peers may use; others are brought into this range (M7).
@@ -217,7 +218,7 @@ fn check_guard(
         );
         return Err(WireError::new(Code::BAD_FENCE, text)
             .slot("fence")
-            .detail("fence", fence_value(guard.fence)));
+            .detail("fence", number(guard.fence)));
     }
     if given.is_some_and(|fence| fence < guard.fence) {
         let text = format!(
@@ -230,7 +231,7 @@ fn check_guard(
             .as_ref()
             .is_some_and(|owner| owner.peer == member.peer);
         let error = if own { error } else { with_owner(error, guard, now) };
-        return Err(error.detail("fence", fence_value(guard.fence)));
+        return Err(error.detail("fence", number(guard.fence)));
     }
     match &guard.owner {
         Some(owner) if owner.peer == member.peer && owner.commands != Some(0) => Ok(Some(guard.fence)),
@@ -272,10 +273,6 @@ fn with_owner(error: WireError, guard: &Guard, now: Micros) -> WireError {
         Some(end) => error.retry_after(Duration::from_micros(end.saturating_sub(now))),
         None => error,
     }
-}
-
-fn fence_value(fence: u64) -> i64 {
-    i64::try_from(fence).unwrap_or(i64::MAX)
 }
 
 /// Who a message is for, as its sender has addressed it.

@@ -1,16 +1,9 @@
 //! How old a message is when it comes, by the hub's clock (M6, design §7).
 
 use mom_managers::Micros;
-use mom_proto::{ClockOffset, Code, Parcel, Time, WireError, event};
+use mom_proto::{Code, Parcel, Time, WireError, event};
 
-/// What a link knows of the clock by which its peer stamps.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PeerClock {
-    /// The peer's clock minus the hub's.
-    pub offset: ClockOffset,
-    /// How far beyond the offset's error a stamp may lie in the future, µs.
-    pub future: Micros,
-}
+use crate::PeerClock;
 
 /// An age and how wrong it may be, both in µs.
 pub(crate) type Aged = (i64, u64);
@@ -91,7 +84,7 @@ pub(crate) fn check_life(parcel: &Parcel, age: impl Into<i128>) -> Result<(), Wi
 #[cfg(test)]
 mod tests {
     use super::*;
-    use mom_proto::{Family, Value};
+    use mom_proto::{ClockOffset, Family, Value};
 
     const NOON: i64 = 43_200_000_000;
 

@@ -1,19 +1,21 @@
-//! The state of a token (M28, M29, design §6). Only `ownership.rs` changes its owner.
+//! The state of a token.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::sync::Arc;
 
-use mom_managers::{Expiry, Micros, Terms};
+use mom_managers::{Micros, Terms};
+use mom_proto::event::Reason;
 use mom_proto::{Content, ContextNumber, Parcel, Path, Verb};
 
-use crate::asking::questions::Heard;
-use crate::ownership::grant::Storing;
-use crate::{Holder, PeerId, Record};
+use super::record::{Holder, Record, Ticket};
+use crate::PeerId;
+use crate::heard::Heard;
 
 /// A token.
 #[derive(Debug, Default)]
 pub(crate) struct Token {
     pub(crate) owner: Option<Ownership>,
-    /// Who holds it together with others, and since when; while somebody does, nobody owns it.
+    /// Peers that hold it together, and since when; as long as there is one, nobody owns the token.
     pub(crate) holders: BTreeMap<PeerId, Micros>,
     /// Of the latest grant; 0 before the first. Only rises.
     pub(crate) fence: u64,
@@ -23,65 +25,115 @@ pub(crate) struct Token {
     pub(crate) safe_on_give: bool,
     /// The channels that it guards.
     pub(crate) guarded: BTreeSet<ContextNumber>,
-    /// Who waits for it, in the order in which they will have it.
+    /// Waiting grabs in the order in which they are granted.
     pub(crate) queue: Vec<Waiter>,
-    /// What the owner offers.
+    /// The owner's offer.
     pub(crate) offer: Option<Offer>,
-    /// Who has asked the owner to hand over.
+    /// Requests to the owner that have no answer yet.
     pub(crate) asking: Vec<Asking>,
-    /// Who has offered it to, or asked for it, whom, how often, and until when that counts.
-    pub(crate) asked: BTreeMap<(Verb, PeerId, PeerId), (u32, Micros)>,
-    /// A change of owner that waits until it is durable.
-    pub(crate) storing: Option<Storing>,
+    /// Recent offers and requests per (verb, from, to): count and expiry.
+    pub(crate) asked: BTreeMap<Asked, (u32, Micros)>,
+    /// A change of owner that has begun and not finished: it waits for its record.
+    pub(crate) granting: Option<Granting>,
     /// Requests that wait for the end of that.
     pub(crate) held_back: VecDeque<HeldBack>,
     /// What was stored last.
     pub(crate) record: Option<Record>,
-    /// Who alone may have it, since a restart.
+    /// The only peer that may have it after a restart, for a while.
     pub(crate) reserved: Option<Reserved>,
     /// When the hub's timer for it goes off.
     pub(crate) timer: Option<Micros>,
 }
 
-/// Who owns a token, since when, until when.
+/// An offer or a request: `give` or `request`, by whom, to whom.
+pub(crate) type Asked = (Verb, PeerId, PeerId);
+
+/// The requests that a change of owner answers: peer and id.
+pub(crate) type Answers = Vec<(PeerId, Option<u64>)>;
+
+/// The owner of a token, with the beginning and the ends of its ownership.
 #[derive(Clone, Debug)]
 pub(crate) struct Ownership {
     pub(crate) peer: PeerId,
     pub(crate) since: Micros,
-    /// When its turn began: who gives and returns within a turn gains no time by that.
+    /// When its turn began; giving and returning within a turn do not begin another one.
     pub(crate) turn: Micros,
-    /// The lease that it was told last; that of the token may be another one since.
+    /// The lease that the owner was told last; the token's terms may have changed since.
     pub(crate) lease: Option<Micros>,
     pub(crate) lease_end: Option<Micros>,
     /// The end of the deadman time.
     pub(crate) alive_until: Option<Micros>,
     /// The end that the manager set, whatever the lease.
     pub(crate) until: Option<Micros>,
-    /// The end of its turn that it was told last.
+    /// The end of its turn that the owner was told last.
     pub(crate) noticed: Option<Micros>,
     pub(crate) delegation: Option<Delegation>,
 }
 
-/// An ownership that returns to who gave it (M41).
+/// An ownership that returns to the peer that gave it (M41).
 #[derive(Clone, Debug)]
 pub(crate) struct Delegation {
-    /// None: it has left since, so that nobody has it back.
+    /// None if the giver has left since: it returns to nobody.
     pub(crate) from: Option<PeerId>,
-    /// When the ownership ends that the giver had, whatever its lease.
+    /// When the giver's own ownership would have ended, whatever its lease.
     pub(crate) giver_until: Option<Micros>,
     /// When the time is over.
     pub(crate) until: Option<Micros>,
     /// How many commands are left.
     pub(crate) commands: Option<u64>,
-    /// When the token returns, once they are used up.
+    /// When the token returns after the last command.
     pub(crate) return_at: Option<Micros>,
+}
+
+/// A change of owner that was decided.
+#[derive(Clone, Debug)]
+pub(crate) struct Change {
+    pub(crate) to: PeerId,
+    /// Why the present owner loses the token, if there is one.
+    pub(crate) reason: Reason,
+    /// Valid only while this peer is the owner.
+    pub(crate) from: Option<PeerId>,
+    /// When the ownership ends, whatever its lease.
+    pub(crate) until: Option<Micros>,
+    /// For how long and for how many commands it is given.
+    pub(crate) given: Option<(Option<Micros>, Option<u64>)>,
+    /// The rule that allowed it.
+    pub(crate) rule: Option<Arc<str>>,
+    /// The beginning of the turn that it continues; none = a new one.
+    pub(crate) turn: Option<Micros>,
+    pub(crate) answers: Answers,
+}
+
+impl Change {
+    /// A grant to a peer.
+    pub(crate) fn to(to: PeerId, reason: Reason) -> Change {
+        Change {
+            to,
+            reason,
+            from: None,
+            until: None,
+            given: None,
+            rule: None,
+            turn: None,
+            answers: Vec::new(),
+        }
+    }
+}
+
+/// A change of owner between its beginning and its end.
+#[derive(Clone, Debug)]
+pub(crate) struct Granting {
+    /// The store that it waits for; none where nothing has to be stored.
+    pub(crate) ticket: Option<Ticket>,
+    /// None if it was called off: the record may become durable all the same.
+    pub(crate) change: Option<Change>,
 }
 
 /// A grab that waits.
 #[derive(Clone, Debug)]
 pub(crate) struct Waiter {
     pub(crate) peer: PeerId,
-    /// Tells it from all others that ever waited.
+    /// Unique over all waiters of the hub.
     pub(crate) ticket: u64,
     /// The id of its request.
     pub(crate) id: Option<u64>,
@@ -89,7 +141,7 @@ pub(crate) struct Waiter {
     pub(crate) since: Micros,
     /// When it gives up.
     pub(crate) until: Option<Micros>,
-    /// What chairs and managing peers said of it.
+    /// Answers of chairs and managing peers to this grab.
     pub(crate) answers: Vec<Heard>,
     /// The place that it was told last.
     pub(crate) told: usize,
@@ -107,7 +159,7 @@ pub(crate) struct Offer {
     pub(crate) commands: Option<u64>,
 }
 
-/// A peer that has asked the owner to hand over.
+/// A request to the owner to hand over.
 #[derive(Clone, Debug)]
 pub(crate) struct Asking {
     pub(crate) peer: PeerId,
@@ -123,11 +175,11 @@ pub(crate) struct Asking {
 pub(crate) struct HeldBack {
     pub(crate) peer: PeerId,
     pub(crate) parcel: Parcel,
-    /// What chairs and managing peers said of it.
+    /// Answers of chairs and managing peers to this request.
     pub(crate) answers: Vec<Heard>,
 }
 
-/// After a restart: who may have the token before a lease of then could have ended.
+/// After a restart: the peer that may have the token before a lease from before the restart could have ended.
 #[derive(Clone, Debug)]
 pub(crate) struct Reserved {
     /// None: a change was under way, so nobody may.
@@ -144,61 +196,31 @@ pub(crate) struct SafeState {
 }
 
 impl Token {
-    /// The end of a lease that begins now.
-    pub(crate) fn lease_from(&self, now: Micros) -> Option<Micros> {
-        self.terms.lease.map(|lease| now.saturating_add(lease))
+    pub(crate) fn owner_peer(&self) -> Option<PeerId> {
+        self.owner.as_ref().map(|owner| owner.peer)
     }
 
-    /// Whether the owner's lease is over, so that the next grab takes the token.
-    pub(crate) fn lapsed(&self, now: Micros) -> bool {
-        self.owner
-            .as_ref()
-            .and_then(|owner| owner.lease_end)
-            .is_some_and(|end| now >= end)
+    /// The peer that has lent the token to its owner and gets it back.
+    pub(crate) fn giver(&self) -> Option<PeerId> {
+        self.owner.as_ref()?.delegation.as_ref()?.from
     }
 
-    /// When the hub has to end the ownership by itself.
-    pub(crate) fn deadline(&self) -> Option<Micros> {
-        let owner = self.owner.as_ref()?;
-        let lease = owner
-            .lease_end
-            .filter(|_| self.terms.expiry == Expiry::Eager || !self.queue.is_empty());
-        let delegated = owner.delegation.as_ref();
-        let ends = [
-            lease,
-            owner.alive_until,
-            owner.until,
-            self.hold_end(),
-            delegated.and_then(|delegation| delegation.until),
-            delegated.and_then(|delegation| delegation.return_at),
-        ];
-        ends.into_iter().flatten().min()
+    /// The change of owner that waits for its record.
+    pub(crate) fn promise(&self) -> Option<&Change> {
+        self.granting.as_ref()?.change.as_ref()
     }
 
-    /// When the owner has had its turn, because others wait.
-    pub(crate) fn hold_end(&self) -> Option<Micros> {
-        let owner = self.owner.as_ref()?;
-        let hold = self.terms.hold?;
-        let first = self.queue.iter().map(|waiter| waiter.since).min()?;
-        let noticed = first.saturating_add(self.terms.notice);
-        Some(owner.turn.saturating_add(hold).max(noticed))
+    /// The peer that owns the token once its record is durable.
+    pub(crate) fn promised(&self) -> Option<PeerId> {
+        self.promise().map(|change| change.to)
     }
 
-    /// Whether nobody has it in any way, and no change is under way.
+    /// Whether nobody owns it or holds it with others, and no change is under way.
     pub(crate) fn is_free(&self) -> bool {
-        self.owner.is_none() && self.holders.is_empty() && self.storing.is_none()
+        self.owner.is_none() && self.holders.is_empty() && self.granting.is_none()
     }
 
-    /// The place in the queue at which a waiter of this level would come, from 0.
-    pub(crate) fn place_for(&self, level: i32) -> usize {
-        if !self.terms.by_level {
-            return self.queue.len();
-        }
-        let before = |waiter: &&Waiter| waiter.level >= level;
-        self.queue.iter().take_while(before).count()
-    }
-
-    /// Whether a peer has something to do with it besides owning it.
+    /// Whether a peer waits for it, asks for it, is offered it, holds it with others or has lent it.
     pub(crate) fn involves(&self, peer: PeerId) -> bool {
         self.holders.contains_key(&peer)
             || self.queue.iter().any(|waiter| waiter.peer == peer)
@@ -207,26 +229,5 @@ impl Token {
             || self.held_back.iter().any(|held| held.peer == peer)
             || self.promised() == Some(peer)
             || self.giver() == Some(peer)
-    }
-
-    /// To whom it is being granted, once that is durable.
-    pub(crate) fn promised(&self) -> Option<PeerId> {
-        Some(self.storing.as_ref()?.change.as_ref()?.to)
-    }
-
-    /// Who has lent it to its owner, and will have it back.
-    pub(crate) fn giver(&self) -> Option<PeerId> {
-        self.owner.as_ref()?.delegation.as_ref()?.from
-    }
-}
-
-impl SafeState {
-    /// A safe state of the configuration or of a request; its content goes as it came.
-    pub(crate) fn new(channel: Path, name: String, content: Option<Content>) -> SafeState {
-        SafeState {
-            channel,
-            name,
-            content,
-        }
     }
 }

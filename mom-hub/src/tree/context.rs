@@ -7,8 +7,11 @@ use mom_managers::{Manager, Micros};
 use mom_proto::{ContextKind, ContextNumber, Delivery, Map, Overflow, Path, Value};
 use serde::Deserialize;
 
+use super::keep::Keep;
+use super::member::Member;
+use crate::PeerId;
 use crate::token::state::Token;
-use crate::{Keep, Member, PeerId};
+use crate::values::number;
 
 /// Who is told who comes and goes (design §7).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
@@ -118,6 +121,6 @@ impl Context {
         Map::new()
             .with("path", self.path.as_str())
             .with("kind", self.kind().word())
-            .with("number", i64::try_from(self.number.0).unwrap_or(i64::MAX))
+            .with("number", number(self.number.0))
     }
 }

@@ -1,10 +1,11 @@
 //! What a channel keeps for those who join later (design §4, §7).
 
 use mom_managers::Micros;
-use mom_proto::{Map, Value, WireError, event};
+use mom_proto::{Map, WireError, event};
 use serde::Deserialize;
 
-use crate::tree::spec as args;
+use crate::content::{bad, micros};
+use crate::values::{count, millis};
 
 /// What is kept where nothing else is said, and at most: content of parcels, in bytes.
 const BYTES: usize = 1 << 20;
@@ -45,23 +46,20 @@ impl KeepArgs {
     pub(crate) fn read(self) -> Result<Keep, WireError> {
         if self == KeepArgs::default() {
             let text = "keep says latest = true, or parcels, bytes or age of a history";
-            return Err(args::bad("keep", text.to_owned()));
+            return Err(bad("keep", text.to_owned()));
         }
         let within = |key: &str, value: Option<usize>, usual: usize, most: usize| {
             let value = value.unwrap_or(usual);
             let text = || format!("{key} is a number from 1 to {most}");
             let fits = (1..=most).contains(&value);
             fits.then_some(value)
-                .ok_or_else(|| args::bad(&format!("keep/{key}"), text()))
+                .ok_or_else(|| bad(&format!("keep/{key}"), text()))
         };
         Ok(Keep {
             latest: self.latest,
             parcels: within("parcels", self.parcels, PARCELS, MOST_PARCELS)?,
             bytes: within("bytes", self.bytes, BYTES, MOST_BYTES)?,
-            age: self
-                .age
-                .map(|millis| args::micros(millis, "keep/age"))
-                .transpose()?,
+            age: self.age.map(|age| micros(age, "keep/age")).transpose()?,
         })
     }
 }
@@ -74,13 +72,12 @@ impl Keep {
 
     /// For replies.
     pub(crate) fn to_map(self) -> Map {
-        let size = |size: usize| Value::Int(i64::try_from(size).unwrap_or(i64::MAX));
         let map = Map::new()
             .with("latest", self.latest)
-            .with("parcels", size(self.parcels))
-            .with("bytes", size(self.bytes));
+            .with("parcels", count(self.parcels))
+            .with("bytes", count(self.bytes));
         match self.age {
-            Some(age) => map.with("age", crate::ownership::change::millis(age)),
+            Some(age) => map.with("age", millis(age)),
             None => map,
         }
     }

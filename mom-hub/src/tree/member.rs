@@ -5,9 +5,7 @@ use std::sync::Arc;
 use mom_managers::{Answer, Micros, PeerFacts, Rate};
 use mom_proto::{Thinning, event};
 
-/// A peer's connection; the broker gives each a number and never the same twice.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct PeerId(pub u64);
+use crate::PeerId;
 
 /// Messages whose verdicts are remembered one by one; a sender of more names is asked about each time.
 const NAMES: usize = 64;

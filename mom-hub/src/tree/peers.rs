@@ -4,9 +4,23 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use mom_managers::{Micros, PeerFacts};
-use mom_proto::{ContextNumber, numbered_name};
+use mom_proto::{ContextNumber, Map, numbered_name};
 
-use crate::{PeerClock, PeerId, User};
+use super::clock::PeerClock;
+use crate::PeerId;
+
+/// A user as the login found it (M13).
+#[derive(Clone, Debug, PartialEq)]
+pub struct User {
+    /// The name.
+    pub name: String,
+    /// The authority level; higher is more.
+    pub level: i32,
+    /// The groups.
+    pub groups: Vec<String>,
+    /// Preferences and personal information, for the login reply.
+    pub details: Map,
+}
 
 /// A peer that has logged in.
 #[derive(Debug)]
@@ -160,7 +174,7 @@ mod tests {
             name: name.to_owned(),
             level: 1,
             groups: vec![],
-            details: mom_proto::Map::new(),
+            details: Map::new(),
         }
     }
 

@@ -1,11 +1,12 @@
-//! What stands in the content of requests, typed.
+//! A context to be made, as it stands in a request or in the configuration.
 
-use mom_proto::{Code, Delivery, MessageRate, Overflow, Parcel, Path, Thinning, Value, WireError};
+use mom_managers::Expiry;
+use mom_proto::{Delivery, Overflow, Value, WireError};
 use serde::Deserialize;
-use serde::de::DeserializeOwned;
 
-use crate::{KeepArgs, Presence};
-use mom_managers::{Expiry, Micros};
+use super::context::Presence;
+use super::keep::KeepArgs;
+use crate::content::bad;
 
 /// A context to be made: the content of `context create`, or an entry of the configuration file.
 ///
@@ -84,27 +85,6 @@ pub struct SafeArgs {
     pub content: Option<Value>,
 }
 
-/// The content of `context join`.
-#[derive(Clone, Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct JoinArgs {
-    #[serde(default)]
-    newest: bool,
-    #[serde(default)]
-    rate: Option<Value>,
-}
-
-impl JoinArgs {
-    /// What the member is to be spared, checked.
-    pub(crate) fn thinning(&self) -> Result<Thinning, WireError> {
-        let rate = self.rate.as_ref().map(MessageRate::from_value).transpose()?;
-        Ok(Thinning {
-            newest: self.newest,
-            rate,
-        })
-    }
-}
-
 impl ContextSpec {
     /// The delivery class, checked.
     pub(crate) fn delivery(&self) -> Result<Delivery, WireError> {
@@ -127,40 +107,4 @@ impl ContextSpec {
         let unknown = || bad("overflow", format!("{word:?} is not one of close, wait"));
         Overflow::from_word(word).ok_or_else(unknown)
     }
-}
-
-/// The content of a request that needs some.
-pub(crate) fn read<T: DeserializeOwned>(parcel: &Parcel) -> Result<T, WireError> {
-    match &parcel.content {
-        Some(content) => content.read(),
-        None => {
-            Err(WireError::new(Code::BAD_CONTENT, format!("{} needs content", parcel.name())).slot("content"))
-        }
-    }
-}
-
-/// A path inside content.
-pub(crate) fn path(text: &str, slot: &str) -> Result<Path, WireError> {
-    Path::parse(text).map_err(|error| error.slot(&format!("content/{slot}")))
-}
-
-/// An error about a member of the content.
-pub(crate) fn bad(slot: &str, text: String) -> WireError {
-    WireError::new(Code::BAD_CONTENT, text).slot(&format!("content/{slot}"))
-}
-
-/// The content of a request that may have none.
-pub(crate) fn read_or_default<T: DeserializeOwned + Default>(parcel: &Parcel) -> Result<T, WireError> {
-    match &parcel.content {
-        Some(_) => read(parcel),
-        None => Ok(T::default()),
-    }
-}
-
-/// A duration in ms as µs, from 1 ms on.
-pub(crate) fn micros(millis: u64, slot: &str) -> Result<Micros, WireError> {
-    let micros = millis.checked_mul(1000);
-    micros
-        .filter(|micros| *micros > 0 && *micros < 1 << 53)
-        .ok_or_else(|| bad(slot, format!("{slot} is a number of ms from 1 on")))
 }

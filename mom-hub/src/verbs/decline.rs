@@ -2,27 +2,28 @@
 
 use mom_proto::{Code, WireError};
 
-use super::Request;
 use super::accept::{Args, asking, offered};
-use crate::asking::questions::Refusal;
-use crate::tree::spec as args;
-use crate::{Effect, Hub};
+use super::checks::Request;
+use crate::Effect;
+use crate::asking::refusal::Refusal;
+use crate::content;
+use crate::world::World;
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let number = hub.find_token(request)?;
-    let args: Args = args::read_or_default(&request.parcel)?;
-    hub.allow(request, number)?;
+pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+    let number = world.find_token(request)?;
+    let args: Args = content::read_or_default(&request.parcel)?;
+    world.allow(request, number)?;
     if let Some(name) = &args.peer {
-        hub.check_owner(request, number)?;
-        let to = asking(hub, request, name)?;
+        world.check_owner(request, number)?;
+        let to = asking(world, request, name)?;
         let text = args.text.as_deref().unwrap_or("not now");
-        let text = format!("{} declined: {text}", hub.name_of(request.peer));
+        let text = format!("{} declined: {text}", world.name_of(request.peer));
         let error = WireError::new(Code::DECLINED, text).rule("the owner's word");
-        hub.end_asking(number, to, &error, None, out);
+        world.end_asking(number, to, &error, None, out);
     } else {
-        offered(hub, request)?;
-        hub.end_offer(number, "declined", out);
+        offered(world, request)?;
+        world.end_offer(number, "declined", out);
     }
-    hub.push_ok(request.peer, request.parcel.id, &request.path, None, out);
+    world.push_ok(request.peer, request.parcel.id, &request.path, None, out);
     Ok(())
 }

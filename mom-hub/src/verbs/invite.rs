@@ -5,12 +5,13 @@ use mom_proto::event;
 use mom_proto::{Code, WireError};
 use serde::Deserialize;
 
-use super::Request;
-use crate::asking::questions::Refusal;
-use crate::ownership::change::millis;
-use crate::ownership::handover::{AGAIN, not_again};
-use crate::tree::spec as args;
-use crate::{Audit, Effect, Hub};
+use super::checks::Request;
+use crate::asking::refusal::Refusal;
+use crate::content;
+use crate::token::handover::{AGAIN, not_again};
+use crate::values::millis;
+use crate::world::World;
+use crate::{Audit, Effect};
 
 /// How long an invitation counts, µs.
 const INVITED: Micros = 600_000_000;
@@ -25,20 +26,22 @@ struct Args {
     peer: String,
 }
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let number = hub.allowed(request)?;
-    let args: Args = args::read(&request.parcel)?;
-    if !hub.is_member(request.peer, number) {
+pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+    let number = world.allowed(request)?;
+    let args: Args = content::read(&request.parcel)?;
+    if !world.tree.is_member(request.peer, number) {
         let text = format!("only members of {} invite to it", request.path);
         return Err(WireError::new(Code::NOT_MEMBER, text).slot("context").into());
     }
-    let peer = hub.peers.id_of(&args.peer).ok_or_else(|| {
+    let peer = world.peers.id_of(&args.peer).ok_or_else(|| {
         let text = format!("there is no peer {:?}", args.peer);
         WireError::new(Code::UNKNOWN_PEER, text).slot("content/peer")
     })?;
-    let (now, until) = (hub.now, hub.after(INVITED));
-    let Some(context) = hub.tree.get_mut(number) else {
-        return Ok(());
+    let (now, until) = (world.now, world.after(INVITED));
+    let Some(context) = world.tree.get_mut(number) else {
+        return Err(world
+            .faulted("a manager has allowed something where nothing is")
+            .into());
     };
     context.invited.retain(|_, until| now < *until);
     if let Some(known) = context.invited.get(&peer) {
@@ -52,15 +55,15 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
     context.invited.insert(peer, until);
     let content = context
         .summary()
-        .with("by", hub.name_of(request.peer))
+        .with("by", world.name_of(request.peer))
         .with("within", millis(INVITED));
-    hub.push_event(event::INVITED, &request.path, vec![peer], content, out);
+    world.push_event(event::INVITED, &request.path, vec![peer], content, out);
     let fact = Audit {
         context: Some(request.path.clone()),
-        by: Some(hub.name_of(peer).into()),
-        ..hub.fact("invited", request.peer)
+        by: Some(world.name_of(peer).into()),
+        ..world.fact("invited", request.peer)
     };
-    hub.audit(fact, out);
-    hub.push_ok(request.peer, request.parcel.id, &request.path, None, out);
+    world.audit(fact, out);
+    world.push_ok(request.peer, request.parcel.id, &request.path, None, out);
     Ok(())
 }

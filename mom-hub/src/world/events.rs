@@ -3,17 +3,12 @@
 use std::sync::Arc;
 
 use mom_managers::{Micros, PeerFacts};
-use mom_proto::{ContextNumber, Family, HUB, Map, Parcel, Path, Time, Value};
+use mom_proto::{Family, HUB, Map, Parcel, Path, Value};
 
-use crate::{Effect, Hub, PeerId};
+use super::World;
+use crate::{Effect, PeerId};
 
-impl Hub {
-    /// Wall time now.
-    pub(crate) fn wall(&self) -> Time {
-        let micros = i64::try_from(self.now).unwrap_or(i64::MAX);
-        Time::from_micros(self.settings.anchor.micros().saturating_add(micros)).unwrap_or(Time::MAX)
-    }
-
+impl World {
     /// A parcel of the hub about a context.
     pub(crate) fn hub_parcel(&self, family: Family, name: &str, context: &Path) -> Parcel {
         let mut parcel = Parcel::new(family, name).context(context.clone());
@@ -55,14 +50,6 @@ impl Hub {
             to,
             parcel: Arc::new(parcel),
         });
-    }
-
-    /// The members of a context.
-    pub(crate) fn members_of(&self, number: ContextNumber) -> Vec<PeerId> {
-        self.tree
-            .get(number)
-            .map(|context| context.members.keys().copied().collect())
-            .unwrap_or_default()
     }
 
     /// Time left until then, in whole ms, rounded up.

@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
-use mom_proto::event::{self, Reason};
-use mom_proto::{ContextNumber, HUB, Parcel, Path, Value, Verb, WireError};
+use mom_proto::event;
+use mom_proto::{HUB, Parcel, Path, Value, Verb, WireError};
 
-use crate::ownership::change::Ended;
-use crate::{Audit, Effect, Hub, PeerId};
+use super::World;
+use crate::{Audit, Effect, PeerId};
 
-impl Hub {
+impl World {
     /// A fact about a peer.
     pub(crate) fn fact(&self, what: &'static str, peer: PeerId) -> Audit {
         let facts = self.peers.get(peer).map(|peer| &peer.facts);
@@ -20,40 +20,12 @@ impl Hub {
         }
     }
 
+    /// Notes a fact.
     pub(crate) fn audit(&self, audit: Audit, out: &mut Vec<Effect>) {
         out.push(Effect::Audit(Box::new(audit)));
     }
 
-    pub(crate) fn audit_lost(&self, ended: &Ended<'_>, out: &mut Vec<Effect>) {
-        let fact = Audit {
-            context: Some(ended.path.clone()),
-            fence: Some(ended.fence),
-            reason: Some(ended.reason),
-            by: ended.by.map(|by| self.name_of(by).into()),
-            ..self.fact("lost", ended.peer)
-        };
-        self.audit(fact, out);
-    }
-
-    pub(crate) fn audit_granted(
-        &self,
-        number: ContextNumber,
-        path: &Path,
-        peer: PeerId,
-        reason: Reason,
-        rule: Option<Arc<str>>,
-        out: &mut Vec<Effect>,
-    ) {
-        let fact = Audit {
-            context: Some(path.clone()),
-            fence: self.token(number).map(|token| token.fence),
-            reason: Some(reason).filter(|reason| *reason != Reason::Released),
-            rule,
-            ..self.fact("granted", peer)
-        };
-        self.audit(fact, out);
-    }
-
+    /// Notes the beginning or the end of a peer's part in a shared hold.
     pub(crate) fn audit_shared(&self, name: &'static str, path: &Path, peer: PeerId, out: &mut Vec<Effect>) {
         debug_assert!([event::INHIBITED, event::UNINHIBITED].contains(&name), "{name}");
         let fact = Audit {
@@ -63,6 +35,7 @@ impl Hub {
         self.audit(fact, out);
     }
 
+    /// Notes what has happened to a context, and by whom.
     pub(crate) fn audit_context(
         &self,
         what: &'static str,
