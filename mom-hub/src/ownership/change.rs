@@ -1,24 +1,14 @@
 //! The one way in which a token gains, changes or loses its owner (design §6).
 
-use std::sync::Arc;
-
 use mom_proto::event::Reason;
 use mom_proto::{ContextNumber, Verb};
 
-use super::news::{push_grabbed, push_released};
+use super::news::{Ended, push_grabbed, push_released};
 use super::safe::push_safe_state;
 use crate::token::grant::{Former, Grantee};
 use crate::token::state::{Change, Token};
 use crate::world::World;
 use crate::{Effect, PeerId};
-
-/// An ownership that has ended, and how.
-pub(super) struct Ended {
-    pub(super) peer: PeerId,
-    pub(super) fence: u64,
-    pub(super) reason: Reason,
-    pub(super) by: Option<PeerId>,
-}
 
 impl World {
     /// Ends the ownership of a token, if there is one. A token that was given for a time returns to its giver; any other
@@ -163,6 +153,3 @@ impl World {
         }
     }
 }
-
-/// The rule of a grant as the audit log has it.
-pub(super) type Rule = Option<Arc<str>>;

@@ -1,15 +1,23 @@
 //! What members hear, and the audit log notes, of a token that gains or loses its owner.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use mom_proto::event::{self, Reason};
 use mom_proto::{ContextNumber, Map};
 
-use super::change::{Ended, Rule};
 use super::describe::granted;
 use crate::values;
 use crate::world::World;
 use crate::{Audit, Effect, PeerId};
+
+/// An ownership that has ended, and how.
+pub(super) struct Ended {
+    pub(super) peer: PeerId,
+    pub(super) fence: u64,
+    pub(super) reason: Reason,
+    pub(super) by: Option<PeerId>,
+}
 
 pub(super) fn push_released(world: &World, number: ContextNumber, ended: &Ended, out: &mut Vec<Effect>) {
     let Some(context) = world.tree.get(number) else {
@@ -47,7 +55,7 @@ pub(super) fn push_grabbed(
     number: ContextNumber,
     new: PeerId,
     reason: Reason,
-    rule: Rule,
+    rule: Option<Arc<str>>,
     out: &mut Vec<Effect>,
 ) {
     let context = world.tree.get(number);

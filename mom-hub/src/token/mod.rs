@@ -10,3 +10,5 @@ pub(crate) mod handover;
 pub(crate) mod queue;
 pub(crate) mod record;
 pub(crate) mod state;
+#[cfg(test)]
+mod tests;

@@ -163,3 +163,34 @@ impl World {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn world() -> World {
+        World::new(Settings::default(), Registry::builtin())
+    }
+
+    #[test]
+    #[cfg_attr(debug_assertions, should_panic(expected = "the sky has fallen"))]
+    fn a_fault_stops_a_debug_build_and_is_told_by_a_release() {
+        let mut world = world();
+        assert_eq!(world.fault::<Option<u64>>("the sky has fallen"), None);
+        assert_eq!(world.faulted("twice").code, Code::DENIED);
+        let mut out = Vec::new();
+        world.push_faults(&mut out);
+        let words = out.iter().map(|effect| match effect {
+            Effect::Audit(fact) => (fact.what, fact.text.as_deref()),
+            other => panic!("{other:?}"),
+        });
+        let words: Vec<_> = words.collect();
+        assert_eq!(
+            words,
+            [("fault", Some("the sky has fallen")), ("fault", Some("twice"))]
+        );
+        out.clear();
+        world.push_faults(&mut out);
+        assert_eq!(out, [], "each is told once");
+    }
+}
