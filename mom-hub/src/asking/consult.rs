@@ -74,7 +74,7 @@ impl World {
         }))
     }
 
-    /// Whether a manager says no for good; one that has to ask first, or says later, leaves what is as it is.
+    /// Whether a manager denies for good; one that defers, or says later, does not.
     pub(crate) fn refused(&mut self, peer: PeerId, verb: Verb, at: ContextNumber) -> bool {
         let verdict = self.consult(peer, &Wish::new(verb, at), &[]);
         matches!(verdict.answer, Answer::Deny(denial) if !denial.code.may_retry())
@@ -121,7 +121,7 @@ impl World {
         repeated: bool,
     ) -> Option<Question<'a>> {
         let context = self.tree.get(wish.at)?;
-        // Who came in by an invitation needs no other to stay.
+        // A member that came in by an invitation needs no other to stay.
         let invited = context.members.contains_key(&peer)
             || context.invited.get(&peer).is_some_and(|until| self.now < *until);
         let creator = self.tree.get(managing).and_then(|managing| managing.creator);

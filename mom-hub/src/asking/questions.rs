@@ -21,7 +21,7 @@ use crate::{Effect, PeerId};
 const MOST_OF_ONE: usize = 16;
 const MOST: usize = 4096;
 
-/// Beside so many bytes of content that wait of one peer nothing more does.
+/// Bytes of content of one peer that may wait; beyond them no further request does.
 const MOST_BYTES: usize = 1 << 20;
 
 /// Sends to one channel that wait behind a deferred one of the same peer.
@@ -60,7 +60,7 @@ pub(crate) struct Pending {
     pub(crate) behind: VecDeque<Parcel>,
 }
 
-/// Who may answer a question, and about what.
+/// The subject of a question, by which those who may answer it are found.
 #[derive(Clone, Debug)]
 struct Whom {
     ask: Ask,
@@ -219,7 +219,7 @@ impl Questions {
         }
     }
 
-    /// Takes a peer that is gone from those who may answer, and returns the questions that nobody is left for.
+    /// Takes a peer that is gone out of all questions, and returns those that nobody is left to answer.
     pub(crate) fn left_by(&mut self, peer: PeerId) -> Vec<u64> {
         let mut alone = Vec::new();
         for (question, pending) in &mut self.pending {

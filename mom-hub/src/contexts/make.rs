@@ -134,7 +134,7 @@ impl World {
         }
     }
 
-    /// Whether a path is within the limits of this hub, which may be narrower than what a path can be.
+    /// Checks a path against the limits of this hub, which may be narrower than those of the wire.
     fn check_path(&self, path: &Path) -> Result<(), WireError> {
         let limits = &self.settings.limits;
         if path.as_str().len() > limits.path || path.segments().count() > limits.path_levels {
@@ -156,7 +156,7 @@ impl World {
             .unwrap_or_default()
     }
 
-    /// What a context is made to be besides a place, by its specification.
+    /// The role of a context by its specification.
     pub(crate) fn make_role(&self, spec: &ContextSpec, terms: Terms) -> Result<Role, WireError> {
         let kind = ContextKind::from_word(&spec.kind).ok_or_else(|| {
             let near = nearest(&spec.kind, ContextKind::ALL.map(ContextKind::word));

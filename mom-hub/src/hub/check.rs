@@ -18,7 +18,8 @@ impl Hub {
     /// - The fence of an owner is above all of the epochs before.
     /// - Guards and the tokens they name know each other.
     /// - A timer waits for exactly each deadline of a token.
-    /// - Nobody owns what several hold; each peer that waits, asks, is offered or holds is in the token's parent, and knows it.
+    /// - A token is owned or shared, not both; each peer that waits, asks, is offered or holds is in its parent, and
+    ///   knows it.
     /// - Requests on a token are held back only while a change of it is being stored.
     /// - Questions that wait have somebody to answer, and a timer.
     ///

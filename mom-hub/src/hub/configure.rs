@@ -63,7 +63,7 @@ fn path_of(world: &World, spec: &ContextSpec) -> Option<Path> {
     }
 }
 
-/// Deletes what the file names no more, makes what is new, and changes the rest in place.
+/// Deletes the contexts that the file names no more, makes new ones, and changes the rest in place.
 fn take_contexts(world: &mut World, contexts: &[ContextSpec], out: &mut Vec<Effect>) {
     let named = contexts.iter();
     let named: Vec<(Path, &ContextSpec)> = named
@@ -151,7 +151,7 @@ fn change_context(
     context.presence = spec.presence.unwrap_or_default();
     context.transient = spec.transient;
     context.permanent = true;
-    // The file manages it now, and not who made it.
+    // The file manages it now, and not its creator.
     context.creator = None;
     let mut changed = None;
     match (&mut context.role, role) {
@@ -170,8 +170,8 @@ fn change_context(
     Ok(())
 }
 
-/// Takes the token of a channel from its owner if another one, or none, guards it from now on: what the owner has
-/// set in motion there must not go on with nobody to answer for it.
+/// Takes the token of a channel from its owner if the channel has another guard from now on, or none: the owner could
+/// not stop any more what it has set in motion there.
 fn lose_guarding(world: &mut World, channel: ContextNumber, new: &Role, out: &mut Vec<Effect>) {
     let guard = |role: &Role| match role {
         Role::Channel(channel) => channel.guard.as_ref().map(|guard| guard.token.clone()),
@@ -186,8 +186,8 @@ fn lose_guarding(world: &mut World, channel: ContextNumber, new: &Role, out: &mu
     }
 }
 
-/// Makes the managers anew that peers have named: what they name may mean something else now. One that is no
-/// more leaves its context closed.
+/// Makes the managers of peers' contexts anew, because their names may mean something else now. A context whose manager
+/// is no more is closed.
 fn renew_managers(world: &mut World) {
     let made = world.tree.iter().filter(|context| !context.permanent);
     let made: Vec<(ContextNumber, Value)> = made
@@ -239,8 +239,7 @@ fn change_user(
     put_out(world, questions, (root, peer, None), Some(text), out);
 }
 
-/// Asks the managers again about everybody who is somewhere or owns something: what would be refused now is
-/// over.
+/// Asks the managers again about every membership and every ownership, and ends those that they would refuse now.
 fn review(world: &mut World, questions: &mut Questions, out: &mut Vec<Effect>) {
     let peers: Vec<PeerId> = world.peers.iter().map(|(peer, _)| peer).collect();
     for peer in peers {

@@ -1,4 +1,4 @@
-//! What the hub would say: the verdict about a request that nobody makes, for people who ask why.
+//! The verdict about a request that nobody makes, for people who ask why.
 
 use mom_managers::{Answer, Micros, Terms, Verdict};
 use mom_proto::event::Reason;
@@ -17,7 +17,7 @@ const OWNER: PeerId = PeerId(2);
 /// A request that could be made.
 #[derive(Clone, Copy, Debug)]
 pub struct Case<'a> {
-    /// Who asks.
+    /// The user that asks.
     pub user: &'a User,
     /// For what.
     pub verb: Verb,
@@ -27,21 +27,21 @@ pub struct Case<'a> {
     pub kind: Option<ContextKind>,
     /// The name of the message, for sends.
     pub message: Option<&'a str>,
-    /// Who owns the token meanwhile, from now on and with the token's lease.
+    /// The owner of the token: since now, with the token's lease.
     pub owner: Option<&'a User>,
     /// Whether a member has invited the user there.
     pub invited: bool,
 }
 
-/// What the hub would say to it.
+/// The hub's answer to a case.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Judgement {
-    /// What the manager says.
+    /// The manager's verdict.
     pub verdict: Verdict,
     /// The refusal that the peer would get, from the manager or, where that allows, because it cannot be; none if
     /// it would be done, or if the manager has to ask.
     pub refusal: Option<WireError>,
-    /// What is at the path; none = nothing.
+    /// The context at the path; none = there is none.
     pub place: Option<Place>,
     /// The context whose manager was asked.
     pub managed_at: Path,
@@ -51,7 +51,7 @@ pub struct Judgement {
     pub guard: Option<Path>,
 }
 
-/// A context of the tree, as far as it does not change with who is there.
+/// The parts of a context that do not depend on the peers in it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Place {
     /// Its path.
@@ -67,7 +67,7 @@ pub struct Place {
 }
 
 impl Hub {
-    /// What is at a path.
+    /// The context at a path.
     pub fn place(&self, path: &Path) -> Option<Place> {
         self.world.tree.find(path).map(|context| self.place_of(context))
     }
@@ -83,8 +83,8 @@ impl Hub {
         }
     }
 
-    /// Asks the manager of a place as a request would, and says what would come of it. This is the end of the hub,
-    /// which now holds what the case supposes: make one for each case.
+    /// Asks the manager of a place as a request would, and says what would come of it. It consumes the hub, because the
+    /// case changes it: make one for each case.
     pub fn judge(mut self, case: &Case<'_>) -> Judgement {
         self.suppose(case);
         let place = self.place(case.path);

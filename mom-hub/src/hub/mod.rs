@@ -1,4 +1,4 @@
-//! The hub from outside: the way in for inputs and deadlines, and what can be asked of it without one.
+//! The hub from outside: inputs, deadlines, and a few questions.
 
 mod check;
 mod configure;
@@ -68,7 +68,7 @@ impl Hub {
         let start = out.len();
         self.handle_input(input, out);
         self.world.push_changed_routes(start, out);
-        // What the input itself has let come due, as a grab does that waits where the lease was over already.
+        // Deadlines that the input itself has made due, as a grab does that begins to wait after the lease is over.
         self.handle_due(out);
         self.world.push_faults(out);
     }
@@ -97,7 +97,7 @@ impl Hub {
                 verbs::run(world, questions, request, out);
             }
             Input::Stored { ticket, ok } => {
-                // First who has waited, then who came while this was stored.
+                // The queue has advanced first; now the requests that came while this was stored.
                 if let Some(token) = world.take_stored(ticket, ok, out) {
                     verbs::run_held_back(world, questions, token, out);
                 }

@@ -16,20 +16,20 @@ use crate::{Member, PeerClock, PeerId};
 /// The priorities that peers may use; others are brought into this range (M7).
 const PRIORITY: std::ops::RangeInclusive<i32> = -100..=100;
 
-/// When a message came, and what its link knows of its sender's clock.
+/// When a message came, and by which clock its sender stamps.
 #[derive(Clone, Copy, Debug)]
 pub struct Ingress {
     /// Monotonic time.
     pub now: Micros,
     /// The hub's wall time.
     pub wall: Time,
-    /// The sender's clock; none = not known, and nothing is said of the message's age.
+    /// The sender's clock; none = not known, and neither is the message's age.
     pub clock: Option<PeerClock>,
-    /// How long it has waited since it came, until a receiver had room: that much older it is at least.
+    /// How long it has waited since it came, until a receiver had room: it is at least that old.
     pub waited: Micros,
 }
 
-/// What became of a message.
+/// The outcome of an admission.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Admission {
     /// It may pass, stamped, to these, if its sender has not used up this rate.
@@ -67,7 +67,7 @@ pub fn admit(
     let overdue = owner
         .and_then(|owner| owner.lost_at)
         .is_some_and(|lost| now >= lost);
-    // Commands that are counted are counted by the hub.
+    // The commands of a delegate with a number of them are counted by the hub.
     let counted = owner.is_some_and(|owner| owner.peer == peer && owner.commands.is_some())
         && route
             .guard
@@ -85,8 +85,8 @@ pub fn admit(
     }
 }
 
-/// What holds for further messages of the same sender and the same slots as one that was admitted: only their
-/// stamps are looked at.
+/// Admits further messages of the same sender and the same slots as one that was admitted: only their stamps are
+/// looked at.
 #[derive(Clone, Copy, Debug)]
 pub struct Alike {
     wall: Time,
@@ -275,7 +275,7 @@ fn with_owner(error: WireError, guard: &Guard, now: Micros) -> WireError {
     }
 }
 
-/// Who a message is for, as its sender has addressed it.
+/// The members that a message is for, as its sender has addressed it.
 ///
 /// # Errors
 /// `unknown-peer`.
@@ -292,7 +292,7 @@ pub fn receivers(route: &Route, peer: PeerId, parcel: &Parcel) -> Result<Receive
 
 fn addressed(route: &Route, address: &[Arc<str>]) -> Result<Receivers, WireError> {
     let mut places = Vec::new();
-    // A parcel holds millions of names, and all who send here wait: each is looked for once.
+    // A parcel may hold millions of names, and this runs in the channel's critical section: each is looked up once.
     let mut seen = HashSet::new();
     for name in address.iter().filter(|name| seen.insert(&***name)) {
         let place = route

@@ -1,4 +1,4 @@
-//! How old a message is when it comes, by the hub's clock (M6, design §7).
+//! The age of a message at ingress, by the hub's clock (M6, design §7).
 
 use mom_managers::Micros;
 use mom_proto::{Code, Parcel, Time, WireError, event};
@@ -13,18 +13,18 @@ pub(crate) fn age_of(parcel: &Parcel, wall: Time, clock: Option<&PeerClock>) -> 
     Some(aged(parcel.timestamp?, wall, clock?))
 }
 
-/// The age at `wall` of what was created at `timestamp` by that clock.
+/// The age at `wall` of a message created at `timestamp` by that clock.
 pub(crate) fn aged(timestamp: Time, wall: Time, clock: &PeerClock) -> Aged {
     let created = clock.offset.own(timestamp);
     (wall.micros().saturating_sub(created), clock.offset.error)
 }
 
-/// Whether something is further ahead than a clock may be wrong.
+/// Whether an age lies further in the future than the clock may be wrong.
 pub(crate) fn is_ahead((age, error): Aged, clock: &PeerClock) -> bool {
     i128::from(age) + i128::from(error) + i128::from(clock.future) < 0
 }
 
-/// Whether an age is surely not above this, µs.
+/// Whether an age is not above `most` µs even with its error. An unknown age is not.
 pub(crate) fn is_within(age: Option<Aged>, most: Micros) -> bool {
     age.is_some_and(|(age, error)| {
         let oldest = i128::from(age) + i128::from(error);
@@ -32,7 +32,7 @@ pub(crate) fn is_within(age: Option<Aged>, most: Micros) -> bool {
     })
 }
 
-/// Checks that a message is neither of the future nor over, and gives its age. A stop is always taken: a device must
+/// Checks that a message is neither of the future nor expired, and gives its age. A stop is always taken: a device must
 /// halt also if a clock is wrong.
 ///
 /// # Errors
@@ -61,7 +61,7 @@ pub(crate) fn check_age(
     Ok(age)
 }
 
-/// Checks that a message of this age in µs is worth something still.
+/// Checks that a message of this age in µs has not expired.
 ///
 /// # Errors
 /// `expired`.

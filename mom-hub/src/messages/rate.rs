@@ -27,8 +27,8 @@ pub struct Usage {
     bytes: Left,
 }
 
-/// What a sender may send at one moment, where many parcels are charged together: the sums of [`Usage`] are made once
-/// for all of them.
+/// What a sender may send at one moment, where many parcels are charged together: [`Usage`] is worked out once for all
+/// of them.
 #[derive(Clone, Copy, Debug)]
 pub struct Budget {
     rate: Rate,

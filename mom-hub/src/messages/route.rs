@@ -1,4 +1,4 @@
-//! The route of a channel: all that a send needs to know, immutable (design §4).
+//! The route of a channel: everything that a send needs, immutable (design §4).
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use mom_proto::{ContextNumber, Delivery, Overflow, Path};
 
 use crate::{Keep, Member, PeerId};
 
-/// A channel as it stands: who gets what is sent there, and who may send.
+/// A channel as it stands: its members, its guard and its settings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Route {
     /// The channel.
@@ -22,7 +22,7 @@ pub struct Route {
     pub delivery: Delivery,
     /// What happens where a receiver has no room for a `reliable` parcel.
     pub overflow: Overflow,
-    /// What is kept for those who join later; none = nothing.
+    /// What is kept for late joiners; none = nothing.
     pub keep: Option<Keep>,
 }
 
@@ -33,7 +33,7 @@ pub struct Guard {
     pub token: Path,
     /// The messages; `*` stands for all.
     pub names: Arc<[String]>,
-    /// Who owns the token now.
+    /// The owner of the token now.
     pub owner: Option<GuardOwner>,
     /// The fence of the latest grant; 0 before the first.
     pub fence: u64,

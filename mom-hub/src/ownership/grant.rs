@@ -186,7 +186,7 @@ impl World {
         }
     }
 
-    /// Calls off a grant that an owner has agreed to who is not the owner any more.
+    /// Calls off a grant whose agreeing owner is not the owner any more.
     pub(super) fn call_off_agreed(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
         let Some(context) = self.tree.get(number) else {
             return self.fault("a grant is called off of a token that is not there");
@@ -229,7 +229,7 @@ impl World {
         self.advance_queue(number, out);
     }
 
-    /// What a new token begins with, by the record of before the start.
+    /// Takes over fence and reservation of before the start into a new token.
     pub(crate) fn restore(&mut self, path: &Path, token: &mut crate::token::state::Token) {
         token.fence = self.deleted_fence;
         let floor = self.fence_floor();

@@ -169,7 +169,7 @@ impl World {
         self.end_asking(number, peer, &error, Some("timed-out"), out);
     }
 
-    /// Ends what was about an ownership that is over: offers, requests, and the waiting of the new owner.
+    /// Ends the offers and requests of an ownership that is over, and the waiting of the new owner.
     pub(crate) fn end_handover(&mut self, number: ContextNumber, new: Option<PeerId>, out: &mut Vec<Effect>) {
         self.end_offer(number, "lost", out);
         self.call_off_agreed(number, out);

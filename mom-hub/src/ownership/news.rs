@@ -68,7 +68,7 @@ pub(super) fn push_grabbed(
         content.set(&key, value);
     }
     let mut to = concerned(world, number);
-    // Nobody has asked for what returns by itself, so no reply says it.
+    // A token that returns by itself answers no request, so the owner is told by the event.
     if reason == Reason::Returned {
         to.insert(new);
     }

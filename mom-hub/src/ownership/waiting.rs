@@ -87,7 +87,7 @@ impl World {
         }
     }
 
-    /// Gives a free token to the first of its queue whom the manager lets have it.
+    /// Grants a free token to the first waiter that the manager allows to have it.
     pub(crate) fn advance_queue(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
         let mut refused = false;
         while let Some(waiter) = self.next_waiter(number) {

@@ -1,4 +1,4 @@
-//! What outlives the hub (design §6).
+//! Records, which outlive the hub (design §6).
 
 use mom_managers::Micros;
 use mom_proto::Path;
@@ -7,7 +7,7 @@ use mom_proto::Path;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Ticket(pub u64);
 
-/// A user under a nickname: who may have a token back after a restart.
+/// A user under a nickname, by which an owner is known again after a restart.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Holder {
     /// The user.
@@ -16,7 +16,7 @@ pub struct Holder {
     pub name: String,
 }
 
-/// What is kept of a token, so that no fence falls and nobody is granted it in the time of another's lease.
+/// The stored part of a token: no fence falls over a restart, and nobody is granted it during another's lease.
 ///
 /// The latest record of a path holds; it is kept when the token is deleted, until a start with a higher epoch.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -25,9 +25,9 @@ pub struct Record {
     pub path: Path,
     /// The highest fence given out, or about to be.
     pub fence: u64,
-    /// Who owns it, or is about to.
+    /// The owner, or the peer that is about to be.
     pub owner: Option<Holder>,
-    /// Who owned it until then, as long as the change may not have happened.
+    /// The owner of before, as long as the change may not have happened.
     pub before: Option<Holder>,
     /// The longest lease that either of them may have, µs; none = without end.
     pub lease: Option<Micros>,

@@ -3,7 +3,7 @@
 use mom_managers::Micros;
 use mom_proto::ClockOffset;
 
-/// What a link knows of the clock by which its peer stamps.
+/// The clock of a peer, as its link has measured it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PeerClock {
     /// The peer's clock minus the hub's.

@@ -13,7 +13,7 @@ use crate::PeerId;
 use crate::token::state::Token;
 use crate::values::number;
 
-/// Who is told who comes and goes (design §7).
+/// The members that are told of joins and leaves (design §7).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Presence {
@@ -38,7 +38,7 @@ pub(crate) struct Context {
     pub(crate) manager: Option<Box<dyn Manager>>,
     /// How it was named, for `info`.
     pub(crate) manager_word: Option<String>,
-    /// What it was made from, for a new configuration.
+    /// The specification of its manager, from which a new configuration makes it anew.
     pub(crate) manager_spec: Option<Value>,
     /// The peer that made it.
     pub(crate) creator: Option<PeerId>,
@@ -56,7 +56,7 @@ pub(crate) struct Context {
     pub(crate) role: Role,
 }
 
-/// What a context is besides a place.
+/// The kind of a context with its state.
 #[derive(Debug)]
 pub(crate) enum Role {
     Session,
@@ -79,7 +79,7 @@ pub(crate) struct GuardSpec {
 }
 
 impl GuardSpec {
-    /// The token and the messages, for replies; added to what is known of the token's owner.
+    /// The guard in replies: `known` of the token's owner, the token and the guarded messages.
     pub(crate) fn describe(&self, known: Map) -> Map {
         let names: Vec<Value> = self.names.iter().map(|name| Value::from(name.as_str())).collect();
         known.with("token", self.token.as_str()).with("names", names)
@@ -116,7 +116,7 @@ impl Context {
         }
     }
 
-    /// Path, kind and number: what replies say of every context.
+    /// Path, kind and number, which replies have of every context.
     pub(crate) fn summary(&self) -> Map {
         Map::new()
             .with("path", self.path.as_str())

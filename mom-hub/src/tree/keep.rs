@@ -7,15 +7,15 @@ use serde::Deserialize;
 use crate::content::{bad, micros};
 use crate::values::{count, millis};
 
-/// What is kept where nothing else is said, and at most: content of parcels, in bytes.
+/// Bytes of content that are kept: default and maximum.
 const BYTES: usize = 1 << 20;
 const MOST_BYTES: usize = 16 << 20;
 
-/// Parcels that are kept where only bytes or an age is said, and at most.
+/// Parcels that are kept where only bytes or an age is given, and the maximum.
 const PARCELS: usize = 1000;
 const MOST_PARCELS: usize = 10_000;
 
-/// What a channel keeps. Never what its token guards, what is addressed, `command`, `stop`, `unstop` and `halt`.
+/// What a channel keeps. It never keeps guarded or addressed messages, nor `command`, `stop`, `unstop` and `halt`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Keep {
     /// Only the newest of each sender and name, as long as its sender is a member.
@@ -65,7 +65,7 @@ impl KeepArgs {
 }
 
 impl Keep {
-    /// Whether messages of this name are kept, but for what a token guards: nothing that moves a device is for later.
+    /// Whether unguarded messages of this name are kept: a message that moves a device is never delivered later.
     pub fn covers(name: &str) -> bool {
         !matches!(name, "command" | event::STOP | event::UNSTOP | event::HALT)
     }

@@ -15,12 +15,12 @@ const NAMES: usize = 64;
 pub struct Member {
     /// Its connection.
     pub peer: PeerId,
-    /// What the hub knows of it.
+    /// Name, user, level and groups.
     pub facts: Arc<PeerFacts>,
-    /// What it is to be spared of what the others send there.
+    /// The messages of the others that it is spared.
     pub thinning: Thinning,
     standing: Vec<StandingVerdict>,
-    // An earlier message of it waits for a verdict, so that none may pass it by.
+    // An earlier message waits for a verdict, so later ones have to come to the hub too and wait behind it.
     held: bool,
 }
 
@@ -40,7 +40,7 @@ pub struct StandingVerdict {
     pub answer: Answer,
 }
 
-/// Whether a message is a verb of its own, so that what stands for others does not stand for it.
+/// Whether a message is a verb of its own (`stop`, `unstop`), for which verdicts about other messages do not stand.
 pub(crate) fn has_own_right(name: &str) -> bool {
     matches!(name, event::STOP | event::UNSTOP)
 }
@@ -57,7 +57,7 @@ impl Member {
         }
     }
 
-    /// This member, as it was when it had just joined: no verdict stands for its messages.
+    /// This member with new facts and without standing verdicts.
     pub(crate) fn unjudged(&self, facts: Arc<PeerFacts>) -> Member {
         Member {
             thinning: self.thinning,
@@ -66,7 +66,7 @@ impl Member {
         }
     }
 
-    /// This member, spared of something else.
+    /// This member with another thinning.
     pub(crate) fn thinned(&self, thinning: Thinning) -> Member {
         Member {
             thinning,
@@ -74,7 +74,7 @@ impl Member {
         }
     }
 
-    /// This member, with its messages coming to the hub one by one, or not any more.
+    /// This member with its messages sent to the hub one by one, or not any more.
     pub(crate) fn holding(&self, held: bool) -> Member {
         Member { held, ..self.clone() }
     }

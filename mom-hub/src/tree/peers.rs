@@ -1,4 +1,4 @@
-//! Who is there, under which name.
+//! The peers that have logged in, and their names.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -28,7 +28,7 @@ pub(crate) struct Peer {
     pub(crate) facts: Arc<PeerFacts>,
     pub(crate) joined: BTreeSet<ContextNumber>,
     pub(crate) owns: BTreeSet<ContextNumber>,
-    /// Tokens that it waits for, asks for, is offered, or holds together with others.
+    /// Tokens that it waits for, asks for, is offered, has lent, or holds together with others.
     pub(crate) involved: BTreeSet<ContextNumber>,
     /// Its clock, as known at its last request, and when that was.
     pub(crate) clock: Option<(PeerClock, Micros)>,
@@ -39,15 +39,15 @@ pub(crate) struct Peer {
 pub(crate) struct Peers {
     by_id: BTreeMap<PeerId, Peer>,
     by_name: BTreeMap<Arc<str>, PeerId>,
-    // A name that its peer gave up: until when, and whose it was.
+    // Names that their peers gave up: until when they rest, and for which user.
     resting: BTreeMap<Arc<str>, (Micros, Arc<str>)>,
-    /// The same by time, so that a thousand who come back at once do not each look at all.
+    /// The same by time, so that each login looks only at rests that are over.
     rest_ends: BTreeSet<(Micros, Arc<str>)>,
-    /// Of nicknames that many have: below this number all are taken.
+    /// The lowest number that may be free, for nicknames with many peers.
     crowded: BTreeMap<Arc<str>, u32>,
 }
 
-/// From this number on a nickname is one that many have.
+/// Peers of one nickname from which on that number is remembered.
 const CROWD: u32 = 16;
 
 impl Peers {

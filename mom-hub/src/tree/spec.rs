@@ -27,7 +27,7 @@ pub struct ContextSpec {
     /// A name of the configuration, or a map with `kind` and parameters; absent = the parent's.
     #[serde(default)]
     pub manager: Option<Value>,
-    /// Who is told who comes and goes; absent = all.
+    /// The members that are told of joins and leaves; absent = all.
     #[serde(default)]
     pub presence: Option<Presence>,
     /// Deleted with its last member.
@@ -42,7 +42,7 @@ pub struct ContextSpec {
     /// Channels: what happens where a receiver has no room for a `reliable` parcel; absent = `close`.
     #[serde(default)]
     pub overflow: Option<String>,
-    /// Channels: what is kept for those who join later; absent = nothing.
+    /// Channels: messages kept for late joiners; absent = none.
     #[serde(default)]
     pub keep: Option<KeepArgs>,
     /// Tokens: what is sent when ownership ends; absent = `halt` to every guarded channel.

@@ -18,7 +18,7 @@ use crate::{Effect, PeerId};
 pub(super) struct Args {
     /// Whose request the owner answers; absent = the offer made to this peer.
     pub(super) peer: Option<String>,
-    /// Plain words for who is declined.
+    /// Plain words for the peer that is declined.
     pub(super) text: Option<String>,
 }
 
@@ -31,9 +31,9 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         owner.map_err(|error| world.unless_denied(request, number, error))?;
         world.check_not_lent(number, "given on")?;
         let to = asking(world, request, name)?;
-        // Whether who gains it may have it, as if it had been offered; the owner's word is not enough for that.
+        // The peer that asked must be allowed to accept, as if it had been offered; the owner's word is not enough.
         let Allowed { rule, grant } = world.ask(to, &Wish::new(Verb::Accept, number), &request.answers)?;
-        // Its time is not over any more while the owner's yes is being stored.
+        // The request cannot time out any more while the owner's yes is being stored.
         let asking = world.take_asking(number, to);
         world.forget_asked(number, (Verb::Request, to, peer));
         let answers = answers.into_iter().chain(asking.map(|asking| (to, asking.id)));

@@ -83,7 +83,7 @@ fn grab(
     let reason = match owner {
         _ if kept || shared => None,
         None => Some(Reason::Released),
-        // Asking again for what one has is a renewal (M29).
+        // An owner that grabs renews (M29).
         Some(owner) if owner == peer => {
             if let Some(owner) = world.token_mut(number).and_then(|token| token.owner.as_mut()) {
                 owner.until = grant.until;

@@ -41,7 +41,7 @@ pub(super) fn hold_back(world: &mut World, request: &mut Request) -> Result<bool
     Ok(true)
 }
 
-/// Carries out what has waited for a change of owner, up to the next change that has to be stored.
+/// Carries out the requests that have waited for a change of owner, up to the next change that has to be stored.
 pub(crate) fn run_held_back(
     world: &mut World,
     questions: &mut Questions,

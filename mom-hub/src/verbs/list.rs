@@ -20,7 +20,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     let children: Vec<ContextNumber> = context.children.values().copied().collect();
     let mut list = Vec::with_capacity(children.len());
     for child in children {
-        // What a peer may not look up it is not told of.
+        // A child that the peer may not look up is left out.
         if world
             .ask(request.peer, &Wish::new(Verb::Lookup, child), &request.answers)
             .is_err()

@@ -44,7 +44,7 @@ pub(crate) fn on(
         None => {
             let verdict = world.consult(peer, &wish, &request.answers);
             if let Answer::Defer(defer) = verdict.answer {
-                // Nobody is asked about what would be refused in any case.
+                // Nobody is asked about a message that would be refused in any case.
                 world.check_admissible(peer, number, &request.parcel)?;
                 return Err(world.defer(peer, &wish, defer, verdict.rule));
             }
@@ -103,7 +103,7 @@ impl World {
         })
     }
 
-    /// For what a peer sends, or sent before and is carried out now.
+    /// The ingress of a message that is carried out now.
     fn ingress(&self, peer: PeerId) -> Ingress {
         Ingress {
             now: self.now,
@@ -166,7 +166,7 @@ impl World {
         else {
             return;
         };
-        // Stop has rights of its own, so what stands for it stands for no other message.
+        // Stop has rights of its own, so its verdict stands for no other message.
         let name = match scope {
             Scope::AnyName if !has_own_right(&parcel.name) => None,
             _ => Some(Arc::clone(&parcel.name)),

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use mom_proto::event::Reason;
 use mom_proto::{Code, Map, Path, Verb};
 
-/// One fact. It holds no content and no secret; what does not apply is none.
+/// One fact. It holds no content and no secret; a field that does not apply is none.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Audit {
     /// What happened: one of [`Audit::WORDS`].
@@ -16,7 +16,7 @@ pub struct Audit {
     pub user: Option<Arc<str>>,
     /// Its level.
     pub level: Option<i32>,
-    /// What it asked for.
+    /// The verb that was asked for.
     pub verb: Option<Verb>,
     /// Where.
     pub context: Option<Path>,
@@ -32,12 +32,12 @@ pub struct Audit {
     pub fence: Option<u64>,
     /// Why an ownership ended, or how it began if not by a grab.
     pub reason: Option<Reason>,
-    /// Who else was part in it: the breaker of a token, the giver, the owner in the way.
+    /// The other peer: who broke the token, gave it, or owns it.
     pub by: Option<Arc<str>>,
 }
 
 impl Audit {
-    /// What can happen.
+    /// All values of [`Audit::what`].
     pub const WORDS: [&'static str; 13] = [
         "login",
         "gone",

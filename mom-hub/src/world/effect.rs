@@ -62,7 +62,7 @@ pub enum Effect {
         /// Whose durability is awaited; none = nobody's.
         ticket: Option<Ticket>,
     },
-    /// Note a fact for whoever asks later who decided what.
+    /// Write a fact into the audit log.
     Audit(Box<Audit>),
     /// End a connection, after an error that says why.
     Close {

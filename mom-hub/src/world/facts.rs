@@ -1,4 +1,4 @@
-//! What the hub tells the audit log.
+//! Facts for the audit log.
 
 use std::sync::Arc;
 
@@ -35,7 +35,7 @@ impl World {
         self.audit(fact, out);
     }
 
-    /// Notes what has happened to a context, and by whom.
+    /// Notes that a context was made or deleted, and by whom.
     pub(crate) fn audit_context(
         &self,
         what: &'static str,
@@ -50,7 +50,7 @@ impl World {
         self.audit(fact, out);
     }
 
-    /// Refuses a request: an error to who asked, and a fact.
+    /// Refuses a request: an error to the peer that made it, and a fact.
     pub(crate) fn push_refusal(
         &self,
         peer: PeerId,

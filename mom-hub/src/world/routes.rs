@@ -64,8 +64,9 @@ impl World {
         }
     }
 
-    /// Puts the routes that an input changed around its other effects: what takes away comes first, so that
-    /// nothing old follows news of it; what only adds comes last, so that a member is told before it hears.
+    /// Puts the routes that an input has changed around its other effects: routes that lost something come first, so
+    /// that no message of before follows the news; routes that only grew come last, so that a new member has its reply
+    /// before the first message.
     pub(crate) fn push_changed_routes(&mut self, start: usize, out: &mut Vec<Effect>) {
         let changed = std::mem::take(&mut self.changed);
         let grown = std::mem::take(&mut self.grown);

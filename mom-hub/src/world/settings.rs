@@ -1,4 +1,4 @@
-//! What the hub is told at its start.
+//! What the hub is given at its start.
 
 use mom_managers::Micros;
 use mom_proto::{Limits, Time};
@@ -14,7 +14,7 @@ pub struct Settings {
     pub epoch: u64,
     /// Whether changes of ownership wait until they are durable ([`Effect::Store`](crate::Effect::Store)).
     pub durable: bool,
-    /// What was durable before the start.
+    /// The records that were durable before the start.
     pub records: Vec<Record>,
     /// The limits that the login reply advertises.
     pub limits: Limits,
