@@ -1,13 +1,11 @@
-//! How much of a rate a peer has used: two token buckets in integer arithmetic.
+//! How much of a rate a sender has used: parcels, and bytes of content.
 
-use mom_managers::{Bucket, Micros, Rate};
-use mom_proto::{Code, WireError};
 use std::time::Duration;
 
-/// One unit in a bucket: a parcel or a byte, in millionths, so that µs of refill are whole numbers.
-const UNIT: u128 = 1_000_000;
+use mom_managers::{Bucket, Rate};
+use mom_proto::{Code, Gcra, Micros, Wait, WireError};
 
-/// What is left in the buckets of one sender.
+/// What one sender has used of a rate.
 ///
 /// ```
 /// use mom_hub::Usage;
@@ -23,8 +21,8 @@ const UNIT: u128 = 1_000_000;
 /// ```
 #[derive(Clone, Debug, Default)]
 pub struct Usage {
-    parcels: Left,
-    bytes: Left,
+    parcels: Gcra,
+    bytes: Gcra,
 }
 
 /// What a sender may send at one moment, where many parcels are charged together: [`Usage`] is worked out once for all
@@ -53,14 +51,6 @@ impl Budget {
     }
 }
 
-#[derive(Clone, Copy, Debug, Default)]
-struct Left {
-    /// What was taken and has not come back, in units.
-    taken: u128,
-    /// Up to when it has come back.
-    at: Micros,
-}
-
 impl Usage {
     /// Takes one parcel of this size, or nothing.
     ///
@@ -68,30 +58,29 @@ impl Usage {
     /// `over-quota` with the time after which there is enough.
     pub fn charge(&mut self, rate: &Rate, size: usize, now: Micros) -> Result<(), WireError> {
         let size = u64::try_from(size).unwrap_or(u64::MAX);
-        let (parcels, bytes) = (
-            self.parcels.after(&rate.parcels, 1, now),
-            self.bytes.after(&rate.bytes, size, now),
-        );
-        match (parcels, bytes) {
-            (Ok(parcels), Ok(bytes)) => {
-                (self.parcels, self.bytes) = (parcels, bytes);
+        let (parcels, bytes) = (rate.parcels.pace(), rate.bytes.pace());
+        match (
+            self.parcels.peek(&parcels, 1, now),
+            self.bytes.peek(&bytes, size, now),
+        ) {
+            (Ok(()), Ok(())) => {
+                self.parcels.charge(&parcels, 1, now);
+                self.bytes.charge(&bytes, size, now);
                 Ok(())
             }
-            (Err(wait), Ok(_)) => Err(over("parcels", rate.parcels, wait)),
-            (Ok(_), Err(wait)) => Err(over("bytes", rate.bytes, wait)),
+            (Err(wait), Ok(())) => Err(over("parcels", rate.parcels, wait)),
+            (Ok(()), Err(wait)) => Err(over("bytes", rate.bytes, wait)),
             (Err(one), Err(other)) => Err(over("parcels", rate.parcels, one.max(other))),
         }
     }
-}
 
-impl Usage {
     /// What may be taken now: as much as [`Usage::charge`] would let pass one after the other.
     pub fn budget(&self, rate: &Rate, now: Micros) -> Budget {
         Budget {
             rate: *rate,
             now,
-            parcels: self.parcels.room(&rate.parcels, now),
-            bytes: self.bytes.room(&rate.bytes, now),
+            parcels: self.parcels.room(&rate.parcels.pace(), now),
+            bytes: self.bytes.room(&rate.bytes.pace(), now),
             spent: (0, 0),
         }
     }
@@ -99,61 +88,21 @@ impl Usage {
     /// Charges what was taken of a budget that was made of this.
     pub fn settle(&mut self, budget: &Budget) {
         let Budget { rate, now, spent, .. } = budget;
-        if let Ok(parcels) = self.parcels.after(&rate.parcels, spent.0, *now) {
-            self.parcels = parcels;
-        }
-        if let Ok(bytes) = self.bytes.after(&rate.bytes, spent.1, *now) {
-            self.bytes = bytes;
-        }
+        // It fits, for nothing else was charged since.
+        self.parcels.charge(&rate.parcels.pace(), spent.0, *now);
+        self.bytes.charge(&rate.bytes.pace(), spent.1, *now);
     }
 }
 
-impl Left {
-    /// How much there is in the bucket.
-    fn room(self, bucket: &Bucket, now: Micros) -> u64 {
-        if *bucket == Bucket::UNLIMITED {
-            return u64::MAX;
-        }
-        let full = u128::from(bucket.burst) * UNIT;
-        let room = full.saturating_sub(self.not_back(bucket, now)) / UNIT;
-        u64::try_from(room).unwrap_or(u64::MAX)
-    }
-
-    /// What was taken and has not come back by now.
-    fn not_back(self, bucket: &Bucket, now: Micros) -> u128 {
-        let back = u128::from(bucket.per_second) * u128::from(now.saturating_sub(self.at));
-        self.taken.saturating_sub(back)
-    }
-
-    /// The bucket after `count` was taken from it, or for how long there is not enough in it.
-    fn after(self, bucket: &Bucket, count: u64, now: Micros) -> Result<Left, Option<Micros>> {
-        if *bucket == Bucket::UNLIMITED {
-            return Ok(self);
-        }
-        let taken = self.not_back(bucket, now) + u128::from(count) * UNIT;
-        let full = u128::from(bucket.burst) * UNIT;
-        if taken <= full {
-            return Ok(Left { taken, at: now });
-        }
-        // What is larger than the whole bucket never fits.
-        if u128::from(count) > u128::from(bucket.burst) || bucket.per_second == 0 {
-            return Err(None);
-        }
-        let wait = (taken - full).div_ceil(u128::from(bucket.per_second));
-        Err(Some(Micros::try_from(wait).unwrap_or(Micros::MAX)))
-    }
-}
-
-/// None is the longest wait: there is no end to it.
-fn over(what: &str, bucket: Bucket, wait: Option<Micros>) -> WireError {
+fn over(what: &str, bucket: Bucket, wait: Wait) -> WireError {
     let text = format!(
         "more than this peer's share: {} {what} per second, {} at once",
         bucket.per_second, bucket.burst
     );
     let error = WireError::new(Code::OVER_QUOTA, text);
     match wait {
-        Some(wait) => error.retry_after(Duration::from_micros(wait)),
-        None => error,
+        Wait::For(wait) => error.retry_after(Duration::from_micros(wait)),
+        Wait::Never => error,
     }
 }
 
@@ -182,6 +131,20 @@ mod tests {
         let error = usage.charge(&rate, 2000, 10_000_000).unwrap_err();
         assert_eq!(error.retry_in(), None, "larger than the bucket: never");
         assert!(passed(&mut usage, 1000, 10_000_000));
+    }
+
+    #[test]
+    fn a_parcel_that_never_fits_is_not_told_to_come_back() {
+        let bucket = |burst| Bucket { per_second: 1, burst };
+        let rate = Rate {
+            parcels: bucket(1),
+            bytes: bucket(10),
+        };
+        let mut usage = Usage::default();
+        assert!(usage.charge(&rate, 1, 0).is_ok());
+        let retry = |size| usage.clone().charge(&rate, size, 0).unwrap_err().retry_in();
+        assert_eq!(retry(1), Some(Duration::from_secs(1)), "parcels alone");
+        assert_eq!(retry(11), None, "it has too many bytes for any time");
     }
 
     #[test]
