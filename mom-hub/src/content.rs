@@ -1,7 +1,6 @@
 //! Reading what stands in the content of requests.
 
-use mom_managers::Micros;
-use mom_proto::{Code, Parcel, Path, WireError};
+use mom_proto::{Code, Micros, Parcel, Path, WireError};
 use serde::de::DeserializeOwned;
 
 /// The content of a request that needs some.

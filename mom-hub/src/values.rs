@@ -1,7 +1,6 @@
 //! Numbers of the hub as values of the wire.
 
-use mom_managers::Micros;
-use mom_proto::Value;
+use mom_proto::{Micros, Value};
 
 /// A duration in whole ms.
 pub(crate) fn millis(duration: Micros) -> Value {

@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use mom_managers::{Denial, Micros, Owner, PeerFacts, TokenFacts};
-use mom_proto::{Code, ContextNumber, Verb, WireError};
+use mom_managers::{Denial, Owner, PeerFacts, TokenFacts};
+use mom_proto::{Code, ContextNumber, Micros, Verb, WireError};
 
 use super::wish::Wish;
 use crate::PeerId;

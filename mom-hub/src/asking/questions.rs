@@ -7,8 +7,8 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
-use mom_managers::{Ask, Given, Micros};
-use mom_proto::{Code, Content, ContextNumber, Family, Map, Parcel, Value, Verb, WireError};
+use mom_managers::{Ask, Given};
+use mom_proto::{Code, Content, ContextNumber, Family, Map, Micros, Parcel, Value, Verb, WireError};
 
 use super::refusal::Deferred;
 use crate::heard::Heard;

@@ -2,11 +2,11 @@
 
 use std::collections::BTreeSet;
 
-use mom_proto::ContextNumber;
+use mom_proto::{ContextNumber, Fence};
 
 use crate::token::state::Token;
 use crate::tree::context::Context;
-use crate::world::{EPOCH_BITS, Timer};
+use crate::world::Timer;
 use crate::{Hub, PeerId};
 
 impl Hub {
@@ -116,7 +116,7 @@ impl Hub {
     fn check_token(&self, context: &Context) {
         let Some(token) = context.token() else { return };
         let path = &context.path;
-        let epoch = self.world.settings.epoch << EPOCH_BITS;
+        let epoch = Fence::floor(self.world.settings.epoch);
         assert!(
             token.owner.is_none() || token.fence > epoch,
             "the fence of {path} is of this epoch"

@@ -1,8 +1,8 @@
 //! The verdict about a request that nobody makes, for people who ask why.
 
-use mom_managers::{Answer, Micros, Terms, Verdict};
+use mom_managers::{Answer, Terms, Verdict};
 use mom_proto::event::Reason;
-use mom_proto::{Code, ContextKind, ContextNumber, Family, Path, Verb, WireError};
+use mom_proto::{Code, ContextKind, ContextNumber, Family, Micros, Path, Verb, WireError};
 
 use crate::asking::wish::Wish;
 use crate::token::grant::Grantee;

@@ -8,8 +8,8 @@ mod login;
 
 use std::sync::Arc;
 
-use mom_managers::{Micros, Registry};
-use mom_proto::{ContextNumber, Family, Path, Value};
+use mom_managers::Registry;
+use mom_proto::{ContextNumber, Family, Micros, Path, Value};
 
 use crate::asking::questions::{Due, Questions};
 use crate::contexts::make::{SetupError, make_root, manager_word};

@@ -4,13 +4,12 @@ use std::collections::HashSet;
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_managers::{Answer, Denial, Micros, PeerFacts, Rate};
+use mom_managers::{Answer, Denial, PeerFacts, Rate};
 use mom_proto::nearest::nearest;
-use mom_proto::{Code, Family, HISTORY, Parcel, Time, Verb, WireError, event};
+use mom_proto::{Code, Family, Fence, HISTORY, Micros, Parcel, Time, Verb, WireError, event};
 
 use super::age::{age_of, aged, check_age, check_life, is_ahead, is_within};
 use super::route::{Guard, GuardOwner, Route};
-use crate::values::number;
 use crate::{Member, PeerClock, PeerId};
 
 /// The priorities that peers may use; others are brought into this range (M7).
@@ -218,7 +217,7 @@ fn check_guard(
         );
         return Err(WireError::new(Code::BAD_FENCE, text)
             .slot("fence")
-            .detail("fence", number(guard.fence)));
+            .detail("fence", Fence::from(guard.fence)));
     }
     if given.is_some_and(|fence| fence < guard.fence) {
         let text = format!(
@@ -231,7 +230,7 @@ fn check_guard(
             .as_ref()
             .is_some_and(|owner| owner.peer == member.peer);
         let error = if own { error } else { with_owner(error, guard, now) };
-        return Err(error.detail("fence", number(guard.fence)));
+        return Err(error.detail("fence", Fence::from(guard.fence)));
     }
     match &guard.owner {
         Some(owner) if owner.peer == member.peer && owner.commands != Some(0) => Ok(Some(guard.fence)),

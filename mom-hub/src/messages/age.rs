@@ -1,7 +1,6 @@
 //! The age of a message at ingress, by the hub's clock (M6, design §7).
 
-use mom_managers::Micros;
-use mom_proto::{Code, Parcel, Time, WireError, event};
+use mom_proto::{Code, Micros, Parcel, Time, WireError, event};
 
 use crate::PeerClock;
 

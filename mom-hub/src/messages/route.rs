@@ -2,8 +2,7 @@
 
 use std::sync::Arc;
 
-use mom_managers::Micros;
-use mom_proto::{ContextNumber, Delivery, Overflow, Path};
+use mom_proto::{ContextNumber, Delivery, Micros, Overflow, Path};
 
 use crate::{Keep, Member, PeerId};
 

@@ -19,7 +19,7 @@ pub(crate) fn describe_owner(world: &World, token: &Token) -> Map {
             owner.lease_end.map_or(Value::Null, |end| world.millis_until(end)),
         );
     }
-    map.set("fence", number(token.fence));
+    map.set("fence", token.fence);
     map
 }
 
@@ -114,7 +114,7 @@ pub(crate) fn granted(world: &World, token: ContextNumber) -> Map {
         return world.fault("a token is granted that is not there");
     };
     let mut map = Map::new()
-        .with("fence", number(token.fence))
+        .with("fence", token.fence)
         .with("lease", lease_value(token));
     if let Some(deadman) = token.terms.deadman {
         map.set("deadman", millis(deadman));

@@ -5,7 +5,6 @@ use mom_proto::{Code, ContextNumber, Map, Verb, WireError};
 
 use super::describe::set_given;
 use crate::token::state::{Asked, Asking, Offer};
-use crate::values::number as value;
 use crate::world::events::peer_map;
 use crate::world::{Timer, World};
 use crate::{Effect, PeerId};
@@ -51,7 +50,7 @@ impl World {
             return self.fault("a context is offered that is no token");
         };
         token.note_asked((Verb::Give, owner, to), now);
-        content.set("fence", value(token.fence));
+        content.set("fence", token.fence);
         token.offer = Some(offer);
         self.timers.insert((until, Timer::Offer(number)));
         self.involve(to, number);

@@ -4,17 +4,16 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use mom_proto::event::{self, Reason};
-use mom_proto::{ContextNumber, Map};
+use mom_proto::{ContextNumber, Fence, Map};
 
 use super::describe::granted;
-use crate::values;
 use crate::world::World;
 use crate::{Audit, Effect, PeerId};
 
 /// An ownership that has ended, and how.
 pub(super) struct Ended {
     pub(super) peer: PeerId,
-    pub(super) fence: u64,
+    pub(super) fence: Fence,
     pub(super) reason: Reason,
     pub(super) by: Option<PeerId>,
 }
@@ -30,7 +29,7 @@ pub(super) fn push_released(world: &World, number: ContextNumber, ended: &Ended,
     if let Some(by) = &by {
         content.set("by", by.as_str());
     }
-    content.set("fence", values::number(ended.fence));
+    content.set("fence", ended.fence);
     let mut to = concerned(world, number);
     to.insert(ended.peer);
     world.push_event(
@@ -42,7 +41,7 @@ pub(super) fn push_released(world: &World, number: ContextNumber, ended: &Ended,
     );
     let fact = Audit {
         context: Some(context.path.clone()),
-        fence: Some(ended.fence),
+        fence: Some(ended.fence.into()),
         reason: Some(ended.reason),
         by: by.map(Into::into),
         ..world.fact("lost", ended.peer)
@@ -81,7 +80,7 @@ pub(super) fn push_grabbed(
     );
     let fact = Audit {
         context: Some(context.path.clone()),
-        fence: Some(token.fence),
+        fence: Some(token.fence.into()),
         reason: Some(reason).filter(|reason| *reason != Reason::Released),
         rule,
         ..world.fact("granted", new)

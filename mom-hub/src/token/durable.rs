@@ -1,7 +1,6 @@
 //! What of a token is stored, and what a restart makes of it.
 
-use mom_managers::Micros;
-use mom_proto::Path;
+use mom_proto::{Fence, Micros, Path};
 
 use super::record::{Holder, Record};
 use super::state::{Reserved, Token};
@@ -16,10 +15,10 @@ impl Token {
         path: &Path,
         owner: Holder,
         before: Option<Holder>,
-        floor: u64,
+        floor: Fence,
     ) -> Option<Record> {
         let lease = self.longest_lease();
-        let fence = self.fence.max(floor) + 1;
+        let fence = u64::from(self.fence.max(floor).next());
         let covered = self.record.as_ref().is_some_and(|known| {
             known.owner.as_ref() == Some(&owner)
                 && known.before.is_none()
@@ -43,7 +42,7 @@ impl Token {
             Some(_) => self.longest_lease(),
             None => Some(0),
         };
-        let fence = self.fence;
+        let fence = u64::from(self.fence);
         let known = self.record.as_mut().filter(|_| self.granting.is_none())?;
         if known.owner == owner && known.before.is_none() && known.lease == lease {
             return None;
@@ -73,10 +72,14 @@ impl Token {
     }
 
     /// Takes over the record of before the start; `floor` is the fence above which this start grants.
-    pub(crate) fn restore(&mut self, record: Record, floor: u64) {
+    pub(crate) fn restore(&mut self, record: Record, floor: Fence) {
         // Fences that the record covers may have been given out: epochs are further apart, unless clocks were set back.
-        let covered = record.last_fence();
-        let highest = if covered > floor { covered } else { record.fence };
+        let covered = Fence::from(record.last_fence());
+        let highest = if covered > floor {
+            covered
+        } else {
+            record.fence.into()
+        };
         self.fence = self.fence.max(highest);
         if record.owner.is_some() || record.before.is_some() {
             self.reserved = Some(Reserved {

@@ -1,8 +1,9 @@
 //! Gaining, renewing and losing a token.
 
+use mom_proto::{Fence, Micros};
 use std::sync::Arc;
 
-use mom_managers::{Expiry, Micros};
+use mom_managers::Expiry;
 use mom_proto::event::Reason;
 
 use super::state::{Change, Delegation, Ownership, Token};
@@ -37,7 +38,7 @@ impl Grantee {
 /// What a change of owner has ended.
 pub(crate) struct Former {
     pub(crate) ownership: Ownership,
-    pub(crate) fence: u64,
+    pub(crate) fence: Fence,
 }
 
 /// What follows from the end of an ownership.
@@ -107,11 +108,11 @@ impl Token {
     }
 
     /// Puts another owner, or none, in the place of the present one. A grant raises the fence above `floor`.
-    pub(crate) fn change_owner(&mut self, to: Option<Grantee>, now: Micros, floor: u64) -> Option<Former> {
+    pub(crate) fn change_owner(&mut self, to: Option<Grantee>, now: Micros, floor: Fence) -> Option<Former> {
         let fence = self.fence;
         let old = self.owner.take();
         if let Some(grantee) = to {
-            self.fence = (self.fence + 1).max(floor + 1);
+            self.fence = self.fence.max(floor).next();
             self.reserved = None;
             self.owner = Some(Ownership {
                 peer: grantee.peer,

@@ -2,8 +2,7 @@
 
 use std::time::Duration;
 
-use mom_managers::Micros;
-use mom_proto::{Code, WireError};
+use mom_proto::{Code, Micros, WireError};
 
 use super::state::{Asked, Asking, HeldBack, Token};
 use crate::PeerId;

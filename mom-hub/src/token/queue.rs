@@ -1,7 +1,6 @@
 //! The queue of a token: the order of the grabs that wait, and what they are told.
 
-use mom_managers::Micros;
-use mom_proto::{Code, WireError};
+use mom_proto::{Code, Micros, WireError};
 
 use super::record::Holder;
 use super::state::{Token, Waiter};

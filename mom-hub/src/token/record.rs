@@ -1,7 +1,6 @@
 //! Records, which outlive the hub (design §6).
 
-use mom_managers::Micros;
-use mom_proto::Path;
+use mom_proto::{Fence, Micros, Path};
 
 /// The number of an awaited store; never given twice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -39,6 +38,6 @@ const BLOCK: u64 = 1 << 19;
 impl Record {
     /// The highest fence that may have been given out under this record; the next epoch begins above it.
     pub fn last_fence(&self) -> u64 {
-        self.fence.saturating_add(BLOCK)
+        Fence::from(self.fence).after(BLOCK).into()
     }
 }

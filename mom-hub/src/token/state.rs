@@ -3,9 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
-use mom_managers::{Micros, Terms};
+use mom_managers::Terms;
 use mom_proto::event::Reason;
-use mom_proto::{Content, ContextNumber, Parcel, Path, Verb};
+use mom_proto::{Content, ContextNumber, Fence, Micros, Parcel, Path, Verb};
 
 use super::record::{Holder, Record, Ticket};
 use crate::PeerId;
@@ -18,7 +18,7 @@ pub(crate) struct Token {
     /// Peers that hold it together, and since when; as long as there is one, nobody owns the token.
     pub(crate) holders: BTreeMap<PeerId, Micros>,
     /// Of the latest grant; 0 before the first. Only rises.
-    pub(crate) fence: u64,
+    pub(crate) fence: Fence,
     pub(crate) terms: Terms,
     pub(crate) safe: Option<SafeState>,
     /// Whether the safe state is sent also where the owner gave the token away.

@@ -2,7 +2,7 @@
 
 use mom_managers::{Expiry, Terms};
 use mom_proto::event::Reason;
-use mom_proto::{Code, Path, Verb};
+use mom_proto::{Code, Fence, Path, Verb};
 
 use super::grant::{Grantee, Overtaken};
 use super::record::{Holder, Record};
@@ -13,6 +13,7 @@ const SECOND: u64 = 1_000_000;
 const ALICE: PeerId = PeerId(1);
 const BOB: PeerId = PeerId(2);
 const CAROL: PeerId = PeerId(3);
+const FLOOR: Fence = Fence::floor(0);
 
 fn token() -> Token {
     Token {
@@ -26,7 +27,11 @@ fn token() -> Token {
 
 fn owned_by(peer: PeerId, now: u64) -> Token {
     let mut token = token();
-    assert!(token.change_owner(Some(Grantee::plain(peer)), now, 0).is_none());
+    assert!(
+        token
+            .change_owner(Some(Grantee::plain(peer)), now, FLOOR)
+            .is_none()
+    );
     token
 }
 
@@ -58,20 +63,22 @@ fn given(mut token: Token, to: PeerId, time: u64, now: u64) -> Token {
         ..Change::to(to, Reason::Given)
     };
     let grantee = token.grantee(&change, now);
-    assert!(token.change_owner(Some(grantee), now, 0).is_some());
+    assert!(token.change_owner(Some(grantee), now, FLOOR).is_some());
     token
 }
 
 #[test]
 fn the_fence_rises_with_each_grant_and_above_the_floor() {
     let mut token = owned_by(ALICE, 0);
-    assert_eq!(token.fence, 1);
-    let former = token.change_owner(None, SECOND, 100).expect("alice had it");
-    assert_eq!((former.ownership.peer, former.fence, token.fence), (ALICE, 1, 1));
-    token.change_owner(Some(Grantee::plain(BOB)), SECOND, 100);
-    assert_eq!(token.fence, 101);
-    token.change_owner(Some(Grantee::plain(CAROL)), SECOND, 100);
-    assert_eq!(token.fence, 102);
+    assert_eq!(token.fence, Fence::new(0, 1));
+    let floor = Fence::floor(7);
+    let former = token.change_owner(None, SECOND, floor).expect("alice had it");
+    assert_eq!((former.ownership.peer, former.fence), (ALICE, Fence::new(0, 1)));
+    assert_eq!(token.fence, former.fence, "nobody has a new one");
+    token.change_owner(Some(Grantee::plain(BOB)), SECOND, floor);
+    assert_eq!(token.fence, Fence::new(7, 1));
+    token.change_owner(Some(Grantee::plain(CAROL)), SECOND, floor);
+    assert_eq!(token.fence, Fence::new(7, 2));
 }
 
 #[test]
@@ -130,9 +137,9 @@ fn a_change_is_overtaken_by_another_owner_or_a_shared_hold() {
         ..Change::to(BOB, Reason::Given)
     };
     assert_eq!(token.overtaken(&agreed), None);
-    token.change_owner(Some(Grantee::plain(CAROL)), 0, 0);
+    token.change_owner(Some(Grantee::plain(CAROL)), 0, FLOOR);
     assert_eq!(token.overtaken(&agreed), Some(Overtaken::Moved));
-    token.change_owner(None, 0, 0);
+    token.change_owner(None, 0, FLOOR);
     token.holders.insert(CAROL, 0);
     let grab = Change::to(BOB, Reason::Released);
     assert_eq!(token.overtaken(&grab), Some(Overtaken::Shared));
@@ -165,7 +172,7 @@ fn the_queue_is_by_arrival_or_by_level_and_tells_each_place_once() {
     );
     assert_eq!(told(&mut token), []);
     assert!(token.next_waiter(|_| None, 0).is_none(), "alice has it");
-    token.change_owner(None, 20 * SECOND, 0);
+    token.change_owner(None, 20 * SECOND, FLOOR);
     assert_eq!(
         token.next_waiter(|_| None, 0).map(|waiter| waiter.peer),
         Some(CAROL)
@@ -197,14 +204,23 @@ fn the_same_is_not_asked_again_and_again() {
 fn a_record_covers_the_next_grants_of_its_owner_alone() {
     let path = Path::parse("/arm/token").unwrap();
     let mut token = token();
-    let record = token.needed_record(&path, holder("alice"), None, 7).unwrap();
+    let record = token
+        .needed_record(&path, holder("alice"), None, Fence::from(7))
+        .unwrap();
     assert_eq!((record.fence, record.lease), (8, Some(60 * SECOND)));
     token.record = Some(record);
-    assert_eq!(token.needed_record(&path, holder("alice"), None, 7), None);
-    let next = token.needed_record(&path, holder("bob"), Some(holder("alice")), 7);
+    assert_eq!(
+        token.needed_record(&path, holder("alice"), None, Fence::from(7)),
+        None
+    );
+    let next = token.needed_record(&path, holder("bob"), Some(holder("alice")), Fence::from(7));
     assert_eq!(next.and_then(|record| record.before), Some(holder("alice")));
     token.doubt_record();
-    assert!(token.needed_record(&path, holder("alice"), None, 7).is_some());
+    assert!(
+        token
+            .needed_record(&path, holder("alice"), None, Fence::from(7))
+            .is_some()
+    );
     let freed = token.correct_record(None).expect("nobody has it");
     assert_eq!((freed.owner, freed.lease), (None, Some(0)));
     assert_eq!(token.correct_record(None), None, "stored once");
@@ -221,9 +237,10 @@ fn a_restart_keeps_a_token_for_its_owner() {
     };
     let last = record.last_fence();
     let mut token = token();
-    token.restore(record, 0);
+    token.restore(record, FLOOR);
     assert_eq!(
-        token.fence, last,
+        u64::from(token.fence),
+        last,
         "fences that were given out are not given again"
     );
     assert_eq!(token.kept_by_restart(Some(&holder("bob")), 0), Some(90 * SECOND));

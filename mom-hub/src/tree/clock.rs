@@ -1,7 +1,6 @@
 //! The clock of a peer.
 
-use mom_managers::Micros;
-use mom_proto::ClockOffset;
+use mom_proto::{ClockOffset, Micros};
 
 /// The clock of a peer, as its link has measured it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use mom_managers::{Manager, Micros};
-use mom_proto::{ContextKind, ContextNumber, Delivery, Map, Overflow, Path, Value};
+use mom_managers::Manager;
+use mom_proto::{ContextKind, ContextNumber, Delivery, Map, Micros, Overflow, Path, Value};
 use serde::Deserialize;
 
 use super::keep::Keep;

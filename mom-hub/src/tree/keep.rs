@@ -1,7 +1,6 @@
 //! What a channel keeps for those who join later (design §4, §7).
 
-use mom_managers::Micros;
-use mom_proto::{Map, WireError, event};
+use mom_proto::{Map, Micros, WireError, event};
 use serde::Deserialize;
 
 use crate::content::{bad, micros};

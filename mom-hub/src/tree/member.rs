@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use mom_managers::{Answer, Micros, PeerFacts, Rate};
-use mom_proto::{Thinning, event};
+use mom_managers::{Answer, PeerFacts, Rate};
+use mom_proto::{Micros, Thinning, event};
 
 use crate::PeerId;
 

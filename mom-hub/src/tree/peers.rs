@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use mom_managers::{Micros, PeerFacts};
-use mom_proto::{ContextNumber, Map, numbered_name};
+use mom_managers::PeerFacts;
+use mom_proto::{ContextNumber, Map, Micros, numbered_name};
 
 use super::clock::PeerClock;
 use crate::PeerId;

@@ -3,9 +3,8 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_managers::Micros;
 use mom_proto::event::{self, Reason};
-use mom_proto::{Code, ContextNumber, WireError};
+use mom_proto::{Code, ContextNumber, Micros, WireError};
 use serde::Deserialize;
 
 use super::checks::Request;

@@ -1,8 +1,7 @@
 //! `token give`: the owner offers the token to another peer, for good or for a while (M41).
 
-use mom_managers::Micros;
 use mom_proto::nearest::nearest;
-use mom_proto::{Code, ContextNumber, Map, Verb, WireError};
+use mom_proto::{Code, ContextNumber, Map, Micros, Verb, WireError};
 use serde::Deserialize;
 
 use super::checks::Request;

@@ -1,8 +1,8 @@
 //! `token grab`: exclusive control, decided by the token's manager (M28, M29), now or when it is one's turn.
 
-use mom_managers::{Answer, Micros, Verdict};
+use mom_managers::{Answer, Verdict};
 use mom_proto::event::Reason;
-use mom_proto::{Code, ContextNumber, Value, Verb, WireError};
+use mom_proto::{Code, ContextNumber, Micros, Value, Verb, WireError};
 use serde::Deserialize;
 
 use super::checks::Request;

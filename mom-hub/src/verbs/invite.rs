@@ -1,8 +1,7 @@
 //! `context invite`: showing a peer in.
 
-use mom_managers::Micros;
 use mom_proto::event;
-use mom_proto::{Code, WireError};
+use mom_proto::{Code, Micros, WireError};
 use serde::Deserialize;
 
 use super::checks::Request;

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use mom_managers::{Answer, Grant, Micros, Scope, Standing, Verdict};
-use mom_proto::{Content, ContextKind, ContextNumber, Parcel, Verb, WireError};
+use mom_managers::{Answer, Grant, Scope, Standing, Verdict};
+use mom_proto::{Content, ContextKind, ContextNumber, Micros, Parcel, Verb, WireError};
 
 use super::checks::{Request, of_kind};
 use crate::asking::questions::{Questions, take_parcel};

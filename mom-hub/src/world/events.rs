@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use mom_managers::{Micros, PeerFacts};
-use mom_proto::{Family, HUB, Map, Parcel, Path, Value};
+use mom_managers::PeerFacts;
+use mom_proto::{Family, HUB, Map, Micros, Parcel, Path, Value};
 
 use super::World;
 use crate::{Effect, PeerId};

@@ -13,8 +13,8 @@ pub(crate) mod settings;
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 
-use mom_managers::{Micros, Registry};
-use mom_proto::{Code, ContextNumber, Path, Time, WireError};
+use mom_managers::Registry;
+use mom_proto::{Code, ContextNumber, Fence, Micros, Path, Time, WireError};
 
 use crate::token::state::Token;
 use crate::tree::Tree;
@@ -31,7 +31,7 @@ pub(crate) struct World {
     pub(crate) timers: BTreeSet<(Micros, Timer)>,
     pub(crate) now: Micros,
     /// The highest fence of all tokens that were deleted.
-    pub(crate) deleted_fence: u64,
+    pub(crate) deleted_fence: Fence,
     /// Channels from whose routes the present input has taken something, or whose guard it has changed.
     pub(crate) changed: BTreeSet<ContextNumber>,
     /// Channels to whose routes it has only added.
@@ -65,9 +65,6 @@ pub(crate) enum Timer {
     Reserved(ContextNumber),
 }
 
-/// Numbers of one epoch; grants beyond run into the next, which is why epochs are seconds apart.
-pub(crate) const EPOCH_BITS: u32 = 20;
-
 impl World {
     /// A world without any context.
     pub(crate) fn new(mut settings: Settings, registry: Registry) -> World {
@@ -79,7 +76,7 @@ impl World {
             peers: Peers::default(),
             timers: BTreeSet::new(),
             now: 0,
-            deleted_fence: 0,
+            deleted_fence: Fence::default(),
             changed: BTreeSet::new(),
             grown: BTreeSet::new(),
             storing: BTreeMap::new(),
@@ -113,8 +110,8 @@ impl World {
     }
 
     /// The fence above which the next grant of any token is.
-    pub(crate) fn fence_floor(&self) -> u64 {
-        (self.settings.epoch << EPOCH_BITS).max(self.deleted_fence)
+    pub(crate) fn fence_floor(&self) -> Fence {
+        Fence::floor(self.settings.epoch).max(self.deleted_fence)
     }
 
     /// Sets the token's timer to its deadline as it is now.

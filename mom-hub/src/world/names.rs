@@ -1,7 +1,6 @@
 //! Peers as tokens and events name them.
 
-use mom_managers::Micros;
-use mom_proto::{ContextNumber, Value};
+use mom_proto::{ContextNumber, Micros, Value};
 
 use super::World;
 use crate::token::state::Token;

@@ -1,7 +1,6 @@
 //! What the hub is given at its start.
 
-use mom_managers::Micros;
-use mom_proto::{Limits, Time};
+use mom_proto::{Limits, Micros, Time};
 
 use crate::Record;
 
