@@ -15,8 +15,8 @@ pub struct Pace {
     each: u64,
     /// What a µs pays back.
     back: u64,
-    /// The most debt.
-    most: u128,
+    /// The most debt; a burst for which it is too small a number is no limit.
+    most: u64,
 }
 
 /// How long until as much as was asked for may be used.
@@ -43,7 +43,7 @@ pub enum Wait {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Gcra {
     /// The debt at that time.
-    debt: u128,
+    debt: u64,
     at: Micros,
 }
 
@@ -63,7 +63,7 @@ impl Pace {
         Pace {
             each: PART,
             back: count,
-            most: burst as u128 * PART as u128,
+            most: burst.saturating_mul(PART),
         }
     }
 
@@ -72,7 +72,7 @@ impl Pace {
         Pace {
             each: interval,
             back: 1,
-            most: interval as u128 * burst as u128,
+            most: interval.saturating_mul(burst),
         }
     }
 
@@ -81,23 +81,20 @@ impl Pace {
         Pace {
             each: interval,
             back: 1,
-            most: interval as u128 + time as u128,
+            most: interval.saturating_add(time),
         }
     }
 
-    fn of(&self, count: u64) -> u128 {
-        u128::from(self.each) * u128::from(count)
+    fn of(&self, count: u64) -> u64 {
+        self.each.saturating_mul(count)
     }
 
     /// How long a debt takes to be paid back.
-    fn time(&self, debt: u128) -> Wait {
+    fn time(&self, debt: u64) -> Wait {
         match (debt, self.back) {
             (0, _) => Wait::For(0),
             (_, 0) => Wait::Never,
-            (_, back) => {
-                let time = debt.div_ceil(u128::from(back));
-                Wait::For(Micros::try_from(time).unwrap_or(Micros::MAX))
-            }
+            (_, back) => Wait::For(debt.div_ceil(back)),
         }
     }
 }
@@ -105,10 +102,7 @@ impl Pace {
 impl Gcra {
     /// Of a pace of one each so many µs: everything is paid back at this time.
     pub fn paid_at(time: Micros) -> Gcra {
-        Gcra {
-            debt: u128::from(time),
-            at: 0,
-        }
+        Gcra { debt: time, at: 0 }
     }
 
     /// When everything is paid back if nothing more is used.
@@ -162,13 +156,12 @@ impl Gcra {
         if pace.each == 0 {
             return u64::MAX;
         }
-        let left = pace.most.saturating_sub(self.debt_at(pace, now));
-        u64::try_from(left / u128::from(pace.each)).unwrap_or(u64::MAX)
+        pace.most.saturating_sub(self.debt_at(pace, now)) / pace.each
     }
 
-    fn debt_at(&self, pace: &Pace, now: Micros) -> u128 {
-        let back = u128::from(pace.back) * u128::from(now.saturating_sub(self.at));
-        self.debt.saturating_sub(back)
+    fn debt_at(&self, pace: &Pace, now: Micros) -> u64 {
+        let elapsed = now.saturating_sub(self.at);
+        self.debt.saturating_sub(pace.back.saturating_mul(elapsed))
     }
 }
 
@@ -219,9 +212,20 @@ mod tests {
         let pace = Pace::per_second(u64::MAX, u64::MAX);
         let mut used = Gcra::default();
         for now in [0, 1, Micros::MAX] {
-            used.charge(&pace, u64::MAX, now);
-            assert!(used.peek(&pace, u64::MAX, now).is_err() || now == Micros::MAX);
+            assert_eq!(
+                used.take(&pace, u64::MAX, now),
+                Ok(()),
+                "so high a burst is no limit"
+            );
         }
+        let pace = Pace::per_second(1_000_000_000_000, 1_000_000_000_000);
+        let mut used = Gcra::default();
+        assert_eq!(used.take(&pace, u64::MAX, 0), Err(Wait::Never));
+        assert_eq!(used.take(&pace, 1_000_000_000_000, 0), Ok(()));
+        assert_eq!(used.take(&pace, 1_000_000_000_000, 999_999), Err(Wait::For(1)));
+        assert_eq!(used.take(&pace, 1_000_000_000_000, 1_000_000), Ok(()));
+        used.charge(&pace, u64::MAX, 1_000_000);
+        assert_eq!(used.peek(&pace, 1, Micros::MAX), Ok(()));
     }
 
     #[test]

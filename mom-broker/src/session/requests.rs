@@ -6,10 +6,10 @@ use mom_proto::{Code, Gcra, Limit, Micros, Pace, Parcel, Verb, Wait, WireError};
 
 const SECOND: Micros = 1_000_000;
 
-/// The requests of one connection.
+/// The requests of one connection, as one time, up to which they are paid back: an idle connection is small.
 #[derive(Debug, Default)]
 pub(super) struct Requests {
-    used: Gcra,
+    paid_at: Micros,
 }
 
 impl Requests {
@@ -23,14 +23,17 @@ impl Requests {
             return Ok(());
         }
         let pace = Pace::every_within((SECOND / most).max(1), SECOND);
-        self.used.take(&pace, 1, now).map_err(|wait| {
+        let mut used = Gcra::paid_at(self.paid_at);
+        used.take(&pace, 1, now).map_err(|wait| {
             let text = format!("more than {most} requests in a second");
             let wait = match wait {
                 Wait::For(wait) => Duration::from_micros(wait),
                 Wait::Never => Duration::from_micros(SECOND),
             };
             WireError::new(Code::TRY_LATER, text).retry_after(wait.max(Duration::from_millis(1)))
-        })
+        })?;
+        self.paid_at = used.next(&pace);
+        Ok(())
     }
 }
 
