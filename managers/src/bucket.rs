@@ -1,14 +1,13 @@
-//! Token buckets by peer, counted in whole numbers.
+//! What each peer has used of one rate.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::{Bucket, Micros, Rate};
+use mom_proto::{Gcra, Micros, Pace, Wait};
 
-/// Of one request or byte; so much that each µs brings back a whole number.
-const PARTS: u64 = 1_000_000;
+use crate::Rate;
 
-/// The highest rate and burst that are counted: parts of it still fit.
+/// The highest rate and burst of a quota.
 pub(crate) const HIGHEST: u64 = 1_000_000_000_000;
 
 /// Why a request is over the quota.
@@ -22,31 +21,30 @@ pub(crate) enum Over {
     Crowded(Micros),
 }
 
-/// What is left to each peer of one rate. A peer whose buckets are full needs no entry.
+/// What each peer has used of one rate. A peer that has paid everything back needs no entry.
 #[derive(Debug)]
 pub(crate) struct Counts {
     rate: Rate,
     most: usize,
-    left: BTreeMap<Arc<str>, Left>,
-    /// While there is no room: nothing is full again before this time.
+    used: BTreeMap<Arc<str>, Used>,
+    /// While there is no room: nobody has paid everything back before this time.
     no_room_until: Micros,
 }
 
-/// Parts left in both buckets at a time.
-#[derive(Clone, Copy, Debug)]
-struct Left {
-    parcels: u64,
-    bytes: u64,
-    at: Micros,
+/// What one peer has used.
+#[derive(Clone, Copy, Debug, Default)]
+struct Used {
+    parcels: Gcra,
+    bytes: Gcra,
 }
 
 impl Counts {
-    /// Full buckets for every peer, of which at most so many are counted at once.
+    /// Nothing used by anybody; at most so many peers are counted at once.
     pub(crate) fn new(rate: Rate, most: usize) -> Counts {
         Counts {
             rate,
             most,
-            left: BTreeMap::new(),
+            used: BTreeMap::new(),
             no_room_until: 0,
         }
     }
@@ -57,105 +55,62 @@ impl Counts {
 
     /// Takes one request of so many bytes, or nothing.
     pub(crate) fn take(&mut self, peer: &Arc<str>, bytes: usize, now: Micros) -> Result<(), Over> {
-        let Rate {
-            parcels: of_parcels,
-            bytes: of_bytes,
-        } = self.rate;
-        let mut left = match self.left.get(peer) {
-            Some(left) => left.at(&self.rate, now),
+        let mut used = match self.used.get(peer) {
+            Some(used) => *used,
             None => {
                 self.make_room(now)?;
-                Left::full(&self.rate, now)
+                Used::default()
             }
         };
+        let (parcels, bytes_pace) = paces(&self.rate);
         let bytes = u64::try_from(bytes).unwrap_or(u64::MAX);
-        let wait = missing(of_parcels, left.parcels, 1)?.max(missing(of_bytes, left.bytes, bytes)?);
+        let wait =
+            over(used.parcels.peek(&parcels, 1, now))?.max(over(used.bytes.peek(&bytes_pace, bytes, now))?);
         if wait > 0 {
             return Err(Over::Until(now.saturating_add(wait)));
         }
-        left.parcels = less(of_parcels, left.parcels, 1);
-        left.bytes = less(of_bytes, left.bytes, bytes);
-        self.left.insert(Arc::clone(peer), left);
+        used.parcels.charge(&parcels, 1, now);
+        used.bytes.charge(&bytes_pace, bytes, now);
+        self.used.insert(Arc::clone(peer), used);
         Ok(())
     }
 
-    /// Forgets whose buckets are full again, if there is no room for another peer.
+    /// Forgets peers that have paid everything back, if there is no room for another one.
     fn make_room(&mut self, now: Micros) -> Result<(), Over> {
-        if self.left.len() < self.most {
+        if self.used.len() < self.most {
             return Ok(());
         }
         if now >= self.no_room_until {
             let rate = self.rate;
-            self.left.retain(|_, left| left.full_at(&rate) > now);
-            if self.left.len() < self.most {
+            self.used.retain(|_, used| used.paid_at(&rate) > now);
+            if self.used.len() < self.most {
                 return Ok(());
             }
             // Taking only ever puts it off, so nobody need be looked at before.
-            let first = self.left.values().map(|left| left.full_at(&rate)).min();
+            let first = self.used.values().map(|used| used.paid_at(&rate)).min();
             self.no_room_until = first.unwrap_or(now);
         }
         Err(Over::Crowded(self.no_room_until))
     }
 }
 
-impl Left {
-    fn full(rate: &Rate, now: Micros) -> Left {
-        Left {
-            parcels: capacity(rate.parcels),
-            bytes: capacity(rate.bytes),
-            at: now,
-        }
-    }
-
-    /// What is left later.
-    fn at(&self, rate: &Rate, now: Micros) -> Left {
-        let elapsed = now.saturating_sub(self.at);
-        let more = |bucket: Bucket, left: u64| {
-            let back = elapsed.saturating_mul(bucket.per_second);
-            left.saturating_add(back).min(capacity(bucket))
-        };
-        Left {
-            parcels: more(rate.parcels, self.parcels),
-            bytes: more(rate.bytes, self.bytes),
-            at: now,
-        }
-    }
-
-    /// When both are full if nothing more is taken.
-    fn full_at(&self, rate: &Rate) -> Micros {
-        let wait = |bucket: Bucket, left: u64| (capacity(bucket) - left).div_ceil(bucket.per_second);
-        let longest = wait(rate.parcels, self.parcels).max(wait(rate.bytes, self.bytes));
-        self.at.saturating_add(longest)
+impl Used {
+    /// When everything is paid back if nothing more is used.
+    fn paid_at(&self, rate: &Rate) -> Micros {
+        let (parcels, bytes) = paces(rate);
+        self.parcels.next(&parcels).max(self.bytes.next(&bytes))
     }
 }
 
-fn is_unlimited(bucket: Bucket) -> bool {
-    bucket == Bucket::UNLIMITED
-}
-
-/// The parts of a full bucket; one without limit is never looked into.
-fn capacity(bucket: Bucket) -> u64 {
-    match is_unlimited(bucket) {
-        true => 0,
-        false => bucket.burst.saturating_mul(PARTS),
-    }
+fn paces(rate: &Rate) -> (Pace, Pace) {
+    (rate.parcels.pace(), rate.bytes.pace())
 }
 
 /// How long until there is enough, µs.
-fn missing(bucket: Bucket, left: u64, amount: u64) -> Result<Micros, Over> {
-    if is_unlimited(bucket) {
-        return Ok(0);
-    }
-    if amount > bucket.burst {
-        return Err(Over::Never);
-    }
-    let needed = amount.saturating_mul(PARTS);
-    Ok(needed.saturating_sub(left).div_ceil(bucket.per_second))
-}
-
-fn less(bucket: Bucket, left: u64, amount: u64) -> u64 {
-    match is_unlimited(bucket) {
-        true => left,
-        false => left.saturating_sub(amount.saturating_mul(PARTS)),
+fn over(peeked: Result<(), Wait>) -> Result<Micros, Over> {
+    match peeked {
+        Ok(()) => Ok(0),
+        Err(Wait::For(wait)) => Ok(wait),
+        Err(Wait::Never) => Err(Over::Never),
     }
 }

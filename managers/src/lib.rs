@@ -37,7 +37,8 @@ mod tests;
 mod verdict;
 mod who;
 
-pub use question::{Micros, Owner, PeerFacts, Question, TokenFacts};
+pub use mom_proto::Micros;
+pub use question::{Owner, PeerFacts, Question, TokenFacts};
 pub use registry::{Factory, Registry, Setup};
 pub use verdict::{
     Answer, Ask, Bucket, Defer, Denial, Expiry, Given, Grant, Rate, Scope, Standing, Terms, Verdict, Wait,

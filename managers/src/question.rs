@@ -2,12 +2,9 @@
 
 use std::sync::Arc;
 
-use mom_proto::{ContextKind, Path, Time, Verb};
+use mom_proto::{ContextKind, Micros, Path, Time, Verb};
 
 use crate::Given;
-
-/// Monotonic time in µs since the hub's start.
-pub type Micros = u64;
 
 /// What the hub knows of a peer (M13).
 #[derive(Clone, Debug, PartialEq, Eq)]

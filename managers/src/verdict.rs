@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use mom_proto::Code;
+use mom_proto::{Code, Pace};
 use serde::Deserialize;
 
 use crate::who::fits;
@@ -162,6 +162,14 @@ impl Bucket {
         per_second: u64::MAX,
         burst: u64::MAX,
     };
+
+    /// The bucket as a pace.
+    pub fn pace(self) -> Pace {
+        match self == Bucket::UNLIMITED {
+            true => Pace::UNLIMITED,
+            false => Pace::per_second(self.per_second, self.burst),
+        }
+    }
 
     fn and(self, other: Bucket) -> Bucket {
         Bucket {

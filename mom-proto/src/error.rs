@@ -111,17 +111,27 @@ impl WireError {
         Some(Duration::from_millis(u64::try_from(millis).ok()?))
     }
 
+    /// The error as a map, where it is a part of something else: `{name, code, text}` and the details.
+    pub fn to_map(&self) -> Map {
+        self.added_to(Map::new().with("name", self.code.word()))
+    }
+
     /// The error as a parcel: family `error`, name = the code's word.
     pub fn to_parcel(&self, reference: Option<u64>) -> Parcel {
-        let mut content = Map::new()
-            .with("code", u32::from(self.code.number()))
-            .with("text", self.text.as_str());
-        for (key, value) in self.details() {
-            content.set(key, value.clone());
-        }
+        let content = self.added_to(Map::new());
         let mut parcel = Parcel::new(Family::Error, self.code.word()).content(content);
         parcel.reference = reference;
         parcel
+    }
+
+    fn added_to(&self, map: Map) -> Map {
+        let mut map = map
+            .with("code", u32::from(self.code.number()))
+            .with("text", self.text.as_str());
+        for (key, value) in self.details() {
+            map.set(key, value.clone());
+        }
+        map
     }
 
     /// Reads an error parcel; one without readable content keeps at least its name.
@@ -179,5 +189,15 @@ mod tests {
             Some(Duration::from_millis(2)),
             "rounded up: never too early"
         );
+    }
+
+    #[test]
+    fn as_a_part_of_something_it_has_its_name_inside() {
+        let error = WireError::new(Code::HELD, "alice drives").rule("lab-token");
+        let map = error.to_map();
+        let keys: Vec<&str> = map.iter().map(|(key, _)| key).collect();
+        assert_eq!(keys, ["name", "code", "text", "rule"]);
+        assert_eq!(map.get("name").and_then(Value::as_str), Some("held"));
+        assert_eq!(map.get("code").and_then(Value::as_int), Some(101));
     }
 }

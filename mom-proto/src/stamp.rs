@@ -1,8 +1,11 @@
-//! Instants on the wire: µs since the Unix epoch, UTC.
+//! Instants on the wire: µs since the Unix epoch, UTC. And time that only rises, which is not on the wire.
 
 use std::fmt;
 
 use time::{Date, Month, OffsetDateTime, UtcOffset};
+
+/// Monotonic time in µs since a start, mostly the hub's; or a duration.
+pub type Micros = u64;
 
 /// An instant in µs since 1970-01-01T00:00:00Z, without leap seconds.
 ///

@@ -1,15 +1,15 @@
 //! How often logins may fail, per address and per account (threat 15).
 //!
-//! Each bucket is a generic cell rate algorithm: one time, up to which its failures are paid. Unlike a ready-made
-//! limiter this one can be asked without being charged, because only failures count and they are known
-//! afterwards; and it forgets what it has no room for, because keys come from whoever attacks.
+//! Of each key one time is kept, up to which its failures are paid back. Unlike a ready-made limiter this one can be
+//! asked without being charged, because only failures count and they are known afterwards; and it forgets what it has
+//! no room for, because keys come from whoever attacks.
 
 use std::collections::HashMap;
 use std::hash::{BuildHasher, Hash, RandomState};
 use std::net::{IpAddr, Ipv6Addr};
 use std::time::Duration;
 
-use mom_managers::Micros;
+use mom_proto::{Gcra, Micros, Pace, Wait};
 use parking_lot::Mutex;
 
 use crate::{FailureRate, ThrottleConfig};
@@ -155,15 +155,19 @@ impl Table {
 
     /// How long until one more failure fits; none if one does now.
     fn wait(&self, key: u64, now: Micros, rate: FailureRate) -> Option<Micros> {
-        let paid = self.times.get(&key)?;
-        let until = paid.saturating_add(interval(rate));
-        let tolerance = interval(rate).saturating_mul(u64::from(rate.burst));
-        Some(until.saturating_sub(now).saturating_sub(tolerance)).filter(|wait| *wait > 0)
+        let used = Gcra::paid_at(*self.times.get(&key)?);
+        match used.peek(&pace(rate), 1, now) {
+            Ok(()) => None,
+            Err(Wait::For(wait)) => Some(wait),
+            // A burst of 0, which no configuration has.
+            Err(Wait::Never) => Some(MINUTE),
+        }
     }
 
     fn charge(&mut self, key: u64, now: Micros, rate: FailureRate) {
-        let paid = self.times.get(&key).copied().unwrap_or_default().max(now);
-        self.set(key, paid.saturating_add(interval(rate)));
+        let mut used = Gcra::paid_at(self.times.get(&key).copied().unwrap_or_default());
+        used.charge(&pace(rate), 1, now);
+        self.set(key, used.next(&pace(rate)));
     }
 
     fn set(&mut self, key: u64, time: Micros) {
@@ -188,8 +192,8 @@ impl Table {
     }
 }
 
-fn interval(rate: FailureRate) -> Micros {
-    MINUTE / u64::from(rate.per_minute.max(1))
+fn pace(rate: FailureRate) -> Pace {
+    Pace::every(MINUTE / u64::from(rate.per_minute.max(1)), rate.burst.into())
 }
 
 #[cfg(test)]

@@ -2,15 +2,14 @@
 
 use std::time::Duration;
 
-use mom_managers::Micros;
-use mom_proto::{Code, Limit, Parcel, Verb, WireError};
+use mom_proto::{Code, Gcra, Limit, Micros, Pace, Parcel, Verb, Wait, WireError};
 
 const SECOND: Micros = 1_000_000;
 
-/// The requests of one connection, as a generic cell rate algorithm: one time, up to which they are paid.
+/// The requests of one connection, as one time, up to which they are paid back: an idle connection is small.
 #[derive(Debug, Default)]
 pub(super) struct Requests {
-    paid_until: Micros,
+    paid_at: Micros,
 }
 
 impl Requests {
@@ -23,13 +22,17 @@ impl Requests {
         if !counts(parcel) {
             return Ok(());
         }
-        let paid_until = self.paid_until.max(now);
-        if let Some(wait) = paid_until.checked_sub(now + SECOND).filter(|wait| *wait > 0) {
+        let pace = Pace::every_within((SECOND / most).max(1), SECOND);
+        let mut used = Gcra::paid_at(self.paid_at);
+        used.take(&pace, 1, now).map_err(|wait| {
             let text = format!("more than {most} requests in a second");
-            let wait = Duration::from_micros(wait).max(Duration::from_millis(1));
-            return Err(WireError::new(Code::TRY_LATER, text).retry_after(wait));
-        }
-        self.paid_until = paid_until + (SECOND / most).max(1);
+            let wait = match wait {
+                Wait::For(wait) => Duration::from_micros(wait),
+                Wait::Never => Duration::from_micros(SECOND),
+            };
+            WireError::new(Code::TRY_LATER, text).retry_after(wait.max(Duration::from_millis(1)))
+        })?;
+        self.paid_at = used.next(&pace);
         Ok(())
     }
 }

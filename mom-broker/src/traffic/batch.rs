@@ -30,14 +30,14 @@ const CROWDED: u32 = 32;
 
 /// How fast messages follow each other in a channel.
 #[derive(Debug, Default)]
-pub(crate) struct Pace {
+pub(crate) struct BatchPace {
     last: u64,
     /// Since when messages are counted, and how many there were.
     since: u64,
     count: u32,
 }
 
-impl Pace {
+impl BatchPace {
     /// Notes messages; whether another is sure to follow at once, and worth waiting for.
     pub(crate) fn is_lively(&mut self, count: u32, now: u64) -> bool {
         let before = std::mem::replace(&mut self.last, now);
@@ -129,7 +129,7 @@ mod tests {
 
     #[test]
     fn only_messages_that_follow_each_other_soon_and_singly_wait() {
-        let mut pace = Pace::default();
+        let mut pace = BatchPace::default();
         assert!(!pace.is_lively(1, 5000), "the first in a while");
         assert!(pace.is_lively(1, 5200), "the next is near");
         assert!(!pace.is_lively(1, 6500), "alone again");

@@ -7,14 +7,11 @@ use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
 use std::path::Path as FilePath;
 
 use mom_hub::Record;
-use mom_proto::{MAX_ID, Path, Time};
+use mom_proto::{Fence, Path, Time};
 
 use super::StoreError;
 use super::disk::{Disk, Image, LaneFile, damaged, lane_file, unwritable};
 use super::row::Meta;
-
-/// The bits of a fence below its epoch (design §6).
-const EPOCH_BITS: u32 = 20;
 
 /// A directory that no other broker uses, for as long as this lives.
 #[derive(Debug)]
@@ -78,7 +75,7 @@ pub(super) fn begin(directory: &FilePath, lanes: usize, wall: Time) -> Result<Be
     let mut found =
         Found::of(&images).map_err(|wrong| damaged(&lane_file(directory, wrong.lane), &wrong.reason))?;
     found.epoch = found.epoch.max(seconds(wall));
-    if found.epoch > MAX_ID >> EPOCH_BITS {
+    if found.epoch > Fence::MAX_EPOCH {
         return Err(StoreError::Clock { epoch: found.epoch });
     }
     found
@@ -120,7 +117,7 @@ impl Found {
         let metas = || images.iter().filter_map(|image| image.meta.as_ref());
         let fences = images.iter().flat_map(|image| image.rows.values());
         let after_fences = fences
-            .map(|(_, record)| (record.last_fence() >> EPOCH_BITS) + 1)
+            .map(|(_, record)| Fence::from(record.last_fence()).epoch() + 1)
             .max();
         let after_epochs = metas().map(|meta| meta.epoch.saturating_add(1)).max();
         Ok(Found {

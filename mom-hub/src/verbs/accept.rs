@@ -1,39 +1,41 @@
-//! `token accept` and `token decline`: the answers to an offer, and those of an owner to who asks.
+//! `token accept`: the answer to an offer, and that of an owner to who asks.
 
 use mom_proto::event::Reason;
 use mom_proto::{Code, Verb, WireError};
 use serde::Deserialize;
 
-use super::Request;
-use crate::args;
-use crate::consult::{Allowed, Wish};
-use crate::durable::Change;
-use crate::pending::Refusal;
-use crate::{Effect, Hub, PeerId};
+use super::checks::Request;
+use crate::asking::consult::Allowed;
+use crate::asking::refusal::Refusal;
+use crate::asking::wish::Wish;
+use crate::content;
+use crate::token::state::Change;
+use crate::world::World;
+use crate::{Effect, PeerId};
 
 #[derive(Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-struct Args {
+pub(super) struct Args {
     /// Whose request the owner answers; absent = the offer made to this peer.
-    peer: Option<String>,
-    /// Plain words for who is declined.
-    text: Option<String>,
+    pub(super) peer: Option<String>,
+    /// Plain words for the peer that is declined.
+    pub(super) text: Option<String>,
 }
 
-pub(crate) fn on_accept(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let args: Args = args::read_or_default(&request.parcel)?;
-    let number = hub.find_token(request)?;
+pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+    let args: Args = content::read_or_default(&request.parcel)?;
+    let number = world.find_token(request)?;
     let (peer, answers) = (request.peer, vec![(request.peer, request.parcel.id)]);
     if let Some(name) = &args.peer {
-        let owner = hub.check_owner(request, number);
-        owner.map_err(|error| hub.unless_denied(request, number, error))?;
-        hub.check_not_lent(number, "given on")?;
-        let to = asking(hub, request, name)?;
-        // Whether who gains it may have it, as if it had been offered; the owner's word is not enough for that.
-        let Allowed { rule, grant } = hub.ask(to, &Wish::new(Verb::Accept, number))?;
-        // Its time is not over any more while the owner's yes is being stored.
-        let asking = hub.take_asking(number, to);
-        hub.forget_asked(number, (Verb::Request, to, peer));
+        let owner = world.check_owner(request, number);
+        owner.map_err(|error| world.unless_denied(request, number, error))?;
+        world.check_not_lent(number, "given on")?;
+        let to = asking(world, request, name)?;
+        // The peer that asked must be allowed to accept, as if it had been offered; the owner's word is not enough.
+        let Allowed { rule, grant } = world.ask(to, &Wish::new(Verb::Accept, number), &request.answers)?;
+        // The request cannot time out any more while the owner's yes is being stored.
+        let asking = world.take_asking(number, to);
+        world.forget_asked(number, (Verb::Request, to, peer));
         let answers = answers.into_iter().chain(asking.map(|asking| (to, asking.id)));
         let change = Change {
             from: Some(peer),
@@ -42,17 +44,17 @@ pub(crate) fn on_accept(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>)
             answers: answers.collect(),
             ..Change::to(to, Reason::Given)
         };
-        hub.hand(number, change, out);
+        world.begin_grant(number, change, out);
         return Ok(());
     }
-    let offer = offered(hub, request);
-    offer.map_err(|error| hub.unless_denied(request, number, error))?;
-    let Allowed { rule, grant } = hub.allow(request, number)?;
-    let owner = hub.owner_of(number);
-    let Some(offer) = hub.take_offer(number) else {
-        return Ok(());
+    let offer = offered(world, request);
+    offer.map_err(|error| world.unless_denied(request, number, error))?;
+    let Allowed { rule, grant } = world.allow(request, number)?;
+    let owner = world.owner_of(number);
+    let Some(offer) = world.take_offer(number) else {
+        return Err(world.faulted("an offer is accepted that is not there").into());
     };
-    hub.forget_asked(number, (Verb::Give, offer.by, peer));
+    world.forget_asked(number, (Verb::Give, offer.by, peer));
     let change = Change {
         from: owner,
         given: Some((offer.time, offer.commands)),
@@ -61,45 +63,25 @@ pub(crate) fn on_accept(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>)
         answers,
         ..Change::to(peer, Reason::Given)
     };
-    hub.hand(number, change, out);
-    Ok(())
-}
-
-pub(crate) fn on_decline(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let number = hub.find_token(request)?;
-    let args: Args = args::read_or_default(&request.parcel)?;
-    hub.allow(request, number)?;
-    if let Some(name) = &args.peer {
-        hub.check_owner(request, number)?;
-        let to = asking(hub, request, name)?;
-        let text = args.text.as_deref().unwrap_or("not now");
-        let text = format!("{} declined: {text}", hub.name_of(request.peer));
-        let error = WireError::new(Code::DECLINED, text).rule("the owner's word");
-        hub.end_asking(number, to, &error, None, out);
-    } else {
-        offered(hub, request)?;
-        hub.end_offer(number, "declined", out);
-    }
-    hub.push_ok(request.peer, request.parcel.id, &request.path, None, out);
+    world.begin_grant(number, change, out);
     Ok(())
 }
 
 /// The peer of this name that has asked the owner.
-fn asking(hub: &Hub, request: &Request, name: &str) -> Result<PeerId, WireError> {
-    let token = hub.tree.find(&request.path).and_then(|context| context.token());
-    let peer = hub.peers.id_of(name);
-    let asks =
-        |peer: &PeerId| token.is_some_and(|token| token.asking.iter().any(|asking| asking.peer == *peer));
-    peer.filter(asks).ok_or_else(|| {
+pub(super) fn asking(world: &World, request: &Request, name: &str) -> Result<PeerId, WireError> {
+    let token = world.tree.token_at(&request.path);
+    let peer = world.peers.id_of(name);
+    let peer = peer.filter(|peer| token.is_some_and(|(_, token)| token.asks(*peer)));
+    peer.ok_or_else(|| {
         let text = format!("{name:?} does not ask for {}, or not any more", request.path);
         WireError::new(Code::NO_OFFER, text).slot("content/peer")
     })
 }
 
 /// Checks that there is an offer to the peer.
-fn offered(hub: &Hub, request: &Request) -> Result<(), WireError> {
-    let token = hub.tree.find(&request.path).and_then(|context| context.token());
-    let offer = token.and_then(|token| token.offer.as_ref());
+pub(super) fn offered(world: &World, request: &Request) -> Result<(), WireError> {
+    let token = world.tree.token_at(&request.path);
+    let offer = token.and_then(|(_, token)| token.offer.as_ref());
     if offer.is_some_and(|offer| offer.to == request.peer) {
         return Ok(());
     }

@@ -2,41 +2,42 @@
 
 use mom_proto::{Code, ContextKind, Verb, WireError};
 
-use super::Request;
-use crate::args::{self, ContextSpec};
-use crate::consult::Wish;
-use crate::pending::Refusal;
-use crate::{Effect, Hub};
+use super::checks::Request;
+use crate::asking::refusal::Refusal;
+use crate::asking::wish::Wish;
+use crate::content;
+use crate::world::World;
+use crate::{ContextSpec, Effect};
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let spec: ContextSpec = args::read(&request.parcel)?;
+pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+    let spec: ContextSpec = content::read(&request.parcel)?;
     if spec.path.is_some() {
-        return Err(args::bad(
+        return Err(content::bad(
             "path",
             "the path to be made stands in the slot context".to_owned(),
         )
         .into());
     }
-    let above = hub
+    let above = world
         .tree
         .find_or_above(&request.path)
         .map(|context| context.number);
-    let at = above.ok_or_else(|| hub.unknown_path(&request.path, None))?;
+    let at = above.ok_or_else(|| world.tree.unknown_path(&request.path, None))?;
     let wish = Wish {
         path: Some(&request.path),
         kind: ContextKind::from_word(&spec.kind),
         ..Wish::new(Verb::Create, at)
     };
-    hub.ask(request.peer, &wish)?;
+    world.ask(request.peer, &wish, &request.answers)?;
     if let Some(guard) = &spec.guard {
         // The members of a guarded channel hear who owns the token, so its manager decides who may guard by it.
-        let token = args::path(&guard.token, "guard/token")?;
-        if let Some(token) = hub.tree.find(&token).map(|token| token.number) {
-            hub.ask(request.peer, &Wish::new(Verb::Join, token))?;
+        let token = content::path(&guard.token, "guard/token")?;
+        if let Some(token) = world.tree.find(&token).map(|token| token.number) {
+            world.ask(request.peer, &Wish::new(Verb::Join, token), &request.answers)?;
         }
     }
-    let parent = hub.parent_for(&request.path)?;
-    if !hub.is_member(request.peer, parent) {
+    let parent = world.tree.parent_for(&request.path)?;
+    if !world.tree.is_member(request.peer, parent) {
         let above = request
             .path
             .parent()
@@ -49,11 +50,11 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
         .slot("context")
         .into());
     }
-    let number = hub.make(request.path.clone(), &spec, Some(request.peer))?;
-    hub.grown.insert(number);
-    hub.audit_context("created", &request.path, Some(request.peer), out);
-    hub.push_created(number, Some(request.peer), out);
-    let content = hub.tree.get(number).map(|context| context.summary());
-    hub.push_ok(request.peer, request.parcel.id, &request.path, content, out);
+    let number = world.make(request.path.clone(), &spec, Some(request.peer))?;
+    world.grown.insert(number);
+    world.audit_context("created", &request.path, Some(request.peer), out);
+    world.push_created(number, Some(request.peer), out);
+    let content = world.tree.get(number).map(|context| context.summary());
+    world.push_ok(request.peer, request.parcel.id, &request.path, content, out);
     Ok(())
 }

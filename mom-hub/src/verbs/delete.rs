@@ -2,22 +2,23 @@
 
 use mom_proto::{Code, WireError};
 
-use super::Request;
-use crate::pending::Refusal;
-use crate::{Effect, Hub};
+use super::checks::Request;
+use crate::Effect;
+use crate::asking::refusal::Refusal;
+use crate::world::World;
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let number = hub.allowed(request)?;
-    let permanent = hub
+pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+    let number = world.allowed(request)?;
+    let permanent = world
         .tree
         .subtree(number)
         .into_iter()
-        .filter_map(|below| hub.tree.get(below));
+        .filter_map(|below| world.tree.get(below));
     if let Some(context) = permanent.into_iter().find(|context| context.permanent) {
         let text = format!("{} belongs to the configuration and stays", context.path);
         return Err(WireError::new(Code::PERMANENT, text).slot("context").into());
     }
-    hub.delete(number, Some(request.peer), out);
-    hub.push_ok(request.peer, request.parcel.id, &request.path, None, out);
+    world.delete(number, Some(request.peer), out);
+    world.push_ok(request.peer, request.parcel.id, &request.path, None, out);
     Ok(())
 }

@@ -1,15 +1,16 @@
 //! `token give`: the owner offers the token to another peer, for good or for a while (M41).
 
-use mom_managers::Micros;
-use mom_proto::{Code, ContextNumber, Map, Verb, WireError};
+use mom_proto::nearest::nearest;
+use mom_proto::{Code, ContextNumber, Map, Micros, Verb, WireError};
 use serde::Deserialize;
 
-use super::Request;
-use crate::args;
-use crate::ownership::millis;
-use crate::pending::Refusal;
-use crate::token::Offer;
-use crate::{Effect, Hub, PeerId};
+use super::checks::Request;
+use crate::asking::refusal::Refusal;
+use crate::content;
+use crate::token::state::Offer;
+use crate::values::millis;
+use crate::world::World;
+use crate::{Effect, PeerId};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -31,71 +32,50 @@ fn default_within() -> u64 {
     10_000
 }
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let number = hub.allowed_token(request)?;
+pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+    let number = world.allowed_token(request)?;
     let peer = request.peer;
-    hub.check_owner(request, number)?;
-    let args: Args = args::read(&request.parcel)?;
-    let within = args::micros(args.within, "within")?;
-    let time: Option<Micros> = args.r#for.map(|time| args::micros(time, "for")).transpose()?;
+    world.check_owner(request, number)?;
+    let args: Args = content::read(&request.parcel)?;
+    let within = content::micros(args.within, "within")?;
+    let time: Option<Micros> = args.r#for.map(|time| content::micros(time, "for")).transpose()?;
     if args.commands == Some(0) || args.commands.is_some_and(|commands| commands >= 1 << 53) {
-        return Err(args::bad("commands", "commands is a number from 1".to_owned()).into());
+        return Err(content::bad("commands", "commands is a number from 1".to_owned()).into());
     }
-    hub.check_not_lent(number, "given on")?;
-    let to = hub.neighbour(number, &args.to, "to")?;
+    world.check_not_lent(number, "given on")?;
+    let to = neighbour(world, number, &args.to)?;
     if to == peer {
-        return Err(args::bad("to", "this peer has it already".to_owned()).into());
+        return Err(content::bad("to", "this peer has it already".to_owned()).into());
     }
-    hub.check_again(number, (Verb::Give, peer, to))?;
+    world.check_again(number, (Verb::Give, peer, to))?;
     let offer = Offer {
         by: peer,
         to,
-        until: hub.after(within),
+        until: world.after(within),
         time,
         commands: args.commands,
     };
-    hub.push_offer(number, offer, out);
+    world.push_offer(number, offer, out);
     let content = Map::new().with("within", millis(within));
-    hub.push_ok(peer, request.parcel.id, &request.path, Some(content), out);
+    world.push_ok(peer, request.parcel.id, &request.path, Some(content), out);
     Ok(())
 }
 
-impl Hub {
-    /// Checks that the owner has the token for good, and not for a while from somebody else.
-    pub(crate) fn check_not_lent(&self, number: ContextNumber, what: &str) -> Result<(), WireError> {
-        let owner = self.token(number).and_then(|token| token.owner.as_ref());
-        if owner.is_some_and(|owner| owner.delegation.is_some()) {
-            let text = format!("what was given for a while cannot be {what}; release it, and it returns");
-            return Err(WireError::new(Code::DENIED, text).rule("delegation"));
-        }
-        Ok(())
-    }
-
-    /// The peer of this name among those who could own a token.
-    pub(crate) fn neighbour(
-        &self,
-        number: ContextNumber,
-        name: &str,
-        slot: &str,
-    ) -> Result<PeerId, WireError> {
-        let parent = self.tree.get(number).and_then(|context| context.parent);
-        let parent = parent.and_then(|parent| self.tree.get(parent));
-        let found = self
-            .peers
-            .id_of(name)
-            .filter(|peer| parent.is_some_and(|parent| parent.members.contains_key(peer)));
-        found.ok_or_else(|| {
-            let place = parent.map(|parent| parent.path.to_string()).unwrap_or_default();
-            let members = parent
-                .into_iter()
-                .flat_map(|parent| parent.members.values().take(1000));
-            let names = members.map(|member| &*member.facts.name);
-            WireError::new(
-                Code::UNKNOWN_PEER,
-                format!("there is no member {name:?} in {place}"),
-            )
-            .slot(&format!("content/{slot}"))
-            .nearest_opt(mom_proto::nearest::nearest(name, names))
+/// The peer of this name among those who could own the token: the members of its parent.
+fn neighbour(world: &World, token: ContextNumber, name: &str) -> Result<PeerId, WireError> {
+    let parent = world.tree.get(token).and_then(|context| context.parent);
+    let Some(parent) = parent.and_then(|parent| world.tree.get(parent)) else {
+        return Err(world.faulted("a token has no parent"));
+    };
+    let found = world.peers.id_of(name);
+    found
+        .filter(|peer| parent.members.contains_key(peer))
+        .ok_or_else(|| {
+            let names = parent.members.values().take(1000);
+            let names = names.map(|member| &*member.facts.name);
+            let text = format!("there is no member {name:?} in {}", parent.path);
+            WireError::new(Code::UNKNOWN_PEER, text)
+                .slot("content/to")
+                .nearest_opt(nearest(name, names))
         })
-    }
 }

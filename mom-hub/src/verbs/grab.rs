@@ -1,17 +1,18 @@
 //! `token grab`: exclusive control, decided by the token's manager (M28, M29), now or when it is one's turn.
 
-use mom_managers::{Answer, Micros, Verdict};
+use mom_managers::{Answer, Verdict};
 use mom_proto::event::Reason;
-use mom_proto::{Code, ContextNumber, Value, WireError};
+use mom_proto::{Code, ContextNumber, Micros, Value, Verb, WireError};
 use serde::Deserialize;
 
-use super::Request;
-use crate::args;
-use crate::consult::Wish;
-use crate::durable::Change;
-use crate::pending::Refusal;
-use crate::waiting::Wait;
-use crate::{Effect, Hub};
+use super::checks::Request;
+use crate::Effect;
+use crate::asking::refusal::Refusal;
+use crate::asking::wish::Wish;
+use crate::content;
+use crate::ownership::granted;
+use crate::token::state::{Change, Waiter};
+use crate::world::World;
 
 #[derive(Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -28,51 +29,53 @@ enum Patience {
     Ever,
 }
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let patience = patience(&args::read_or_default::<Args>(&request.parcel)?)?;
-    let number = hub.find_token(request)?;
-    hub.check_near(request, number)?;
-    grab(hub, request, number, patience, out)
+pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+    let patience = patience(&content::read_or_default::<Args>(&request.parcel)?)?;
+    let number = world.find_token(request)?;
+    world.check_near(request, number)?;
+    grab(world, request, number, patience, out)
 }
 
 /// As a grab that does not wait, for a request to an owner that there is not.
 pub(super) fn at_once(
-    hub: &mut Hub,
+    world: &mut World,
     request: &Request,
     number: ContextNumber,
     out: &mut Vec<Effect>,
 ) -> Result<(), Refusal> {
-    grab(hub, request, number, Patience::Not, out)
+    grab(world, request, number, Patience::Not, out)
 }
 
 fn grab(
-    hub: &mut Hub,
+    world: &mut World,
     request: &Request,
     number: ContextNumber,
     patience: Patience,
     out: &mut Vec<Effect>,
 ) -> Result<(), Refusal> {
     let peer = request.peer;
-    let wish = Wish::new(mom_proto::Verb::Grab, number);
-    let verdict = hub.consult(peer, &wish);
-    let owner = hub.owner_of(number);
-    let token = hub.token(number);
-    let lapsed = token.is_some_and(|token| token.lapsed(hub.now));
-    let kept = token.and_then(|token| hub.kept_by_restart(token, peer)).is_some();
+    let wish = Wish::new(Verb::Grab, number);
+    let verdict = world.consult(peer, &wish, &request.answers);
+    let owner = world.owner_of(number);
+    let token = world.token(number);
+    let lapsed = token.is_some_and(|token| token.lapsed(world.now));
+    let kept = token
+        .and_then(|token| world.kept_by_restart(token, peer))
+        .is_some();
     let shared = token.is_some_and(|token| token.holders.keys().any(|holder| *holder != peer));
     let Verdict { answer, rule, .. } = verdict;
     let grant = match answer {
         Answer::Allow(grant) => grant,
-        Answer::Defer(defer) => return Err(hub.defer(peer, &wish, defer, rule)),
+        Answer::Defer(defer) => return Err(world.defer(peer, &wish, defer, rule)),
         Answer::Queue(wait) => {
-            let error = hub.explain(peer, &wish, &wait.denial);
-            return wait_or(hub, request, number, patience, error, out);
+            let error = world.explain(peer, &wish, &wait.denial);
+            return wait_or(world, request, number, patience, error, out);
         }
         Answer::Deny(denial) => {
             let held = denial.code == Code::HELD;
-            let error = hub.explain(peer, &wish, &denial);
+            let error = world.explain(peer, &wish, &denial);
             return match held {
-                true => wait_or(hub, request, number, patience, error, out),
+                true => wait_or(world, request, number, patience, error, out),
                 false => Err(error.into()),
             };
         }
@@ -80,14 +83,14 @@ fn grab(
     let reason = match owner {
         _ if kept || shared => None,
         None => Some(Reason::Released),
-        // Asking again for what one has is a renewal (M29).
+        // An owner that grabs renews (M29).
         Some(owner) if owner == peer => {
-            if let Some(owner) = hub.token_mut(number).and_then(|token| token.owner.as_mut()) {
+            if let Some(owner) = world.token_mut(number).and_then(|token| token.owner.as_mut()) {
                 owner.until = grant.until;
             }
-            hub.renew_lease(number);
-            let content = hub.granted(number);
-            hub.push_ok(peer, request.parcel.id, &request.path, Some(content), out);
+            world.renew_lease(number);
+            let content = granted(world, number);
+            world.push_ok(peer, request.parcel.id, &request.path, Some(content), out);
             return Ok(());
         }
         Some(_) if lapsed => Some(Reason::Expired),
@@ -95,41 +98,47 @@ fn grab(
         Some(_) => None,
     };
     let Some(reason) = reason else {
-        let error = hub.held(peer, number);
-        return wait_or(hub, request, number, patience, error, out);
+        let error = world.held(peer, number);
+        return wait_or(world, request, number, patience, error, out);
     };
     // Its own part of a shared hold becomes ownership, before anybody of the queue could have the token.
-    hub.end_hold(number, peer, "grabbed", out);
+    world.end_hold(number, peer, "grabbed", out);
     let change = Change {
         until: grant.until,
         rule,
         answers: vec![(peer, request.parcel.id)],
         ..Change::to(peer, reason)
     };
-    hub.hand(number, change, out);
+    world.begin_grant(number, change, out);
     Ok(())
 }
 
 fn wait_or(
-    hub: &mut Hub,
+    world: &mut World,
     request: &Request,
     number: ContextNumber,
     patience: Patience,
     error: WireError,
     out: &mut Vec<Effect>,
 ) -> Result<(), Refusal> {
-    let time = match patience {
+    let until = match patience {
         Patience::Not => return Err(error.into()),
-        Patience::For(time) => Some(time),
+        Patience::For(time) => Some(world.after(time)),
         Patience::Ever => None,
     };
-    let wait = Wait {
+    let ticket = world.last_waiter + 1;
+    let waiter = Waiter {
         peer: request.peer,
+        ticket,
         id: request.parcel.id,
-        time,
-        answers: hub.answers.clone(),
+        level: world.level_of(request.peer).unwrap_or_default(),
+        since: world.now,
+        until,
+        answers: request.answers.clone(),
+        told: 0,
     };
-    hub.wait(number, wait, out)?;
+    world.wait(number, waiter, out)?;
+    world.last_waiter = ticket;
     Ok(())
 }
 
@@ -139,9 +148,9 @@ fn patience(args: &Args) -> Result<Patience, WireError> {
         Some(Value::String(word)) if word == "unlimited" => Ok(Patience::Ever),
         Some(Value::Int(millis)) if *millis > 0 => {
             let millis = u64::try_from(*millis).unwrap_or_default();
-            args::micros(millis, "wait").map(Patience::For)
+            content::micros(millis, "wait").map(Patience::For)
         }
-        Some(_) => Err(args::bad(
+        Some(_) => Err(content::bad(
             "wait",
             "wait is a number of ms, or unlimited".to_owned(),
         )),

@@ -1,23 +1,25 @@
 //! `context info` and `token info`: all about one context (M33).
 
+use mom_managers::Expiry;
 use mom_proto::Map;
 
-use super::Request;
-use crate::context::{Presence, Role};
-use crate::ownership::expiry_word;
-use crate::pending::Refusal;
-use crate::{Effect, Hub};
+use super::checks::Request;
+use crate::Effect;
+use crate::asking::refusal::Refusal;
+use crate::ownership::{describe_owner, describe_waiting, lease_value};
+use crate::tree::context::{Presence, Role};
+use crate::values::count;
+use crate::world::World;
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let number = hub.allowed(request)?;
-    let Some(context) = hub.tree.get(number) else {
-        return Err(hub.unknown_path(&request.path, None).into());
+pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+    let number = world.allowed(request)?;
+    let Some(context) = world.tree.get(number) else {
+        return Err(world
+            .faulted("a manager has allowed something where nothing is")
+            .into());
     };
-    let mut info = context.summary().with(
-        "members",
-        i64::try_from(context.members.len()).unwrap_or(i64::MAX),
-    );
-    let managing = hub.managing(number).and_then(|number| hub.tree.get(number));
+    let mut info = context.summary().with("members", count(context.members.len()));
+    let managing = world.tree.managing(number);
     if let Some(managing) = managing {
         let word = managing.manager_word.as_deref().unwrap_or_default();
         info.set("manager", word);
@@ -27,10 +29,7 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
     info.set("transient", context.transient);
     info.set("permanent", context.permanent);
     match &context.role {
-        Role::Session => info.set(
-            "children",
-            i64::try_from(context.children.len()).unwrap_or(i64::MAX),
-        ),
+        Role::Session => info.set("children", count(context.children.len())),
         Role::Channel(channel) => {
             info.set("delivery", channel.delivery.word());
             info.set("overflow", channel.overflow.word());
@@ -45,14 +44,17 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
             }
         }
         Role::Token(token) => {
-            info.set("lease", hub.lease_value(token));
+            info.set("lease", lease_value(token));
             info.set("expiry", expiry_word(token.terms.expiry));
-            for (key, value) in hub.token_map(token).into_iter().chain(hub.waiting_map(number)) {
+            for (key, value) in describe_owner(world, token)
+                .into_iter()
+                .chain(describe_waiting(world, token))
+            {
                 info.set(&key, value);
             }
         }
     }
-    hub.push_ok(request.peer, request.parcel.id, &request.path, Some(info), out);
+    world.push_ok(request.peer, request.parcel.id, &request.path, Some(info), out);
     Ok(())
 }
 
@@ -61,5 +63,12 @@ fn presence_word(presence: Presence) -> &'static str {
         Presence::All => "all",
         Presence::Counts => "counts",
         Presence::None => "none",
+    }
+}
+
+fn expiry_word(expiry: Expiry) -> &'static str {
+    match expiry {
+        Expiry::Lazy => "lazy",
+        Expiry::Eager => "eager",
     }
 }

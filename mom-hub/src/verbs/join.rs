@@ -1,39 +1,65 @@
 //! `context join`: entered through its parent (M23). Joining again is answered, and changes only what the member is
 //! to be spared, if the content says so.
 
-use mom_proto::{Code, ContextNumber, Overflow, Thinning, WireError};
+use mom_proto::{Code, ContextNumber, MessageRate, Overflow, Thinning, Value, WireError};
+use serde::Deserialize;
 
-use super::Request;
-use crate::args::{self, JoinArgs};
-use crate::context::Role;
-use crate::pending::Refusal;
-use crate::{Effect, Hub};
+use super::checks::Request;
+use super::expel::check_not_expelled;
+use crate::Effect;
+use crate::asking::refusal::Refusal;
+use crate::content;
+use crate::ownership::{describe_owner, lease_value};
+use crate::tree::context::Role;
+use crate::world::World;
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let number = hub.allowed(request)?;
-    hub.check_parent_joined(request.peer, number)?;
-    let thinning = thinning(hub, request, number)?;
-    if !hub.is_member(request.peer, number) {
-        hub.check_not_expelled(request.peer, number)?;
-        let joined = hub.peers.get(request.peer).map_or(0, |peer| peer.joined.len());
-        if !hub.settings.limits.joined.allows(joined + 1) {
-            let text = format!("a peer joins at most {} contexts", hub.settings.limits.joined);
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Args {
+    #[serde(default)]
+    newest: bool,
+    #[serde(default)]
+    rate: Option<Value>,
+}
+
+impl Args {
+    /// What the member is to be spared, checked.
+    fn thinning(&self) -> Result<Thinning, WireError> {
+        let rate = self.rate.as_ref().map(MessageRate::from_value).transpose()?;
+        Ok(Thinning {
+            newest: self.newest,
+            rate,
+        })
+    }
+}
+
+pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+    let number = world.allowed(request)?;
+    world.check_parent_joined(request.peer, number)?;
+    let thinning = thinning(world, request, number)?;
+    if !world.tree.is_member(request.peer, number) {
+        check_not_expelled(world, request.peer, number)?;
+        let joined = world.peers.get(request.peer).map_or(0, |peer| peer.joined.len());
+        if !world.settings.limits.joined.allows(joined + 1) {
+            let text = format!("a peer joins at most {} contexts", world.settings.limits.joined);
             return Err(WireError::new(Code::FULL, text).into());
         }
-        hub.add_member(number, request.peer, out);
+        world.add_member(number, request.peer, out);
     }
     if let Some(thinning) = thinning {
-        hub.thin(number, request.peer, thinning);
+        world.thin(number, request.peer, thinning);
     }
-    let Some(context) = hub.tree.get(number) else {
-        return Err(hub.unknown_path(&request.path, None).into());
+    let Some(context) = world.tree.get(number) else {
+        return Err(world
+            .faulted("a manager has allowed something where nothing is")
+            .into());
     };
     let mut content = context.summary();
     match &context.role {
         Role::Session => {}
         Role::Token(token) => {
-            content.set("lease", hub.lease_value(token));
-            for (key, value) in hub.token_map(token) {
+            content.set("lease", lease_value(token));
+            for (key, value) in describe_owner(world, token) {
                 content.set(&key, value);
             }
         }
@@ -49,24 +75,25 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
                 content.set("keep", keep.to_map());
             }
             if let Some(guard) = &channel.guard {
-                // The owner and fence now: who joins late has to know them to check what comes (M33).
-                let token = hub.tree.find(&guard.token).and_then(|context| context.token());
-                let known = token.map(|token| hub.token_map(token)).unwrap_or_default();
+                // The owner and fence now: a late joiner has to know them to check what comes (M33).
+                let token = world.tree.token_at(&guard.token);
+                let known = token.map(|(_, token)| describe_owner(world, token));
+                let known = known.unwrap_or_default();
                 content.set("guard", guard.describe(known));
             }
         }
     }
-    hub.push_ok(request.peer, request.parcel.id, &request.path, Some(content), out);
+    world.push_ok(request.peer, request.parcel.id, &request.path, Some(content), out);
     Ok(())
 }
 
 /// What the peer asks to be spared; none if it says nothing of that.
-fn thinning(hub: &Hub, request: &Request, number: ContextNumber) -> Result<Option<Thinning>, WireError> {
+fn thinning(world: &World, request: &Request, number: ContextNumber) -> Result<Option<Thinning>, WireError> {
     if request.parcel.content.is_none() {
         return Ok(None);
     }
-    let thinning = args::read::<JoinArgs>(&request.parcel)?.thinning()?;
-    let is_channel = hub
+    let thinning = content::read::<Args>(&request.parcel)?.thinning()?;
+    let is_channel = world
         .tree
         .get(number)
         .is_some_and(|context| context.channel().is_some());

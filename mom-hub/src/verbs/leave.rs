@@ -3,21 +3,22 @@
 use mom_proto::event::Reason;
 use mom_proto::{Code, WireError};
 
-use super::Request;
-use crate::pending::Refusal;
-use crate::{Effect, Hub};
+use super::checks::Request;
+use crate::Effect;
+use crate::asking::refusal::Refusal;
+use crate::world::World;
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let number = hub.allowed(request)?;
+pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+    let number = world.allowed(request)?;
     if request.path.is_root() {
         let text = "every peer stays in the root; to go, log out";
         return Err(WireError::new(Code::WRONG_KIND, text).slot("context").into());
     }
-    if !hub.is_member(request.peer, number) {
+    if !world.tree.is_member(request.peer, number) {
         let text = format!("{} was not joined", request.path);
         return Err(WireError::new(Code::NOT_MEMBER, text).slot("context").into());
     }
-    hub.leave(number, request.peer, Reason::Released, out);
-    hub.push_ok(request.peer, request.parcel.id, &request.path, None, out);
+    world.leave(number, request.peer, Reason::Released, out);
+    world.push_ok(request.peer, request.parcel.id, &request.path, None, out);
     Ok(())
 }

@@ -2,26 +2,33 @@
 
 use mom_proto::{ContextKind, ContextNumber, Map, Value, Verb};
 
-use super::{Request, of_kind};
-use crate::consult::Wish;
-use crate::pending::Refusal;
-use crate::{Effect, Hub};
+use super::checks::{Request, of_kind};
+use crate::Effect;
+use crate::asking::refusal::Refusal;
+use crate::asking::wish::Wish;
+use crate::values::count;
+use crate::world::World;
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let number = hub.allowed(request)?;
-    let Some(context) = hub.tree.get(number) else {
-        return Err(hub.unknown_path(&request.path, None).into());
+pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+    let number = world.allowed(request)?;
+    let Some(context) = world.tree.get(number) else {
+        return Err(world
+            .faulted("a manager has allowed something where nothing is")
+            .into());
     };
     of_kind(context, ContextKind::Session, Verb::List)?;
     let children: Vec<ContextNumber> = context.children.values().copied().collect();
     let mut list = Vec::with_capacity(children.len());
     for child in children {
-        // What a peer may not look up it is not told of.
-        if hub.ask(request.peer, &Wish::new(Verb::Lookup, child)).is_err() {
+        // A child that the peer may not look up is left out.
+        if world
+            .ask(request.peer, &Wish::new(Verb::Lookup, child), &request.answers)
+            .is_err()
+        {
             continue;
         }
-        if let Some(child) = hub.tree.get(child) {
-            let members = i64::try_from(child.members.len()).unwrap_or(i64::MAX);
+        if let Some(child) = world.tree.get(child) {
+            let members = count(child.members.len());
             list.push(Value::Map(
                 child
                     .summary()
@@ -30,7 +37,7 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
             ));
         }
     }
-    hub.push_ok(
+    world.push_ok(
         request.peer,
         request.parcel.id,
         &request.path,

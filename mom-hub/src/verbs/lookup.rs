@@ -1,12 +1,13 @@
 //! `context lookup`: what is at a path (M32).
 
-use super::Request;
-use crate::pending::Refusal;
-use crate::{Effect, Hub};
+use super::checks::Request;
+use crate::Effect;
+use crate::asking::refusal::Refusal;
+use crate::world::World;
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let number = hub.allowed(request)?;
-    let content = hub.tree.get(number).map(|context| context.summary());
-    hub.push_ok(request.peer, request.parcel.id, &request.path, content, out);
+pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+    let number = world.allowed(request)?;
+    let content = world.tree.get(number).map(|context| context.summary());
+    world.push_ok(request.peer, request.parcel.id, &request.path, content, out);
     Ok(())
 }

@@ -2,14 +2,15 @@
 
 use mom_proto::{Map, Value};
 
-use super::Request;
-use crate::events::peer_map;
-use crate::pending::Refusal;
-use crate::{Effect, Hub};
+use super::checks::Request;
+use crate::Effect;
+use crate::asking::refusal::Refusal;
+use crate::world::World;
+use crate::world::events::peer_map;
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let number = hub.allowed(request)?;
-    let members = hub
+pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+    let number = world.allowed(request)?;
+    let members = world
         .tree
         .get(number)
         .into_iter()
@@ -21,7 +22,7 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
             Value::Map(map)
         })
         .collect();
-    hub.push_ok(
+    world.push_ok(
         request.peer,
         request.parcel.id,
         &request.path,

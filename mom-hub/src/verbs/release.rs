@@ -3,21 +3,22 @@
 use mom_proto::event::Reason;
 use mom_proto::{Code, WireError};
 
-use super::Request;
-use crate::pending::Refusal;
-use crate::{Effect, Hub};
+use super::checks::Request;
+use crate::Effect;
+use crate::asking::refusal::Refusal;
+use crate::world::World;
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let number = hub.allowed_token(request)?;
+pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+    let number = world.allowed_token(request)?;
     let peer = request.peer;
-    if hub.owner_of(number) == Some(peer) {
-        hub.lose(number, Reason::Released, Some(peer), out);
+    if world.owner_of(number) == Some(peer) {
+        world.lose(number, Reason::Released, Some(peer), out);
     } else {
         let error = WireError::new(Code::WITHDRAWN, "released while it waited");
-        if !hub.withdraw(number, peer, &error, out) {
-            hub.check_owner(request, number)?;
+        if !world.withdraw(number, peer, &error, out) {
+            world.check_owner(request, number)?;
         }
     }
-    hub.push_ok(peer, request.parcel.id, &request.path, None, out);
+    world.push_ok(peer, request.parcel.id, &request.path, None, out);
     Ok(())
 }

@@ -3,12 +3,14 @@
 use mom_proto::{Code, Verb, WireError};
 use serde::Deserialize;
 
-use super::{Request, grab};
-use crate::args;
-use crate::handover::ASKING;
-use crate::pending::Refusal;
-use crate::token::Asking;
-use crate::{Effect, Hub};
+use super::checks::Request;
+use super::grab;
+use crate::Effect;
+use crate::asking::refusal::Refusal;
+use crate::content;
+use crate::token::handover::ASKING;
+use crate::token::state::Asking;
+use crate::world::World;
 
 #[derive(Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -28,34 +30,34 @@ impl Default for Args {
     }
 }
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let args: Args = args::read_or_default(&request.parcel)?;
-    let within = args::micros(args.within, "within")?;
-    let number = hub.find_token(request)?;
-    hub.check_near(request, number)?;
+pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+    let args: Args = content::read_or_default(&request.parcel)?;
+    let within = content::micros(args.within, "within")?;
+    let number = world.find_token(request)?;
+    world.check_near(request, number)?;
     // With nobody to ask it is a grab, and the manager is asked about that.
-    let Some(owner) = hub.owner_of(number).filter(|owner| *owner != request.peer) else {
-        return grab::at_once(hub, request, number, out);
+    let Some(owner) = world.owner_of(number).filter(|owner| *owner != request.peer) else {
+        return grab::at_once(world, request, number, out);
     };
-    hub.allow(request, number)?;
-    let asking = hub.token(number).map(|token| &token.asking);
-    if asking.is_some_and(|asking| asking.iter().any(|asking| asking.peer == request.peer)) {
+    world.allow(request, number)?;
+    let token = world.token(number);
+    if token.is_some_and(|token| token.asks(request.peer)) {
         let text = "this peer asks already; wait for the answer";
         return Err(WireError::new(Code::TRY_LATER, text).into());
     }
-    if asking.is_some_and(|asking| asking.len() >= ASKING) {
+    if token.is_some_and(|token| token.asking.len() >= ASKING) {
         let text = format!("{ASKING} peers ask already, as many as may");
         return Err(WireError::new(Code::FULL, text).into());
     }
-    hub.check_again(number, (Verb::Request, request.peer, owner))?;
-    hub.last_waiter += 1;
+    world.check_again(number, (Verb::Request, request.peer, owner))?;
+    world.last_waiter += 1;
     let asking = Asking {
         peer: request.peer,
         owner,
-        ticket: hub.last_waiter,
+        ticket: world.last_waiter,
         id: request.parcel.id,
-        until: hub.after(within),
+        until: world.after(within),
     };
-    hub.push_requested(number, asking, args.text.as_deref(), out);
+    world.push_requested(number, asking, args.text.as_deref(), out);
     Ok(())
 }

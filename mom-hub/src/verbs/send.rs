@@ -2,57 +2,66 @@
 
 use std::sync::Arc;
 
-use mom_managers::{Answer, Grant, Micros, Scope, Standing, Verdict};
-use mom_proto::{Content, ContextKind, ContextNumber, Parcel, Verb, WireError};
+use mom_managers::{Answer, Grant, Scope, Standing, Verdict};
+use mom_proto::{Content, ContextKind, ContextNumber, Micros, Parcel, Verb, WireError};
 
-use super::{Request, of_kind};
-use crate::admit::admit_with;
-use crate::age::{Aged, age_of, is_within};
-use crate::consult::Wish;
-use crate::member::has_own_right;
-use crate::pending::{Refusal, take_parcel};
-use crate::{Effect, Hub, Ingress, PeerClock, PeerId, Route, StandingVerdict};
+use super::checks::{Request, of_kind};
+use crate::asking::questions::{Questions, take_parcel};
+use crate::asking::refusal::Refusal;
+use crate::asking::wish::Wish;
+use crate::messages::admit::admit_with;
+use crate::messages::age::{Aged, age_of, is_within};
+use crate::tree::member::has_own_right;
+use crate::world::World;
+use crate::{Effect, Ingress, PeerClock, PeerId, Route, StandingVerdict};
 
-pub(crate) fn on(hub: &mut Hub, request: &mut Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let Some(context) = hub.tree.find(&request.path) else {
-        return hub.allowed(request).map(|_| ());
+pub(crate) fn on(
+    world: &mut World,
+    questions: &mut Questions,
+    request: &mut Request,
+    out: &mut Vec<Effect>,
+) -> Result<(), Refusal> {
+    let Some(context) = world.tree.find(&request.path) else {
+        return world.allowed(request).map(|_| ());
     };
     of_kind(context, ContextKind::Channel, request.verb)?;
     let (number, peer) = (context.number, request.peer);
-    if hub.answers.is_empty() && request.verb == Verb::Send {
+    if request.answers.is_empty() && request.verb == Verb::Send {
         // Messages of one sender stay in their order, also where one has to be asked about.
-        if hub.waits_behind(peer, number) {
-            hub.check_admissible(peer, number, &request.parcel)?;
-            return Ok(hub.wait_behind(peer, number, &mut request.parcel)?);
+        if questions.waits_behind(peer, number) {
+            world.check_admissible(peer, number, &request.parcel)?;
+            return Ok(questions.wait_behind(world, (peer, number), &mut request.parcel)?);
         }
     }
     let wish = Wish {
         message: Some(&request.parcel.name),
         size: request.parcel.content.as_ref().map_or(0, Content::size),
-        age: age_of(&request.parcel, hub.wall(), hub.clock_of(peer).as_ref()),
+        age: age_of(&request.parcel, world.wall(), world.clock_of(peer).as_ref()),
         ..Wish::new(request.verb, number)
     };
-    let (answer, rate) = match hub.standing(peer, number, &request.parcel.name, wish.age) {
+    let (answer, rate) = match standing(world, request, number, wish.age) {
         Some(standing) => (standing.answer, standing.rate),
         None => {
-            let verdict = hub.consult(peer, &wish);
+            let verdict = world.consult(peer, &wish, &request.answers);
             if let Answer::Defer(defer) = verdict.answer {
-                // Nobody is asked about what would be refused in any case.
-                hub.check_admissible(peer, number, &request.parcel)?;
-                return Err(hub.defer(peer, &wish, defer, verdict.rule));
+                // Nobody is asked about a message that would be refused in any case.
+                world.check_admissible(peer, number, &request.parcel)?;
+                return Err(world.defer(peer, &wish, defer, verdict.rule));
             }
-            hub.keep_standing(peer, number, &request.parcel, &verdict);
+            world.keep_standing(peer, number, &request.parcel, &verdict);
             (verdict.answer, verdict.standing.rate())
         }
     };
-    let Some(route) = hub.route(number) else {
-        return Err(hub.unknown_path(&request.path, Some(ContextKind::Channel)).into());
+    let Some(route) = world.route(number) else {
+        return Err(world
+            .faulted("a message is admitted to a channel that is not there")
+            .into());
     };
-    let ingress = hub.ingress(peer);
+    let ingress = world.ingress(peer);
     let receivers = admit_with(&route, peer, &answer, &mut request.parcel, &ingress)?;
     let parcel = take_parcel(&mut request.parcel);
-    let route = match hub.count_command(peer, &route, &parcel) {
-        true => hub.route(number).unwrap_or(route),
+    let route = match world.count_command(peer, &route, &parcel) {
+        true => world.route(number).unwrap_or(route),
         false => route,
     };
     out.push(Effect::Send {
@@ -65,11 +74,27 @@ pub(crate) fn on(hub: &mut Hub, request: &mut Request, out: &mut Vec<Effect>) ->
     Ok(())
 }
 
+/// The verdict that stands for a message. A request with answers of its own is decided by them alone; sends that have
+/// waited behind it are decided by what stands, so that nobody is asked about each of them.
+fn standing(
+    world: &World,
+    request: &Request,
+    number: ContextNumber,
+    age: Option<Aged>,
+) -> Option<StandingVerdict> {
+    let member = world.tree.get(number)?.members.get(&request.peer)?;
+    let standing = member.standing(&request.parcel.name, world.now);
+    let young = |most: Micros| is_within(age, most);
+    standing
+        .filter(|standing| request.answers.is_empty() && standing.max_age.is_none_or(young))
+        .cloned()
+}
+
 /// How long a token that was given for a number of commands stays after the last one, µs: a change of owner at once
 /// would overtake that command and take it back.
 const AFTER_LAST: Micros = 1_000_000;
 
-impl Hub {
+impl World {
     fn clock_of(&self, peer: PeerId) -> Option<PeerClock> {
         let (clock, at) = self.peers.get(peer)?.clock?;
         Some(PeerClock {
@@ -78,7 +103,7 @@ impl Hub {
         })
     }
 
-    /// For what a peer sends, or sent before and is carried out now.
+    /// The ingress of a message that is carried out now.
     fn ingress(&self, peer: PeerId) -> Ingress {
         Ingress {
             now: self.now,
@@ -88,7 +113,7 @@ impl Hub {
         }
     }
 
-    /// Checks what has to hold for a message besides its manager's word.
+    /// Checks what has to hold for a message besides its manager's verdict.
     fn check_admissible(
         &self,
         peer: PeerId,
@@ -96,9 +121,9 @@ impl Hub {
         parcel: &Parcel,
     ) -> Result<(), WireError> {
         let Some(route) = self.route(number) else {
-            return Ok(());
+            return Err(self.faulted("a message is looked at for a channel that is not there"));
         };
-        // All that decides, which the content does not.
+        // Everything that decides; the content does not.
         let mut trial = Parcel {
             address: parcel.address.clone(),
             fence: parcel.fence,
@@ -111,47 +136,23 @@ impl Hub {
         admit_with(&route, peer, &answer, &mut trial, &self.ingress(peer)).map(|_| ())
     }
 
-    /// Counts a command of an owner that has only so many; whether it was one.
+    /// Counts a command of an owner that has only so many; whether the message was one.
     fn count_command(&mut self, peer: PeerId, route: &Route, parcel: &Parcel) -> bool {
         let guard = route.guard.as_ref().filter(|guard| guard.covers(&parcel.name));
         let counted = guard.and_then(|guard| guard.owner.as_ref());
         let counted = counted.is_some_and(|owner| owner.peer == peer && owner.commands.is_some());
         let token = guard.filter(|_| counted && !has_own_right(&parcel.name));
-        let Some(number) = token
-            .and_then(|guard| self.tree.find(&guard.token))
-            .map(|context| context.number)
-        else {
+        let token = token.and_then(|guard| self.tree.token_at(&guard.token));
+        let Some(number) = token.map(|(number, _)| number) else {
             return false;
         };
         let return_at = self.after(AFTER_LAST);
-        let owner = self.token_mut(number).and_then(|token| token.owner.as_mut());
-        if let Some(delegation) = owner.and_then(|owner| owner.delegation.as_mut()) {
-            let left = delegation.commands.map(|left| left.saturating_sub(1));
-            delegation.commands = left;
-            if left == Some(0) {
-                delegation.return_at = Some(return_at);
-            }
+        if let Some(token) = self.token_mut(number) {
+            token.count_command(return_at);
         }
         self.retime(number);
         self.change_guarded_routes(number);
         true
-    }
-
-    /// What stands for a message: who was asked about an earlier one, and said that this holds, is not asked again
-    /// about those that have waited behind it.
-    fn standing(
-        &self,
-        peer: PeerId,
-        number: ContextNumber,
-        name: &str,
-        age: Option<Aged>,
-    ) -> Option<StandingVerdict> {
-        let member = self.tree.get(number)?.members.get(&peer)?;
-        let standing = member.standing(name, self.now);
-        let young = |most: Micros| is_within(age, most);
-        standing
-            .filter(|standing| self.answers.is_empty() && standing.max_age.is_none_or(young))
-            .cloned()
     }
 
     /// Puts a verdict that stands into the route, so that the broker need not ask again.
@@ -165,7 +166,7 @@ impl Hub {
         else {
             return;
         };
-        // Stop has rights of its own, so what stands for it stands for no other message.
+        // Stop has rights of its own, so its verdict stands for no other message.
         let name = match scope {
             Scope::AnyName if !has_own_right(&parcel.name) => None,
             _ => Some(Arc::clone(&parcel.name)),
@@ -177,17 +178,15 @@ impl Hub {
             max_age,
             answer: verdict.answer.clone(),
         };
-        let Some(context) = self.tree.get_mut(number) else {
-            return;
-        };
-        let Some(member) = context
-            .members
-            .get(&peer)
-            .and_then(|member| member.with(standing))
-        else {
-            return;
-        };
-        context.members.insert(peer, Arc::new(member));
-        self.grown.insert(number);
+        let context = self.tree.get_mut(number);
+        let member = context.and_then(|context| context.members.get_mut(&peer));
+        // The manager may allow a message whose sender is no member, which is refused next; a sender of very many names
+        // is asked about each time.
+        if let Some(member) = member
+            && let Some(kept) = member.with(standing)
+        {
+            *member = Arc::new(kept);
+            self.grown.insert(number);
+        }
     }
 }

@@ -5,10 +5,12 @@ use std::sync::Arc;
 
 use mom_proto::{Code, ContextKind, ContextNumber, Family, Verb, WireError};
 
-use super::Request;
-use crate::consult::Wish;
-use crate::pending::Refusal;
-use crate::{Effect, Hub};
+use super::checks::Request;
+use crate::Effect;
+use crate::asking::refusal::Refusal;
+use crate::asking::wish::Wish;
+use crate::values::count;
+use crate::world::World;
 
 /// Channels of which one reply tells at most.
 const MOST: usize = 256;
@@ -16,20 +18,19 @@ const MOST: usize = 256;
 /// Contexts below a session at which it looks at most: each is a question to its manager.
 const LOOKS: usize = 4096;
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let number = hub.allowed(request)?;
-    let Some(context) = hub.tree.get(number) else {
-        return Err(hub.unknown_path(&request.path, None).into());
+pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+    let number = world.allowed(request)?;
+    let Some(context) = world.tree.get(number) else {
+        return Err(world
+            .faulted("a manager has allowed something where nothing is")
+            .into());
     };
     let (kind, mut content) = (context.kind(), context.summary());
-    content.set(
-        "members",
-        i64::try_from(context.members.len()).unwrap_or(i64::MAX),
-    );
+    content.set("members", count(context.members.len()));
     let channels = match kind {
         ContextKind::Channel => vec![number],
         ContextKind::Session => {
-            let (channels, more) = channels_below(hub, request, number);
+            let (channels, more) = channels_below(world, request, number);
             if more {
                 content.set("more", true);
             }
@@ -40,7 +41,7 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
             return Err(WireError::new(Code::WRONG_KIND, text).slot("context").into());
         }
     };
-    let mut parcel = hub.hub_parcel(Family::Reply, "ok", &request.path);
+    let mut parcel = world.hub_parcel(Family::Reply, "ok", &request.path);
     parcel.reference = request.parcel.id;
     parcel.content = Some(content.into());
     out.push(Effect::Stats {
@@ -53,14 +54,23 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
 }
 
 /// The channels below a session whose figures the peer may see, and whether there may be more.
-fn channels_below(hub: &mut Hub, request: &Request, session: ContextNumber) -> (Vec<ContextNumber>, bool) {
-    let below = hub.tree.subtree(session);
+fn channels_below(
+    world: &mut World,
+    request: &Request,
+    session: ContextNumber,
+) -> (Vec<ContextNumber>, bool) {
+    let below = world.tree.subtree(session);
     let is_channel = |number: &ContextNumber| {
-        let context = hub.tree.get(*number);
+        let context = world.tree.get(*number);
         context.is_some_and(|context| context.kind() == ContextKind::Channel)
     };
     let mut candidates: Vec<ContextNumber> = below.into_iter().filter(is_channel).collect();
-    candidates.sort_by_cached_key(|number| hub.path(*number).map(|path| path.as_str().to_owned()));
+    candidates.sort_by_cached_key(|number| {
+        world
+            .tree
+            .get(*number)
+            .map(|context| context.path.as_str().to_owned())
+    });
     let mut more = candidates.len() > LOOKS;
     let mut channels = Vec::new();
     for channel in candidates.into_iter().take(LOOKS) {
@@ -68,7 +78,10 @@ fn channels_below(hub: &mut Hub, request: &Request, session: ContextNumber) -> (
             more = true;
             break;
         }
-        if hub.ask(request.peer, &Wish::new(Verb::Stats, channel)).is_ok() {
+        if world
+            .ask(request.peer, &Wish::new(Verb::Stats, channel), &request.answers)
+            .is_ok()
+        {
             channels.push(channel);
         }
     }

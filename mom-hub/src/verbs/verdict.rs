@@ -6,10 +6,12 @@ use mom_managers::Given;
 use mom_proto::{Code, WireError};
 use serde::Deserialize;
 
-use super::Request;
-use crate::args;
-use crate::pending::Refusal;
-use crate::{Effect, Hub};
+use super::checks::Request;
+use crate::Effect;
+use crate::asking::questions::Questions;
+use crate::asking::refusal::Refusal;
+use crate::content;
+use crate::world::World;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -25,9 +27,14 @@ struct Args {
     stands: bool,
 }
 
-pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let args: Args = args::read(&request.parcel)?;
-    let by = hub
+pub(crate) fn on(
+    world: &mut World,
+    questions: &mut Questions,
+    request: &Request,
+    out: &mut Vec<Effect>,
+) -> Result<(), Refusal> {
+    let args: Args = content::read(&request.parcel)?;
+    let by = world
         .peers
         .get(request.peer)
         .map(|peer| Arc::clone(&peer.facts.name));
@@ -38,7 +45,7 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
         stands: args.stands,
         text: args.text,
     };
-    if !hub.answer(args.consult, given, request.peer, out) {
+    let Some(due) = questions.answer(world, args.consult, (given, request.peer), out) else {
         let text = format!(
             "question {} is answered, over, or was never asked of this peer",
             args.consult
@@ -46,7 +53,8 @@ pub(crate) fn on(hub: &mut Hub, request: &Request, out: &mut Vec<Effect>) -> Res
         return Err(WireError::new(Code::TOO_LATE, text)
             .slot("content/consult")
             .into());
-    }
-    hub.push_ok(request.peer, request.parcel.id, &request.path, None, out);
+    };
+    super::run_all(world, questions, due, out);
+    world.push_ok(request.peer, request.parcel.id, &request.path, None, out);
     Ok(())
 }

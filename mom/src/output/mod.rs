@@ -93,12 +93,10 @@ impl Output {
 
 /// An error of the wire for JSON: `code`, `name`, `text` and the details that apply.
 fn error_map(error: &WireError) -> Map {
-    let mut map = Map::new()
-        .with("code", u32::from(error.code.number()))
-        .with("name", error.code.word())
-        .with("text", error.text.as_str());
-    for (key, value) in error.details() {
-        map.set(key, value.clone());
+    // The code goes first: what stands already keeps its place.
+    let mut map = Map::new().with("code", u32::from(error.code.number()));
+    for (key, value) in error.to_map() {
+        map.set(&key, value);
     }
     map
 }

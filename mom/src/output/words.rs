@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use mom_client::{Content, HISTORY, Map, Parcel, Value};
+use mom_client::{Content, Fence, HISTORY, Map, Parcel, Value};
 
 /// Beyond this a line is cut where a person reads it; JSON is never cut.
 const LONGEST: usize = 200;
@@ -52,7 +52,7 @@ pub(crate) fn count(number: u64, one: &str) -> String {
 
 /// The part of a fence that people compare; the rest is the epoch (design §6).
 pub(crate) fn fence(fence: u64) -> u64 {
-    fence & 0xF_FFFF
+    Fence::from(fence).number()
 }
 
 /// Text of others, safe to show on one line of a terminal: what would move the cursor, start a new line or

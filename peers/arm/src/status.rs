@@ -1,6 +1,6 @@
 //! What the commander hears about one command: the content of `status` messages (M42).
 
-use mom_client::{Code, Map, Stale, Value, WireError, to_value};
+use mom_client::{Code, Fence, Map, Stale, Value, WireError, to_value};
 use serde::{Deserialize, Serialize};
 
 use crate::error::ArmError;
@@ -72,7 +72,7 @@ impl Refusal {
         match self {
             Refusal::Arm(error) => to_value(error).ok(),
             Refusal::Stale(stale) => Some(stale_map(stale).into()),
-            Refusal::State(error) => Some(error_map(error).into()),
+            Refusal::State(error) => Some(error.to_map().into()),
         }
     }
 }
@@ -93,17 +93,6 @@ impl From<WireError> for Refusal {
     fn from(error: WireError) -> Self {
         Refusal::State(error)
     }
-}
-
-fn error_map(error: &WireError) -> Map {
-    let mut map = Map::new()
-        .with("name", error.code.word())
-        .with("code", u32::from(error.code.number()))
-        .with("text", error.text.as_str());
-    for (key, value) in error.details() {
-        map.set(key, value.clone());
-    }
-    map
 }
 
 fn stale_map(stale: &Stale) -> Map {
@@ -130,7 +119,7 @@ fn stale_map(stale: &Stale) -> Map {
 
 /// The part of a fence that people see: how often the token was granted in this epoch of the hub.
 fn number(fence: u64) -> u64 {
-    fence & 0xF_FFFF
+    Fence::from(fence).number()
 }
 
 #[cfg(test)]

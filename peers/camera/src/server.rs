@@ -137,7 +137,7 @@ impl ImageServer {
                     changed.reference = parcel.id;
                     out.push(changed);
                 }
-                Err(error) => out.push(self.answer(SETTINGS_REFUSED, error_map(&error), &request_of(parcel))),
+                Err(error) => out.push(self.answer(SETTINGS_REFUSED, error.to_map(), &request_of(parcel))),
             },
             _ => {}
         }
@@ -212,7 +212,7 @@ impl ImageServer {
         }
         let text = format!("{MOST_REQUESTS} requests wait for an image already; ask again in a moment");
         let error = WireError::new(Code::TRY_LATER, text);
-        out.push(self.answer(REQUEST_REFUSED, error_map(&error), &request));
+        out.push(self.answer(REQUEST_REFUSED, error.to_map(), &request));
     }
 
     fn change_settings(&mut self, parcel: &Parcel) -> Result<Settings, WireError> {
@@ -288,16 +288,4 @@ fn settings_map(settings: &Settings) -> Map {
         .with("height", settings.height)
         .with("quality", u32::from(settings.quality))
         .with("format", settings.format.name())
-}
-
-/// `{name, code, text}` and the details.
-fn error_map(error: &WireError) -> Map {
-    let mut map = Map::new()
-        .with("name", error.code.word())
-        .with("code", u32::from(error.code.number()))
-        .with("text", error.text.as_str());
-    for (key, value) in error.details() {
-        map.set(key, value.clone());
-    }
-    map
 }

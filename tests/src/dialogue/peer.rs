@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use mom_net::Transceiver;
 use mom_proto::codec::Frame;
-use mom_proto::{Family, Parcel};
+use mom_proto::{Family, Fence, Parcel};
 use tokio::time::timeout;
 
 use super::say::Request;
@@ -43,7 +43,7 @@ impl Peer {
         self.last_id += 1;
         let mut parcel = request.parcel.clone();
         parcel.id = Some(self.last_id);
-        parcel.fence = parcel.fence.map(|number| (epoch << 20) + number);
+        parcel.fence = parcel.fence.map(|number| u64::from(Fence::new(epoch, number)));
         self.open.insert(self.last_id, request.answered);
         self.link
             .writer

@@ -1,9 +1,6 @@
 //! Parcels and values in the notation of dialogues.
 
-use mom_proto::{Family, Map, Parcel, Value, write_slots};
-
-/// The number of a fence without its epoch.
-pub(crate) const FENCE_MASK: u64 = 0xF_FFFF;
+use mom_proto::{Family, Fence, Map, Parcel, Value, write_slots};
 
 /// A parcel as a peer hears it.
 pub(crate) fn parcel(parcel: &Parcel) -> String {
@@ -85,8 +82,8 @@ fn members(map: &Map) -> String {
 
 /// What people see of a fence.
 pub(crate) fn number_of(fence: i64) -> i64 {
-    let number = u64::try_from(fence).unwrap_or_default() & FENCE_MASK;
-    i64::try_from(number).unwrap_or_default()
+    let fence = Fence::from(u64::try_from(fence).unwrap_or_default());
+    i64::try_from(fence.number()).unwrap_or_default()
 }
 
 fn context(parcel: &Parcel) -> &str {

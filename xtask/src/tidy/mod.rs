@@ -10,6 +10,7 @@ mod modules;
 mod names;
 mod orphans;
 mod purity;
+mod rooms;
 mod rust_text;
 mod size;
 mod tree;
@@ -48,6 +49,7 @@ const CHECKS: &[(&str, Check)] = &[
     ("codes", codes::check),
     ("imports", imports::check),
     ("imports", imports::check_resolved),
+    ("rooms", rooms::check),
     ("purity", purity::check),
     ("leftover", leftovers::check),
     ("link", links::check),

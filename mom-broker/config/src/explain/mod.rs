@@ -6,13 +6,13 @@ use mom_hub::{Case, Judgement, Settings, User};
 use mom_login::{GUEST, guest};
 use mom_managers::{Answer, Ask, Defer};
 use mom_proto::nearest::nearest;
-use mom_proto::{ContextKind, Family, Map, Path, Pattern, Time, Value, Verb};
+use mom_proto::{ContextKind, Family, Map, Path, Pattern, Time, Value, Verb, WireError};
 use mom_system::Clock;
 use serde::Serialize;
 
 use super::{Config, ConfigError, Place};
 
-use words::{error_map, later, needs, stands};
+use words::{later, needs, stands};
 
 /// Stands for every message that no rule names.
 const ANY_OTHER: &str = "*";
@@ -272,7 +272,7 @@ impl Config {
             place,
             manager: judgement.manager.clone(),
             managed_at: managed_at.to_string(),
-            error: refusal.as_ref().map(error_map),
+            error: refusal.as_ref().map(WireError::to_map),
             asks: match &verdict.answer {
                 Answer::Defer(defer) => Some(self.asked(defer)),
                 _ => None,

@@ -1,19 +1,8 @@
 //! An answer's parts in words.
 
 use mom_hub::Judgement;
-use mom_managers::{Bucket, Micros, Standing};
-use mom_proto::{Map, Path, Time, Verb, WireError};
-
-pub(super) fn error_map(error: &WireError) -> Map {
-    let mut map = Map::new()
-        .with("name", error.code.word())
-        .with("code", u32::from(error.code.number()))
-        .with("text", error.text.as_str());
-    for (key, value) in error.details() {
-        map.set(key, value.clone());
-    }
-    map
-}
+use mom_managers::{Bucket, Standing};
+use mom_proto::{Micros, Path, Time, Verb};
 
 /// The wall time at a time of the hub.
 pub(super) fn later(anchor: Time, at: Micros) -> Option<Time> {

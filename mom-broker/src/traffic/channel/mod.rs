@@ -16,7 +16,7 @@ use mom_system::Clock;
 use mom_system::sync::Mutex;
 use mom_system::sync::atomic::{AtomicU64, Ordering};
 
-use crate::traffic::batch::Pace;
+use crate::traffic::batch::BatchPace;
 use crate::traffic::encodings::{Bounds, Encodings};
 use crate::traffic::history::History;
 use crate::traffic::outbox::{Dropped, Gate, Origin, Outbox, Packet};
@@ -43,7 +43,7 @@ struct State {
     binary: bool,
     /// At least one member asked for thinning.
     thins: bool,
-    pace: Pace,
+    pace: BatchPace,
     bounds: Bounds,
     scratch: Scratch,
     statistics: Statistics,
@@ -80,7 +80,7 @@ impl Channel {
                 thins: thins(&route),
                 route,
                 binary: all_binary(&outboxes),
-                pace: Pace::default(),
+                pace: BatchPace::default(),
                 outboxes,
                 gate,
                 bounds,

@@ -1,0 +1,153 @@
+//! Asking the manager of a context (M24).
+
+use std::panic::AssertUnwindSafe;
+use std::sync::Arc;
+
+use mom_managers::{Answer, Defer, Given, Grant, PeerFacts, Question, Verdict};
+use mom_proto::{Code, ContextNumber, Verb, WireError};
+
+use super::refusal::{Deferred, Refusal};
+use super::wish::Wish;
+use crate::PeerId;
+use crate::heard::Heard;
+use crate::world::World;
+
+/// Why a manager allowed, for the audit.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Allowed {
+    pub(crate) grant: Grant,
+    pub(crate) rule: Option<Arc<str>>,
+}
+
+impl World {
+    /// Asks whether a peer may; a refusal comes explained. Nobody is refused giving up what it has.
+    ///
+    /// `answers` are those that the request has got so far from managing peers and chairs.
+    pub(crate) fn ask(
+        &mut self,
+        peer: PeerId,
+        wish: &Wish<'_>,
+        answers: &[Heard],
+    ) -> Result<Allowed, Refusal> {
+        // Not even by a manager that fails, or has to ask.
+        if wish.verb.gives_up() {
+            return Ok(Allowed::default());
+        }
+        let verdict = self.consult(peer, wish, answers);
+        match verdict.answer {
+            Answer::Allow(grant) => Ok(Allowed {
+                grant,
+                rule: verdict.rule,
+            }),
+            Answer::Deny(denial) => Err(self.explain(peer, wish, &denial).into()),
+            Answer::Queue(wait) => Err(self.explain(peer, wish, &wait.denial).into()),
+            Answer::Defer(defer) => Err(self.defer(peer, wish, defer, verdict.rule)),
+        }
+    }
+
+    /// What has to be asked before a request can be decided.
+    pub(crate) fn defer(
+        &self,
+        peer: PeerId,
+        wish: &Wish<'_>,
+        defer: Defer,
+        rule: Option<Arc<str>>,
+    ) -> Refusal {
+        let managing = self.tree.managing(wish.at);
+        let (Some(context), Some(managing)) = (self.tree.get(wish.at), managing) else {
+            self.fault::<()>("a manager has to ask that manages nothing");
+            let text = "nobody manages this context, so it is closed";
+            return WireError::new(Code::DENIED, text).rule(&defer.label).into();
+        };
+        Refusal::Defer(Box::new(Deferred {
+            rule: rule.unwrap_or_else(|| Arc::clone(&defer.label)),
+            defer,
+            peer,
+            verb: wish.verb,
+            managing: managing.number,
+            at: wish.at,
+            path: wish.path.unwrap_or(&context.path).clone(),
+            message: wish.message.map(str::to_owned),
+            size: wish.size,
+            age: wish.age,
+            kind: wish.kind.unwrap_or(context.kind()).word(),
+        }))
+    }
+
+    /// Whether a manager denies for good; one that defers, or says later, does not.
+    pub(crate) fn refused(&mut self, peer: PeerId, verb: Verb, at: ContextNumber) -> bool {
+        let verdict = self.consult(peer, &Wish::new(verb, at), &[]);
+        matches!(verdict.answer, Answer::Deny(denial) if !denial.code.may_retry())
+    }
+
+    /// The verdict of the manager of `wish.at`, or of the nearest one above that has one.
+    pub(crate) fn consult(&mut self, peer: PeerId, wish: &Wish<'_>, answers: &[Heard]) -> Verdict {
+        let Some(facts) = self.peers.get(peer).map(|peer| Arc::clone(&peer.facts)) else {
+            self.fault::<()>("a manager is asked about a peer that is not there");
+            return nobody();
+        };
+        let managing = self.tree.managing(wish.at).map(|context| context.number);
+        // Taken out while it is asked, because the question borrows the tree.
+        let manager = managing.and_then(|managing| self.tree.get_mut(managing)?.manager.take());
+        let (Some(managing), Some(mut manager)) = (managing, manager) else {
+            self.fault::<()>("nobody manages a context, not even the root's manager");
+            return nobody();
+        };
+        let mine = answers
+            .iter()
+            .filter(|heard| heard.peer == peer && heard.verb == wish.verb && heard.at == wish.at);
+        let given: Vec<Given> = mine.map(|heard| heard.given.clone()).collect();
+        let repeated = !answers.is_empty();
+        let verdict = match self.question((managing, wish), (peer, &facts), &given, repeated) {
+            // A manager of somebody else's making that panics must not end the hub, nor let anybody in.
+            Some(question) => std::panic::catch_unwind(AssertUnwindSafe(|| manager.decide(&question)))
+                .unwrap_or_else(|_| {
+                    let text = "the manager of this context failed, so nobody may";
+                    Verdict::deny(Code::DENIED, "failed manager", text)
+                }),
+            None => nobody(),
+        };
+        if let Some(context) = self.tree.get_mut(managing) {
+            context.manager = Some(manager);
+        }
+        verdict
+    }
+
+    fn question<'a>(
+        &'a self,
+        (managing, wish): (ContextNumber, &'a Wish<'_>),
+        (peer, facts): (PeerId, &'a PeerFacts),
+        answers: &'a [Given],
+        repeated: bool,
+    ) -> Option<Question<'a>> {
+        let context = self.tree.get(wish.at)?;
+        // A member that came in by an invitation needs no other to stay.
+        let invited = context.members.contains_key(&peer)
+            || context.invited.get(&peer).is_some_and(|until| self.now < *until);
+        let creator = self.tree.get(managing).and_then(|managing| managing.creator);
+        Some(Question {
+            peer: facts,
+            verb: wish.verb,
+            context: wish.path.unwrap_or(&context.path),
+            kind: wish.kind.unwrap_or(context.kind()),
+            message: wish.message,
+            size: wish.size,
+            age: wish.age,
+            token: self.token_facts(context, peer),
+            invited,
+            created: creator == Some(peer),
+            answers,
+            repeated,
+            now: self.now,
+            wall: self.wall(),
+        })
+    }
+}
+
+fn nobody() -> Verdict {
+    Verdict::deny(
+        Code::DENIED,
+        "no manager",
+        "nobody manages this context, so it is closed",
+    )
+}

@@ -1,0 +1,377 @@
+//! Requests that wait for the verdict of a managing peer or a chair (M24, M25).
+//!
+//! A manager that has to ask defers. The whole request is carried out again once there is an answer, with the answers
+//! at hand: so everything else about it is decided by what holds then, not by what held when it was asked. Carrying
+//! out is the business of the room above, so requests that are due again are returned to it.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::sync::Arc;
+
+use mom_managers::{Ask, Given};
+use mom_proto::{Code, Content, ContextNumber, Family, Map, Micros, Parcel, Value, Verb, WireError};
+
+use super::refusal::Deferred;
+use crate::heard::Heard;
+use crate::values::{count, number};
+use crate::world::events::peer_map;
+use crate::world::{Timer, World};
+use crate::{Effect, PeerId};
+
+/// Questions of one peer that may wait, and of all.
+const MOST_OF_ONE: usize = 16;
+const MOST: usize = 4096;
+
+/// Bytes of content of one peer that may wait; beyond them no further request does.
+const MOST_BYTES: usize = 1 << 20;
+
+/// Sends to one channel that wait behind a deferred one of the same peer.
+const MOST_SENDS: usize = 16;
+
+/// A deferred send waits no longer than this, µs.
+const SEND_TIME: Micros = 2_000_000;
+
+/// A request to be carried out, for the first time or again.
+#[derive(Debug)]
+pub(crate) struct Due {
+    pub(crate) peer: PeerId,
+    pub(crate) parcel: Parcel,
+    /// What managing peers and chairs have answered about it.
+    pub(crate) answers: Vec<Heard>,
+}
+
+/// The questions that are open, by their numbers.
+#[derive(Debug, Default)]
+pub(crate) struct Questions {
+    pub(crate) pending: BTreeMap<u64, Pending>,
+    last: u64,
+}
+
+/// A request that waits.
+#[derive(Debug)]
+pub(crate) struct Pending {
+    pub(crate) request: Due,
+    label: Arc<str>,
+    pub(crate) asked: BTreeSet<PeerId>,
+    whom: Whom,
+    pub(crate) until: Micros,
+    /// The channel, if it is a send.
+    pub(crate) channel: Option<ContextNumber>,
+    /// Later sends of the same peer to the same channel.
+    pub(crate) behind: VecDeque<Parcel>,
+}
+
+/// The subject of a question, by which those who may answer it are found.
+#[derive(Clone, Debug)]
+struct Whom {
+    ask: Ask,
+    peer: PeerId,
+    verb: Verb,
+    managing: ContextNumber,
+    at: ContextNumber,
+}
+
+impl Questions {
+    /// Lets a request wait for an answer. It is returned at once if there is nobody to ask.
+    pub(crate) fn postpone(
+        &mut self,
+        world: &mut World,
+        request: Due,
+        deferred: &Deferred,
+        out: &mut Vec<Effect>,
+    ) -> Option<Due> {
+        let whom = Whom {
+            ask: deferred.defer.ask.clone(),
+            peer: deferred.peer,
+            verb: deferred.verb,
+            managing: deferred.managing,
+            at: deferred.at,
+        };
+        let asked = whom.find(world);
+        let label = Arc::clone(&deferred.defer.label);
+        if asked.is_empty() {
+            let given = unanswered(label, "there is nobody to ask");
+            return resume(world, request, whom.heard(given), out);
+        }
+        let peer = request.peer;
+        let (mine, bytes) = self.waiting_of(peer);
+        if mine >= MOST_OF_ONE || bytes >= MOST_BYTES || self.pending.len() >= MOST {
+            let text = "too many requests wait for somebody's answer";
+            let error = WireError::new(Code::TRY_LATER, text).rule(&label);
+            world.push_refusal(peer, &request.parcel, &error, out);
+            return None;
+        }
+        let send = request.parcel.family == Family::Message;
+        let within = match send {
+            true => deferred.defer.within.min(SEND_TIME),
+            false => deferred.defer.within,
+        };
+        self.last += 1;
+        let (question, until) = (self.last, world.after(within));
+        push_consult(world, question, deferred, until, &asked, out);
+        world.timers.insert((until, Timer::Answer(question)));
+        let channel = send.then_some(deferred.at);
+        if let Some(channel) = channel {
+            hold_sends(world, channel, peer, true);
+        }
+        let pending = Pending {
+            request,
+            label,
+            asked,
+            whom,
+            until,
+            channel,
+            behind: VecDeque::new(),
+        };
+        self.pending.insert(question, pending);
+        None
+    }
+
+    /// How many requests of a peer wait, and with how many bytes.
+    fn waiting_of(&self, peer: PeerId) -> (usize, usize) {
+        let size = |parcel: &Parcel| parcel.content.as_ref().map_or(0, Content::size);
+        let own = self
+            .pending
+            .values()
+            .filter(|pending| pending.request.peer == peer);
+        own.fold((0, 0), |(count, bytes), pending| {
+            let behind: usize = pending.behind.iter().map(size).sum();
+            (count + 1, bytes + size(&pending.request.parcel) + behind)
+        })
+    }
+
+    /// Takes the answer of a peer to a question, and returns the requests that are due with it; none if the peer was
+    /// not asked, or is not any more.
+    pub(crate) fn answer(
+        &mut self,
+        world: &mut World,
+        question: u64,
+        (given, by): (Given, PeerId),
+        out: &mut Vec<Effect>,
+    ) -> Option<Vec<Due>> {
+        let asked = self.pending.get(&question)?;
+        // A chair may have left the room since it was asked, or been put out of it.
+        if !asked.asked.contains(&by) || !asked.whom.find(world).contains(&by) {
+            return None;
+        }
+        let pending = self.take(world, question)?;
+        let label = Arc::clone(&pending.label);
+        Some(finish(world, pending, Given { label, ..given }, out))
+    }
+
+    /// Ends a question that nobody has answered in time, and returns the requests that are due with that.
+    pub(crate) fn unanswered(&mut self, world: &mut World, question: u64, out: &mut Vec<Effect>) -> Vec<Due> {
+        // Another request may have ended it meanwhile.
+        let Some(pending) = self.take(world, question) else {
+            return Vec::new();
+        };
+        let given = unanswered(Arc::clone(&pending.label), "");
+        finish(world, pending, given, out)
+    }
+
+    fn take(&mut self, world: &mut World, question: u64) -> Option<Pending> {
+        let pending = self.pending.remove(&question)?;
+        world.timers.remove(&(pending.until, Timer::Answer(question)));
+        Some(pending)
+    }
+
+    /// Whether an earlier send of this peer to this channel waits for an answer.
+    pub(crate) fn waits_behind(&self, peer: PeerId, channel: ContextNumber) -> bool {
+        let mut waiting = self.pending.values();
+        waiting.any(|pending| pending.is_send(peer, channel))
+    }
+
+    /// Lets a send wait behind that one.
+    ///
+    /// # Errors
+    /// `try-later` if too many wait there already.
+    pub(crate) fn wait_behind(
+        &mut self,
+        world: &World,
+        (peer, channel): (PeerId, ContextNumber),
+        parcel: &mut Parcel,
+    ) -> Result<(), WireError> {
+        let (_, bytes) = self.waiting_of(peer);
+        let mut waiting = self.pending.values_mut();
+        let Some(pending) = waiting.find(|pending| pending.is_send(peer, channel)) else {
+            return Err(world.faulted("a send waits behind one that does not wait"));
+        };
+        if pending.behind.len() >= MOST_SENDS || bytes >= MOST_BYTES {
+            let text = "an earlier message to this channel still waits for who manages it";
+            return Err(WireError::new(Code::TRY_LATER, text));
+        }
+        pending.behind.push_back(take_parcel(parcel));
+        Ok(())
+    }
+
+    /// Refuses the waiting requests of a peer that goes: its connection may be somebody else's next.
+    pub(crate) fn refuse_all_of(&mut self, world: &mut World, peer: PeerId, out: &mut Vec<Effect>) {
+        let own = self.pending.iter();
+        let own = own.filter(|(_, pending)| pending.request.peer == peer);
+        let own: Vec<u64> = own.map(|(question, _)| *question).collect();
+        let error = WireError::new(Code::WITHDRAWN, "who asked is gone before it was answered");
+        for question in own {
+            let Some(pending) = self.take(world, question) else {
+                continue;
+            };
+            for parcel in std::iter::once(&pending.request.parcel).chain(&pending.behind) {
+                world.push_refusal(peer, parcel, &error, out);
+            }
+        }
+    }
+
+    /// Takes a peer that is gone out of all questions, and returns those that nobody is left to answer.
+    pub(crate) fn left_by(&mut self, peer: PeerId) -> Vec<u64> {
+        let mut alone = Vec::new();
+        for (question, pending) in &mut self.pending {
+            if pending.asked.remove(&peer) && pending.asked.is_empty() {
+                alone.push(*question);
+            }
+        }
+        alone
+    }
+}
+
+impl Pending {
+    fn is_send(&self, peer: PeerId, channel: ContextNumber) -> bool {
+        self.request.peer == peer && self.channel == Some(channel)
+    }
+}
+
+/// The requests that are due once a question has its answer: its own, then the sends behind it in their order.
+fn finish(world: &mut World, pending: Pending, given: Given, out: &mut Vec<Effect>) -> Vec<Due> {
+    let Pending {
+        request,
+        channel,
+        behind,
+        whom,
+        ..
+    } = pending;
+    let peer = request.peer;
+    if let Some(channel) = channel {
+        hold_sends(world, channel, peer, false);
+    }
+    let first = if channel.is_some() && given.by.is_none() && !given.allow {
+        let text = "who manages this channel did not answer in time";
+        let error = WireError::new(Code::TRY_LATER, text).rule(&given.label);
+        world.push_refusal(peer, &request.parcel, &error, out);
+        None
+    } else {
+        resume(world, request, whom.heard(given), out)
+    };
+    let behind = behind.into_iter().map(|parcel| Due {
+        peer,
+        parcel,
+        answers: Vec::new(),
+    });
+    first.into_iter().chain(behind).collect()
+}
+
+/// A request with one answer more; refused if the manager defers again and again although it has its answers.
+fn resume(world: &World, mut request: Due, heard: Heard, out: &mut Vec<Effect>) -> Option<Due> {
+    if request.answers.len() >= MOST_OF_ONE {
+        let error = WireError::new(Code::DENIED, "the manager asks without end").rule(&heard.given.label);
+        world.push_refusal(request.peer, &request.parcel, &error, out);
+        return None;
+    }
+    request.answers.push(heard);
+    Some(request)
+}
+
+fn push_consult(
+    world: &World,
+    question: u64,
+    deferred: &Deferred,
+    until: Micros,
+    asked: &BTreeSet<PeerId>,
+    out: &mut Vec<Effect>,
+) {
+    let Some(facts) = world.peers.get(deferred.peer).map(|peer| &peer.facts) else {
+        return world.fault("somebody is asked about a peer that is not there");
+    };
+    let mut content = Map::new().with("verb", deferred.verb.word());
+    for (key, value) in peer_map(facts) {
+        content.set(&key, value);
+    }
+    let groups = facts.groups.iter().map(|group| Value::from(group.as_str()));
+    content.set("groups", groups.collect::<Vec<_>>());
+    if let Some(message) = &deferred.message {
+        content.set("message", message.as_str());
+        content.set("size", count(deferred.size));
+        if let Some((age, error)) = deferred.age {
+            content.set("age", age);
+            content.set("age-error", number(error));
+        }
+    }
+    content.set("kind", deferred.kind);
+    content.set("within", world.millis_until(until));
+    content.set("rule", &*deferred.rule);
+    let mut parcel = world.hub_parcel(Family::Manager, "consult", &deferred.path);
+    parcel.id = Some(question);
+    out.push(Effect::Deliver {
+        to: asked.iter().copied().collect(),
+        parcel: Arc::new(parcel.content(content)),
+    });
+}
+
+/// Lets all sends of a peer to a channel come to the hub, or not any more.
+fn hold_sends(world: &mut World, channel: ContextNumber, peer: PeerId, held: bool) {
+    let context = world.tree.get_mut(channel);
+    let member = context.and_then(|context| context.members.get_mut(&peer));
+    // It may have left the channel, or the channel may have been deleted, before the answer came.
+    if let Some(member) = member {
+        *member = Arc::new(member.holding(held));
+        world.changed.insert(channel);
+    }
+}
+
+impl Whom {
+    /// The peers that may answer now.
+    fn find(&self, world: &World) -> BTreeSet<PeerId> {
+        match &self.ask {
+            Ask::Creator => {
+                let creator = world.tree.get(self.managing).and_then(|context| context.creator);
+                creator
+                    .into_iter()
+                    .filter(|creator| world.peers.get(*creator).is_some())
+                    .collect()
+            }
+            ask @ Ask::Chairs { .. } => {
+                // The context may have been deleted since.
+                let Some(at) = world.tree.get(self.at) else {
+                    return BTreeSet::new();
+                };
+                let parent = at.parent.and_then(|parent| world.tree.get(parent));
+                let members = at
+                    .members
+                    .values()
+                    .chain(parent.into_iter().flat_map(|parent| parent.members.values()));
+                let chairs = members.filter(|member| member.peer != self.peer && ask.is_chair(&member.facts));
+                chairs.map(|member| member.peer).collect()
+            }
+        }
+    }
+
+    fn heard(&self, given: Given) -> Heard {
+        Heard {
+            peer: self.peer,
+            verb: self.verb,
+            at: self.at,
+            given,
+        }
+    }
+}
+
+/// The parcel of a request that needs it no more.
+pub(crate) fn take_parcel(parcel: &mut Parcel) -> Parcel {
+    std::mem::replace(parcel, Parcel::new(Family::Message, ""))
+}
+
+fn unanswered(label: Arc<str>, why: &str) -> Given {
+    Given {
+        label,
+        by: None,
+        allow: false,
+        stands: false,
+        text: why.to_owned(),
+    }
+}

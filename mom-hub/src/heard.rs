@@ -1,0 +1,15 @@
+//! What was answered to a manager that had to ask.
+
+use mom_managers::Given;
+use mom_proto::{ContextNumber, Verb};
+
+use crate::PeerId;
+
+/// An answer and its question. Managers of the same label in other contexts do not see it.
+#[derive(Clone, Debug)]
+pub(crate) struct Heard {
+    pub(crate) peer: PeerId,
+    pub(crate) verb: Verb,
+    pub(crate) at: ContextNumber,
+    pub(crate) given: Given,
+}

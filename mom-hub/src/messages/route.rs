@@ -1,0 +1,77 @@
+//! The route of a channel: everything that a send needs, immutable (design §4).
+
+use std::sync::Arc;
+
+use mom_proto::{ContextNumber, Delivery, Micros, Overflow, Path};
+
+use crate::{Keep, Member, PeerId};
+
+/// A channel as it stands: its members, its guard and its settings.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Route {
+    /// The channel.
+    pub number: ContextNumber,
+    /// Its path.
+    pub path: Path,
+    /// Its members, in the order of their numbers.
+    pub members: Vec<Arc<Member>>,
+    /// The token that guards it.
+    pub guard: Option<Guard>,
+    /// The delivery class of parcels that name none.
+    pub delivery: Delivery,
+    /// What happens where a receiver has no room for a `reliable` parcel.
+    pub overflow: Overflow,
+    /// What is kept for late joiners; none = nothing.
+    pub keep: Option<Keep>,
+}
+
+/// The guard of a channel: its listed messages need ownership of a token.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Guard {
+    /// The token.
+    pub token: Path,
+    /// The messages; `*` stands for all.
+    pub names: Arc<[String]>,
+    /// The owner of the token now.
+    pub owner: Option<GuardOwner>,
+    /// The fence of the latest grant; 0 before the first.
+    pub fence: u64,
+}
+
+/// The owner of the token that guards a channel.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GuardOwner {
+    /// Its connection.
+    pub peer: PeerId,
+    /// Its name.
+    pub name: Arc<str>,
+    /// Its level.
+    pub level: i32,
+    /// When its lease ends if it does not renew.
+    pub lease_end: Option<Micros>,
+    /// When the hub takes the token from it by itself: the end of an eager lease, of its deadman time, of its turn.
+    pub lost_at: Option<Micros>,
+    /// How many commands it still has, where the token was given for a number of them.
+    pub commands: Option<u64>,
+}
+
+impl Route {
+    /// The member of this connection.
+    pub fn member(&self, peer: PeerId) -> Option<&Arc<Member>> {
+        self.position(peer).map(|position| &self.members[position])
+    }
+
+    /// The place of a connection among the members.
+    pub fn position(&self, peer: PeerId) -> Option<usize> {
+        self.members
+            .binary_search_by_key(&peer, |member| member.peer)
+            .ok()
+    }
+}
+
+impl Guard {
+    /// Whether messages of this name need the token.
+    pub fn covers(&self, name: &str) -> bool {
+        self.names.iter().any(|listed| listed == name || listed == "*")
+    }
+}

@@ -1,0 +1,81 @@
+//! The safe state of a token's devices: before anybody else may drive, and before a channel goes.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use mom_proto::event;
+use mom_proto::{Content, ContextNumber, Family};
+
+use crate::Effect;
+use crate::token::state::{SafeState, Token};
+use crate::world::World;
+
+/// Sends the safe state of a token.
+pub(super) fn push_safe_state(world: &World, number: ContextNumber, out: &mut Vec<Effect>) {
+    match world.token(number) {
+        Some(token) => push(world, token, &token.guarded, out),
+        None => world.fault("a safe state is due for a token that is not there"),
+    }
+}
+
+impl World {
+    /// Sends the safe state of a channel that is about to be deleted although its token has an owner: no command will
+    /// reach its devices any more, not even one to stop what they do.
+    pub(crate) fn push_last_safe_state(&self, channel: ContextNumber, out: &mut Vec<Effect>) {
+        let guard = self
+            .tree
+            .get(channel)
+            .and_then(|context| context.channel()?.guard.as_ref());
+        let token = guard.and_then(|guard| self.tree.token_at(&guard.token));
+        if let Some((_, token)) = token.filter(|(_, token)| token.owner.is_some()) {
+            push(self, token, &BTreeSet::from([channel]), out);
+        }
+    }
+}
+
+/// Sends the safe state of a token for these of its channels. A fault of the books costs no channel its safe state.
+fn push(world: &World, token: &Token, channels: &BTreeSet<ContextNumber>, out: &mut Vec<Effect>) {
+    let Some(SafeState {
+        channel,
+        name,
+        content,
+    }) = &token.safe
+    else {
+        for channel in channels {
+            if !token.guarded.contains(channel) {
+                world.fault::<()>("a token does not know a channel that it guards");
+            }
+            push_to(world, *channel, event::HALT, None, out);
+        }
+        return;
+    };
+    // Only where the token guards: a safe state speaks in the hub's name, which nobody may borrow to talk to other
+    // devices.
+    let named = world.tree.find(channel).map(|channel| channel.number);
+    if let Some(named) = named.filter(|named| token.guarded.contains(named)) {
+        push_to(world, named, name, content.clone(), out);
+    }
+}
+
+fn push_to(
+    world: &World,
+    channel: ContextNumber,
+    name: &str,
+    content: Option<Content>,
+    out: &mut Vec<Effect>,
+) {
+    let Some(context) = world.tree.get(channel) else {
+        return world.fault("a token guards a channel that is not there");
+    };
+    let to: Vec<_> = context.members.keys().copied().collect();
+    if to.is_empty() {
+        return;
+    }
+    let mut parcel = world.hub_parcel(Family::Message, name, &context.path);
+    parcel.received = parcel.timestamp;
+    parcel.content = content;
+    out.push(Effect::Deliver {
+        to,
+        parcel: Arc::new(parcel),
+    });
+}

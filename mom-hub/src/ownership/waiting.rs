@@ -1,0 +1,160 @@
+//! Grabs that wait until it is their turn.
+
+use mom_managers::Answer;
+use mom_proto::event::{self, Reason};
+use mom_proto::{Code, ContextNumber, Map, Verb, WireError};
+
+use crate::asking::wish::Wish;
+use crate::token::state::{Change, Waiter};
+use crate::values::{count, millis};
+use crate::world::{Timer, World};
+use crate::{Effect, PeerId};
+
+impl World {
+    /// Puts a grab into the queue.
+    ///
+    /// # Errors
+    /// `full`, or `held` if the peer waits already.
+    pub(crate) fn wait(
+        &mut self,
+        number: ContextNumber,
+        waiter: Waiter,
+        out: &mut Vec<Effect>,
+    ) -> Result<(), WireError> {
+        let (peer, ticket, until) = (waiter.peer, waiter.ticket, waiter.until);
+        let Some(token) = self.token_mut(number) else {
+            return Err(self.faulted("a grab waits for a token that is not there"));
+        };
+        token.enqueue(waiter)?;
+        if let Some(until) = until {
+            self.timers.insert((until, Timer::Wait(number, ticket)));
+        }
+        self.involve(peer, number);
+        // The owner of a lapsed lazy lease loses it at once now.
+        self.retime(number);
+        self.change_guarded_routes(number);
+        self.tell_queue(number, out);
+        Ok(())
+    }
+
+    /// Takes a waiting grab out of the queue, without an answer.
+    pub(crate) fn take_waiter(&mut self, number: ContextNumber, ticket: u64) -> Option<Waiter> {
+        let waiter = self.token_mut(number)?.dequeue(ticket)?;
+        if let Some(until) = waiter.until {
+            self.timers.remove(&(until, Timer::Wait(number, ticket)));
+        }
+        self.uninvolve(waiter.peer, number);
+        self.retime(number);
+        self.change_guarded_routes(number);
+        Some(waiter)
+    }
+
+    /// Answers the waiting grab of a peer on a token with an error; whether there was one.
+    pub(crate) fn withdraw(
+        &mut self,
+        number: ContextNumber,
+        peer: PeerId,
+        error: &WireError,
+        out: &mut Vec<Effect>,
+    ) -> bool {
+        let ticket = self.token(number).and_then(|token| token.ticket_of(peer));
+        let Some(waiter) = ticket.and_then(|ticket| self.take_waiter(number, ticket)) else {
+            return false;
+        };
+        self.refuse_all(&[(waiter.peer, waiter.id)], error, Verb::Grab, number, out);
+        self.tell_queue(number, out);
+        true
+    }
+
+    /// Ends a grab that has waited as long as it wanted to.
+    pub(crate) fn end_wait(&mut self, number: ContextNumber, ticket: u64, out: &mut Vec<Effect>) {
+        let Some(waiter) = self.take_waiter(number, ticket) else {
+            return self.fault("a wait ends that has not begun");
+        };
+        let mut error = self.held(waiter.peer, number);
+        error.code = Code::TIMED_OUT;
+        error.text = format!("waited {} ms; {}", (self.now - waiter.since) / 1000, error.text);
+        self.refuse_all(&[(waiter.peer, waiter.id)], &error, Verb::Grab, number, out);
+        self.tell_queue(number, out);
+    }
+
+    /// Answers all grabs that wait for a token that is about to go.
+    pub(crate) fn withdraw_all(&mut self, number: ContextNumber, error: &WireError, out: &mut Vec<Effect>) {
+        let waiting = self.token(number).map(|token| token.queue.clone());
+        for waiter in waiting.unwrap_or_default() {
+            self.take_waiter(number, waiter.ticket);
+            self.refuse_all(&[(waiter.peer, waiter.id)], error, Verb::Grab, number, out);
+        }
+    }
+
+    /// Grants a free token to the first waiter that the manager allows to have it.
+    pub(crate) fn advance_queue(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
+        let mut refused = false;
+        while let Some(waiter) = self.next_waiter(number) {
+            let wish = Wish::new(Verb::Grab, number);
+            let verdict = self.consult(waiter.peer, &wish, &waiter.answers);
+            let error = match verdict.answer {
+                Answer::Allow(grant) => {
+                    self.take_waiter(number, waiter.ticket);
+                    let change = Change {
+                        until: grant.until,
+                        rule: verdict.rule,
+                        answers: vec![(waiter.peer, waiter.id)],
+                        ..Change::to(waiter.peer, Reason::Released)
+                    };
+                    self.begin_grant(number, change, out);
+                    continue;
+                }
+                // The token is free, and yet not for this one now: it waits on, for as long as it wanted to.
+                Answer::Queue(_) => break,
+                Answer::Deny(denial) if denial.code == Code::HELD => break,
+                Answer::Deny(denial) => self.explain(waiter.peer, &wish, &denial),
+                Answer::Defer(defer) => {
+                    let text = "the answer of who had to be asked holds no more";
+                    WireError::new(Code::DENIED, text).rule(&defer.label)
+                }
+            };
+            self.take_waiter(number, waiter.ticket);
+            self.refuse_all(&[(waiter.peer, waiter.id)], &error, Verb::Grab, number, out);
+            refused = true;
+        }
+        // Once for all: each of thousands that may be refused moves all behind it. Also after a grant that could not be
+        // stored or whose peer was gone, which left the queue for nothing; one that is being stored tells at its end.
+        let granting = self.token(number).is_some_and(|token| token.granting.is_some());
+        if refused || !granting {
+            self.tell_queue(number, out);
+        }
+    }
+
+    fn next_waiter(&self, number: ContextNumber) -> Option<Waiter> {
+        let token = self.token(number)?;
+        token.next_waiter(|peer| self.holder(peer), self.now).cloned()
+    }
+
+    /// Tells waiters their places, and the owner the end of its turn, as far as these have changed.
+    pub(crate) fn tell_queue(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
+        let now = self.now;
+        let Some(context) = self.tree.get_mut(number) else {
+            return self.fault("a queue is told of a token that is not there");
+        };
+        let path = context.path.clone();
+        let Some(token) = context.token_mut() else {
+            return self.fault("a queue is told of a context that is no token");
+        };
+        let (places, turn) = (token.take_place_news(now), token.take_turn_news());
+        for news in places {
+            let mut content = Map::new().with("place", count(news.place));
+            if let Some(expected) = news.expected {
+                content.set("expected", millis(expected));
+            }
+            self.push_event(event::QUEUED, &path, vec![news.peer], content, out);
+        }
+        // As long as nobody waits, an owner keeps the token beyond its turn: it has to hear when that is over.
+        if let Some((turn, end)) = turn.and_then(|turn| turn.end.map(|end| (turn, end))) {
+            let content = Map::new()
+                .with("within", self.millis_until(end))
+                .with("waiting", count(turn.waiting));
+            self.push_event(event::NOTICE, &path, vec![turn.owner], content, out);
+        }
+    }
+}

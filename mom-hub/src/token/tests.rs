@@ -1,0 +1,256 @@
+//! A token by itself: time, fence floor and owners are given, nobody hears of anything.
+
+use mom_managers::{Expiry, Terms};
+use mom_proto::event::Reason;
+use mom_proto::{Code, Fence, Path, Verb};
+
+use super::grant::{Grantee, Overtaken};
+use super::record::{Holder, Record};
+use super::state::{Change, Granting, Token, Waiter};
+use crate::PeerId;
+
+const SECOND: u64 = 1_000_000;
+const ALICE: PeerId = PeerId(1);
+const BOB: PeerId = PeerId(2);
+const CAROL: PeerId = PeerId(3);
+const FLOOR: Fence = Fence::floor(0);
+
+fn token() -> Token {
+    Token {
+        terms: Terms {
+            lease: Some(60 * SECOND),
+            ..Terms::default()
+        },
+        ..Token::default()
+    }
+}
+
+fn owned_by(peer: PeerId, now: u64) -> Token {
+    let mut token = token();
+    assert!(
+        token
+            .change_owner(Some(Grantee::plain(peer)), now, FLOOR)
+            .is_none()
+    );
+    token
+}
+
+fn waiter(peer: PeerId, level: i32, since: u64) -> Waiter {
+    Waiter {
+        peer,
+        ticket: peer.0,
+        id: None,
+        level,
+        since,
+        until: None,
+        answers: Vec::new(),
+        told: 0,
+    }
+}
+
+fn holder(name: &str) -> Holder {
+    Holder {
+        user: name.to_owned(),
+        name: name.to_owned(),
+    }
+}
+
+/// What was given for a time: the owner, and its giver.
+fn given(mut token: Token, to: PeerId, time: u64, now: u64) -> Token {
+    let change = Change {
+        from: token.owner_peer(),
+        given: Some((Some(time), Some(2))),
+        ..Change::to(to, Reason::Given)
+    };
+    let grantee = token.grantee(&change, now);
+    assert!(token.change_owner(Some(grantee), now, FLOOR).is_some());
+    token
+}
+
+#[test]
+fn the_fence_rises_with_each_grant_and_above_the_floor() {
+    let mut token = owned_by(ALICE, 0);
+    assert_eq!(token.fence, Fence::new(0, 1));
+    let floor = Fence::floor(7);
+    let former = token.change_owner(None, SECOND, floor).expect("alice had it");
+    assert_eq!((former.ownership.peer, former.fence), (ALICE, Fence::new(0, 1)));
+    assert_eq!(token.fence, former.fence, "nobody has a new one");
+    token.change_owner(Some(Grantee::plain(BOB)), SECOND, floor);
+    assert_eq!(token.fence, Fence::new(7, 1));
+    token.change_owner(Some(Grantee::plain(CAROL)), SECOND, floor);
+    assert_eq!(token.fence, Fence::new(7, 2));
+}
+
+#[test]
+fn a_lazy_lease_is_a_deadline_only_while_somebody_waits() {
+    let mut token = owned_by(ALICE, 0);
+    assert_eq!((token.deadline(), token.lapsed(60 * SECOND)), (None, true));
+    token.enqueue(waiter(BOB, 0, 0)).unwrap();
+    assert_eq!(token.deadline(), Some(60 * SECOND));
+    token.dequeue(BOB.0).unwrap();
+    token.terms.expiry = Expiry::Eager;
+    token.renew(SECOND);
+    assert_eq!(token.deadline(), Some(61 * SECOND));
+    assert_eq!(token.reason_at_deadline(61 * SECOND), Reason::Expired);
+}
+
+#[test]
+fn what_was_given_returns_until_the_givers_own_time_is_over() {
+    let mut token = owned_by(ALICE, 0);
+    token.owner.as_mut().unwrap().until = Some(30 * SECOND);
+    let mut token = given(token, BOB, 10 * SECOND, 5 * SECOND);
+    assert_eq!(token.giver(), Some(ALICE));
+    assert_eq!(token.deadline(), Some(15 * SECOND));
+    assert_eq!(token.reason_at_deadline(15 * SECOND), Reason::Returned);
+    let ending = |token: &Token, reason, now| {
+        let ending = token.ending(reason, now).unwrap();
+        (ending.reason, ending.giver, ending.turn)
+    };
+    assert_eq!(
+        ending(&token, Reason::Released, 6 * SECOND),
+        (Reason::Returned, Some(ALICE), 0)
+    );
+    assert_eq!(
+        ending(&token, Reason::Broken, 6 * SECOND),
+        (Reason::Broken, None, 0)
+    );
+    assert_eq!(
+        ending(&token, Reason::Expired, 30 * SECOND),
+        (Reason::Expired, None, 0)
+    );
+    token.count_command(7 * SECOND);
+    assert_eq!(token.deadline(), Some(15 * SECOND), "one is left");
+    token.count_command(7 * SECOND);
+    assert_eq!(token.deadline(), Some(7 * SECOND));
+    assert!(token.forget_giver(ALICE) && !token.forget_giver(ALICE));
+    assert_eq!(
+        ending(&token, Reason::Released, 6 * SECOND),
+        (Reason::Released, None, 0)
+    );
+}
+
+#[test]
+fn a_change_is_overtaken_by_another_owner_or_a_shared_hold() {
+    let mut token = owned_by(ALICE, 0);
+    let agreed = Change {
+        from: Some(ALICE),
+        ..Change::to(BOB, Reason::Given)
+    };
+    assert_eq!(token.overtaken(&agreed), None);
+    token.change_owner(Some(Grantee::plain(CAROL)), 0, FLOOR);
+    assert_eq!(token.overtaken(&agreed), Some(Overtaken::Moved));
+    token.change_owner(None, 0, FLOOR);
+    token.holders.insert(CAROL, 0);
+    let grab = Change::to(BOB, Reason::Released);
+    assert_eq!(token.overtaken(&grab), Some(Overtaken::Shared));
+    token.granting = Some(Granting {
+        ticket: None,
+        change: Some(grab),
+    });
+    assert!(token.call_off_for(CAROL).is_none());
+    assert_eq!(token.call_off_for(BOB).map(|change| change.to), Some(BOB));
+    assert!(token.call_off_for(BOB).is_none() && !token.is_free());
+}
+
+#[test]
+fn the_queue_is_by_arrival_or_by_level_and_tells_each_place_once() {
+    let mut token = owned_by(ALICE, 0);
+    token.terms.by_level = true;
+    token.enqueue(waiter(BOB, 1, 0)).unwrap();
+    token.enqueue(waiter(CAROL, 5, 0)).unwrap();
+    let error = token.enqueue(waiter(BOB, 9, 0)).unwrap_err();
+    assert_eq!((error.code, token.place_of(BOB)), (Code::HELD, Some(1)));
+    let told = |token: &mut Token| {
+        let news = token.take_place_news(20 * SECOND);
+        news.iter()
+            .map(|news| (news.peer, news.place, news.expected))
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(
+        told(&mut token),
+        [(CAROL, 1, Some(40 * SECOND)), (BOB, 2, Some(100 * SECOND))]
+    );
+    assert_eq!(told(&mut token), []);
+    assert!(token.next_waiter(|_| None, 0).is_none(), "alice has it");
+    token.change_owner(None, 20 * SECOND, FLOOR);
+    assert_eq!(
+        token.next_waiter(|_| None, 0).map(|waiter| waiter.peer),
+        Some(CAROL)
+    );
+    token.dequeue(CAROL.0).unwrap();
+    assert_eq!(told(&mut token), [(BOB, 1, None)]);
+}
+
+#[test]
+fn the_same_is_not_asked_again_and_again() {
+    let mut token = owned_by(ALICE, 0);
+    let asked = (Verb::Request, BOB, ALICE);
+    for _ in 0..4 {
+        token.check_again(asked, "alice", 0).unwrap();
+        token.note_asked(asked, 0);
+    }
+    let error = token.check_again(asked, "alice", SECOND).unwrap_err();
+    assert_eq!(error.code, Code::TRY_LATER);
+    assert_eq!(error.retry_in().map(|wait| wait.as_secs()), Some(9));
+    token
+        .check_again((Verb::Request, CAROL, ALICE), "alice", SECOND)
+        .unwrap();
+    token.check_again(asked, "alice", 10 * SECOND).unwrap();
+    token.forget_asked(asked);
+    token.check_again(asked, "alice", SECOND).unwrap();
+}
+
+#[test]
+fn a_record_covers_the_next_grants_of_its_owner_alone() {
+    let path = Path::parse("/arm/token").unwrap();
+    let mut token = token();
+    let record = token
+        .needed_record(&path, holder("alice"), None, Fence::from(7))
+        .unwrap();
+    assert_eq!((record.fence, record.lease), (8, Some(60 * SECOND)));
+    token.record = Some(record);
+    assert_eq!(
+        token.needed_record(&path, holder("alice"), None, Fence::from(7)),
+        None
+    );
+    let next = token.needed_record(&path, holder("bob"), Some(holder("alice")), Fence::from(7));
+    assert_eq!(next.and_then(|record| record.before), Some(holder("alice")));
+    token.doubt_record();
+    assert!(
+        token
+            .needed_record(&path, holder("alice"), None, Fence::from(7))
+            .is_some()
+    );
+    let freed = token.correct_record(None).expect("nobody has it");
+    assert_eq!((freed.owner, freed.lease), (None, Some(0)));
+    assert_eq!(token.correct_record(None), None, "stored once");
+}
+
+#[test]
+fn a_restart_keeps_a_token_for_its_owner() {
+    let record = Record {
+        path: Path::parse("/arm/token").unwrap(),
+        fence: 8,
+        owner: Some(holder("alice")),
+        before: None,
+        lease: Some(90 * SECOND),
+    };
+    let last = record.last_fence();
+    let mut token = token();
+    token.restore(record, FLOOR);
+    assert_eq!(
+        u64::from(token.fence),
+        last,
+        "fences that were given out are not given again"
+    );
+    assert_eq!(token.kept_by_restart(Some(&holder("bob")), 0), Some(90 * SECOND));
+    assert_eq!(token.kept_by_restart(Some(&holder("alice")), 0), None);
+    assert_eq!(token.kept_by_restart(None, 90 * SECOND), None);
+    token.enqueue(waiter(BOB, 0, 0)).unwrap();
+    token.enqueue(waiter(ALICE, 0, 0)).unwrap();
+    let holder = |peer| (peer == ALICE).then(|| holder("alice"));
+    assert_eq!(
+        token.next_waiter(holder, 0).map(|waiter| waiter.peer),
+        Some(ALICE)
+    );
+}

@@ -1,0 +1,126 @@
+//! A context of the tree.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use mom_managers::Manager;
+use mom_proto::{ContextKind, ContextNumber, Delivery, Map, Micros, Overflow, Path, Value};
+use serde::Deserialize;
+
+use super::keep::Keep;
+use super::member::Member;
+use crate::PeerId;
+use crate::token::state::Token;
+use crate::values::number;
+
+/// The members that are told of joins and leaves (design §7).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Presence {
+    /// Every member, each time.
+    #[default]
+    All,
+    /// Every member, but above 200 members only how many there are, at most once a second.
+    Counts,
+    /// Nobody.
+    None,
+}
+
+/// One context.
+#[derive(Debug)]
+pub(crate) struct Context {
+    pub(crate) number: ContextNumber,
+    pub(crate) path: Path,
+    pub(crate) parent: Option<ContextNumber>,
+    pub(crate) children: BTreeMap<Arc<str>, ContextNumber>,
+    pub(crate) members: BTreeMap<PeerId, Arc<Member>>,
+    /// None = the nearest one above decides.
+    pub(crate) manager: Option<Box<dyn Manager>>,
+    /// How it was named, for `info`.
+    pub(crate) manager_word: Option<String>,
+    /// The specification of its manager, from which a new configuration makes it anew.
+    pub(crate) manager_spec: Option<Value>,
+    /// The peer that made it.
+    pub(crate) creator: Option<PeerId>,
+    /// Peers that were invited, and until when it counts.
+    pub(crate) invited: BTreeMap<PeerId, Micros>,
+    /// Users that were put out, and until when they may not join again.
+    pub(crate) expelled: BTreeMap<Arc<str>, Micros>,
+    pub(crate) presence: Presence,
+    pub(crate) next_count: Micros,
+    pub(crate) count_due: bool,
+    /// Deleted with its last member.
+    pub(crate) transient: bool,
+    /// Of the configuration file: never deleted.
+    pub(crate) permanent: bool,
+    pub(crate) role: Role,
+}
+
+/// The kind of a context with its state.
+#[derive(Debug)]
+pub(crate) enum Role {
+    Session,
+    Channel(Channel),
+    Token(Box<Token>),
+}
+
+#[derive(Debug)]
+pub(crate) struct Channel {
+    pub(crate) guard: Option<GuardSpec>,
+    pub(crate) delivery: Delivery,
+    pub(crate) overflow: Overflow,
+    pub(crate) keep: Option<Keep>,
+}
+
+#[derive(Clone, Debug)]
+pub(crate) struct GuardSpec {
+    pub(crate) token: Path,
+    pub(crate) names: Arc<[String]>,
+}
+
+impl GuardSpec {
+    /// The guard in replies: `known` of the token's owner, the token and the guarded messages.
+    pub(crate) fn describe(&self, known: Map) -> Map {
+        let names: Vec<Value> = self.names.iter().map(|name| Value::from(name.as_str())).collect();
+        known.with("token", self.token.as_str()).with("names", names)
+    }
+}
+
+impl Context {
+    pub(crate) fn kind(&self) -> ContextKind {
+        match self.role {
+            Role::Session => ContextKind::Session,
+            Role::Channel(_) => ContextKind::Channel,
+            Role::Token(_) => ContextKind::Token,
+        }
+    }
+
+    pub(crate) fn channel(&self) -> Option<&Channel> {
+        match &self.role {
+            Role::Channel(channel) => Some(channel),
+            _ => None,
+        }
+    }
+
+    pub(crate) fn token(&self) -> Option<&Token> {
+        match &self.role {
+            Role::Token(token) => Some(token),
+            _ => None,
+        }
+    }
+
+    pub(crate) fn token_mut(&mut self) -> Option<&mut Token> {
+        match &mut self.role {
+            Role::Token(token) => Some(token),
+            _ => None,
+        }
+    }
+
+    /// Path, kind and number, which replies have of every context.
+    pub(crate) fn summary(&self) -> Map {
+        Map::new()
+            .with("path", self.path.as_str())
+            .with("kind", self.kind().word())
+            .with("number", number(self.number.0))
+    }
+}

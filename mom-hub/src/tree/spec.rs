@@ -1,0 +1,110 @@
+//! A context to be made, as it stands in a request or in the configuration.
+
+use mom_managers::Expiry;
+use mom_proto::{Delivery, Overflow, Value, WireError};
+use serde::Deserialize;
+
+use super::context::Presence;
+use super::keep::KeepArgs;
+use crate::content::bad;
+
+/// A context to be made: the content of `context create`, or an entry of the configuration file.
+///
+/// ```
+/// use mom_hub::ContextSpec;
+/// use mom_proto::{Map, from_value};
+/// let spec: ContextSpec = from_value(Map::new().with("kind", "token").with("lease", 60_000).into()).unwrap();
+/// assert_eq!(spec.lease, Some(60_000));
+/// ```
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct ContextSpec {
+    /// The path; in a request it is the slot `context` instead.
+    #[serde(default)]
+    pub path: Option<String>,
+    /// `session`, `channel` or `token`.
+    pub kind: String,
+    /// A name of the configuration, or a map with `kind` and parameters; absent = the parent's.
+    #[serde(default)]
+    pub manager: Option<Value>,
+    /// The members that are told of joins and leaves; absent = all.
+    #[serde(default)]
+    pub presence: Option<Presence>,
+    /// Deleted with its last member.
+    #[serde(default)]
+    pub transient: bool,
+    /// Channels: the messages that need ownership of a token.
+    #[serde(default)]
+    pub guard: Option<GuardArgs>,
+    /// Channels: the delivery class of parcels that name none.
+    #[serde(default)]
+    pub delivery: Option<String>,
+    /// Channels: what happens where a receiver has no room for a `reliable` parcel; absent = `close`.
+    #[serde(default)]
+    pub overflow: Option<String>,
+    /// Channels: messages kept for late joiners; absent = none.
+    #[serde(default)]
+    pub keep: Option<KeepArgs>,
+    /// Tokens: what is sent when ownership ends; absent = `halt` to every guarded channel.
+    #[serde(default)]
+    pub safe: Option<SafeArgs>,
+    /// Tokens: how long ownership lasts without renewal, in ms; absent = as the manager says.
+    #[serde(default)]
+    pub lease: Option<u64>,
+    /// Tokens: what happens at the lease's end; absent = as the manager says.
+    #[serde(default)]
+    pub expiry: Option<Expiry>,
+    /// Tokens: the owner loses it if it does not renew for so long, in ms; absent = as the manager says.
+    #[serde(default)]
+    pub deadman: Option<u64>,
+    /// Tokens: whether the safe state is sent also when the owner gives it away.
+    #[serde(default)]
+    pub safe_on_give: bool,
+}
+
+/// The guard of a channel.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GuardArgs {
+    /// The token's path.
+    pub token: String,
+    /// The messages; `*` stands for all.
+    pub names: Vec<String>,
+}
+
+/// The safe state of a token.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SafeArgs {
+    /// The channel's path.
+    pub channel: String,
+    /// The message's name.
+    pub name: String,
+    /// The message's content.
+    #[serde(default)]
+    pub content: Option<Value>,
+}
+
+impl ContextSpec {
+    /// The delivery class, checked.
+    pub(crate) fn delivery(&self) -> Result<Delivery, WireError> {
+        let Some(word) = &self.delivery else {
+            return Ok(Delivery::default());
+        };
+        Delivery::from_word(word).ok_or_else(|| {
+            bad(
+                "delivery",
+                format!("{word:?} is not one of reliable, latest, fleeting"),
+            )
+        })
+    }
+
+    /// What happens where a receiver has no room, checked.
+    pub(crate) fn overflow(&self) -> Result<Overflow, WireError> {
+        let Some(word) = &self.overflow else {
+            return Ok(Overflow::default());
+        };
+        let unknown = || bad("overflow", format!("{word:?} is not one of close, wait"));
+        Overflow::from_word(word).ok_or_else(unknown)
+    }
+}
