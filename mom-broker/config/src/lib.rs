@@ -23,10 +23,10 @@ use serde::Deserialize;
 
 pub use error::ConfigError;
 pub use explain::{Asked, Explanation, Supposed};
-pub use locate::Place;
+pub use locate::Location;
 pub use schema::{config_schema, users_schema};
 
-use locate::Source;
+use locate::SourceText;
 
 /// All that a broker can be told.
 ///
@@ -64,7 +64,7 @@ pub struct Config {
     pub contexts: Vec<ContextSpec>,
     /// The users.
     pub users: Vec<UserEntry>,
-    source: Option<Source>,
+    source: Option<SourceText>,
 }
 
 /// When the configuration file is read again.

@@ -11,7 +11,7 @@ use super::{Config, ConfigError};
 
 /// Where something stands in the configuration.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Place {
+pub struct Location {
     /// The file.
     pub file: String,
     /// The line, from 1.
@@ -20,7 +20,7 @@ pub struct Place {
     pub key: String,
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for Location {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(formatter, "{}:{}", self.file, self.line)
     }
@@ -28,12 +28,12 @@ impl fmt::Display for Place {
 
 /// A file's name and text, for errors that come after it was read.
 #[derive(Clone, Debug)]
-pub(super) struct Source {
+pub(super) struct SourceText {
     pub(super) name: String,
     pub(super) text: String,
 }
 
-impl Source {
+impl SourceText {
     /// An error of the parser.
     pub(super) fn syntax(&self, error: &toml::de::Error) -> ConfigError {
         let line = error.span().map(|span| self.line_at(span.start));
@@ -59,8 +59,8 @@ impl Source {
     }
 
     /// Where a key stands, or the nearest table above it.
-    pub(super) fn place(&self, keys: &[&str]) -> Option<Place> {
-        Some(Place {
+    pub(super) fn place(&self, keys: &[&str]) -> Option<Location> {
+        Some(Location {
             file: self.name.clone(),
             line: self.line_at(self.offset_of(keys)?),
             key: key_text(keys),
@@ -188,7 +188,7 @@ mod tests {
     #[test]
     fn keys_are_found() {
         let text = "a = 1\n[managers.lab]\nkind = \"roles\"\n[[contexts]]\npath = \"/a\"\n[[contexts]]\nkind = 'x'\n";
-        let source = Source {
+        let source = SourceText {
             name: "mom.toml".into(),
             text: text.into(),
         };

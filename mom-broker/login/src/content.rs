@@ -5,37 +5,37 @@ use mom_proto::{Code, Kind, Map, Parcel, Value, WireError, check_name};
 
 /// How a peer means to prove who it is.
 #[derive(Debug)]
-pub(super) struct Request {
-    pub(super) proof: Proof,
+pub(super) struct LoginRequest {
+    pub(super) proof: ClaimedProof,
     /// The name it wishes.
     pub(super) nickname: Option<String>,
 }
 
 /// By what.
-pub(super) enum Proof {
+pub(super) enum ClaimedProof {
     Password { name: String, password: String },
     Key { name: String },
     Token(String),
     Guest,
 }
 
-impl std::fmt::Debug for Proof {
+impl std::fmt::Debug for ClaimedProof {
     // Without the secrets.
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         formatter.write_str(match self {
-            Proof::Password { .. } => "Password",
-            Proof::Key { .. } => "Key",
-            Proof::Token(_) => "Token",
-            Proof::Guest => "Guest",
+            ClaimedProof::Password { .. } => "Password",
+            ClaimedProof::Key { .. } => "Key",
+            ClaimedProof::Token(_) => "Token",
+            ClaimedProof::Guest => "Guest",
         })
     }
 }
 
 const KEYS: [&str; 6] = ["name", "password", "key", "token", "guest", "nickname"];
 
-impl Request {
+impl LoginRequest {
     /// Reads the content of `login login`.
-    pub(super) fn read(parcel: &Parcel) -> Result<Request, WireError> {
+    pub(super) fn read(parcel: &Parcel) -> Result<LoginRequest, WireError> {
         let mut map = map_of(
             parcel,
             "a login needs content {name, password}, {name, key}, {token} or {guest}",
@@ -51,10 +51,10 @@ impl Request {
             check_name(nickname).map_err(|error| error.slot("content/nickname"))?;
         }
         let proof = match (name, password, key, token, guest) {
-            (Some(name), Some(password), false, None, false) => Proof::Password { name, password },
-            (Some(name), None, true, None, false) => Proof::Key { name },
-            (None, None, false, Some(token), false) => Proof::Token(token),
-            (None, None, false, None, true) => Proof::Guest,
+            (Some(name), Some(password), false, None, false) => ClaimedProof::Password { name, password },
+            (Some(name), None, true, None, false) => ClaimedProof::Key { name },
+            (None, None, false, Some(token), false) => ClaimedProof::Token(token),
+            (None, None, false, None, true) => ClaimedProof::Guest,
             (Some(_), None, false, None, false) => {
                 let text = "it is missing; who has a key says key, true, instead";
                 return Err(wrong("password", text));
@@ -70,7 +70,7 @@ impl Request {
                 return Err(WireError::new(Code::BAD_CONTENT, text).slot("content"));
             }
         };
-        Ok(Request { proof, nickname })
+        Ok(LoginRequest { proof, nickname })
     }
 }
 
@@ -146,8 +146,8 @@ mod tests {
     use super::*;
     use mom_proto::Family;
 
-    fn read(map: Map) -> Result<Request, WireError> {
-        Request::read(&Parcel::new(Family::Login, "login").content(map))
+    fn read(map: Map) -> Result<LoginRequest, WireError> {
+        LoginRequest::read(&Parcel::new(Family::Login, "login").content(map))
     }
 
     #[test]

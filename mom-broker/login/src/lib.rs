@@ -20,11 +20,11 @@ use mom_proto::{Code, Parcel, Time, WireError};
 use mom_system::Clock;
 use parking_lot::RwLock;
 
-use self::book::{Book, Standing};
-use self::content::{Proof, Request, read_signature};
+use self::book::{Book, Identity};
+use self::content::{ClaimedProof, LoginRequest, read_signature};
 use self::throttle::Throttle;
 
-pub use book::{GUEST, Origin, guest};
+pub use book::{GUEST, UserSource, guest};
 pub use error::SettingError;
 pub use jwt::Verifier;
 pub use key::Challenge;
@@ -34,7 +34,7 @@ pub use user::UserEntry;
 
 /// What follows on a login that is not refused.
 #[derive(Debug)]
-pub enum Step {
+pub enum LoginStep {
     /// A key has to answer this first.
     Challenge(Challenge),
     /// It is that user.
@@ -44,7 +44,7 @@ pub enum Step {
 /// A user that has proven who it is, before the hub knows.
 #[derive(Debug)]
 pub struct Granted {
-    standing: Standing,
+    standing: Identity,
     nickname: Option<String>,
     until: Option<Time>,
     /// By which it was proven.
@@ -59,7 +59,7 @@ pub struct Logins {
     book: RwLock<Arc<Book>>,
     throttle: Throttle,
     /// As whom each peer is here.
-    peers: DashMap<PeerId, Standing>,
+    peers: DashMap<PeerId, Identity>,
     /// Checked in place of an unknown user's, so that the time says nothing about who exists.
     dummy: String,
 }
@@ -130,22 +130,22 @@ impl Logins {
     ///
     /// # Errors
     /// Why it is refused.
-    pub async fn check(&self, parcel: &Parcel, from: Option<IpAddr>) -> Result<Step, WireError> {
-        let Request { proof, nickname } = Request::read(parcel)?;
+    pub async fn check(&self, parcel: &Parcel, from: Option<IpAddr>) -> Result<LoginStep, WireError> {
+        let LoginRequest { proof, nickname } = LoginRequest::read(parcel)?;
         let book = self.book();
         let (standing, until) = match proof {
-            Proof::Password { name, password } => {
+            ClaimedProof::Password { name, password } => {
                 (self.by_password(&book, &name, password, from).await?, None)
             }
-            Proof::Token(token) => self.by_token(&book, &token, from)?,
-            Proof::Guest => (book.guest()?, None),
-            Proof::Key { name } => {
+            ClaimedProof::Token(token) => self.by_token(&book, &token, from)?,
+            ClaimedProof::Guest => (book.guest()?, None),
+            ClaimedProof::Key { name } => {
                 let until = self.clock.now().saturating_add(book.challenge_time());
                 let challenge = Challenge::new(name, nickname, &book.settings.hub, until)?;
-                return Ok(Step::Challenge(challenge));
+                return Ok(LoginStep::Challenge(challenge));
             }
         };
-        Granted::new(standing, nickname, until, book).map(Step::Granted)
+        Granted::new(standing, nickname, until, book).map(LoginStep::Granted)
     }
 
     /// Checks a `login answer` to the last challenge of its connection, which is used up by that.
@@ -173,7 +173,7 @@ impl Logins {
         let keys = entry.map_or(&[][..], |entry| &entry.keys);
         match entry.zip(challenge.is_answered(keys, book.keys, &signature)) {
             Some((entry, key)) => {
-                let standing = Standing::of_file(entry, book::Proof::Key(Box::new(key)));
+                let standing = Identity::of_file(entry, book::ShownProof::Key(Box::new(key)));
                 Granted::new(standing, challenge.nickname, None, Arc::clone(&book))
             }
             None => {
@@ -241,7 +241,7 @@ impl Logins {
         name: &str,
         password: String,
         from: Option<IpAddr>,
-    ) -> Result<Standing, WireError> {
+    ) -> Result<Identity, WireError> {
         password::check_private(from, "password")?;
         let attempt = self.enter(book, from, Some(name))?;
         let entry = book.users.get(name).filter(|entry| entry.password.is_some());
@@ -255,7 +255,7 @@ impl Logins {
         match entry.filter(|_| matches) {
             Some(entry) => {
                 attempt.succeed();
-                Ok(Standing::of_file(entry, book::Proof::Password(shown)))
+                Ok(Identity::of_file(entry, book::ShownProof::Password(shown)))
             }
             None => {
                 attempt.fail();
@@ -272,7 +272,7 @@ impl Logins {
         book: &Book,
         token: &str,
         from: Option<IpAddr>,
-    ) -> Result<(Standing, Option<Time>), WireError> {
+    ) -> Result<(Identity, Option<Time>), WireError> {
         password::check_private(from, "token")?;
         let attempt = self.enter(book, from, None)?;
         let standing = book.bearer(token, self.clock.wall());
@@ -316,7 +316,7 @@ impl Logins {
 
 impl Granted {
     fn new(
-        standing: Standing,
+        standing: Identity,
         nickname: Option<String>,
         until: Option<Time>,
         book: Arc<Book>,
@@ -337,7 +337,7 @@ impl Granted {
     }
 
     /// Where the user comes from, for logs.
-    pub fn origin(&self) -> Origin {
+    pub fn origin(&self) -> UserSource {
         self.standing.origin
     }
 }
@@ -346,7 +346,7 @@ impl Granted {
 struct Attempt<'a> {
     logins: &'a Logins,
     book: &'a Book,
-    source: Option<throttle::Source>,
+    source: Option<throttle::AttemptSource>,
 }
 
 impl Attempt<'_> {

@@ -95,7 +95,7 @@ impl Hashing {
         hash: String,
         most: usize,
     ) -> Result<bool, WireError> {
-        let _place = Waiting::enter(&self.waiting, most).ok_or_else(|| {
+        let _place = HashPlace::enter(&self.waiting, most).ok_or_else(|| {
             WireError::new(Code::TRY_LATER, "too many logins at once").retry_after(Duration::from_secs(1))
         })?;
         let stopped = |_| WireError::new(Code::SHUTDOWN, "the hub is shutting down");
@@ -164,17 +164,17 @@ fn matches(password: &str, hash: &str) -> bool {
 }
 
 /// A place among those who wait for a hash; left on drop.
-struct Waiting<'a>(&'a AtomicUsize);
+struct HashPlace<'a>(&'a AtomicUsize);
 
-impl<'a> Waiting<'a> {
-    fn enter(waiting: &'a AtomicUsize, most: usize) -> Option<Waiting<'a>> {
+impl<'a> HashPlace<'a> {
+    fn enter(waiting: &'a AtomicUsize, most: usize) -> Option<HashPlace<'a>> {
         let before = waiting.fetch_add(1, Ordering::AcqRel);
-        let place = Waiting(waiting);
+        let place = HashPlace(waiting);
         (before < most).then_some(place)
     }
 }
 
-impl Drop for Waiting<'_> {
+impl Drop for HashPlace<'_> {
     fn drop(&mut self) {
         self.0.fetch_sub(1, Ordering::AcqRel);
     }

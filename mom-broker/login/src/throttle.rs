@@ -21,7 +21,7 @@ const MINUTE: Micros = 60_000_000;
 
 /// Where an attempt comes from, and at whose account it aims; hashed, so that all keys have one size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Source {
+pub(super) struct AttemptSource {
     address: u64,
     account: Option<Account>,
 }
@@ -36,11 +36,11 @@ struct Account {
 #[derive(Debug)]
 pub(super) struct Throttle {
     keys: RandomState,
-    state: Mutex<State>,
+    state: Mutex<ThrottleState>,
 }
 
 #[derive(Debug)]
-struct State {
+struct ThrottleState {
     addresses: Table,
     accounts: Table,
     /// Failures from an address that is known to the account: counted apart, so that neither who attacks the
@@ -60,7 +60,7 @@ impl Throttle {
             times: HashMap::new(),
             room,
         };
-        let state = State {
+        let state = ThrottleState {
             addresses: table(),
             accounts: table(),
             pairs: table(),
@@ -74,9 +74,9 @@ impl Throttle {
 
     /// The source of an attempt. A proof that cannot be guessed names no account: nobody can get its owner into
     /// trouble.
-    pub(super) fn source(&self, from: IpAddr, account: Option<&str>) -> Source {
+    pub(super) fn source(&self, from: IpAddr, account: Option<&str>) -> AttemptSource {
         let from = network(from);
-        Source {
+        AttemptSource {
             address: self.key(from),
             account: account.map(|account| Account {
                 account: self.key(account),
@@ -93,7 +93,12 @@ impl Throttle {
     ///
     /// # Errors
     /// How long it has to wait.
-    pub(super) fn check(&self, source: Source, now: Micros, config: &ThrottleConfig) -> Result<(), Duration> {
+    pub(super) fn check(
+        &self,
+        source: AttemptSource,
+        now: Micros,
+        config: &ThrottleConfig,
+    ) -> Result<(), Duration> {
         let state = self.state.lock();
         let wait = match source.account {
             Some(account) if state.known.has(account.pair) => {
@@ -110,7 +115,7 @@ impl Throttle {
     }
 
     /// Counts a failure.
-    pub(super) fn fail(&self, source: Source, now: Micros, config: &ThrottleConfig) {
+    pub(super) fn fail(&self, source: AttemptSource, now: Micros, config: &ThrottleConfig) {
         let mut state = self.state.lock();
         match source.account {
             Some(account) if state.known.has(account.pair) => {
@@ -126,7 +131,7 @@ impl Throttle {
     }
 
     /// Remembers from where the right user came.
-    pub(super) fn succeed(&self, source: Source, now: Micros) {
+    pub(super) fn succeed(&self, source: AttemptSource, now: Micros) {
         if let Some(account) = source.account {
             self.state.lock().known.set(account.pair, now);
         }
@@ -212,7 +217,7 @@ mod tests {
     }
 
     /// How many attempts in a row may fail before the source is told to wait, and how long.
-    fn fail_all(throttle: &Throttle, source: Source, now: Micros) -> (usize, Duration) {
+    fn fail_all(throttle: &Throttle, source: AttemptSource, now: Micros) -> (usize, Duration) {
         for count in 0.. {
             if let Err(wait) = throttle.check(source, now, &CONFIG) {
                 return (count, wait);

@@ -11,7 +11,7 @@ use mom_proto::{ContextKind, Path, Time, Value, Verb};
 use super::words;
 
 #[derive(clap::Args)]
-pub(super) struct Args {
+pub(super) struct ExplainArgs {
     /// The configuration file.
     #[arg(long, short, env = "MOM_CONFIG")]
     config: PathBuf,
@@ -50,7 +50,7 @@ pub(super) struct Args {
     json: bool,
 }
 
-pub(super) fn run(args: &Args) -> Result<()> {
+pub(super) fn run(args: &ExplainArgs) -> Result<()> {
     let config = Config::load(&args.config)?;
     let supposed = Supposed {
         user: args.user.clone(),

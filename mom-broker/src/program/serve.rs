@@ -8,10 +8,10 @@ use mom_broker::{Broker, Config, ConfigError, ReloadOn};
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
-use super::watch::Watch;
+use super::watch::FileWatch;
 
 #[derive(clap::Args)]
-pub(super) struct Args {
+pub(super) struct ServeArgs {
     /// The configuration file; without one the broker is closed to everybody.
     #[arg(long, short, env = "MOM_CONFIG")]
     config: Option<PathBuf>,
@@ -29,9 +29,9 @@ pub(super) struct Args {
 /// Changes what is logged.
 type LogFilter = Box<dyn Fn(EnvFilter) -> Result<()>>;
 
-pub(super) fn run(args: &Args) -> Result<()> {
+pub(super) fn run(args: &ServeArgs) -> Result<()> {
     // Before the file is read for the first time, so that no change is missed.
-    let watch = args.config.clone().map(Watch::new);
+    let watch = args.config.clone().map(FileWatch::new);
     let config = args.load()?;
     let log_filter = log(&config.log, args.log_json)?;
     if args.config.is_none() {
@@ -45,7 +45,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     runtime.block_on(args.serve(config, watch, &log_filter))
 }
 
-impl Args {
+impl ServeArgs {
     fn load(&self) -> Result<Config, ConfigError> {
         let mut config = match &self.config {
             Some(file) => Config::load(file)?,
@@ -60,7 +60,12 @@ impl Args {
         Ok(config)
     }
 
-    async fn serve(&self, config: Config, mut watch: Option<Watch>, log_filter: &LogFilter) -> Result<()> {
+    async fn serve(
+        &self,
+        config: Config,
+        mut watch: Option<FileWatch>,
+        log_filter: &LogFilter,
+    ) -> Result<()> {
         let mut terminate = signal(SignalKind::terminate()).context("cannot wait for SIGTERM")?;
         let mut interrupt = signal(SignalKind::interrupt()).context("cannot wait for Ctrl-C")?;
         let mut hang_up = signal(SignalKind::hangup()).context("cannot wait for SIGHUP")?;

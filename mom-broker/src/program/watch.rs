@@ -14,24 +14,24 @@ const EVERY: Duration = Duration::from_millis(500);
 type Stamp = Option<(u64, Option<SystemTime>, (u64, u64), (i64, i64))>;
 
 /// The configuration file, and the files that it names.
-pub(super) struct Watch {
+pub(super) struct FileWatch {
     /// The configuration file first.
-    files: Vec<File>,
+    files: Vec<WatchedFile>,
     /// The files were different at the last look; they are read when they are at rest.
     moving: bool,
 }
 
-struct File {
+struct WatchedFile {
     path: PathBuf,
     stamp: Stamp,
     content: Option<Vec<u8>>,
 }
 
-impl Watch {
+impl FileWatch {
     /// Looks at the files as they are now.
-    pub(super) fn new(config: PathBuf) -> Watch {
-        let mut watch = Watch {
-            files: vec![File::look(config)],
+    pub(super) fn new(config: PathBuf) -> FileWatch {
+        let mut watch = FileWatch {
+            files: vec![WatchedFile::look(config)],
             moving: false,
         };
         watch.look();
@@ -66,15 +66,15 @@ impl Watch {
 
     /// Takes the files as they are for known; says whether they say something else than at the last look.
     pub(super) fn look(&mut self) -> bool {
-        let config = File::look(self.files[0].path.clone());
+        let config = WatchedFile::look(self.files[0].path.clone());
         // A half-written file does not say which others there are.
         let others = config.others();
         let known = || self.files.iter().skip(1).map(|file| file.path.clone()).collect();
         let others: Vec<PathBuf> = others.unwrap_or_else(known);
-        let files: Vec<File> = std::iter::once(config)
-            .chain(others.into_iter().map(File::look))
+        let files: Vec<WatchedFile> = std::iter::once(config)
+            .chain(others.into_iter().map(WatchedFile::look))
             .collect();
-        let said = |file: &File| (file.path.clone(), file.content.clone());
+        let said = |file: &WatchedFile| (file.path.clone(), file.content.clone());
         let changed = !files.iter().map(said).eq(self.files.iter().map(said));
         self.files = files;
         self.moving = false;
@@ -82,12 +82,12 @@ impl Watch {
     }
 }
 
-impl File {
-    fn look(path: PathBuf) -> File {
+impl WatchedFile {
+    fn look(path: PathBuf) -> WatchedFile {
         // The stamp before the content: what is written in between is seen the next time.
         let stamp = stamp(&path);
         let content = fs::read(&path).ok();
-        File { path, stamp, content }
+        WatchedFile { path, stamp, content }
     }
 
     /// The files that a configuration names; none for text that does not say.

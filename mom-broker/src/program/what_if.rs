@@ -20,7 +20,7 @@ const STRIDE: u64 = 1024;
 const DIFFERS: u8 = 2;
 
 #[derive(clap::Args)]
-pub(super) struct Args {
+pub(super) struct WhatIfArgs {
     /// The configuration file to try.
     file: PathBuf,
     /// What a broker has recorded ([record] in its configuration, or --record).
@@ -35,7 +35,7 @@ pub(super) struct Args {
 }
 
 /// Exits with 0 if nothing differs and 2 if something does.
-pub(super) fn run(args: &Args) -> Result<ExitCode> {
+pub(super) fn run(args: &WhatIfArgs) -> Result<ExitCode> {
     let config = Config::load(&args.file)?;
     let mut replay = config.replay(&args.log)?;
     if args.rules {
@@ -106,7 +106,7 @@ fn progress(replay: &Replay) -> ProgressBar {
 }
 
 /// Says what makes the comparison less than whole.
-fn warn(replay: &Replay, args: &Args) -> Result<()> {
+fn warn(replay: &Replay, args: &WhatIfArgs) -> Result<()> {
     let mut err = io::stderr().lock();
     let log = args.log.display();
     let summary = replay.summary();

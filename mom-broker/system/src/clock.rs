@@ -25,11 +25,11 @@ use tokio::sync::watch;
 #[derive(Clone, Debug)]
 pub struct Clock {
     anchor: Time,
-    source: Source,
+    source: TimeSource,
 }
 
 #[derive(Clone, Debug)]
-enum Source {
+enum TimeSource {
     System(Instant),
     Manual(Arc<watch::Sender<Micros>>),
 }
@@ -44,7 +44,7 @@ impl Clock {
             .unwrap_or_default();
         Clock {
             anchor,
-            source: Source::System(Instant::now()),
+            source: TimeSource::System(Instant::now()),
         }
     }
 
@@ -52,14 +52,14 @@ impl Clock {
     pub fn manual(anchor: Time) -> Clock {
         Clock {
             anchor,
-            source: Source::Manual(Arc::new(watch::Sender::new(0))),
+            source: TimeSource::Manual(Arc::new(watch::Sender::new(0))),
         }
     }
 
     /// Moves a manual clock, with all its clones, and wakes what waits for a time that has come. The
     /// system's time goes by itself and stays as it is.
     pub fn advance(&self, by: Duration) {
-        if let Source::Manual(now) = &self.source {
+        if let TimeSource::Manual(now) = &self.source {
             now.send_modify(|now| *now = now.saturating_add(micros(by)));
         }
     }
@@ -67,8 +67,8 @@ impl Clock {
     /// µs since the start.
     pub fn now(&self) -> Micros {
         match &self.source {
-            Source::System(start) => micros(start.elapsed()),
-            Source::Manual(now) => *now.borrow(),
+            TimeSource::System(start) => micros(start.elapsed()),
+            TimeSource::Manual(now) => *now.borrow(),
         }
     }
 
@@ -94,11 +94,11 @@ impl Clock {
     /// Waits until a monotonic time has come.
     pub async fn reach(&self, at: Micros) {
         match &self.source {
-            Source::System(start) => {
+            TimeSource::System(start) => {
                 let at = *start + Duration::from_micros(at);
                 tokio::time::sleep_until(at.into()).await;
             }
-            Source::Manual(now) => {
+            TimeSource::Manual(now) => {
                 // The sender lives as long as this clock, so the wait ends only with the time.
                 let _ = now.subscribe().wait_for(|now| *now >= at).await;
             }

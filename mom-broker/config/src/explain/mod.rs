@@ -10,7 +10,7 @@ use mom_proto::{ContextKind, Family, Map, Path, Pattern, Time, Value, Verb};
 use mom_system::Clock;
 use serde::Serialize;
 
-use super::{Config, ConfigError, Place};
+use super::{Config, ConfigError, Location};
 
 use words::{error_map, later, needs, stands};
 
@@ -63,7 +63,7 @@ pub struct Explanation {
     /// Whether it is no rule but the manager's answer where none covers the request.
     pub uncovered: bool,
     /// Where that stands.
-    pub place: Option<Place>,
+    pub place: Option<Location>,
     /// How the manager that was asked is named.
     pub manager: String,
     /// The context that it manages.

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use mom_system::{numbered, open_own};
 
 use super::fact::LONGEST;
-use super::sink::Sink;
+use super::sink::LineSink;
 
 /// A file of at most so many bytes, and those before it.
 #[derive(Debug)]
@@ -132,7 +132,7 @@ impl Drop for RotatingFile {
     }
 }
 
-impl Sink for RotatingFile {
+impl LineSink for RotatingFile {
     fn append(&mut self, lines: &[Vec<u8>]) -> (usize, io::Result<()>) {
         let mut done = 0;
         while done < lines.len() {

@@ -28,8 +28,8 @@ pub use settings::AuditConfig;
 
 use file::RotatingFile;
 use mom_system::Clock;
-use sink::{Log, Sink};
-use writer::{Note, Shared, Writer};
+use sink::{LineSink, TracingSink};
+use writer::{AuditNote, AuditShared, AuditWriter};
 
 /// Facts that wait for the writer.
 const QUEUE: usize = 16 * 1024;
@@ -39,7 +39,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 
 /// What is known of a connection that facts about it do not say themselves.
 #[derive(Debug, Default)]
-struct Connection {
+struct Client {
     from: Option<IpAddr>,
     user: Option<Arc<str>>,
 }
@@ -47,9 +47,9 @@ struct Connection {
 /// The audit log of a broker.
 #[derive(Debug)]
 pub struct AuditLog {
-    queue: SyncSender<Note>,
-    shared: Arc<Shared>,
-    connections: DashMap<PeerId, Connection>,
+    queue: SyncSender<AuditNote>,
+    shared: Arc<AuditShared>,
+    connections: DashMap<PeerId, Client>,
     dead: AtomicBool,
 }
 
@@ -64,14 +64,14 @@ impl AuditLog {
                 let (file, seq) = RotatingFile::open(path, config.size, config.keep)?;
                 AuditLog::write_to(file, clock, seq)
             }
-            None => AuditLog::write_to(Log, clock, 0),
+            None => AuditLog::write_to(TracingSink, clock, 0),
         }
     }
 
-    fn write_to(sink: impl Sink + 'static, clock: Clock, seq: u64) -> io::Result<AuditLog> {
-        let shared = Arc::new(Shared::default());
+    fn write_to(sink: impl LineSink + 'static, clock: Clock, seq: u64) -> io::Result<AuditLog> {
+        let shared = Arc::new(AuditShared::default());
         let (queue, notes) = sync_channel(QUEUE);
-        let writer = Writer::new(sink, clock, Arc::clone(&shared), seq);
+        let writer = AuditWriter::new(sink, clock, Arc::clone(&shared), seq);
         std::thread::Builder::new()
             .name("audit".to_owned())
             .spawn(move || writer.run(&notes))?;
@@ -92,7 +92,7 @@ impl AuditLog {
 
     fn queue(&self, fact: Fact) {
         let count = fact.count.unwrap_or(1);
-        match self.queue.try_send(Note::Fact(Box::new(fact))) {
+        match self.queue.try_send(AuditNote::Fact(Box::new(fact))) {
             Ok(()) => {}
             // The writer tells how many, as soon as it can.
             Err(TrySendError::Full(_)) => drop(self.shared.lost.fetch_add(count, Ordering::Relaxed)),
@@ -143,7 +143,7 @@ impl AuditLog {
 
     /// A connection from somewhere has come.
     pub fn arrived(&self, peer: PeerId, from: Option<IpAddr>) {
-        let connection = Connection { from, user: None };
+        let connection = Client { from, user: None };
         self.connections.insert(peer, connection);
     }
 
@@ -171,7 +171,7 @@ impl AuditLog {
         // The queue may be full. A thread of its own, because a disk that hangs must not hold up the program's end.
         let sent = std::thread::Builder::new()
             .name("audit-flush".to_owned())
-            .spawn(move || queue.send(Note::Flush(done)).is_ok());
+            .spawn(move || queue.send(AuditNote::Flush(done)).is_ok());
         if sent.is_err() || tokio::time::timeout(PATIENCE, written).await.is_err() {
             tracing::error!("the audit log could not be written to its end");
         }

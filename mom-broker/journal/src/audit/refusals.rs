@@ -21,12 +21,12 @@ const OF_ALL: usize = 1024;
 const MANY: &str = "more than can be told apart";
 
 /// Who was refused: a peer, or an address where there is none yet.
-type Who = Arc<str>;
+type Refused = Arc<str>;
 
 /// What makes two refusals alike.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-struct Key {
-    who: Who,
+struct RefusalKey {
+    who: Refused,
     user: Option<Arc<str>>,
     verb: Option<Verb>,
     context: Option<Path>,
@@ -38,15 +38,15 @@ struct Key {
 /// Refusals of the present and the last second.
 #[derive(Debug, Default)]
 pub(super) struct Refusals {
-    alike: HashMap<Key, Alike>,
+    alike: HashMap<RefusalKey, FoldedRefusals>,
     /// How many keys one peer has.
-    keys: HashMap<Who, usize>,
+    keys: HashMap<Refused, usize>,
     /// One of those beyond all bounds, and how many they are.
     others: Option<(Fact, u64)>,
 }
 
 #[derive(Debug)]
-struct Alike {
+struct FoldedRefusals {
     last: Fact,
     /// Those that no line was written for yet.
     count: u64,
@@ -74,11 +74,11 @@ impl Refusals {
         }
         *self.keys.entry(Arc::clone(&key.who)).or_default() += 1;
         let last = fact.clone();
-        self.alike.insert(key, Alike { last, count: 0 });
+        self.alike.insert(key, FoldedRefusals { last, count: 0 });
         Some(fact)
     }
 
-    fn count(&mut self, key: &Key, fact: &Fact) -> bool {
+    fn count(&mut self, key: &RefusalKey, fact: &Fact) -> bool {
         let Some(alike) = self.alike.get_mut(key) else {
             return false;
         };
@@ -119,7 +119,7 @@ impl Refusals {
     }
 }
 
-fn key_of(fact: &Fact) -> Key {
+fn key_of(fact: &Fact) -> RefusalKey {
     let Audit {
         peer,
         user,
@@ -131,7 +131,7 @@ fn key_of(fact: &Fact) -> Key {
         ..
     } = fact.audit.clone();
     let address = || fact.from.map(|from| from.to_string().into());
-    Key {
+    RefusalKey {
         who: peer.or_else(address).unwrap_or_else(|| "".into()),
         user,
         verb,
@@ -142,8 +142,8 @@ fn key_of(fact: &Fact) -> Key {
     }
 }
 
-fn reduced(key: Key) -> Key {
-    Key {
+fn reduced(key: RefusalKey) -> RefusalKey {
+    RefusalKey {
         user: None,
         verb: None,
         context: None,

@@ -3,7 +3,7 @@
 use std::io;
 
 /// Takes lines for good.
-pub(super) trait Sink: Send {
+pub(super) trait LineSink: Send {
     /// Appends whole lines; gives how many are in, and why the others are not.
     fn append(&mut self, lines: &[Vec<u8>]) -> (usize, io::Result<()>);
 
@@ -16,9 +16,9 @@ pub(super) trait Sink: Send {
 
 /// The log, for who has configured no file.
 #[derive(Debug)]
-pub(super) struct Log;
+pub(super) struct TracingSink;
 
-impl Sink for Log {
+impl LineSink for TracingSink {
     fn append(&mut self, lines: &[Vec<u8>]) -> (usize, io::Result<()>) {
         for line in lines {
             tracing::info!(target: "audit", "{}", String::from_utf8_lossy(line).trim_end());

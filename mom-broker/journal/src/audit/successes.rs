@@ -31,7 +31,7 @@ const OF_ALL: usize = 1024;
 
 /// What makes two facts alike.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-struct Key {
+struct FactKey {
     what: &'static str,
     peer: Option<Arc<str>>,
     user: Option<Arc<str>>,
@@ -42,7 +42,7 @@ struct Key {
 }
 
 #[derive(Debug, Default)]
-struct Alike {
+struct FoldedFacts {
     /// Lines of the present second.
     own: u32,
     /// The last of those that no line was written for yet, how many they are, and its place in the order of all.
@@ -52,7 +52,7 @@ struct Alike {
 /// Facts of the present and the last second.
 #[derive(Debug, Default)]
 pub(super) struct Successes {
-    alike: HashMap<Key, Alike>,
+    alike: HashMap<FactKey, FoldedFacts>,
     /// Facts that were folded so far.
     order: u64,
 }
@@ -73,7 +73,7 @@ impl Successes {
             }
             Some(alike) => alike.own += 1,
             None if room => {
-                let first = Alike { own: 1, folded: None };
+                let first = FoldedFacts { own: 1, folded: None };
                 self.alike.insert(key, first);
             }
             None => {}
@@ -92,7 +92,7 @@ impl Successes {
         lines
     }
 
-    fn unfold(&mut self, of: impl Fn(&Key) -> bool) -> Vec<Fact> {
+    fn unfold(&mut self, of: impl Fn(&FactKey) -> bool) -> Vec<Fact> {
         let about = self.alike.iter_mut().filter(|(key, _)| of(key));
         let mut folded: Vec<_> = about.filter_map(|(_, alike)| alike.folded.take()).collect();
         folded.sort_by_key(|(_, _, order)| *order);
@@ -105,8 +105,8 @@ impl Successes {
     }
 }
 
-fn key_of(audit: &Audit) -> Key {
-    Key {
+fn key_of(audit: &Audit) -> FactKey {
+    FactKey {
         what: audit.what,
         peer: audit.peer.clone(),
         user: audit.user.clone(),

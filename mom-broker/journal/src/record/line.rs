@@ -14,11 +14,11 @@ pub(super) const VERSION: u32 = 1;
 /// One line of a recording.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub(super) enum Line {
+pub(super) enum RecordedLine {
     /// The first.
-    Head(Box<Head>),
+    Head(Box<RecordingHead>),
     /// One input of the hub.
-    Step(Box<Step>),
+    Step(Box<RecordedStep>),
     /// The last of a recording that was ended, and why.
     End(String),
 }
@@ -26,7 +26,7 @@ pub(super) enum Line {
 /// What a replay has to know before the first input.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub(super) struct Head {
+pub(super) struct RecordingHead {
     /// The form of the lines.
     pub(super) form: u32,
     /// The broker's version.
@@ -64,7 +64,7 @@ pub(super) struct OldRecord {
 /// An input and what was decided on it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub(super) struct Step {
+pub(super) struct RecordedStep {
     /// Monotonic µs.
     pub(super) now: u64,
     /// What came.
@@ -135,9 +135,9 @@ pub(super) struct RequestTold {
     pub(super) content: Option<Recorded>,
 }
 
-impl Head {
-    pub(super) fn new(settings: &Settings, config: &ConfigFile) -> Head {
-        Head {
+impl RecordingHead {
+    pub(super) fn new(settings: &Settings, config: &ConfigFile) -> RecordingHead {
+        RecordingHead {
             form: VERSION,
             version: env!("CARGO_PKG_VERSION").to_owned(),
             anchor: settings.anchor,

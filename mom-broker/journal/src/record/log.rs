@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
-use super::line::{Head, Line, VERSION};
+use super::line::{RecordedLine, RecordingHead, VERSION};
 
 /// A parcel's content in base64, and what stands around it.
 const LONGEST: u64 = 64 * 1024 * 1024;
@@ -37,7 +37,7 @@ pub enum RecordError {
 
 /// A recording that is being read.
 #[derive(Debug)]
-pub(super) struct Log {
+pub(super) struct RecordingReader {
     name: String,
     reader: BufReader<File>,
     next: Option<Vec<u8>>,
@@ -47,9 +47,9 @@ pub(super) struct Log {
     torn: bool,
 }
 
-impl Log {
+impl RecordingReader {
     /// Opens a recording and reads its head.
-    pub(super) fn open(path: &Path) -> Result<(Log, Head), RecordError> {
+    pub(super) fn open(path: &Path) -> Result<(RecordingReader, RecordingHead), RecordError> {
         let name = path.display().to_string();
         let failed = |error| RecordError::Read {
             file: name.clone(),
@@ -57,7 +57,7 @@ impl Log {
         };
         let file = File::open(path).map_err(failed)?;
         let length = file.metadata().map_err(failed)?.len();
-        let mut log = Log {
+        let mut log = RecordingReader {
             name,
             reader: BufReader::new(file),
             next: None,
@@ -68,8 +68,8 @@ impl Log {
         };
         log.next = log.read_line()?;
         match log.next()? {
-            Some(Line::Head(head)) if head.form == VERSION => Ok((log, *head)),
-            Some(Line::Head(head)) => Err(log.error(format!(
+            Some(RecordedLine::Head(head)) if head.form == VERSION => Ok((log, *head)),
+            Some(RecordedLine::Head(head)) => Err(log.error(format!(
                 "a recording of form {}; this program reads form {VERSION}",
                 head.form
             ))),
@@ -77,8 +77,8 @@ impl Log {
         }
     }
 
-    /// The next line. A last one that was cut off is as if it were not there, see [`Log::is_torn`].
-    pub(super) fn next(&mut self) -> Result<Option<Line>, RecordError> {
+    /// The next line. A last one that was cut off is as if it were not there, see [`RecordingReader::is_torn`].
+    pub(super) fn next(&mut self) -> Result<Option<RecordedLine>, RecordError> {
         let Some(bytes) = self.next.take() else {
             return Ok(None);
         };
@@ -149,7 +149,7 @@ mod tests {
         let folder = TempDir::new().unwrap();
         let path = folder.path().join("control.jsonl");
         fs::write(&path, text).unwrap();
-        let (mut log, _) = match Log::open(&path) {
+        let (mut log, _) = match RecordingReader::open(&path) {
             Ok(opened) => opened,
             Err(error) => return (Err(error.to_string()), false),
         };
