@@ -24,26 +24,26 @@ pub(crate) enum Over {
 
 /// What is left to each peer of one rate. A peer whose buckets are full needs no entry.
 #[derive(Debug)]
-pub(crate) struct Counts {
+pub(crate) struct RateCounts {
     rate: Rate,
     most: usize,
-    left: BTreeMap<Arc<str>, Left>,
+    left: BTreeMap<Arc<str>, BucketsLeft>,
     /// While there is no room: nothing is full again before this time.
     no_room_until: Micros,
 }
 
 /// Parts left in both buckets at a time.
 #[derive(Clone, Copy, Debug)]
-struct Left {
+struct BucketsLeft {
     parcels: u64,
     bytes: u64,
     at: Micros,
 }
 
-impl Counts {
+impl RateCounts {
     /// Full buckets for every peer, of which at most so many are counted at once.
-    pub(crate) fn new(rate: Rate, most: usize) -> Counts {
-        Counts {
+    pub(crate) fn new(rate: Rate, most: usize) -> RateCounts {
+        RateCounts {
             rate,
             most,
             left: BTreeMap::new(),
@@ -65,7 +65,7 @@ impl Counts {
             Some(left) => left.at(&self.rate, now),
             None => {
                 self.make_room(now)?;
-                Left::full(&self.rate, now)
+                BucketsLeft::full(&self.rate, now)
             }
         };
         let bytes = u64::try_from(bytes).unwrap_or(u64::MAX);
@@ -98,9 +98,9 @@ impl Counts {
     }
 }
 
-impl Left {
-    fn full(rate: &Rate, now: Micros) -> Left {
-        Left {
+impl BucketsLeft {
+    fn full(rate: &Rate, now: Micros) -> BucketsLeft {
+        BucketsLeft {
             parcels: capacity(rate.parcels),
             bytes: capacity(rate.bytes),
             at: now,
@@ -108,13 +108,13 @@ impl Left {
     }
 
     /// What is left later.
-    fn at(&self, rate: &Rate, now: Micros) -> Left {
+    fn at(&self, rate: &Rate, now: Micros) -> BucketsLeft {
         let elapsed = now.saturating_sub(self.at);
         let more = |bucket: Bucket, left: u64| {
             let back = elapsed.saturating_mul(bucket.per_second);
             left.saturating_add(back).min(capacity(bucket))
         };
-        Left {
+        BucketsLeft {
             parcels: more(rate.parcels, self.parcels),
             bytes: more(rate.bytes, self.bytes),
             at: now,

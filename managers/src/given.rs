@@ -2,9 +2,9 @@
 
 use mom_proto::Code;
 
-use crate::{Given, Question, Scope, Verdict};
+use crate::{GivenAnswer, Question, Scope, Verdict};
 
-impl Given {
+impl GivenAnswer {
     /// Whether a peer said yes; a yes of nobody is none.
     pub(crate) fn allows(&self) -> bool {
         self.allow && self.by.is_some()

@@ -40,7 +40,8 @@ mod who;
 pub use question::{Micros, Owner, PeerFacts, Question, TokenFacts};
 pub use registry::{Factory, Registry, Setup};
 pub use verdict::{
-    Answer, Ask, Bucket, Defer, Denial, Expiry, Given, Grant, Rate, Scope, Standing, Terms, Verdict, Wait,
+    Answer, Ask, Bucket, Defer, Denial, Expiry, GivenAnswer, Grant, Rate, Scope, Standing, Terms, Verdict,
+    Wait,
 };
 
 // The examples of the guide are compiled and run with the doctests.

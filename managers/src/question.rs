@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use mom_proto::{ContextKind, Path, Time, Verb};
 
-use crate::Given;
+use crate::GivenAnswer;
 
 /// Monotonic time in µs since the hub's start.
 pub type Micros = u64;
@@ -74,7 +74,7 @@ pub struct Question<'a> {
     /// Whether the peer made this context.
     pub created: bool,
     /// What was answered to earlier deferrals of this same request; the last of a label holds.
-    pub answers: &'a [Given],
+    pub answers: &'a [GivenAnswer],
     /// Whether the same request was decided on before, and somebody had to be asked about it, here or elsewhere.
     pub repeated: bool,
     /// The time.
@@ -85,7 +85,7 @@ pub struct Question<'a> {
 
 impl Question<'_> {
     /// What was answered to this manager's earlier deferral of the same request.
-    pub fn given(&self, label: &str) -> Option<&Given> {
+    pub fn given(&self, label: &str) -> Option<&GivenAnswer> {
         self.answers.iter().rev().find(|given| &*given.label == label)
     }
 }

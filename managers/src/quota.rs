@@ -5,7 +5,7 @@ use std::sync::Arc;
 use mom_proto::{Code, Verb, WireError};
 use serde::Deserialize;
 
-use crate::bucket::{Counts, HIGHEST, Over};
+use crate::bucket::{HIGHEST, Over, RateCounts};
 use crate::params::Verbs;
 use crate::who::{Who, WhoParams};
 use crate::{Bucket, Manager, Question, Rate, Setup, Verdict};
@@ -44,15 +44,15 @@ struct LimitParams {
 #[derive(Debug)]
 struct Quota {
     label: Arc<str>,
-    limits: Vec<Limit>,
+    limits: Vec<QuotaLimit>,
 }
 
 #[derive(Debug)]
-struct Limit {
+struct QuotaLimit {
     name: Arc<str>,
     who: Who,
     verbs: Verbs,
-    counts: Counts,
+    counts: RateCounts,
 }
 
 pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
@@ -64,7 +64,7 @@ pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
         return Err(setup.error("limits", &format!("a quota has at most {MOST} limits")));
     }
     let limits = limits.into_iter().enumerate();
-    let limits: Result<Vec<Limit>, WireError> = limits
+    let limits: Result<Vec<QuotaLimit>, WireError> = limits
         .map(|(index, limit)| make_limit(setup, index, limit))
         .collect();
     Ok(Box::new(Quota {
@@ -73,7 +73,7 @@ pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
     }))
 }
 
-fn make_limit(setup: &Setup<'_>, index: usize, params: LimitParams) -> Result<Limit, WireError> {
+fn make_limit(setup: &Setup<'_>, index: usize, params: LimitParams) -> Result<QuotaLimit, WireError> {
     let place = format!("limits/{index}");
     let key = |key: &str| format!("{place}/{key}");
     let verbs = match &params.verbs {
@@ -101,11 +101,11 @@ fn make_limit(setup: &Setup<'_>, index: usize, params: LimitParams) -> Result<Li
         min_level: params.min_level,
     };
     let name = params.name.unwrap_or_else(|| format!("limit {}", index + 1));
-    Ok(Limit {
+    Ok(QuotaLimit {
         name: format!("{}/{name}", setup.label).into(),
         who: Who::read(setup, &place, who)?,
         verbs,
-        counts: Counts::new(rate, PEERS),
+        counts: RateCounts::new(rate, PEERS),
     })
 }
 
@@ -158,7 +158,7 @@ impl Manager for Quota {
     }
 }
 
-impl Limit {
+impl QuotaLimit {
     fn covers(&self, question: &Question<'_>) -> bool {
         self.verbs.covers(question.verb) && self.who.fits(question.peer)
     }

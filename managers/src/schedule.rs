@@ -57,13 +57,13 @@ struct SlotParams {
 #[derive(Debug)]
 struct Schedule {
     label: Arc<str>,
-    slots: Vec<Slot>,
+    slots: Vec<Period>,
     free: Free,
     verbs: Verbs,
 }
 
 #[derive(Debug)]
-struct Slot {
+struct Period {
     name: Arc<str>,
     span: Span,
     who: Who,
@@ -78,7 +78,7 @@ pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
         return Err(setup.error("slots", &format!("a schedule has at most {MOST} slots")));
     }
     let slots = params.slots.into_iter().enumerate();
-    let slots: Result<Vec<Slot>, WireError> =
+    let slots: Result<Vec<Period>, WireError> =
         slots.map(|(index, slot)| make_slot(setup, index, slot)).collect();
     Ok(Box::new(Schedule {
         label: setup.label.into(),
@@ -88,7 +88,7 @@ pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
     }))
 }
 
-fn make_slot(setup: &Setup<'_>, index: usize, params: SlotParams) -> Result<Slot, WireError> {
+fn make_slot(setup: &Setup<'_>, index: usize, params: SlotParams) -> Result<Period, WireError> {
     let key = format!("slots/{index}");
     let name = params.name.unwrap_or_else(|| format!("slot {}", index + 1));
     let who = WhoParams {
@@ -96,7 +96,7 @@ fn make_slot(setup: &Setup<'_>, index: usize, params: SlotParams) -> Result<Slot
         groups: params.groups,
         min_level: params.min_level,
     };
-    Ok(Slot {
+    Ok(Period {
         name: format!("{}/{name}", setup.label).into(),
         span: Span::read(setup, &key, &params.from, &params.to, params.days.as_deref())?,
         who: Who::read(setup, &key, who)?,
@@ -131,12 +131,12 @@ impl Manager for Schedule {
 
 impl Schedule {
     /// The slots that this instant is in.
-    fn reserved(&self, at: i64) -> impl Iterator<Item = &Slot> {
+    fn reserved(&self, at: i64) -> impl Iterator<Item = &Period> {
         self.slots.iter().filter(move |slot| slot.span.end(at).is_some())
     }
 
     /// The slots that list the peer.
-    fn own<'a>(&'a self, question: &Question<'a>) -> impl Iterator<Item = &'a Slot> {
+    fn own<'a>(&'a self, question: &Question<'a>) -> impl Iterator<Item = &'a Period> {
         let peer = question.peer;
         self.slots.iter().filter(move |slot| slot.who.fits(peer))
     }
@@ -163,7 +163,7 @@ impl Schedule {
         Verdict::allow().until(next.map(|begin| clock(question, self.own_end(question, begin))))
     }
 
-    fn refuse(&self, question: &Question<'_>, at: i64, reserved: Option<&Slot>) -> Verdict {
+    fn refuse(&self, question: &Question<'_>, at: i64, reserved: Option<&Period>) -> Verdict {
         let earliest = self.next_allowed(question, at);
         let context = question.context;
         let state = match reserved.and_then(|slot| Some((slot, slot.span.end(at)?))) {

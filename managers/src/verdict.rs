@@ -76,7 +76,7 @@ impl Ask {
 
 /// What a deferred question was answered.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Given {
+pub struct GivenAnswer {
     /// The label of the [`Defer`].
     pub label: Arc<str>,
     /// The peer that answered; none if nobody did in time, or nobody could be asked.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use mom_managers::{
-    Answer, Defer, Denial, Given, Grant, Micros, Owner, PeerFacts, Question, TokenFacts, Verdict,
+    Answer, Defer, Denial, GivenAnswer, Grant, Micros, Owner, PeerFacts, Question, TokenFacts, Verdict,
 };
 use mom_proto::{Code, ContextKind, ContextNumber, Path, Verb, WireError};
 
@@ -121,7 +121,7 @@ impl Hub {
             .answers
             .iter()
             .filter(|heard| heard.peer == peer && heard.verb == wish.verb && heard.at == wish.at);
-        let answers: Vec<Given> = mine.map(|heard| heard.given.clone()).collect();
+        let answers: Vec<GivenAnswer> = mine.map(|heard| heard.given.clone()).collect();
         let verdict = match self.question(managing, peer, &facts, &answers, wish) {
             // A manager of somebody else's making that panics must not end the hub, nor let anybody in.
             Some(question) => std::panic::catch_unwind(AssertUnwindSafe(|| manager.decide(&question)))
@@ -142,7 +142,7 @@ impl Hub {
         managing: ContextNumber,
         peer: PeerId,
         facts: &'a PeerFacts,
-        answers: &'a [Given],
+        answers: &'a [GivenAnswer],
         wish: &'a Wish<'_>,
     ) -> Option<Question<'a>> {
         let context = self.tree.get(wish.at)?;

@@ -6,7 +6,7 @@
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
 
-use mom_managers::{Ask, Defer, Given, Micros};
+use mom_managers::{Ask, Defer, GivenAnswer, Micros};
 use mom_proto::{Code, Content, ContextNumber, Family, Map, Parcel, Path, Value, Verb, WireError};
 
 use crate::age::Aged;
@@ -93,7 +93,7 @@ pub(crate) struct Heard {
     pub(crate) peer: PeerId,
     pub(crate) verb: Verb,
     pub(crate) at: ContextNumber,
-    pub(crate) given: Given,
+    pub(crate) given: GivenAnswer,
 }
 
 impl Hub {
@@ -229,7 +229,13 @@ impl Hub {
     }
 
     /// Takes the answer of a peer to a question; false if it was not asked, or not any more.
-    pub(crate) fn answer(&mut self, question: u64, given: Given, by: PeerId, out: &mut Vec<Effect>) -> bool {
+    pub(crate) fn answer(
+        &mut self,
+        question: u64,
+        given: GivenAnswer,
+        by: PeerId,
+        out: &mut Vec<Effect>,
+    ) -> bool {
         let asked = self.pending.get(&question);
         // Who was a chair when it was asked may have left the room meanwhile, or been put out of it.
         let may =
@@ -239,7 +245,7 @@ impl Hub {
         }
         if let Some(pending) = self.take_pending(question) {
             let label = Arc::clone(&pending.label);
-            self.finish(pending, Given { label, ..given }, out);
+            self.finish(pending, GivenAnswer { label, ..given }, out);
         }
         true
     }
@@ -253,7 +259,7 @@ impl Hub {
         self.finish(pending, given, out);
     }
 
-    fn finish(&mut self, pending: Pending, given: Given, out: &mut Vec<Effect>) {
+    fn finish(&mut self, pending: Pending, given: GivenAnswer, out: &mut Vec<Effect>) {
         let Pending {
             peer,
             parcel,
@@ -380,7 +386,7 @@ impl Hub {
 }
 
 impl Whom {
-    fn heard(&self, given: Given) -> Heard {
+    fn heard(&self, given: GivenAnswer) -> Heard {
         Heard {
             peer: self.peer,
             verb: self.verb,
@@ -395,8 +401,8 @@ pub(crate) fn take_parcel(parcel: &mut Parcel) -> Parcel {
     std::mem::replace(parcel, Parcel::new(Family::Message, ""))
 }
 
-fn unanswered(label: Arc<str>, why: &str) -> Given {
-    Given {
+fn unanswered(label: Arc<str>, why: &str) -> GivenAnswer {
+    GivenAnswer {
         label,
         by: None,
         allow: false,
