@@ -5,7 +5,7 @@ use mom_proto::{Family, Parcel, Path, WireError};
 
 use crate::Event;
 use crate::info::{map_of, text};
-use crate::pending::Waiter;
+use crate::pending::AnswerTo;
 use crate::shared::{Shared, State};
 
 impl Shared {
@@ -67,7 +67,7 @@ impl Shared {
         let mut state = self.lock();
         // After the good-bye nothing more is said, and a link that is gone meanwhile needs no heartbeat.
         if !state.outbox.is_finished() {
-            let _ = self.ask_in(&mut state, ping, &mut Some(Waiter::Nobody));
+            let _ = self.ask_in(&mut state, ping, &mut Some(AnswerTo::Nobody));
         }
         drop(state);
         self.outgoing.notify_one();

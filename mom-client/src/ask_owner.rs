@@ -10,7 +10,7 @@ use tokio::sync::oneshot;
 
 use crate::info::millis;
 use crate::membership::Membership;
-use crate::pending::Waiter;
+use crate::pending::AnswerTo;
 use crate::shared::verb;
 use crate::{ClientError, TokenGuard};
 
@@ -65,7 +65,7 @@ impl<'a> AskOwner<'a> {
             content.set("text", text.as_str());
         }
         let (sender, receiver) = oneshot::channel();
-        let waiter = Waiter::Obtain {
+        let waiter = AnswerTo::Obtain {
             member: self.member.clone(),
             answer: sender,
         };

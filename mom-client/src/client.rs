@@ -13,8 +13,8 @@ use crate::login::Welcome;
 use crate::proof::{Credentials, is_challenge};
 use crate::shared::{Shared, verb};
 use crate::{
-    Builder, Channel, ClientError, Consults, ContextInfo, Events, HubClock, Link, Member, Proof, Session,
-    Stats, Token,
+    Builder, Channel, ClientError, Consults, ContextInfo, Events, HubClock, LinkState, Member, Proof,
+    Session, Stats, Token,
 };
 
 /// How long a good-bye may take.
@@ -302,7 +302,7 @@ impl Client {
     }
 
     /// The state of the link, to look at and to wait on.
-    pub fn state(&self) -> watch::Receiver<Link> {
+    pub fn state(&self) -> watch::Receiver<LinkState> {
         self.shared().link.subscribe()
     }
 
@@ -313,7 +313,7 @@ impl Client {
         shared.end();
         let mut link = shared.link.subscribe();
         // Who cannot be told in time is told by the end of the connection.
-        let _ = timeout(CLOSE, link.wait_for(|link| matches!(link, Link::Closed(_)))).await;
+        let _ = timeout(CLOSE, link.wait_for(|link| matches!(link, LinkState::Closed(_)))).await;
     }
 
     async fn ask(

@@ -34,20 +34,20 @@ pub(crate) type Wall = Arc<dyn Fn() -> Option<Time> + Send + Sync>;
 /// ```
 #[derive(Clone)]
 pub struct HubClock {
-    inner: Arc<Inner>,
+    inner: Arc<ClockState>,
 }
 
-struct Inner {
+struct ClockState {
     wall: Wall,
     /// The own clock that is compared with the hub's: `anchor` at `start`, monotonic from then on.
     anchor: i64,
     start: Instant,
-    state: Mutex<State>,
+    state: Mutex<EstimatorState>,
     expired: AtomicU64,
 }
 
 #[derive(Debug, Default)]
-struct State {
+struct EstimatorState {
     estimator: OffsetEstimator,
     /// The ping that has not been answered yet: its id, and when it was sent.
     asked: Option<(u64, Time)>,
@@ -83,7 +83,7 @@ impl Age {
 impl HubClock {
     pub(crate) fn new(wall: Wall) -> HubClock {
         HubClock {
-            inner: Arc::new(Inner {
+            inner: Arc::new(ClockState {
                 anchor: wall().map_or(0, Time::micros),
                 wall,
                 start: Instant::now(),
@@ -166,7 +166,7 @@ impl HubClock {
 
     /// Begins anew with another link: the hub may have been started again.
     pub(crate) fn forget(&self) {
-        *self.inner.state.lock() = State::default();
+        *self.inner.state.lock() = EstimatorState::default();
     }
 
     /// The hub's clock minus the own monotonic one.

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use mom_proto::{Family, MAX_ID, Map, Parcel, Path, Value};
 
 use crate::info::{level, map_of, millis_of, name_list, number, owned, text};
-use crate::subscribe::Queue;
+use crate::subscribe::EventQueue;
 use crate::{Age, Client, ClientError, Event};
 
 /// The questions of the hub, from [`Client::consults`] on. They keep the connection alive.
@@ -29,7 +29,7 @@ use crate::{Age, Client, ClientError, Event};
 /// ```
 pub struct Consults {
     client: Client,
-    queue: Arc<Queue>,
+    queue: Arc<EventQueue>,
     missed: u64,
 }
 
@@ -72,7 +72,7 @@ pub struct Consult {
 }
 
 impl Consults {
-    pub(crate) fn new(client: Client, queue: Arc<Queue>) -> Consults {
+    pub(crate) fn new(client: Client, queue: Arc<EventQueue>) -> Consults {
         Consults {
             client,
             queue,

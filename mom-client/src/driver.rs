@@ -9,10 +9,10 @@ use tokio::time::{Instant, sleep};
 
 use crate::login::{Connected, Connector, Welcome};
 use crate::outbox::{Entry, Room};
-use crate::pending::Waiter;
+use crate::pending::AnswerTo;
 use crate::reconnect::Backoff;
 use crate::shared::{Shared, State, Status, join};
-use crate::{ClientError, Event, Link, Lost, Reconnect, link};
+use crate::{ClientError, Event, LinkState, Lost, Reconnect, link};
 
 /// Drives links until the client is closed.
 pub(crate) async fn run(shared: Arc<Shared>, connector: Connector, first: mom_net::Transceiver) {
@@ -53,7 +53,7 @@ async fn again(
     let mut at_least = None;
     let mut attempt = 0;
     loop {
-        shared.link.send_replace(Link::Down {
+        shared.link.send_replace(LinkState::Down {
             since: start.into_std(),
             attempt,
         });
@@ -133,12 +133,12 @@ impl Shared {
             state.subscribers.deliver_unaddressed(Event::Rejoined);
         }
         for (path, serial, thinning) in places {
-            let mut waiter = Some(Waiter::Join(path.clone(), serial));
+            let mut waiter = Some(AnswerTo::Join(path.clone(), serial));
             // The link is up, and a path that was joined before can be encoded.
             let _ = self.ask_in(&mut state, join(&path, thinning), &mut waiter);
         }
         drop(state);
-        self.link.send_replace(Link::Up);
+        self.link.send_replace(LinkState::Up);
         self.outgoing.notify_one();
     }
 
@@ -158,7 +158,7 @@ impl Shared {
             drop(join.send(Err(closed.clone())));
         }
         waiters.into_iter().for_each(|waiter| self.fail(waiter, &closed));
-        self.link.send_replace(Link::Closed(error));
+        self.link.send_replace(LinkState::Closed(error));
     }
 }
 

@@ -11,10 +11,10 @@ use mom_proto::{Family, Map, Value};
 use tokio::sync::{oneshot, watch};
 
 use crate::guards::Hold;
-use crate::handover::{Handover, Phase};
+use crate::handover::{Handover, HandoverPhase};
 use crate::info::millis;
 use crate::membership::Membership;
-use crate::pending::Waiter;
+use crate::pending::AnswerTo;
 use crate::shared::verb;
 use crate::{ClientError, Lost, TokenGuard};
 
@@ -90,7 +90,7 @@ impl<'a> Give<'a> {
         let path = self.member.path();
         let handover = Handover::new(path, self.to, delegated, Arc::clone(self.hold));
         let (sender, receiver) = oneshot::channel();
-        let waiter = Waiter::Give {
+        let waiter = AnswerTo::Give {
             member: self.member.clone(),
             handover: Arc::new(handover),
             answer: sender,
@@ -129,7 +129,7 @@ impl fmt::Debug for Give<'_> {
 /// offer back; but a token that comes back and that nobody waits for is released.
 pub struct Given {
     handover: Arc<Handover>,
-    phase: watch::Receiver<Phase>,
+    phase: watch::Receiver<HandoverPhase>,
     member: Membership,
     /// Whether a guard took over what came back.
     taken: bool,
@@ -166,8 +166,8 @@ impl Given {
     /// # Errors
     /// [`Lapsed`] if it will not have it.
     pub async fn accepted(&mut self) -> Result<(), Lapsed> {
-        match self.wait(|phase| !matches!(phase, Phase::Offered)).await {
-            Phase::Lapsed(reason) => Err(Lapsed {
+        match self.wait(|phase| !matches!(phase, HandoverPhase::Offered)).await {
+            HandoverPhase::Lapsed(reason) => Err(Lapsed {
                 to: self.handover.to.clone(),
                 reason,
             }),
@@ -182,14 +182,14 @@ impl Given {
     /// [`Lost`] if it does not come back: it was given for good, or somebody else has it.
     pub async fn returned(mut self) -> Result<TokenGuard, Lost> {
         let end = self
-            .wait(|phase| !matches!(phase, Phase::Offered | Phase::Taken))
+            .wait(|phase| !matches!(phase, HandoverPhase::Offered | HandoverPhase::Taken))
             .await;
         let hold = match end {
-            Phase::Back(hold) => {
+            HandoverPhase::Back(hold) => {
                 self.taken = true;
                 hold
             }
-            Phase::Over(lost) => return Err(lost),
+            HandoverPhase::Over(lost) => return Err(lost),
             // It never left: one guard more of the same ownership.
             _ => self.still_held()?,
         };
@@ -205,7 +205,7 @@ impl Given {
         })
     }
 
-    async fn wait(&mut self, until: impl Fn(&Phase) -> bool) -> Phase {
+    async fn wait(&mut self, until: impl Fn(&HandoverPhase) -> bool) -> HandoverPhase {
         match self.phase.wait_for(until).await {
             Ok(phase) => phase.clone(),
             // The sender lives in `handover`.

@@ -7,9 +7,9 @@ use std::time::Duration;
 use mom_proto::Path;
 
 use crate::guards::Hold;
-use crate::holding::{Holding, Kind};
+use crate::holding::{Holding, HoldingKind};
 use crate::membership::Membership;
-use crate::{ClientError, Delegation, Give};
+use crate::{ClientError, Give, Loan};
 
 /// Exclusive control of what a token guards (M28), from [`Token::grab`](crate::Token::grab) on.
 ///
@@ -55,7 +55,7 @@ impl Lost {
 impl TokenGuard {
     pub(crate) fn new(hold: Arc<Hold>, member: Membership) -> TokenGuard {
         TokenGuard {
-            holding: Holding::new(hold, Kind::Ownership, member),
+            holding: Holding::new(hold, HoldingKind::Ownership, member),
         }
     }
 
@@ -80,7 +80,7 @@ impl TokenGuard {
     }
 
     /// From whom it is and for how long, if another peer gave it for a time or a number of commands.
-    pub fn delegation(&self) -> Option<&Delegation> {
+    pub fn delegation(&self) -> Option<&Loan> {
         self.holding.hold().delegation.as_ref()
     }
 

@@ -17,7 +17,7 @@ const RENEW_AT: u32 = 3;
 
 /// For how long an ownership lasts without a renewal.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Terms {
+pub(crate) struct RenewalTerms {
     /// Until others may take it.
     pub(crate) lease: Option<Duration>,
     /// Until it ends by itself.
@@ -26,16 +26,16 @@ pub(crate) struct Terms {
 
 /// What the hub says to an owner.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Grant {
+pub(crate) struct GrantTerms {
     pub(crate) fence: u64,
-    pub(crate) terms: Terms,
-    pub(crate) delegation: Option<Delegation>,
+    pub(crate) terms: RenewalTerms,
+    pub(crate) delegation: Option<Loan>,
 }
 
 /// What an ownership is that another peer gave, and that goes back to it (M41).
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
-pub struct Delegation {
+pub struct Loan {
     /// The peer that gave it, and that has it again afterwards.
     pub from: String,
     /// For how long, from the grant on; none = no bound of time.
@@ -49,14 +49,14 @@ pub struct Delegation {
 pub(crate) struct Hold {
     pub(crate) path: Path,
     pub(crate) fence: u64,
-    pub(crate) delegation: Option<Delegation>,
-    terms: Mutex<Terms>,
+    pub(crate) delegation: Option<Loan>,
+    terms: Mutex<RenewalTerms>,
     lost: watch::Sender<Option<Lost>>,
 }
 
-impl Terms {
-    pub(crate) fn read(map: &Map) -> Terms {
-        Terms {
+impl RenewalTerms {
+    pub(crate) fn read(map: &Map) -> RenewalTerms {
+        RenewalTerms {
             lease: millis_of(map, "lease"),
             deadman: millis_of(map, "deadman"),
         }
@@ -69,13 +69,13 @@ impl Terms {
     }
 }
 
-impl Grant {
+impl GrantTerms {
     /// Reads `{fence, lease?, deadman?, from?, for?, commands?}`.
-    pub(crate) fn read(map: &Map) -> Option<Grant> {
-        Some(Grant {
+    pub(crate) fn read(map: &Map) -> Option<GrantTerms> {
+        Some(GrantTerms {
             fence: number(map, "fence")?,
-            terms: Terms::read(map),
-            delegation: text(map, "from").map(|from| Delegation {
+            terms: RenewalTerms::read(map),
+            delegation: text(map, "from").map(|from| Loan {
                 from: from.to_owned(),
                 time: millis_of(map, "for"),
                 commands: number(map, "commands"),
@@ -85,7 +85,7 @@ impl Grant {
 }
 
 impl Hold {
-    pub(crate) fn terms(&self) -> Terms {
+    pub(crate) fn terms(&self) -> RenewalTerms {
         *self.terms.lock()
     }
 
@@ -113,13 +113,13 @@ impl Hold {
 /// All of them, by the token's path.
 #[derive(Debug, Default)]
 pub(crate) struct Guards {
-    entries: HashMap<Path, Entry>,
+    entries: HashMap<Path, HeldToken>,
     /// Grabs without an answer yet: while there are some, the last guard's end is no reason to give back.
     asked: HashMap<Path, usize>,
 }
 
 #[derive(Debug)]
-struct Entry {
+struct HeldToken {
     hold: Arc<Hold>,
     guards: usize,
     renew_at: Option<Instant>,
@@ -127,7 +127,7 @@ struct Entry {
 
 impl Guards {
     /// Notes a grab; asking again for what one has is the same ownership (M29).
-    pub(crate) fn hold(&mut self, path: &Path, grant: Grant, now: Instant) -> Arc<Hold> {
+    pub(crate) fn hold(&mut self, path: &Path, grant: GrantTerms, now: Instant) -> Arc<Hold> {
         if let Some(hold) = self.share(path, grant.fence) {
             self.renewed(path, grant.fence, grant.terms, now);
             return hold;
@@ -139,7 +139,7 @@ impl Guards {
             terms: Mutex::new(grant.terms),
             lost: watch::Sender::new(None),
         });
-        let mut entry = Entry {
+        let mut entry = HeldToken {
             hold: Arc::clone(&hold),
             guards: 1,
             renew_at: None,
@@ -158,7 +158,7 @@ impl Guards {
         Some(Arc::clone(&entry.hold))
     }
 
-    fn entry(&mut self, path: &Path, fence: u64) -> Option<&mut Entry> {
+    fn entry(&mut self, path: &Path, fence: u64) -> Option<&mut HeldToken> {
         self.entries
             .get_mut(path)
             .filter(|entry| entry.hold.fence == fence)
@@ -230,7 +230,7 @@ impl Guards {
     }
 
     /// A renewal was granted.
-    pub(crate) fn renewed(&mut self, path: &Path, fence: u64, terms: Terms, now: Instant) {
+    pub(crate) fn renewed(&mut self, path: &Path, fence: u64, terms: RenewalTerms, now: Instant) {
         if let Some(entry) = self.entry(path, fence) {
             *entry.hold.terms.lock() = terms;
             entry.renew(now);
@@ -263,7 +263,7 @@ impl Guards {
     }
 }
 
-impl Entry {
+impl HeldToken {
     fn renew(&mut self, now: Instant) {
         self.renew_at = self.hold.terms().renewal().map(|after| now + after);
     }

@@ -10,19 +10,19 @@ use crate::{ClientError, Lost};
 
 /// How a token is held.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Kind {
+pub(crate) enum HoldingKind {
     /// By one peer, which drives.
     Ownership,
     /// By several, so that nobody drives.
     Shared,
 }
 
-impl Kind {
+impl HoldingKind {
     /// The verb that ends it.
     pub(crate) fn end(self) -> &'static str {
         match self {
-            Kind::Ownership => "release",
-            Kind::Shared => "uninhibit",
+            HoldingKind::Ownership => "release",
+            HoldingKind::Shared => "uninhibit",
         }
     }
 }
@@ -31,14 +31,14 @@ impl Kind {
 #[derive(Debug)]
 pub(crate) struct Holding {
     hold: Arc<Hold>,
-    kind: Kind,
+    kind: HoldingKind,
     lost: watch::Receiver<Option<Lost>>,
     member: Membership,
     held: bool,
 }
 
 impl Holding {
-    pub(crate) fn new(hold: Arc<Hold>, kind: Kind, member: Membership) -> Holding {
+    pub(crate) fn new(hold: Arc<Hold>, kind: HoldingKind, member: Membership) -> Holding {
         Holding {
             lost: hold.watch(),
             hold,

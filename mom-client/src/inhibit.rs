@@ -6,7 +6,7 @@ use std::sync::Arc;
 use mom_proto::Path;
 
 use crate::guards::Hold;
-use crate::holding::{Holding, Kind};
+use crate::holding::{Holding, HoldingKind};
 use crate::membership::Membership;
 use crate::{ClientError, Lost};
 
@@ -30,7 +30,7 @@ pub struct InhibitGuard {
 impl InhibitGuard {
     pub(crate) fn new(hold: Arc<Hold>, member: Membership) -> InhibitGuard {
         InhibitGuard {
-            holding: Holding::new(hold, Kind::Shared, member),
+            holding: Holding::new(hold, HoldingKind::Shared, member),
         }
     }
 

@@ -81,7 +81,7 @@ pub use gate::{FenceGate, GuardState, Stale};
 pub use give::{Give, Given, Lapsed};
 pub use grab::{Grab, Place};
 pub use guard::{Lost, TokenGuard};
-pub use guards::Delegation;
+pub use guards::Loan;
 pub use info::{ContextInfo, Member};
 pub use inhibit::InhibitGuard;
 pub use key::Key;
@@ -93,7 +93,7 @@ pub use mom_proto::{
 };
 pub use predict::{Model, Prediction, Predictor};
 pub use proof::Proof;
-pub use reconnect::{Link, Reconnect};
+pub use reconnect::{LinkState, Reconnect};
 pub use refusal::{Refusal, ordinal, plain_duration};
 pub use session::Session;
 pub use state_gate::{BASED_ON, StateGate};

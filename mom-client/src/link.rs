@@ -10,7 +10,7 @@ use mom_proto::codec::Frame;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until, timeout};
 
-use crate::pending::Waiter;
+use crate::pending::AnswerTo;
 use crate::sending;
 use crate::shared::{Shared, verb};
 
@@ -95,7 +95,7 @@ async fn keep(shared: &Shared, heard: &Moment) {
 fn renew(shared: &Shared, now: Instant) {
     let mut state = shared.lock();
     for (path, fence) in state.guards.take_due(now) {
-        let mut waiter = Some(Waiter::Renewal(path.clone(), fence));
+        let mut waiter = Some(AnswerTo::Renewal(path.clone(), fence));
         // Without a link the guards are lost already.
         let _ = shared.ask_in(&mut state, verb(Family::Token, "renew", &path), &mut waiter);
     }

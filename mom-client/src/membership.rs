@@ -15,11 +15,11 @@ use crate::{ClientError, Events};
 /// after all messages sent before.
 #[derive(Clone, Debug)]
 pub(crate) struct Membership {
-    inner: Arc<Inner>,
+    inner: Arc<MembershipState>,
 }
 
 #[derive(Debug)]
-struct Inner {
+struct MembershipState {
     handle: Arc<Handle>,
     path: Path,
     /// The contexts, the uppermost first, with their places' serials; without the root, which every peer is in.
@@ -54,7 +54,7 @@ impl Membership {
     }
 }
 
-impl Drop for Inner {
+impl Drop for MembershipState {
     fn drop(&mut self) {
         self.handle.shared.unwant(&self.places);
     }
@@ -95,7 +95,7 @@ impl Client {
         let (places, wants) = shared.want(&way_to(path), thinning)?;
         let again = thinning.filter(|_| !matches!(wants.last(), Some(Want::Join(_))));
         // From here on the count is given back whatever happens.
-        let inner = Inner {
+        let inner = MembershipState {
             handle: Arc::clone(&self.handle),
             path: path.clone(),
             places,

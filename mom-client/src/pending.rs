@@ -21,7 +21,7 @@ pub(crate) type Answering<T> = oneshot::Sender<Result<T, ClientError>>;
 /// A waiter may hold the last handle of the client, whose end takes the lock of the state: waiters are
 /// completed and dropped outside it.
 #[derive(Debug)]
-pub(crate) enum Waiter {
+pub(crate) enum AnswerTo {
     /// A caller.
     Caller(Answering<Parcel>),
     /// A caller that wants a token. The guard is made before the next parcel is read, so it misses no event;
@@ -51,21 +51,21 @@ pub(crate) enum Waiter {
 
 /// The requests by their ids.
 #[derive(Debug, Default)]
-pub(crate) struct Pending {
-    waiters: HashMap<u64, Waiter>,
+pub(crate) struct OpenRequests {
+    waiters: HashMap<u64, AnswerTo>,
     recent: VecDeque<(u64, Path)>,
 }
 
-impl Pending {
-    pub(crate) fn insert(&mut self, id: u64, waiter: Waiter) {
+impl OpenRequests {
+    pub(crate) fn insert(&mut self, id: u64, waiter: AnswerTo) {
         self.waiters.insert(id, waiter);
     }
 
-    pub(crate) fn take(&mut self, id: u64) -> Option<Waiter> {
+    pub(crate) fn take(&mut self, id: u64) -> Option<AnswerTo> {
         self.waiters.remove(&id)
     }
 
-    pub(crate) fn take_all(&mut self) -> Vec<Waiter> {
+    pub(crate) fn take_all(&mut self) -> Vec<AnswerTo> {
         self.recent.clear();
         self.waiters.drain().map(|(_, waiter)| waiter).collect()
     }
@@ -94,7 +94,7 @@ mod tests {
 
     #[test]
     fn the_newest_sends_are_remembered() {
-        let mut pending = Pending::default();
+        let mut pending = OpenRequests::default();
         let path = Path::parse("/chat").unwrap();
         for id in 0..=RECENT as u64 {
             pending.note(id, path.clone());

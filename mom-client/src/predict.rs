@@ -47,8 +47,8 @@ pub enum Model {
 #[derive(Clone, Debug)]
 pub struct Predictor {
     model: Model,
-    last: Option<State>,
-    before: Option<State>,
+    last: Option<Observation>,
+    before: Option<Observation>,
 }
 
 /// A prediction, and what it rests on.
@@ -63,7 +63,7 @@ pub struct Prediction {
 }
 
 #[derive(Clone, Debug)]
-struct State {
+struct Observation {
     /// When it was created by the hub's clock, µs since the epoch.
     created: i64,
     error: Option<u64>,
@@ -86,7 +86,7 @@ impl Predictor {
         let Some(received) = parcel.received else {
             return false;
         };
-        let state = State {
+        let state = Observation {
             created: received.micros().saturating_sub(parcel.age.unwrap_or_default()),
             error: parcel.age_error,
             values: values.to_vec(),
@@ -142,7 +142,7 @@ impl Predictor {
     }
 
     /// The values this many µs after the last state.
-    fn moved(&self, last: &State, bridged: i64) -> Vec<f64> {
+    fn moved(&self, last: &Observation, bridged: i64) -> Vec<f64> {
         let Some(before) = self.before.as_ref().filter(|_| bridged > 0) else {
             return last.values.clone();
         };

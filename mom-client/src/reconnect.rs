@@ -36,7 +36,7 @@ impl Default for Reconnect {
 
 /// The state of the link to the hub.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Link {
+pub enum LinkState {
     /// Logged in.
     Up,
     /// Lost; being made anew.

@@ -5,7 +5,7 @@ use tokio::sync::oneshot;
 
 use crate::info::{map_of, name_list, owned};
 use crate::membership::Membership;
-use crate::pending::Waiter;
+use crate::pending::AnswerTo;
 use crate::shared::verb;
 use crate::{AskOwner, ClientError, Events, Grab, InhibitGuard, TokenGuard, TokenInfo};
 
@@ -87,7 +87,7 @@ impl Token {
     /// `Refused` with `no-offer` or `denied`, a lost link, a time-out.
     pub async fn accept(&self) -> Result<TokenGuard, ClientError> {
         let (sender, receiver) = oneshot::channel();
-        let waiter = Waiter::Obtain {
+        let waiter = AnswerTo::Obtain {
             member: self.member.clone(),
             answer: sender,
         };
@@ -146,7 +146,7 @@ impl Token {
     /// `Refused` with `held` if another peer owns it, or `denied`, a lost link, a time-out.
     pub async fn inhibit(&self) -> Result<InhibitGuard, ClientError> {
         let (sender, receiver) = oneshot::channel();
-        let waiter = Waiter::Inhibit {
+        let waiter = AnswerTo::Inhibit {
             member: self.member.clone(),
             answer: sender,
         };

@@ -13,18 +13,18 @@ use crate::Place;
 /// order, so it means the oldest.
 #[derive(Debug, Default)]
 pub(crate) struct Waits {
-    tokens: HashMap<Path, VecDeque<Wait>>,
+    tokens: HashMap<Path, VecDeque<WaitingGrab>>,
 }
 
 #[derive(Debug)]
-struct Wait {
+struct WaitingGrab {
     id: u64,
     place: watch::Sender<Option<Place>>,
-    stage: Stage,
+    stage: WaitStage,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Stage {
+enum WaitStage {
     /// Somebody waits for it.
     Wanted,
     /// Nobody does, but whether it is in the queue is not known: `release` might end an ownership instead.
@@ -37,11 +37,14 @@ impl Waits {
     /// A grab that may wait is about to be sent.
     pub(crate) fn add(&mut self, path: &Path, id: u64) -> watch::Receiver<Option<Place>> {
         let (place, places) = watch::channel(None);
-        self.tokens.entry(path.clone()).or_default().push_back(Wait {
-            id,
-            place,
-            stage: Stage::Wanted,
-        });
+        self.tokens
+            .entry(path.clone())
+            .or_default()
+            .push_back(WaitingGrab {
+                id,
+                place,
+                stage: WaitStage::Wanted,
+            });
         places
     }
 
@@ -51,7 +54,7 @@ impl Waits {
             return false;
         };
         wait.place.send_replace(Some(place));
-        wait.stage == Stage::GivenUp && wait.withdraw()
+        wait.stage == WaitStage::GivenUp && wait.withdraw()
     }
 
     /// Nobody waits any more for what a grab brings; whether it is to be withdrawn now.
@@ -60,7 +63,7 @@ impl Waits {
         let Some(wait) = waits.into_iter().find(|wait| wait.id == id) else {
             return false;
         };
-        wait.stage = Stage::GivenUp;
+        wait.stage = WaitStage::GivenUp;
         let is_queued = wait.place.borrow().is_some();
         is_queued && wait.withdraw()
     }
@@ -75,7 +78,7 @@ impl Waits {
         if waits.is_empty() {
             self.tokens.remove(path);
         }
-        wait.is_some_and(|wait| wait.stage == Stage::Withdrawn)
+        wait.is_some_and(|wait| wait.stage == WaitStage::Withdrawn)
     }
 
     /// The link is gone, and with it the queue.
@@ -84,9 +87,9 @@ impl Waits {
     }
 }
 
-impl Wait {
+impl WaitingGrab {
     fn withdraw(&mut self) -> bool {
-        self.stage = Stage::Withdrawn;
+        self.stage = WaitStage::Withdrawn;
         true
     }
 }

@@ -17,7 +17,7 @@ use self::control::{ACCEPT, BREAK, DECLINE, EXPEL, GIVE, GRAB, INHIBIT, INVITE, 
 pub(crate) struct Cli {
     /// What holds for all commands.
     #[command(flatten)]
-    pub(crate) global: Global,
+    pub(crate) global: GlobalArgs,
     /// What to do.
     #[command(subcommand)]
     pub(crate) command: Command,
@@ -38,7 +38,7 @@ Exit codes: 0 done, 1 failed or refused, 2 a command line that makes no sense.";
 /// Options of every command.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Options of every command")]
-pub(crate) struct Global {
+pub(crate) struct GlobalArgs {
     /// The hub: bin://HOST:PORT (binary) or tcp://HOST:PORT (XML)
     #[arg(
         long,
@@ -70,69 +70,69 @@ pub(crate) struct Global {
 pub(crate) enum Command {
     /// Run a hub with a robot arm and a camera in one process, to try
     #[command(after_help = LAB)]
-    Lab(Lab),
+    Lab(LabArgs),
     /// Show the tree of contexts: kinds, members, owners
     #[command(after_help = TREE)]
-    Tree(Tree),
+    Tree(TreeArgs),
     /// Show what channels have counted: sent, delivered, dropped, ages
     #[command(after_help = STATS)]
-    Stats(Stats),
+    Stats(StatsArgs),
     /// Show what happens in contexts, one line per parcel, until Ctrl-C
     #[command(after_help = WATCH)]
-    Watch(Watch),
+    Watch(WatchArgs),
     /// Send one message
     #[command(after_help = SEND)]
-    Send(Send),
+    Send(SendArgs),
     /// Grab a token, waiting for it if need be, and hold it until Ctrl-C
     #[command(after_help = GRAB)]
-    Grab(Grab),
+    Grab(GrabArgs),
     /// Ask a token's owner to hand it over, and hold it until Ctrl-C
     #[command(after_help = REQUEST)]
-    Request(Request),
+    Request(RequestArgs),
     /// Grab a token and give it to another peer, for good or for a while
     #[command(after_help = GIVE)]
-    Give(Give),
+    Give(GiveArgs),
     /// Take a token that is offered to you, and hold it until Ctrl-C
     #[command(after_help = ACCEPT)]
-    Accept(Accept),
+    Accept(AcceptArgs),
     /// Say no to a token that is offered to you
     #[command(after_help = DECLINE)]
-    Decline(Decline),
+    Decline(DeclineArgs),
     /// Take a token away from its owner; needs the right to it
     #[command(after_help = BREAK)]
-    Break(Break),
+    Break(BreakArgs),
     /// Keep everybody from a token until Ctrl-C
     #[command(after_help = INHIBIT)]
-    Inhibit(Inhibit),
+    Inhibit(InhibitArgs),
     /// Show a token: its owner, lease, queue, offers
     #[command(after_help = TOKEN)]
-    Token(Token),
+    Token(TokenArgs),
     /// Tell a peer of a context
     #[command(after_help = INVITE)]
-    Invite(Invite),
+    Invite(InviteArgs),
     /// Put a peer out of a context
     #[command(after_help = EXPEL)]
-    Expel(Expel),
+    Expel(ExpelArgs),
     /// Answer the hub's questions where you have the chair
     #[command(after_help = MANAGE)]
-    Manage(Manage),
+    Manage(ManageArgs),
     /// Drive the robot by a script: grab its token, carry out the commands, release
     #[command(after_help = RUN)]
-    Run(Run),
+    Run(RunArgs),
     /// Talk: lines of the input are sent, those of others shown
     #[command(after_help = CHAT)]
-    Chat(Chat),
+    Chat(ChatArgs),
     /// Make a key pair, so that a device needs no password
     #[command(after_help = KEYGEN)]
-    Keygen(Keygen),
+    Keygen(KeygenArgs),
     /// Ask a camera for an image and save it
     #[command(after_help = SNAP)]
-    Snap(Snap),
+    Snap(SnapArgs),
 }
 
 /// `mom lab`
 #[derive(Args, Debug)]
-pub(crate) struct Lab {
+pub(crate) struct LabArgs {
     /// Where to listen; passwords are accepted on loopback only. Port 0 takes a free one
     #[arg(long, value_name = "ADDRESS")]
     pub(crate) listen: Option<SocketAddr>,
@@ -149,7 +149,7 @@ Examples:
 
 /// `mom tree`
 #[derive(Args, Debug)]
-pub(crate) struct Tree {
+pub(crate) struct TreeArgs {
     /// Where to begin
     #[arg(default_value = "/")]
     pub(crate) path: String,
@@ -166,7 +166,7 @@ Examples:
 
 /// `mom stats`
 #[derive(Args, Debug)]
-pub(crate) struct Stats {
+pub(crate) struct StatsArgs {
     /// A channel, for the figures of each member, or a session, for its channels
     #[arg(default_value = "/")]
     pub(crate) path: String,
@@ -186,7 +186,7 @@ Examples:
 
 /// `mom watch`
 #[derive(Args, Debug)]
-pub(crate) struct Watch {
+pub(crate) struct WatchArgs {
     /// Sessions, channels and tokens
     #[arg(required = true, value_name = "PATH")]
     pub(crate) paths: Vec<String>,
@@ -218,7 +218,7 @@ Examples:
 
 /// `mom send`
 #[derive(Args, Debug)]
-pub(crate) struct Send {
+pub(crate) struct SendArgs {
     /// The channel
     pub(crate) path: String,
     /// The message's name
@@ -255,12 +255,13 @@ Examples:
   uptime | mom send /chat chat -";
 
 pub(crate) use control::{
-    Accept, Break, Decline, Expel, Give, Grab, Hold, Inhibit, Invite, Manage, Request, Token, Wait,
+    AcceptArgs, BreakArgs, DeclineArgs, ExpelArgs, GiveArgs, GrabArgs, HoldArgs, InhibitArgs, InviteArgs,
+    ManageArgs, RequestArgs, TokenArgs, WaitArg,
 };
 
 /// `mom run`
 #[derive(Args, Debug)]
-pub(crate) struct Run {
+pub(crate) struct RunArgs {
     /// The file; - is standard input. Each line is one command of one or more statements
     pub(crate) script: PathBuf,
     /// The robot's channel
@@ -290,7 +291,7 @@ Ctrl-C releases the token; the hub then halts the robot.";
 
 /// `mom chat`
 #[derive(Args, Debug)]
-pub(crate) struct Chat {
+pub(crate) struct ChatArgs {
     /// The channel
     #[arg(default_value = "/chat")]
     pub(crate) path: String,
@@ -303,7 +304,7 @@ Examples:
 
 /// `mom snap`
 #[derive(Args, Debug)]
-pub(crate) struct Snap {
+pub(crate) struct SnapArgs {
     /// The camera, by its channel's name
     #[arg(default_value = "x")]
     pub(crate) view: String,
@@ -326,7 +327,7 @@ Examples:
 
 /// `mom keygen`
 #[derive(Args, Debug)]
-pub(crate) struct Keygen {
+pub(crate) struct KeygenArgs {
     /// The file for the private key
     #[arg(long, short, value_name = "FILE", default_value = "mom.key")]
     pub(crate) out: PathBuf,
@@ -418,7 +419,8 @@ mod tests {
             ] {
                 let line = [&["mom"], command, login].concat();
                 let cli = Cli::try_parse_from(&line).unwrap_or_else(|error| panic!("{line:?}: {error}"));
-                if let Command::Grab(Grab { path: token, .. }) | Command::Run(Run { token, .. }) = cli.command
+                if let Command::Grab(GrabArgs { path: token, .. }) | Command::Run(RunArgs { token, .. }) =
+                    cli.command
                 {
                     assert_eq!(token, "/token");
                 }

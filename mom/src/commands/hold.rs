@@ -14,7 +14,7 @@ use crate::failure::{Doing as _, Failure};
 use crate::input::Answers;
 use crate::interrupt::Interrupt;
 use crate::output::event::{lost_words, member_words};
-use crate::output::style::{Ink, ink};
+use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
 
 /// The hub is asked for the lease so often in its course, but not too often.
@@ -23,7 +23,7 @@ const SOONEST: Duration = Duration::from_millis(100);
 const LATEST: Duration = Duration::from_secs(10);
 
 /// A token that is to be held, with its events since it was joined.
-pub(super) struct Held<'a> {
+pub(super) struct TokenToHold<'a> {
     pub(super) client: &'a Client,
     pub(super) token: &'a Token,
     pub(super) events: Events,
@@ -32,12 +32,12 @@ pub(super) struct Held<'a> {
 
 /// Holds a token until Ctrl-C, its time, or its loss, and shows what happens to it meanwhile.
 pub(super) async fn hold(
-    held: Held<'_>,
-    args: &cli::Hold,
+    held: TokenToHold<'_>,
+    args: &cli::HoldArgs,
     interrupt: &mut Interrupt,
     output: Output,
 ) -> Result<(), Failure> {
-    let Held {
+    let TokenToHold {
         client,
         token,
         events,
@@ -77,7 +77,7 @@ pub(super) async fn hold(
 
 pub(super) fn tell_grabbed(path: &str, guard: &TokenGuard, output: Output) -> Result<(), Failure> {
     output.tell(|| grabbed_json(path, guard), || grabbed_line(path, guard))?;
-    output.remark(ink("Ctrl-C releases it", Ink::Faint));
+    output.remark(ink("Ctrl-C releases it", Tone::Faint));
     Ok(())
 }
 
@@ -119,7 +119,7 @@ fn grabbed_line(path: &str, guard: &TokenGuard) -> String {
         ),
         None => String::new(),
     };
-    let head = ink(format_args!("holding {path}"), Ink::Good);
+    let head = ink(format_args!("holding {path}"), Tone::Good);
     format!("{head}  fence {}, {lease}{from}", words::fence(guard.fence()))
 }
 
@@ -138,8 +138,8 @@ pub(super) fn tell_lost(path: &str, lost: &Lost, output: Output) -> Result<(), F
         || json!({"state": state, "path": path, "reason": lost.reason, "by": lost.by}),
         || {
             let head = match agreed {
-                true => ink(format_args!("no longer holding {path}:"), Ink::Notice),
-                false => ink(format_args!("lost {path}:"), Ink::Bad),
+                true => ink(format_args!("no longer holding {path}:"), Tone::Notice),
+                false => ink(format_args!("lost {path}:"), Tone::Bad),
             };
             format!("{head} {}", lost_words(lost))
         },
@@ -219,7 +219,7 @@ impl Visitors<'_> {
                     member_words(member),
                     text.unwrap_or_default(),
                     words::duration(within),
-                    ink(how, Ink::Faint)
+                    ink(how, Tone::Faint)
                 )
             },
         )?;
@@ -260,7 +260,7 @@ impl Visitors<'_> {
         let path = self.token.path().as_str();
         self.output.tell(
             || json!({"state": state, "path": path, "peer": peer}),
-            || format!("{} {what}", ink(words::visible(peer), Ink::Peer)),
+            || format!("{} {what}", ink(words::visible(peer), Tone::Peer)),
         )?;
         Ok(())
     }
@@ -281,7 +281,7 @@ async fn watch_renewals(token: &Token, output: Output) -> io::Error {
         if before.is_some_and(|before| left > before) {
             let told = output.tell(
                 || json!({"state": "renewed", "path": token.path().as_str(), "lease-left": words::in_millis(left)}),
-                || ink(format_args!("renewed, {} left", words::duration(left)), Ink::Faint),
+                || ink(format_args!("renewed, {} left", words::duration(left)), Tone::Faint),
             );
             if let Err(error) = told {
                 return error;

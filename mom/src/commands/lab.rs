@@ -21,7 +21,7 @@ use crate::cli;
 use crate::failure::{Doing as _, Failure};
 use crate::interrupt::Interrupt;
 use crate::output::Output;
-use crate::output::style::{Ink, ink, padded};
+use crate::output::style::{Tone, ink, padded};
 
 /// Where the hub listens if nothing else is said, and where the other commands look for it.
 const USUAL: &str = "127.0.0.1:7666";
@@ -32,7 +32,7 @@ const LOOK: Duration = Duration::from_millis(10);
 /// A device of the lab while it runs.
 type Device = Pin<Box<dyn Future<Output = Result<(), ClientError>> + Send>>;
 
-pub(crate) async fn run(args: &cli::Lab, output: Output) -> Result<(), Failure> {
+pub(crate) async fn run(args: &cli::LabArgs, output: Output) -> Result<(), Failure> {
     log(&args.log)?;
     let mut interrupt = Interrupt::install()?;
     let mut config = Config::lab();
@@ -41,7 +41,7 @@ pub(crate) async fn run(args: &cli::Lab, output: Output) -> Result<(), Failure> 
     }
     let users = config.users.clone();
     let broker = Broker::start(config).await.map_err(start_failure)?;
-    let lab = Lab {
+    let lab = LabSummary {
         address: within_reach(broker.local_addr()),
         program: env::args().next().unwrap_or_else(|| "mom".to_owned()),
         users,
@@ -54,7 +54,7 @@ pub(crate) async fn run(args: &cli::Lab, output: Output) -> Result<(), Failure> 
         () = interrupt.wait() => None,
         ended = devices.join_next() => ended,
     };
-    output.remark(ink("stopping", Ink::Faint));
+    output.remark(ink("stopping", Tone::Faint));
     // The devices say goodbye first; the receivers of this are theirs.
     let _ = stop.send(true);
     while devices.join_next().await.is_some() {}
@@ -171,13 +171,13 @@ async fn stop_broker(mut broker: Arc<Broker>) {
 }
 
 /// What there is to tell about a running lab.
-struct Lab {
+struct LabSummary {
     address: SocketAddr,
     program: String,
     users: Vec<UserEntry>,
 }
 
-impl Lab {
+impl LabSummary {
     fn json(&self) -> Json {
         let people = self
             .users
@@ -192,12 +192,12 @@ impl Lab {
     }
 
     fn text(&self) -> String {
-        let row = |label: &str, text: String| format!("  {}  {text}", padded(label, 7, Ink::Faint));
-        let place = |text: &str| ink(text, Ink::Place);
+        let row = |label: &str, text: String| format!("  {}  {text}", padded(label, 7, Tone::Faint));
+        let place = |text: &str| ink(text, Tone::Place);
         let mut lines = vec![
             ink(
                 "A hub, a robot arm and a camera are running here. Ctrl-C ends them.",
-                Ink::Strong,
+                Tone::Strong,
             ),
             String::new(),
             row(
@@ -228,7 +228,7 @@ impl Lab {
             String::new(),
             "Try in another terminal, as alice:".to_owned(),
         ];
-        let command = |text: String| format!("  {}", ink(text, Ink::Command));
+        let command = |text: String| format!("  {}", ink(text, Tone::Command));
         let program = &self.program;
         lines.extend([
             command(format!("export {}MOM_USER=alice MOM_PASSWORD=alice", self.hub())),
@@ -257,7 +257,7 @@ impl Lab {
             .map(|user| {
                 let mut facts = vec![format!("level {}", user.level)];
                 facts.extend(user.groups.iter().cloned());
-                format!("{} ({})", ink(&user.name, Ink::Peer), facts.join(", "))
+                format!("{} ({})", ink(&user.name, Tone::Peer), facts.join(", "))
             })
             .collect();
         people.join(", ")
@@ -277,7 +277,7 @@ mod tests {
     use super::*;
 
     fn lab(address: &str) -> String {
-        let lab = Lab {
+        let lab = LabSummary {
             address: address.parse().unwrap(),
             program: "target/release/mom".to_owned(),
             users: Config::lab().users,

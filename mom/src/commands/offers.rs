@@ -10,12 +10,12 @@ use super::hold::wait;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::event::event_words;
-use crate::output::style::{Ink, ink};
+use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
 
 /// Which offer is waited for, and how long.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Awaited<'a> {
+pub(super) struct AwaitedOffer<'a> {
     /// To this peer, which waits.
     pub(super) me: &'a str,
     /// Only of this peer.
@@ -28,14 +28,14 @@ pub(super) struct Awaited<'a> {
 pub(super) async fn offer(
     token: &Token,
     events: &mut Events,
-    awaited: Awaited<'_>,
+    awaited: AwaitedOffer<'_>,
     interrupt: &mut Interrupt,
     output: Output,
 ) -> Result<(), Failure> {
     let (path, me) = (token.path(), awaited.me);
     output.remark(ink(
         format_args!("waiting for {path} to be offered to {me}; Ctrl-C ends"),
-        Ink::Faint,
+        Tone::Faint,
     ));
     let until = awaited.within.map(|within| Instant::now() + within);
     let event = tokio::select! {

@@ -15,7 +15,7 @@ use mom_client::{Map, WireError};
 use serde::Serialize;
 use serde_json::{Value as Json, json};
 
-use self::style::{Ink, ink};
+use self::style::{Tone, ink};
 use crate::failure::Failure;
 
 /// Standard output and standard error, in the form that was asked for.
@@ -141,9 +141,9 @@ fn failure_text(failure: &Failure) -> String {
         Failure::Io(error) => ("error", error.to_string(), None),
         Failure::Told => return String::new(),
     };
-    let mut text = format!("{} {headline}", ink(format_args!("{label}:"), Ink::Bad));
+    let mut text = format!("{} {headline}", ink(format_args!("{label}:"), Tone::Bad));
     for hint in hints.into_iter().flat_map(|hint| hint.lines()) {
-        text.push_str(&format!("\n  {} {hint}", ink("->", Ink::Faint)));
+        text.push_str(&format!("\n  {} {hint}", ink("->", Tone::Faint)));
     }
     text
 }
@@ -157,11 +157,11 @@ pub(crate) fn refusal_text(what: &str, error: &WireError) -> String {
         .map(|(label, _)| label.len())
         .max()
         .unwrap_or(0);
-    let mut text = format!("{} {}", ink("refused:", Ink::Bad), refusal.headline);
+    let mut text = format!("{} {}", ink("refused:", Tone::Bad), refusal.headline);
     for (label, fact) in &refusal.facts {
         text.push_str(&format!(
             "\n  {}  {fact}",
-            style::padded(label, width, Ink::Faint)
+            style::padded(label, width, Tone::Faint)
         ));
     }
     text

@@ -6,7 +6,7 @@ use super::words;
 
 /// The first line of a refusal, and below it what is known, each with its label.
 #[derive(Debug, PartialEq)]
-pub(crate) struct Refusal {
+pub(crate) struct RefusalText {
     /// What was refused and why, in one line.
     pub(crate) headline: String,
     /// Label and text, in the order in which a reader asks.
@@ -14,7 +14,7 @@ pub(crate) struct Refusal {
 }
 
 /// Words for the hub's refusal of `what` (`grab /robot/token`).
-pub(crate) fn refusal(what: &str, error: &WireError) -> Refusal {
+pub(crate) fn refusal(what: &str, error: &WireError) -> RefusalText {
     let text = match error.text.is_empty() {
         true => error.code.word().to_owned(),
         false => words::visible(&error.text),
@@ -39,7 +39,7 @@ pub(crate) fn refusal(what: &str, error: &WireError) -> Refusal {
     );
     fact("code", Some(format!("{} ({})", error.code, error.code.number())));
     fact("try", hint(error).map(str::to_owned));
-    Refusal {
+    RefusalText {
         headline: format!("{what}: {text}"),
         facts,
     }

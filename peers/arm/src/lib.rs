@@ -1,6 +1,6 @@
 //! The robot arm of the demonstration lab: a pure model, and the peer that connects it to the hub.
 //!
-//! Nothing but [`peer`] does IO or reads a clock. Time is an argument ([`Micros`]), so the same calls give
+//! Nothing but [`peer`] does IO or reads a clock. Time is an argument ([`ArmTime`]), so the same calls give
 //! the same motion to the bit, and a program that wants a live arm calls [`Arm::advance`] whenever
 //! [`Arm::next_wake`] is due.
 //!
@@ -59,10 +59,10 @@ pub mod workspace;
 pub use arm::Arm;
 pub use blocks::Block;
 pub use error::{ArmError, ErrorName};
-pub use motion::Micros;
+pub use motion::ArmTime;
 pub use peer::ArmOptions;
 pub use pose::Pose;
 pub use script::{Grip, Script, Statement};
 pub use server::RobotServer;
-pub use state::{ArmEvent, ArmState, CommandState, Executing, Gripper, Progress};
+pub use state::{ArmEvent, ArmState, CommandState, Executing, Gripper, ScriptProgress};
 pub use status::Status;

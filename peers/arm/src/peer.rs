@@ -4,11 +4,11 @@ use std::future::{Future, pending};
 use std::pin::pin;
 use std::time::{Duration, SystemTime};
 
-use mom_client::{Client, ClientError, Code, Event, Link, Parcel, Time, WireError};
+use mom_client::{Client, ClientError, Code, Event, LinkState, Parcel, Time, WireError};
 use tokio::time::{Instant, sleep_until, timeout};
 
 use crate::arm::Arm;
-use crate::motion::Micros;
+use crate::motion::ArmTime;
 use crate::outlet::{Outlet, Sending};
 use crate::server::RobotServer;
 
@@ -114,7 +114,7 @@ fn log(event: &Event) {
 /// Why there are no more events.
 fn ended(client: &Client) -> ClientError {
     match &*client.state().borrow() {
-        Link::Closed(error) => ClientError::Closed(error.clone()),
+        LinkState::Closed(error) => ClientError::Closed(error.clone()),
         _ => WireError::new(Code::UNKNOWN_PATH, "the hub deleted the arm's channel").into(),
     }
 }
@@ -132,10 +132,10 @@ fn time_of_day() -> Time {
     micros.and_then(Time::from_micros).unwrap_or_default()
 }
 
-fn micros(begin: Instant) -> Micros {
-    Micros::try_from(begin.elapsed().as_micros()).unwrap_or(Micros::MAX)
+fn micros(begin: Instant) -> ArmTime {
+    ArmTime::try_from(begin.elapsed().as_micros()).unwrap_or(ArmTime::MAX)
 }
 
-fn duration(micros: Micros) -> Duration {
+fn duration(micros: ArmTime) -> Duration {
     Duration::from_micros(u64::try_from(micros).unwrap_or(0))
 }

@@ -10,10 +10,10 @@ use mom_client::{
 
 use crate::arm::Arm;
 use crate::error::{ArmError, ErrorName};
-use crate::motion::Micros;
+use crate::motion::ArmTime;
 use crate::pose::Pose;
-use crate::state::{ArmEvent, ArmState, CommandState, Executing, Progress};
-use crate::status::{Refusal, Status};
+use crate::state::{ArmEvent, ArmState, CommandState, Executing, ScriptProgress};
+use crate::status::{CommandRefusal, Status};
 
 #[cfg(test)]
 mod tests;
@@ -95,7 +95,7 @@ impl RobotServer {
     }
 
     /// Does what an event asks for. `gate` is that of the channel: it knows the fence of the present owner.
-    pub fn handle(&mut self, event: &Event, gate: &FenceGate, now: Micros, out: &mut Vec<Parcel>) {
+    pub fn handle(&mut self, event: &Event, gate: &FenceGate, now: ArmTime, out: &mut Vec<Parcel>) {
         self.advance(now, out);
         match event {
             Event::Message(parcel) => self.handle_message(parcel, gate, now, out),
@@ -124,18 +124,18 @@ impl RobotServer {
     }
 
     /// Lets time pass until `now`.
-    pub fn advance(&mut self, now: Micros, out: &mut Vec<Parcel>) {
+    pub fn advance(&mut self, now: ArmTime, out: &mut Vec<Parcel>) {
         self.act(out, |arm, events| arm.advance(now, events));
     }
 
     /// When [`RobotServer::advance`] is to be called next; `None` while the arm has nothing to do.
     #[must_use]
-    pub fn next_wake(&self) -> Option<Micros> {
+    pub fn next_wake(&self) -> Option<ArmTime> {
         self.arm.next_wake()
     }
 
     /// Ends every command, for a reason in plain words.
-    pub fn halt(&mut self, reason: &str, now: Micros, out: &mut Vec<Parcel>) {
+    pub fn halt(&mut self, reason: &str, now: ArmTime, out: &mut Vec<Parcel>) {
         self.act(out, |arm, events| arm.halt(now, reason, events));
     }
 
@@ -144,7 +144,7 @@ impl RobotServer {
         out.extend(self.state_message());
     }
 
-    fn handle_message(&mut self, parcel: &Parcel, gate: &FenceGate, now: Micros, out: &mut Vec<Parcel>) {
+    fn handle_message(&mut self, parcel: &Parcel, gate: &FenceGate, now: ArmTime, out: &mut Vec<Parcel>) {
         let sender = parcel.sender.as_deref().unwrap_or_default();
         match parcel.name() {
             COMMAND => {
@@ -155,7 +155,7 @@ impl RobotServer {
                 };
                 let obeyed = gate
                     .check(parcel)
-                    .map_err(Refusal::from)
+                    .map_err(CommandRefusal::from)
                     .and_then(|()| self.obey(order.clone(), parcel, now, out));
                 if let Err(refusal) = obeyed {
                     let status = order.status().because(Some(&refusal));
@@ -183,9 +183,9 @@ impl RobotServer {
         &mut self,
         order: Order,
         command: &Parcel,
-        now: Micros,
+        now: ArmTime,
         out: &mut Vec<Parcel>,
-    ) -> Result<(), Refusal> {
+    ) -> Result<(), CommandRefusal> {
         // The events of the token may be on their way still; the fence of the command tells as much.
         self.drop_below(order.fence.unwrap_or(0), now, out);
         self.states.set_moving(self.arm.is_busy());
@@ -218,14 +218,14 @@ impl RobotServer {
     }
 
     /// The token changes hands. Where both sides agree, the hub halts the arm if the token asks for it.
-    fn change_owner(&mut self, agreed: bool, fence: u64, now: Micros, out: &mut Vec<Parcel>) {
+    fn change_owner(&mut self, agreed: bool, fence: u64, now: ArmTime, out: &mut Vec<Parcel>) {
         if !agreed {
             self.drop_below(fence, now, out);
         }
     }
 
     /// Ends all commands if one of them carries a lower fence: its sender owns the token no more.
-    fn drop_below(&mut self, fence: u64, now: Micros, out: &mut Vec<Parcel>) {
+    fn drop_below(&mut self, fence: u64, now: ArmTime, out: &mut Vec<Parcel>) {
         let mut fences = self.orders.values().filter_map(|order| order.fence);
         if fences.any(|old| old < fence) {
             self.halt("the token changed hands", now, out);
@@ -253,12 +253,12 @@ impl RobotServer {
         &mut self,
         id: u64,
         state: CommandState,
-        progress: Progress,
+        progress: ScriptProgress,
         error: Option<ArmError>,
         out: &mut Vec<Parcel>,
     ) {
         let Some(order) = self.orders.get(&id) else { return };
-        let error = error.map(Refusal::from);
+        let error = error.map(CommandRefusal::from);
         let status = order.status().at(state, progress).because(error.as_ref());
         out.extend(self.status_message(&status));
         if matches!(state, CommandState::Finished | CommandState::Error) {

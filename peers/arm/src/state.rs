@@ -25,7 +25,7 @@ pub enum CommandState {
 
 /// Which statement of how many.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Progress {
+pub struct ScriptProgress {
     /// The statement being executed, or the last one begun; 1 for the first, 0 before it.
     pub statement: u32,
     /// How many statements the command has.
@@ -88,7 +88,7 @@ pub enum ArmEvent {
         /// Its state now.
         state: CommandState,
         /// How far it has come.
-        progress: Progress,
+        progress: ScriptProgress,
         /// Why, where the state is `error`.
         error: Option<ArmError>,
     },

@@ -23,12 +23,12 @@ mod solid;
 mod trail;
 mod view;
 
-pub use error::Error;
+pub use error::SettingsError;
 pub use geometry::Camera;
 pub use peer::CameraOptions;
 pub use renderer::{Image, Renderer};
-pub use scene::{Block, Colour, Gripper, Pose, Scene};
+pub use scene::{Colour, DrawnBlock, DrawnGripper, DrawnPose, Scene};
 pub use server::{ImageServer, ServerOptions};
-pub use settings::{Format, HEIGHTS, QUALITIES, Settings, SettingsChange, WIDTHS};
+pub use settings::{CameraSettings, Format, HEIGHTS, QUALITIES, SettingsChange, WIDTHS};
 pub use shot::{Picture, Shot};
 pub use view::View;

@@ -6,9 +6,9 @@ use std::sync::Arc;
 use mom_client::{Code, Content, Delivery, Event, Family, Map, Parcel, Path, Time, Value, WireError};
 
 use crate::owner::Owner;
-use crate::shot::{Picture, Purpose, Request, Shot};
+use crate::shot::{Picture, PictureRequest, Purpose, Shot};
 use crate::trail::Trail;
-use crate::{Error, Renderer, Scene, Settings, SettingsChange, View};
+use crate::{CameraSettings, Renderer, Scene, SettingsChange, SettingsError, View};
 
 #[cfg(test)]
 mod tests;
@@ -31,7 +31,7 @@ const STATE: &str = "state";
 const MOST_REQUESTS: usize = 64;
 
 /// µs since the server began.
-pub type Micros = i64;
+pub type CameraTime = i64;
 
 /// What an image server is and how it works.
 #[derive(Debug, Clone, PartialEq)]
@@ -43,9 +43,9 @@ pub struct ServerOptions {
     /// The token whose owner may change the settings.
     pub token: Path,
     /// The settings to begin with.
-    pub settings: Settings,
+    pub settings: CameraSettings,
     /// µs between the starts of two broadcast images, at least.
-    pub period: Micros,
+    pub period: CameraTime,
     /// How many past poses the path in the image has (M44).
     pub trail: usize,
 }
@@ -74,9 +74,9 @@ pub struct ImageServer {
     /// The revision that was broadcast last, or is about to be.
     shown: u64,
     /// When the next broadcast may begin.
-    next: Micros,
+    next: CameraTime,
     drawing: bool,
-    requests: VecDeque<Request>,
+    requests: VecDeque<PictureRequest>,
     newest: Option<Picture>,
 }
 
@@ -86,7 +86,7 @@ impl ImageServer {
     /// # Errors
     ///
     /// [`Error::Setting`] for a setting outside its limits.
-    pub fn new(options: ServerOptions) -> Result<ImageServer, Error> {
+    pub fn new(options: ServerOptions) -> Result<ImageServer, SettingsError> {
         Ok(ImageServer {
             renderer: Arc::new(Renderer::new(options.view, options.settings)?),
             owner: Owner::default(),
@@ -157,7 +157,7 @@ impl ImageServer {
 
     /// Sends what need not be drawn again, and gives the next picture to take if there is one.
     /// `wall` is the time of day.
-    pub fn advance(&mut self, now: Micros, wall: Time, out: &mut Vec<Parcel>) -> Option<Shot> {
+    pub fn advance(&mut self, now: CameraTime, wall: Time, out: &mut Vec<Parcel>) -> Option<Shot> {
         if self.drawing {
             return None;
         }
@@ -186,7 +186,7 @@ impl ImageServer {
     }
 
     /// When [`ImageServer::advance`] is to be called next; `None` while there is nothing to wait for.
-    pub fn next_wake(&self) -> Option<Micros> {
+    pub fn next_wake(&self) -> Option<CameraTime> {
         (!self.drawing && self.shown != self.revision).then_some(self.next)
     }
 
@@ -215,9 +215,9 @@ impl ImageServer {
         out.push(self.answer(REQUEST_REFUSED, error_map(&error), &request));
     }
 
-    fn change_settings(&mut self, parcel: &Parcel) -> Result<Settings, WireError> {
+    fn change_settings(&mut self, parcel: &Parcel) -> Result<CameraSettings, WireError> {
         self.owner.check(parcel.sender.as_deref(), &self.options.token)?;
-        let bad_content = |error: Error| WireError::new(Code::BAD_CONTENT, error.to_string());
+        let bad_content = |error: SettingsError| WireError::new(Code::BAD_CONTENT, error.to_string());
         let change: SettingsChange = match &parcel.content {
             Some(content) => content.read()?,
             None => SettingsChange::default(),
@@ -257,7 +257,7 @@ impl ImageServer {
     }
 
     /// A message to one peer.
-    fn answer(&self, name: &str, content: Map, to: &Request) -> Parcel {
+    fn answer(&self, name: &str, content: Map, to: &PictureRequest) -> Parcel {
         let mut parcel = self.message(name, content);
         parcel.address = Some(vec![Arc::clone(&to.peer)]);
         parcel.reference = to.id;
@@ -275,14 +275,14 @@ impl ImageServer {
     }
 }
 
-fn request_of(parcel: &Parcel) -> Request {
-    Request {
+fn request_of(parcel: &Parcel) -> PictureRequest {
+    PictureRequest {
         peer: parcel.sender.clone().unwrap_or_default(),
         id: parcel.id,
     }
 }
 
-fn settings_map(settings: &Settings) -> Map {
+fn settings_map(settings: &CameraSettings) -> Map {
     Map::new()
         .with("width", settings.width)
         .with("height", settings.height)

@@ -23,12 +23,12 @@ pub(crate) struct Purpose {
     /// All members of the channel.
     pub(crate) broadcast: bool,
     /// Peers that asked, with the ids of their requests.
-    pub(crate) requests: Vec<Request>,
+    pub(crate) requests: Vec<PictureRequest>,
 }
 
 /// A peer that asked for a picture.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Request {
+pub(crate) struct PictureRequest {
     pub(crate) peer: Arc<str>,
     pub(crate) id: Option<u64>,
 }

@@ -34,7 +34,7 @@ enum Act {
     Halt,
     Stop,
     Unstop,
-    Pass(Micros),
+    Pass(ArmTime),
     Finish,
 }
 
@@ -50,7 +50,7 @@ fn act() -> impl Strategy<Value = Act> {
 }
 
 /// What must hold between any two looks at the arm.
-fn check_step(before: &(Micros, ArmState), after: &(Micros, ArmState)) -> Result<(), TestCaseError> {
+fn check_step(before: &(ArmTime, ArmState), after: &(ArmTime, ArmState)) -> Result<(), TestCaseError> {
     let seconds = (after.0 - before.0) as f64 / 1e6;
     let (old, new) = (&before.1, &after.1);
     prop_assert_eq!(WORKSPACE.check(&new.pose), Ok(()));
