@@ -63,14 +63,14 @@ pub struct ClockOffset {
 /// ```
 #[derive(Clone, Debug, Default)]
 pub struct OffsetEstimator {
-    window: VecDeque<Bounds>,
+    window: VecDeque<OffsetBounds>,
     /// Where all of the window agree.
-    agreed: Option<Bounds>,
+    agreed: Option<OffsetBounds>,
 }
 
 /// The offset lies between `low` and `high` at monotonic time `at`.
 #[derive(Clone, Copy, Debug)]
-struct Bounds {
+struct OffsetBounds {
     low: i64,
     high: i64,
     at: u64,
@@ -91,7 +91,7 @@ impl Exchange {
     }
 
     /// The least and the greatest offset that it allows; none where a clock was set in the midst of it.
-    fn bounds(&self, at: u64) -> Option<Bounds> {
+    fn bounds(&self, at: u64) -> Option<OffsetBounds> {
         let difference = |one: Time, other: Time| one.micros() - other.micros();
         // The clocks part during the exchange too.
         let took = u64::try_from(difference(self.heard, self.sent)).unwrap_or_default();
@@ -99,19 +99,19 @@ impl Exchange {
         let low = difference(self.replied, self.heard) - doubt;
         let high = difference(self.received, self.sent) + doubt;
         let in_order = self.sent <= self.heard && self.received <= self.replied;
-        (in_order && low <= high).then_some(Bounds { low, high, at })
+        (in_order && low <= high).then_some(OffsetBounds { low, high, at })
     }
 }
 
-impl Bounds {
+impl OffsetBounds {
     /// The same later: the clocks may have parted meanwhile.
-    fn at(self, now: u64) -> Bounds {
+    fn at(self, now: u64) -> OffsetBounds {
         let parted = now
             .saturating_sub(self.at)
             .saturating_mul(DRIFT)
             .div_ceil(1_000_000);
         let parted = i64::try_from(parted).unwrap_or(i64::MAX);
-        Bounds {
+        OffsetBounds {
             low: self.low.saturating_sub(parted),
             high: self.high.saturating_add(parted),
             at: self.at.max(now),
@@ -119,11 +119,11 @@ impl Bounds {
     }
 
     /// Where both hold.
-    fn and(self, other: Bounds) -> Option<Bounds> {
+    fn and(self, other: OffsetBounds) -> Option<OffsetBounds> {
         let at = self.at.max(other.at);
         let (one, other) = (self.at(at), other.at(at));
         let (low, high) = (one.low.max(other.low), one.high.min(other.high));
-        (low <= high).then_some(Bounds { low, high, at })
+        (low <= high).then_some(OffsetBounds { low, high, at })
     }
 }
 
@@ -162,7 +162,7 @@ impl OffsetEstimator {
 
     /// The offset at monotonic time `now`; none before the first exchange.
     pub fn at(&self, now: u64) -> Option<ClockOffset> {
-        let Bounds { low, high, .. } = self.agreed?.at(now);
+        let OffsetBounds { low, high, .. } = self.agreed?.at(now);
         let width = high.saturating_sub(low);
         Some(ClockOffset {
             micros: low.saturating_add(width / 2),

@@ -1,7 +1,7 @@
 //! What a login says. Its errors quote nothing of it: it may be a secret at a wrong place.
 
 use mom_proto::nearest::nearest;
-use mom_proto::{Code, Kind, Map, Parcel, Value, WireError, check_name};
+use mom_proto::{Code, Map, Parcel, Value, ValueKind, WireError, check_name};
 
 /// How a peer means to prove who it is.
 #[derive(Debug)]
@@ -100,7 +100,7 @@ fn map_of(parcel: &Parcel, wanted: &str) -> Result<Map, WireError> {
 
 /// A member; null is as good as none.
 fn take(map: &mut Map, key: &str) -> Option<Value> {
-    map.remove(key).filter(|value| value.kind() != Kind::Null)
+    map.remove(key).filter(|value| value.kind() != ValueKind::Null)
 }
 
 fn take_text(map: &mut Map, key: &str) -> Result<Option<String>, WireError> {

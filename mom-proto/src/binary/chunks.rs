@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use bytes::{Bytes, BytesMut};
 
 use super::decoder::broken;
-use super::wire::{Reader, put_varint};
+use super::wire::{FieldReader, put_varint};
 use super::{KIND_CHUNK, KIND_PARCEL};
 use crate::codec::Encoded;
 use crate::{Code, Limit, WireError};
@@ -93,12 +93,12 @@ pub fn chunks(encoded: &Encoded, stream: u64, size: usize) -> Vec<Bytes> {
 /// The parcels that are on their way in pieces; together never larger than one parcel may be.
 #[derive(Debug, Default)]
 pub(super) struct Assembly {
-    open: BTreeMap<u64, Open>,
+    open: BTreeMap<u64, OpenStream>,
     announced: usize,
 }
 
 #[derive(Debug)]
-struct Open {
+struct OpenStream {
     length: usize,
     bytes: BytesMut,
 }
@@ -106,7 +106,7 @@ struct Open {
 impl Assembly {
     /// Adds a chunk; gives the whole frame with the last one.
     pub(super) fn add(&mut self, frame: &Bytes, limit: Limit) -> Result<Option<Bytes>, WireError> {
-        let mut reader = Reader::at(frame, 1);
+        let mut reader = FieldReader::at(frame, 1);
         let read = |result: Result<u64, WireError>| result.map_err(|error| broken(&error.text));
         let stream = read(reader.varint())?;
         let flags = reader.byte().map_err(|error| broken(&error.text))?;
@@ -160,7 +160,7 @@ impl Assembly {
             .open
             .insert(
                 stream,
-                Open {
+                OpenStream {
                     length,
                     bytes: BytesMut::new(),
                 },
@@ -173,7 +173,7 @@ impl Assembly {
         Ok(())
     }
 
-    fn close(&mut self, stream: u64) -> Option<Open> {
+    fn close(&mut self, stream: u64) -> Option<OpenStream> {
         let open = self.open.remove(&stream)?;
         self.announced -= open.length;
         Some(open)

@@ -162,7 +162,7 @@ impl<'a> Rest<'a> {
 ///
 /// The first is admitted as any parcel is; the others follow as long as they are like it in all that was decided.
 #[derive(Debug)]
-pub struct Run {
+pub struct ParcelRun {
     /// What the messages have in common as they arrive.
     head: Vec<u8>,
     tail: Vec<u8>,
@@ -174,11 +174,11 @@ pub struct Run {
     count: u32,
 }
 
-impl Run {
+impl ParcelRun {
     /// A run that begins with `first`, of which `stamped` is what was admitted: without content, but with
     /// sender, time, age and fence. `room` is how many bytes it may come to, as far as is known.
-    pub fn begin(first: &Plain<'_>, stamped: &Parcel, room: usize) -> Run {
-        let mut run = Run {
+    pub fn begin(first: &Plain<'_>, stamped: &Parcel, room: usize) -> ParcelRun {
+        let mut run = ParcelRun {
             head: first.head.to_vec(),
             tail: first.tail.to_vec(),
             prefix: Vec::with_capacity(64),
@@ -368,7 +368,7 @@ mod tests {
             while let Some(plain) = decoder.plain(rest) {
                 let mut stamped = decoder.head(&plain).expect("plain messages are decoded");
                 stamp(&mut stamped, guarded);
-                let run = run.get_or_insert_with(|| Run::begin(&plain, &stamped, 0));
+                let run = run.get_or_insert_with(|| ParcelRun::begin(&plain, &stamped, 0));
                 prop_assert!(run.takes(&plain));
                 run.push(&plain, -5);
                 rest.advance(plain.length());
@@ -417,7 +417,7 @@ mod tests {
         let first = frame(message("state"));
         let plain = decoder.plain(&first).unwrap();
         let stamped = decoder.head(&plain).unwrap();
-        let run = Run::begin(&plain, &stamped, 100);
+        let run = ParcelRun::begin(&plain, &stamped, 100);
         assert!(run.takes(&decoder.plain(&frame(message("state").id(900))).unwrap()));
         let urgent = Parcel {
             priority: Some(1),

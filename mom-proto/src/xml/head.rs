@@ -30,13 +30,13 @@ pub(super) struct Body {
 
 /// The header lines of one entity so far.
 #[derive(Debug, Default)]
-pub(super) struct Head {
+pub(super) struct EntityHead {
     length: Option<usize>,
     media: Option<Result<Media, WireError>>,
     encoding: Option<WireError>,
 }
 
-impl Head {
+impl EntityHead {
     /// Takes one line, without its line end.
     pub(super) fn line(&mut self, line: &[u8], limits: &Limits) -> Result<(), WireError> {
         if line == OWN_TYPE {

@@ -31,7 +31,7 @@ use bytes::{Buf, BytesMut};
 use crate::codec::Frame;
 use crate::{Code, Limits, WireError};
 
-use head::{Body, Head, Media};
+use head::{Body, EntityHead, Media};
 use multipart::Parts;
 
 pub use write::encode;
@@ -56,7 +56,7 @@ const FIRST: &[u8] = b"content-";
 #[derive(Debug)]
 pub struct XmlDecoder {
     limits: Limits,
-    head: Head,
+    head: EntityHead,
     // Bytes of this entity's header lines that are read and gone.
     head_bytes: usize,
     // Bytes at the front of the input that are known to hold no line end.
@@ -69,7 +69,7 @@ impl XmlDecoder {
     pub fn new(limits: &Limits) -> XmlDecoder {
         XmlDecoder {
             limits: limits.clone(),
-            head: Head::default(),
+            head: EntityHead::default(),
             head_bytes: 0,
             scanned: 0,
             body: None,
