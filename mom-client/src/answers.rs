@@ -9,8 +9,8 @@ use tokio::time::Instant;
 use crate::guards::RenewalTerms;
 use crate::info::map_of;
 use crate::pending::AnswerTo;
-use crate::places::JoinPhase;
 use crate::shared::{Shared, verb};
+use crate::wanted::JoinPhase;
 use crate::{ClientError, Event, Lost};
 
 pub(crate) type RequestResult = Result<Parcel, ClientError>;

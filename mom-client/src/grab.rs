@@ -41,7 +41,7 @@ pub struct Place {
 #[must_use = "a grab does nothing until it is awaited"]
 pub struct Grab<'a> {
     member: &'a Membership,
-    wait: Patience,
+    wait: GrabWait,
     on_place: Option<OnPlace<'a>>,
 }
 
@@ -49,7 +49,7 @@ type OnPlace<'a> = Box<dyn FnMut(Place) + Send + 'a>;
 
 /// For how long a grab waits in the queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Patience {
+enum GrabWait {
     No,
     For(Duration),
     Forever,
@@ -59,20 +59,20 @@ impl<'a> Grab<'a> {
     pub(crate) fn new(member: &'a Membership) -> Grab<'a> {
         Grab {
             member,
-            wait: Patience::No,
+            wait: GrabWait::No,
             on_place: None,
         }
     }
 
     /// Waits in the queue for so long, in whole ms; after it the grab is refused with `timed-out`.
     pub fn wait(mut self, most: Duration) -> Grab<'a> {
-        self.wait = Patience::For(most);
+        self.wait = GrabWait::For(most);
         self
     }
 
     /// Waits in the queue for as long as it takes.
     pub fn wait_forever(mut self) -> Grab<'a> {
-        self.wait = Patience::Forever;
+        self.wait = GrabWait::Forever;
         self
     }
 
@@ -93,7 +93,7 @@ impl<'a> Grab<'a> {
         let mut parcel = verb(Family::Token, "grab", path).id(id);
         parcel.content = self.wait.content().map(Into::into);
         let places = match self.wait {
-            Patience::No => {
+            GrabWait::No => {
                 shared.obtain(parcel, waiter)?;
                 None
             }
@@ -119,13 +119,13 @@ impl<'a> Grab<'a> {
 async fn follow(
     shared: &Shared,
     places: Option<watch::Receiver<Option<Place>>>,
-    wait: Patience,
+    wait: GrabWait,
     mut on_place: Option<OnPlace<'_>>,
 ) -> Duration {
     let answer = shared.settings.request_timeout;
     let after = match wait {
-        Patience::No | Patience::Forever => answer,
-        Patience::For(most) => answer.saturating_add(most),
+        GrabWait::No | GrabWait::Forever => answer,
+        GrabWait::For(most) => answer.saturating_add(most),
     };
     let mut overdue = pin!(sleep(after));
     let mut patient = false;
@@ -141,7 +141,7 @@ async fn follow(
                     return pending().await;
                 }
                 // Once it is in the queue the hub has heard of it, and only the link's end can end it.
-                patient = wait == Patience::Forever;
+                patient = wait == GrabWait::Forever;
                 let place = *places.borrow_and_update();
                 if let (Some(place), Some(told)) = (place, &mut on_place) {
                     told(place);
@@ -152,12 +152,12 @@ async fn follow(
     }
 }
 
-impl Patience {
+impl GrabWait {
     fn content(self) -> Option<Map> {
         match self {
-            Patience::No => None,
-            Patience::For(most) => Some(Map::new().with("wait", millis(most))),
-            Patience::Forever => Some(Map::new().with("wait", "unlimited")),
+            GrabWait::No => None,
+            GrabWait::For(most) => Some(Map::new().with("wait", millis(most))),
+            GrabWait::Forever => Some(Map::new().with("wait", "unlimited")),
         }
     }
 }

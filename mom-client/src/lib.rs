@@ -54,7 +54,6 @@ mod message;
 mod outbox;
 mod owning;
 mod pending;
-mod places;
 mod predict;
 mod proof;
 mod reconnect;
@@ -68,6 +67,7 @@ mod subscribe;
 mod token;
 mod token_info;
 mod waits;
+mod wanted;
 
 pub use ask_owner::AskOwner;
 pub use builder::Builder;

@@ -7,8 +7,8 @@ use tokio::time::timeout;
 
 use crate::client::{Client, Handle};
 use crate::info::text;
-use crate::places::Want;
 use crate::shared::Shared;
+use crate::wanted::Want;
 use crate::{ClientError, Events};
 
 /// Membership of a context and of all above it. When the last one of a context goes, the context is left,

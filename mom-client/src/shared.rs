@@ -18,10 +18,10 @@ use crate::handover::Handovers;
 use crate::login::Welcome;
 use crate::outbox::{Message, Outbox, Overruled, Returned, Room};
 use crate::pending::{AnswerTo, OpenRequests};
-use crate::places::{Want, WantedContexts};
 use crate::proof::Credentials;
 use crate::subscribe::{EventQueue, Subscribers};
 use crate::waits::Waits;
+use crate::wanted::{Want, WantedContexts};
 use crate::{ClientError, LinkState, Reconnect};
 
 /// Room for messages that wait to be written: 4 MiB in units of 1 KiB; and as much as a quarter of that for those of a

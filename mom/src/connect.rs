@@ -18,7 +18,7 @@ pub(crate) enum Stay {
 
 /// Connects and logs in.
 pub(crate) async fn connect(global: &GlobalArgs, stay: Stay) -> Result<Client, Failure> {
-    let who = Credentials::of(global)?;
+    let who = UserLogin::of(global)?;
     let builder = who.prove(Client::builder(&global.hub));
     let builder = match stay {
         Stay::Once => builder.no_reconnect(),
@@ -31,15 +31,15 @@ pub(crate) async fn connect(global: &GlobalArgs, stay: Stay) -> Result<Client, F
 }
 
 /// Who asks, and how that is proven.
-struct Credentials<'a> {
+struct UserLogin<'a> {
     user: Option<&'a str>,
     proof: Proof,
 }
 
-impl<'a> Credentials<'a> {
-    fn of(global: &'a GlobalArgs) -> Result<Credentials<'a>, Failure> {
+impl<'a> UserLogin<'a> {
+    fn of(global: &'a GlobalArgs) -> Result<UserLogin<'a>, Failure> {
         if global.guest {
-            return Ok(Credentials {
+            return Ok(UserLogin {
                 user: None,
                 proof: Proof::Guest,
             });
@@ -47,7 +47,7 @@ impl<'a> Credentials<'a> {
         if let Some(file) = &global.jwt {
             let token = fs::read_to_string(file)
                 .map_err(|error| Failure::plain(format!("cannot read {}: {error}", file.display())))?;
-            return Ok(Credentials {
+            return Ok(UserLogin {
                 user: None,
                 proof: Proof::Token(token.trim().to_owned()),
             });
@@ -68,7 +68,7 @@ impl<'a> Credentials<'a> {
             })?),
             None => Proof::Password(password(user, &global.hub)?),
         };
-        Ok(Credentials {
+        Ok(UserLogin {
             user: Some(user),
             proof,
         })
@@ -104,7 +104,7 @@ fn password(user: &str, hub: &str) -> Result<String, Failure> {
     })
 }
 
-fn explain(hub: &str, who: &Credentials<'_>, error: ClientError) -> Failure {
+fn explain(hub: &str, who: &UserLogin<'_>, error: ClientError) -> Failure {
     match error {
         ClientError::Local(error) => Failure::usage(
             format!("--hub {hub}: {}", error.text),
@@ -123,7 +123,7 @@ fn explain(hub: &str, who: &Credentials<'_>, error: ClientError) -> Failure {
 }
 
 /// The hub does not take the proof.
-fn unknown(hub: &str, who: &Credentials<'_>, error: &WireError) -> Failure {
+fn unknown(hub: &str, who: &UserLogin<'_>, error: &WireError) -> Failure {
     let known = |what: &str| format!("the hub at {hub} does not know {} with this {what}", who.name());
     match &who.proof {
         Proof::Password(_) => Failure::new(

@@ -85,7 +85,7 @@ impl ImageServer {
     ///
     /// # Errors
     ///
-    /// [`Error::Setting`] for a setting outside its limits.
+    /// [`SettingsError::Setting`] for a setting outside its limits.
     pub fn new(options: ServerOptions) -> Result<ImageServer, SettingsError> {
         Ok(ImageServer {
             renderer: Arc::new(Renderer::new(options.view, options.settings)?),

@@ -39,7 +39,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 
 /// What is known of a connection that facts about it do not say themselves.
 #[derive(Debug, Default)]
-struct Client {
+struct AuditedPeer {
     from: Option<IpAddr>,
     user: Option<Arc<str>>,
 }
@@ -49,7 +49,7 @@ struct Client {
 pub struct AuditLog {
     queue: SyncSender<AuditNote>,
     shared: Arc<AuditShared>,
-    connections: DashMap<PeerId, Client>,
+    connections: DashMap<PeerId, AuditedPeer>,
     dead: AtomicBool,
 }
 
@@ -143,7 +143,7 @@ impl AuditLog {
 
     /// A connection from somewhere has come.
     pub fn arrived(&self, peer: PeerId, from: Option<IpAddr>) {
-        let connection = Client { from, user: None };
+        let connection = AuditedPeer { from, user: None };
         self.connections.insert(peer, connection);
     }
 
