@@ -42,12 +42,12 @@ const SLOTS: [Slot; 18] = [
 /// The slots of one parcel as they are read, in any order.
 ///
 /// ```
-/// use mom_proto::{Kind, ReadSlots, Value};
+/// use mom_proto::{ReadSlots, Value, ValueKind};
 /// let mut slots = ReadSlots::new();
 /// slots.insert("family".into(), Value::from("message")).unwrap();
 /// slots.insert("name".into(), Value::from("chat")).unwrap();
 /// assert_eq!(slots.finish().unwrap().name(), "chat");
-/// assert_eq!(ReadSlots::kind_of("id"), Some(Kind::Int));
+/// assert_eq!(ReadSlots::kind_of("id"), Some(ValueKind::Int));
 /// ```
 #[derive(Debug)]
 pub struct ReadSlots {

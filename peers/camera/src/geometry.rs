@@ -20,9 +20,9 @@ const MARGIN: f64 = 16.0;
 /// A pinhole camera with square pixels and the principal point in the middle of the image.
 ///
 /// ```
-/// use mom_camera::{Pose, View};
+/// use mom_camera::{DrawnPose, View};
 ///
-/// let camera = View::Top.camera(&Pose::default(), 640, 480);
+/// let camera = View::Top.camera(&DrawnPose::default(), 640, 480);
 /// let pixel = camera.project([0.0, 0.0, 0.0]).unwrap();
 /// assert!((pixel[0] - 320.0).abs() < 1e-9 && (pixel[1] - 240.0).abs() < 1e-9);
 /// ```

@@ -20,13 +20,13 @@ const MOST_POSES: usize = 200;
 /// The same scene gives the same bytes.
 ///
 /// ```
-/// use mom_camera::{Renderer, Scene, Settings, View};
+/// use mom_camera::{Renderer, Scene, CameraSettings, View};
 ///
-/// let renderer = Renderer::new(View::Top, Settings::default())?;
+/// let renderer = Renderer::new(View::Top, CameraSettings::default())?;
 /// let image = renderer.render(&Scene::default());
 /// assert_eq!(image.media_type, "image/jpeg");
 /// assert_eq!((image.width, image.height), (640, 480));
-/// # Ok::<(), mom_camera::Error>(())
+/// # Ok::<(), mom_camera::SettingsError>(())
 /// ```
 #[derive(Debug, Clone)]
 pub struct Renderer {

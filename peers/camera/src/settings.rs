@@ -19,16 +19,16 @@ pub const QUALITIES: RangeInclusive<u8> = 1..=100;
 /// Deserializing checks the limits; a missing setting has its default.
 ///
 /// ```
-/// use mom_camera::{Settings, SettingsChange};
+/// use mom_camera::{CameraSettings, SettingsChange};
 ///
-/// let settings = Settings::default();
+/// let settings = CameraSettings::default();
 /// let change = SettingsChange { quality: Some(50), ..SettingsChange::default() };
 /// assert_eq!(settings.with(&change)?.quality, 50);
 ///
 /// let change = SettingsChange { width: Some(5000), ..SettingsChange::default() };
 /// let error = settings.with(&change).unwrap_err();
 /// assert_eq!(error.to_string(), "width is 5000; it must be 64 to 1920 pixels");
-/// # Ok::<(), mom_camera::Error>(())
+/// # Ok::<(), mom_camera::SettingsError>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "SettingsChange")]
