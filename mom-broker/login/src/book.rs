@@ -1,4 +1,4 @@
-//! One configuration of logins: the users, and who else is let in.
+//! One configuration of logins: the users, and which others are let in.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -27,11 +27,11 @@ pub enum UserSource {
     Claims,
 }
 
-/// All that logins go by.
+/// The configuration of logins.
 #[derive(Debug)]
 pub(super) struct Book {
     pub(super) users: BTreeMap<String, BookEntry>,
-    /// Of each look of a user's name whose it is; none = of several.
+    /// The user for each visual form of a name; none = several users share it.
     looks: BTreeMap<String, Option<String>>,
     /// The most keys that a user has.
     pub(super) keys: usize,
@@ -49,32 +49,32 @@ pub(super) struct BookEntry {
     pub(super) keys: Vec<VerifyingKey>,
 }
 
-/// As whom a peer is here.
+/// A logged-in peer's user.
 #[derive(Clone, Debug)]
 pub(super) struct Identity {
     /// Shared by all peers of a user.
     pub(super) user: Arc<User>,
     pub(super) origin: UserSource,
-    /// What it has shown, which must still be the user's for it to stay.
+    /// The proof it has shown, which must remain valid for it to stay.
     proof: ShownProof,
 }
 
-/// By what a peer has shown who it is.
+/// The proof by which a peer has authenticated.
 #[derive(Clone, Debug)]
 pub(super) enum ShownProof {
-    /// A password; the hash that it was checked against, which is another one after each change.
+    /// A password, as the hash that it was checked against; each change makes another hash.
     Password(String),
     /// The key that signed.
     Key(Box<VerifyingKey>),
-    /// A token, by what it was checked.
+    /// A JWT, with the settings by which it was checked.
     Token(Arc<Verifier>),
     /// Nothing: a guest.
     Nothing,
 }
 
 impl Book {
-    /// What an earlier one had and still holds is kept: the places at which passwords are hashed, and the
-    /// verifier, by which bearers of tokens are known to be still trusted.
+    /// Keeps what is still valid of an earlier configuration: the hashing pool, and the verifier, which shows that
+    /// bearers of JWTs are still trusted.
     pub(super) fn new(
         users: Vec<UserEntry>,
         settings: LoginConfig,
@@ -158,13 +158,13 @@ impl Book {
                 origin: UserSource::Claims,
                 proof: ShownProof::Token(Arc::clone(verifier)),
             },
-            // Whoever is in the file has its rights from there, and those may be more.
+            // A user of the file has its rights from there, and those may be higher.
             (_, Some(_)) => return Err(refused("the token's user is one of this hub's own")),
         };
         Ok((standing, until))
     }
 
-    /// Refuses the name of another user, and what looks like it: this one could be taken for that.
+    /// Refuses the name of another user, and look-alikes of it, so that nobody can be mistaken for that user.
     pub(super) fn check_nickname(&self, user: &User, nickname: Option<&str>) -> Result<(), WireError> {
         let Some(nickname) = nickname.filter(|nickname| *nickname != user.name) else {
             return Ok(());
@@ -197,7 +197,7 @@ impl Identity {
         }
     }
 
-    /// The user as another book has it; none = it is nobody there, or what it has shown proves nothing any more.
+    /// The same user in another book; none = there is no such user, or its proof is no longer valid.
     pub(super) fn as_of(&self, book: &Book) -> Option<Arc<User>> {
         let entry = book.users.get(&self.user.name);
         let proven = match &self.proof {
@@ -240,7 +240,7 @@ impl BookEntry {
     }
 }
 
-/// The user that all guests are.
+/// The user of all guests.
 pub fn guest() -> User {
     User {
         name: GUEST.to_owned(),

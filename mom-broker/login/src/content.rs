@@ -1,17 +1,17 @@
-//! What a login says. Its errors quote nothing of it: it may be a secret at a wrong place.
+//! The content of a login. Its errors quote nothing, because it may be a secret in the wrong field.
 
 use mom_proto::nearest::nearest;
 use mom_proto::{Code, Map, Parcel, Value, ValueKind, WireError, check_name};
 
-/// How a peer means to prove who it is.
+/// A login request.
 #[derive(Debug)]
 pub(super) struct LoginRequest {
     pub(super) proof: ClaimedProof,
-    /// The name it wishes.
+    /// The requested nickname.
     pub(super) nickname: Option<String>,
 }
 
-/// By what.
+/// The proof that it claims to have.
 pub(super) enum ClaimedProof {
     Password { name: String, password: String },
     Key { name: String },
@@ -98,7 +98,7 @@ fn map_of(parcel: &Parcel, wanted: &str) -> Result<Map, WireError> {
     }
 }
 
-/// A member; null is as good as none.
+/// A member; null counts as absent.
 fn take(map: &mut Map, key: &str) -> Option<Value> {
     map.remove(key).filter(|value| value.kind() != ValueKind::Null)
 }
@@ -135,7 +135,7 @@ fn wrong_kind(key: &str, given: &Value, wanted: &str) -> WireError {
 }
 
 fn wrong(key: &str, text: &str) -> WireError {
-    // Keys come from outside; an error quotes what people can read, not megabytes.
+    // Keys come from outside, so errors quote only a readable part of them.
     let key: String = key.chars().take(64).collect();
     let slot = format!("content/{key}");
     WireError::new(Code::BAD_CONTENT, format!("{slot}: {text}")).slot(&slot)

@@ -1,8 +1,8 @@
 //! How often logins may fail, per address and per account (threat 15).
 //!
-//! Each bucket is a generic cell rate algorithm: one time, up to which its failures are paid. Unlike a ready-made
-//! limiter this one can be asked without being charged, because only failures count and they are known
-//! afterwards; and it forgets what it has no room for, because keys come from whoever attacks.
+//! Each bucket is a generic cell rate algorithm: one time, up to which its failures are paid for. Unlike a ready-made
+//! limiter it can be queried without being charged, because only failures count and they are known afterwards; and
+//! when it is full it evicts, because attackers choose the keys.
 
 use std::collections::HashMap;
 use std::hash::{BuildHasher, Hash, RandomState};
@@ -19,7 +19,7 @@ const ROOM: usize = 16 * 1024;
 
 const MINUTE: Micros = 60_000_000;
 
-/// Where an attempt comes from, and at whose account it aims; hashed, so that all keys have one size.
+/// The address and the target account of an attempt; hashed, so that all keys have one size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct AttemptSource {
     address: u64,
@@ -32,7 +32,7 @@ struct Account {
     pair: u64,
 }
 
-/// Failures of late.
+/// Recent failures.
 #[derive(Debug)]
 pub(super) struct Throttle {
     keys: RandomState,
@@ -43,10 +43,10 @@ pub(super) struct Throttle {
 struct ThrottleState {
     addresses: Table,
     accounts: Table,
-    /// Failures from an address that is known to the account: counted apart, so that neither who attacks the
-    /// account from elsewhere nor who attacks others from there is in the right user's way.
+    /// Failures from an address that is known to the account, counted separately: neither attacks on the account from
+    /// elsewhere nor attacks on others from there hinder the right user.
     pairs: Table,
-    /// When an address was last the account's.
+    /// When an account last logged in from an address.
     known: Table,
 }
 
@@ -72,8 +72,7 @@ impl Throttle {
         }
     }
 
-    /// The source of an attempt. A proof that cannot be guessed names no account: nobody can get its owner into
-    /// trouble.
+    /// The source of an attempt. A proof that cannot be guessed names no account, so nobody can lock out its owner.
     pub(super) fn source(&self, from: IpAddr, account: Option<&str>) -> AttemptSource {
         let from = network(from);
         AttemptSource {
@@ -92,7 +91,7 @@ impl Throttle {
     /// Whether an attempt may be made now.
     ///
     /// # Errors
-    /// How long it has to wait.
+    /// The time to wait.
     pub(super) fn check(
         &self,
         source: AttemptSource,
@@ -130,7 +129,7 @@ impl Throttle {
         }
     }
 
-    /// Remembers from where the right user came.
+    /// Remembers the address of a successful login.
     pub(super) fn succeed(&self, source: AttemptSource, now: Micros) {
         if let Some(account) = source.account {
             self.state.lock().known.set(account.pair, now);
@@ -138,7 +137,7 @@ impl Throttle {
     }
 }
 
-/// What counts as one address: whoever has one of IPv6 has 2⁶⁴ of them.
+/// The part that counts as one address: an IPv6 host has 2⁶⁴ of them.
 fn network(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(address) => IpAddr::V6(Ipv6Addr::from_bits(address.to_bits() >> 64 << 64)),
@@ -146,7 +145,7 @@ fn network(address: IpAddr) -> IpAddr {
     }
 }
 
-/// Times by key, as many as there is room for.
+/// Times by key, of bounded number.
 #[derive(Debug)]
 struct Table {
     times: HashMap<u64, Micros>,
@@ -178,8 +177,8 @@ impl Table {
         self.times.insert(key, time);
     }
 
-    /// Forgets an eighth: the oldest times, which are the accounts with the fewest failures and the addresses
-    /// that were not seen for longest. Whoever is under attack stays.
+    /// Evicts an eighth: the oldest times, which belong to accounts with the fewest failures and addresses not seen
+    /// for longest. Accounts under attack stay.
     fn make_room(&mut self) {
         let mut times: Vec<Micros> = self.times.values().copied().collect();
         let (_, limit, _) = times.select_nth_unstable(self.room / 8);
@@ -269,7 +268,7 @@ mod tests {
         assert!(throttle.check(elsewhere, 10_000_000, &CONFIG).is_ok());
     }
 
-    /// An attacker beside the right user is in nobody's way but its own.
+    /// An attacker beside the right user hinders only itself.
     #[test]
     fn a_known_address_is_no_licence() {
         let throttle = Throttle::new();

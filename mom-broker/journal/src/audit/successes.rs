@@ -1,8 +1,9 @@
-//! Ownerships that begin and end by the thousand a second: the first ones of a second one by one, then a line with a
-//! count, so that nobody can push older lines out of the files by taking and releasing a token again and again.
+//! Folds grants and losses, which may come by the thousand per second: the first ones of a second are written one by
+//! one, then a line with a count. So nobody can push older lines out of the files by grabbing and releasing a token
+//! in a loop.
 //!
-//! Nothing is left out of the end of the tale: the last of what is folded is the line that is written, and it is
-//! written before any other line about its context.
+//! The last state is never lost: the line of folded facts is that of the last one, and it is written before any other
+//! line about its context.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -13,7 +14,7 @@ use mom_proto::event::Reason;
 
 use super::Fact;
 
-/// What folds: a peer can bring it about as often as it likes, and each takes back the one before.
+/// The facts that are folded: a peer can repeat them at will, and each reverses the one before.
 const FOLDING: [&str; 6] = [
     "granted",
     "lost",
@@ -23,13 +24,13 @@ const FOLDING: [&str; 6] = [
     "expelled",
 ];
 
-/// Alike facts of one second that have lines of their own.
+/// Identical facts of one second that get lines of their own.
 const OWN_LINES: u32 = 8;
 
-/// Facts that are told apart; what is beyond has lines of its own.
+/// Kinds of facts that are distinguished; facts beyond get lines of their own.
 const OF_ALL: usize = 1024;
 
-/// What makes two facts alike.
+/// Facts with the same key are identical.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 struct FactKey {
     what: &'static str,
@@ -45,7 +46,7 @@ struct FactKey {
 struct FoldedFacts {
     /// Lines of the present second.
     own: u32,
-    /// The last of those that no line was written for yet, how many they are, and its place in the order of all.
+    /// The last fact not written yet, the number of such facts, and its position in the order of all.
     folded: Option<(Fact, u64, u64)>,
 }
 
@@ -58,7 +59,7 @@ pub(super) struct Successes {
 }
 
 impl Successes {
-    /// Takes a fact in; gives back what wants a line now, in order.
+    /// Takes a fact; gives the facts to be written now, in order.
     pub(super) fn take(&mut self, fact: Fact) -> Vec<Fact> {
         if !FOLDING.contains(&fact.audit.what) {
             return vec![fact];
@@ -78,14 +79,14 @@ impl Successes {
             }
             None => {}
         }
-        // What was folded about the same context happened before.
+        // Folded facts about the same context happened before.
         let context = fact.audit.context.clone();
         let mut lines = self.unfold(|key| key.context == context);
         lines.push(fact);
         lines
     }
 
-    /// What was folded since the last call; what has come to rest since then is forgotten. To be called each second.
+    /// Facts folded since the last call; kinds without new ones are forgotten. To be called each second.
     pub(super) fn drain(&mut self) -> Vec<Fact> {
         let lines = self.unfold(|_| true);
         self.alike.retain(|_, alike| std::mem::take(&mut alike.own) > 0);

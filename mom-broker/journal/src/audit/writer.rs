@@ -14,27 +14,27 @@ use super::refusals::Refusals;
 use super::sink::LineSink;
 use super::successes::Successes;
 
-/// What was written is durable after so long, and refusals and what is folded are counted up this often.
+/// How often lines are made durable, and folded facts and refusals are written.
 const TICK: Duration = Duration::from_secs(1);
 
-/// Facts that are written at once.
+/// Facts written in one batch.
 const BATCH: usize = 256;
 
-/// What the writer is told.
+/// Messages to the writer.
 #[derive(Debug)]
 pub(super) enum AuditNote {
     /// A fact to write.
     Fact(Box<Fact>),
-    /// All before this is to be written and durable before the answer.
+    /// Answered when everything before it is written and durable.
     Flush(oneshot::Sender<()>),
 }
 
-/// What the writer shares with those who tell it.
+/// State shared by the writer and the senders of facts.
 #[derive(Debug, Default)]
 pub(super) struct AuditShared {
     pub(super) refusals: Mutex<Refusals>,
     pub(super) successes: Mutex<Successes>,
-    /// Facts that found no place in the queue and that no line tells of yet.
+    /// Facts that the full queue did not take and that no line reports yet.
     pub(super) lost: AtomicU64,
 }
 
@@ -52,7 +52,7 @@ pub(super) struct AuditWriter<S> {
 
 struct LogLine {
     bytes: Vec<u8>,
-    /// How many facts are lost if it is.
+    /// The facts that are lost with this line.
     facts: u64,
 }
 
@@ -70,7 +70,7 @@ impl<S: LineSink> AuditWriter<S> {
         }
     }
 
-    /// Writes until nobody can tell it anything any more.
+    /// Writes until all senders are gone.
     pub(super) fn run(mut self, notes: &Receiver<AuditNote>) {
         let mut next = Instant::now() + TICK;
         loop {
@@ -102,7 +102,7 @@ impl<S: LineSink> AuditWriter<S> {
         }
     }
 
-    /// Writes down what was folded, after all that was told before it.
+    /// Writes folded facts, after all facts sent before them.
     fn unfold(&mut self, notes: &Receiver<AuditNote>) {
         let shared = Arc::clone(&self.shared);
         let mut successes = shared.successes.lock();
@@ -132,13 +132,13 @@ impl<S: LineSink> AuditWriter<S> {
             tracing::error!(%error, lost, "the audit log cannot be written");
         }
         for done in self.flushes.drain(..) {
-            // Whoever does not wait any more need not know.
+            // The receiver may have stopped waiting.
             let _ = done.send(());
         }
     }
 
     fn write(&mut self) {
-        // They found no place because of those that are written now.
+        // They did not fit because of the facts that are written now.
         let lost = self.shared.lost.swap(0, Ordering::Relaxed);
         if lost > 0 {
             let mut fact = Fact::of(self.clock.wall(), "audit-lost");
@@ -172,7 +172,7 @@ mod tests {
     use mom_proto::Time;
     use serde_json::Value as Json;
 
-    /// A disk with room for so many lines more.
+    /// A disk with space for so many more lines.
     #[derive(Debug, Default)]
     struct Disk {
         room: usize,
@@ -239,7 +239,7 @@ mod tests {
         writer.tick();
         writer.tick();
         assert_eq!(shared.lost.load(Ordering::Relaxed), 0);
-        // The numbers show the gap too: 13 and 14, and what was tried in between.
+        // The numbers show the gap, too: 13 and 14, and the failed attempts.
         let told = told(&disk);
         assert_eq!(told[..2], ["11 granted", "12 granted"]);
         assert_eq!(told[2..], ["17 login", "18 audit-lost 3"]);

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use super::line::{RecordedLine, RecordingHead, VERSION};
 
-/// A parcel's content in base64, and what stands around it.
+/// The longest line: a parcel's content in base64, and the rest of the line.
 const LONGEST: u64 = 64 * 1024 * 1024;
 
 /// A recording that cannot be replayed.
@@ -30,7 +30,7 @@ pub enum RecordError {
         /// What is wrong with it.
         text: String,
     },
-    /// The configuration that it shall be replayed through is wrong.
+    /// The configuration for the replay is wrong.
     #[error("{0}")]
     Config(String),
 }
@@ -77,7 +77,7 @@ impl RecordingReader {
         }
     }
 
-    /// The next line. A last one that was cut off is as if it were not there, see [`RecordingReader::is_torn`].
+    /// The next line. A truncated last line is skipped, see [`RecordingReader::is_torn`].
     pub(super) fn next(&mut self) -> Result<Option<RecordedLine>, RecordError> {
         let Some(bytes) = self.next.take() else {
             return Ok(None);
@@ -86,7 +86,7 @@ impl RecordingReader {
         self.next = self.read_line()?;
         match serde_json::from_slice(&bytes) {
             Ok(line) => Ok(Some(line)),
-            // Whatever was written when the power went is no reason to throw away what came before.
+            // A line that was cut off by a power failure does not invalidate the lines before it.
             Err(_) if self.next.is_none() && self.line > 1 => {
                 self.torn = true;
                 Ok(None)
@@ -130,7 +130,7 @@ impl RecordingReader {
         self.torn
     }
 
-    /// Bytes read, and all of them.
+    /// Bytes read, and bytes in all.
     pub(super) fn progress(&self) -> (u64, u64) {
         (self.read, self.length)
     }
