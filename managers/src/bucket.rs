@@ -5,30 +5,30 @@ use std::sync::Arc;
 
 use crate::{Bucket, Micros, Rate};
 
-/// Of one request or byte; so much that each µs brings back a whole number.
+/// Parts of one request or byte: enough that each µs refills a whole number of them.
 const PARTS: u64 = 1_000_000;
 
-/// The highest rate and burst that are counted: parts of it still fit.
+/// The highest rate and burst that are counted: its parts still fit the integer.
 pub(crate) const HIGHEST: u64 = 1_000_000_000_000;
 
 /// Why a request is over the quota.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Over {
-    /// There is enough again at this time.
+    /// Enough will be left at this time.
     Until(Micros),
     /// It is larger than the burst.
     Never,
-    /// Too many others are being counted, at least up to this time.
+    /// Too many other peers are counted, at least until this time.
     Crowded(Micros),
 }
 
-/// What is left to each peer of one rate. A peer whose buckets are full needs no entry.
+/// The remaining quota of each peer at one rate. A peer whose buckets are full needs no entry.
 #[derive(Debug)]
 pub(crate) struct RateCounts {
     rate: Rate,
     most: usize,
     left: BTreeMap<Arc<str>, BucketsLeft>,
-    /// While there is no room: nothing is full again before this time.
+    /// While the table is full: no bucket is full again before this time.
     no_room_until: Micros,
 }
 
@@ -41,7 +41,7 @@ struct BucketsLeft {
 }
 
 impl RateCounts {
-    /// Full buckets for every peer, of which at most so many are counted at once.
+    /// Full buckets for every peer; at most so many peers are counted at once.
     pub(crate) fn new(rate: Rate, most: usize) -> RateCounts {
         RateCounts {
             rate,
@@ -79,7 +79,7 @@ impl RateCounts {
         Ok(())
     }
 
-    /// Forgets whose buckets are full again, if there is no room for another peer.
+    /// Removes peers whose buckets are full again, if the table is full.
     fn make_room(&mut self, now: Micros) -> Result<(), Over> {
         if self.left.len() < self.most {
             return Ok(());
@@ -90,7 +90,7 @@ impl RateCounts {
             if self.left.len() < self.most {
                 return Ok(());
             }
-            // Taking only ever puts it off, so nobody need be looked at before.
+            // Taking only delays it, so no earlier check can help.
             let first = self.left.values().map(|left| left.full_at(&rate)).min();
             self.no_room_until = first.unwrap_or(now);
         }
@@ -107,7 +107,7 @@ impl BucketsLeft {
         }
     }
 
-    /// What is left later.
+    /// The remaining quota at a later time.
     fn at(&self, rate: &Rate, now: Micros) -> BucketsLeft {
         let elapsed = now.saturating_sub(self.at);
         let more = |bucket: Bucket, left: u64| {
@@ -121,7 +121,7 @@ impl BucketsLeft {
         }
     }
 
-    /// When both are full if nothing more is taken.
+    /// When both will be full if nothing more is taken.
     fn full_at(&self, rate: &Rate) -> Micros {
         let wait = |bucket: Bucket, left: u64| (capacity(bucket) - left).div_ceil(bucket.per_second);
         let longest = wait(rate.parcels, self.parcels).max(wait(rate.bytes, self.bytes));
@@ -133,7 +133,7 @@ fn is_unlimited(bucket: Bucket) -> bool {
     bucket == Bucket::UNLIMITED
 }
 
-/// The parts of a full bucket; one without limit is never looked into.
+/// The parts of a full bucket; an unlimited one is never checked.
 fn capacity(bucket: Bucket) -> u64 {
     match is_unlimited(bucket) {
         true => 0,

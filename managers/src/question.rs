@@ -1,4 +1,4 @@
-//! What a manager is asked.
+//! The question to a manager.
 
 use std::sync::Arc;
 
@@ -22,7 +22,7 @@ pub struct PeerFacts {
     pub groups: Arc<[String]>,
 }
 
-/// The owner of a token, as far as managers care.
+/// The owner of a token, as managers see it.
 #[derive(Clone, Copy, Debug)]
 pub struct Owner<'a> {
     /// The peer's name.
@@ -46,16 +46,16 @@ pub struct TokenFacts<'a> {
     pub lease_end: Option<Micros>,
     /// When the present ownership began.
     pub since: Micros,
-    /// How many wait for it, the asking peer not among them.
+    /// The number of waiting peers, without the asking one.
     pub waiting: usize,
 }
 
 /// One request, without its content.
 #[derive(Clone, Copy, Debug)]
 pub struct Question<'a> {
-    /// Who asks.
+    /// The asking peer.
     pub peer: &'a PeerFacts,
-    /// For what.
+    /// The verb.
     pub verb: Verb,
     /// The context acted on; for `create` the path to be made.
     pub context: &'a Path,
@@ -73,9 +73,9 @@ pub struct Question<'a> {
     pub invited: bool,
     /// Whether the peer made this context.
     pub created: bool,
-    /// What was answered to earlier deferrals of this same request; the last of a label holds.
+    /// Answers to earlier deferrals of this request; the last one of a label counts.
     pub answers: &'a [GivenAnswer],
-    /// Whether the same request was decided on before, and somebody had to be asked about it, here or elsewhere.
+    /// Whether this request was deferred before, by this manager or another.
     pub repeated: bool,
     /// The time.
     pub now: Micros,
@@ -84,7 +84,7 @@ pub struct Question<'a> {
 }
 
 impl Question<'_> {
-    /// What was answered to this manager's earlier deferral of the same request.
+    /// The answer to this manager's earlier deferral of the same request.
     pub fn given(&self, label: &str) -> Option<&GivenAnswer> {
         self.answers.iter().rev().find(|given| &*given.label == label)
     }

@@ -1,4 +1,4 @@
-//! `quota`: how often, and how much, by peer and level.
+//! `quota`: limits how often and how much, by peer and level.
 
 use std::sync::Arc;
 
@@ -10,10 +10,10 @@ use crate::params::Verbs;
 use crate::who::{Who, WhoParams};
 use crate::{Bucket, Manager, Question, Rate, Setup, Verdict};
 
-/// Peers that one limit counts at once: more than a broker has connections by default.
+/// The most peers that one limit counts at once: more than a broker's default limit of connections.
 const PEERS: usize = 16_384;
 
-/// Limits of one manager: each question looks at all of them.
+/// The most limits of one manager: each question checks all of them.
 const MOST: usize = 64;
 
 #[derive(Deserialize)]
@@ -38,9 +38,9 @@ struct LimitParams {
     bytes_burst: Option<u64>,
 }
 
-/// Counts requests by the first of its limits that is about them, and allows what none is about.
+/// Counts requests by the first limit that covers them, and allows those that none covers.
 ///
-/// Messages it does not count itself: it tells the rate, and the broker counts them where they pass.
+/// It does not count messages itself: it returns the rate, and the broker counts messages as they are admitted.
 #[derive(Debug)]
 struct Quota {
     label: Arc<str>,
@@ -109,7 +109,7 @@ fn make_limit(setup: &Setup<'_>, index: usize, params: LimitParams) -> Result<Qu
     })
 }
 
-/// A bucket of two keys; without a burst it holds what comes back in a second.
+/// A bucket from two keys; without a burst it holds one second's refill.
 fn make_bucket(
     setup: &Setup<'_>,
     (rate_key, rate): (&str, Option<u64>),
@@ -129,7 +129,7 @@ fn make_bucket(
     }
 }
 
-/// Nobody is kept, and nothing keeps a device from being stopped or let go again.
+/// Giving up, stopping a device and releasing it again are never limited.
 fn may_be_limited(verb: Verb) -> bool {
     !verb.gives_up() && !matches!(verb, Verb::Stop | Verb::Unstop)
 }
@@ -144,7 +144,7 @@ impl Manager for Quota {
             let rate = limit.counts.rate();
             return Verdict::allow_always().at_rate(rate).by(&limit.name);
         }
-        // The same request again, after the answers that it waited for: it is counted already.
+        // The same request, after its answers: it was counted before.
         if question.repeated {
             return Verdict::allow().by(&limit.name);
         }

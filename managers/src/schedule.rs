@@ -11,14 +11,13 @@ use crate::params::Verbs;
 use crate::who::{Who, WhoParams};
 use crate::{Manager, Micros, Question, Scope, Setup, Verdict};
 
-/// Slots of one schedule: each question looks at all of them.
+/// The most slots of one schedule: each question checks all of them.
 const MOST: usize = 1024;
 
-/// Slots that are followed from one into the next; a grant that would last longer ends there, and a gap between
-/// slots that is further away is not looked for.
+/// The most consecutive slots that are joined: a longer grant ends there, and later gaps are not searched.
 const STEPS: usize = 64;
 
-/// What gives somebody control of a token.
+/// The verbs that give control of a token.
 const DEFAULT_VERBS: [Verb; 3] = [Verb::Grab, Verb::Accept, Verb::Inhibit];
 
 #[derive(Deserialize)]
@@ -30,7 +29,7 @@ struct Params {
     verbs: Option<Vec<String>>,
 }
 
-/// What holds where no slot is.
+/// The rule outside all slots.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 enum Free {
@@ -53,7 +52,7 @@ struct SlotParams {
     min_level: Option<i32>,
 }
 
-/// Keeps all but the listed out of their slots.
+/// Admits only the listed peers during a slot.
 #[derive(Debug)]
 struct Schedule {
     label: Arc<str>,
@@ -119,7 +118,7 @@ impl Manager for Schedule {
         };
         let verdict = verdict.by(by);
         match question.message {
-            // The answer to a message changes with the slots alone.
+            // The answer to a message depends on the slots alone.
             Some(_) => verdict.stands_until(
                 Scope::AnyName,
                 self.next_change(at).map(|end| clock(question, end)),
@@ -130,7 +129,7 @@ impl Manager for Schedule {
 }
 
 impl Schedule {
-    /// The slots that this instant is in.
+    /// The slots that contain this instant.
     fn reserved(&self, at: i64) -> impl Iterator<Item = &Period> {
         self.slots.iter().filter(move |slot| slot.span.end(at).is_some())
     }
@@ -141,7 +140,7 @@ impl Schedule {
         self.slots.iter().filter(move |slot| slot.who.fits(peer))
     }
 
-    /// Within a slot of one's own: the token, also from somebody who has no slot now, up to its end.
+    /// During the peer's own slot: grants the token until the slot's end, also from an owner without a slot.
     fn grant(&self, question: &Question<'_>, at: i64) -> Verdict {
         let in_the_way = other_owner(question).filter(|_| question.verb == Verb::Grab);
         let evicts =
@@ -153,7 +152,7 @@ impl Schedule {
         verdict.until(Some(clock(question, self.own_end(question, at))))
     }
 
-    /// Outside of all slots: up to the next one, or, if that is one's own, up to its end as for whoever comes then.
+    /// Outside all slots: grants until the next slot begins, or, if that is the peer's own, until it ends.
     fn lend(&self, question: &Question<'_>, at: i64) -> Verdict {
         let next = self
             .slots
@@ -182,7 +181,7 @@ impl Schedule {
             .earliest(earliest.map(|earliest| clock(question, earliest)))
     }
 
-    /// Where the peer's own slots that this instant is in end, one going over into the next; else this instant.
+    /// The end of the peer's own consecutive slots at this instant; else this instant.
     fn own_end(&self, question: &Question<'_>, at: i64) -> i64 {
         let mut end = at;
         for _ in 0..STEPS {
@@ -194,7 +193,7 @@ impl Schedule {
         end
     }
 
-    /// The first instant after this one, at which the peer may not, at which it may.
+    /// The next instant at which the peer may.
     fn next_allowed(&self, question: &Question<'_>, at: i64) -> Option<i64> {
         let begins = self.own(question).filter_map(|slot| slot.span.next_begin(at));
         let own = begins.min();

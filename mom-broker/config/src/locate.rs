@@ -1,4 +1,4 @@
-//! From a key of the configuration to its line.
+//! Finds the line of a configuration key.
 
 use std::fmt;
 
@@ -9,7 +9,7 @@ use toml::de::{DeTable, DeValue};
 
 use super::{Config, ConfigError};
 
-/// Where something stands in the configuration.
+/// A position in the configuration.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Location {
     /// The file.
@@ -58,7 +58,7 @@ impl SourceText {
         }
     }
 
-    /// Where a key stands, or the nearest table above it.
+    /// The location of a key, or of the nearest table above it.
     pub(super) fn place(&self, keys: &[&str]) -> Option<Location> {
         Some(Location {
             file: self.name.clone(),
@@ -136,7 +136,7 @@ fn key_text(keys: &[&str]) -> String {
 }
 
 impl Config {
-    /// What the hub found wrong, at its place in the file.
+    /// An error that the hub found, with its position in the file.
     pub(crate) fn locate(&self, error: &SetupError) -> ConfigError {
         match error.entry {
             Some(entry) => self.at(&["contexts", &entry.to_string()], &error.error),
@@ -144,7 +144,7 @@ impl Config {
         }
     }
 
-    /// What is wrong with a named manager.
+    /// An error of a named manager.
     pub(crate) fn locate_manager(&self, name: &str, error: &WireError) -> ConfigError {
         self.at(&["managers", name], error)
     }
@@ -167,7 +167,7 @@ impl Config {
         self.remark(&keys, text)
     }
 
-    /// Words about a key, at its place.
+    /// A remark about a key, with its position.
     pub(super) fn remark(&self, keys: &[&str], text: String) -> ConfigError {
         match &self.source {
             Some(source) => source.error(keys, text),

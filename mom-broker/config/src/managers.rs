@@ -1,4 +1,4 @@
-//! The managers of a configuration as they stand in it: which there are, and where their rules are.
+//! The managers of a configuration, and the locations of their rules.
 
 use std::collections::BTreeSet;
 
@@ -6,23 +6,23 @@ use mom_proto::{Map, Path, Value};
 
 use super::{Config, Location};
 
-/// Managers inside managers, as deep as they can be built.
+/// The deepest nesting of managers that can be built.
 const DEPTH: usize = 4;
 
 /// One manager of the configuration.
 #[derive(Clone, Debug)]
 pub(super) struct ManagerNode<'a> {
-    /// What verdicts call it.
+    /// Its name in verdicts.
     pub(super) label: String,
     pub(super) kind: &'a str,
-    /// None for a kind that is named without any.
+    /// None for a kind without parameters.
     pub(super) params: Option<&'a Map>,
     /// The keys that lead to it.
     pub(super) keys: Vec<String>,
 }
 
 impl ManagerNode<'_> {
-    /// The keys of something in its parameters.
+    /// The keys of one of its parameters.
     pub(super) fn at(&self, inner: &[&str]) -> Vec<String> {
         let inner = inner.iter().map(|key| (*key).to_owned());
         self.keys.iter().cloned().chain(inner).collect()
@@ -148,9 +148,9 @@ impl Config {
         label
     }
 
-    /// Where a rule stands, by the name that a verdict or an audit record gives it; where that is a part of a
-    /// manager that cannot be told from its other parts, the manager. `managed_at` is the context whose manager
-    /// decided. None for what no configuration says: the hub's own rules.
+    /// The location of a rule, by its name in a verdict or an audit record; if the name does not identify one part of
+    /// a manager, the manager's location. `managed_at` is the context whose manager decided. None for the hub's own
+    /// rules.
     pub fn locate_rule(&self, rule: &str, managed_at: &Path) -> Option<Location> {
         if let Some(channel) = rule.strip_prefix("guard of ") {
             let entry = self.entry_of(channel)?;
@@ -172,7 +172,7 @@ impl Config {
         self.place(&keys)
     }
 
-    /// Where the manager of a context stands.
+    /// The location of a context's manager.
     pub(super) fn locate_manager_of(&self, managed_at: &Path) -> Option<Location> {
         self.place(&self.managers_at(managed_at).first()?.keys)
     }

@@ -1,4 +1,4 @@
-//! What is right and still looks like a mistake.
+//! Warnings: valid settings that look like mistakes.
 
 use std::collections::BTreeSet;
 
@@ -9,7 +9,7 @@ use super::managers::ManagerNode;
 use super::{Config, ConfigError};
 
 impl Config {
-    /// What is not wrong but probably not meant, with its place, in the order of the kinds of remark.
+    /// Warnings with their locations, ordered by kind.
     pub fn warnings(&self) -> Vec<ConfigError> {
         let mut found = Vec::new();
         for manager in self.all_managers() {
@@ -34,7 +34,7 @@ impl Config {
         found.push(self.remark(&keys, text));
     }
 
-    /// Rules that are never asked, and names that do not tell rules apart.
+    /// Rules that never decide, and rules with the same name.
     fn review_rules(&self, manager: &ManagerNode<'_>, found: &mut Vec<ConfigError>) {
         let rules = manager.params.and_then(|params| params.get("rules")?.as_list());
         let rules: Vec<ReviewedRule<'_>> = rules
@@ -72,7 +72,7 @@ impl Config {
             .unwrap_or_default()
     }
 
-    /// Users, groups and levels that nobody has. Where users come from elsewhere nothing can be said of them.
+    /// Users, groups and levels that nobody has. Not checked if users also come from elsewhere.
     fn review_people(&self, value: &Value, keys: &mut Vec<String>, found: &mut Vec<ConfigError>) {
         let from_claims = |jwt: &JwtConfig| jwt.users == JwtUsers::FromClaims;
         let Some(highest) = self.users.iter().map(|user| user.level).max() else {
@@ -193,7 +193,7 @@ struct ReviewedRule<'a> {
     min_level: Option<i64>,
     places: Vec<&'a str>,
     messages: Vec<&'a str>,
-    /// Conditions that are not looked into.
+    /// Conditions that are not analysed.
     more: Vec<(&'a str, &'a Value)>,
 }
 
@@ -230,7 +230,7 @@ impl<'a> ReviewedRule<'a> {
         }
     }
 
-    /// Whether it decides every question that the other one could.
+    /// Whether it covers every question that the other rule covers.
     fn covers(&self, later: &ReviewedRule<'_>) -> bool {
         let within = |one: &[&str], all: &[&str]| one.iter().all(|word| all.contains(word));
         let verbs = self.verbs.contains(&"*") || within(&later.verbs, &self.verbs);

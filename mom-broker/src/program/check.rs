@@ -1,4 +1,4 @@
-//! `mom-broker check`: whether a configuration file is right, what it makes, and what looks like a mistake.
+//! `mom-broker check`: validates a configuration file, shows its contexts and warns of likely mistakes.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 pub(super) struct CheckArgs {
     /// The file.
     file: PathBuf,
-    /// As JSON, also what is wrong.
+    /// Print JSON, errors too.
     #[arg(long)]
     json: bool,
 }
@@ -55,7 +55,7 @@ fn tree(config: &Config) -> Result<Vec<TreeLine>, ConfigError> {
     let hub = config.hub()?;
     let paths = config.contexts.iter().filter_map(path_of);
     let mut paths: Vec<Path> = std::iter::once(Path::root()).chain(paths).collect();
-    // Children before the next sibling, whatever their names hold.
+    // Children come before the next sibling, whatever characters their names contain.
     paths.sort_by(|one, other| one.segments().cmp(other.segments()));
     let places = paths.iter().filter_map(|path| hub.place(path));
     let line = |place: mom_hub::Place| {

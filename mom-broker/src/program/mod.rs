@@ -37,19 +37,19 @@ struct BrokerCli {
 
 #[derive(Subcommand)]
 enum BrokerCommand {
-    /// Say whether a configuration file is right, and where not; show its contexts, and what looks like a mistake.
+    /// Check a configuration file: errors with their lines, its contexts, and likely mistakes.
     Check(check::CheckArgs),
-    /// Say what a user may do where, and by which rule of the configuration.
+    /// Explain what a user may do in a context, and by which rule of the configuration.
     Explain(explain::ExplainArgs),
     /// Hash a password, from MOM_PASSWORD, a prompt or standard input, for the users file.
     Passwd(passwd::PasswdArgs),
-    /// Print the JSON schema of the configuration file, by which editors complete and check it.
+    /// Print the JSON schema of the configuration file, for completion and checks in editors.
     Schema(schema::SchemaArgs),
     /// Decide a recording again by a changed configuration, and list what differs.
     WhatIf(what_if::WhatIfArgs),
 }
 
-/// Runs what the command line says.
+/// Runs the command.
 pub(crate) fn main() -> ExitCode {
     let cli = BrokerCli::parse();
     let result = match &cli.command {
@@ -65,13 +65,13 @@ pub(crate) fn main() -> ExitCode {
 
 fn report(result: Result<ExitCode>) -> ExitCode {
     result.unwrap_or_else(|error| {
-        // Standard error may be closed; the exit code says it all the same.
+        // Standard error may be closed; the exit code still reports the failure.
         let _ = writeln!(std::io::stderr(), "mom-broker: {error:#}");
         ExitCode::FAILURE
     })
 }
 
-/// What people would read of a value of the wire: text without quotes.
+/// A wire value for people: text without quotes.
 fn words(value: &mom_proto::Value) -> String {
     match value {
         mom_proto::Value::String(text) => text.clone(),

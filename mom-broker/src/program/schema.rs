@@ -6,7 +6,7 @@ use anyhow::Result;
 
 #[derive(clap::Args)]
 pub(super) struct SchemaArgs {
-    /// That of the users file instead.
+    /// The schema of the users file instead.
     #[arg(long)]
     users: bool,
 }

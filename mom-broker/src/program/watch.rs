@@ -1,8 +1,8 @@
-//! Whether the configuration has changed, by looking at its files twice a second.
+//! Detects changes of the configuration by polling its files twice a second.
 //!
-//! Looking costs two system calls and works for files that are written in place, replaced by rename (as editors and
+//! Polling costs two system calls and works for files that are written in place, replaced by rename (as editors and
 //! `mom-broker passwd` do), behind symbolic links of whole folders (as deployments do), on network file systems and
-//! in containers; news from the kernel covers the first two alone.
+//! in containers; kernel notifications cover only the first two.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -10,14 +10,14 @@ use std::time::{Duration, SystemTime};
 
 const EVERY: Duration = Duration::from_millis(500);
 
-/// What tells one state of a file from the next without reading it.
+/// Distinguishes states of a file without reading it.
 type Stamp = Option<(u64, Option<SystemTime>, (u64, u64), (i64, i64))>;
 
 /// The configuration file, and the files that it names.
 pub(super) struct FileWatch {
     /// The configuration file first.
     files: Vec<WatchedFile>,
-    /// The files were different at the last look; they are read when they are at rest.
+    /// The files had changed at the last poll; they are read once they stay unchanged.
     moving: bool,
 }
 
@@ -28,7 +28,7 @@ struct WatchedFile {
 }
 
 impl FileWatch {
-    /// Looks at the files as they are now.
+    /// Notes the present state of the files.
     pub(super) fn new(config: PathBuf) -> FileWatch {
         let mut watch = FileWatch {
             files: vec![WatchedFile::look(config)],
@@ -38,7 +38,7 @@ impl FileWatch {
         watch
     }
 
-    /// Returns when the files say something else than at the last look, and nobody has written for half a second.
+    /// Returns when the content has changed since the last poll, and nobody has written for half a second.
     ///
     /// Nothing is lost if this is dropped and called again.
     pub(super) async fn changed(&mut self) {
@@ -64,10 +64,10 @@ impl FileWatch {
         std::mem::take(&mut self.moving) && self.look()
     }
 
-    /// Takes the files as they are for known; says whether they say something else than at the last look.
+    /// Marks the present state as known; gives whether the content has changed since the last poll.
     pub(super) fn look(&mut self) -> bool {
         let config = WatchedFile::look(self.files[0].path.clone());
-        // A half-written file does not say which others there are.
+        // A half-written file may not name the other files.
         let others = config.others();
         let known = || self.files.iter().skip(1).map(|file| file.path.clone()).collect();
         let others: Vec<PathBuf> = others.unwrap_or_else(known);
@@ -84,13 +84,13 @@ impl FileWatch {
 
 impl WatchedFile {
     fn look(path: PathBuf) -> WatchedFile {
-        // The stamp before the content: what is written in between is seen the next time.
+        // The stamp is taken before the content: a write in between is seen at the next poll.
         let stamp = stamp(&path);
         let content = fs::read(&path).ok();
         WatchedFile { path, stamp, content }
     }
 
-    /// The files that a configuration names; none for text that does not say.
+    /// The files that a configuration names; none if its text cannot be parsed.
     fn others(&self) -> Option<Vec<PathBuf>> {
         let text = std::str::from_utf8(self.content.as_ref()?).ok()?;
         let table: toml::Table = text.parse().ok()?;
@@ -113,7 +113,7 @@ fn stamp(file: &Path) -> Stamp {
         known.len(),
         known.modified().ok(),
         (known.dev(), known.ino()),
-        // The time of the change itself: a copy may bring an old time of modification along.
+        // The time of the inode change: a copy may keep an old modification time.
         (known.ctime(), known.ctime_nsec()),
     ))
 }

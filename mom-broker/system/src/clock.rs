@@ -1,4 +1,4 @@
-//! The broker's one clock: monotonic for what is decided, wall time for what is shown.
+//! The broker's clock: monotonic time for decisions, wall time for display.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -9,9 +9,9 @@ use tokio::sync::watch;
 
 /// Monotonic µs since the broker's start, and the wall time of that start.
 ///
-/// Leases, expiries, names that rest and all stamps go by it. [`Clock::manual`] stands still until
+/// Leases, expiries, resting names and all stamps use it. [`Clock::manual`] stands still until
 /// [`Clock::advance`] moves it, for simulations and tests: a lease of three minutes is over at once.
-/// Whatever guards a link (heartbeats, login deadlines) goes by the system's time on either.
+/// Timeouts of a link (heartbeats, login deadlines) use the system's time with either.
 ///
 /// ```
 /// use std::time::Duration;
@@ -48,7 +48,7 @@ impl Clock {
         }
     }
 
-    /// A clock that stands at this wall time until it is advanced.
+    /// A clock that stays at this wall time until it is advanced.
     pub fn manual(anchor: Time) -> Clock {
         Clock {
             anchor,
@@ -56,8 +56,8 @@ impl Clock {
         }
     }
 
-    /// Moves a manual clock, with all its clones, and wakes what waits for a time that has come. The
-    /// system's time goes by itself and stays as it is.
+    /// Advances a manual clock, with all its clones, and wakes the tasks whose time has come. The system's clock is
+    /// not changed.
     pub fn advance(&self, by: Duration) {
         if let TimeSource::Manual(now) = &self.source {
             now.send_modify(|now| *now = now.saturating_add(micros(by)));
