@@ -1,4 +1,4 @@
-//! What an answer means to the one who waits for it.
+//! Completes requests with their answers.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,11 +15,11 @@ use crate::{ClientError, Event, Lost};
 
 pub(crate) type RequestResult = Result<Parcel, ClientError>;
 
-/// Until a renewal is tried again which the hub refused for now without saying for how long.
+/// The delay before retrying a renewal that the hub refused with `try-later` but no time.
 const RETRY: Duration = Duration::from_secs(1);
 
 impl Shared {
-    /// Gives an answer to the one who waits for it. Without the lock: see [`AnswerTo`].
+    /// Gives an answer to its receiver. Called without the lock: see [`AnswerTo`].
     pub(crate) fn complete(&self, waiter: AnswerTo, parcel: Parcel) {
         let id = parcel.reference;
         let answer = match parcel.family {
@@ -27,7 +27,7 @@ impl Shared {
             _ => Ok(parcel),
         };
         match waiter {
-            // One that went away needs no answer.
+            // A caller that went away needs no answer.
             AnswerTo::Caller(sender) => drop(sender.send(answer)),
             AnswerTo::Obtain {
                 member,
@@ -48,7 +48,7 @@ impl Shared {
         }
     }
 
-    /// Tells the one who waits that there is no link any more.
+    /// Tells the receiver that the link is gone.
     pub(crate) fn fail(&self, waiter: AnswerTo, error: &ClientError) {
         match waiter {
             AnswerTo::Caller(sender) => drop(sender.send(Err(error.clone()))),
@@ -118,7 +118,7 @@ impl Shared {
                     let was_held = state
                         .guards
                         .lose(path, fence, Lost::new(error.code.word(), owner));
-                    // Whoever is told that it is over must not still be the owner at the hub.
+                    // When a guard is told that ownership is over, the hub must not still count this peer as owner.
                     if was_held && error.code != Code::NOT_OWNER {
                         let release = verb(Family::Token, "release", path);
                         let _ = self.ask_in(&mut state, release, &mut Some(AnswerTo::Nobody));

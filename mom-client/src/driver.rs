@@ -90,7 +90,7 @@ async fn again(
 }
 
 impl Shared {
-    /// The link is gone: nothing asked for will be answered, and tokens are lost (design §5).
+    /// The link is gone: open requests get no answer, and tokens are lost (design §5).
     fn lose_link(&self, why: &str, link_is_gone: bool) {
         let mut state = self.lock();
         state.status = Status::Down;
@@ -109,8 +109,8 @@ impl Shared {
         waiters.into_iter().for_each(|waiter| self.fail(waiter, &error));
     }
 
-    /// The hub knows this link's peer anew. As another user it is another peer, to which nothing of the old one
-    /// belongs any more, as after a lost link.
+    /// The peer of this link has authenticated again. As another user it is another peer, and nothing of the old one
+    /// belongs to it any more, as after a lost link.
     pub(crate) fn renew_login(&self, welcome: Welcome) {
         let mut state = self.lock();
         if state.me.user == welcome.user {
@@ -122,7 +122,7 @@ impl Shared {
         self.raise_link(welcome);
     }
 
-    /// The link is back: everything wanted is joined again, before anything else is sent.
+    /// The link is back: all wanted contexts are joined again before anything else is sent.
     fn raise_link(&self, welcome: Welcome) {
         let mut state = self.lock();
         state.status = Status::Up;
@@ -163,7 +163,7 @@ impl Shared {
 }
 
 impl State {
-    /// Tells of messages that a lost link has lost; gives their room.
+    /// Reports messages that a lost link has lost; frees their capacity.
     pub(crate) fn lose(&mut self, unsent: &[Arc<Entry>]) -> Room {
         let reason = names::Reason::Disconnected.word();
         for (path, count) in count_unsent(unsent) {

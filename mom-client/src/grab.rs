@@ -15,17 +15,17 @@ use crate::pending::AnswerTo;
 use crate::shared::{Shared, verb};
 use crate::{ClientError, TokenGuard};
 
-/// Where a grab stands in the queue of its token.
+/// The place of a grab in the queue of its token.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Place {
     /// 1 for the next.
     pub place: u64,
-    /// Until its turn, if nobody before it renews; none = nobody can tell.
+    /// The expected time until its grant, if nobody before it renews; none = unknown.
     pub expected: Option<Duration>,
 }
 
-/// A grab in the making, from [`Token::grab`](crate::Token::grab): await it.
+/// A builder of a grab, from [`Token::grab`](crate::Token::grab): await it to send it.
 ///
 /// ```no_run
 /// # async fn example(token: mom_client::Token) -> Result<(), mom_client::ClientError> {
@@ -76,7 +76,7 @@ impl<'a> Grab<'a> {
         self
     }
 
-    /// Told whenever the place in the queue changes; of places that follow each other quickly, the newest.
+    /// Called whenever the place in the queue changes; for quick changes only with the newest.
     pub fn on_place(mut self, told: impl FnMut(Place) + Send + 'a) -> Grab<'a> {
         self.on_place = Some(Box::new(told));
         self
@@ -102,7 +102,7 @@ impl<'a> Grab<'a> {
         let _withdraw = places.is_some().then_some(Withdraw { shared, path, id });
         let follow = follow(shared, places, self.wait, self.on_place);
         tokio::select! {
-            // First: an answer that is there ends the wait, however late it is.
+            // Checked first: an answer that is there ends the wait, however late it is.
             biased;
             answer = receiver => {
                 answer.unwrap_or_else(|_| Err(ClientError::Connection("the link was lost".to_owned())))
@@ -115,7 +115,7 @@ impl<'a> Grab<'a> {
     }
 }
 
-/// Tells the places; ends, with the time that it took, when an answer is overdue.
+/// Reports the places; ends, with the time that it took, when an answer is overdue.
 async fn follow(
     shared: &Shared,
     places: Option<watch::Receiver<Option<Place>>>,
@@ -137,7 +137,7 @@ async fn follow(
         tokio::select! {
             changed = places.changed() => {
                 if changed.is_err() {
-                    // Answered; whoever waits for that is woken by it.
+                    // Answered; the answer wakes its receiver.
                     return pending().await;
                 }
                 // Once it is in the queue the hub has heard of it, and only the link's end can end it.
@@ -181,7 +181,7 @@ impl fmt::Debug for Grab<'_> {
     }
 }
 
-/// Takes the grab back if its caller goes before the answer is there.
+/// Withdraws the grab if its caller is dropped before the answer is there.
 struct Withdraw<'a> {
     shared: &'a Shared,
     path: &'a Path,

@@ -1,4 +1,4 @@
-//! The tokens that this client holds: their leases, and what ended them.
+//! The tokens that this client owns: their leases, and why they ended.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -12,10 +12,10 @@ use tokio::time::Instant;
 use crate::Lost;
 use crate::info::{millis_of, number, text};
 
-/// A lease is renewed when this part of it is over, so that two renewals may fail.
+/// A lease is renewed at this fraction of it, so that two renewals may fail.
 const RENEW_AT: u32 = 3;
 
-/// For how long an ownership lasts without a renewal.
+/// How long an ownership lasts without a renewal.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct RenewalTerms {
     /// Until others may take it.
@@ -24,7 +24,7 @@ pub(crate) struct RenewalTerms {
     pub(crate) deadman: Option<Duration>,
 }
 
-/// What the hub says to an owner.
+/// The hub's terms of a grant.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct GrantTerms {
     pub(crate) fence: u64,
@@ -32,15 +32,15 @@ pub(crate) struct GrantTerms {
     pub(crate) delegation: Option<Loan>,
 }
 
-/// What an ownership is that another peer gave, and that goes back to it (M41).
+/// The terms of a loan: an ownership that another peer gave and that returns to it (M41).
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Loan {
-    /// The peer that gave it, and that has it again afterwards.
+    /// The peer that gave it, and to which it returns.
     pub from: String,
-    /// For how long, from the grant on; none = no bound of time.
+    /// Its duration from the grant on; none = unlimited.
     pub time: Option<Duration>,
-    /// For how many guarded messages; none = any number.
+    /// Its number of guarded messages; none = unlimited.
     pub commands: Option<u64>,
 }
 
@@ -114,7 +114,7 @@ impl Hold {
 #[derive(Debug, Default)]
 pub(crate) struct Guards {
     entries: HashMap<Path, HeldToken>,
-    /// Grabs without an answer yet: while there are some, the last guard's end is no reason to give back.
+    /// Grabs without an answer yet: while there are some, dropping the last guard must not release the token.
     asked: HashMap<Path, usize>,
 }
 
@@ -126,7 +126,7 @@ struct HeldToken {
 }
 
 impl Guards {
-    /// Notes a grab; asking again for what one has is the same ownership (M29).
+    /// Notes a grant; a repeated grab of one's own token is the same ownership (M29).
     pub(crate) fn hold(&mut self, path: &Path, grant: GrantTerms, now: Instant) -> Arc<Hold> {
         if let Some(hold) = self.share(path, grant.fence) {
             self.renewed(path, grant.fence, grant.terms, now);
@@ -151,7 +151,7 @@ impl Guards {
         hold
     }
 
-    /// One guard more of the ownership with this fence, if there is one.
+    /// Another guard of the ownership with this fence, if there is one.
     pub(crate) fn share(&mut self, path: &Path, fence: u64) -> Option<Arc<Hold>> {
         let entry = self.entry(path, fence)?;
         entry.guards += 1;
@@ -213,7 +213,7 @@ impl Guards {
         true
     }
 
-    /// Somebody has a higher fence, so the ownership is over even if nobody said so.
+    /// Another peer has a higher fence, so the ownership is over even without `released`.
     pub(crate) fn outdate(&mut self, path: &Path, fence: u64, by: &str) {
         let known = self.entries.get(path).map(|entry| entry.hold.fence);
         if let Some(known) = known.filter(|known| *known < fence) {

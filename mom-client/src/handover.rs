@@ -1,4 +1,4 @@
-//! Tokens that this client has offered to other peers, and what became of them.
+//! Tokens that this client has offered to other peers, and their outcomes.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use tokio::sync::watch;
 use crate::Lost;
 use crate::guards::Hold;
 
-/// One offer, from the hub's word that it is made to its end.
+/// One offer, from the hub's confirmation to its end.
 #[derive(Debug)]
 pub(crate) struct Handover {
     pub(crate) path: Path,
@@ -26,13 +26,13 @@ pub(crate) struct Handover {
 pub(crate) enum HandoverPhase {
     /// The other peer has not answered.
     Offered,
-    /// It will not have it, and why.
+    /// It does not get it, and why.
     Lapsed(String),
-    /// It has it.
+    /// It owns the token.
     Taken,
-    /// It had it, and this client has it again: one guard of this.
+    /// The token has returned: one guard of this ownership.
     Back(Arc<Hold>),
-    /// It has it or had it, and the token does not come back.
+    /// The token does not return.
     Over(Lost),
 }
 
@@ -78,19 +78,19 @@ struct OpenHandover {
     wanted: bool,
 }
 
-/// What the hub has told so far.
+/// What the hub has reported so far.
 #[derive(Debug)]
 enum HandoverStage {
     Offered,
-    /// This client's ownership is over, in favour of a peer that is about to be named.
+    /// This client's ownership is over; the next event names the new owner.
     Leaving,
     /// The other peer owns it with this fence.
     With(u64),
-    /// The other peer's ownership is over; who has it next is about to be told.
+    /// The other peer's ownership is over; the next event names the new owner.
     Ended(u64, Lost),
 }
 
-/// What an event means for one offer.
+/// The effect of an event on one offer.
 enum OfferEvent {
     Keep(HandoverStage),
     End(HandoverPhase),
@@ -116,7 +116,7 @@ impl Handovers {
 
     /// The hub said that an offer came to nothing.
     pub(crate) fn lapsed(&mut self, path: &Path, to: &str, reason: &str) {
-        // A second offer to the same peer withdraws the first, so it is the oldest that is meant.
+        // A second offer to the same peer withdraws the first, so the oldest is meant.
         let place = self.entries.iter().position(|entry| {
             entry.handover.path == *path
                 && entry.handover.to == to
@@ -190,7 +190,7 @@ impl Handovers {
         }
     }
 
-    /// Lets each offer of a token take its turn; gives the one that is back.
+    /// Applies an event to each offer of a token; gives the one whose token has returned.
     fn turn(
         &mut self,
         path: &Path,

@@ -1,4 +1,4 @@
-//! What a guard keeps: a hold on a token, ended when the guard goes.
+//! A guard's part in a hold on a token, ended on drop.
 
 use std::sync::Arc;
 
@@ -27,7 +27,7 @@ impl HoldingKind {
     }
 }
 
-/// A part in a hold. The last one that goes ends the hold.
+/// A part in a hold. Dropping the last one ends the hold.
 #[derive(Debug)]
 pub(crate) struct Holding {
     hold: Arc<Hold>,

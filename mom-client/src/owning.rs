@@ -1,4 +1,4 @@
-//! Getting tokens, giving them back, and what the hub's events and answers mean for those that are held.
+//! Grabbing and releasing tokens, and the effects of events and answers on those that are held.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -20,7 +20,7 @@ use crate::shared::{Shared, State, verb};
 use crate::{ClientError, Given, InhibitGuard, Lost, Place, TokenGuard};
 
 impl Shared {
-    /// Sends what may be answered with an ownership.
+    /// Sends a request that may be answered with an ownership.
     pub(crate) fn obtain(&self, parcel: Parcel, waiter: AnswerTo) -> Result<(), ClientError> {
         self.begin(parcel, waiter, HoldingKind::Ownership, |_| ())
     }
@@ -38,7 +38,7 @@ impl Shared {
         })
     }
 
-    /// Sends what may be answered with a part in a shared hold.
+    /// Sends a request that may be answered with a part in a shared hold.
     pub(crate) fn inhibit(&self, parcel: Parcel, waiter: AnswerTo) -> Result<(), ClientError> {
         self.begin(parcel, waiter, HoldingKind::Shared, |_| ())
     }
@@ -73,7 +73,7 @@ impl Shared {
         self.late_answer(receiver, Duration::ZERO, what).await
     }
 
-    /// Waits for an answer that may come so much later than others.
+    /// Waits for an answer that may come later than others by this time.
     pub(crate) async fn late_answer<T>(
         &self,
         receiver: oneshot::Receiver<Result<T, ClientError>>,
@@ -88,7 +88,7 @@ impl Shared {
         }
     }
 
-    /// Nobody waits any more for what a grab brings.
+    /// The caller of a grab is gone.
     pub(crate) fn give_up(&self, path: &Path, id: u64) {
         let mut state = self.lock();
         if state.waits.give_up(path, id) {
@@ -135,7 +135,7 @@ impl Shared {
         let _ = self.ask_in(state, end, &mut Some(AnswerTo::Nobody));
     }
 
-    /// What the hub said about an owner.
+    /// Applies an event about a token's owner.
     pub(crate) fn note_ownership(&self, state: &mut State, path: &Path, parcel: &Parcel) {
         let map = map_of(parcel);
         let Some(fence) = number(&map, "fence") else {
@@ -156,7 +156,7 @@ impl Shared {
         }
     }
 
-    /// What was given is this client's again.
+    /// A loan has returned to this client.
     fn take_back(&self, state: &mut State, handover: &Handover, wanted: bool, map: &Map) {
         let Some(grant) = GrantTerms::read(map) else {
             return;
@@ -262,7 +262,7 @@ impl State {
         }
     }
 
-    /// All holds are over, and all that might have become one.
+    /// All holds are over, and all requests for one.
     pub(crate) fn lose_holds(&mut self, lost: &Lost) {
         self.guards.lose_all(lost);
         self.inhibits.lose_all(lost);

@@ -10,16 +10,16 @@ use crate::handover::Handover;
 use crate::membership::Membership;
 use crate::{ClientError, Given, InhibitGuard, TokenGuard};
 
-/// Sends remembered, to tell a refusal to the right subscribers.
+/// How many sends are remembered, to report refusals to the right subscribers.
 const RECENT: usize = 1024;
 
 /// Where an answer goes.
 pub(crate) type Answering<T> = oneshot::Sender<Result<T, ClientError>>;
 
-/// Who waits for an answer.
+/// The receiver of an answer.
 ///
-/// A waiter may hold the last handle of the client, whose end takes the lock of the state: waiters are
-/// completed and dropped outside it.
+/// It may hold the last handle of the client, whose drop takes the lock of the state: complete and drop it outside
+/// that lock.
 #[derive(Debug)]
 pub(crate) enum AnswerTo {
     /// A caller.
@@ -41,11 +41,11 @@ pub(crate) enum AnswerTo {
         handover: Arc<Handover>,
         answer: Answering<Given>,
     },
-    /// All who want to be in a context, by its place's serial.
+    /// All callers that want to be in a context, by its serial.
     Join(Path, u64),
     /// The holder of a token with this fence.
     Renewal(Path, u64),
-    /// Nobody; the answer is taken so that nobody else gets it.
+    /// Nobody; the answer is consumed so that nobody else gets it.
     Nobody,
 }
 
@@ -78,7 +78,7 @@ impl OpenRequests {
         self.recent.push_back((id, path));
     }
 
-    /// The context of such a send. Refusals come soon, so the search begins with the newest.
+    /// The context of such a send. Refusals come soon, so the newest is searched first.
     pub(crate) fn context_of(&self, id: u64) -> Option<&Path> {
         self.recent
             .iter()

@@ -1,4 +1,4 @@
-//! Subscriptions: bounded queues of events that tell what they lost.
+//! Subscriptions: bounded queues of events that report their losses.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
@@ -16,11 +16,12 @@ const MOST_BYTES: usize = 64 * 1024 * 1024;
 /// Events kept from a join on for a subscriber that has not asked yet.
 const EARLY: usize = 1024;
 
-/// The events of one context, or of all that no other subscription takes.
+/// The events of one context, or all that no other subscription takes.
 ///
-/// What is not taken waits in a bounded queue. When it is full the oldest go, and the next thing taken is
-/// [`Event::Lagged`] with their number. A message whose `expires` is over by the hub's clock is not handed out, only
-/// counted ([`HubClock::expired`](crate::HubClock::expired)). A context's events keep its membership and the connection alive.
+/// Events wait in a bounded queue. When it is full the oldest are dropped, and the next event is [`Event::Lagged`]
+/// with their number. A message that has expired by the hub's clock is not delivered, only counted
+/// ([`HubClock::expired`](crate::HubClock::expired)). A context's events keep its membership and the connection
+/// alive.
 ///
 /// ```no_run
 /// # async fn example(client: mom_client::Client) -> Result<(), mom_client::ClientError> {
@@ -71,7 +72,7 @@ impl Events {
         }
     }
 
-    /// Whether this is a message whose time is over, which is counted and not handed out.
+    /// Whether this is an expired message, which is counted and not delivered.
     fn is_over(&self, event: &Event) -> bool {
         let Event::Message(parcel) = event else {
             return false;
@@ -211,7 +212,7 @@ impl QueuedEvents {
     }
 }
 
-/// Who gets what, by context.
+/// The subscribers by context.
 #[derive(Debug, Default)]
 pub(crate) struct Subscribers {
     by_path: HashMap<Path, Vec<Arc<EventQueue>>>,
@@ -294,7 +295,7 @@ impl Subscribers {
         push_all(&self.unaddressed, event);
     }
 
-    /// Gives a question of the hub to those who answer such; gives it back if nobody does.
+    /// Gives a question of the hub to those that answer questions; returns it if there are none.
     pub(crate) fn deliver_consult(&self, question: Event) -> Option<Event> {
         if self.consults.is_empty() {
             return Some(question);

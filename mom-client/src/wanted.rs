@@ -1,4 +1,4 @@
-//! The contexts that this client is in, counted by who wants them.
+//! The contexts that this client is in, with the number of their users.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -20,11 +20,11 @@ pub(crate) struct WantedContexts {
 /// One context that a proxy wants.
 #[derive(Debug)]
 pub(crate) struct WantedContext {
-    /// Tells it from later places at the same path.
+    /// Distinguishes it from later ones at the same path.
     pub(crate) serial: u64,
     pub(crate) phase: JoinPhase,
     pub(crate) gate: FenceGate,
-    /// What this client is to be spared there, also after a lost link.
+    /// The thinning there, restored after a lost link.
     pub(crate) thinning: Thinning,
     wanted: usize,
 }
@@ -42,7 +42,7 @@ pub(crate) enum JoinPhase {
     Away,
 }
 
-/// What somebody who wants a context has to do.
+/// The next step for a caller that wants a context.
 #[derive(Debug)]
 pub(crate) enum Want {
     /// Send the join.
@@ -54,7 +54,7 @@ pub(crate) enum Want {
 }
 
 impl WantedContexts {
-    /// Counts one more who wants a context.
+    /// Counts another user of a context.
     pub(crate) fn want(&mut self, path: &Path) -> (u64, Want) {
         let serial = &mut self.serial;
         let place = self.places.entry(path.clone()).or_insert_with(|| {
@@ -87,7 +87,7 @@ impl WantedContexts {
         (place.serial, want)
     }
 
-    /// Counts one less; whether nobody wants the context any more.
+    /// Counts one user less; returns whether there are none left.
     pub(crate) fn unwant(&mut self, path: &Path, serial: u64) -> bool {
         let Some(place) = self.get(path, serial) else {
             return false;
@@ -100,12 +100,12 @@ impl WantedContexts {
         true
     }
 
-    /// The place of this serial, unless it is gone.
+    /// The context of this serial, unless it is gone.
     pub(crate) fn get(&mut self, path: &Path, serial: u64) -> Option<&mut WantedContext> {
         self.places.get_mut(path).filter(|place| place.serial == serial)
     }
 
-    /// Remembers what this client is to be spared, for the next link.
+    /// Remembers the thinning for the next link.
     pub(crate) fn note_thinning(&mut self, path: &Path, thinning: Thinning) {
         if let Some(place) = self.places.get_mut(path) {
             place.thinning = thinning;
@@ -148,7 +148,7 @@ impl WantedContexts {
         self.places.retain(|path, _| !path.is_within(top));
     }
 
-    /// The link is gone; gives those who waited.
+    /// The link is gone; returns the waiting callers.
     pub(crate) fn lose_link(&mut self) -> Vec<oneshot::Sender<Joined>> {
         let mut waiting = Vec::new();
         for place in self.places.values_mut() {
@@ -160,7 +160,7 @@ impl WantedContexts {
         waiting
     }
 
-    /// The link is back: all places, parents first, are to be joined again.
+    /// The link is back: returns all contexts, parents first, to be joined again.
     pub(crate) fn rejoin(&mut self) -> Vec<(Path, u64, Thinning)> {
         let again = |(path, place): (&Path, &mut WantedContext)| {
             place.phase = JoinPhase::Joining {
