@@ -134,7 +134,7 @@ impl ValueReader<'_> {
     fn list(&mut self, marker: Marker, start: usize, depth: usize) -> Result<Value, WireError> {
         let length = self.length(marker)?;
         let depth = deeper(depth, start)?;
-        // The announced length is a claim: memory follows what is really there, a byte an item at least.
+        // The announced length is not trusted: memory grows with the bytes that are there, at least one per item.
         let mut list = Vec::with_capacity(length.min(self.rest()).min(1024));
         for _ in 0..length {
             list.push(self.value(depth)?);

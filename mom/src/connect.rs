@@ -1,4 +1,4 @@
-//! To the hub, as the user who asks.
+//! Connects to the hub as the chosen user.
 
 use std::{env, fs};
 
@@ -30,7 +30,7 @@ pub(crate) async fn connect(global: &GlobalArgs, stay: Stay) -> Result<Client, F
         .map_err(|error| explain(&global.hub, &who, error))
 }
 
-/// Who asks, and how that is proven.
+/// The user and the proof.
 struct UserLogin<'a> {
     user: Option<&'a str>,
     proof: Proof,
@@ -122,7 +122,7 @@ fn explain(hub: &str, who: &UserLogin<'_>, error: ClientError) -> Failure {
     }
 }
 
-/// The hub does not take the proof.
+/// The hub refuses the proof.
 fn unknown(hub: &str, who: &UserLogin<'_>, error: &WireError) -> Failure {
     let known = |what: &str| format!("the hub at {hub} does not know {} with this {what}", who.name());
     match &who.proof {

@@ -1,8 +1,8 @@
-//! Large parcels in pieces, so that urgent ones can overtake inside them (design §5, §7).
+//! Large parcels in chunks, so that urgent ones can overtake them (design §5, §7).
 //!
-//! A chunk frame is: kind 1, a varint stream number, one byte of flags (1 first, 2 last, 4 aborted), in the
-//! first chunk a varint of the whole length, then bytes. The pieces of a stream joined are the frame that
-//! would have been sent whole, from its kind byte on.
+//! A chunk frame is: kind 1, a varint stream number, one byte of flags (1 first, 2 last, 4 aborted), in the first
+//! chunk a varint of the whole length, then bytes. The chunks of a stream, joined, are the frame that would have been
+//! sent whole, from its kind byte on.
 
 use std::collections::BTreeMap;
 
@@ -45,7 +45,7 @@ impl ChunkHead {
         ChunkHead::with(stream, flags, whole, piece)
     }
 
-    /// The frame that gives up a stream.
+    /// The frame that aborts a stream.
     pub fn abort(stream: u64) -> ChunkHead {
         ChunkHead::with(stream, ABORT, None, 0)
     }
@@ -90,7 +90,7 @@ pub fn chunks(encoded: &Encoded, stream: u64, size: usize) -> Vec<Bytes> {
     frames
 }
 
-/// The parcels that are on their way in pieces; together never larger than one parcel may be.
+/// The parcels arriving in chunks; together never larger than one parcel may be.
 #[derive(Debug, Default)]
 pub(super) struct Assembly {
     open: BTreeMap<u64, OpenStream>,

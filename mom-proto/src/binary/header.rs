@@ -127,7 +127,7 @@ pub(super) fn presence(parcel: &Parcel) -> u64 {
 /// Reads the parcel in `frame`, whose first byte is the kind.
 ///
 /// # Errors
-/// What is wrong with the parcel, and its id if that was read before.
+/// The error of the parcel, and its id if that was read before.
 pub(super) fn read(
     frame: &Bytes,
     depth: usize,

@@ -16,7 +16,7 @@ use super::TIME;
 use super::depth::Depth;
 use super::error::SerdeError;
 
-// Up to here every whole number is a float of its own.
+// Up to here every whole number has a float of its own.
 const F64_EXACT: u64 = 1 << f64::MANTISSA_DIGITS;
 const F32_EXACT: u64 = 1 << f32::MANTISSA_DIGITS;
 

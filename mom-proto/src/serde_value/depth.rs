@@ -1,4 +1,4 @@
-//! How deep a value or type may nest: reading and writing recurse, and stacks end.
+//! The nesting of values and types: reading and writing recurse, and stacks are finite.
 
 use crate::HARD_DEPTH;
 

@@ -1,4 +1,4 @@
-//! What does not fit between values and `serde` types, and its place.
+//! Mismatches between values and `serde` types, with their positions.
 
 use std::fmt::Display;
 
@@ -12,7 +12,7 @@ use crate::{Code, WireError, is_xml_char};
 const STEP_CHARS: usize = 64;
 const TEXT_CHARS: usize = 512;
 
-/// A [`WireError`] in the making: its place grows while the recursion returns.
+/// A [`WireError`] being built: its position grows while the recursion returns.
 #[derive(Debug, thiserror::Error)]
 #[error("{}", .0.text)]
 pub(super) struct SerdeError(Box<ValueFault>);

@@ -4,10 +4,9 @@
 //! of exactly `Content-Length` bytes. The body is one `<parcel>` element, or `multipart/related` with that
 //! element first and each binary value in a part of its own.
 //!
-//! The grammar is closed: what it does not name is refused, with a code and the byte in the body. What is
-//! wrong inside a complete entity is [`Frame::Malformed`] and the connection lives; broken framing and
-//! `restricted-xml` (document types, declarations, processing instructions) end it. Decided here, where the
-//! design is silent:
+//! The grammar is closed: everything else is refused, with a code and the byte in the body. An error inside a
+//! complete entity is [`Frame::Malformed`] and the connection stays open; broken framing and `restricted-xml`
+//! (document types, declarations, processing instructions) end it. Decided here, where the design is silent:
 //! - Line ends and blanks are normalised as XML 1.0 says: CR LF and lone CR in text are LF, tabs and line
 //!   ends in attributes are blanks; a character reference is kept as it is.
 //! - Base64 text is the standard alphabet with padding; ASCII white space in it is ignored.

@@ -33,7 +33,7 @@ pub(super) fn read(
     let reference = slots.id();
     let failed = |error| Failed { reference, error };
     if let Some(error) = broken {
-        // What is never allowed closes the connection, whatever comes after it.
+        // Forbidden constructs close the connection, whatever comes after them.
         let restricted = read.err().filter(|error| error.code == Code::RESTRICTED_XML);
         return Err(failed(restricted.unwrap_or(error)));
     }

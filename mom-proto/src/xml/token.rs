@@ -1,4 +1,4 @@
-//! Tokens of XML: quick-xml finds where they end, this checks all of what they hold.
+//! Lexemes of XML: quick-xml finds their ends, this module checks their content.
 
 use std::borrow::Cow;
 
@@ -11,7 +11,7 @@ use crate::{Code, Limits, ValueKind, WireError};
 use super::name::{brief, is_name, within};
 use super::text::{TextKind, bad, first_ink, is_blank, unescape};
 
-/// One token; positions count from the start of the text.
+/// One lexeme; positions count from the start of the text.
 #[derive(Debug)]
 pub(super) enum Lexeme<'a> {
     /// `<name …>` or `<name …/>`.
@@ -44,7 +44,7 @@ impl Tag<'_> {
     }
 }
 
-/// The tokens of one document.
+/// The lexemes of one document.
 pub(super) struct Tokens<'a> {
     text: &'a str,
     reader: Reader<&'a [u8]>,

@@ -216,8 +216,7 @@ fn is_hollow(value: &Value) -> bool {
 
 /// `mom-` and the smallest number with which it stands in none of these pieces.
 ///
-/// Found in one pass: counting up and searching again each time would let a sender of crafted data choose
-/// how long that takes.
+/// Found in one pass: searching again for each candidate would let crafted data take arbitrarily long.
 fn boundary(xml: &[u8], parts: &[Bytes]) -> String {
     // More digits than any count of places in memory has.
     const DIGITS: usize = 18;

@@ -1,4 +1,4 @@
-//! What can be typed about tokens, and about who may do what.
+//! Arguments of the commands for tokens and access.
 
 use std::time::Duration;
 
@@ -12,7 +12,7 @@ pub(crate) struct HoldArgs {
     /// Release it after this time instead of at Ctrl-C: 30s, 5m
     #[arg(long = "for", value_name = "TIME", value_parser = duration)]
     pub(crate) time: Option<Duration>,
-    /// Answer those who ask for it: y and Enter hands it over, n and Enter does not
+    /// Answer peers that ask for it: y and Enter hands it over, n and Enter does not
     #[arg(long, short)]
     pub(crate) answer: bool,
 }
@@ -22,7 +22,7 @@ pub(crate) struct HoldArgs {
 pub(crate) struct GrabArgs {
     /// The token
     pub(crate) path: String,
-    /// Wait for your turn, so long at most: 30s, 5m, or forever
+    /// Wait in the queue for at most this time: 30s, 5m, or forever
     #[arg(long, value_name = "TIME", value_parser = wait)]
     pub(crate) wait: Option<WaitArg>,
     #[command(flatten)]
@@ -41,7 +41,7 @@ Ctrl-C releases it, or leaves the queue.";
 /// How long to wait for a token.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum WaitArg {
-    /// So long.
+    /// At most this long.
     For(Duration),
     /// As long as it takes.
     Forever,
@@ -59,7 +59,7 @@ fn wait(text: &str) -> Result<WaitArg, String> {
 pub(crate) struct RequestArgs {
     /// The token
     pub(crate) path: String,
-    /// Why; its owner is shown it
+    /// The reason, shown to the owner
     #[arg(long, value_name = "WORDS")]
     pub(crate) text: Option<String>,
     /// How long its owner may take to answer; 30s if absent
@@ -83,16 +83,16 @@ pub(crate) struct GiveArgs {
     pub(crate) peer: String,
     /// The token
     pub(crate) path: String,
-    /// Only for this time, then it comes back and is released: 30s, 2m
+    /// Only for this time; then it returns and is released: 30s, 2m
     #[arg(long = "for", value_name = "TIME", value_parser = duration)]
     pub(crate) time: Option<Duration>,
-    /// Only for so many commands, then it comes back and is released
+    /// Only for so many commands; then it returns and is released
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub(crate) commands: Option<u64>,
     /// How long the peer may take to accept; 10s if absent
     #[arg(long, value_name = "TIME", value_parser = duration)]
     pub(crate) within: Option<Duration>,
-    /// Wait for your turn to grab it first, so long at most: 30s, 5m, or forever
+    /// First wait in the queue for at most this time: 30s, 5m, or forever
     #[arg(long, value_name = "TIME", value_parser = wait)]
     pub(crate) wait: Option<WaitArg>,
 }
@@ -205,10 +205,10 @@ pub(crate) struct ExpelArgs {
     pub(crate) peer: String,
     /// The context; / is the whole hub
     pub(crate) path: String,
-    /// Why; the peer and the members are shown it
+    /// The reason, shown to the peer and the members
     #[arg(long, value_name = "WORDS")]
     pub(crate) text: Option<String>,
-    /// How long it is kept out; 1m if absent
+    /// How long the peer is kept out; 1m if absent
     #[arg(long = "for", value_name = "TIME", value_parser = duration)]
     pub(crate) time: Option<Duration>,
 }

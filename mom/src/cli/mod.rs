@@ -1,4 +1,4 @@
-//! What can be typed.
+//! The command line.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -15,10 +15,10 @@ use self::control::{ACCEPT, BREAK, DECLINE, EXPEL, GIVE, GRAB, INHIBIT, INVITE, 
 #[derive(Debug, Parser)]
 #[command(name = "mom", version, arg_required_else_help = true, after_help = EXAMPLES)]
 pub(crate) struct Cli {
-    /// What holds for all commands.
+    /// Options of all commands.
     #[command(flatten)]
     pub(crate) global: GlobalArgs,
-    /// What to do.
+    /// The command.
     #[command(subcommand)]
     pub(crate) command: Command,
 }
@@ -57,7 +57,7 @@ pub(crate) struct GlobalArgs {
     /// Prove it with the token (JWT) in this file, which names you
     #[arg(long, global = true, value_name = "FILE", conflicts_with = "guest")]
     pub(crate) jwt: Option<PathBuf>,
-    /// Come as a guest, where the hub lets them in
+    /// Log in as a guest, where the hub lets guests in
     #[arg(long, global = true)]
     pub(crate) guest: bool,
     /// Write JSON, one object per line
@@ -74,7 +74,7 @@ pub(crate) enum Command {
     /// Show the tree of contexts: kinds, members, owners
     #[command(after_help = TREE)]
     Tree(TreeArgs),
-    /// Show what channels have counted: sent, delivered, dropped, ages
+    /// Show statistics of channels: sent, delivered, dropped, ages
     #[command(after_help = STATS)]
     Stats(StatsArgs),
     /// Show what happens in contexts, one line per parcel, until Ctrl-C
@@ -92,10 +92,10 @@ pub(crate) enum Command {
     /// Grab a token and give it to another peer, for good or for a while
     #[command(after_help = GIVE)]
     Give(GiveArgs),
-    /// Take a token that is offered to you, and hold it until Ctrl-C
+    /// Accept a token that is offered to you, and hold it until Ctrl-C
     #[command(after_help = ACCEPT)]
     Accept(AcceptArgs),
-    /// Say no to a token that is offered to you
+    /// Decline a token that is offered to you
     #[command(after_help = DECLINE)]
     Decline(DeclineArgs),
     /// Take a token away from its owner; needs the right to it
@@ -107,19 +107,19 @@ pub(crate) enum Command {
     /// Show a token: its owner, lease, queue, offers
     #[command(after_help = TOKEN)]
     Token(TokenArgs),
-    /// Tell a peer of a context
+    /// Invite a peer to a context
     #[command(after_help = INVITE)]
     Invite(InviteArgs),
-    /// Put a peer out of a context
+    /// Expel a peer from a context
     #[command(after_help = EXPEL)]
     Expel(ExpelArgs),
     /// Answer the hub's questions where you have the chair
     #[command(after_help = MANAGE)]
     Manage(ManageArgs),
-    /// Drive the robot by a script: grab its token, carry out the commands, release
+    /// Drive the robot by a script: grab its token, run the commands, release it
     #[command(after_help = RUN)]
     Run(RunArgs),
-    /// Talk: lines of the input are sent, those of others shown
+    /// Chat: sends input lines and shows the lines of others
     #[command(after_help = CHAT)]
     Chat(ChatArgs),
     /// Make a key pair, so that a device needs no password
@@ -153,7 +153,7 @@ pub(crate) struct TreeArgs {
     /// Where to begin
     #[arg(default_value = "/")]
     pub(crate) path: String,
-    /// Only so many levels below the beginning
+    /// The number of levels to show
     #[arg(long, short = 'L', value_name = "LEVELS")]
     pub(crate) depth: Option<usize>,
 }
@@ -167,10 +167,10 @@ Examples:
 /// `mom stats`
 #[derive(Args, Debug)]
 pub(crate) struct StatsArgs {
-    /// A channel, for the figures of each member, or a session, for its channels
+    /// A channel, for the statistics of each member, or a session, for its channels
     #[arg(default_value = "/")]
     pub(crate) path: String,
-    /// Again every so many seconds, until Ctrl-C
+    /// Repeat every so many seconds, until Ctrl-C
     #[arg(long, short, value_name = "SECONDS", num_args = 0..=1, default_missing_value = "2", value_parser = clap::value_parser!(u64).range(1..))]
     pub(crate) watch: Option<u64>,
 }
@@ -199,10 +199,10 @@ pub(crate) struct WatchArgs {
     /// Only messages, no events
     #[arg(long, short)]
     pub(crate) messages: bool,
-    /// Of each sender and name only the newest, where messages come faster than the link takes them
+    /// Only the newest of each sender and name, if messages come faster than the link takes them
     #[arg(long)]
     pub(crate) newest: bool,
-    /// Of each sender and name at most so many: 5/s, 12/min. The hub drops the others and tells how many
+    /// The most messages of each sender and name: 5/s, 12/min. The hub drops the others and tells how many
     #[arg(long, value_name = "RATE", value_parser = rate)]
     pub(crate) rate: Option<MessageRate>,
 }
@@ -392,7 +392,7 @@ mod tests {
         }
     }
 
-    /// What holds for all commands must not take a name that one of them has for something else.
+    /// An option of all commands must not have the name of an option of one command.
     #[test]
     fn every_way_to_log_in_goes_with_every_command() {
         let login: [&[&str]; 4] = [&[], &["--key", "f"], &["--jwt", "f"], &["--guest"]];

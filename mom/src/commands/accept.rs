@@ -1,4 +1,4 @@
-//! `mom accept`: a token that is offered, taken and held until Ctrl-C.
+//! `mom accept`: accepts an offered token and holds it until Ctrl-C.
 
 use super::hold::{TokenToHold, hold};
 use super::offers::{AwaitedOffer, offer};

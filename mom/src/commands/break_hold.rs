@@ -1,4 +1,4 @@
-//! `mom break`: a token, taken away from its owner.
+//! `mom break`: takes a token away from its owner.
 
 use serde_json::json;
 

@@ -1,4 +1,4 @@
-//! `mom chat`: lines of the input are sent, those of others shown.
+//! `mom chat`: sends input lines and shows those of others.
 
 use mom_client::{Channel, Event, Parcel, to_value};
 
@@ -51,7 +51,7 @@ pub(crate) async fn run(args: &cli::ChatArgs, global: &GlobalArgs, output: Outpu
             () = interrupt.wait() => break,
         }
     }
-    // What came while the last line was on its way.
+    // Messages that arrived while the last line was on its way.
     while let Some(event) = events.try_next() {
         show(&args.path, &event, output)?;
     }
@@ -62,7 +62,7 @@ pub(crate) async fn run(args: &cli::ChatArgs, global: &GlobalArgs, output: Outpu
     }
 }
 
-/// Sends a line; whether it got there.
+/// Sends a line; returns whether it was accepted.
 async fn say(channel: &Channel, line: &str, output: Output) -> bool {
     if line.trim().is_empty() {
         return true;

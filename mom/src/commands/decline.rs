@@ -1,4 +1,4 @@
-//! `mom decline`: no to a token that is offered.
+//! `mom decline`: declines an offered token.
 
 use serde_json::json;
 

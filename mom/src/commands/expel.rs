@@ -1,4 +1,4 @@
-//! `mom expel`: a peer is put out of a context.
+//! `mom expel`: expels a peer from a context.
 
 use serde_json::json;
 

@@ -1,4 +1,4 @@
-//! `mom give`: a token, grabbed and given to another peer.
+//! `mom give`: grabs a token and gives it to another peer.
 
 use mom_client::{Given, Lapsed, Token, TokenGuard};
 use serde_json::json;
@@ -74,7 +74,7 @@ async fn offer(args: &cli::GiveArgs, guard: &TokenGuard) -> Result<Given, Failur
     give.await.doing(format!("give {} to {}", args.path, args.peer))
 }
 
-/// The token comes back, and is released.
+/// The token has returned, and is released.
 async fn wait_for_return(
     given: Given,
     path: &str,

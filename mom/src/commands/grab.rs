@@ -1,4 +1,4 @@
-//! `mom grab`: a token, waited for and held until Ctrl-C.
+//! `mom grab`: waits for a token and holds it until Ctrl-C.
 
 use std::io::{self, IsTerminal as _};
 use std::time::Duration;
@@ -56,7 +56,7 @@ pub(super) async fn grab(
         Some(WaitArg::Forever) => token.grab().wait_forever(),
     };
     let grab = grab.on_place(|place| queue.show(place));
-    // Dropped with the interrupt, it leaves the queue.
+    // If the interrupt drops it, it leaves the queue.
     let granted = tokio::select! {
         granted = grab => granted.doing(format!("grab {path}")),
         () = interrupt.wait() => Err(Failure::plain(format!("interrupted before it was your turn at {path}"))),
@@ -95,7 +95,7 @@ impl<'a> PlaceDisplay<'a> {
             || ink(&words, Tone::Notice),
         );
         if told.is_err() {
-            // Whoever read this wants no more of it; the grab is what matters.
+            // Nobody reads this output any more; the grab still matters.
             self.output.remark(&words);
         }
     }

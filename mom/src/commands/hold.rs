@@ -17,7 +17,7 @@ use crate::output::event::{lost_words, member_words};
 use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
 
-/// The hub is asked for the lease so often in its course, but not too often.
+/// The hub is asked for the lease this often during a lease, within bounds.
 const LOOKS_PER_LEASE: u32 = 12;
 const SOONEST: Duration = Duration::from_millis(100);
 const LATEST: Duration = Duration::from_secs(10);
@@ -61,7 +61,7 @@ pub(super) async fn hold(
         lost = guard.lost() => Err(lost),
         () = interrupt.wait() => Ok(()),
         () = wait(until) => Ok(()),
-        // Only writing can fail there; nobody listens any more.
+        // Only writing can fail there: nobody reads the output any more.
         error = watch_renewals(token, output) => return Err(error.into()),
         error = visitors.attend() => return Err(error),
     };
@@ -130,7 +130,7 @@ pub(super) fn tell_released(path: &str, output: Output) -> io::Result<()> {
     )
 }
 
-/// Tells how a token was lost; whether that is an end that was agreed on.
+/// Reports how a token was lost; returns whether the end was agreed on.
 pub(super) fn tell_lost(path: &str, lost: &Lost, output: Output) -> Result<(), Failure> {
     let agreed = matches!(lost.reason.as_str(), "given" | "returned");
     let state = if agreed { lost.reason.as_str() } else { "lost" };
@@ -161,7 +161,7 @@ struct Visitors<'a> {
 }
 
 impl Visitors<'_> {
-    /// Shows who asks and passes the answers on; ends only with what cannot be shown or passed on.
+    /// Shows requests and forwards the answers; ends only with an error.
     async fn attend(&mut self) -> Failure {
         loop {
             let done = tokio::select! {
@@ -245,7 +245,7 @@ impl Visitors<'_> {
             false => self.token.decline_request(&peer, text.trim()).await,
         };
         match (answered, hands_over) {
-            // The loss of the guard tells of it.
+            // The guard reports the loss.
             (Ok(()), true) => Ok(()),
             (Ok(()), false) => self.tell("declined", &peer, "is told no"),
             (Err(error), _) => {
@@ -266,12 +266,12 @@ impl Visitors<'_> {
     }
 }
 
-/// Tells each renewal, as the hub's answer about the lease shows it; ends only if that cannot be written.
+/// Reports each renewal, as shown by the hub's answer about the lease; ends only if that cannot be written.
 async fn watch_renewals(token: &Token, output: Output) -> io::Error {
     let mut before: Option<Duration> = None;
     loop {
         let Ok(status) = token.status().await else {
-            // Who may not ask does without; a lost link ends the guard.
+            // A user that may not ask goes without; a lost link ends the guard.
             return pending().await;
         };
         let Some(lease) = status.lease else {

@@ -1,4 +1,4 @@
-//! `mom inhibit`: nobody owns a token, until Ctrl-C.
+//! `mom inhibit`: keeps everybody from a token until Ctrl-C.
 
 use serde_json::json;
 use tokio::time::Instant;

@@ -1,4 +1,4 @@
-//! `mom invite`: a peer is told of a context.
+//! `mom invite`: invites a peer to a context.
 
 use serde_json::json;
 

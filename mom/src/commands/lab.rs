@@ -23,9 +23,9 @@ use crate::interrupt::Interrupt;
 use crate::output::Output;
 use crate::output::style::{Tone, ink, padded};
 
-/// Where the hub listens if nothing else is said, and where the other commands look for it.
+/// The default address of the hub, where the other commands look for it.
 const USUAL: &str = "127.0.0.1:7666";
-/// The devices need this long at most to take their places.
+/// The longest time for the devices to join their channels.
 const READY: Duration = Duration::from_secs(5);
 const LOOK: Duration = Duration::from_millis(10);
 
@@ -55,7 +55,7 @@ pub(crate) async fn run(args: &cli::LabArgs, output: Output) -> Result<(), Failu
         ended = devices.join_next() => ended,
     };
     output.remark(ink("stopping", Tone::Faint));
-    // The devices say goodbye first; the receivers of this are theirs.
+    // The devices log out first; they hold the receivers of this.
     let _ = stop.send(true);
     while devices.join_next().await.is_some() {}
     stop_broker(broker).await;
@@ -67,7 +67,7 @@ pub(crate) async fn run(args: &cli::LabArgs, output: Output) -> Result<(), Failu
     }
 }
 
-/// What is going on inside, on standard error.
+/// The log, on standard error.
 fn log(filter: &str) -> Result<(), Failure> {
     let filter = EnvFilter::try_new(filter).map_err(|error| {
         Failure::usage(
@@ -104,7 +104,7 @@ fn within_reach(mut address: SocketAddr) -> SocketAddr {
     address
 }
 
-/// Arm and camera, in their places.
+/// Arm and camera, in their channels.
 async fn start_devices(
     broker: &Arc<Broker>,
     stopping: &watch::Receiver<bool>,
@@ -158,7 +158,7 @@ fn stopped(stopping: &watch::Receiver<bool>) -> impl Future<Output = ()> + Send 
     }
 }
 
-/// Lets what waits go out, once the devices' connections have let go of the broker.
+/// Lets waiting parcels leave, once the devices' connections have released the broker.
 async fn stop_broker(mut broker: Arc<Broker>) {
     let begin = Instant::now();
     while begin.elapsed() < READY {
@@ -170,7 +170,7 @@ async fn stop_broker(mut broker: Arc<Broker>) {
     }
 }
 
-/// What there is to tell about a running lab.
+/// The summary of a running lab.
 struct LabSummary {
     address: SocketAddr,
     program: String,
@@ -247,7 +247,7 @@ impl LabSummary {
         lines.join("\n")
     }
 
-    /// The people: those who are not devices.
+    /// The users that are not devices.
     fn people(&self) -> String {
         let people = self
             .users
@@ -263,7 +263,7 @@ impl LabSummary {
         people.join(", ")
     }
 
-    /// Where to look for the hub, if it is not where everybody looks.
+    /// The hub's address, if it is not the default.
     fn hub(&self) -> String {
         match self.address.to_string() == USUAL {
             true => String::new(),

@@ -1,4 +1,4 @@
-//! `mom manage`: the hub's questions, answered by who has the chair.
+//! `mom manage`: the chair's answers to the hub's questions.
 
 use std::collections::VecDeque;
 use std::io;
@@ -84,7 +84,7 @@ struct Desk {
     waiting: VecDeque<(Consult, Option<Instant>)>,
 }
 
-/// What a line says.
+/// The meaning of an input line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Said {
     Allow,

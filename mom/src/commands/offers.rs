@@ -1,4 +1,4 @@
-//! Waiting for an offer of a token, for those who take it or do not.
+//! Waits for an offer of a token, to accept or decline it.
 
 use std::time::Duration;
 
@@ -13,12 +13,12 @@ use crate::output::event::event_words;
 use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
 
-/// Which offer is waited for, and how long.
+/// The awaited offer, and how long to wait.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct AwaitedOffer<'a> {
     /// To this peer, which waits.
     pub(super) me: &'a str,
-    /// Only of this peer.
+    /// Only from this peer.
     pub(super) peer: Option<&'a str>,
     /// For ever if absent.
     pub(super) within: Option<Duration>,

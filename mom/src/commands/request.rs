@@ -1,4 +1,4 @@
-//! `mom request`: a token, asked from its owner and held until Ctrl-C.
+//! `mom request`: asks the owner for its token and holds it until Ctrl-C.
 
 use super::hold::{TokenToHold, hold};
 use crate::cli::{self, GlobalArgs};

@@ -32,7 +32,7 @@ fn content(args: &cli::SendArgs) -> Result<Option<Value>, Failure> {
     let Some(content) = given(args)? else {
         return Ok(None);
     };
-    // What has no form on the wire is better told here than by those who cannot read it.
+    // A value without a form on the wire is better refused here than by its receivers.
     to_value(&content).map(Some).map_err(|error| {
         Failure::usage(
             error.text,
@@ -58,7 +58,7 @@ fn given(args: &cli::SendArgs) -> Result<Option<Value>, Failure> {
 }
 
 fn message(channel: &Channel, args: &cli::SendArgs, content: Option<Value>) -> Message {
-    // Nobody would read the echo: this peer is gone as soon as its message is sent.
+    // Nobody would read the echo: this peer logs out as soon as its message is sent.
     let mut message = channel.message(&args.name).no_echo();
     if let Some(content) = content {
         message = message.content(content);
@@ -78,7 +78,7 @@ fn message(channel: &Channel, args: &cli::SendArgs, content: Option<Value>) -> M
     message
 }
 
-/// Sends, and tells how many receivers have it.
+/// Sends, and reports how many receivers got it.
 async fn acknowledged(message: Message, what: &str, output: Output) -> Result<(), Failure> {
     let receipt = message.send_acknowledged().await.doing(what)?;
     output.tell(

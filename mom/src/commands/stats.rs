@@ -1,4 +1,4 @@
-//! `mom stats`: what channels have counted, as a table, once or again and again.
+//! `mom stats`: statistics of channels as a table, once or repeatedly.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -95,7 +95,7 @@ fn table(stats: &Stats, kind: ContextKind) -> String {
                 Some(as_ink) => ink(cell, as_ink),
                 None => (*cell).to_owned(),
             };
-            // Figures stand to the right, words to the left.
+            // Numbers are right-aligned, words left-aligned.
             line.push_str(&if last {
                 format!("  {cell}")
             } else {

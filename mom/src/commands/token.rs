@@ -1,4 +1,4 @@
-//! `mom token`: who has a token, who wants it, and for how long.
+//! `mom token`: a token's owner, queue, offers and lease.
 
 use std::time::Duration;
 
@@ -15,7 +15,7 @@ use crate::output::{Output, to_json, words};
 const BAR: u32 = 20;
 /// Letters of the labels.
 const LABEL: usize = 8;
-/// Those shown of a long queue; of more, only the number is told.
+/// The most entries shown of a queue; of the others only the number.
 const SHOWN: usize = 10;
 
 pub(crate) async fn run(args: &cli::TokenArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {

@@ -1,4 +1,4 @@
-//! `mom tree`: what there is, who is there, who holds what.
+//! `mom tree`: the contexts, their members and owners.
 
 use std::future::Future;
 use std::pin::Pin;
@@ -12,7 +12,7 @@ use crate::failure::{Doing as _, Failure};
 use crate::output::style::{Tone, ink, padded};
 use crate::output::{Output, to_json, words};
 
-/// Members named beside a context; of more, only the number is told.
+/// The most members named beside a context; of the others only the number.
 const NAMED: usize = 4;
 
 /// A context with what is below it.
@@ -46,7 +46,7 @@ fn grow(
 ) -> Pin<Box<dyn Future<Output = Result<TreeNode, Failure>> + Send + '_>> {
     Box::pin(async move {
         let path = info.path.to_string();
-        // A refusal leaves a gap in the picture; it is no reason to show none.
+        // A refusal leaves a gap in the tree; the rest is shown.
         let facts = client.info(&path).await.ok();
         let members = client.members(&path).await.ok();
         let mut children = Vec::new();

@@ -109,7 +109,7 @@ async fn subscribe(
     Ok(receiver)
 }
 
-/// Joins a context, if it is a channel spared of this; its events keep it joined.
+/// Joins a context, a channel with thinning; its events keep it joined.
 pub(super) async fn events(
     client: &Client,
     info: &ContextInfo,
@@ -127,7 +127,7 @@ pub(super) async fn events(
     })
 }
 
-/// Whether this is an event that `--messages` leaves out; trouble is always shown.
+/// Whether `--messages` leaves this event out; problems are always shown.
 fn is_news(event: &Event) -> bool {
     !matches!(
         event,
@@ -135,7 +135,7 @@ fn is_news(event: &Event) -> bool {
     )
 }
 
-/// Why nothing more will come.
+/// Why the events have ended.
 fn ended(client: &Client) -> Failure {
     match &*client.state().borrow() {
         LinkState::Closed(Some(error)) => Failure::Refused {

@@ -1,4 +1,4 @@
-//! What people and programs read: lines with colour, or JSON, one object per line.
+//! Output for people (lines with colour) and programs (JSON, one object per line).
 
 pub(crate) mod event;
 mod handover;
@@ -45,7 +45,7 @@ impl Output {
         }
     }
 
-    /// A result for people that programs have no use for.
+    /// A result for people only.
     pub(crate) fn human(self, line: impl Display) -> io::Result<()> {
         match self.json {
             true => Ok(()),
@@ -60,7 +60,7 @@ impl Output {
         }
     }
 
-    /// Tells why the command did not do its work, and gives its exit code.
+    /// Reports a failure, and gives the exit code.
     pub(crate) fn failure(self, failure: &Failure) -> ExitCode {
         let code = failure.exit_code();
         if code != 0 && !matches!(failure, Failure::Told) {
@@ -85,7 +85,7 @@ impl Output {
         stdout.flush()
     }
 
-    // If standard error is closed there is nobody left to tell.
+    // If standard error is closed nobody can be told.
     fn complain(self, text: impl Display) {
         let _ = writeln!(anstream::stderr().lock(), "{text}");
     }

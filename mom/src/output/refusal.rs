@@ -1,4 +1,4 @@
-//! A refusal in words: what, by which rule, who has it, when to try again, what to do now.
+//! A refusal as text: what, by which rule, who owns it, when to try again, what to do now.
 
 use mom_client::{Code, Refusal as Details, Value, WireError, ordinal};
 
@@ -69,7 +69,7 @@ fn retry(details: &Details<'_>) -> Option<String> {
     })
 }
 
-/// The place that a grab which waits would have, or had when its time was over.
+/// The place that a waiting grab would have, or had when its wait ended.
 fn place(details: &Details<'_>) -> Option<String> {
     let place = ordinal(details.place?);
     Some(match details.expected {

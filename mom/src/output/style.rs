@@ -35,7 +35,7 @@ pub(crate) fn ink(text: impl Display, ink: Tone) -> String {
 pub(crate) fn padded(text: &str, width: usize, as_ink: Tone) -> String {
     let blanks = " ".repeat(width.saturating_sub(text.chars().count()));
     match text.is_empty() {
-        // No colour for nothing: it would hide that the line ends in blanks.
+        // Empty text gets no colour: escapes would hide that the line ends in blanks.
         true => blanks,
         false => format!("{}{blanks}", ink(text, as_ink)),
     }

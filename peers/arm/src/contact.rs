@@ -1,4 +1,4 @@
-//! What the hand would run into. The controller knows a contact only by the overload of its motors
+//! Contacts of the hand. The controller knows a contact only by the overload of its motors
 //! (M49), so each ends in a `torque-overload`.
 //!
 //! The hand is two fingers and a palm. The fingers are round, 8 mm thick, and reach from the
@@ -32,7 +32,7 @@ pub struct Contact {
 
 /// The first contact on the straight way between two postures, if there is one.
 ///
-/// What is touched at the beginning may be left: it counts only when it is touched anew.
+/// A body touched at the beginning may be left: it counts only when it is touched again.
 /// `grasping` is the block that the closing jaws are to take, which they may touch.
 #[must_use]
 pub fn first(blocks: &Blocks, from: &Posture, to: &Posture, grasping: Option<usize>) -> Option<Contact> {

@@ -66,7 +66,7 @@ async fn main() -> anyhow::Result<()> {
         .context("the arm ended")
 }
 
-/// By its key if it has one.
+/// Authenticates by key if there is one.
 fn proof(args: &ArmArgs) -> anyhow::Result<Proof> {
     match &args.key {
         Some(file) => Ok(Proof::Key(Key::from_file(file).context("--key")?)),

@@ -1,4 +1,4 @@
-//! The arm as a peer: joins its channel and carries between it and the [`RobotServer`].
+//! The arm as a peer: joins its channel and connects it to the [`RobotServer`].
 
 use std::future::{Future, pending};
 use std::pin::pin;
@@ -15,7 +15,7 @@ use crate::server::RobotServer;
 /// How long the last statuses may take to leave when the program ends.
 const FAREWELL: Duration = Duration::from_secs(1);
 
-/// Where the arm is heard.
+/// The channel of the arm.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ArmOptions {
     /// The channel of its commands and states; its session is joined first.
@@ -31,7 +31,7 @@ impl Default for ArmOptions {
     }
 }
 
-/// Runs an arm until `shutdown` is done. Then it halts, says so, and logs out.
+/// Runs an arm until `shutdown` is done. Then it halts, reports that, and logs out.
 ///
 /// A lost link halts the arm; the client connects again by itself, and the arm goes on with the next command.
 ///

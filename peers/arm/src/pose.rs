@@ -1,4 +1,4 @@
-//! Where the hand is: a position and two angles in the table's frame (M50).
+//! The pose of the hand: a position and two angles in the table's frame (M50).
 
 use serde::{Deserialize, Serialize};
 

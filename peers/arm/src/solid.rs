@@ -1,4 +1,4 @@
-//! Boxes that stand upright, turned about the vertical: the shape of everything that can be hit.
+//! Boxes that stand upright, turned about the vertical: the shape of all obstacles.
 
 use crate::pose::{Xyz, dot, minus};
 

@@ -1,4 +1,4 @@
-//! What the arm tells: its state, and what became of its commands.
+//! Reports of the arm: its state, and the progress of its commands.
 
 use serde::{Deserialize, Serialize};
 
@@ -78,7 +78,7 @@ pub struct ArmState {
     pub waiting: usize,
 }
 
-/// All that leaves the arm, in the order in which it happened.
+/// The events of the arm, in order.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ArmEvent {
     /// A command changed its state or began its next statement.

@@ -1,4 +1,4 @@
-//! What the commander hears about one command: the content of `status` messages (M42).
+//! Reports to the sender of a command: the content of `status` messages (M42).
 
 use mom_client::{Code, Map, Stale, Value, WireError, to_value};
 use serde::{Deserialize, Serialize};
@@ -40,7 +40,7 @@ pub struct Status {
 }
 
 impl Status {
-    /// Puts in how far the command has come.
+    /// Sets the progress of the command.
     pub(crate) fn at(mut self, state: CommandState, progress: ScriptProgress) -> Self {
         self.state = state;
         self.statement = progress.statement;
@@ -48,7 +48,7 @@ impl Status {
         self
     }
 
-    /// Puts in why the command ended.
+    /// Sets the reason why the command ended.
     pub(crate) fn because(mut self, reason: Option<&CommandRefusal>) -> Self {
         self.error = reason.and_then(CommandRefusal::content);
         self
@@ -62,7 +62,7 @@ pub(crate) enum CommandRefusal {
     Arm(ArmError),
     /// The command was not sent by the token's present owner.
     Stale(Stale),
-    /// What the command was based on holds no more, or is no state.
+    /// The state that the command was based on is outdated or unknown.
     State(WireError),
 }
 

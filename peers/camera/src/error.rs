@@ -1,4 +1,4 @@
-//! What can be wrong with a camera's settings, in plain words.
+//! Errors of a camera's settings.
 
 /// A setting that the camera refuses.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

@@ -4,8 +4,8 @@
 //! draws a [`Scene`], which is read from the arm's state, and gives a JPEG or PNG [`Image`] with the matrix that maps
 //! millimetres on the table to its pixels (M54, M55).
 //!
-//! [`ImageServer`] decides what the camera does about the parcels and events of its contexts, and what it says;
-//! [`peer::run`] carries both ways and draws on a thread of its own, in a program (`mom-camera`) or in another one.
+//! [`ImageServer`] decides how the camera reacts to the parcels and events of its contexts; [`peer::run`] connects it
+//! to the hub and draws on a thread of its own, in a program (`mom-camera`) or in another one.
 
 mod draw;
 mod encode;

@@ -110,7 +110,7 @@ fn options(args: &CameraArgs) -> anyhow::Result<CameraOptions> {
     })
 }
 
-/// By its key if it has one.
+/// Authenticates by key if there is one.
 fn proof(args: &CameraArgs) -> anyhow::Result<Proof> {
     match &args.key {
         Some(file) => Ok(Proof::Key(Key::from_file(file).context("--key")?)),

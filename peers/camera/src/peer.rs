@@ -1,4 +1,4 @@
-//! The camera as a peer: joins its contexts and carries between them and the [`ImageServer`].
+//! The camera as a peer: joins its contexts and connects them to the [`ImageServer`].
 
 use std::future::{Future, pending};
 use std::pin::pin;
@@ -45,7 +45,7 @@ impl CameraOptions {
         }
     }
 
-    /// What the server makes of them.
+    /// The server's options from these.
     fn server(&self) -> Result<ImageServer, ClientError> {
         let bad = |error: SettingsError| WireError::new(Code::BAD_CONTENT, error.to_string());
         if !(self.rate > 0.0 && self.rate.is_finite()) {
@@ -152,7 +152,7 @@ fn ended(client: &Client) -> ClientError {
     }
 }
 
-/// Asks the hub who owns the token, where events may have been missed.
+/// Asks the hub who owns the token, in case events were missed.
 async fn ask_owner(token: &Token, server: &mut ImageServer) {
     match token.info().await {
         Ok(info) => server.handle_token_info(&info),

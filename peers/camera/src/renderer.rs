@@ -32,7 +32,7 @@ const MOST_POSES: usize = 200;
 pub struct Renderer {
     view: View,
     settings: CameraSettings,
-    /// What never moves in the picture, drawn once; `None` for a camera that moves.
+    /// The static background, drawn once; `None` for a camera that moves.
     backdrop: Option<Pixmap>,
 }
 
@@ -132,7 +132,7 @@ impl Renderer {
         draw::shadows(canvas, &scene.blocks, &gripper, &arm, &scene.pose);
         let mut solids: Vec<Solid> = scene.blocks.iter().map(block).collect();
         solids.extend(gripper);
-        // The camera on the gripper sits among these and would look into them.
+        // The camera on the gripper is inside these solids and would see them from within.
         if self.view != View::Wrist {
             solids.extend(arm);
             solids.extend(robot::wrist_camera(&tool));

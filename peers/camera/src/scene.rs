@@ -12,8 +12,8 @@ const LARGEST: f64 = 2_000.0;
 
 /// Everything that is drawn.
 ///
-/// It is read from the content of the arm's `state` parcels. Fields that are missing have their default and fields
-/// that are not known are passed over, so that a camera and an arm of different versions understand each other.
+/// It is read from the content of the arm's `state` parcels. Missing fields have their defaults and unknown fields
+/// are ignored, so that a camera and an arm of different versions understand each other.
 ///
 /// ```
 /// use mom_camera::Scene;
@@ -30,7 +30,7 @@ const LARGEST: f64 = 2_000.0;
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Scene {
-    /// Where the gripper is.
+    /// The pose of the gripper.
     pub pose: DrawnPose,
     /// How far the jaws are open.
     pub gripper: DrawnGripper,
@@ -166,7 +166,7 @@ fn from_hex(text: &str) -> Option<[u8; 3]> {
 }
 
 impl Scene {
-    /// The scene with numbers that can be drawn: finite and not beyond all measure.
+    /// The scene with numbers that can be drawn: finite and bounded.
     pub(crate) fn drawable(&self, blocks: usize, trail: usize) -> Scene {
         let newest = self.trail.len().saturating_sub(trail);
         Scene {
@@ -186,7 +186,7 @@ impl Scene {
 }
 
 impl DrawnPose {
-    /// The pose with finite numbers; what is not finite is 0.
+    /// The pose with finite numbers; others become 0.
     pub(crate) fn drawable(&self) -> DrawnPose {
         let DrawnPose { x, y, z, spin, tilt } = *self;
         DrawnPose {

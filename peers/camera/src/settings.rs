@@ -54,7 +54,7 @@ pub enum Format {
     Png,
 }
 
-/// A wish for other settings: what is absent stays as it is.
+/// A change of settings: absent ones stay as they are.
 ///
 /// The numbers are wider than those of [`CameraSettings`], so that a value outside the limits is refused with the
 /// limits in words. A setting that does not exist is refused, because its sender expects it to do something.
@@ -109,7 +109,7 @@ impl CameraSettings {
 }
 
 impl Format {
-    /// The name by which settings call it.
+    /// Its name in settings.
     pub fn name(self) -> &'static str {
         match self {
             Format::Jpeg => "jpeg",
@@ -147,7 +147,7 @@ impl TryFrom<SettingsChange> for CameraSettings {
     }
 }
 
-/// The wished value if there is one and it is within the limits.
+/// The requested value if there is one and it is within the limits.
 fn pick<T>(
     setting: &'static str,
     wish: Option<i64>,

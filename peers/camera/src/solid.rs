@@ -109,8 +109,8 @@ impl Solid {
         self.outside(face, eye) > 0.0
     }
 
-    /// Looks for one of this solid's planes with all of `other` beyond it, and tells which of the two can hide the
-    /// other: what lies on the eye's side of the plane is in front.
+    /// Looks for one of this solid's planes with all of `other` beyond it, and gives which of the two can hide the
+    /// other: the one on the eye's side of the plane is in front.
     fn is_in_front(&self, other: &Solid, eye: &Point) -> Option<bool> {
         let apart = |face: &&Face| other.corners.iter().all(|p| self.outside(face, p) > -TOUCH);
         self.faces

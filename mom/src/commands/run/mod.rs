@@ -1,4 +1,4 @@
-//! `mom run`: a script, carried out by the robot under its token.
+//! `mom run`: runs a script on the robot under its token.
 
 mod progress;
 mod script;
@@ -21,7 +21,7 @@ use crate::output::event::lost_words;
 use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
 
-/// How long a robot may take to say what it thinks of a command.
+/// How long a robot may take for its first status of a command.
 const ANSWER: Duration = Duration::from_secs(10);
 
 pub(crate) async fn run(args: &cli::RunArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
@@ -88,12 +88,12 @@ fn read(args: &cli::RunArgs) -> Result<Vec<ScriptLine>, Failure> {
     Ok(commands)
 }
 
-/// What came of the commands.
+/// The outcome of the commands.
 #[derive(Clone, Copy, Debug, Default)]
 struct RunOutcome {
     done: usize,
     failed: usize,
-    /// Whether the robot takes no command because somebody stopped it.
+    /// Whether the robot refuses commands because it was stopped.
     stopped: bool,
 }
 
@@ -130,13 +130,13 @@ impl RunOutcome {
     }
 }
 
-/// The commands on their way, one after the other: what comes after a failed one may rely on it.
+/// Runs the commands one after the other, because a later one may rely on an earlier one.
 struct Job {
     client: Client,
     channel: Path,
     events: Events,
     progress: ProgressDisplay,
-    /// The peer that answers, once it has.
+    /// The robot's peer, once it has answered.
     robot: Option<String>,
     keep_going: bool,
 }
@@ -207,7 +207,7 @@ impl Job {
         }
     }
 
-    /// What an event says about the command `id`, and who says it.
+    /// The status in an event about the command `id`, and its sender.
     fn read(&self, event: &Event, id: u64) -> Result<Option<(StatusChange, Option<String>)>, Failure> {
         match event {
             Event::Message(parcel) if parcel.name() == "status" => {

@@ -1,4 +1,4 @@
-//! How far the commands have come (M42): a moving line at a terminal, one line per change elsewhere.
+//! The progress of the commands (M42): a moving line at a terminal, one line per change elsewhere.
 
 use std::io::{self, IsTerminal as _};
 use std::time::{Duration, Instant};
@@ -14,7 +14,7 @@ use crate::output::{Output, to_json, words};
 
 const TICK: Duration = Duration::from_millis(100);
 
-/// One change of one command.
+/// A change of status of one command.
 #[derive(Clone, Debug)]
 pub(super) struct StatusChange {
     pub(super) state: CommandState,
@@ -27,7 +27,7 @@ pub(super) struct StatusChange {
 }
 
 impl StatusChange {
-    /// A state without anything known beside it.
+    /// A state without details.
     pub(super) fn to(state: CommandState) -> StatusChange {
         StatusChange {
             state,
@@ -108,7 +108,7 @@ impl ProgressDisplay {
         }
     }
 
-    /// Takes the moving line away.
+    /// Removes the moving line.
     pub(super) fn end(&self) {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();

@@ -1,4 +1,4 @@
-//! The arm: a state machine that takes commands and the time, and tells events.
+//! The arm: a state machine that takes commands and the time, and emits events.
 
 use std::collections::VecDeque;
 
@@ -16,13 +16,13 @@ mod promises;
 #[cfg(test)]
 mod tests;
 
-/// Where the hand is at the beginning, and where `home` moves it.
+/// The initial pose of the hand, and the target of `home`.
 pub const HOME: Pose = Pose::new(0.0, 0.0, 300.0, 0.0, 0.0);
 /// µs between two states while the arm moves: 20 Hz.
 pub const STATE_PERIOD: ArmTime = 50_000;
 /// The most commands that wait behind the one being carried out.
 pub const MAX_WAITING: usize = 64;
-/// µs by which the driver may miss a wake before the controller takes the link to it for broken.
+/// µs by which the driver may miss a wake before the controller treats its link as broken.
 pub const LINK_TIMEOUT: ArmTime = 3_000_000;
 
 /// The arm.
@@ -30,7 +30,7 @@ pub const LINK_TIMEOUT: ArmTime = 3_000_000;
 /// A driver calls [`Arm::advance`] whenever [`Arm::next_wake`] is due, and the other methods when
 /// somebody asks for what they do. Every method that takes `now` first advances to it; a time before
 /// the latest one counts as the latest. `submit`, `halt`, `stop` and `unstop` act; `advance` lets
-/// time pass; `state` and `next_wake` only look. All that happens is told in `events`, in order, and
+/// time pass; `state` and `next_wake` only read. Everything that happens is reported in `events`, in order, and
 /// every accepted command ends in exactly one `finished` or `error`.
 ///
 /// If a driver falls silent while a command is carried out, the arm goes on for [`LINK_TIMEOUT`]
@@ -78,7 +78,7 @@ struct MotionStep {
     then: Then,
 }
 
-/// What becomes of a step at its end.
+/// The effect of a step at its end.
 #[derive(Debug, Clone)]
 enum Then {
     Next,
@@ -119,7 +119,7 @@ impl Arm {
     /// # Errors
     ///
     /// `stopped`, `queue-full`, `duplicate-id`, `syntax`, `workspace-boundary`, `joint-limit` or
-    /// `singularity`. Then the command is not taken, nothing of it moves, and no event tells of it.
+    /// `singularity`. Then the command is not accepted, nothing moves, and there is no event.
     pub fn submit(
         &mut self,
         id: u64,

@@ -1,4 +1,4 @@
-//! What never moves: the room, the arm's foot, the table with its grid and its scales.
+//! The static background: the room, the arm's foot, the table with its grid and its scales.
 
 use tiny_skia::{
     Color, GradientStop, LinearGradient, Paint, Point as SkiaPoint, Rect, SpreadMode, Transform,

@@ -1,4 +1,4 @@
-//! The image server (M37): what it does with each event of its channels, and what it says.
+//! The image server (M37): reacts to the events of its channels.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -33,10 +33,10 @@ const MOST_REQUESTS: usize = 64;
 /// µs since the server began.
 pub type CameraTime = i64;
 
-/// What an image server is and how it works.
+/// The options of an image server.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ServerOptions {
-    /// Where the camera stands.
+    /// The view of the camera.
     pub view: View,
     /// The channel of its images.
     pub channel: Path,
@@ -54,7 +54,7 @@ pub struct ServerOptions {
 ///
 /// `handle_robot`, `handle_token` and `handle_camera` take the events of the three contexts that it joins. After
 /// each of them, and whenever [`ImageServer::next_wake`] is due, the driver calls `advance`, which may give a
-/// [`Shot`]; its [`Picture`] is handed back by `handle_picture`. At most one shot is under way. What is to be sent
+/// [`Shot`]; its [`Picture`] is returned by `handle_picture`. At most one shot is under way. What is to be sent
 /// is pushed to `out`.
 ///
 /// - Every new state of the robot is followed by a broadcast image (M38), at most one per period; while an image
@@ -119,7 +119,7 @@ impl ImageServer {
         self.owner.handle(event);
     }
 
-    /// Takes what the hub says about the token when it is joined or asked about.
+    /// Handles the hub's answer about the token when it is joined or queried.
     pub fn handle_token_info(&mut self, info: &Map) {
         self.owner.handle_info(info);
     }
@@ -143,19 +143,19 @@ impl ImageServer {
         }
     }
 
-    /// Takes a picture that was taken.
+    /// Takes a finished picture.
     pub fn handle_picture(&mut self, picture: Picture, out: &mut Vec<Parcel>) {
         self.drawing = false;
         self.send(&picture.content, &picture.purpose, out);
         self.newest = Some(picture);
     }
 
-    /// Takes it that a picture was not taken: its revision is given up.
+    /// Notes that drawing a picture failed: its revision is skipped.
     pub fn handle_failure(&mut self) {
         self.drawing = false;
     }
 
-    /// Sends what need not be drawn again, and gives the next picture to take if there is one.
+    /// Sends the newest picture where it need not be drawn again, and gives the next shot if there is one.
     /// `wall` is the time of day.
     pub fn advance(&mut self, now: CameraTime, wall: Time, out: &mut Vec<Parcel>) -> Option<Shot> {
         if self.drawing {
@@ -173,7 +173,7 @@ impl ImageServer {
             self.next = now.saturating_add(self.options.period);
         }
         match &self.newest {
-            // The camera looks again, and what it sees is the same.
+            // The scene is unchanged, so the picture is reused.
             Some(newest) if newest.revision == self.revision => {
                 self.send(&newest.content.clone().with("taken", wall), &purpose, out);
                 None
@@ -193,7 +193,7 @@ impl ImageServer {
     fn take_state(&mut self, content: &Content) -> Result<(), WireError> {
         let state = content.to_value()?;
         let seq = state.get("seq").and_then(Value::as_int);
-        // An arm that begins anew counts from 0, so a lower number is news as well.
+        // A restarted arm counts from 0, so a lower number is news as well.
         if seq.is_some() && seq == self.state_seq {
             return Ok(());
         }
@@ -264,7 +264,7 @@ impl ImageServer {
         parcel
     }
 
-    /// A message to all that does not come back.
+    /// A message to all without echo.
     fn message(&self, name: &str, content: Map) -> Parcel {
         let mut parcel = Parcel::new(Family::Message, name)
             .context(self.options.channel.clone())
