@@ -13,17 +13,17 @@ pub(crate) const HIGHEST: u64 = 1_000_000_000_000;
 /// Why a request is over the quota.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Over {
-    /// There is enough again at this time.
+    /// Enough will be left at this time.
     Until(Micros),
     /// It is larger than the burst.
     Never,
-    /// Too many others are being counted, at least up to this time.
+    /// Too many other peers are counted, at least until this time.
     Crowded(Micros),
 }
 
 /// What each peer has used of one rate. A peer that has paid everything back needs no entry.
 #[derive(Debug)]
-pub(crate) struct Counts {
+pub(crate) struct RateCounts {
     rate: Rate,
     most: usize,
     used: BTreeMap<Arc<str>, Used>,
@@ -38,10 +38,10 @@ struct Used {
     bytes: Gcra,
 }
 
-impl Counts {
+impl RateCounts {
     /// Nothing used by anybody; at most so many peers are counted at once.
-    pub(crate) fn new(rate: Rate, most: usize) -> Counts {
-        Counts {
+    pub(crate) fn new(rate: Rate, most: usize) -> RateCounts {
+        RateCounts {
             rate,
             most,
             used: BTreeMap::new(),

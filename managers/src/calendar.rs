@@ -15,12 +15,12 @@ const EPOCH_DAY: i64 = 3;
 
 const FORMS: &str = "a time of the day such as 09:00, or an instant such as 2026-11-23T09:00:00Z";
 
-/// Instants in µs since the epoch; the end belongs to no span.
+/// Instants in µs since the epoch; the end is exclusive.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Span {
     /// Once.
     Once { from: i64, to: i64 },
-    /// Each day that is marked, beginning so long after midnight, at most a day long.
+    /// On each marked day, from an offset after midnight, for at most a day.
     Daily { from: i64, length: i64, days: [bool; 7] },
 }
 
@@ -67,7 +67,7 @@ impl Span {
         }
     }
 
-    /// The end of the span, if this instant is in it.
+    /// The end of the span that contains this instant.
     pub(crate) fn end(&self, at: i64) -> Option<i64> {
         match *self {
             Span::Once { from, to } => (from <= at && at < to).then_some(to),
@@ -90,7 +90,7 @@ impl Span {
             Span::Once { from, .. } => (from > at).then_some(from),
             Span::Daily { .. } => {
                 let today = at.div_euclid(DAY);
-                // Today's begin may be over, and the same day of next week the only other.
+                // Today's begin may be past, and the next marked day a week away.
                 (today..=today + 7)
                     .filter_map(|day| self.begin_on(day))
                     .find(|begin| *begin > at)
@@ -109,7 +109,7 @@ impl Span {
     }
 }
 
-/// An instant in words, without a fraction that is none.
+/// An instant as text, without a zero fraction.
 pub(crate) fn words(micros: i64) -> String {
     match Time::from_micros(micros) {
         Some(time) => time.to_string().replace(".000000Z", "Z"),

@@ -12,10 +12,10 @@ struct Params {
     of: Vec<Value>,
 }
 
-/// Managers of one chain: they are built for each context anew, also where a peer names them.
+/// The most managers of one chain: they are built for each context anew, also when a peer names them.
 const MOST: usize = 16;
 
-/// Asks each in turn; the first denial is the answer, else the first that cannot say yes yet.
+/// Consults each in order; the first denial is the answer, else the first answer that defers or queues.
 #[derive(Debug)]
 struct Chain {
     links: Vec<Box<dyn Manager>>,
@@ -24,7 +24,7 @@ struct Chain {
 pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
     let params: Params = setup.params()?;
     if params.of.is_empty() {
-        // No manager would deny, so an empty chain would be open; only the word may open a context.
+        // An empty chain would allow everything; only `open` may do that.
         return Err(setup.error(
             "of",
             "a chain needs at least one manager; to allow all, name the manager open",
@@ -55,14 +55,14 @@ impl Manager for Chain {
                     all.answer = also(&all.answer, grant);
                     all.rule = all.rule.or(verdict.rule);
                 }
-                // The links before may change their minds, so it stands no longer than what they said.
+                // Earlier links may change their answers, so it stands no longer than theirs.
                 Answer::Deny(_) => {
                     return Verdict {
                         standing: all.standing.without_rate(),
                         ..verdict
                     };
                 }
-                // A link behind may still deny, and nobody should be asked in vain.
+                // A later link may still deny, and nobody should be asked in vain.
                 Answer::Defer(_) => deferred = deferred.or(Some(verdict)),
                 Answer::Queue(_) => queued = queued.or(Some(verdict)),
             }
@@ -79,7 +79,7 @@ impl Manager for Chain {
     fn terms(&self) -> Terms {
         let mut all = Terms::default();
         for terms in self.links.iter().map(|link| link.terms()) {
-            // What belongs together comes from one link: the first that names it, by its leading half if any does.
+            // Terms that belong together come from one link: the first that names the leading one, if any does.
             if all.lease.is_none() && (terms.lease.is_some() || all.expiry == Expiry::Lazy) {
                 (all.lease, all.expiry) = (terms.lease, terms.expiry);
             }
@@ -92,7 +92,7 @@ impl Manager for Chain {
     }
 }
 
-/// What two links grant together.
+/// The combined grant of two links.
 fn also(answer: &Answer, grant: &Grant) -> Answer {
     match answer {
         Answer::Allow(all) => Answer::Allow(Grant {

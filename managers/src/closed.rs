@@ -1,4 +1,4 @@
-//! `closed`: nobody may do anything; what holds where nothing is configured (M25).
+//! `closed`: nobody may do anything; the default where nothing is configured (M25).
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use crate::{Manager, Question, Scope, Setup, Verdict};
 #[serde(deny_unknown_fields)]
 struct Params {}
 
-/// Denies all but giving up.
+/// Denies everything except giving up.
 #[derive(Debug)]
 struct Closed {
     label: Arc<str>,

@@ -1,4 +1,4 @@
-//! `first-come`: whoever grabs a free token keeps it until giving it back.
+//! `first-come`: the peer that grabs a free token keeps it until it releases it.
 
 use std::sync::Arc;
 
@@ -11,14 +11,14 @@ use crate::{Expiry, Manager, Question, Setup, Terms, Verdict};
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Params {
-    /// ms; none = without end.
+    /// ms; none = unlimited.
     #[serde(default)]
     lease: Option<u64>,
     #[serde(default)]
     expiry: Expiry,
 }
 
-/// Denies a grab while somebody else owns the token and its lease lasts.
+/// Denies a grab while another peer owns the token by an unexpired lease.
 #[derive(Debug)]
 struct FirstCome {
     label: Arc<str>,

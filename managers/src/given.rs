@@ -1,16 +1,16 @@
-//! What becomes of the answers that peers give for a manager.
+//! From peers' answers to a manager's verdict.
 
 use mom_proto::Code;
 
-use crate::{Given, Question, Scope, Verdict};
+use crate::{GivenAnswer, Question, Scope, Verdict};
 
-impl Given {
-    /// Whether a peer said yes; a yes of nobody is none.
+impl GivenAnswer {
+    /// Whether a peer said yes; an answer without a peer does not count.
     pub(crate) fn allows(&self) -> bool {
         self.allow && self.by.is_some()
     }
 
-    /// The verdict that this answer makes of a yes: it stands for the message asked about, if the peer says so.
+    /// The verdict for a yes: it stands for messages of that name if the peer says so.
     pub(crate) fn keep(&self, verdict: Verdict) -> Verdict {
         match self.stands && self.by.is_some() {
             true => verdict.stands(Scope::ThisName),
@@ -18,7 +18,7 @@ impl Given {
         }
     }
 
-    /// The refusal that a no, or nobody's answer, makes.
+    /// The refusal for a no, or for no answer.
     pub(crate) fn refusal(&self, rule: &str, question: &Question<'_>, who: &str) -> Verdict {
         let context = question.context;
         let what = match question.message {

@@ -1,4 +1,4 @@
-//! What stands in the way of a grab, in the words that several kinds share.
+//! An owner in the way of a grab, for the kinds that deny or queue it.
 
 use mom_proto::Code;
 
@@ -9,7 +9,7 @@ pub(crate) fn other_owner<'a>(question: &Question<'a>) -> Option<Owner<'a>> {
     question.token?.owner.filter(|owner| !owner.asks)
 }
 
-/// The other peer that owns the token by a lease that lasts.
+/// The other peer that owns the token by an unexpired lease.
 pub(crate) fn lasting_owner<'a>(question: &Question<'a>) -> Option<Owner<'a>> {
     let lease_end = question.token?.lease_end;
     other_owner(question).filter(|_| lease_end.is_none_or(|end| question.now < end))
@@ -22,10 +22,10 @@ pub(crate) fn held(question: &Question<'_>, rule: &str, owner: &Owner<'_>) -> Ve
     Verdict::deny(Code::HELD, rule, text).earliest(earliest)
 }
 
-/// When the owner is done at the latest if it does not renew and the peer that asks waits.
+/// The latest end of the ownership if the owner does not renew and the asking peer waits.
 pub(crate) fn done_by(question: &Question<'_>, terms: &Terms) -> Option<Micros> {
     let token = question.token?;
-    // Others may have waited for longer, so the notice may be over before.
+    // Others may have waited longer, so the notice may end earlier.
     let held = terms.hold.map(|hold| {
         let noticed = question.now.saturating_add(terms.notice);
         token.since.saturating_add(hold).max(noticed)

@@ -23,7 +23,7 @@ struct Params {
     /// Whether an equal level takes the token, too.
     #[serde(default)]
     equal: bool,
-    /// Whether a refused grab may stand in line; without the key, where `hold` bounds the line.
+    /// Whether a refused grab may be queued; by default if `hold` bounds the wait.
     queue: Option<bool>,
     /// ms
     deadman: Option<u64>,
@@ -37,7 +37,8 @@ fn default_lease() -> u64 {
     DEFAULT_LEASE
 }
 
-/// Free: granted. Strictly higher level: taken. Otherwise only after the lease, which only renewals prolong.
+/// A free token is granted, a strictly higher level takes it. Otherwise only after the lease, which only renewals
+/// prolong.
 #[derive(Debug)]
 struct LevelOrLease {
     label: Arc<str>,

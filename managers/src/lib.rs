@@ -41,7 +41,8 @@ pub use mom_proto::Micros;
 pub use question::{Owner, PeerFacts, Question, TokenFacts};
 pub use registry::{Factory, Registry, Setup};
 pub use verdict::{
-    Answer, Ask, Bucket, Defer, Denial, Expiry, Given, Grant, Rate, Scope, Standing, Terms, Verdict, Wait,
+    Answer, Ask, Bucket, Defer, Denial, Expiry, GivenAnswer, Grant, Rate, Scope, Standing, Terms, Verdict,
+    Wait,
 };
 
 // The examples of the guide are compiled and run with the doctests.
@@ -51,10 +52,10 @@ mod guide {}
 
 /// Decides who may do what in the contexts it manages; consulted on all requests (M24).
 pub trait Manager: Send + std::fmt::Debug {
-    /// Answers one question. Whatever it does not know to be allowed, it denies.
+    /// Answers one question. It denies everything that it does not know to be allowed.
     fn decide(&mut self, question: &Question<'_>) -> Verdict;
 
-    /// The lease and other terms of the tokens it manages, where their creator names none.
+    /// The lease and other terms of its tokens, unless their creator names them.
     fn terms(&self) -> Terms {
         Terms::default()
     }

@@ -13,7 +13,7 @@ use crate::{Manager, Micros, Question, Scope, Setup, Verdict};
 /// ms
 const DEFAULT_WITHIN: u64 = 30_000;
 
-/// What gives somebody control of a token.
+/// The verbs that give control of a token.
 const DEFAULT_VERBS: [Verb; 3] = [Verb::Grab, Verb::Accept, Verb::Inhibit];
 
 #[derive(Deserialize)]
@@ -21,7 +21,7 @@ const DEFAULT_VERBS: [Verb; 3] = [Verb::Grab, Verb::Accept, Verb::Inhibit];
 struct Params {
     chairs: WhoParams,
     verbs: Option<Vec<String>>,
-    /// Of sends; empty = all.
+    /// The names of sent messages; empty = all.
     #[serde(default)]
     messages: Vec<String>,
     /// ms
@@ -36,7 +36,7 @@ fn default_within() -> u64 {
     DEFAULT_WITHIN
 }
 
-/// Asks the chairs about what they moderate, and allows all else.
+/// Asks the chairs about moderated requests, and allows all others.
 #[derive(Debug)]
 struct Moderated {
     label: Arc<str>,
@@ -71,7 +71,7 @@ impl Manager for Moderated {
         if !self.moderates(question) {
             return Verdict::allow().stands(Scope::ThisName).by(&self.label);
         }
-        // What cannot be had now is nothing to bother a chair with.
+        // Chairs are not asked about a token that cannot be granted now.
         if let Some(verdict) = self.in_the_way(question) {
             return verdict;
         }

@@ -5,13 +5,13 @@ use mom_proto::{Verb, WireError};
 
 use crate::{Expiry, Micros, Setup, Terms};
 
-/// Durations from here on are no time any more, and sums of them would overflow.
+/// Longer durations make no sense, and sums of them would overflow.
 const LONGEST: Micros = 1 << 53;
 
-/// A peer that is not heard of by then will not answer; a request may not hang for longer.
+/// A peer that has not answered by then will not; no request may hang for longer.
 const LONGEST_QUESTION: Micros = 3_600_000_000;
 
-/// How long an owner keeps the token at least once somebody waits, ms.
+/// The least time that an owner keeps the token after another peer has begun to wait, ms.
 const NOTICE: u64 = 10_000;
 
 /// The keys that set a token's terms, in ms.
@@ -58,7 +58,7 @@ impl Setup<'_> {
             })
     }
 
-    /// How long peers are waited for, of the parameter `within`.
+    /// The time for an answer, from the parameter `within`.
     pub(crate) fn within(&self, millis: u64) -> Result<Micros, WireError> {
         match self.micros("within", millis)? {
             micros if micros <= LONGEST_QUESTION => Ok(micros),
@@ -100,7 +100,7 @@ impl Verbs {
         verbs.map(Verbs::These)
     }
 
-    /// The verbs of the parameter `verbs`, or these.
+    /// The verbs of the parameter `verbs`, or these by default.
     pub(crate) fn read_or(
         setup: &Setup<'_>,
         words: Option<Vec<String>>,
@@ -119,8 +119,8 @@ impl Verbs {
         }
     }
 
-    /// Whether a manager that narrows what others allow narrows this verb: never giving up, and `stop` only
-    /// where it is listed, because a stop that has to wait for its turn is none.
+    /// Whether a narrowing manager covers this verb: never giving up, and `stop` only if it is listed, because a stop
+    /// must not wait.
     pub(crate) fn narrow(&self, verb: Verb) -> bool {
         match self {
             Verbs::All => !verb.gives_up() && verb != Verb::Stop,

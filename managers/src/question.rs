@@ -1,10 +1,10 @@
-//! What a manager is asked.
+//! The question to a manager.
 
 use std::sync::Arc;
 
 use mom_proto::{ContextKind, Micros, Path, Time, Verb};
 
-use crate::Given;
+use crate::GivenAnswer;
 
 /// What the hub knows of a peer (M13).
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -19,7 +19,7 @@ pub struct PeerFacts {
     pub groups: Arc<[String]>,
 }
 
-/// The owner of a token, as far as managers care.
+/// The owner of a token, as managers see it.
 #[derive(Clone, Copy, Debug)]
 pub struct Owner<'a> {
     /// The peer's name.
@@ -43,16 +43,16 @@ pub struct TokenFacts<'a> {
     pub lease_end: Option<Micros>,
     /// When the present ownership began.
     pub since: Micros,
-    /// How many wait for it, the asking peer not among them.
+    /// The number of waiting peers, without the asking one.
     pub waiting: usize,
 }
 
 /// One request, without its content.
 #[derive(Clone, Copy, Debug)]
 pub struct Question<'a> {
-    /// Who asks.
+    /// The asking peer.
     pub peer: &'a PeerFacts,
-    /// For what.
+    /// The verb.
     pub verb: Verb,
     /// The context acted on; for `create` the path to be made.
     pub context: &'a Path,
@@ -70,9 +70,9 @@ pub struct Question<'a> {
     pub invited: bool,
     /// Whether the peer made this context.
     pub created: bool,
-    /// What was answered to earlier deferrals of this same request; the last of a label holds.
-    pub answers: &'a [Given],
-    /// Whether the same request was decided on before, and somebody had to be asked about it, here or elsewhere.
+    /// Answers to earlier deferrals of this request; the last one of a label counts.
+    pub answers: &'a [GivenAnswer],
+    /// Whether this request was deferred before, by this manager or another.
     pub repeated: bool,
     /// The time.
     pub now: Micros,
@@ -81,8 +81,8 @@ pub struct Question<'a> {
 }
 
 impl Question<'_> {
-    /// What was answered to this manager's earlier deferral of the same request.
-    pub fn given(&self, label: &str) -> Option<&Given> {
+    /// The answer to this manager's earlier deferral of the same request.
+    pub fn given(&self, label: &str) -> Option<&GivenAnswer> {
         self.answers.iter().rev().find(|given| &*given.label == label)
     }
 }

@@ -12,7 +12,7 @@ use crate::{Expiry, Manager, Question, Setup, Terms, Verdict};
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Params {
-    /// ms; none = without end.
+    /// ms; none = unlimited.
     lease: Option<u64>,
     #[serde(default)]
     expiry: Expiry,
@@ -24,10 +24,10 @@ struct Params {
     notice: Option<u64>,
 }
 
-/// Grants a free token, and lets whoever comes while it is held stand in line.
+/// Grants a free token, and queues grabs while it has an owner.
 ///
-/// The line itself is the hub's: it gives a token that gets free to the first before a newcomer is heard, and
-/// asks here again for each at its turn.
+/// The hub keeps the queue: it grants a token that becomes free to the first in it before any newcomer, and asks here
+/// again before each grant.
 #[derive(Debug)]
 struct Queue {
     label: Arc<str>,

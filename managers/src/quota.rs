@@ -1,19 +1,19 @@
-//! `quota`: how often, and how much, by peer and level.
+//! `quota`: limits how often and how much, by peer and level.
 
 use std::sync::Arc;
 
 use mom_proto::{Code, Verb, WireError};
 use serde::Deserialize;
 
-use crate::bucket::{Counts, HIGHEST, Over};
+use crate::bucket::{HIGHEST, Over, RateCounts};
 use crate::params::Verbs;
 use crate::who::{Who, WhoParams};
 use crate::{Bucket, Manager, Question, Rate, Setup, Verdict};
 
-/// Peers that one limit counts at once: more than a broker has connections by default.
+/// The most peers that one limit counts at once: more than a broker's default limit of connections.
 const PEERS: usize = 16_384;
 
-/// Limits of one manager: each question looks at all of them.
+/// The most limits of one manager: each question checks all of them.
 const MOST: usize = 64;
 
 #[derive(Deserialize)]
@@ -38,21 +38,21 @@ struct LimitParams {
     bytes_burst: Option<u64>,
 }
 
-/// Counts requests by the first of its limits that is about them, and allows what none is about.
+/// Counts requests by the first limit that covers them, and allows those that none covers.
 ///
-/// Messages it does not count itself: it tells the rate, and the broker counts them where they pass.
+/// It does not count messages itself: it returns the rate, and the broker counts messages as they are admitted.
 #[derive(Debug)]
 struct Quota {
     label: Arc<str>,
-    limits: Vec<Limit>,
+    limits: Vec<QuotaLimit>,
 }
 
 #[derive(Debug)]
-struct Limit {
+struct QuotaLimit {
     name: Arc<str>,
     who: Who,
     verbs: Verbs,
-    counts: Counts,
+    counts: RateCounts,
 }
 
 pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
@@ -64,7 +64,7 @@ pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
         return Err(setup.error("limits", &format!("a quota has at most {MOST} limits")));
     }
     let limits = limits.into_iter().enumerate();
-    let limits: Result<Vec<Limit>, WireError> = limits
+    let limits: Result<Vec<QuotaLimit>, WireError> = limits
         .map(|(index, limit)| make_limit(setup, index, limit))
         .collect();
     Ok(Box::new(Quota {
@@ -73,7 +73,7 @@ pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
     }))
 }
 
-fn make_limit(setup: &Setup<'_>, index: usize, params: LimitParams) -> Result<Limit, WireError> {
+fn make_limit(setup: &Setup<'_>, index: usize, params: LimitParams) -> Result<QuotaLimit, WireError> {
     let place = format!("limits/{index}");
     let key = |key: &str| format!("{place}/{key}");
     let verbs = match &params.verbs {
@@ -101,15 +101,15 @@ fn make_limit(setup: &Setup<'_>, index: usize, params: LimitParams) -> Result<Li
         min_level: params.min_level,
     };
     let name = params.name.unwrap_or_else(|| format!("limit {}", index + 1));
-    Ok(Limit {
+    Ok(QuotaLimit {
         name: format!("{}/{name}", setup.label).into(),
         who: Who::read(setup, &place, who)?,
         verbs,
-        counts: Counts::new(rate, PEERS),
+        counts: RateCounts::new(rate, PEERS),
     })
 }
 
-/// A bucket of two keys; without a burst it holds what comes back in a second.
+/// A bucket from two keys; without a burst it holds one second's refill.
 fn make_bucket(
     setup: &Setup<'_>,
     (rate_key, rate): (&str, Option<u64>),
@@ -129,7 +129,7 @@ fn make_bucket(
     }
 }
 
-/// Nobody is kept, and nothing keeps a device from being stopped or let go again.
+/// Giving up, stopping a device and releasing it again are never limited.
 fn may_be_limited(verb: Verb) -> bool {
     !verb.gives_up() && !matches!(verb, Verb::Stop | Verb::Unstop)
 }
@@ -144,7 +144,7 @@ impl Manager for Quota {
             let rate = limit.counts.rate();
             return Verdict::allow_always().at_rate(rate).by(&limit.name);
         }
-        // The same request again, after the answers that it waited for: it is counted already.
+        // The same request, after its answers: it was counted before.
         if question.repeated {
             return Verdict::allow().by(&limit.name);
         }
@@ -158,7 +158,7 @@ impl Manager for Quota {
     }
 }
 
-impl Limit {
+impl QuotaLimit {
     fn covers(&self, question: &Question<'_>) -> bool {
         self.verbs.covers(question.verb) && self.who.fits(question.peer)
     }

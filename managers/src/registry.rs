@@ -15,7 +15,7 @@ use crate::{
 /// Makes a manager of one kind.
 pub type Factory = fn(&Setup<'_>) -> Result<Box<dyn Manager>, WireError>;
 
-/// Managers inside managers.
+/// The deepest nesting of managers.
 const DEPTH: usize = 4;
 
 /// The kinds of manager, and the managers that the configuration names.
@@ -25,7 +25,7 @@ pub struct Registry {
     named: BTreeMap<String, Value>,
 }
 
-/// What a factory gets.
+/// The input of a factory.
 #[derive(Debug)]
 pub struct Setup<'a> {
     /// The manager's name for rules in errors and logs.
@@ -38,7 +38,7 @@ pub struct Setup<'a> {
 }
 
 impl Registry {
-    /// The built-in kinds, no named manager.
+    /// The built-in kinds, without named managers.
     pub fn builtin() -> Registry {
         let kinds: [(&'static str, Factory); 11] = [
             ("open", open::make),
@@ -64,17 +64,17 @@ impl Registry {
         self.kinds.insert(kind, factory);
     }
 
-    /// Gives a manager a name. It is checked when it is built: it may name ones that come later.
+    /// Names a manager. It is checked when it is built, because it may refer to later ones.
     pub fn define(&mut self, name: &str, spec: Value) {
         self.named.insert(name.to_owned(), spec);
     }
 
-    /// The kinds that there are, in the order of their words.
+    /// All kinds, in alphabetical order.
     pub fn kinds(&self) -> impl Iterator<Item = &str> {
         self.kinds.keys().copied()
     }
 
-    /// The names that were given.
+    /// The defined names.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.named.keys().map(String::as_str)
     }
@@ -187,8 +187,8 @@ impl Setup<'_> {
             })
     }
 
-    /// A label that no other manager has: answers to deferred questions are told apart by it, and one chair's
-    /// word must not count for another's.
+    /// A label that no other manager has: it identifies answers to deferred questions, and one chair's answer must
+    /// not count for another's.
     fn inner_label(&self, kind: &str) -> String {
         let plain = format!("{}/{kind}", self.label);
         let mut used = self.inner_labels.borrow_mut();

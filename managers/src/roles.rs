@@ -36,12 +36,12 @@ struct RuleParams {
     max_age: Option<u64>,
 }
 
-/// Asks its rules in order: the first that covers the question decides, and no rule is a denial.
+/// Checks its rules in order: the first that covers the question decides; without one it is denied.
 #[derive(Debug)]
 struct Roles {
     label: Arc<str>,
     rules: Vec<Rule>,
-    // A rule that tells messages apart makes every verdict one for that message alone.
+    // If any rule names messages, every verdict is for one message name.
     scope: Scope,
 }
 
@@ -53,7 +53,7 @@ struct Rule {
     who: Who,
     places: Vec<Pattern>,
     messages: Vec<String>,
-    /// Whether only those who were invited, or only those who were not; none = both.
+    /// Only invited peers, or only others; none = both.
     invited: Option<bool>,
     /// The age beyond which messages are refused, µs; none = any.
     max_age: Option<Micros>,
@@ -136,7 +136,7 @@ impl Manager for Roles {
             None => deny(question, &self.label),
         };
         if by_invitation {
-            // An invitation comes and goes while the peer's membership stays.
+            // Invitations come and go while the peer's membership stays.
             verdict.standing = Standing::Once;
         }
         verdict
@@ -144,7 +144,7 @@ impl Manager for Roles {
 }
 
 impl Rule {
-    /// Whether the rule is about this question, but for invitations.
+    /// Whether the rule covers this question, ignoring invitations.
     fn covers(&self, question: &Question<'_>) -> bool {
         let place = self.places.is_empty() || self.places.iter().any(|place| place.matches(question.context));
         let message = self.messages.is_empty()
@@ -154,7 +154,7 @@ impl Rule {
         self.verbs.covers(question.verb) && place && message && self.who.fits(question.peer)
     }
 
-    /// The refusal of a message that is, or may be, older than the rule allows. It says nothing of the next one.
+    /// The refusal of a message that is, or may be, older than the rule allows. It does not stand.
     fn too_old(&self, question: &Question<'_>) -> Option<Verdict> {
         let most = self.max_age.filter(|_| question.verb == Verb::Send)?;
         let (code, found) = match question.age {
@@ -185,7 +185,7 @@ impl Rule {
     }
 }
 
-/// A refusal names the message, so it stands for no other.
+/// A refusal names the message, so it stands for that name only.
 fn deny(question: &Question<'_>, rule: &Arc<str>) -> Verdict {
     Verdict::deny(Code::DENIED, &**rule, refusal(question))
         .stands(Scope::ThisName)

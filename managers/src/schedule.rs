@@ -11,14 +11,13 @@ use crate::params::Verbs;
 use crate::who::{Who, WhoParams};
 use crate::{Manager, Micros, Question, Scope, Setup, Verdict};
 
-/// Slots of one schedule: each question looks at all of them.
+/// The most slots of one schedule: each question checks all of them.
 const MOST: usize = 1024;
 
-/// Slots that are followed from one into the next; a grant that would last longer ends there, and a gap between
-/// slots that is further away is not looked for.
+/// The most consecutive slots that are joined: a longer grant ends there, and later gaps are not searched.
 const STEPS: usize = 64;
 
-/// What gives somebody control of a token.
+/// The verbs that give control of a token.
 const DEFAULT_VERBS: [Verb; 3] = [Verb::Grab, Verb::Accept, Verb::Inhibit];
 
 #[derive(Deserialize)]
@@ -30,7 +29,7 @@ struct Params {
     verbs: Option<Vec<String>>,
 }
 
-/// What holds where no slot is.
+/// The rule outside all slots.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 enum Free {
@@ -53,17 +52,17 @@ struct SlotParams {
     min_level: Option<i32>,
 }
 
-/// Keeps all but the listed out of their slots.
+/// Admits only the listed peers during a slot.
 #[derive(Debug)]
 struct Schedule {
     label: Arc<str>,
-    slots: Vec<Slot>,
+    slots: Vec<Period>,
     free: Free,
     verbs: Verbs,
 }
 
 #[derive(Debug)]
-struct Slot {
+struct Period {
     name: Arc<str>,
     span: Span,
     who: Who,
@@ -78,7 +77,7 @@ pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
         return Err(setup.error("slots", &format!("a schedule has at most {MOST} slots")));
     }
     let slots = params.slots.into_iter().enumerate();
-    let slots: Result<Vec<Slot>, WireError> =
+    let slots: Result<Vec<Period>, WireError> =
         slots.map(|(index, slot)| make_slot(setup, index, slot)).collect();
     Ok(Box::new(Schedule {
         label: setup.label.into(),
@@ -88,7 +87,7 @@ pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
     }))
 }
 
-fn make_slot(setup: &Setup<'_>, index: usize, params: SlotParams) -> Result<Slot, WireError> {
+fn make_slot(setup: &Setup<'_>, index: usize, params: SlotParams) -> Result<Period, WireError> {
     let key = format!("slots/{index}");
     let name = params.name.unwrap_or_else(|| format!("slot {}", index + 1));
     let who = WhoParams {
@@ -96,7 +95,7 @@ fn make_slot(setup: &Setup<'_>, index: usize, params: SlotParams) -> Result<Slot
         groups: params.groups,
         min_level: params.min_level,
     };
-    Ok(Slot {
+    Ok(Period {
         name: format!("{}/{name}", setup.label).into(),
         span: Span::read(setup, &key, &params.from, &params.to, params.days.as_deref())?,
         who: Who::read(setup, &key, who)?,
@@ -119,7 +118,7 @@ impl Manager for Schedule {
         };
         let verdict = verdict.by(by);
         match question.message {
-            // The answer to a message changes with the slots alone.
+            // The answer to a message depends on the slots alone.
             Some(_) => verdict.stands_until(
                 Scope::AnyName,
                 self.next_change(at).map(|end| clock(question, end)),
@@ -130,18 +129,18 @@ impl Manager for Schedule {
 }
 
 impl Schedule {
-    /// The slots that this instant is in.
-    fn reserved(&self, at: i64) -> impl Iterator<Item = &Slot> {
+    /// The slots that contain this instant.
+    fn reserved(&self, at: i64) -> impl Iterator<Item = &Period> {
         self.slots.iter().filter(move |slot| slot.span.end(at).is_some())
     }
 
     /// The slots that list the peer.
-    fn own<'a>(&'a self, question: &Question<'a>) -> impl Iterator<Item = &'a Slot> {
+    fn own<'a>(&'a self, question: &Question<'a>) -> impl Iterator<Item = &'a Period> {
         let peer = question.peer;
         self.slots.iter().filter(move |slot| slot.who.fits(peer))
     }
 
-    /// Within a slot of one's own: the token, also from somebody who has no slot now, up to its end.
+    /// During the peer's own slot: grants the token until the slot's end, also from an owner without a slot.
     fn grant(&self, question: &Question<'_>, at: i64) -> Verdict {
         let in_the_way = other_owner(question).filter(|_| question.verb == Verb::Grab);
         let evicts =
@@ -153,7 +152,7 @@ impl Schedule {
         verdict.until(Some(clock(question, self.own_end(question, at))))
     }
 
-    /// Outside of all slots: up to the next one, or, if that is one's own, up to its end as for whoever comes then.
+    /// Outside all slots: grants until the next slot begins, or, if that is the peer's own, until it ends.
     fn lend(&self, question: &Question<'_>, at: i64) -> Verdict {
         let next = self
             .slots
@@ -163,7 +162,7 @@ impl Schedule {
         Verdict::allow().until(next.map(|begin| clock(question, self.own_end(question, begin))))
     }
 
-    fn refuse(&self, question: &Question<'_>, at: i64, reserved: Option<&Slot>) -> Verdict {
+    fn refuse(&self, question: &Question<'_>, at: i64, reserved: Option<&Period>) -> Verdict {
         let earliest = self.next_allowed(question, at);
         let context = question.context;
         let state = match reserved.and_then(|slot| Some((slot, slot.span.end(at)?))) {
@@ -182,7 +181,7 @@ impl Schedule {
             .earliest(earliest.map(|earliest| clock(question, earliest)))
     }
 
-    /// Where the peer's own slots that this instant is in end, one going over into the next; else this instant.
+    /// The end of the peer's own consecutive slots at this instant; else this instant.
     fn own_end(&self, question: &Question<'_>, at: i64) -> i64 {
         let mut end = at;
         for _ in 0..STEPS {
@@ -194,7 +193,7 @@ impl Schedule {
         end
     }
 
-    /// The first instant after this one, at which the peer may not, at which it may.
+    /// The next instant at which the peer may.
     fn next_allowed(&self, question: &Question<'_>, at: i64) -> Option<i64> {
         let begins = self.own(question).filter_map(|slot| slot.span.next_begin(at));
         let own = begins.min();

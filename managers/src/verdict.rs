@@ -76,7 +76,7 @@ impl Ask {
 
 /// What a deferred question was answered.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Given {
+pub struct GivenAnswer {
     /// The label of the [`Defer`].
     pub label: Arc<str>,
     /// The peer that answered; none if nobody did in time, or nobody could be asked.
@@ -92,9 +92,9 @@ pub struct Given {
 /// A place in the queue instead of a free token.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Wait {
-    /// What a grab that does not want to wait hears.
+    /// The denial for a grab without `wait`.
     pub denial: Denial,
-    /// When the present owner is done at the latest if it does not renew, as far as the manager knows.
+    /// The latest end of the present ownership if the owner does not renew, as far as the manager knows.
     pub expected: Option<Micros>,
 }
 
@@ -131,14 +131,14 @@ pub enum Standing {
         scope: Scope,
         /// Up to, but not at, this time; none = until something changes.
         until: Option<Micros>,
-        /// How much; none = without limit.
+        /// The rate; none = unlimited.
         rate: Option<Rate>,
-        /// For messages that are surely not older, µs; none = of any age.
+        /// Only for messages whose age plus error is not above this, µs; none = any age.
         max_age: Option<Micros>,
     },
 }
 
-/// How much a peer may send, as two token buckets that both have to have enough.
+/// How much a peer may send, as two token buckets that must both have enough.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rate {
     /// Parcels.
@@ -147,12 +147,12 @@ pub struct Rate {
     pub bytes: Bucket,
 }
 
-/// A bucket: what is taken from it comes back with time.
+/// A token bucket, which refills with time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bucket {
-    /// What comes back each second; `u64::MAX` = no limit.
+    /// The refill per second; `u64::MAX` = unlimited.
     pub per_second: u64,
-    /// What it holds when full.
+    /// Its content when full.
     pub burst: u64,
 }
 
@@ -180,7 +180,7 @@ impl Bucket {
 }
 
 impl Rate {
-    /// A rate that is within both.
+    /// The lower of both rates.
     #[must_use]
     pub fn and(self, other: Rate) -> Rate {
         Rate {
@@ -213,17 +213,17 @@ pub enum Expiry {
 /// The lease of a token.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Terms {
-    /// How long ownership lasts without renewal; none = without end.
+    /// How long ownership lasts without renewal; none = unlimited.
     pub lease: Option<Micros>,
     /// What happens at its end.
     pub expiry: Expiry,
-    /// The owner loses the token if it shows no life for so long; none = it need not.
+    /// The owner loses the token if it does not renew for so long; none = no such limit.
     pub deadman: Option<Micros>,
     /// The longest ownership while others wait; none = as long as it renews.
     pub hold: Option<Micros>,
-    /// Whether those who wait come in the order of their levels, and only among equals in that of their arrival.
+    /// Whether the queue is ordered by level, and by arrival only among equals.
     pub by_level: bool,
-    /// How long an owner keeps the token at least once the first begins to wait, where `hold` is over already.
+    /// The least time that an owner keeps the token after another peer has begun to wait, even if `hold` is over.
     pub notice: Micros,
 }
 
@@ -242,7 +242,7 @@ impl Verdict {
         Verdict::allow().stands(Scope::AnyName)
     }
 
-    /// Yes, and an owner in the way loses the token.
+    /// Yes, and the present owner loses the token.
     pub fn displace() -> Verdict {
         Verdict {
             answer: Answer::Allow(Grant {
@@ -269,7 +269,7 @@ impl Verdict {
         }
     }
 
-    /// Not before these were asked.
+    /// Asks these peers first.
     pub fn defer(label: impl Into<Arc<str>>, ask: Ask, within: Micros) -> Verdict {
         let label = label.into();
         Verdict {
@@ -299,7 +299,7 @@ impl Verdict {
         self
     }
 
-    /// Makes a denial one for those who do not want to wait; the others stand in line.
+    /// Turns a denial into a place in the queue for grabs with `wait`.
     #[must_use]
     pub fn or_wait(mut self, expected: Option<Micros>) -> Verdict {
         if let Answer::Deny(denial) = self.answer {
@@ -336,7 +336,7 @@ impl Verdict {
         self
     }
 
-    /// Lets a yes stand for no more than this much.
+    /// Limits a standing yes to this rate.
     #[must_use]
     pub fn at_rate(mut self, limit: Rate) -> Verdict {
         if let Standing::Stands { rate, .. } = &mut self.standing {
@@ -345,7 +345,7 @@ impl Verdict {
         self
     }
 
-    /// Lets a yes stand for messages that are surely not older than this, µs.
+    /// Limits a standing yes to messages whose age plus error is not above this, µs.
     #[must_use]
     pub fn up_to_age(mut self, limit: Option<Micros>) -> Verdict {
         if let Standing::Stands { max_age, .. } = &mut self.standing {
@@ -361,7 +361,7 @@ impl Verdict {
 }
 
 impl Standing {
-    /// What stands where both have to.
+    /// What stands if both verdicts must allow.
     #[must_use]
     pub fn and(self, other: Standing) -> Standing {
         match (self, other) {
@@ -388,7 +388,7 @@ impl Standing {
         }
     }
 
-    /// The same without a limit of how much; a no has none.
+    /// The same without a rate; a denial has none.
     #[must_use]
     pub fn without_rate(mut self) -> Standing {
         if let Standing::Stands { rate, .. } = &mut self {
@@ -397,7 +397,7 @@ impl Standing {
         self
     }
 
-    /// How much a verdict allows; none = without limit.
+    /// The rate of a verdict; none = unlimited.
     pub fn rate(&self) -> Option<Rate> {
         match self {
             Standing::Once => None,

@@ -7,10 +7,10 @@ use serde::Deserialize;
 
 use crate::{Ask, Owner, PeerFacts, Setup};
 
-/// Names in a text; more are counted.
+/// The most names in a text; others are counted.
 const NAMED: usize = 3;
 
-/// The keys that stand for peers, where they are a map of their own.
+/// The keys that select peers, where they are a map of their own.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub(crate) struct WhoParams {
@@ -19,7 +19,7 @@ pub(crate) struct WhoParams {
     pub(crate) min_level: Option<i32>,
 }
 
-/// One of the users, or in one of the groups, where either is named; and of at least the level.
+/// A peer matches if its user or one of its groups is named (or none are), and its level is high enough.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Who {
     users: Arc<[String]>,
@@ -28,7 +28,7 @@ pub(crate) struct Who {
 }
 
 impl Who {
-    /// Peers by lists that may be empty, which is the same as absent.
+    /// Peers by lists; an empty list counts as absent.
     pub(crate) fn new(users: Vec<String>, groups: Vec<String>, min_level: Option<i32>) -> Who {
         Who {
             users: users.into(),
@@ -37,7 +37,7 @@ impl Who {
         }
     }
 
-    /// Peers by the keys below `key`. An empty list looks like nobody and would be everybody, so it is refused.
+    /// Peers by the keys below `key`. An empty list is refused: it looks like nobody and would mean everybody.
     pub(crate) fn read(setup: &Setup<'_>, key: &str, params: WhoParams) -> Result<Who, WireError> {
         for (name, list) in [("users", &params.users), ("groups", &params.groups)] {
             if list.as_ref().is_some_and(Vec::is_empty) {
@@ -79,7 +79,7 @@ impl Who {
         }
     }
 
-    /// Who that is, in words.
+    /// A description for people.
     pub(crate) fn words(&self) -> String {
         let mut names = Vec::new();
         if !self.users.is_empty() {
@@ -97,7 +97,7 @@ impl Who {
     }
 }
 
-/// The one rule by which facts fit names and a level.
+/// The matching rule for names and level.
 pub(crate) fn fits(
     users: &[String],
     groups: &[String],

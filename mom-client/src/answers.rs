@@ -1,4 +1,4 @@
-//! What an answer means to the one who waits for it.
+//! Completes requests with their answers.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -6,67 +6,67 @@ use std::time::Duration;
 use mom_proto::{Code, Family, Parcel, Path, WireError};
 use tokio::time::Instant;
 
-use crate::guards::Terms;
+use crate::guards::RenewalTerms;
 use crate::info::map_of;
-use crate::pending::Waiter;
-use crate::places::Phase;
+use crate::pending::AnswerTo;
 use crate::shared::{Shared, verb};
+use crate::wanted::JoinPhase;
 use crate::{ClientError, Event, Lost};
 
-type Answer = Result<Parcel, ClientError>;
+pub(crate) type RequestResult = Result<Parcel, ClientError>;
 
-/// Until a renewal is tried again which the hub refused for now without saying for how long.
+/// The delay before retrying a renewal that the hub refused with `try-later` but no time.
 const RETRY: Duration = Duration::from_secs(1);
 
 impl Shared {
-    /// Gives an answer to the one who waits for it. Without the lock: see [`Waiter`].
-    pub(crate) fn complete(&self, waiter: Waiter, parcel: Parcel) {
+    /// Gives an answer to its receiver. Called without the lock: see [`AnswerTo`].
+    pub(crate) fn complete(&self, waiter: AnswerTo, parcel: Parcel) {
         let id = parcel.reference;
         let answer = match parcel.family {
             Family::Error => Err(ClientError::Refused(WireError::from_parcel(&parcel))),
             _ => Ok(parcel),
         };
         match waiter {
-            // One that went away needs no answer.
-            Waiter::Caller(sender) => drop(sender.send(answer)),
-            Waiter::Obtain {
+            // A caller that went away needs no answer.
+            AnswerTo::Caller(sender) => drop(sender.send(answer)),
+            AnswerTo::Obtain {
                 member,
                 answer: sender,
             } => self.complete_obtain(id, member, sender, answer),
-            Waiter::Inhibit {
+            AnswerTo::Inhibit {
                 member,
                 answer: sender,
             } => self.complete_inhibit(member, sender, answer),
-            Waiter::Give {
+            AnswerTo::Give {
                 member,
                 handover,
                 answer: sender,
             } => self.complete_give(member, handover, sender, answer),
-            Waiter::Join(path, serial) => self.complete_join(&path, serial, answer),
-            Waiter::Renewal(path, fence) => self.complete_renewal(&path, fence, answer),
-            Waiter::Nobody => {}
+            AnswerTo::Join(path, serial) => self.complete_join(&path, serial, answer),
+            AnswerTo::Renewal(path, fence) => self.complete_renewal(&path, fence, answer),
+            AnswerTo::Nobody => {}
         }
     }
 
-    /// Tells the one who waits that there is no link any more.
-    pub(crate) fn fail(&self, waiter: Waiter, error: &ClientError) {
+    /// Tells the receiver that the link is gone.
+    pub(crate) fn fail(&self, waiter: AnswerTo, error: &ClientError) {
         match waiter {
-            Waiter::Caller(sender) => drop(sender.send(Err(error.clone()))),
-            Waiter::Obtain { answer, .. } => drop(answer.send(Err(error.clone()))),
-            Waiter::Inhibit { answer, .. } => drop(answer.send(Err(error.clone()))),
-            Waiter::Give { answer, .. } => drop(answer.send(Err(error.clone()))),
+            AnswerTo::Caller(sender) => drop(sender.send(Err(error.clone()))),
+            AnswerTo::Obtain { answer, .. } => drop(answer.send(Err(error.clone()))),
+            AnswerTo::Inhibit { answer, .. } => drop(answer.send(Err(error.clone()))),
+            AnswerTo::Give { answer, .. } => drop(answer.send(Err(error.clone()))),
             // The places and guards know already.
-            Waiter::Join(..) | Waiter::Renewal(..) | Waiter::Nobody => {}
+            AnswerTo::Join(..) | AnswerTo::Renewal(..) | AnswerTo::Nobody => {}
         }
     }
 
-    fn complete_join(&self, path: &Path, serial: u64, answer: Answer) {
+    fn complete_join(&self, path: &Path, serial: u64, answer: RequestResult) {
         let mut state = self.lock();
         let Some(place) = state.places.get(path, serial) else {
             return;
         };
-        let before = std::mem::replace(&mut place.phase, Phase::Away);
-        let Phase::Joining { again, waiters } = before else {
+        let before = std::mem::replace(&mut place.phase, JoinPhase::Away);
+        let JoinPhase::Joining { again, waiters } = before else {
             place.phase = before;
             return;
         };
@@ -74,7 +74,7 @@ impl Shared {
         match &joined {
             Ok(info) => {
                 place.gate.joined(info);
-                place.phase = Phase::Joined(Arc::clone(info));
+                place.phase = JoinPhase::Joined(Arc::clone(info));
                 match again {
                     true => state.subscribers.deliver_only(path, &Event::Rejoined),
                     false => state.subscribers.keep_early(path),
@@ -97,13 +97,13 @@ impl Shared {
         }
     }
 
-    fn complete_renewal(&self, path: &Path, fence: u64, answer: Answer) {
+    fn complete_renewal(&self, path: &Path, fence: u64, answer: RequestResult) {
         let now = Instant::now();
         let mut state = self.lock();
         match answer {
             Ok(parcel) => state
                 .guards
-                .renewed(path, fence, Terms::read(&map_of(&parcel)), now),
+                .renewed(path, fence, RenewalTerms::read(&map_of(&parcel)), now),
             Err(error) => {
                 let Some(error) = error.wire() else { return };
                 if error.code.may_retry() {
@@ -118,10 +118,10 @@ impl Shared {
                     let was_held = state
                         .guards
                         .lose(path, fence, Lost::new(error.code.word(), owner));
-                    // Whoever is told that it is over must not still be the owner at the hub.
+                    // When a guard is told that ownership is over, the hub must not still count this peer as owner.
                     if was_held && error.code != Code::NOT_OWNER {
                         let release = verb(Family::Token, "release", path);
-                        let _ = self.ask_in(&mut state, release, &mut Some(Waiter::Nobody));
+                        let _ = self.ask_in(&mut state, release, &mut Some(AnswerTo::Nobody));
                     }
                 }
             }

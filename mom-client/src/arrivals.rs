@@ -1,11 +1,11 @@
-//! What to do with a parcel that arrives: replies to those who wait, events to those who subscribed.
+//! Dispatches arriving parcels: replies to their callers, events to their subscribers.
 
 use mom_proto::event as names;
 use mom_proto::{Family, Parcel, Path, WireError};
 
 use crate::Event;
 use crate::info::{map_of, text};
-use crate::pending::Waiter;
+use crate::pending::AnswerTo;
 use crate::shared::{Shared, State};
 
 impl Shared {
@@ -26,7 +26,7 @@ impl Shared {
         }
     }
 
-    /// A frame of the hub that is no parcel: a loss, so it is told.
+    /// A malformed frame of the hub: it is reported as a loss.
     pub(crate) fn receive_malformed(&self, error: WireError) {
         tracing::warn!(%error, "malformed parcel from the hub");
         self.lock()
@@ -65,9 +65,9 @@ impl Shared {
             .id(id)
             .content(self.clock.ask(id));
         let mut state = self.lock();
-        // After the good-bye nothing more is said, and a link that is gone meanwhile needs no heartbeat.
+        // Nothing is sent after the farewell, and a lost link needs no heartbeat.
         if !state.outbox.is_finished() {
-            let _ = self.ask_in(&mut state, ping, &mut Some(Waiter::Nobody));
+            let _ = self.ask_in(&mut state, ping, &mut Some(AnswerTo::Nobody));
         }
         drop(state);
         self.outgoing.notify_one();
@@ -76,7 +76,7 @@ impl Shared {
     fn pong(&self, reference: Option<u64>) {
         let mut pong = Parcel::new(Family::Time, "pong").content(self.clock.answer());
         pong.reference = reference;
-        // A link that is gone meanwhile needs no answer, and an answer has none itself.
+        // A lost link needs no pong, and a pong has no answer.
         let _ = self.ask_in(&mut self.lock(), pong, &mut None);
         self.outgoing.notify_one();
     }
@@ -85,7 +85,7 @@ impl Shared {
         let waiter = pong
             .reference
             .and_then(|reference| self.lock().pending.take(reference));
-        // Only pings are answered so, and what they wait for is to be heard of.
+        // Only pings are answered this way.
         drop(waiter);
         if self.clock.answered(pong) {
             self.measure();
@@ -95,7 +95,7 @@ impl Shared {
     fn receive_consult(&self, parcel: Parcel) {
         let mut state = self.lock();
         let paths: Vec<Path> = parcel.context.iter().cloned().collect();
-        // Nobody here answers: the hub asks others, or says no when the time is over.
+        // Nobody here answers questions: the hub asks others, or refuses when the time is over.
         if let Some(question) = state.subscribers.deliver_consult(Event::Other(parcel)) {
             state.subscribers.deliver(&paths, question);
         }
@@ -143,7 +143,7 @@ impl Shared {
 }
 
 impl State {
-    /// The error for something sent without waiting, or about nothing in particular.
+    /// An error about a parcel that nobody awaits, or about none in particular.
     fn deliver_refused(&mut self, parcel: &Parcel) {
         let known = parcel
             .reference
@@ -164,7 +164,7 @@ impl State {
         text(&map_of(parcel), "peer") == Some(self.me.peer.as_str())
     }
 
-    /// Tells the gates of the channels which the token guards; gives all contexts concerned.
+    /// Informs the gates of the channels that the token guards; gives all contexts concerned.
     fn learn_ownership(&self, token: &Path, parcel: &Parcel) -> Vec<Path> {
         let mut paths = vec![token.clone()];
         for (path, gate) in self.places.guarded_by(token) {

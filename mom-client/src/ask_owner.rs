@@ -10,15 +10,15 @@ use tokio::sync::oneshot;
 
 use crate::info::millis;
 use crate::membership::Membership;
-use crate::pending::Waiter;
+use crate::pending::AnswerTo;
 use crate::shared::verb;
 use crate::{ClientError, TokenGuard};
 
-/// How long an owner may take to answer, unless told.
+/// How long an owner may take to answer, by default.
 const WITHIN: Duration = Duration::from_secs(30);
 
-/// A request to a token's owner in the making, from [`Token::request`](crate::Token::request): await it, and with it
-/// the owner's answer.
+/// A builder of a request to a token's owner, from [`Token::request`](crate::Token::request): await it to send it and
+/// get the owner's answer.
 ///
 /// ```no_run
 /// # async fn example(token: mom_client::Token) -> Result<(), mom_client::ClientError> {
@@ -43,13 +43,13 @@ impl<'a> AskOwner<'a> {
         }
     }
 
-    /// How long the owner may take to answer; 30 s unless told.
+    /// How long the owner may take to answer; 30 s by default.
     pub fn within(mut self, within: Duration) -> AskOwner<'a> {
         self.within = Some(within);
         self
     }
 
-    /// Why: the owner is shown it.
+    /// The reason, shown to the owner.
     pub fn text(mut self, text: impl Into<String>) -> AskOwner<'a> {
         self.text = Some(text.into());
         self
@@ -65,7 +65,7 @@ impl<'a> AskOwner<'a> {
             content.set("text", text.as_str());
         }
         let (sender, receiver) = oneshot::channel();
-        let waiter = Waiter::Obtain {
+        let waiter = AnswerTo::Obtain {
             member: self.member.clone(),
             answer: sender,
         };

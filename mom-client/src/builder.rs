@@ -16,11 +16,11 @@ use crate::proof::Credentials;
 use crate::shared::{Settings, Shared};
 use crate::{ClientError, Key, Proof, Reconnect, driver};
 
-/// Longer than chairs usually have for their answer (M24).
+/// Longer than chairs usually have for an answer (M24).
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(40);
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// What a client needs to know before it connects.
+/// The settings of a client before it connects.
 ///
 /// ```no_run
 /// # async fn example() -> Result<(), mom_client::ClientError> {
@@ -93,13 +93,12 @@ impl Builder {
         self.proof(Proof::Password(password.into()))
     }
 
-    /// A key of the user's, for devices: it needs no loopback, as no secret is on the wire.
+    /// A key of the user's, for devices. It is accepted from anywhere, because no secret is on the wire.
     pub fn key(self, key: Key) -> Builder {
         self.proof(Proof::Key(key))
     }
 
-    /// The same, from a file as `mom keygen` makes it; one that is no key is an error of
-    /// [`connect`](Builder::connect).
+    /// The same, from a file written by `mom keygen`; an invalid file is an error of [`connect`](Builder::connect).
     pub fn key_file(mut self, file: impl AsRef<Path>) -> Builder {
         match Key::from_file(file) {
             Ok(key) => self.key(key),
@@ -121,35 +120,35 @@ impl Builder {
         self.proof(Proof::Guest)
     }
 
-    /// How to prove who it is; the last of this and the like counts.
+    /// The proof of identity; the last one set counts.
     pub fn proof(mut self, proof: Proof) -> Builder {
         self.credentials.proof = proof;
         self.fault = None;
         self
     }
 
-    /// The hub for which a key may sign, by the name in the hub's configuration. Without it the key signs for
-    /// whichever hub it is connected to: one that is not to be trusted could then pass the signature on.
+    /// The hub for which a key may sign, by the name in the hub's configuration. Without it the key signs for any hub
+    /// it is connected to, and a malicious hub could relay the signature to another.
     pub fn hub_name(mut self, hub: impl Into<String>) -> Builder {
         self.credentials.hub = Some(hub.into());
         self
     }
 
-    /// The name wanted at the hub instead of the user's.
+    /// The requested name at the hub instead of the user's.
     pub fn nickname(mut self, nickname: impl Into<String>) -> Builder {
         self.credentials.nickname = Some(nickname.into());
         self
     }
 
-    /// How long to wait for a reply, and for a connection with its login; unless told, 40 s for the one, because a
-    /// manager may have to ask somebody, and 10 s for the other. A lost link ends the wait sooner.
+    /// How long to wait for a reply, and for a connection with its login. The defaults are 40 s for a reply, because
+    /// a manager may have to ask somebody, and 10 s for a connection. A lost link ends the wait sooner.
     pub fn request_timeout(mut self, timeout: Duration) -> Builder {
         self.settings.request_timeout = timeout;
         self.settings.connect_timeout = timeout;
         self
     }
 
-    /// How a lost link is made anew; [`Reconnect::default`] unless told.
+    /// How to reconnect after a lost link; [`Reconnect::default`] by default.
     pub fn reconnect(mut self, reconnect: Reconnect) -> Builder {
         self.settings.reconnect = Some(reconnect);
         self
@@ -161,25 +160,24 @@ impl Builder {
         self
     }
 
-    /// Events that may wait for one subscriber; 1024 unless told.
+    /// The most events that wait for one subscriber; 1024 by default.
     pub fn event_buffer(mut self, events: usize) -> Builder {
         self.settings.event_buffer = events;
         self
     }
 
-    /// The clock by which this peer stamps what it sends, as a camera has one of its own; the system's wall clock unless
-    /// told. It may be wrong and may be set anew: the hub measures how far it is off (M34).
+    /// The clock that stamps this peer's parcels, for devices with a clock of their own; the system's wall clock by
+    /// default. It may be wrong and may be set: the hub measures its offset (M34).
     pub fn wall_clock(mut self, wall: impl Fn() -> Time + Send + Sync + 'static) -> Builder {
         self.wall = Arc::new(move || Some(wall()));
         self
     }
 
-    /// Connects and logs in, once: a hub that cannot be had now is an error. Needs a tokio runtime, in which
-    /// the client lives from then on.
+    /// Connects and logs in, without retrying. Needs a tokio runtime, in which the client's tasks then run.
     ///
     /// # Errors
-    /// `Local` for a bad address or key, `Connection` and `TimedOut` for a hub that cannot be had, `Refused` with
-    /// `bad-login` and all else that the hub says.
+    /// `Local` for a bad address or key, `Connection` and `TimedOut` for an unreachable hub, `Refused` with
+    /// `bad-login` and other refusals of the hub.
     pub async fn connect(self) -> Result<Client, ClientError> {
         let connector = self.connector?;
         if let Some(error) = self.fault {

@@ -35,20 +35,20 @@ impl Channel {
         Channel { member, gate }
     }
 
-    /// Where it is.
+    /// Its path.
     pub fn path(&self) -> &Path {
         self.member.path()
     }
 
-    /// Its messages and events from now on; the first subscriber gets those since the join too, if they are few.
-    /// The events of the token that guards the channel are among them.
+    /// Its messages and events from now on, including the events of the guarding token. The first subscriber also
+    /// gets the first few since the join.
     pub fn events(&self) -> Events {
         self.member.events()
     }
 
-    /// Has the hub spare this client of some of what the others send here, from now on and over reconnects: the newest
-    /// of each sender and name only, or so many in a time. Never thinned are what the channel's token guards, `stop`,
-    /// `unstop`, `halt` and events. It holds for all proxies of this client; the default ends it.
+    /// Asks the hub to thin the messages of others in this channel, from now on and after reconnects: only the newest
+    /// of each sender and name, or at most so many per time. Guarded messages, `stop`, `unstop`, `halt` and events
+    /// are never thinned. It applies to all proxies of this client; the default value ends it.
     ///
     /// # Errors
     /// `Refused` with `denied` or `unknown-path`, a lost link, a time-out.
@@ -69,17 +69,17 @@ impl Channel {
         Message::new(self.member.client(), self.path(), name)
     }
 
-    /// The token that guards it, as last heard of it; none = it is not guarded.
+    /// The last known state of the guarding token; none = it is not guarded.
     pub fn guard(&self) -> Option<GuardState> {
         self.gate.guard()
     }
 
-    /// The gate that refuses what earlier owners sent; it goes on learning, over reconnects too.
+    /// The gate that refuses messages of earlier owners; it stays up to date, after reconnects too.
     pub fn gate(&self) -> FenceGate {
         self.gate.clone()
     }
 
-    /// Leaves it, whatever other proxies of it there are.
+    /// Leaves it, even if other proxies of it exist.
     ///
     /// # Errors
     /// `Refused` with `not-member`, a lost link, a time-out.

@@ -13,11 +13,11 @@ use crate::login::Welcome;
 use crate::proof::{Credentials, is_challenge};
 use crate::shared::{Shared, verb};
 use crate::{
-    Builder, Channel, ClientError, Consults, ContextInfo, Events, HubClock, Link, Member, Proof, Session,
-    Stats, Token,
+    Builder, Channel, ClientError, Consults, ContextInfo, Events, HubClock, LinkState, Member, Proof,
+    Session, Stats, Token,
 };
 
-/// How long a good-bye may take.
+/// How long a logout may take.
 const CLOSE: Duration = Duration::from_secs(1);
 
 /// A peer that is logged in at a hub. Cheap to clone; all clones are the same peer.
@@ -40,7 +40,7 @@ pub struct Client {
     pub(crate) handle: Arc<Handle>,
 }
 
-/// Held by everything that needs the connection; the last one to go ends it.
+/// Held by everything that needs the connection; dropping the last one ends it.
 #[derive(Debug)]
 pub(crate) struct Handle {
     pub(crate) shared: Arc<Shared>,
@@ -87,17 +87,17 @@ impl Client {
         self.shared().lock().me.level
     }
 
-    /// All that the hub said at login: peer, user, level, groups, protocol, limits, time.
+    /// The hub's login reply: peer, user, level, groups, protocol, limits, time.
     pub fn welcome(&self) -> Map {
         self.shared().lock().me.content.clone()
     }
 
-    /// Proves again who this is, as before a token expires; also after a lost link this proof is used from now on.
-    /// Level and groups are taken over as they are now. With a token of another user this becomes another peer:
-    /// [`Event::LinkDown`](crate::Event::LinkDown) and all else that a lost link brings follow.
+    /// Authenticates again, for example before a token expires; this proof is also used for later reconnects. Level
+    /// and groups are refreshed. With a token of another user this becomes another peer:
+    /// [`Event::LinkDown`](crate::Event::LinkDown) and all other consequences of a lost link follow.
     ///
     /// # Errors
-    /// `Refused` with `bad-login` and all else that the hub says; then all stays as it is.
+    /// `Refused` with `bad-login` and other refusals of the hub; then nothing changes.
     pub async fn authenticate_again(&self, proof: Proof) -> Result<(), ClientError> {
         let shared = self.shared();
         let known = shared.credentials.lock().clone();
@@ -123,8 +123,8 @@ impl Client {
         self.shared().request(parcel).await
     }
 
-    /// Sends a message without waiting for more than room in this client's own queue of 4 MiB; with a new id
-    /// unless it has one. A refusal comes as [`Event::Refused`](crate::Event::Refused).
+    /// Sends a message; waits only for capacity in this client's own queue of 4 MiB. It gets a new id unless it has
+    /// one. A refusal comes as [`Event::Refused`](crate::Event::Refused).
     ///
     /// # Errors
     /// `Local` for what cannot be encoded or is too large for the hub, `Connection` while the link is down,
@@ -133,7 +133,7 @@ impl Client {
         self.shared().post(parcel, None).await
     }
 
-    /// What is at a path (M32).
+    /// Looks up a path (M32).
     ///
     /// # Errors
     /// `Refused` with `unknown-path` and the nearest one, or `denied`.
@@ -149,7 +149,7 @@ impl Client {
         ContextInfo::list(&self.ask(Family::Context, "list", path, None).await?, "children")
     }
 
-    /// All about one context (M33).
+    /// Details of one context (M33).
     ///
     /// # Errors
     /// `Refused` with `unknown-path` or `denied`.
@@ -157,7 +157,7 @@ impl Client {
         Ok(map_of(&self.ask(Family::Context, "info", path, None).await?))
     }
 
-    /// Who is in a context.
+    /// The members of a context.
     ///
     /// # Errors
     /// `Refused` with `unknown-path` or `denied`.
@@ -168,8 +168,7 @@ impl Client {
         )
     }
 
-    /// What a channel has counted, with the figures of each member, or the channels of a session that this peer may ask
-    /// about.
+    /// The statistics of a channel and of each member, or of the channels of a session that this peer may ask about.
     ///
     /// # Errors
     /// `Refused` with `unknown-path`, `wrong-kind` (a token) or `denied`.
@@ -177,8 +176,8 @@ impl Client {
         Stats::from_reply(&self.ask(Family::Context, "stats", path, None).await?)
     }
 
-    /// Makes a context (M24); joins the session around it for as long as that takes. `spec` holds `kind`
-    /// (`session`, `channel`, `token`), `manager`, and what else the kind allows.
+    /// Creates a context (M24); joins its parent session meanwhile. `spec` holds `kind` (`session`, `channel`,
+    /// `token`), `manager`, and other keys of that kind.
     ///
     /// # Errors
     /// `Refused` with `exists`, `denied`, `bad-content`, `unknown-manager` and others.
@@ -196,8 +195,8 @@ impl Client {
         self.ask(Family::Context, "delete", path, None).await.map(drop)
     }
 
-    /// Tells a peer of a context, and that it is welcome there as far as its manager says so; joins the context for
-    /// as long as that takes. The peer gets [`Event::Invited`](crate::Event::Invited).
+    /// Invites a peer to a context, subject to its manager; joins the context meanwhile. The peer gets
+    /// [`Event::Invited`](crate::Event::Invited).
     ///
     /// # Errors
     /// `Refused` with `unknown-path`, `unknown-peer` or `denied`.
@@ -209,8 +208,8 @@ impl Client {
             .map(drop)
     }
 
-    /// Puts a peer out of a context and all below it, and keeps it out for a time, 1 min unless told; `text` tells
-    /// it why and may be empty. Its tokens there are lost. From `/` it is put off the hub.
+    /// Expels a peer from a context and all below it, and keeps it out for a time, by default 1 min; `text` is the
+    /// reason and may be empty. Its tokens there are lost. Expelled from `/`, it is disconnected.
     ///
     /// # Errors
     /// `Refused` with `unknown-path`, `unknown-peer` or `denied`.
@@ -233,8 +232,8 @@ impl Client {
             .map(drop)
     }
 
-    /// The hub's questions to this peer, from now on: about contexts that it manages, made with the manager `self`,
-    /// and those where it has the chair.
+    /// The hub's questions to this peer, from now on: about contexts that it manages, created with the manager
+    /// `self`, and those where it has the chair.
     pub fn consults(&self) -> Consults {
         Consults::new(self.clone(), self.shared().subscribe_consults())
     }
@@ -242,7 +241,7 @@ impl Client {
     /// Joins a session, parents first.
     ///
     /// # Errors
-    /// `Refused` with `unknown-path` or `denied`; `Local` with `wrong-kind` if it is none.
+    /// `Refused` with `unknown-path` or `denied`; `Local` with `wrong-kind` if it is not a session.
     pub async fn session(&self, path: &str) -> Result<Session, ClientError> {
         self.enter_kind(path, ContextKind::Session, None)
             .await
@@ -259,8 +258,7 @@ impl Client {
             .map(Channel::new)
     }
 
-    /// Joins a channel, parents first, spared of some of what the others send there; as [`Channel::thin`] says it
-    /// holds for all proxies of this client.
+    /// Joins a channel, parents first, with thinning, which applies to all proxies of this client: [`Channel::thin`].
     ///
     /// ```no_run
     /// # async fn example(client: mom_client::Client) -> Result<(), mom_client::ClientError> {
@@ -279,7 +277,7 @@ impl Client {
             .map(Channel::new)
     }
 
-    /// Joins a token, parents first; that gives its events, not the token.
+    /// Joins a token, parents first; this gives its events, not ownership.
     ///
     /// # Errors
     /// As [`Client::session`].
@@ -289,31 +287,31 @@ impl Client {
             .map(Token::new)
     }
 
-    /// What no other subscription takes, from now on: events of contexts without a proxy, refusals of sends
-    /// there, and what becomes of the link. It keeps neither the client nor the connection alive.
+    /// Events that no other subscription takes, from now on: those of contexts without a proxy, refusals of sends
+    /// there, and the state of the link. It keeps neither the client nor the connection alive.
     pub fn unaddressed(&self) -> Events {
         let shared = self.shared();
         Events::new(shared.subscribe_unaddressed(), Arc::clone(shared), None)
     }
 
-    /// The hub's clock as this link measures it, and by it the age of what arrives.
+    /// The hub's clock as measured over this link, for the age of arriving parcels.
     pub fn clock(&self) -> HubClock {
         self.shared().clock.clone()
     }
 
-    /// The state of the link, to look at and to wait on.
-    pub fn state(&self) -> watch::Receiver<Link> {
+    /// The state of the link, to read or to wait for.
+    pub fn state(&self) -> watch::Receiver<LinkState> {
         self.shared().link.subscribe()
     }
 
-    /// Logs out after all that was sent before, and waits for that, but briefly. All clones and proxies are of
-    /// no use afterwards.
+    /// Logs out after everything sent before, and waits briefly for the answer. Clones and proxies are unusable
+    /// afterwards.
     pub async fn close(self) {
         let shared = self.shared();
         shared.end();
         let mut link = shared.link.subscribe();
-        // Who cannot be told in time is told by the end of the connection.
-        let _ = timeout(CLOSE, link.wait_for(|link| matches!(link, Link::Closed(_)))).await;
+        // If the logout is not answered in time, the end of the connection does the same.
+        let _ = timeout(CLOSE, link.wait_for(|link| matches!(link, LinkState::Closed(_)))).await;
     }
 
     async fn ask(

@@ -1,4 +1,4 @@
-//! The hub's clock as this peer knows it, and by it the age of what arrives (M6, M34).
+//! This peer's estimate of the hub's clock, and the age of arriving parcels (M6, M34).
 
 use std::fmt;
 use std::sync::Arc;
@@ -8,15 +8,15 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use mom_proto::{ClockOffset, Exchange, Family, Map, OffsetEstimator, Parcel, Time, event};
 use parking_lot::Mutex;
 
-/// Exchanges right after the login, one after the other; from then on one each heartbeat.
+/// Exchanges right after the login, one after the other; later one per heartbeat.
 const QUICK: usize = 4;
 
-/// What a peer's wall clock shows.
+/// The time of a peer's wall clock.
 pub(crate) type Wall = Arc<dyn Fn() -> Option<Time> + Send + Sync>;
 
 /// The hub's clock, estimated by the link's own pings. Cheap to clone; all clones are the same clock.
 ///
-/// It rests on the monotonic clock, so a wall clock that is set anew does not disturb it.
+/// It uses the monotonic clock, so setting the wall clock does not disturb it.
 ///
 /// ```no_run
 /// # async fn example(client: mom_client::Client) -> Result<(), mom_client::ClientError> {
@@ -34,20 +34,20 @@ pub(crate) type Wall = Arc<dyn Fn() -> Option<Time> + Send + Sync>;
 /// ```
 #[derive(Clone)]
 pub struct HubClock {
-    inner: Arc<Inner>,
+    inner: Arc<ClockState>,
 }
 
-struct Inner {
+struct ClockState {
     wall: Wall,
     /// The own clock that is compared with the hub's: `anchor` at `start`, monotonic from then on.
     anchor: i64,
     start: Instant,
-    state: Mutex<State>,
+    state: Mutex<EstimatorState>,
     expired: AtomicU64,
 }
 
 #[derive(Debug, Default)]
-struct State {
+struct EstimatorState {
     estimator: OffsetEstimator,
     /// The ping that has not been answered yet: its id, and when it was sent.
     asked: Option<(u64, Time)>,
@@ -58,8 +58,8 @@ struct State {
 pub struct Age {
     /// µs; below 0 at most by the error.
     pub micros: i64,
-    /// How wrong that may be, µs; none = the hub does not know the clock of the sender, and the age counts from when
-    /// the hub took the parcel in.
+    /// The error bound, µs; none = the hub does not know the sender's clock, and the age counts from the parcel's
+    /// arrival at the hub.
     pub error_micros: Option<u64>,
 }
 
@@ -69,12 +69,12 @@ impl Age {
         Duration::from_micros(u64::try_from(self.micros).unwrap_or_default())
     }
 
-    /// How wrong it may be; none = it may be more by the unknown time from the sender to the hub.
+    /// The error bound; none = the age is greater by the unknown time from the sender to the hub.
     pub fn error(&self) -> Option<Duration> {
         self.error_micros.map(Duration::from_micros)
     }
 
-    /// What it is at the most, if that is known.
+    /// The age plus its error, if known.
     pub fn at_most(&self) -> Option<Duration> {
         self.error().map(|error| self.duration() + error)
     }
@@ -83,7 +83,7 @@ impl Age {
 impl HubClock {
     pub(crate) fn new(wall: Wall) -> HubClock {
         HubClock {
-            inner: Arc::new(Inner {
+            inner: Arc::new(ClockState {
                 anchor: wall().map_or(0, Time::micros),
                 wall,
                 start: Instant::now(),
@@ -93,7 +93,7 @@ impl HubClock {
         }
     }
 
-    /// The hub's time now, and how wrong it may be; none before the first exchange of a link.
+    /// The hub's time now, with its error bound; none before the first exchange of a link.
     pub fn now(&self) -> Option<(Time, Duration)> {
         let offset = self.offset()?;
         let time = Time::from_micros(offset.other(self.own()))?;
@@ -101,7 +101,7 @@ impl HubClock {
     }
 
     /// How old a parcel is now: its age when it reached the hub, and the time since then. None without an estimate of
-    /// the hub's clock, and for parcels that the hub did not take in.
+    /// the hub's clock, and for parcels that the hub did not stamp.
     pub fn age(&self, parcel: &Parcel) -> Option<Age> {
         let received = parcel.received?;
         let offset = self.offset()?;
@@ -112,7 +112,7 @@ impl HubClock {
         })
     }
 
-    /// Whether a parcel's `expires` is over, as far as is known. A stop is never over.
+    /// Whether a parcel has expired, as far as is known. A stop never expires.
     pub fn is_expired(&self, parcel: &Parcel) -> bool {
         let stop = parcel.family == Family::Message && parcel.name() == event::STOP;
         parcel.expires.filter(|_| !stop).is_some_and(|expires| {
@@ -121,17 +121,17 @@ impl HubClock {
         })
     }
 
-    /// How many messages were not handed out because their time was over.
+    /// How many messages were not delivered to subscribers because they had expired.
     pub fn expired(&self) -> u64 {
         self.inner.expired.load(Ordering::Relaxed)
     }
 
-    /// Counts a message that is not handed out.
+    /// Counts an expired message.
     pub(crate) fn note_expired(&self) {
         self.inner.expired.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// What the peer's wall clock shows, for stamps.
+    /// The time of the peer's wall clock, for stamps.
     pub(crate) fn wall(&self) -> Option<Time> {
         (self.inner.wall)()
     }
@@ -156,7 +156,7 @@ impl HubClock {
             return false;
         };
         state.asked = None;
-        // A hub of an earlier version says only when it received.
+        // A hub of an earlier version reports only when it received the ping.
         let Some(exchange) = Exchange::of(sent, pong, heard) else {
             return false;
         };
@@ -164,9 +164,9 @@ impl HubClock {
         used && state.estimator.exchanges() < QUICK
     }
 
-    /// Begins anew with another link: the hub may have been started again.
+    /// Starts over with another link: the hub may have been restarted.
     pub(crate) fn forget(&self) {
-        *self.inner.state.lock() = State::default();
+        *self.inner.state.lock() = EstimatorState::default();
     }
 
     /// The hub's clock minus the own monotonic one.

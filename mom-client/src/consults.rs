@@ -1,4 +1,4 @@
-//! Questions of the hub to this peer, which manages contexts or has the chair in them (M24).
+//! Questions of the hub to this peer, as manager or chair of contexts (M24).
 
 use std::fmt;
 use std::sync::Arc;
@@ -7,13 +7,13 @@ use std::time::{Duration, Instant};
 use mom_proto::{Family, MAX_ID, Map, Parcel, Path, Value};
 
 use crate::info::{level, map_of, millis_of, name_list, number, owned, text};
-use crate::subscribe::Queue;
+use crate::subscribe::EventQueue;
 use crate::{Age, Client, ClientError, Event};
 
 /// The questions of the hub, from [`Client::consults`] on. They keep the connection alive.
 ///
-/// What is not taken waits in a bounded queue. When it is full the oldest go, and the hub, which gets no answer,
-/// refuses what they were about; [`Consults::missed`] counts them.
+/// Questions wait in a bounded queue. When it is full the oldest are dropped, and the hub, which gets no answer,
+/// refuses the requests; [`Consults::missed`] counts them.
 ///
 /// ```no_run
 /// # async fn example(client: mom_client::Client) -> Result<(), mom_client::ClientError> {
@@ -29,12 +29,11 @@ use crate::{Age, Client, ClientError, Event};
 /// ```
 pub struct Consults {
     client: Client,
-    queue: Arc<Queue>,
+    queue: Arc<EventQueue>,
     missed: u64,
 }
 
-/// One question: may that peer do this? The first answer of those asked counts; without one the hub says no when
-/// the time is over.
+/// One question: may that peer do this? The first answer counts; without one in time the hub refuses.
 ///
 /// An answer that comes too late, or after that of another peer, is refused with `too-late` and has no effect.
 #[derive(Clone)]
@@ -59,7 +58,7 @@ pub struct Consult {
     pub message: Option<String>,
     /// The bytes of its content, if it is a send.
     pub size: Option<u64>,
-    /// How old the message was when the hub took it in, where that is known.
+    /// The age of the message when it reached the hub, if known.
     pub age: Option<Age>,
     /// The kind of the context, or of the one to be made.
     pub kind: Option<String>,
@@ -72,7 +71,7 @@ pub struct Consult {
 }
 
 impl Consults {
-    pub(crate) fn new(client: Client, queue: Arc<Queue>) -> Consults {
+    pub(crate) fn new(client: Client, queue: Arc<EventQueue>) -> Consults {
         Consults {
             client,
             queue,
@@ -89,13 +88,13 @@ impl Consults {
                     None => tracing::warn!(id = parcel.id, "a question of the hub that cannot be read"),
                 },
                 Event::Lagged(missed) => self.missed += missed,
-                // Of no concern here: after a lost link the hub asks anew.
+                // Not needed here: after a lost link the hub asks again.
                 _ => {}
             }
         }
     }
 
-    /// How many questions went unanswered because they were not taken in time.
+    /// How many questions were dropped because they were not taken in time.
     pub fn missed(&self) -> u64 {
         self.missed
     }
@@ -138,7 +137,7 @@ impl Consult {
         })
     }
 
-    /// What is left of [`Consult::within`], if the question was taken as soon as it came.
+    /// The remainder of [`Consult::within`], if the question was taken as soon as it came.
     pub fn left(&self) -> Duration {
         self.within.saturating_sub(self.arrived.elapsed())
     }
@@ -196,7 +195,7 @@ impl fmt::Debug for Consult {
     }
 }
 
-/// The age of a message and its error, where the hub tells them.
+/// The age of a message and its error, if the hub reports them.
 fn age(map: &Map) -> Option<Age> {
     Some(Age {
         micros: map.get("age").and_then(Value::as_int)?,

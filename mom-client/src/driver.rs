@@ -10,10 +10,10 @@ use tokio::time::{Instant, sleep};
 
 use crate::login::{Connected, Connector, Welcome};
 use crate::outbox::{Capacity, Entry};
-use crate::pending::Waiter;
+use crate::pending::AnswerTo;
 use crate::reconnect::Backoff;
 use crate::shared::{Shared, State, Status, join};
-use crate::{ClientError, Event, Link, Lost, Reconnect, link};
+use crate::{ClientError, Event, LinkState, Lost, Reconnect, link};
 
 /// Drives links until the client is closed.
 pub(crate) async fn run(shared: Arc<Shared>, connector: Connector, first: mom_net::Transceiver) {
@@ -54,7 +54,7 @@ async fn again(
     let mut at_least = None;
     let mut attempt = 0;
     loop {
-        shared.link.send_replace(Link::Down {
+        shared.link.send_replace(LinkState::Down {
             since: start.into_std(),
             attempt,
         });
@@ -91,7 +91,7 @@ async fn again(
 }
 
 impl Shared {
-    /// The link is gone: nothing asked for will be answered, and tokens are lost (design §5).
+    /// The link is gone: open requests get no answer, and tokens are lost (design §5).
     fn lose_link(&self, why: &str, link_is_gone: bool) {
         let mut state = self.lock();
         state.status = Status::Down;
@@ -110,8 +110,8 @@ impl Shared {
         waiters.into_iter().for_each(|waiter| self.fail(waiter, &error));
     }
 
-    /// The hub knows this link's peer anew. As another user it is another peer, to which nothing of the old one
-    /// belongs any more, as after a lost link.
+    /// The peer of this link has authenticated again. As another user it is another peer, and nothing of the old one
+    /// belongs to it any more, as after a lost link.
     pub(crate) fn renew_login(&self, welcome: Welcome) {
         let mut state = self.lock();
         if state.me.user == welcome.user {
@@ -123,7 +123,7 @@ impl Shared {
         self.raise_link(welcome);
     }
 
-    /// The link is back: everything wanted is joined again, before anything else is sent.
+    /// The link is back: all wanted contexts are joined again before anything else is sent.
     fn raise_link(&self, welcome: Welcome) {
         let mut state = self.lock();
         state.status = Status::Up;
@@ -134,12 +134,12 @@ impl Shared {
             state.subscribers.deliver_unaddressed(Event::Rejoined);
         }
         for (path, serial, thinning) in places {
-            let mut waiter = Some(Waiter::Join(path.clone(), serial));
+            let mut waiter = Some(AnswerTo::Join(path.clone(), serial));
             // The link is up, and a path that was joined before can be encoded.
             let _ = self.ask_in(&mut state, join(&path, thinning), &mut waiter);
         }
         drop(state);
-        self.link.send_replace(Link::Up);
+        self.link.send_replace(LinkState::Up);
         self.outgoing.notify_one();
     }
 
@@ -159,7 +159,7 @@ impl Shared {
             drop(join.send(Err(closed.clone())));
         }
         waiters.into_iter().for_each(|waiter| self.fail(waiter, &closed));
-        self.link.send_replace(Link::Closed(error));
+        self.link.send_replace(LinkState::Closed(error));
     }
 }
 

@@ -1,4 +1,4 @@
-//! What can go wrong when a peer asks.
+//! Errors of requests.
 
 use std::time::Duration;
 
@@ -21,21 +21,21 @@ pub enum ClientError {
     /// The hub answered with an error: code, plain words, details.
     #[error("refused: {0}")]
     Refused(WireError),
-    /// The link is down or cannot be had.
+    /// The link is down or cannot be established.
     #[error("no connection: {0}")]
     Connection(String),
-    /// No answer came in time. Whether the request was carried out is not known.
+    /// No answer came in time. It is unknown whether the request was carried out.
     #[error("no answer to {what} within {after:?}")]
     TimedOut {
         /// The request: family, name and context.
         what: String,
-        /// How long was waited.
+        /// The time waited.
         after: Duration,
     },
     /// The client is closed for good: it logged out, or the hub closed with a code of 400–499 or gave it up.
     #[error("closed{}", .0.as_ref().map(|error| format!(": {error}")).unwrap_or_default())]
     Closed(Option<WireError>),
-    /// It never left this process: a bad path, content without a form on the wire, a reply that is none.
+    /// An error on this side: a bad path, content without a form on the wire, a malformed reply.
     #[error("{0}")]
     Local(WireError),
 }
@@ -77,7 +77,7 @@ impl ClientError {
         }
     }
 
-    /// What the hub's refusal says, typed, and in words for people; none if it is no refusal.
+    /// The hub's refusal, typed and as text for people; none if it is not a refusal.
     pub fn refusal(&self) -> Option<Refusal<'_>> {
         match self {
             ClientError::Refused(error) => Some(Refusal::of(error)),

@@ -8,12 +8,11 @@ use parking_lot::Mutex;
 
 use crate::info::{map_of, number, text};
 
-/// Refuses what an earlier owner of a device's token sent.
+/// Refuses messages of earlier owners of a device's token.
 ///
-/// The hub refuses such parcels too, but what was in a socket already when the token changed hands only the
-/// device itself can refuse. A channel's gate learns owner and fence from the join's reply and from the
-/// token's events, before any of them reaches [`Events`](crate::Events); while the link is down nobody is
-/// owner. Fences never fall.
+/// The hub refuses such parcels too, but only the device can refuse those that were in a socket when the token
+/// changed hands. A channel's gate learns owner and fence from the join's reply and from the token's events, before
+/// any of them reaches [`Events`](crate::Events); while the link is down there is no owner. Fences never fall.
 ///
 /// ```
 /// use mom_client::{Family, FenceGate, Map, Parcel};
@@ -33,7 +32,7 @@ pub struct FenceGate {
     state: Arc<Mutex<Option<GuardState>>>,
 }
 
-/// The token that guards a channel, as last heard of it.
+/// The last known state of the token that guards a channel.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct GuardState {
     /// The token.
@@ -46,7 +45,7 @@ pub struct GuardState {
     pub fence: u64,
 }
 
-/// A message that needs the guarding token and was not sent by its present owner.
+/// A guarded message that was not sent by the token's present owner.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{name} is stale: its fence is {given:?}, that of {owner:?} is {fence}")]
 pub struct Stale {
@@ -74,7 +73,7 @@ impl FenceGate {
         FenceGate::default()
     }
 
-    /// The guard as last heard of it; none = the channel is not guarded.
+    /// The last known guard; none = the channel is not guarded.
     pub fn guard(&self) -> Option<GuardState> {
         self.state.lock().clone()
     }
@@ -104,7 +103,7 @@ impl FenceGate {
         let told = reply.get("guard").and_then(Value::as_map).and_then(read_guard);
         let mut state = self.state.lock();
         *state = match (told, state.take()) {
-            // A hub that went back in time must not bring old commands back with it.
+            // A hub with older fences must not make old commands valid again.
             (Some(told), Some(known)) if told.token == known.token && told.fence < known.fence => {
                 Some(GuardState {
                     owner: None,
@@ -116,7 +115,7 @@ impl FenceGate {
         };
     }
 
-    /// Learns from `grabbed` and `released` of the guarding token; ignores all else.
+    /// Learns from `grabbed` and `released` of the guarding token; ignores other events.
     pub fn observe(&self, parcel: &Parcel) {
         let mut state = self.state.lock();
         let Some(guard) = state.as_mut() else { return };
@@ -147,7 +146,7 @@ impl FenceGate {
         }
     }
 
-    /// The token to whose events this gate listens.
+    /// The token whose events this gate follows.
     pub(crate) fn token(&self) -> Option<Path> {
         self.state.lock().as_ref().map(|guard| guard.token.clone())
     }

@@ -11,14 +11,14 @@ use mom_proto::{Family, Map, Value};
 use tokio::sync::{oneshot, watch};
 
 use crate::guards::Hold;
-use crate::handover::{Handover, Phase};
+use crate::handover::{Handover, HandoverPhase};
 use crate::info::millis;
 use crate::membership::Membership;
-use crate::pending::Waiter;
+use crate::pending::AnswerTo;
 use crate::shared::verb;
 use crate::{ClientError, Lost, TokenGuard};
 
-/// An offer in the making, from [`TokenGuard::give`]: await it, and the offer is made.
+/// A builder of an offer, from [`TokenGuard::give`]: await it to make the offer.
 ///
 /// ```no_run
 /// # async fn example(guard: mom_client::TokenGuard) -> Result<(), mom_client::ClientError> {
@@ -54,19 +54,19 @@ impl<'a> Give<'a> {
         }
     }
 
-    /// How long the other peer may take to accept; 10 s unless told.
+    /// How long the other peer may take to accept; 10 s by default.
     pub fn within(mut self, within: Duration) -> Give<'a> {
         self.within = Some(within);
         self
     }
 
-    /// Only for this time from the acceptance on; then the token comes back by itself.
+    /// Gives it only for this time from the acceptance on; then the token returns by itself.
     pub fn time(mut self, time: Duration) -> Give<'a> {
         self.time = Some(time);
         self
     }
 
-    /// Only for so many messages of those that need the token; then it comes back by itself.
+    /// Gives it only for so many guarded messages; then it returns by itself.
     pub fn commands(mut self, commands: u64) -> Give<'a> {
         self.commands = Some(commands);
         self
@@ -90,7 +90,7 @@ impl<'a> Give<'a> {
         let path = self.member.path();
         let handover = Handover::new(path, self.to, delegated, Arc::clone(self.hold));
         let (sender, receiver) = oneshot::channel();
-        let waiter = Waiter::Give {
+        let waiter = AnswerTo::Give {
             member: self.member.clone(),
             handover: Arc::new(handover),
             answer: sender,
@@ -125,17 +125,17 @@ impl fmt::Debug for Give<'_> {
 
 /// A token that this client has offered to another peer, or given to it.
 ///
-/// The [`TokenGuard`] that made the offer owns the token until the other peer accepts. Dropping this takes no
-/// offer back; but a token that comes back and that nobody waits for is released.
+/// The [`TokenGuard`] that made the offer owns the token until the other peer accepts. Dropping this does not
+/// withdraw the offer; a token that returns while nobody waits for it is released.
 pub struct Given {
     handover: Arc<Handover>,
-    phase: watch::Receiver<Phase>,
+    phase: watch::Receiver<HandoverPhase>,
     member: Membership,
-    /// Whether a guard took over what came back.
+    /// Whether a guard took over the returned token.
     taken: bool,
 }
 
-/// Why the other peer will not have the token.
+/// Why the other peer does not get the token.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the offer to {to} came to nothing: {reason}")]
 pub struct Lapsed {
@@ -161,13 +161,13 @@ impl Given {
         &self.handover.to
     }
 
-    /// Waits until the other peer has it. Safe to cancel.
+    /// Waits until the other peer owns it. Safe to cancel.
     ///
     /// # Errors
-    /// [`Lapsed`] if it will not have it.
+    /// [`Lapsed`] if it does not get it.
     pub async fn accepted(&mut self) -> Result<(), Lapsed> {
-        match self.wait(|phase| !matches!(phase, Phase::Offered)).await {
-            Phase::Lapsed(reason) => Err(Lapsed {
+        match self.wait(|phase| !matches!(phase, HandoverPhase::Offered)).await {
+            HandoverPhase::Lapsed(reason) => Err(Lapsed {
                 to: self.handover.to.clone(),
                 reason,
             }),
@@ -175,22 +175,21 @@ impl Given {
         }
     }
 
-    /// Waits until the token is this client's again: after what it was given for, or because the other peer did
-    /// not take it.
+    /// Waits until the token is this client's again, because the loan has ended or the other peer did not take it.
     ///
     /// # Errors
-    /// [`Lost`] if it does not come back: it was given for good, or somebody else has it.
+    /// [`Lost`] if it does not return: it was given for good, or another peer has it.
     pub async fn returned(mut self) -> Result<TokenGuard, Lost> {
         let end = self
-            .wait(|phase| !matches!(phase, Phase::Offered | Phase::Taken))
+            .wait(|phase| !matches!(phase, HandoverPhase::Offered | HandoverPhase::Taken))
             .await;
         let hold = match end {
-            Phase::Back(hold) => {
+            HandoverPhase::Back(hold) => {
                 self.taken = true;
                 hold
             }
-            Phase::Over(lost) => return Err(lost),
-            // It never left: one guard more of the same ownership.
+            HandoverPhase::Over(lost) => return Err(lost),
+            // It never left: another guard of the same ownership.
             _ => self.still_held()?,
         };
         Ok(TokenGuard::new(hold, self.member.clone()))
@@ -205,7 +204,7 @@ impl Given {
         })
     }
 
-    async fn wait(&mut self, until: impl Fn(&Phase) -> bool) -> Phase {
+    async fn wait(&mut self, until: impl Fn(&HandoverPhase) -> bool) -> HandoverPhase {
         match self.phase.wait_for(until).await {
             Ok(phase) => phase.clone(),
             // The sender lives in `handover`.

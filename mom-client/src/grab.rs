@@ -11,21 +11,21 @@ use tokio::time::sleep;
 
 use crate::info::millis;
 use crate::membership::Membership;
-use crate::pending::Waiter;
+use crate::pending::AnswerTo;
 use crate::shared::{Shared, verb};
 use crate::{ClientError, TokenGuard};
 
-/// Where a grab stands in the queue of its token.
+/// The place of a grab in the queue of its token.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Place {
     /// 1 for the next.
     pub place: u64,
-    /// Until its turn, if nobody before it renews; none = nobody can tell.
+    /// The expected time until its grant, if nobody before it renews; none = unknown.
     pub expected: Option<Duration>,
 }
 
-/// A grab in the making, from [`Token::grab`](crate::Token::grab): await it.
+/// A builder of a grab, from [`Token::grab`](crate::Token::grab): await it to send it.
 ///
 /// ```no_run
 /// # async fn example(token: mom_client::Token) -> Result<(), mom_client::ClientError> {
@@ -41,7 +41,7 @@ pub struct Place {
 #[must_use = "a grab does nothing until it is awaited"]
 pub struct Grab<'a> {
     member: &'a Membership,
-    wait: Wait,
+    wait: GrabWait,
     on_place: Option<OnPlace<'a>>,
 }
 
@@ -49,7 +49,7 @@ type OnPlace<'a> = Box<dyn FnMut(Place) + Send + 'a>;
 
 /// For how long a grab waits in the queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Wait {
+enum GrabWait {
     No,
     For(Duration),
     Forever,
@@ -59,24 +59,24 @@ impl<'a> Grab<'a> {
     pub(crate) fn new(member: &'a Membership) -> Grab<'a> {
         Grab {
             member,
-            wait: Wait::No,
+            wait: GrabWait::No,
             on_place: None,
         }
     }
 
     /// Waits in the queue for so long, in whole ms; after it the grab is refused with `timed-out`.
     pub fn wait(mut self, most: Duration) -> Grab<'a> {
-        self.wait = Wait::For(most);
+        self.wait = GrabWait::For(most);
         self
     }
 
     /// Waits in the queue for as long as it takes.
     pub fn wait_forever(mut self) -> Grab<'a> {
-        self.wait = Wait::Forever;
+        self.wait = GrabWait::Forever;
         self
     }
 
-    /// Told whenever the place in the queue changes; of places that follow each other quickly, the newest.
+    /// Called whenever the place in the queue changes; for quick changes only with the newest.
     pub fn on_place(mut self, told: impl FnMut(Place) + Send + 'a) -> Grab<'a> {
         self.on_place = Some(Box::new(told));
         self
@@ -85,7 +85,7 @@ impl<'a> Grab<'a> {
     async fn run(self) -> Result<TokenGuard, ClientError> {
         let (shared, path) = (self.member.shared(), self.member.path());
         let (sender, receiver) = oneshot::channel();
-        let waiter = Waiter::Obtain {
+        let waiter = AnswerTo::Obtain {
             member: self.member.clone(),
             answer: sender,
         };
@@ -93,7 +93,7 @@ impl<'a> Grab<'a> {
         let mut parcel = verb(Family::Token, "grab", path).id(id);
         parcel.content = self.wait.content().map(Into::into);
         let places = match self.wait {
-            Wait::No => {
+            GrabWait::No => {
                 shared.obtain(parcel, waiter)?;
                 None
             }
@@ -102,7 +102,7 @@ impl<'a> Grab<'a> {
         let _withdraw = places.is_some().then_some(Withdraw { shared, path, id });
         let follow = follow(shared, places, self.wait, self.on_place);
         tokio::select! {
-            // First: an answer that is there ends the wait, however late it is.
+            // Checked first: an answer that is there ends the wait, however late it is.
             biased;
             answer = receiver => {
                 answer.unwrap_or_else(|_| Err(ClientError::Connection("the link was lost".to_owned())))
@@ -115,17 +115,17 @@ impl<'a> Grab<'a> {
     }
 }
 
-/// Tells the places; ends, with the time that it took, when an answer is overdue.
+/// Reports the places; ends, with the time that it took, when an answer is overdue.
 async fn follow(
     shared: &Shared,
     places: Option<watch::Receiver<Option<Place>>>,
-    wait: Wait,
+    wait: GrabWait,
     mut on_place: Option<OnPlace<'_>>,
 ) -> Duration {
     let answer = shared.settings.request_timeout;
     let after = match wait {
-        Wait::No | Wait::Forever => answer,
-        Wait::For(most) => answer.saturating_add(most),
+        GrabWait::No | GrabWait::Forever => answer,
+        GrabWait::For(most) => answer.saturating_add(most),
     };
     let mut overdue = pin!(sleep(after));
     let mut patient = false;
@@ -137,11 +137,11 @@ async fn follow(
         tokio::select! {
             changed = places.changed() => {
                 if changed.is_err() {
-                    // Answered; whoever waits for that is woken by it.
+                    // Answered; the answer wakes its receiver.
                     return pending().await;
                 }
                 // Once it is in the queue the hub has heard of it, and only the link's end can end it.
-                patient = wait == Wait::Forever;
+                patient = wait == GrabWait::Forever;
                 let place = *places.borrow_and_update();
                 if let (Some(place), Some(told)) = (place, &mut on_place) {
                     told(place);
@@ -152,12 +152,12 @@ async fn follow(
     }
 }
 
-impl Wait {
+impl GrabWait {
     fn content(self) -> Option<Map> {
         match self {
-            Wait::No => None,
-            Wait::For(most) => Some(Map::new().with("wait", millis(most))),
-            Wait::Forever => Some(Map::new().with("wait", "unlimited")),
+            GrabWait::No => None,
+            GrabWait::For(most) => Some(Map::new().with("wait", millis(most))),
+            GrabWait::Forever => Some(Map::new().with("wait", "unlimited")),
         }
     }
 }
@@ -181,7 +181,7 @@ impl fmt::Debug for Grab<'_> {
     }
 }
 
-/// Takes the grab back if its caller goes before the answer is there.
+/// Withdraws the grab if its caller is dropped before the answer is there.
 struct Withdraw<'a> {
     shared: &'a Shared,
     path: &'a Path,

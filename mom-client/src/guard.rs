@@ -1,4 +1,4 @@
-//! Ownership of a token, given back when it is dropped.
+//! Ownership of a token, released on drop.
 
 use std::fmt;
 use std::sync::Arc;
@@ -7,15 +7,15 @@ use std::time::Duration;
 use mom_proto::Path;
 
 use crate::guards::Hold;
-use crate::holding::{Holding, Kind};
+use crate::holding::{Holding, HoldingKind};
 use crate::membership::Membership;
-use crate::{ClientError, Delegation, Give};
+use crate::{ClientError, Give, Loan};
 
 /// Exclusive control of what a token guards (M28), from [`Token::grab`](crate::Token::grab) on.
 ///
-/// It renews its lease, or its deadman time if that is shorter, at a third of it, for as long as it lives;
-/// dropping it gives the token back. It is lost when the hub says so, when a renewal is refused, and with the
-/// link. The guards of one ownership (grabbed again while held) share it: the last one dropped gives it back.
+/// It renews at a third of its lease, or of its deadman time if that is shorter, for as long as it lives; dropping it
+/// releases the token. It is lost when the hub says so, when a renewal is refused, and with the link. The guards of
+/// one ownership (grabbed again while held) share it: dropping the last one releases it.
 ///
 /// ```no_run
 /// # async fn example(client: mom_client::Client) -> Result<(), mom_client::ClientError> {
@@ -33,7 +33,7 @@ pub struct TokenGuard {
     holding: Holding,
 }
 
-/// Why and through whom an ownership ended.
+/// Why an ownership ended, and who caused it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Lost {
     /// A word of [`Reason`](crate::event::Reason), `disconnected` for a lost link, or the code's word of a
@@ -55,7 +55,7 @@ impl Lost {
 impl TokenGuard {
     pub(crate) fn new(hold: Arc<Hold>, member: Membership) -> TokenGuard {
         TokenGuard {
-            holding: Holding::new(hold, Kind::Ownership, member),
+            holding: Holding::new(hold, HoldingKind::Ownership, member),
         }
     }
 
@@ -69,18 +69,18 @@ impl TokenGuard {
         self.holding.hold().fence
     }
 
-    /// How long the ownership lasts without renewal; none = without end.
+    /// How long the ownership lasts without renewal; none = unlimited.
     pub fn lease(&self) -> Option<Duration> {
         self.holding.hold().terms().lease
     }
 
-    /// After how long without a renewal it ends by itself; none = it has no such bound.
+    /// The deadman time, after which it ends without a renewal; none = no such limit.
     pub fn deadman(&self) -> Option<Duration> {
         self.holding.hold().terms().deadman
     }
 
-    /// From whom it is and for how long, if another peer gave it for a time or a number of commands.
-    pub fn delegation(&self) -> Option<&Delegation> {
+    /// The terms of the loan, if another peer gave it for a time or a number of commands.
+    pub fn delegation(&self) -> Option<&Loan> {
         self.holding.hold().delegation.as_ref()
     }
 
@@ -94,14 +94,14 @@ impl TokenGuard {
         self.holding.lost().await
     }
 
-    /// Offers the token to another peer (M41), for good unless the offer says otherwise. This guard owns it until
-    /// the other accepts; then it is lost with the reason `given`.
+    /// Offers the token to another peer (M41), for good unless the offer says otherwise. This guard owns it until the
+    /// other peer accepts; then it is lost with the reason `given`.
     pub fn give(&self, to: impl Into<String>) -> Give<'_> {
         Give::new(self.holding.hold(), self.holding.member(), to.into())
     }
 
-    /// Gives the token back, after all messages sent before, and waits for the hub to say so. What is lost
-    /// already needs no giving back.
+    /// Releases the token, after all messages sent before, and waits for the hub's answer. Does nothing if it is lost
+    /// already.
     ///
     /// # Errors
     /// The hub's refusal, a lost link, a time-out.

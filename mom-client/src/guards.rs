@@ -1,4 +1,4 @@
-//! The tokens that this client holds: their leases, and what ended them.
+//! The tokens that this client owns: their leases, and why they ended.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -12,35 +12,35 @@ use tokio::time::Instant;
 use crate::Lost;
 use crate::info::{millis_of, number, text};
 
-/// A lease is renewed when this part of it is over, so that two renewals may fail.
+/// A lease is renewed at this fraction of it, so that two renewals may fail.
 const RENEW_AT: u32 = 3;
 
-/// For how long an ownership lasts without a renewal.
+/// How long an ownership lasts without a renewal.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Terms {
+pub(crate) struct RenewalTerms {
     /// Until others may take it.
     pub(crate) lease: Option<Duration>,
     /// Until it ends by itself.
     pub(crate) deadman: Option<Duration>,
 }
 
-/// What the hub says to an owner.
+/// The hub's terms of a grant.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Grant {
+pub(crate) struct GrantTerms {
     pub(crate) fence: u64,
-    pub(crate) terms: Terms,
-    pub(crate) delegation: Option<Delegation>,
+    pub(crate) terms: RenewalTerms,
+    pub(crate) delegation: Option<Loan>,
 }
 
-/// What an ownership is that another peer gave, and that goes back to it (M41).
+/// The terms of a loan: an ownership that another peer gave and that returns to it (M41).
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
-pub struct Delegation {
-    /// The peer that gave it, and that has it again afterwards.
+pub struct Loan {
+    /// The peer that gave it, and to which it returns.
     pub from: String,
-    /// For how long, from the grant on; none = no bound of time.
+    /// Its duration from the grant on; none = unlimited.
     pub time: Option<Duration>,
-    /// For how many guarded messages; none = any number.
+    /// Its number of guarded messages; none = unlimited.
     pub commands: Option<u64>,
 }
 
@@ -49,14 +49,14 @@ pub struct Delegation {
 pub(crate) struct Hold {
     pub(crate) path: Path,
     pub(crate) fence: u64,
-    pub(crate) delegation: Option<Delegation>,
-    terms: Mutex<Terms>,
+    pub(crate) delegation: Option<Loan>,
+    terms: Mutex<RenewalTerms>,
     lost: watch::Sender<Option<Lost>>,
 }
 
-impl Terms {
-    pub(crate) fn read(map: &Map) -> Terms {
-        Terms {
+impl RenewalTerms {
+    pub(crate) fn read(map: &Map) -> RenewalTerms {
+        RenewalTerms {
             lease: millis_of(map, "lease"),
             deadman: millis_of(map, "deadman"),
         }
@@ -69,13 +69,13 @@ impl Terms {
     }
 }
 
-impl Grant {
+impl GrantTerms {
     /// Reads `{fence, lease?, deadman?, from?, for?, commands?}`.
-    pub(crate) fn read(map: &Map) -> Option<Grant> {
-        Some(Grant {
+    pub(crate) fn read(map: &Map) -> Option<GrantTerms> {
+        Some(GrantTerms {
             fence: number(map, "fence")?,
-            terms: Terms::read(map),
-            delegation: text(map, "from").map(|from| Delegation {
+            terms: RenewalTerms::read(map),
+            delegation: text(map, "from").map(|from| Loan {
                 from: from.to_owned(),
                 time: millis_of(map, "for"),
                 commands: number(map, "commands"),
@@ -85,7 +85,7 @@ impl Grant {
 }
 
 impl Hold {
-    pub(crate) fn terms(&self) -> Terms {
+    pub(crate) fn terms(&self) -> RenewalTerms {
         *self.terms.lock()
     }
 
@@ -113,21 +113,21 @@ impl Hold {
 /// All of them, by the token's path.
 #[derive(Debug, Default)]
 pub(crate) struct Guards {
-    entries: HashMap<Path, Entry>,
-    /// Grabs without an answer yet: while there are some, the last guard's end is no reason to give back.
+    entries: HashMap<Path, HeldToken>,
+    /// Grabs without an answer yet: while there are some, dropping the last guard must not release the token.
     asked: HashMap<Path, usize>,
 }
 
 #[derive(Debug)]
-struct Entry {
+struct HeldToken {
     hold: Arc<Hold>,
     guards: usize,
     renew_at: Option<Instant>,
 }
 
 impl Guards {
-    /// Notes a grab; asking again for what one has is the same ownership (M29).
-    pub(crate) fn hold(&mut self, path: &Path, grant: Grant, now: Instant) -> Arc<Hold> {
+    /// Notes a grant; a repeated grab of one's own token is the same ownership (M29).
+    pub(crate) fn hold(&mut self, path: &Path, grant: GrantTerms, now: Instant) -> Arc<Hold> {
         if let Some(hold) = self.share(path, grant.fence) {
             self.renewed(path, grant.fence, grant.terms, now);
             return hold;
@@ -139,7 +139,7 @@ impl Guards {
             terms: Mutex::new(grant.terms),
             lost: watch::Sender::new(None),
         });
-        let mut entry = Entry {
+        let mut entry = HeldToken {
             hold: Arc::clone(&hold),
             guards: 1,
             renew_at: None,
@@ -151,14 +151,14 @@ impl Guards {
         hold
     }
 
-    /// One guard more of the ownership with this fence, if there is one.
+    /// Another guard of the ownership with this fence, if there is one.
     pub(crate) fn share(&mut self, path: &Path, fence: u64) -> Option<Arc<Hold>> {
         let entry = self.entry(path, fence)?;
         entry.guards += 1;
         Some(Arc::clone(&entry.hold))
     }
 
-    fn entry(&mut self, path: &Path, fence: u64) -> Option<&mut Entry> {
+    fn entry(&mut self, path: &Path, fence: u64) -> Option<&mut HeldToken> {
         self.entries
             .get_mut(path)
             .filter(|entry| entry.hold.fence == fence)
@@ -213,7 +213,7 @@ impl Guards {
         true
     }
 
-    /// Somebody has a higher fence, so the ownership is over even if nobody said so.
+    /// Another peer has a higher fence, so the ownership is over even without `released`.
     pub(crate) fn outdate(&mut self, path: &Path, fence: u64, by: &str) {
         let known = self.entries.get(path).map(|entry| entry.hold.fence);
         if let Some(known) = known.filter(|known| *known < fence) {
@@ -230,7 +230,7 @@ impl Guards {
     }
 
     /// A renewal was granted.
-    pub(crate) fn renewed(&mut self, path: &Path, fence: u64, terms: Terms, now: Instant) {
+    pub(crate) fn renewed(&mut self, path: &Path, fence: u64, terms: RenewalTerms, now: Instant) {
         if let Some(entry) = self.entry(path, fence) {
             *entry.hold.terms.lock() = terms;
             entry.renew(now);
@@ -263,7 +263,7 @@ impl Guards {
     }
 }
 
-impl Entry {
+impl HeldToken {
     fn renew(&mut self, now: Instant) {
         self.renew_at = self.hold.terms().renewal().map(|after| now + after);
     }

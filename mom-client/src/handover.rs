@@ -1,4 +1,4 @@
-//! Tokens that this client has offered to other peers, and what became of them.
+//! Tokens that this client has offered to other peers, and their outcomes.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use tokio::sync::watch;
 use crate::Lost;
 use crate::guards::Hold;
 
-/// One offer, from the hub's word that it is made to its end.
+/// One offer, from the hub's confirmation to its end.
 #[derive(Debug)]
 pub(crate) struct Handover {
     pub(crate) path: Path,
@@ -18,21 +18,21 @@ pub(crate) struct Handover {
     pub(crate) delegated: bool,
     /// The ownership that is offered.
     pub(crate) hold: Arc<Hold>,
-    phase: watch::Sender<Phase>,
+    phase: watch::Sender<HandoverPhase>,
 }
 
 /// How far it has come.
 #[derive(Clone, Debug)]
-pub(crate) enum Phase {
+pub(crate) enum HandoverPhase {
     /// The other peer has not answered.
     Offered,
-    /// It will not have it, and why.
+    /// It does not get it, and why.
     Lapsed(String),
-    /// It has it.
+    /// It owns the token.
     Taken,
-    /// It had it, and this client has it again: one guard of this.
+    /// The token has returned: one guard of this ownership.
     Back(Arc<Hold>),
-    /// It has it or had it, and the token does not come back.
+    /// The token does not return.
     Over(Lost),
 }
 
@@ -43,23 +43,23 @@ impl Handover {
             to,
             delegated,
             hold,
-            phase: watch::Sender::new(Phase::Offered),
+            phase: watch::Sender::new(HandoverPhase::Offered),
         }
     }
 
-    pub(crate) fn watch(&self) -> watch::Receiver<Phase> {
+    pub(crate) fn watch(&self) -> watch::Receiver<HandoverPhase> {
         self.phase.subscribe()
     }
 
-    pub(crate) fn phase(&self) -> Phase {
+    pub(crate) fn phase(&self) -> HandoverPhase {
         self.phase.borrow().clone()
     }
 
     pub(crate) fn back(&self, hold: Arc<Hold>) {
-        self.phase.send_replace(Phase::Back(hold));
+        self.phase.send_replace(HandoverPhase::Back(hold));
     }
 
-    fn enter(&self, phase: Phase) {
+    fn enter(&self, phase: HandoverPhase) {
         self.phase.send_replace(phase);
     }
 }
@@ -67,41 +67,41 @@ impl Handover {
 /// All that are not over.
 #[derive(Debug, Default)]
 pub(crate) struct Handovers {
-    entries: Vec<Entry>,
+    entries: Vec<OpenHandover>,
 }
 
 #[derive(Debug)]
-struct Entry {
+struct OpenHandover {
     handover: Arc<Handover>,
-    stage: Stage,
+    stage: HandoverStage,
     /// Whether somebody still has a use for the token.
     wanted: bool,
 }
 
-/// What the hub has told so far.
+/// What the hub has reported so far.
 #[derive(Debug)]
-enum Stage {
+enum HandoverStage {
     Offered,
-    /// This client's ownership is over, in favour of a peer that is about to be named.
+    /// This client's ownership is over; the next event names the new owner.
     Leaving,
     /// The other peer owns it with this fence.
     With(u64),
-    /// The other peer's ownership is over; who has it next is about to be told.
+    /// The other peer's ownership is over; the next event names the new owner.
     Ended(u64, Lost),
 }
 
-/// What an event means for one offer.
-enum Turn {
-    Keep(Stage),
-    End(Phase),
+/// The effect of an event on one offer.
+enum OfferEvent {
+    Keep(HandoverStage),
+    End(HandoverPhase),
     Back,
 }
 
 impl Handovers {
     pub(crate) fn offer(&mut self, handover: Arc<Handover>) {
-        self.entries.push(Entry {
+        self.entries.push(OpenHandover {
             handover,
-            stage: Stage::Offered,
+            stage: HandoverStage::Offered,
             wanted: true,
         });
     }
@@ -116,31 +116,33 @@ impl Handovers {
 
     /// The hub said that an offer came to nothing.
     pub(crate) fn lapsed(&mut self, path: &Path, to: &str, reason: &str) {
-        // A second offer to the same peer withdraws the first, so it is the oldest that is meant.
+        // A second offer to the same peer withdraws the first, so the oldest is meant.
         let place = self.entries.iter().position(|entry| {
-            entry.handover.path == *path && entry.handover.to == to && matches!(entry.stage, Stage::Offered)
+            entry.handover.path == *path
+                && entry.handover.to == to
+                && matches!(entry.stage, HandoverStage::Offered)
         });
         if let Some(place) = place {
             let entry = self.entries.remove(place);
-            entry.handover.enter(Phase::Lapsed(reason.to_owned()));
+            entry.handover.enter(HandoverPhase::Lapsed(reason.to_owned()));
         }
     }
 
     /// An ownership of this token ended.
     pub(crate) fn released(&mut self, path: &Path, fence: u64, lost: &Lost) {
         self.turn(path, |entry, stage| match stage {
-            Stage::Offered if fence == entry.hold.fence => match Reason::from_word(&lost.reason) {
-                Some(Reason::Given) => Turn::Keep(Stage::Leaving),
-                _ => Turn::End(Phase::Lapsed("lost".to_owned())),
+            HandoverStage::Offered if fence == entry.hold.fence => match Reason::from_word(&lost.reason) {
+                Some(Reason::Given) => OfferEvent::Keep(HandoverStage::Leaving),
+                _ => OfferEvent::End(HandoverPhase::Lapsed("lost".to_owned())),
             },
-            Stage::With(theirs) if fence == theirs => match Reason::from_word(&lost.reason) {
+            HandoverStage::With(theirs) if fence == theirs => match Reason::from_word(&lost.reason) {
                 Some(Reason::Preempted | Reason::Broken | Reason::Deleted) => {
-                    Turn::End(Phase::Over(lost.clone()))
+                    OfferEvent::End(HandoverPhase::Over(lost.clone()))
                 }
                 // However else the other's ownership ends, the token comes back.
-                _ => Turn::Keep(Stage::Ended(theirs, lost.clone())),
+                _ => OfferEvent::Keep(HandoverStage::Ended(theirs, lost.clone())),
             },
-            stage => Turn::Keep(stage),
+            stage => OfferEvent::Keep(stage),
         });
     }
 
@@ -154,21 +156,27 @@ impl Handovers {
         me: &str,
     ) -> Option<(Arc<Handover>, bool)> {
         self.turn(path, |entry, stage| match stage {
-            Stage::Leaving if owner == entry.to && entry.delegated => {
-                entry.enter(Phase::Taken);
-                Turn::Keep(Stage::With(fence))
+            HandoverStage::Leaving if owner == entry.to && entry.delegated => {
+                entry.enter(HandoverPhase::Taken);
+                OfferEvent::Keep(HandoverStage::With(fence))
             }
-            Stage::Leaving if owner == entry.to => {
+            HandoverStage::Leaving if owner == entry.to => {
                 let lost = Lost::new(Reason::Given.word(), Some(owner.to_owned()));
-                Turn::End(Phase::Over(lost))
+                OfferEvent::End(HandoverPhase::Over(lost))
             }
-            Stage::Leaving => Turn::End(Phase::Lapsed("lost".to_owned())),
-            Stage::With(theirs) | Stage::Ended(theirs, _) if owner == me && fence > theirs => Turn::Back,
-            Stage::With(theirs) if fence > theirs => {
-                Turn::End(Phase::Over(Lost::new("grabbed", Some(owner.to_owned()))))
+            HandoverStage::Leaving => OfferEvent::End(HandoverPhase::Lapsed("lost".to_owned())),
+            HandoverStage::With(theirs) | HandoverStage::Ended(theirs, _)
+                if owner == me && fence > theirs =>
+            {
+                OfferEvent::Back
             }
-            Stage::Ended(theirs, lost) if fence > theirs => Turn::End(Phase::Over(lost)),
-            stage => Turn::Keep(stage),
+            HandoverStage::With(theirs) if fence > theirs => {
+                OfferEvent::End(HandoverPhase::Over(Lost::new("grabbed", Some(owner.to_owned()))))
+            }
+            HandoverStage::Ended(theirs, lost) if fence > theirs => {
+                OfferEvent::End(HandoverPhase::Over(lost))
+            }
+            stage => OfferEvent::Keep(stage),
         })
     }
 
@@ -176,27 +184,27 @@ impl Handovers {
     pub(crate) fn lose_all(&mut self, lost: &Lost) {
         for entry in self.entries.drain(..) {
             entry.handover.enter(match entry.stage {
-                Stage::Offered => Phase::Lapsed(lost.reason.clone()),
-                _ => Phase::Over(lost.clone()),
+                HandoverStage::Offered => HandoverPhase::Lapsed(lost.reason.clone()),
+                _ => HandoverPhase::Over(lost.clone()),
             });
         }
     }
 
-    /// Lets each offer of a token take its turn; gives the one that is back.
+    /// Applies an event to each offer of a token; gives the one whose token has returned.
     fn turn(
         &mut self,
         path: &Path,
-        turn: impl Fn(&Handover, Stage) -> Turn,
+        turn: impl Fn(&Handover, HandoverStage) -> OfferEvent,
     ) -> Option<(Arc<Handover>, bool)> {
         let mut back = None;
         for entry in std::mem::take(&mut self.entries) {
-            let Entry {
+            let OpenHandover {
                 handover,
                 stage,
                 wanted,
             } = entry;
             if handover.path != *path {
-                self.entries.push(Entry {
+                self.entries.push(OpenHandover {
                     handover,
                     stage,
                     wanted,
@@ -204,13 +212,13 @@ impl Handovers {
                 continue;
             }
             match turn(&handover, stage) {
-                Turn::Keep(stage) => self.entries.push(Entry {
+                OfferEvent::Keep(stage) => self.entries.push(OpenHandover {
                     handover,
                     stage,
                     wanted,
                 }),
-                Turn::End(phase) => handover.enter(phase),
-                Turn::Back => back = Some((handover, wanted)),
+                OfferEvent::End(phase) => handover.enter(phase),
+                OfferEvent::Back => back = Some((handover, wanted)),
             }
         }
         back

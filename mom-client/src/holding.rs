@@ -1,4 +1,4 @@
-//! What a guard keeps: a hold on a token, ended when the guard goes.
+//! A guard's part in a hold on a token, ended on drop.
 
 use std::sync::Arc;
 
@@ -10,35 +10,35 @@ use crate::{ClientError, Lost};
 
 /// How a token is held.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Kind {
+pub(crate) enum HoldingKind {
     /// By one peer, which drives.
     Ownership,
     /// By several, so that nobody drives.
     Shared,
 }
 
-impl Kind {
+impl HoldingKind {
     /// The verb that ends it.
     pub(crate) fn end(self) -> &'static str {
         match self {
-            Kind::Ownership => "release",
-            Kind::Shared => "uninhibit",
+            HoldingKind::Ownership => "release",
+            HoldingKind::Shared => "uninhibit",
         }
     }
 }
 
-/// A part in a hold. The last one that goes ends the hold.
+/// A part in a hold. Dropping the last one ends the hold.
 #[derive(Debug)]
 pub(crate) struct Holding {
     hold: Arc<Hold>,
-    kind: Kind,
+    kind: HoldingKind,
     lost: watch::Receiver<Option<Lost>>,
     member: Membership,
     held: bool,
 }
 
 impl Holding {
-    pub(crate) fn new(hold: Arc<Hold>, kind: Kind, member: Membership) -> Holding {
+    pub(crate) fn new(hold: Arc<Hold>, kind: HoldingKind, member: Membership) -> Holding {
         Holding {
             lost: hold.watch(),
             hold,

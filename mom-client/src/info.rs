@@ -1,4 +1,4 @@
-//! What the hub says about contexts and peers, typed.
+//! Contexts and peers as the hub describes them, typed.
 
 use std::time::Duration;
 
@@ -16,7 +16,7 @@ pub struct ContextInfo {
     pub kind: ContextKind,
     /// The hub's number of it, never reused.
     pub number: u64,
-    /// How many have joined it, where the hub says so.
+    /// The number of its members, if the hub says so.
     pub members: Option<u64>,
 }
 

@@ -6,13 +6,13 @@ use std::sync::Arc;
 use mom_proto::Path;
 
 use crate::guards::Hold;
-use crate::holding::{Holding, Kind};
+use crate::holding::{Holding, HoldingKind};
 use crate::membership::Membership;
 use crate::{ClientError, Lost};
 
-/// A part in the shared hold of a token, from [`Token::inhibit`](crate::Token::inhibit) on: nobody can grab the
-/// token while anybody has such a part. Dropping it ends the part; it is lost when the token is broken or deleted,
-/// and with the link.
+/// A part in the shared hold of a token, from [`Token::inhibit`](crate::Token::inhibit) on: nobody can grab the token
+/// while any peer has such a part. Dropping it ends the part; it is lost when the token is broken or deleted, and
+/// with the link.
 ///
 /// ```no_run
 /// # async fn example(client: mom_client::Client) -> Result<(), mom_client::ClientError> {
@@ -30,7 +30,7 @@ pub struct InhibitGuard {
 impl InhibitGuard {
     pub(crate) fn new(hold: Arc<Hold>, member: Membership) -> InhibitGuard {
         InhibitGuard {
-            holding: Holding::new(hold, Kind::Shared, member),
+            holding: Holding::new(hold, HoldingKind::Shared, member),
         }
     }
 

@@ -1,4 +1,4 @@
-//! A key by which a peer proves who it is.
+//! A key with which a peer authenticates.
 
 use std::fmt;
 use std::path::Path;
@@ -45,7 +45,7 @@ impl Key {
     /// # Errors
     /// `Local` with `bad-encoding` for text that is no such key.
     pub fn from_pem(pem: &str) -> Result<Key, ClientError> {
-        // The reason names types of ASN.1 and helps nobody.
+        // The reason only names types of ASN.1.
         let wanted = "this is no private key of Ed25519 in PEM (-----BEGIN PRIVATE KEY-----)";
         SigningKey::from_pkcs8_pem(pem)
             .map(|key| Key { key })

@@ -1,13 +1,13 @@
 //! Asks: the client crate of MOM.
 //!
-//! A [`Client`] is one peer: it connects to a hub, logs in, joins contexts and exchanges parcels there. Its
-//! proxies are a [`Session`] (a directory of contexts), a [`Channel`] (where messages are exchanged) and a
-//! [`Token`] (exclusive control of a device). A [`TokenGuard`] holds a token, renews its lease and gives it to
-//! another peer; an [`InhibitGuard`] keeps everybody from it; a [`FenceGate`] lets a device refuse what an earlier
-//! owner sent, and a [`StateGate`] what was meant for an earlier state of it. [`Consults`] are the hub's questions
-//! to who manages contexts. A [`HubClock`] knows the hub's time and the [`Age`] of what arrives, and a [`Predictor`] bridges
-//! it. A lost link is made anew and everything joined is joined again; tokens are not, as
-//! somebody else may drive by then.
+//! A [`Client`] is one peer: it connects to a hub, logs in, joins contexts and exchanges parcels there. Its proxies
+//! are a [`Session`] (a directory of contexts), a [`Channel`] (where messages are exchanged) and a [`Token`]
+//! (exclusive control of a device). A [`TokenGuard`] holds a token, renews its lease and gives it to another peer; an
+//! [`InhibitGuard`] keeps everybody from it; a [`FenceGate`] lets a device refuse messages of earlier owners, and a
+//! [`StateGate`] commands for an earlier state of it. [`Consults`] are the hub's questions to peers that manage
+//! contexts. A [`HubClock`] knows the hub's time and the [`Age`] of arriving parcels, and a [`Predictor`] compensates
+//! it. After a lost link the client reconnects and joins its contexts again, but does not grab tokens again, because
+//! another peer may drive by then.
 //!
 //! ```no_run
 //! # async fn example() -> Result<(), mom_client::ClientError> {
@@ -54,7 +54,6 @@ mod message;
 mod outbox;
 mod owning;
 mod pending;
-mod places;
 mod predict;
 mod proof;
 mod reconnect;
@@ -68,6 +67,7 @@ mod subscribe;
 mod token;
 mod token_info;
 mod waits;
+mod wanted;
 
 pub use ask_owner::AskOwner;
 pub use builder::Builder;
@@ -81,7 +81,7 @@ pub use gate::{FenceGate, GuardState, Stale};
 pub use give::{Give, Given, Lapsed};
 pub use grab::{Grab, Place};
 pub use guard::{Lost, TokenGuard};
-pub use guards::Delegation;
+pub use guards::Loan;
 pub use info::{ContextInfo, Member};
 pub use inhibit::InhibitGuard;
 pub use key::Key;
@@ -93,7 +93,7 @@ pub use mom_proto::{
 };
 pub use predict::{Model, Prediction, Predictor};
 pub use proof::Proof;
-pub use reconnect::{Link, Reconnect};
+pub use reconnect::{LinkState, Reconnect};
 pub use refusal::{Refusal, ordinal, plain_duration};
 pub use session::Session;
 pub use state_gate::{BASED_ON, StateGate};

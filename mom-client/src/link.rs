@@ -10,17 +10,17 @@ use mom_proto::codec::Frame;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until, timeout};
 
-use crate::pending::Waiter;
+use crate::pending::AnswerTo;
 use crate::sending;
 use crate::shared::{Shared, verb};
 
-/// For the hub's last words once nothing more can be written, and for its end after our good-bye.
+/// How long to wait for the hub's last parcels when nothing more can be written, and for its close after our logout.
 const LAST_WORDS: Duration = Duration::from_secs(1);
 
 /// Runs a connection to its end; gives why it ended.
 pub(crate) async fn run(shared: &Arc<Shared>, transceiver: Transceiver) -> String {
     let heard = Arc::new(Moment::now());
-    // Ended by being dropped with this future.
+    // Ends when it is dropped with this future.
     let mut tasks = JoinSet::new();
     let reading = tasks
         .spawn(read(Arc::clone(shared), Arc::clone(&heard), transceiver.reader))
@@ -33,7 +33,7 @@ pub(crate) async fn run(shared: &Arc<Shared>, transceiver: Transceiver) -> Strin
     };
     match first {
         Some(Ok((id, ended))) if id != reading => {
-            // What the hub says last tells whether to come back.
+            // The hub's last error says whether to reconnect.
             match timeout(LAST_WORDS, tasks.join_next()).await {
                 Ok(Some(Ok(Err(error)))) if ended.is_ok() => error.to_string(),
                 _ => words(ended),
@@ -74,8 +74,8 @@ async fn keep(shared: &Shared, heard: &Moment) {
         if now >= heard.at() + limits.gone {
             return;
         }
-        // Also on a busy link: who only sends would never hear that the hub is alive, who only hears would seem dead to
-        // it, and what is known of the hub's clock grows old.
+        // Also on a busy link: a peer that only sends would not learn that the hub is alive, a peer that only
+        // receives would seem dead to it, and the estimate of the hub's clock would grow old.
         if now >= pinged + limits.heartbeat {
             pinged = now;
             shared.measure();
@@ -95,7 +95,7 @@ async fn keep(shared: &Shared, heard: &Moment) {
 fn renew(shared: &Shared, now: Instant) {
     let mut state = shared.lock();
     for (path, fence) in state.guards.take_due(now) {
-        let mut waiter = Some(Waiter::Renewal(path.clone(), fence));
+        let mut waiter = Some(AnswerTo::Renewal(path.clone(), fence));
         // Without a link the guards are lost already.
         let _ = shared.ask_in(&mut state, verb(Family::Token, "renew", &path), &mut waiter);
     }

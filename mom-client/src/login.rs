@@ -89,7 +89,7 @@ async fn log_in(
     let next = || ids.fetch_add(1, Ordering::Relaxed);
     let mut id = next();
     let mut asked = false;
-    // A hub that refuses may close before it has read everything; what it says is worth more than that.
+    // A hub that refuses may close before it has read everything; its error is more useful than the write error.
     let mut sent = transceiver.writer.send(credentials.login().id(id)).await;
     loop {
         let frame = match transceiver.reader.next().await? {
@@ -140,7 +140,7 @@ impl Welcome {
 }
 
 impl PeerLimits {
-    /// What the hub does not say is as this crate's protocol has it.
+    /// Limits that the hub does not report have the protocol's defaults.
     fn read(map: Option<&Map>) -> PeerLimits {
         let known = Limits::default();
         let read = |key: &str| map.and_then(|map| number(map, key)).filter(|number| *number > 0);

@@ -1,4 +1,4 @@
-//! Being in a context for as long as somebody wants it.
+//! Membership of a context for as long as somebody needs it.
 
 use std::sync::Arc;
 
@@ -7,19 +7,19 @@ use tokio::time::timeout;
 
 use crate::client::{Client, Handle};
 use crate::info::text;
-use crate::places::Want;
 use crate::shared::Shared;
+use crate::wanted::Want;
 use crate::{ClientError, Events};
 
-/// Membership of a context and of all above it. When the last one of a context goes, the context is left,
-/// after all messages sent before.
+/// Membership of a context and of all above it. When the last one of a context is dropped, the context is left, after
+/// all messages sent before.
 #[derive(Clone, Debug)]
 pub(crate) struct Membership {
-    inner: Arc<Inner>,
+    inner: Arc<MembershipState>,
 }
 
 #[derive(Debug)]
-struct Inner {
+struct MembershipState {
     handle: Arc<Handle>,
     path: Path,
     /// The contexts, the uppermost first, with their places' serials; without the root, which every peer is in.
@@ -48,13 +48,13 @@ impl Membership {
         )
     }
 
-    /// Leaves now, whoever else wants to stay.
+    /// Leaves now, even if other proxies exist.
     pub(crate) async fn leave(self) -> Result<(), ClientError> {
         self.shared().leave(self.path()).await
     }
 }
 
-impl Drop for Inner {
+impl Drop for MembershipState {
     fn drop(&mut self) {
         self.handle.shared.unwant(&self.places);
     }
@@ -84,8 +84,7 @@ impl Client {
         }
     }
 
-    /// Joins a context, parents first, spared of something there if that is said; gives what the hub said, which is
-    /// nothing for the root.
+    /// Joins a context, parents first, with thinning if given; returns the hub's reply, which is empty for the root.
     pub(crate) async fn enter(
         &self,
         path: &Path,
@@ -94,8 +93,8 @@ impl Client {
         let shared = &self.handle.shared;
         let (places, wants) = shared.want(&way_to(path), thinning)?;
         let again = thinning.filter(|_| !matches!(wants.last(), Some(Want::Join(_))));
-        // From here on the count is given back whatever happens.
-        let inner = Inner {
+        // From here on the count is released whatever happens.
+        let inner = MembershipState {
             handle: Arc::clone(&self.handle),
             path: path.clone(),
             places,

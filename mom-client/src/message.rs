@@ -1,4 +1,4 @@
-//! A message in the making.
+//! A builder of messages.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -33,7 +33,7 @@ pub struct Message {
     parcel: Parcel,
 }
 
-/// What became of a message that the hub acknowledged.
+/// The outcome of an acknowledged message.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Receipt {
     /// Receivers whose queue took it.
@@ -50,13 +50,13 @@ impl Message {
         }
     }
 
-    /// What it says.
+    /// Its content.
     pub fn content(mut self, content: impl Into<Content>) -> Message {
         self.parcel.content = Some(content.into());
         self
     }
 
-    /// What it says, as any `serde` type (M14).
+    /// Its content, as any `serde` type (M14).
     ///
     /// # Errors
     /// `Local` with `not-encodable` and the place that has no form on the wire.
@@ -71,7 +71,7 @@ impl Message {
         self
     }
 
-    /// Higher is more urgent (M7); 0 unless told, and the hub takes ±100.
+    /// Higher is more urgent (M7); 0 by default, and the hub clamps it to ±100.
     pub fn priority(mut self, priority: i32) -> Message {
         self.parcel.priority = Some(priority);
         self
@@ -83,26 +83,26 @@ impl Message {
         self
     }
 
-    /// What may happen to it when a receiver is slow; as the channel has it unless told.
+    /// The delivery class, which decides what happens when a receiver is slow; by default the channel's.
     pub fn delivery(mut self, delivery: Delivery) -> Message {
         self.parcel.delivery = Some(delivery);
         self
     }
 
-    /// Not back to this peer.
+    /// Suppresses the echo to this peer.
     pub fn no_echo(mut self) -> Message {
         self.parcel.echo = Some(false);
         self
     }
 
-    /// Only under this ownership of the guarding token: refused with `older-fence` if it has ended.
+    /// Valid only under this ownership of the guarding token: refused with `older-fence` if it has ended.
     pub fn fence(mut self, fence: u64) -> Message {
         self.parcel.fence = Some(fence);
         self
     }
 
-    /// Only if the device has not moved since it told this state, by the id of the state's parcel (M35): refused
-    /// by the device with `stale-state` if it has.
+    /// Valid only if the device has not moved since this state, by the id of the state's parcel (M35): otherwise the
+    /// device refuses it with `stale-state`.
     pub fn based_on(self, state: u64) -> Message {
         let state = i64::try_from(state.min(MAX_ID)).unwrap_or(i64::MAX);
         self.slot(BASED_ON, state)
@@ -120,7 +120,8 @@ impl Message {
         self
     }
 
-    /// Sends it and goes on. A refusal comes as [`Event::Refused`](crate::Event::Refused) on the channel.
+    /// Sends it without waiting for an answer. A refusal comes as [`Event::Refused`](crate::Event::Refused) on the
+    /// channel.
     ///
     /// # Errors
     /// As [`Client::send`](crate::Client::send); `Local` with `bad-name` for a name that is none.
@@ -132,7 +133,7 @@ impl Message {
     /// Sends it and waits until every receiver's queue took or dropped it.
     ///
     /// # Errors
-    /// `Refused` with what stands against it, and as [`Message::send`].
+    /// `Refused` with the reason, and as [`Message::send`].
     pub async fn send_acknowledged(mut self) -> Result<Receipt, ClientError> {
         check_message_name(self.parcel.name())?;
         self.parcel.receipt = Some(true);

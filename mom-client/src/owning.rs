@@ -1,4 +1,4 @@
-//! Getting tokens, giving them back, and what the hub's events and answers mean for those that are held.
+//! Grabbing and releasing tokens, and the effects of events and answers on those that are held.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -8,22 +8,21 @@ use mom_proto::{Family, Map, Parcel, Path};
 use tokio::sync::{oneshot, watch};
 use tokio::time::{Instant, timeout};
 
+use crate::answers::RequestResult;
 use crate::error::bad_reply;
-use crate::guards::{Grant, Guards, Hold};
-use crate::handover::{Handover, Phase};
-use crate::holding::Kind;
+use crate::guards::{GrantTerms, Guards, Hold};
+use crate::handover::{Handover, HandoverPhase};
+use crate::holding::HoldingKind;
 use crate::info::{map_of, millis_of, number, text};
 use crate::membership::Membership;
-use crate::pending::{Answering, Waiter};
+use crate::pending::{AnswerTo, Answering};
 use crate::shared::{Shared, State, verb};
 use crate::{ClientError, Given, InhibitGuard, Lost, Place, TokenGuard};
 
-type Answer = Result<Parcel, ClientError>;
-
 impl Shared {
-    /// Sends what may be answered with an ownership.
-    pub(crate) fn obtain(&self, parcel: Parcel, waiter: Waiter) -> Result<(), ClientError> {
-        self.begin(parcel, waiter, Kind::Ownership, |_| ())
+    /// Sends a request that may be answered with an ownership.
+    pub(crate) fn obtain(&self, parcel: Parcel, waiter: AnswerTo) -> Result<(), ClientError> {
+        self.begin(parcel, waiter, HoldingKind::Ownership, |_| ())
     }
 
     /// Sends a grab that may wait in the queue; gives its places there.
@@ -31,24 +30,24 @@ impl Shared {
         &self,
         parcel: Parcel,
         id: u64,
-        waiter: Waiter,
+        waiter: AnswerTo,
     ) -> Result<watch::Receiver<Option<Place>>, ClientError> {
         let path = parcel.context.clone().unwrap_or_else(Path::root);
-        self.begin(parcel, waiter, Kind::Ownership, |state| {
+        self.begin(parcel, waiter, HoldingKind::Ownership, |state| {
             state.waits.add(&path, id)
         })
     }
 
-    /// Sends what may be answered with a part in a shared hold.
-    pub(crate) fn inhibit(&self, parcel: Parcel, waiter: Waiter) -> Result<(), ClientError> {
-        self.begin(parcel, waiter, Kind::Shared, |_| ())
+    /// Sends a request that may be answered with a part in a shared hold.
+    pub(crate) fn inhibit(&self, parcel: Parcel, waiter: AnswerTo) -> Result<(), ClientError> {
+        self.begin(parcel, waiter, HoldingKind::Shared, |_| ())
     }
 
     fn begin<T>(
         &self,
         parcel: Parcel,
-        waiter: Waiter,
-        kind: Kind,
+        waiter: AnswerTo,
+        kind: HoldingKind,
         note: impl FnOnce(&mut State) -> T,
     ) -> Result<T, ClientError> {
         let path = parcel.context.clone().unwrap_or_else(Path::root);
@@ -74,7 +73,7 @@ impl Shared {
         self.late_answer(receiver, Duration::ZERO, what).await
     }
 
-    /// Waits for an answer that may come so much later than others.
+    /// Waits for an answer that may come later than others by this time.
     pub(crate) async fn late_answer<T>(
         &self,
         receiver: oneshot::Receiver<Result<T, ClientError>>,
@@ -89,18 +88,18 @@ impl Shared {
         }
     }
 
-    /// Nobody waits any more for what a grab brings.
+    /// The caller of a grab is gone.
     pub(crate) fn give_up(&self, path: &Path, id: u64) {
         let mut state = self.lock();
         if state.waits.give_up(path, id) {
-            self.end_in(&mut state, Kind::Ownership, path);
+            self.end_in(&mut state, HoldingKind::Ownership, path);
         }
         drop(state);
         self.outgoing.notify_one();
     }
 
     /// Ends a hold and waits for the hub to say so.
-    pub(crate) async fn release(&self, hold: &Arc<Hold>, kind: Kind) -> Result<(), ClientError> {
+    pub(crate) async fn release(&self, hold: &Arc<Hold>, kind: HoldingKind) -> Result<(), ClientError> {
         let lost = hold.is_lost();
         self.lock().holds(kind).let_go(hold);
         match lost {
@@ -113,7 +112,7 @@ impl Shared {
     }
 
     /// Ends a hold, if this was its last guard, without waiting.
-    pub(crate) fn let_go(&self, hold: &Arc<Hold>, kind: Kind) {
+    pub(crate) fn let_go(&self, hold: &Arc<Hold>, kind: HoldingKind) {
         let mut state = self.lock();
         if state.holds(kind).let_go(hold) {
             self.end_in(&mut state, kind, &hold.path);
@@ -125,18 +124,18 @@ impl Shared {
     /// Nobody waits any more for a token to come back.
     pub(crate) fn forget(&self, handover: &Arc<Handover>) {
         self.lock().handovers.unwant(handover);
-        if let Phase::Back(hold) = handover.phase() {
-            self.let_go(&hold, Kind::Ownership);
+        if let HandoverPhase::Back(hold) = handover.phase() {
+            self.let_go(&hold, HoldingKind::Ownership);
         }
     }
 
-    fn end_in(&self, state: &mut State, kind: Kind, path: &Path) {
+    fn end_in(&self, state: &mut State, kind: HoldingKind, path: &Path) {
         // Without a link the token is lost anyway.
         let end = verb(Family::Token, kind.end(), path);
-        let _ = self.ask_in(state, end, &mut Some(Waiter::Nobody));
+        let _ = self.ask_in(state, end, &mut Some(AnswerTo::Nobody));
     }
 
-    /// What the hub said about an owner.
+    /// Applies an event about a token's owner.
     pub(crate) fn note_ownership(&self, state: &mut State, path: &Path, parcel: &Parcel) {
         let map = map_of(parcel);
         let Some(fence) = number(&map, "fence") else {
@@ -157,14 +156,16 @@ impl Shared {
         }
     }
 
-    /// What was given is this client's again.
+    /// A loan has returned to this client.
     fn take_back(&self, state: &mut State, handover: &Handover, wanted: bool, map: &Map) {
-        let Some(grant) = Grant::read(map) else { return };
+        let Some(grant) = GrantTerms::read(map) else {
+            return;
+        };
         let hold = state.guards.hold(&handover.path, grant, Instant::now());
         if wanted {
             handover.back(hold);
         } else if state.guards.let_go(&hold) {
-            self.end_in(state, Kind::Ownership, &handover.path);
+            self.end_in(state, HoldingKind::Ownership, &handover.path);
         }
         self.outgoing.notify_one();
         self.keeping.notify_one();
@@ -181,7 +182,7 @@ impl Shared {
             expected: millis_of(&map, "expected"),
         };
         if state.waits.queued(path, place) {
-            self.end_in(state, Kind::Ownership, path);
+            self.end_in(state, HoldingKind::Ownership, path);
             self.outgoing.notify_one();
         }
     }
@@ -192,11 +193,11 @@ impl Shared {
         id: Option<u64>,
         member: Membership,
         sender: Answering<TokenGuard>,
-        answer: Answer,
+        answer: RequestResult,
     ) {
         let path = member.path().clone();
         let granted =
-            answer.and_then(|parcel| Grant::read(&map_of(&parcel)).ok_or_else(|| bad_reply("fence")));
+            answer.and_then(|parcel| GrantTerms::read(&map_of(&parcel)).ok_or_else(|| bad_reply("fence")));
         let mut state = self.lock();
         let withdrawn = id.is_some_and(|id| state.waits.answered(&path, id));
         let hold = match granted {
@@ -205,7 +206,7 @@ impl Shared {
             Ok(grant) => Ok(state.guards.hold(&path, grant, Instant::now())),
             Err(error) => Err(error),
         };
-        self.answered(state, Kind::Ownership, &path);
+        self.answered(state, HoldingKind::Ownership, &path);
         let guard = hold.map(|hold| TokenGuard::new(hold, member));
         // Dropping the guard of one that went away gives the token back.
         drop(sender.send(guard));
@@ -216,12 +217,12 @@ impl Shared {
         &self,
         member: Membership,
         sender: Answering<InhibitGuard>,
-        answer: Answer,
+        answer: RequestResult,
     ) {
         let path = member.path().clone();
         let mut state = self.lock();
-        let hold = answer.map(|_| state.inhibits.hold(&path, Grant::default(), Instant::now()));
-        self.answered(state, Kind::Shared, &path);
+        let hold = answer.map(|_| state.inhibits.hold(&path, GrantTerms::default(), Instant::now()));
+        self.answered(state, HoldingKind::Shared, &path);
         let guard = hold.map(|hold| InhibitGuard::new(hold, member));
         // As above.
         drop(sender.send(guard));
@@ -233,7 +234,7 @@ impl Shared {
         member: Membership,
         handover: Arc<Handover>,
         sender: Answering<Given>,
-        answer: Answer,
+        answer: RequestResult,
     ) {
         let given = answer.map(|_| {
             self.lock().handovers.offer(Arc::clone(&handover));
@@ -242,7 +243,7 @@ impl Shared {
         drop(sender.send(given));
     }
 
-    fn answered(&self, mut state: parking_lot::MutexGuard<'_, State>, kind: Kind, path: &Path) {
+    fn answered(&self, mut state: parking_lot::MutexGuard<'_, State>, kind: HoldingKind, path: &Path) {
         if state.holds(kind).answered(path) {
             self.end_in(&mut state, kind, path);
         }
@@ -254,14 +255,14 @@ impl Shared {
 
 impl State {
     /// The holds of a kind.
-    pub(crate) fn holds(&mut self, kind: Kind) -> &mut Guards {
+    pub(crate) fn holds(&mut self, kind: HoldingKind) -> &mut Guards {
         match kind {
-            Kind::Ownership => &mut self.guards,
-            Kind::Shared => &mut self.inhibits,
+            HoldingKind::Ownership => &mut self.guards,
+            HoldingKind::Shared => &mut self.inhibits,
         }
     }
 
-    /// All holds are over, and all that might have become one.
+    /// All holds are over, and all requests for one.
     pub(crate) fn lose_holds(&mut self, lost: &Lost) {
         self.guards.lose_all(lost);
         self.inhibits.lose_all(lost);
@@ -275,7 +276,7 @@ impl State {
         if text(&map, "peer") == Some(self.me.peer.as_str()) {
             let by = text(&map, "by").map(str::to_owned);
             let lost = Lost::new(text(&map, "reason").unwrap_or_default(), by);
-            self.inhibits.lose(path, Grant::default().fence, lost);
+            self.inhibits.lose(path, GrantTerms::default().fence, lost);
         }
     }
 

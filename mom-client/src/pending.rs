@@ -10,18 +10,18 @@ use crate::handover::Handover;
 use crate::membership::Membership;
 use crate::{ClientError, Given, InhibitGuard, TokenGuard};
 
-/// Sends remembered, to tell a refusal to the right subscribers.
+/// How many sends are remembered, to report refusals to the right subscribers.
 const RECENT: usize = 1024;
 
 /// Where an answer goes.
 pub(crate) type Answering<T> = oneshot::Sender<Result<T, ClientError>>;
 
-/// Who waits for an answer.
+/// The receiver of an answer.
 ///
-/// A waiter may hold the last handle of the client, whose end takes the lock of the state: waiters are
-/// completed and dropped outside it.
+/// It may hold the last handle of the client, whose drop takes the lock of the state: complete and drop it outside
+/// that lock.
 #[derive(Debug)]
-pub(crate) enum Waiter {
+pub(crate) enum AnswerTo {
     /// A caller.
     Caller(Answering<Parcel>),
     /// A caller that wants a token. The guard is made before the next parcel is read, so it misses no event;
@@ -41,31 +41,31 @@ pub(crate) enum Waiter {
         handover: Arc<Handover>,
         answer: Answering<Given>,
     },
-    /// All who want to be in a context, by its place's serial.
+    /// All callers that want to be in a context, by its serial.
     Join(Path, u64),
     /// The holder of a token with this fence.
     Renewal(Path, u64),
-    /// Nobody; the answer is taken so that nobody else gets it.
+    /// Nobody; the answer is consumed so that nobody else gets it.
     Nobody,
 }
 
 /// The requests by their ids.
 #[derive(Debug, Default)]
-pub(crate) struct Pending {
-    waiters: HashMap<u64, Waiter>,
+pub(crate) struct OpenRequests {
+    waiters: HashMap<u64, AnswerTo>,
     recent: VecDeque<(u64, Path)>,
 }
 
-impl Pending {
-    pub(crate) fn insert(&mut self, id: u64, waiter: Waiter) {
+impl OpenRequests {
+    pub(crate) fn insert(&mut self, id: u64, waiter: AnswerTo) {
         self.waiters.insert(id, waiter);
     }
 
-    pub(crate) fn take(&mut self, id: u64) -> Option<Waiter> {
+    pub(crate) fn take(&mut self, id: u64) -> Option<AnswerTo> {
         self.waiters.remove(&id)
     }
 
-    pub(crate) fn take_all(&mut self) -> Vec<Waiter> {
+    pub(crate) fn take_all(&mut self) -> Vec<AnswerTo> {
         self.recent.clear();
         self.waiters.drain().map(|(_, waiter)| waiter).collect()
     }
@@ -78,7 +78,7 @@ impl Pending {
         self.recent.push_back((id, path));
     }
 
-    /// The context of such a send. Refusals come soon, so the search begins with the newest.
+    /// The context of such a send. Refusals come soon, so the newest is searched first.
     pub(crate) fn context_of(&self, id: u64) -> Option<&Path> {
         self.recent
             .iter()
@@ -94,7 +94,7 @@ mod tests {
 
     #[test]
     fn the_newest_sends_are_remembered() {
-        let mut pending = Pending::default();
+        let mut pending = OpenRequests::default();
         let path = Path::parse("/chat").unwrap();
         for id in 0..=RECENT as u64 {
             pending.note(id, path.clone());

@@ -1,4 +1,4 @@
-//! What a device probably does now, from states of a while ago (M34: measure, age of information, prediction).
+//! Predicts a device's present state from earlier ones (M34: measure, age of information, prediction).
 
 use std::time::Duration;
 
@@ -6,22 +6,22 @@ use mom_proto::Parcel;
 
 use crate::{Age, HubClock};
 
-/// How what lies between the last state and now is bridged.
+/// The model for the time since the last state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Model {
-    /// Nothing has changed since.
+    /// Holds the last state.
     LastValue,
-    /// It goes on as it did between the last two states, for at most this long after the last; then it stands still.
+    /// Continues the motion between the last two states, for at most this long after the last; then holds.
     ConstantVelocity {
-        /// What is older than this says nothing about motion now.
+        /// An older state says nothing about present motion.
         horizon: Duration,
     },
 }
 
 /// Predicts the values of a device's states, such as the angles of its joints.
 ///
-/// Times are those of creation, by the hub's clock, so states that come late, in bursts, or over another link than the
-/// one before are put where they belong.
+/// Times are those of creation, on the hub's clock, so states that arrive late, in bursts, or over different links
+/// are ordered correctly.
 ///
 /// ```
 /// use std::time::Duration;
@@ -47,23 +47,23 @@ pub enum Model {
 #[derive(Clone, Debug)]
 pub struct Predictor {
     model: Model,
-    last: Option<State>,
-    before: Option<State>,
+    last: Option<Observation>,
+    before: Option<Observation>,
 }
 
-/// A prediction, and what it rests on.
+/// A prediction and its basis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Prediction {
     /// The values for now.
     pub values: Vec<f64>,
     /// The age of the state that this bridges.
     pub age: Age,
-    /// Whether the state is older than the model goes: the values are those of the horizon.
+    /// Whether the state is older than the model's horizon: the values are those at the horizon.
     pub beyond: bool,
 }
 
 #[derive(Clone, Debug)]
-struct State {
+struct Observation {
     /// When it was created by the hub's clock, µs since the epoch.
     created: i64,
     error: Option<u64>,
@@ -80,13 +80,13 @@ impl Predictor {
         }
     }
 
-    /// Takes the values of a state that came in this parcel. One that was created before the last is of no use, and one
-    /// of another number of values begins anew. Gives whether it was used: not where the hub did not stamp it.
+    /// Takes the values of a state that came in this parcel. A state older than the last is ignored, and another
+    /// number of values starts over. Returns whether it was used; a parcel without the hub's stamps is not.
     pub fn observe(&mut self, parcel: &Parcel, values: &[f64]) -> bool {
         let Some(received) = parcel.received else {
             return false;
         };
-        let state = State {
+        let state = Observation {
             created: received.micros().saturating_sub(parcel.age.unwrap_or_default()),
             error: parcel.age_error,
             values: values.to_vec(),
@@ -142,7 +142,7 @@ impl Predictor {
     }
 
     /// The values this many µs after the last state.
-    fn moved(&self, last: &State, bridged: i64) -> Vec<f64> {
+    fn moved(&self, last: &Observation, bridged: i64) -> Vec<f64> {
         let Some(before) = self.before.as_ref().filter(|_| bridged > 0) else {
             return last.values.clone();
         };

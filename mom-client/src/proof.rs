@@ -1,4 +1,4 @@
-//! How a peer proves who it is (M12), and what it says for that.
+//! A peer's proof of identity (M12) and its login parcels.
 
 use std::fmt;
 
@@ -17,11 +17,11 @@ use crate::{ClientError, Key};
 pub enum Proof {
     /// The user's password; taken over loopback only, as long as there is no TLS.
     Password(String),
-    /// A key of the user's: it signs what the hub asks, and no secret is on the wire.
+    /// A key of the user's: it signs the hub's challenge, and no secret is on the wire.
     Key(Key),
     /// A token (JWT) of an issuer that the hub trusts; it names the user itself, and is taken over loopback only.
     Token(String),
-    /// Nothing: a guest, where the hub lets them in.
+    /// None: a guest, where the hub lets guests in.
     Guest,
 }
 
@@ -37,7 +37,7 @@ impl fmt::Debug for Proof {
     }
 }
 
-/// Who connects.
+/// The login data of a peer.
 #[derive(Clone, Debug)]
 pub(crate) struct Credentials {
     pub(crate) user: String,
@@ -72,7 +72,7 @@ impl Credentials {
             return Err(bad_reply("welcome, but a challenge to a key"));
         };
         let content = map_of(challenge);
-        // What this key signs must not be of use for anything else.
+        // The key's signature must be useless for any other purpose.
         if text(&content, "context") != Some(LOGIN_CONTEXT) {
             return Err(bad_reply("challenge of a login"));
         }
@@ -92,7 +92,7 @@ impl Credentials {
     }
 }
 
-/// Whether a reply asks a key to sign.
+/// Whether a reply is a challenge to a key.
 pub(crate) fn is_challenge(reply: &Parcel) -> bool {
     reply.is(Family::Reply, "challenge")
 }

@@ -1,12 +1,12 @@
-//! Whether there is a link, and when to try for a new one.
+//! The state of the link, and the delays before reconnecting.
 
 use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
 
 use mom_proto::WireError;
 
-/// How a lost link is made anew: after `first`, then after twice as long each time, up to `most`; each
-/// shortened at random by up to a half, so that a fleet does not come back all at once.
+/// The delays before reconnecting: `first`, then twice as long each time, up to `most`; each is shortened at random
+/// by up to a half, so that a fleet does not reconnect all at once.
 ///
 /// ```
 /// use std::time::Duration;
@@ -16,11 +16,11 @@ use mom_proto::WireError;
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Reconnect {
-    /// Before the first attempt.
+    /// The delay before the first attempt.
     pub first: Duration,
-    /// Between two attempts at most.
+    /// The longest delay.
     pub most: Duration,
-    /// The client is closed when the link was lost for so long; none = never.
+    /// The client is closed when the link has been lost for this long; none = never.
     pub give_up_after: Option<Duration>,
 }
 
@@ -36,21 +36,21 @@ impl Default for Reconnect {
 
 /// The state of the link to the hub.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Link {
+pub enum LinkState {
     /// Logged in.
     Up,
-    /// Lost; being made anew.
+    /// Lost; reconnecting.
     Down {
         /// When it was lost.
         since: std::time::Instant,
         /// Attempts that failed since then.
         attempt: u32,
     },
-    /// Closed for good, with the hub's word if it had one.
+    /// Closed for good, with the hub's error if there was one.
     Closed(Option<WireError>),
 }
 
-/// The waits of one lost link.
+/// The delays of one lost link.
 #[derive(Debug)]
 pub(crate) struct Backoff {
     next: Duration,

@@ -1,4 +1,4 @@
-//! What a refusal says, typed, and in words that an operator understands (M29).
+//! Refusals, typed and as text for operators (M29).
 
 use std::fmt;
 use std::time::Duration;
@@ -36,20 +36,20 @@ pub struct Refusal<'a> {
     pub owner_level: Option<i64>,
     /// The level of the peer that was refused.
     pub level: Option<i64>,
-    /// When to try again, from the refusal on: for `held` what is left of the lease.
+    /// When to try again, from the refusal on: for `held` the remainder of the lease.
     pub retry_after: Option<Duration>,
     /// The place in the queue that the peer has or would have, 1 for the next.
     pub place: Option<u64>,
-    /// Until its turn there, if nobody before it renews.
+    /// The expected time until its grant, if nobody before it renews.
     pub expected: Option<Duration>,
     /// The peers that hold the token together.
     pub holders: Vec<&'a str>,
-    /// The receivers that had no room for a message, in a channel where its sender waits for that.
+    /// The receivers without capacity for a message, in a channel where senders wait.
     pub slow: Vec<&'a str>,
 }
 
 impl<'a> Refusal<'a> {
-    /// What an error of the hub says.
+    /// The refusal in an error of the hub.
     pub fn of(error: &'a WireError) -> Refusal<'a> {
         let string = |key| error.get(key).and_then(Value::as_str);
         let int = |key| error.get(key).and_then(Value::as_int);
@@ -96,7 +96,7 @@ impl<'a> Refusal<'a> {
         })
     }
 
-    /// The place in the queue: what would have been, or what was waited at in vain.
+    /// The place in the queue: the one it would have had, or the one at which its wait ended.
     fn queue(&self) -> Option<String> {
         let place = ordinal(self.place?);
         let soon = match self.expected {
@@ -136,7 +136,7 @@ impl fmt::Display for Refusal<'_> {
     }
 }
 
-/// `0.4 s`, `42 s`, `2 min 58 s`, `1 h 5 min`; rounded up, so that who waits so long never comes too early.
+/// `0.4 s`, `42 s`, `2 min 58 s`, `1 h 5 min`; rounded up, so that waiting this long is always enough.
 pub fn plain_duration(duration: Duration) -> String {
     if duration < Duration::from_secs(1) {
         let tenths = duration.as_millis().div_ceil(100);

@@ -27,12 +27,12 @@ impl Session {
         Session { member }
     }
 
-    /// Where it is.
+    /// Its path.
     pub fn path(&self) -> &Path {
         self.member.path()
     }
 
-    /// All about it (M33).
+    /// Its details (M33).
     ///
     /// # Errors
     /// As [`Client::info`](crate::Client::info).
@@ -53,7 +53,7 @@ impl Session {
         self.member.client().list(self.path().as_str()).await
     }
 
-    /// Makes a context in it.
+    /// Creates a context in it.
     ///
     /// # Errors
     /// As [`Client::create`](crate::Client::create).
@@ -62,7 +62,7 @@ impl Session {
         self.member.client().create(path.as_str(), spec).await
     }
 
-    /// Leaves it and all below it, whatever other proxies of it there are.
+    /// Leaves it and all below it, even if other proxies of it exist.
     ///
     /// # Errors
     /// `Refused` with `not-member`, a lost link, a time-out.

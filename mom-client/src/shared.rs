@@ -17,12 +17,12 @@ use crate::guards::Guards;
 use crate::handover::Handovers;
 use crate::login::Welcome;
 use crate::outbox::{Capacity, Dropped, Message, Outbox};
-use crate::pending::{Pending, Waiter};
-use crate::places::{Places, Want};
+use crate::pending::{AnswerTo, OpenRequests};
 use crate::proof::Credentials;
-use crate::subscribe::{Queue, Subscribers};
+use crate::subscribe::{EventQueue, Subscribers};
 use crate::waits::Waits;
-use crate::{ClientError, Link, Reconnect};
+use crate::wanted::{Want, WantedContexts};
+use crate::{ClientError, LinkState, Reconnect};
 
 /// Capacity for messages that wait to be written: 4 MiB in units of 1 KiB; and a quarter of that more for urgent ones, which
 /// would else wait behind whoever waits for capacity.
@@ -56,7 +56,7 @@ pub(crate) struct Shared {
     pub(crate) outgoing: Notify,
     /// Wakes the keeper of leases and heartbeats.
     pub(crate) keeping: Notify,
-    pub(crate) link: watch::Sender<Link>,
+    pub(crate) link: watch::Sender<LinkState>,
     /// Whether the last handle is gone or the client was closed.
     pub(crate) ending: watch::Sender<bool>,
 }
@@ -68,8 +68,8 @@ pub(crate) struct State {
     pub(crate) outbox: Outbox,
     /// Messages that newer ones have replaced, by context: told when the link takes something again, all at once.
     pub(crate) replaced: BTreeMap<Path, u64>,
-    pub(crate) pending: Pending,
-    pub(crate) places: Places,
+    pub(crate) pending: OpenRequests,
+    pub(crate) places: WantedContexts,
     pub(crate) subscribers: Subscribers,
     pub(crate) guards: Guards,
     /// Parts in shared holds.
@@ -103,8 +103,8 @@ impl Shared {
             me: Arc::new(me),
             outbox: Outbox::new(form),
             replaced: BTreeMap::new(),
-            pending: Pending::default(),
-            places: Places::default(),
+            pending: OpenRequests::default(),
+            places: WantedContexts::default(),
             subscribers: Subscribers::default(),
             guards: Guards::default(),
             inhibits: Guards::default(),
@@ -124,7 +124,7 @@ impl Shared {
             urgent_capacity: Semaphore::new(URGENT_CAPACITY as usize),
             outgoing: Notify::new(),
             keeping: Notify::new(),
-            link: watch::Sender::new(Link::Up),
+            link: watch::Sender::new(LinkState::Up),
             ending: watch::Sender::new(false),
         }
     }
@@ -158,9 +158,9 @@ impl Shared {
         let ticket = Ticket { shared: self, id };
         let asked = async {
             if parcel.family == Family::Message {
-                self.post(parcel, Some(Waiter::Caller(sender))).await?;
+                self.post(parcel, Some(AnswerTo::Caller(sender))).await?;
             } else {
-                self.ask(parcel, Waiter::Caller(sender))?;
+                self.ask(parcel, AnswerTo::Caller(sender))?;
             }
             receiver
                 .await
@@ -173,7 +173,7 @@ impl Shared {
     }
 
     /// Queues a request.
-    pub(crate) fn ask(&self, parcel: Parcel, waiter: Waiter) -> Result<(), ClientError> {
+    pub(crate) fn ask(&self, parcel: Parcel, waiter: AnswerTo) -> Result<(), ClientError> {
         // The waiter may hold the last handle: on an error it is dropped after the lock is given back.
         let mut waiter = Some(waiter);
         let mut state = self.lock();
@@ -188,7 +188,7 @@ impl Shared {
         &self,
         state: &mut State,
         mut parcel: Parcel,
-        waiter: &mut Option<Waiter>,
+        waiter: &mut Option<AnswerTo>,
     ) -> Result<(), ClientError> {
         state.check_up()?;
         let id = *parcel.id.get_or_insert_with(|| self.next_id());
@@ -201,7 +201,7 @@ impl Shared {
     }
 
     /// Queues a message, waiting for capacity.
-    pub(crate) async fn post(&self, mut parcel: Parcel, waiter: Option<Waiter>) -> Result<(), ClientError> {
+    pub(crate) async fn post(&self, mut parcel: Parcel, waiter: Option<AnswerTo>) -> Result<(), ClientError> {
         let most = {
             let state = self.lock();
             state.check_up()?;
@@ -313,7 +313,7 @@ impl Shared {
             let (serial, want) = state.places.want(path);
             places.push((path.clone(), serial));
             if matches!(want, Want::Join(_)) {
-                let mut waiter = Some(Waiter::Join(path.clone(), serial));
+                let mut waiter = Some(AnswerTo::Join(path.clone(), serial));
                 let last = places.len() == way.len();
                 let thinning = thinning.filter(|_| last).unwrap_or_default();
                 if let Some(place) = state.places.get(path, serial) {
@@ -347,7 +347,7 @@ impl Shared {
                 let _ = self.ask_in(
                     &mut state,
                     verb(Family::Context, "leave", path),
-                    &mut Some(Waiter::Nobody),
+                    &mut Some(AnswerTo::Nobody),
                 );
             }
         }
@@ -377,7 +377,7 @@ impl Shared {
         asked.map(drop)
     }
 
-    pub(crate) fn subscribe(&self, path: &Path) -> Arc<Queue> {
+    pub(crate) fn subscribe(&self, path: &Path) -> Arc<EventQueue> {
         let mut state = self.lock();
         let queue = state.subscribers.subscribe(path, self.settings.event_buffer);
         if matches!(state.status, Status::Closed(_)) {
@@ -386,7 +386,7 @@ impl Shared {
         queue
     }
 
-    pub(crate) fn subscribe_unaddressed(&self) -> Arc<Queue> {
+    pub(crate) fn subscribe_unaddressed(&self) -> Arc<EventQueue> {
         let mut state = self.lock();
         let queue = state
             .subscribers
@@ -397,7 +397,7 @@ impl Shared {
         queue
     }
 
-    pub(crate) fn subscribe_consults(&self) -> Arc<Queue> {
+    pub(crate) fn subscribe_consults(&self) -> Arc<EventQueue> {
         let mut state = self.lock();
         let queue = state.subscribers.subscribe_consults(self.settings.event_buffer);
         if matches!(state.status, Status::Closed(_)) {
@@ -406,7 +406,7 @@ impl Shared {
         queue
     }
 
-    pub(crate) fn unsubscribe(&self, queue: &Arc<Queue>) {
+    pub(crate) fn unsubscribe(&self, queue: &Arc<EventQueue>) {
         self.lock().subscribers.unsubscribe(queue);
     }
 
@@ -415,7 +415,7 @@ impl Shared {
         let mut state = self.lock();
         if !*self.ending.borrow() {
             // Without a link there is nobody to say it to.
-            let mut waiter = Some(Waiter::Nobody);
+            let mut waiter = Some(AnswerTo::Nobody);
             let _ = self.ask_in(
                 &mut state,
                 verb(Family::Login, "logout", &Path::root()),

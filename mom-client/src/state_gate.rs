@@ -1,4 +1,4 @@
-//! The check of states on the device's side (M35): what a command was based on must still hold.
+//! The device's check of states (M35): a command is valid only if its state still holds.
 
 use mom_proto::{Code, MAX_ID, Parcel, Time, Value, WireError};
 
@@ -8,8 +8,7 @@ pub const BASED_ON: &str = "based-on";
 /// The ids of states lie in this half of all; those that the client itself gives out never get here.
 const FIRST: u64 = 1 << 52;
 
-/// Refuses what was based on a state that holds no more: "ten millimetres to the left" is wrong once the device
-/// has moved.
+/// Refuses commands based on an outdated state: "ten millimetres to the left" is wrong once the device has moved.
 ///
 /// A device gives each state that it sends an id by this gate, and says which of them tell of a motion. A command
 /// that names a state in its slot `based-on` ([`Message::based_on`](crate::Message::based_on)) is to be obeyed only
@@ -41,7 +40,7 @@ pub struct StateGate {
 
 impl StateGate {
     /// A gate of a device that starts at this time of day. Its ids are higher than all of an earlier start, so that
-    /// no state of then passes for one of now.
+    /// old states cannot be mistaken for new ones.
     pub fn new(start: Time) -> StateGate {
         let start = u64::try_from(start.micros()).unwrap_or_default() % FIRST;
         StateGate {
@@ -62,12 +61,12 @@ impl StateGate {
         state.id = Some(self.newest);
     }
 
-    /// Says that the device moves now, or has motions ahead of it: no state holds until it does no more.
+    /// Notes that the device moves now, or has motions ahead of it: no state holds until it stops.
     pub fn set_moving(&mut self, moving: bool) {
         self.moving = moving;
     }
 
-    /// Whether what a command was based on still holds.
+    /// Whether the state of a command still holds.
     ///
     /// # Errors
     /// `stale-state` with the id of the newest state as detail `state`; `bad-slot` for a slot that is no id.

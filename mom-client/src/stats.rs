@@ -1,4 +1,4 @@
-//! What channels have counted.
+//! Statistics of channels.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -9,18 +9,18 @@ use crate::ClientError;
 use crate::error::bad_reply;
 use crate::info::{map_of, number, read_list, text};
 
-/// The figures of a channel, or of the channels of a session, at one moment.
+/// The statistics of a channel, or of the channels of a session, at one moment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stats {
     /// When, by the hub's clock.
     pub time: Time,
     /// The channel, or those of the session that this peer may see.
     pub channels: Vec<ChannelStats>,
-    /// Whether there are more channels than one reply tells.
+    /// Whether there are more channels than fit into one reply.
     pub more: bool,
 }
 
-/// The figures of one channel since it is there.
+/// The statistics of one channel since it was created.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ChannelStats {
     /// Where it is.
@@ -33,44 +33,44 @@ pub struct ChannelStats {
     pub peers: Vec<PeerStats>,
 }
 
-/// The figures of one member since it has joined.
+/// The statistics of one member since it joined.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PeerStats {
     /// Its name at the hub.
     pub peer: String,
     /// The user that it logged in as.
     pub user: String,
-    /// What it sent, and what it got.
+    /// Its sent and received messages.
     pub counts: Counts,
 }
 
-/// What was counted.
+/// The counts.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Counts {
     /// Messages sent.
     pub sent: u64,
     /// The bytes of their content.
     pub bytes: u64,
-    /// Messages taken by the queues of receivers.
+    /// Messages that the receivers' outboxes accepted.
     pub delivered: u64,
     /// Messages dropped for receivers, by reason.
     pub dropped: BTreeMap<String, u64>,
     /// The same by delivery class: `reliable`, `latest`, `fleeting`.
     pub dropped_classes: BTreeMap<String, u64>,
-    /// Bytes that wait for the receivers now, from wherever.
+    /// Bytes waiting for the receivers now, from all contexts.
     pub queued: u64,
     /// How old the messages sent were when the hub took them in; none where no age is known.
     pub age: Option<AgeStats>,
 }
 
-/// How ages are spread; the percentiles are at most a quarter too high.
+/// The distribution of ages; percentiles are at most a quarter too high.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AgeStats {
     /// Messages of known age.
     pub count: u64,
-    /// What half of them are not above.
+    /// The median.
     pub p50: Duration,
-    /// What 99 of 100 are not above.
+    /// The 99th percentile.
     pub p99: Duration,
     /// The greatest.
     pub most: Duration,
@@ -129,7 +129,7 @@ impl Counts {
             bytes: number(map, "bytes")?,
             delivered: number(map, "delivered")?,
             dropped: numbers(map.get("dropped").and_then(Value::as_map)?)?,
-            // Hubs of before did not tell.
+            // Older hubs do not report it.
             dropped_classes: match map.get("dropped-classes").and_then(Value::as_map) {
                 Some(classes) => numbers(classes)?,
                 None => BTreeMap::new(),

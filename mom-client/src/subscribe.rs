@@ -1,4 +1,4 @@
-//! Subscriptions: bounded queues of events that tell what they lost.
+//! Subscriptions: bounded queues of events that report their losses.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
@@ -16,11 +16,12 @@ const MOST_BYTES: usize = 64 * 1024 * 1024;
 /// Events kept from a join on for a subscriber that has not asked yet.
 const EARLY: usize = 1024;
 
-/// The events of one context, or of all that no other subscription takes.
+/// The events of one context, or all that no other subscription takes.
 ///
-/// What is not taken waits in a bounded queue. When it is full the oldest go, and the next thing taken is
-/// [`Event::Lagged`] with their number. A message whose `expires` is over by the hub's clock is not handed out, only
-/// counted ([`HubClock::expired`](crate::HubClock::expired)). A context's events keep its membership and the connection alive.
+/// Events wait in a bounded queue. When it is full the oldest are dropped, and the next event is [`Event::Lagged`]
+/// with their number. A message that has expired by the hub's clock is not delivered, only counted
+/// ([`HubClock::expired`](crate::HubClock::expired)). A context's events keep its membership and the connection
+/// alive.
 ///
 /// ```no_run
 /// # async fn example(client: mom_client::Client) -> Result<(), mom_client::ClientError> {
@@ -37,13 +38,13 @@ const EARLY: usize = 1024;
 /// # }
 /// ```
 pub struct Events {
-    queue: Arc<Queue>,
+    queue: Arc<EventQueue>,
     shared: Arc<Shared>,
     _member: Option<Membership>,
 }
 
 impl Events {
-    pub(crate) fn new(queue: Arc<Queue>, shared: Arc<Shared>, member: Option<Membership>) -> Events {
+    pub(crate) fn new(queue: Arc<EventQueue>, shared: Arc<Shared>, member: Option<Membership>) -> Events {
         Events {
             queue,
             shared,
@@ -71,7 +72,7 @@ impl Events {
         }
     }
 
-    /// Whether this is a message whose time is over, which is counted and not handed out.
+    /// Whether this is an expired message, which is counted and not delivered.
     fn is_over(&self, event: &Event) -> bool {
         let Event::Message(parcel) = event else {
             return false;
@@ -101,13 +102,13 @@ impl Drop for Events {
 
 /// One bounded queue.
 #[derive(Debug)]
-pub(crate) struct Queue {
-    waiting: Mutex<Waiting>,
+pub(crate) struct EventQueue {
+    waiting: Mutex<QueuedEvents>,
     wake: Notify,
 }
 
 #[derive(Debug)]
-struct Waiting {
+struct QueuedEvents {
     events: VecDeque<(usize, Event)>,
     bytes: usize,
     most: usize,
@@ -121,10 +122,10 @@ enum Empty {
     ForEver,
 }
 
-impl Queue {
-    pub(crate) fn new(most: usize) -> Queue {
-        Queue {
-            waiting: Mutex::new(Waiting {
+impl EventQueue {
+    pub(crate) fn new(most: usize) -> EventQueue {
+        EventQueue {
+            waiting: Mutex::new(QueuedEvents {
                 events: VecDeque::new(),
                 bytes: 0,
                 most: most.max(1),
@@ -198,7 +199,7 @@ impl Queue {
     }
 }
 
-impl Waiting {
+impl QueuedEvents {
     fn drop_oldest(&mut self) {
         let Some((weight, event)) = self.events.pop_front() else {
             return;
@@ -211,13 +212,13 @@ impl Waiting {
     }
 }
 
-/// Who gets what, by context.
+/// The subscribers by context.
 #[derive(Debug, Default)]
 pub(crate) struct Subscribers {
-    by_path: HashMap<Path, Vec<Arc<Queue>>>,
-    early: HashMap<Path, Arc<Queue>>,
-    unaddressed: Vec<Arc<Queue>>,
-    consults: Vec<Arc<Queue>>,
+    by_path: HashMap<Path, Vec<Arc<EventQueue>>>,
+    early: HashMap<Path, Arc<EventQueue>>,
+    unaddressed: Vec<Arc<EventQueue>>,
+    consults: Vec<Arc<EventQueue>>,
 }
 
 impl Subscribers {
@@ -226,17 +227,17 @@ impl Subscribers {
         if !self.by_path.contains_key(path) {
             self.early
                 .entry(path.clone())
-                .or_insert_with(|| Arc::new(Queue::new(EARLY)));
+                .or_insert_with(|| Arc::new(EventQueue::new(EARLY)));
         }
     }
 
-    pub(crate) fn subscribe(&mut self, path: &Path, most: usize) -> Arc<Queue> {
+    pub(crate) fn subscribe(&mut self, path: &Path, most: usize) -> Arc<EventQueue> {
         let queue = match self.early.remove(path) {
             Some(early) => {
                 early.widen(most);
                 early
             }
-            None => Arc::new(Queue::new(most)),
+            None => Arc::new(EventQueue::new(most)),
         };
         self.by_path
             .entry(path.clone())
@@ -245,19 +246,19 @@ impl Subscribers {
         queue
     }
 
-    pub(crate) fn subscribe_unaddressed(&mut self, most: usize) -> Arc<Queue> {
-        let queue = Arc::new(Queue::new(most));
+    pub(crate) fn subscribe_unaddressed(&mut self, most: usize) -> Arc<EventQueue> {
+        let queue = Arc::new(EventQueue::new(most));
         self.unaddressed.push(Arc::clone(&queue));
         queue
     }
 
-    pub(crate) fn subscribe_consults(&mut self, most: usize) -> Arc<Queue> {
-        let queue = Arc::new(Queue::new(most));
+    pub(crate) fn subscribe_consults(&mut self, most: usize) -> Arc<EventQueue> {
+        let queue = Arc::new(EventQueue::new(most));
         self.consults.push(Arc::clone(&queue));
         queue
     }
 
-    pub(crate) fn unsubscribe(&mut self, queue: &Arc<Queue>) {
+    pub(crate) fn unsubscribe(&mut self, queue: &Arc<EventQueue>) {
         self.unaddressed.retain(|known| !Arc::ptr_eq(known, queue));
         self.consults.retain(|known| !Arc::ptr_eq(known, queue));
         self.by_path.retain(|_, queues| {
@@ -268,7 +269,7 @@ impl Subscribers {
 
     /// Gives an event to the subscribers of these contexts, or else to the unaddressed.
     pub(crate) fn deliver(&mut self, paths: &[Path], event: Event) {
-        let mut queues: Vec<Arc<Queue>> = Vec::new();
+        let mut queues: Vec<Arc<EventQueue>> = Vec::new();
         for path in paths {
             queues.extend(self.by_path.get(path).into_iter().flatten().cloned());
             queues.extend(self.early_of(path));
@@ -294,7 +295,7 @@ impl Subscribers {
         push_all(&self.unaddressed, event);
     }
 
-    /// Gives a question of the hub to those who answer such; gives it back if nobody does.
+    /// Gives a question of the hub to those that answer questions; returns it if there are none.
     pub(crate) fn deliver_consult(&self, question: Event) -> Option<Event> {
         if self.consults.is_empty() {
             return Some(question);
@@ -333,7 +334,7 @@ impl Subscribers {
     }
 
     /// The queue that waits for a first subscriber; given up if that one does not come.
-    fn early_of(&mut self, path: &Path) -> Option<Arc<Queue>> {
+    fn early_of(&mut self, path: &Path) -> Option<Arc<EventQueue>> {
         let queue = self.early.get(path)?;
         if queue.is_full() {
             self.early.remove(path);
@@ -343,7 +344,7 @@ impl Subscribers {
     }
 }
 
-fn push_all(queues: &[Arc<Queue>], event: Event) {
+fn push_all(queues: &[Arc<EventQueue>], event: Event) {
     let Some((last, others)) = queues.split_last() else {
         return;
     };
@@ -379,12 +380,12 @@ fn value_weight(value: &Value) -> usize {
 mod tests {
     use super::*;
 
-    fn taken(queue: &Queue) -> Vec<Event> {
+    fn taken(queue: &EventQueue) -> Vec<Event> {
         std::iter::from_fn(|| queue.take().ok()).collect()
     }
 
     fn check(most: usize, pushed: u64, expected: &[Event]) {
-        let queue = Queue::new(most);
+        let queue = EventQueue::new(most);
         (0..pushed).for_each(|number| queue.push(Event::Count(number)));
         assert_eq!(taken(&queue), expected, "{pushed} into {most}");
         assert_eq!(queue.waiting.lock().bytes, 0);
@@ -399,7 +400,7 @@ mod tests {
 
     #[test]
     fn bytes_are_bounded_too() {
-        let queue = Queue::new(10);
+        let queue = EventQueue::new(10);
         let large = || {
             let content = bytes_of(MOST_BYTES / 2 + 1);
             Event::Message(mom_proto::Parcel::new(mom_proto::Family::Message, "image").content(content))
@@ -437,7 +438,7 @@ mod tests {
 
     #[test]
     fn a_closed_queue_ends_after_what_waits() {
-        let queue = Queue::new(4);
+        let queue = EventQueue::new(4);
         queue.push(Event::LinkDown);
         queue.close();
         queue.push(Event::Rejoined);

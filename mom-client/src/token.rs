@@ -5,7 +5,7 @@ use tokio::sync::oneshot;
 
 use crate::info::{map_of, name_list, owned};
 use crate::membership::Membership;
-use crate::pending::Waiter;
+use crate::pending::AnswerTo;
 use crate::shared::verb;
 use crate::{AskOwner, ClientError, Events, Grab, InhibitGuard, TokenGuard, TokenInfo};
 
@@ -35,7 +35,7 @@ impl Token {
         Token { member }
     }
 
-    /// Where it is.
+    /// Its path.
     pub fn path(&self) -> &Path {
         self.member.path()
     }
@@ -46,7 +46,7 @@ impl Token {
         self.member.events()
     }
 
-    /// All about it as the hub says it (M33); typed: [`Token::status`].
+    /// Its details as the hub sends them (M33); typed: [`Token::status`].
     ///
     /// # Errors
     /// As [`Client::info`](crate::Client::info).
@@ -62,8 +62,8 @@ impl Token {
         self.info().await.map(|info| TokenInfo::read(&info))
     }
 
-    /// Grabs it (M28, M29), at once or, with [`Grab::wait`], when it is its turn. A grab that is given up is taken
-    /// out of the queue, or given back should it be granted.
+    /// Grabs it (M28, M29), at once or, with [`Grab::wait`], by way of the queue. A dropped grab leaves the queue, or
+    /// is released if it has been granted.
     ///
     /// # Errors
     /// `Refused` with `held` (owner, level, retry-after, place), `timed-out` after the wait, or `denied` (rule), a
@@ -72,8 +72,8 @@ impl Token {
         Grab::new(&self.member)
     }
 
-    /// Asks its owner to hand it over, and waits for the answer; a free token is granted at once. A request that is
-    /// given up stays with the owner; what it brings is given back.
+    /// Asks its owner to hand it over, and waits for the answer; a free token is granted at once. A dropped request
+    /// stays with the owner; if it is granted, the token is released.
     ///
     /// # Errors
     /// `Refused` with `declined` (the owner's words), `timed-out`, `withdrawn` or `denied`, a lost link, a time-out.
@@ -87,7 +87,7 @@ impl Token {
     /// `Refused` with `no-offer` or `denied`, a lost link, a time-out.
     pub async fn accept(&self) -> Result<TokenGuard, ClientError> {
         let (sender, receiver) = oneshot::channel();
-        let waiter = Waiter::Obtain {
+        let waiter = AnswerTo::Obtain {
             member: self.member.clone(),
             answer: sender,
         };
@@ -98,7 +98,7 @@ impl Token {
             .await
     }
 
-    /// Says no to what is offered.
+    /// Declines an offer.
     ///
     /// # Errors
     /// `Refused` with `no-offer`, a lost link, a time-out.
@@ -115,7 +115,7 @@ impl Token {
         self.ask("accept", Map::new().with("peer", peer)).await
     }
 
-    /// Keeps it from a peer that has asked for it; `text` tells why and may be empty.
+    /// Declines a peer's request; `text` is the reason and may be empty.
     ///
     /// # Errors
     /// `Refused` with `no-offer`, a lost link, a time-out.
@@ -127,8 +127,8 @@ impl Token {
         self.ask("decline", content).await
     }
 
-    /// Takes it away from its owner, or ends all parts in its shared hold, and gives the peers that had it; nobody
-    /// has it then but the first of its queue. This needs a right of its own.
+    /// Takes it away from its owner, or ends all parts in its shared hold, and returns the peers that had it; the
+    /// first in the queue then gets it. This needs a right of its own.
     ///
     /// # Errors
     /// `Refused` with `denied`, a lost link, a time-out.
@@ -140,13 +140,13 @@ impl Token {
         Ok(had)
     }
 
-    /// Takes part in its shared hold: nobody can grab it meanwhile. Who owns it gives it up by this.
+    /// Joins its shared hold: nobody can grab it meanwhile. An owner gives up its ownership by this.
     ///
     /// # Errors
     /// `Refused` with `held` if another peer owns it, or `denied`, a lost link, a time-out.
     pub async fn inhibit(&self) -> Result<InhibitGuard, ClientError> {
         let (sender, receiver) = oneshot::channel();
-        let waiter = Waiter::Inhibit {
+        let waiter = AnswerTo::Inhibit {
             member: self.member.clone(),
             answer: sender,
         };
@@ -157,7 +157,7 @@ impl Token {
             .await
     }
 
-    /// Leaves it, whatever other proxies of it there are. Ownership ends with it.
+    /// Leaves it, even if other proxies of it exist. Ownership ends with it.
     ///
     /// # Errors
     /// `Refused` with `not-member`, a lost link, a time-out.

@@ -1,4 +1,4 @@
-//! What the hub says about a token, typed.
+//! A token's state as the hub describes it, typed.
 
 use std::time::Duration;
 
@@ -19,17 +19,17 @@ use crate::info::{level, millis_of, name_list, number, owned};
 pub struct TokenInfo {
     /// The peer that owns it; none = nobody does.
     pub owner: Option<String>,
-    /// The level with which it is defended: the owner's, or that of who gave it to the owner if higher.
+    /// The level that defends it: the owner's, or the giver's if higher.
     pub owner_level: Option<i32>,
-    /// The highest fence given out.
+    /// The highest fence issued.
     pub fence: u64,
-    /// For how long it has its owner.
+    /// How long its owner has owned it.
     pub held: Option<Duration>,
-    /// For how long a grant lasts without renewal; none = without end.
+    /// How long a grant lasts without renewal; none = unlimited.
     pub lease: Option<Duration>,
-    /// What is left of that.
+    /// The remainder of the lease.
     pub lease_left: Option<Duration>,
-    /// After how long without a renewal it is lost; none = it has no such bound.
+    /// The deadman time, after which it is lost without a renewal; none = no such limit.
     pub deadman: Option<Duration>,
     /// What happens at the end of the lease: `lazy` or `eager`.
     pub expiry: Option<String>,
@@ -41,9 +41,9 @@ pub struct TokenInfo {
     pub offer: Option<Offered>,
     /// The peers that have asked the owner for it.
     pub requests: Vec<Asking>,
-    /// From whom the owner has it, if it goes back there.
+    /// The loan, if another peer gave it to the owner for a while.
     pub delegated: Option<Delegated>,
-    /// For whom it is kept after a restart of the hub.
+    /// The reservation after a restart of the hub.
     pub reserved: Option<Reserved>,
 }
 
@@ -53,7 +53,7 @@ pub struct TokenInfo {
 pub struct Waiting {
     /// Who.
     pub member: Member,
-    /// For how long so far.
+    /// How long it has waited.
     pub waiting: Duration,
 }
 
@@ -65,9 +65,9 @@ pub struct Offered {
     pub to: String,
     /// How long it may still take to accept.
     pub within: Duration,
-    /// It goes back by itself after this time.
+    /// It returns by itself after this time.
     pub time: Option<Duration>,
-    /// It goes back by itself after so many messages that need it.
+    /// It returns by itself after so many guarded messages.
     pub commands: Option<u64>,
 }
 
@@ -81,23 +81,23 @@ pub struct Asking {
     pub within: Duration,
 }
 
-/// An ownership that goes back to who gave it.
+/// An ownership that returns to its giver.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Delegated {
     /// The peer that gave it.
     pub from: String,
-    /// The time that is left of it; none = no bound of time.
+    /// The remaining time; none = unlimited.
     pub left: Option<Duration>,
-    /// The guarded messages that are left of it; none = any number.
+    /// The remaining guarded messages; none = unlimited.
     pub commands: Option<u64>,
 }
 
-/// A token that is kept after a restart of the hub for who owned it before.
+/// A token reserved, after a restart of the hub, for its earlier owner.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Reserved {
-    /// That peer; none = for nobody, as it is not known who it was.
+    /// That peer; none = unknown, so nobody can have it yet.
     pub peer: Option<String>,
     /// Its user.
     pub user: Option<String>,

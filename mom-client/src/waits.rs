@@ -1,4 +1,4 @@
-//! Grabs that the hub may let wait: their places in the queue, and taking them back.
+//! Grabs with `wait`: their places in the queue, and their withdrawal.
 
 use std::collections::{HashMap, VecDeque};
 
@@ -9,25 +9,25 @@ use crate::Place;
 
 /// The grabs without an answer that are willing to wait, by token, the oldest first.
 ///
-/// The hub's word of a place names no request. It lets one grab of a peer wait for a token at a time and answers in
-/// order, so it means the oldest.
+/// The event `queued` names no request. The hub lets one grab of a peer wait for a token at a time and answers in
+/// order, so the oldest is meant.
 #[derive(Debug, Default)]
 pub(crate) struct Waits {
-    tokens: HashMap<Path, VecDeque<Wait>>,
+    tokens: HashMap<Path, VecDeque<WaitingGrab>>,
 }
 
 #[derive(Debug)]
-struct Wait {
+struct WaitingGrab {
     id: u64,
     place: watch::Sender<Option<Place>>,
-    stage: Stage,
+    stage: WaitStage,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Stage {
-    /// Somebody waits for it.
+enum WaitStage {
+    /// Its caller waits for it.
     Wanted,
-    /// Nobody does, but whether it is in the queue is not known: `release` might end an ownership instead.
+    /// Its caller is gone, but it may not be in the queue yet: `release` might end an ownership instead.
     GivenUp,
     /// The hub was told.
     Withdrawn,
@@ -37,35 +37,38 @@ impl Waits {
     /// A grab that may wait is about to be sent.
     pub(crate) fn add(&mut self, path: &Path, id: u64) -> watch::Receiver<Option<Place>> {
         let (place, places) = watch::channel(None);
-        self.tokens.entry(path.clone()).or_default().push_back(Wait {
-            id,
-            place,
-            stage: Stage::Wanted,
-        });
+        self.tokens
+            .entry(path.clone())
+            .or_default()
+            .push_back(WaitingGrab {
+                id,
+                place,
+                stage: WaitStage::Wanted,
+            });
         places
     }
 
-    /// The hub told a place; whether the grab is to be withdrawn now.
+    /// The hub reported a place; returns whether the grab is to be withdrawn now.
     pub(crate) fn queued(&mut self, path: &Path, place: Place) -> bool {
         let Some(wait) = self.tokens.get_mut(path).and_then(VecDeque::front_mut) else {
             return false;
         };
         wait.place.send_replace(Some(place));
-        wait.stage == Stage::GivenUp && wait.withdraw()
+        wait.stage == WaitStage::GivenUp && wait.withdraw()
     }
 
-    /// Nobody waits any more for what a grab brings; whether it is to be withdrawn now.
+    /// The caller of a grab is gone; returns whether it is to be withdrawn now.
     pub(crate) fn give_up(&mut self, path: &Path, id: u64) -> bool {
         let waits = self.tokens.get_mut(path).into_iter().flatten();
         let Some(wait) = waits.into_iter().find(|wait| wait.id == id) else {
             return false;
         };
-        wait.stage = Stage::GivenUp;
+        wait.stage = WaitStage::GivenUp;
         let is_queued = wait.place.borrow().is_some();
         is_queued && wait.withdraw()
     }
 
-    /// A grab was answered; whether it was withdrawn before, so that what it brought is given back already.
+    /// A grab was answered; returns whether it was withdrawn before, so that its grant is released already.
     pub(crate) fn answered(&mut self, path: &Path, id: u64) -> bool {
         let Some(waits) = self.tokens.get_mut(path) else {
             return false;
@@ -75,7 +78,7 @@ impl Waits {
         if waits.is_empty() {
             self.tokens.remove(path);
         }
-        wait.is_some_and(|wait| wait.stage == Stage::Withdrawn)
+        wait.is_some_and(|wait| wait.stage == WaitStage::Withdrawn)
     }
 
     /// The link is gone, and with it the queue.
@@ -84,9 +87,9 @@ impl Waits {
     }
 }
 
-impl Wait {
+impl WaitingGrab {
     fn withdraw(&mut self) -> bool {
-        self.stage = Stage::Withdrawn;
+        self.stage = WaitStage::Withdrawn;
         true
     }
 }

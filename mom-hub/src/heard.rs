@@ -1,6 +1,6 @@
 //! What was answered to a manager that had to ask.
 
-use mom_managers::Given;
+use mom_managers::GivenAnswer;
 use mom_proto::{ContextNumber, Verb};
 
 use crate::PeerId;
@@ -11,5 +11,5 @@ pub(crate) struct Heard {
     pub(crate) peer: PeerId,
     pub(crate) verb: Verb,
     pub(crate) at: ContextNumber,
-    pub(crate) given: Given,
+    pub(crate) given: GivenAnswer,
 }

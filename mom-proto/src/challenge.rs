@@ -1,6 +1,6 @@
-//! What a key signs to prove who it is: the bytes of a challenge.
+//! The bytes of a challenge, which a key signs to authenticate.
 
-/// The word in front of what is signed at login: a signature made for anything else is none here.
+/// The prefix of the signed bytes at login, so that signatures made for other purposes are invalid here.
 pub const LOGIN_CONTEXT: &str = "mom-login-1";
 
 /// Bytes of a challenge's nonce.
@@ -9,7 +9,7 @@ pub const NONCE_BYTES: usize = 32;
 /// The bytes that the key of a user signs: `mom-login-1`, the hub's name, the user's name and the nonce, with a
 /// zero byte between each.
 ///
-/// The hub's name keeps a signature that one hub asked for from being shown to another. No name can hold a zero
+/// The hub's name makes a signature for one hub useless at another. No name can hold a zero
 /// byte, so no two challenges have the same bytes.
 ///
 /// ```

@@ -1,4 +1,4 @@
-//! The codecs behind one face: which form, how to read frames, how to write parcels.
+//! One interface to both codecs: detecting the form, reading frames, writing parcels.
 
 use bytes::{Bytes, BytesMut};
 

@@ -29,7 +29,7 @@ impl Code {
     pub const TIMED_OUT: Code = Code::new(102, "timed-out");
     /// A bound of the hub (contexts, peers, members) is reached.
     pub const FULL: Code = Code::new(103, "full");
-    /// Who was asked for it declined.
+    /// The peer that was asked declined.
     pub const DECLINED: Code = Code::new(104, "declined");
     /// The request was taken back while it waited.
     pub const WITHDRAWN: Code = Code::new(105, "withdrawn");
@@ -50,9 +50,9 @@ impl Code {
     pub const NOT_OWNER: Code = Code::new(204, "not-owner");
     /// The fence named is lower than the token's: it was lost in between.
     pub const OLDER_FENCE: Code = Code::new(205, "older-fence");
-    /// The fence named was never given out.
+    /// The fence named was never issued.
     pub const BAD_FENCE: Code = Code::new(206, "bad-fence");
-    /// The parcel's time is over.
+    /// The parcel has expired.
     pub const EXPIRED: Code = Code::new(207, "expired");
     /// The device has moved since the state that the command was based on (M35).
     pub const STALE_STATE: Code = Code::new(208, "stale-state");
@@ -70,13 +70,13 @@ impl Code {
     pub const WRONG_KIND: Code = Code::new(215, "wrong-kind");
     /// The context belongs to the configuration file and stays.
     pub const PERMANENT: Code = Code::new(216, "permanent");
-    /// There is no such offer or request to answer, any more or at all.
+    /// There is no such offer or request to answer, or it has ended.
     pub const NO_OFFER: Code = Code::new(217, "no-offer");
-    /// The answer to a question that is answered, over or was never asked.
+    /// The question was answered, has timed out or was never put to this peer.
     pub const TOO_LATE: Code = Code::new(218, "too-late");
     /// A slot is missing, has another type or a value outside its range.
     pub const BAD_SLOT: Code = Code::new(220, "bad-slot");
-    /// A path that is not in the one canonical form.
+    /// A path that is not in canonical form.
     pub const BAD_PATH: Code = Code::new(221, "bad-path");
     /// A peer, user or message name that is not allowed.
     pub const BAD_NAME: Code = Code::new(222, "bad-name");
@@ -97,9 +97,9 @@ impl Code {
 
     /// The hub is shutting down.
     pub const SHUTDOWN: Code = Code::new(300, "shutdown");
-    /// The receiver's queue was full of parcels that may not be dropped.
+    /// The receiver's outbox is full of parcels that may not be dropped.
     pub const SLOW_RECEIVER: Code = Code::new(301, "slow-receiver");
-    /// Nothing was heard for longer than the limit.
+    /// Nothing was received for longer than the limit.
     pub const SILENT: Code = Code::new(302, "silent");
     /// No login came within the limit.
     pub const LOGIN_TIMEOUT: Code = Code::new(303, "login-timeout");
@@ -110,7 +110,7 @@ impl Code {
 
     /// Bytes that are no frame of the form spoken here.
     pub const BAD_FRAME: Code = Code::new(400, "bad-frame");
-    /// A version of the protocol that is not spoken here.
+    /// A protocol version that the hub does not speak.
     pub const BAD_VERSION: Code = Code::new(401, "bad-version");
     /// XML constructs that are never allowed: a DTD, a processing instruction.
     pub const RESTRICTED_XML: Code = Code::new(402, "restricted-xml");

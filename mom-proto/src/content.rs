@@ -1,4 +1,4 @@
-//! A parcel's content: opened only by who needs it (design §5).
+//! A parcel's content, opened only where needed (design §5).
 
 use bytes::Bytes;
 use serde::Serialize;

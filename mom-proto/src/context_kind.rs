@@ -9,7 +9,7 @@ pub enum ContextKind {
     Session,
     /// Where messages are exchanged.
     Channel,
-    /// What one peer at a time owns.
+    /// Exclusive control, owned by one peer at a time.
     Token,
 }
 

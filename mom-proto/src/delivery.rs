@@ -31,13 +31,13 @@ impl Delivery {
     }
 }
 
-/// What becomes of a `reliable` parcel for which a receiver has no room.
+/// What happens to a `reliable` parcel for which a receiver has no capacity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Overflow {
     /// The receiver is closed as `slow-receiver`: nobody waits for it.
     #[default]
     Close,
-    /// The sender waits, and after a time is told `try-later`: nobody gets the parcel then.
+    /// The sender waits, and after a time gets `try-later`: then nobody gets the parcel.
     Wait,
 }
 

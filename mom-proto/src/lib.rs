@@ -66,5 +66,5 @@ pub use serde_value::{from_value, to_value};
 pub use slots::{ReadSlots, write_slots};
 pub use stamp::{Micros, Time};
 pub use thinning::{MessageRate, Thinning};
-pub use value::{Kind, Value};
+pub use value::{Value, ValueKind};
 pub use verb::Verb;

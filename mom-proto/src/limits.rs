@@ -10,7 +10,7 @@ use crate::{Map, Value};
 /// The version of the protocol that this crate speaks: major, minor. A higher minor only adds.
 pub const PROTOCOL_VERSION: (u8, u8) = (1, 0);
 
-/// The deepest nesting that any configuration allows: reading recurses, and stacks end.
+/// The deepest nesting that any configuration allows: reading recurses, and stacks are finite.
 pub const HARD_DEPTH: usize = 128;
 
 /// A bound: a number, or the word `unlimited`.
@@ -96,7 +96,7 @@ impl<'de> Deserialize<'de> for Limit {
     }
 }
 
-/// What a hub takes; sizes in bytes, times in ms.
+/// The limits of a hub; sizes in bytes, times in ms.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Limits {
@@ -120,15 +120,15 @@ pub struct Limits {
     pub before_login: usize,
     /// From connection to login.
     pub login_time: u64,
-    /// What waits for one peer.
+    /// The parcels that wait for one peer.
     pub outbox: usize,
-    /// How long a sender waits for a receiver without room, where the channel has it wait.
+    /// How long a sender waits for a receiver without capacity, where the channel makes senders wait.
     pub send_wait: u64,
-    /// A receiver that makes no room for so long while senders wait for it is closed.
+    /// A receiver that frees no capacity for so long while senders wait for it is closed.
     pub stalled: u64,
-    /// A peer that has nothing to say says `time ping` this often.
+    /// How often an idle peer sends `time ping`.
     pub heartbeat: u64,
-    /// A peer that says nothing for so long is gone.
+    /// A peer that sends nothing for so long is closed as `silent`.
     pub gone: u64,
     /// How far beyond the error of its clock a peer's stamp may lie in the future.
     pub future: u64,
@@ -136,7 +136,7 @@ pub struct Limits {
     pub contexts: Limit,
     /// Contexts that one peer may have joined.
     pub joined: Limit,
-    /// Requests about contexts and tokens that one connection may make in a second; as many more at once after a rest.
+    /// Requests about contexts and tokens per second and connection; as many more at once after a pause.
     pub requests: Limit,
 }
 
@@ -177,7 +177,7 @@ impl Limits {
         }
     }
 
-    /// The limits that a client has to know, for the login reply.
+    /// The limits in the login reply.
     pub fn to_map(&self) -> Map {
         let limit = |limit: Limit| match limit {
             Limit::At(most) => Value::Int(i64::try_from(most).unwrap_or(i64::MAX)),

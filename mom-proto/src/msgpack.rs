@@ -47,7 +47,7 @@ pub fn encode(value: &Value, out: &mut Vec<u8>) -> Result<(), WireError> {
 /// # Errors
 /// `bad-content`, `bad-encoding` or `too-deep`, with the byte's position in `bytes`.
 pub fn decode(bytes: &Bytes, depth: usize) -> Result<Value, WireError> {
-    let mut reader = Reader { bytes, position: 0 };
+    let mut reader = ValueReader { bytes, position: 0 };
     let value = reader.value(depth)?;
     match reader.position == bytes.len() {
         true => Ok(value),
@@ -87,12 +87,12 @@ fn too_long() -> WireError {
     )
 }
 
-struct Reader<'a> {
+struct ValueReader<'a> {
     bytes: &'a Bytes,
     position: usize,
 }
 
-impl Reader<'_> {
+impl ValueReader<'_> {
     fn value(&mut self, depth: usize) -> Result<Value, WireError> {
         let start = self.position;
         let marker = Marker::from_u8(self.byte()?);
@@ -134,7 +134,7 @@ impl Reader<'_> {
     fn list(&mut self, marker: Marker, start: usize, depth: usize) -> Result<Value, WireError> {
         let length = self.length(marker)?;
         let depth = deeper(depth, start)?;
-        // The announced length is a claim: memory follows what is really there, a byte an item at least.
+        // The announced length is not trusted: memory grows with the bytes that are there, at least one per item.
         let mut list = Vec::with_capacity(length.min(self.rest()).min(1024));
         for _ in 0..length {
             list.push(self.value(depth)?);

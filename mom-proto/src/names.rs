@@ -1,4 +1,4 @@
-//! What may stand in names and text.
+//! The characters allowed in names and text.
 
 use unicode_normalization::char::is_combining_mark;
 use unicode_normalization::{IsNormalized, is_nfc_quick};
@@ -53,9 +53,9 @@ pub fn check_text(text: &str) -> Result<(), WireError> {
 
 /// Checks a user name or nickname: 1–64 bytes of letters, digits, marks and `-_.@+=`, in NFC, not `hub`.
 ///
-/// Everything that looks like nothing (zero width), like something else (controls, directions) or like an
-/// operator of paths and patterns (`/ ~ * # % \`) is outside that set. So are letters out of use, and letters
-/// together of scripts that are not written together (UTS 39, highly restrictive).
+/// Invisible characters (zero width), confusing ones (controls, directions) and operators of paths and patterns (`/ ~
+/// * # % \`) are excluded. So are obsolete letters, and mixtures of scripts that are not written together (UTS 39,
+/// highly restrictive).
 ///
 /// # Errors
 /// `bad-name` in plain words.
@@ -91,7 +91,7 @@ pub fn check_name(name: &str) -> Result<(), WireError> {
     Ok(())
 }
 
-/// What a name looks like: two names that look the same could be taken for one another (the skeleton of UTS 39).
+/// The visual form of a name: names with equal forms are look-alikes (the skeleton of UTS 39).
 ///
 /// ```
 /// use mom_proto::looks_of;
@@ -133,7 +133,7 @@ pub fn numbered_name(nickname: &str, count: u32) -> String {
 pub(crate) fn is_segment_char(c: char) -> bool {
     match c.is_ascii() {
         true => c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.' | '@' | '+' | '=' | '~'),
-        // There are letters and marks that show nothing, such as fillers and variations.
+        // Some letters and marks are invisible, such as fillers and variation selectors.
         false => {
             (c.is_alphanumeric() || is_combining_mark(c)) && GeneralSecurityProfile::identifier_allowed(c)
         }

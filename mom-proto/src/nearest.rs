@@ -1,4 +1,4 @@
-//! The nearest thing that exists, for errors about things that do not.
+//! Suggestions for errors about unknown names.
 
 /// The candidate that looks most like `word`, if one is near enough to be what was meant.
 ///
@@ -8,7 +8,7 @@
 /// assert_eq!(nearest("xyzzy", ["grab", "give"]), None);
 /// ```
 pub fn nearest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
-    // A guess costs time in the square of the length; nobody mistypes a kilobyte.
+    // The cost grows with the square of the length, so long words get no suggestion.
     const LONGEST: usize = 128;
     if word.len() > LONGEST {
         return None;

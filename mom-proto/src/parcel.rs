@@ -7,7 +7,7 @@ use crate::{Content, Delivery, Family, Map, Path, Time, Value};
 /// Ids, references and fences are below 2⁵³, so that every language holds them.
 pub const MAX_ID: u64 = (1 << 53) - 1;
 
-/// The slot by which the hub marks what it gives to who joins later; from others it removes it.
+/// The slot by which the hub marks messages for late joiners; it is removed from peers' parcels.
 pub const HISTORY: &str = "history";
 
 /// The hub's number of a context: one for the whole hub, from 1, never reused (design §5).
@@ -16,7 +16,7 @@ pub struct ContextNumber(pub u64);
 
 /// A list of slots; the known ones typed, any other kept in [`Parcel::extra`] and passed through (M3).
 ///
-/// The fields are public: a parcel is data. What holds between them is checked where parcels enter: by the
+/// The fields are public: a parcel is data. Their consistency is checked where parcels enter: by the
 /// codecs (types, ranges) and the hub (rights).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parcel {
@@ -52,7 +52,7 @@ pub struct Parcel {
     pub received: Option<Time>,
     /// From creation to ingress, in µs.
     pub age: Option<i64>,
-    /// How wrong `age` may be, in µs.
+    /// The error bound of `age`, in µs.
     pub age_error: Option<u64>,
     /// Whether a broadcast comes back to its sender; absent = yes.
     pub echo: Option<bool>,

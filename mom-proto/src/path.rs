@@ -9,12 +9,12 @@ use crate::{Code, WireError};
 const BYTES: usize = 1024;
 const LEVELS: usize = 32;
 
-/// The one canonical form of a context's place: `/` or `/a/b`.
+/// The canonical path of a context: `/` or `/a/b`.
 ///
-/// Segments hold letters, digits, marks and `-_.@+=~`, in NFC; `.` and `..` are refused, as are empty
-/// segments, escapes and a slash at the end. So two paths are the same context only if they are equal, and
-/// rules that match a path cannot be led around it. A segment that looks like another by letters of different
-/// scripts, or by what shows nothing, is refused as well. At most 1 KiB and 32 levels.
+/// Segments hold letters, digits, marks and `-_.@+=~`, in NFC; `.` and `..` are refused, as are empty segments,
+/// escapes and a slash at the end. So two paths are the same context only if they are equal, and rules that match a
+/// path cannot be bypassed. A segment that imitates another with letters of different scripts or with invisible
+/// characters is refused as well. At most 1 KiB and 32 levels.
 ///
 /// ```
 /// use mom_proto::Path;

@@ -4,14 +4,14 @@ use std::sync::Arc;
 
 use crate::nearest::nearest;
 use crate::{
-    Code, Content, Delivery, Family, Kind, MAX_ID, Map, Parcel, Path, Time, Value, WireError,
+    Code, Content, Delivery, Family, MAX_ID, Map, Parcel, Path, Time, Value, ValueKind, WireError,
     check_message_name,
 };
 
 /// One known slot: its key, type, and the way in and out of a parcel.
 struct Slot {
     key: &'static str,
-    kind: Kind,
+    kind: ValueKind,
     get: fn(&Parcel) -> Option<Value>,
     set: fn(&mut ReadSlots, &Value) -> Result<(), String>,
 }
@@ -19,35 +19,35 @@ struct Slot {
 // In the order in which they are written: what a reader looks for first comes first, content last.
 #[rustfmt::skip]
 const SLOTS: [Slot; 18] = [
-    Slot { key: "family", kind: Kind::String, get: |p| Some(p.family.word().into()), set: set_family },
-    Slot { key: "name", kind: Kind::String, get: |p| Some(p.name().into()), set: |r, v| { r.name = Some(text(v)?); Ok(()) } },
-    Slot { key: "id", kind: Kind::Int, get: |p| id_value(p.id), set: |r, v| { r.parcel.id = Some(number(v, MAX_ID)?); Ok(()) } },
-    Slot { key: "reference", kind: Kind::Int, get: |p| id_value(p.reference), set: |r, v| { r.parcel.reference = Some(number(v, MAX_ID)?); Ok(()) } },
-    Slot { key: "sender", kind: Kind::String, get: |p| p.sender.as_deref().map(Value::from), set: |r, v| { r.parcel.sender = Some(text(v)?); Ok(()) } },
-    Slot { key: "address", kind: Kind::List, get: get_address, set: set_address },
-    Slot { key: "timestamp", kind: Kind::Time, get: |p| p.timestamp.map(Value::from), set: |r, v| { r.parcel.timestamp = Some(time(v)?); Ok(()) } },
-    Slot { key: "priority", kind: Kind::Int, get: |p| p.priority.map(Value::from), set: set_priority },
-    Slot { key: "context", kind: Kind::String, get: |p| p.context.as_ref().map(|c| c.as_str().into()), set: set_context },
-    Slot { key: "expires", kind: Kind::Int, get: |p| id_value(p.expires), set: |r, v| { r.parcel.expires = Some(number(v, MAX_ID)?); Ok(()) } },
-    Slot { key: "delivery", kind: Kind::String, get: |p| p.delivery.map(|d| d.word().into()), set: set_delivery },
-    Slot { key: "fence", kind: Kind::Int, get: |p| id_value(p.fence), set: |r, v| { r.parcel.fence = Some(number(v, MAX_ID)?); Ok(()) } },
-    Slot { key: "received", kind: Kind::Time, get: |p| p.received.map(Value::from), set: |r, v| { r.parcel.received = Some(time(v)?); Ok(()) } },
-    Slot { key: "age", kind: Kind::Int, get: |p| p.age.map(Value::from), set: |r, v| { r.parcel.age = v.as_int(); Ok(()) } },
-    Slot { key: "age-error", kind: Kind::Int, get: |p| id_value(p.age_error), set: |r, v| { r.parcel.age_error = Some(number(v, MAX_ID)?); Ok(()) } },
-    Slot { key: "echo", kind: Kind::Bool, get: |p| p.echo.map(Value::from), set: |r, v| { r.parcel.echo = v.as_bool(); Ok(()) } },
-    Slot { key: "receipt", kind: Kind::Bool, get: |p| p.receipt.map(Value::from), set: |r, v| { r.parcel.receipt = v.as_bool(); Ok(()) } },
-    Slot { key: "content", kind: Kind::Null, get: |_| None, set: |_, _| Ok(()) },
+    Slot { key: "family", kind: ValueKind::String, get: |p| Some(p.family.word().into()), set: set_family },
+    Slot { key: "name", kind: ValueKind::String, get: |p| Some(p.name().into()), set: |r, v| { r.name = Some(text(v)?); Ok(()) } },
+    Slot { key: "id", kind: ValueKind::Int, get: |p| id_value(p.id), set: |r, v| { r.parcel.id = Some(number(v, MAX_ID)?); Ok(()) } },
+    Slot { key: "reference", kind: ValueKind::Int, get: |p| id_value(p.reference), set: |r, v| { r.parcel.reference = Some(number(v, MAX_ID)?); Ok(()) } },
+    Slot { key: "sender", kind: ValueKind::String, get: |p| p.sender.as_deref().map(Value::from), set: |r, v| { r.parcel.sender = Some(text(v)?); Ok(()) } },
+    Slot { key: "address", kind: ValueKind::List, get: get_address, set: set_address },
+    Slot { key: "timestamp", kind: ValueKind::Time, get: |p| p.timestamp.map(Value::from), set: |r, v| { r.parcel.timestamp = Some(time(v)?); Ok(()) } },
+    Slot { key: "priority", kind: ValueKind::Int, get: |p| p.priority.map(Value::from), set: set_priority },
+    Slot { key: "context", kind: ValueKind::String, get: |p| p.context.as_ref().map(|c| c.as_str().into()), set: set_context },
+    Slot { key: "expires", kind: ValueKind::Int, get: |p| id_value(p.expires), set: |r, v| { r.parcel.expires = Some(number(v, MAX_ID)?); Ok(()) } },
+    Slot { key: "delivery", kind: ValueKind::String, get: |p| p.delivery.map(|d| d.word().into()), set: set_delivery },
+    Slot { key: "fence", kind: ValueKind::Int, get: |p| id_value(p.fence), set: |r, v| { r.parcel.fence = Some(number(v, MAX_ID)?); Ok(()) } },
+    Slot { key: "received", kind: ValueKind::Time, get: |p| p.received.map(Value::from), set: |r, v| { r.parcel.received = Some(time(v)?); Ok(()) } },
+    Slot { key: "age", kind: ValueKind::Int, get: |p| p.age.map(Value::from), set: |r, v| { r.parcel.age = v.as_int(); Ok(()) } },
+    Slot { key: "age-error", kind: ValueKind::Int, get: |p| id_value(p.age_error), set: |r, v| { r.parcel.age_error = Some(number(v, MAX_ID)?); Ok(()) } },
+    Slot { key: "echo", kind: ValueKind::Bool, get: |p| p.echo.map(Value::from), set: |r, v| { r.parcel.echo = v.as_bool(); Ok(()) } },
+    Slot { key: "receipt", kind: ValueKind::Bool, get: |p| p.receipt.map(Value::from), set: |r, v| { r.parcel.receipt = v.as_bool(); Ok(()) } },
+    Slot { key: "content", kind: ValueKind::Null, get: |_| None, set: |_, _| Ok(()) },
 ];
 
 /// The slots of one parcel as they are read, in any order.
 ///
 /// ```
-/// use mom_proto::{Kind, ReadSlots, Value};
+/// use mom_proto::{ReadSlots, Value, ValueKind};
 /// let mut slots = ReadSlots::new();
 /// slots.insert("family".into(), Value::from("message")).unwrap();
 /// slots.insert("name".into(), Value::from("chat")).unwrap();
 /// assert_eq!(slots.finish().unwrap().name(), "chat");
-/// assert_eq!(ReadSlots::kind_of("id"), Some(Kind::Int));
+/// assert_eq!(ReadSlots::kind_of("id"), Some(ValueKind::Int));
 /// ```
 #[derive(Debug)]
 pub struct ReadSlots {
@@ -69,7 +69,7 @@ impl ReadSlots {
     }
 
     /// The type of a known slot, `None` for others and for `content`, which may be anything.
-    pub fn kind_of(key: &str) -> Option<Kind> {
+    pub fn kind_of(key: &str) -> Option<ValueKind> {
         SLOTS
             .iter()
             .find(|slot| slot.key == key && slot.key != "content")
@@ -142,7 +142,7 @@ impl Default for ReadSlots {
 }
 
 /// Gives every slot that the parcel has but `content`, known ones first, in a fixed order.
-pub fn write_slots(parcel: &Parcel, mut slot: impl FnMut(&str, Option<Kind>, &Value)) {
+pub fn write_slots(parcel: &Parcel, mut slot: impl FnMut(&str, Option<ValueKind>, &Value)) {
     for known in &SLOTS {
         if let Some(value) = (known.get)(parcel) {
             slot(known.key, Some(known.kind), &value);

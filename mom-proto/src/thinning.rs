@@ -1,4 +1,4 @@
-//! What a member of a channel wants to be spared: the options of `context join`.
+//! Thinning: the options of `context join`.
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,7 +7,7 @@ use crate::{Code, Map, Value, WireError};
 
 const SECOND: u64 = 1_000_000;
 
-/// What a member of a channel gets of what the others send there.
+/// How many of the others' messages a member of a channel gets.
 ///
 /// ```
 /// use mom_proto::Thinning;
@@ -19,14 +19,14 @@ const SECOND: u64 = 1_000_000;
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Thinning {
-    /// Of each sender and name only the newest that waits.
+    /// Only the newest waiting message of each sender and name.
     pub newest: bool,
-    /// Of each sender and name at most so many, each time the newest; none = as many as come.
+    /// The most messages of each sender and name, always the newest; none = unlimited.
     pub rate: Option<MessageRate>,
 }
 
 impl Thinning {
-    /// Whether anything is left out.
+    /// Whether any messages may be left out.
     pub fn thins(&self) -> bool {
         self.newest || self.rate.is_some()
     }
@@ -56,7 +56,7 @@ pub struct MessageRate {
 }
 
 impl MessageRate {
-    /// The most in a period. The timer of a hub goes by ms, so more could not be told from no limit.
+    /// The most in a period. The hub's timer has a resolution of 1 ms, so a higher rate would be no limit.
     pub const MOST: u64 = 1000;
 
     /// So many per second.

@@ -39,7 +39,7 @@ pub enum Value {
 
 /// The type of a [`Value`], with its word on the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum ValueKind {
     /// `null`
     Null,
     /// `boolean`
@@ -60,54 +60,54 @@ pub enum Kind {
     Map,
 }
 
-impl Kind {
+impl ValueKind {
     /// All kinds, in the order of the design's list.
-    pub const ALL: [Kind; 9] = [
-        Kind::Null,
-        Kind::Bool,
-        Kind::Int,
-        Kind::Double,
-        Kind::String,
-        Kind::Time,
-        Kind::Binary,
-        Kind::List,
-        Kind::Map,
+    pub const ALL: [ValueKind; 9] = [
+        ValueKind::Null,
+        ValueKind::Bool,
+        ValueKind::Int,
+        ValueKind::Double,
+        ValueKind::String,
+        ValueKind::Time,
+        ValueKind::Binary,
+        ValueKind::List,
+        ValueKind::Map,
     ];
 
     /// The word used in XML's `type` attribute, in JSON and in error texts.
     pub fn word(self) -> &'static str {
         match self {
-            Kind::Null => "null",
-            Kind::Bool => "boolean",
-            Kind::Int => "int",
-            Kind::Double => "double",
-            Kind::String => "string",
-            Kind::Time => "time",
-            Kind::Binary => "binary",
-            Kind::List => "list",
-            Kind::Map => "map",
+            ValueKind::Null => "null",
+            ValueKind::Bool => "boolean",
+            ValueKind::Int => "int",
+            ValueKind::Double => "double",
+            ValueKind::String => "string",
+            ValueKind::Time => "time",
+            ValueKind::Binary => "binary",
+            ValueKind::List => "list",
+            ValueKind::Map => "map",
         }
     }
 
     /// The kind with this word.
-    pub fn from_word(word: &str) -> Option<Kind> {
-        Kind::ALL.into_iter().find(|kind| kind.word() == word)
+    pub fn from_word(word: &str) -> Option<ValueKind> {
+        ValueKind::ALL.into_iter().find(|kind| kind.word() == word)
     }
 }
 
 impl Value {
     /// The type of this value.
-    pub fn kind(&self) -> Kind {
+    pub fn kind(&self) -> ValueKind {
         match self {
-            Value::Null => Kind::Null,
-            Value::Bool(_) => Kind::Bool,
-            Value::Int(_) => Kind::Int,
-            Value::Double(_) => Kind::Double,
-            Value::String(_) => Kind::String,
-            Value::Time(_) => Kind::Time,
-            Value::Binary(_) => Kind::Binary,
-            Value::List(_) => Kind::List,
-            Value::Map(_) => Kind::Map,
+            Value::Null => ValueKind::Null,
+            Value::Bool(_) => ValueKind::Bool,
+            Value::Int(_) => ValueKind::Int,
+            Value::Double(_) => ValueKind::Double,
+            Value::String(_) => ValueKind::String,
+            Value::Time(_) => ValueKind::Time,
+            Value::Binary(_) => ValueKind::Binary,
+            Value::List(_) => ValueKind::List,
+            Value::Map(_) => ValueKind::Map,
         }
     }
 

@@ -1,4 +1,4 @@
-//! What a peer may ask for (design §5, M26).
+//! The verbs: requests of peers (design §5, M26).
 
 use std::fmt;
 
@@ -7,7 +7,7 @@ use crate::{Code, Family, WireError};
 
 /// A request of a peer: the family and name of its parcel.
 ///
-/// All messages are one verb, [`Verb::Send`], but for `stop` and `unstop`, which have rights of their own.
+/// All messages are one verb, [`Verb::Send`], except `stop` and `unstop`, which have rights of their own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Verb {
     /// `login login`: authenticate, for the first time or again (M12, M13).
@@ -32,11 +32,11 @@ pub enum Verb {
     Delete,
     /// `context members`.
     Members,
-    /// `context stats`: what a channel, or the channels of a session, have counted.
+    /// `context stats`: statistics of a channel, or of the channels of a session.
     Stats,
-    /// `context invite`: tell a peer of a context, and its manager of the invitation.
+    /// `context invite`: invite a peer to a context, and tell its manager.
     Invite,
-    /// `context expel`: put a peer out of a context and all below it.
+    /// `context expel`: remove a peer from a context and all below it.
     Expel,
     /// `token grab` (M28, M29).
     Grab,
@@ -46,7 +46,7 @@ pub enum Verb {
     Renew,
     /// `token give`: offer what one owns to another peer (M41).
     Give,
-    /// `token accept`: take what is offered, or hand over to who asked.
+    /// `token accept`: accept an offer, or hand over to a peer that asked.
     Accept,
     /// `token decline`: refuse an offer, or a peer that asked.
     Decline,

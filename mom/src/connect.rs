@@ -1,10 +1,10 @@
-//! To the hub, as the user who asks.
+//! Connects to the hub as the chosen user.
 
 use std::{env, fs};
 
 use mom_client::{Builder, Client, ClientError, Code, Key, Proof, WireError};
 
-use crate::cli::Global;
+use crate::cli::GlobalArgs;
 use crate::failure::Failure;
 
 /// Whether a command outlives a lost connection.
@@ -17,8 +17,8 @@ pub(crate) enum Stay {
 }
 
 /// Connects and logs in.
-pub(crate) async fn connect(global: &Global, stay: Stay) -> Result<Client, Failure> {
-    let who = Who::of(global)?;
+pub(crate) async fn connect(global: &GlobalArgs, stay: Stay) -> Result<Client, Failure> {
+    let who = UserLogin::of(global)?;
     let builder = who.prove(Client::builder(&global.hub));
     let builder = match stay {
         Stay::Once => builder.no_reconnect(),
@@ -30,16 +30,16 @@ pub(crate) async fn connect(global: &Global, stay: Stay) -> Result<Client, Failu
         .map_err(|error| explain(&global.hub, &who, error))
 }
 
-/// Who asks, and how that is proven.
-struct Who<'a> {
+/// The user and the proof.
+struct UserLogin<'a> {
     user: Option<&'a str>,
     proof: Proof,
 }
 
-impl<'a> Who<'a> {
-    fn of(global: &'a Global) -> Result<Who<'a>, Failure> {
+impl<'a> UserLogin<'a> {
+    fn of(global: &'a GlobalArgs) -> Result<UserLogin<'a>, Failure> {
         if global.guest {
-            return Ok(Who {
+            return Ok(UserLogin {
                 user: None,
                 proof: Proof::Guest,
             });
@@ -47,7 +47,7 @@ impl<'a> Who<'a> {
         if let Some(file) = &global.jwt {
             let token = fs::read_to_string(file)
                 .map_err(|error| Failure::plain(format!("cannot read {}: {error}", file.display())))?;
-            return Ok(Who {
+            return Ok(UserLogin {
                 user: None,
                 proof: Proof::Token(token.trim().to_owned()),
             });
@@ -68,7 +68,7 @@ impl<'a> Who<'a> {
             })?),
             None => Proof::Password(password(user, &global.hub)?),
         };
-        Ok(Who {
+        Ok(UserLogin {
             user: Some(user),
             proof,
         })
@@ -104,7 +104,7 @@ fn password(user: &str, hub: &str) -> Result<String, Failure> {
     })
 }
 
-fn explain(hub: &str, who: &Who<'_>, error: ClientError) -> Failure {
+fn explain(hub: &str, who: &UserLogin<'_>, error: ClientError) -> Failure {
     match error {
         ClientError::Local(error) => Failure::usage(
             format!("--hub {hub}: {}", error.text),
@@ -122,8 +122,8 @@ fn explain(hub: &str, who: &Who<'_>, error: ClientError) -> Failure {
     }
 }
 
-/// The hub does not take the proof.
-fn unknown(hub: &str, who: &Who<'_>, error: &WireError) -> Failure {
+/// The hub refuses the proof.
+fn unknown(hub: &str, who: &UserLogin<'_>, error: &WireError) -> Failure {
     let known = |what: &str| format!("the hub at {hub} does not know {} with this {what}", who.name());
     match &who.proof {
         Proof::Password(_) => Failure::new(

@@ -1,4 +1,4 @@
-//! Why a command did not do its work, and what its exit code is.
+//! Failures of commands, and their exit codes.
 
 use std::io;
 
@@ -34,7 +34,7 @@ pub(crate) enum Failure {
     /// Input or output failed.
     #[error(transparent)]
     Io(#[from] io::Error),
-    /// It did not work, and what there is to say has been said.
+    /// It failed, and the reason has been printed.
     #[error("told already")]
     Told,
 }
@@ -48,7 +48,7 @@ impl Failure {
         }
     }
 
-    /// A failure about which nothing can be done here.
+    /// A failure without advice.
     pub(crate) fn plain(text: impl Into<String>) -> Failure {
         Failure::Failed {
             text: text.into(),
@@ -64,7 +64,7 @@ impl Failure {
         }
     }
 
-    /// What a client's error means for the command that was doing `what`.
+    /// The failure of `what` by a client's error.
     pub(crate) fn of_client(what: impl Into<String>, error: ClientError) -> Failure {
         match error {
             ClientError::Refused(error) | ClientError::Closed(Some(error)) => Failure::Refused {
@@ -83,7 +83,7 @@ impl Failure {
     pub(crate) fn exit_code(&self) -> u8 {
         match self {
             Failure::Usage { .. } => 2,
-            // Whoever read our output wanted no more of it.
+            // The reader of our output has closed it.
             Failure::Io(error) if error.kind() == io::ErrorKind::BrokenPipe => 0,
             _ => 1,
         }

@@ -26,10 +26,10 @@ pub(crate) fn lines() -> mpsc::Receiver<io::Result<String>> {
     receiver
 }
 
-/// Answers to questions that come from time to time, a line each.
+/// Answers to occasional questions, one line each.
 ///
-/// At a terminal a line counts only if something is asked when it comes: a second Enter must not answer what is asked
-/// next. What comes from elsewhere was written before, so it waits.
+/// At a terminal a line counts only if a question is open when it comes: a second Enter must not answer the next
+/// question. Lines from elsewhere were written in advance, so they wait.
 pub(crate) struct Answers {
     lines: Option<mpsc::Receiver<io::Result<String>>>,
     ahead: Option<io::Result<String>>,
@@ -64,7 +64,7 @@ impl Answers {
         self.lines.is_some()
     }
 
-    /// The answer to what is asked now, if something is; `None` once there will be no more. Cancel safe.
+    /// The answer to the open question, if there is one; `None` at the end of input. Cancel safe.
     pub(crate) async fn next(&mut self, asked: bool) -> Option<io::Result<String>> {
         loop {
             if asked && let Some(line) = self.ahead.take() {

@@ -4,7 +4,7 @@ use mom_proto::{Code, Map, Value, Verb, WireError};
 use proptest::prelude::*;
 
 use super::{Ask, GRAB, ask, build, of, short, words};
-use crate::{self as managers, Answer, Bucket, Expiry, Given, Grant, Rate};
+use crate::{self as managers, Answer, Bucket, Expiry, GivenAnswer, Grant, Rate};
 use crate::{Manager, Question, Registry, Scope, Setup, Standing, Terms, Verdict};
 
 fn chain(links: Vec<Value>) -> Map {
@@ -202,8 +202,8 @@ proptest! {
     }
 }
 
-fn yes(label: &str) -> Given {
-    Given {
+fn yes(label: &str) -> GivenAnswer {
+    GivenAnswer {
         label: label.into(),
         by: Some("dora".into()),
         allow: true,

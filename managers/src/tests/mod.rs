@@ -15,8 +15,8 @@ mod unknown;
 use mom_proto::{Code, ContextKind, Map, Path, Time, Value, Verb};
 
 use crate::{
-    Answer, Bucket, Given, Manager, Micros, Owner, PeerFacts, Question, Rate, Registry, Scope, Standing,
-    TokenFacts, Verdict,
+    Answer, Bucket, GivenAnswer, Manager, Micros, Owner, PeerFacts, Question, Rate, Registry, Scope,
+    Standing, TokenFacts, Verdict,
 };
 
 /// A question with all that can matter.
@@ -37,7 +37,7 @@ struct Ask<'a> {
     waiting: usize,
     invited: bool,
     created: bool,
-    answers: &'a [Given],
+    answers: &'a [GivenAnswer],
     age: Option<(i64, u64)>,
     now: Micros,
     /// As text; empty = the epoch.

@@ -3,7 +3,7 @@
 use mom_proto::{Code, Map, Verb};
 
 use super::{Ask, GRAB, ask, build, check, of, short, text, words};
-use crate::{self as managers, Answer, Given, PeerFacts, Scope, Standing};
+use crate::{self as managers, Answer, GivenAnswer, PeerFacts, Scope, Standing};
 
 fn moderated() -> Map {
     let chairs = Map::new()
@@ -13,8 +13,8 @@ fn moderated() -> Map {
     of("moderated").with("chairs", chairs)
 }
 
-fn given(label: &str, by: Option<&str>, allow: bool, stands: bool, text: &str) -> Given {
-    Given {
+fn given(label: &str, by: Option<&str>, allow: bool, stands: bool, text: &str) -> GivenAnswer {
+    GivenAnswer {
         label: label.into(),
         by: by.map(Into::into),
         allow,

@@ -6,8 +6,8 @@ use mom_proto::{Map, Value, Verb};
 use proptest::prelude::*;
 
 use super::{Ask, GRAB, ask, build, of, short, text, words};
-use crate::bucket::{Counts, Over};
-use crate::{Bucket, Given, Rate, Scope, Standing};
+use crate::bucket::{Over, RateCounts};
+use crate::{Bucket, GivenAnswer, Rate, Scope, Standing};
 
 fn quota(limits: Vec<Map>) -> Map {
     let limits: Vec<Value> = limits.into_iter().map(Value::from).collect();
@@ -67,7 +67,7 @@ fn other_verbs_are_counted_by_peer_and_limit() {
         limit(&["*"]).with("parcels", 1).with("bytes", 10),
     ]));
     let info = Ask { verb: Verb::Info, ..GRAB };
-    let done = [Given { label: "x".into(), by: None, allow: false, stands: false, text: String::new() }];
+    let done = [GivenAnswer { label: "x".into(), by: None, allow: false, stands: false, text: String::new() }];
     for (why, question, expected) in [
         ("a full bucket", GRAB, "allow"),
         ("has two", GRAB, "allow"),
@@ -118,7 +118,7 @@ fn peers_with_full_buckets_are_forgotten_and_a_full_table_denies() {
         parcels: bucket(1, 2),
         bytes: Bucket::UNLIMITED,
     };
-    let mut counts = Counts::new(rate, 2);
+    let mut counts = RateCounts::new(rate, 2);
     let [alice, bob, carol]: [Arc<str>; 3] = ["alice", "bob", "carol"].map(Into::into);
     for (peer, now, expected) in [
         (&alice, 0, Ok(())),
@@ -140,7 +140,7 @@ fn peers_with_full_buckets_are_forgotten_and_a_full_table_denies() {
 #[test]
 fn the_highest_rates_and_times_do_not_overflow() {
     let most = crate::bucket::HIGHEST;
-    let mut counts = Counts::new(
+    let mut counts = RateCounts::new(
         Rate {
             parcels: bucket(1, most),
             bytes: bucket(most, 1),
@@ -164,7 +164,7 @@ proptest! {
         steps in prop::collection::vec((0_u64..300_000, 1_usize..25), 1..60),
     ) {
         let peer: Arc<str> = "alice".into();
-        let mut counts = Counts::new(Rate { parcels: Bucket::UNLIMITED, bytes: bucket(rate, burst) }, 1);
+        let mut counts = RateCounts::new(Rate { parcels: Bucket::UNLIMITED, bytes: bucket(rate, burst) }, 1);
         let mut passed: Vec<(u64, u64)> = Vec::new();
         let mut now = 0;
         for (pause, size) in steps {

@@ -3,10 +3,10 @@
 use mom_proto::Verb;
 
 use super::{Ask, GRAB, ask, build, check, of, short, text, words};
-use crate::{self as managers, Answer, Given, Scope, Standing};
+use crate::{self as managers, Answer, GivenAnswer, Scope, Standing};
 
-fn given(by: Option<&str>, allow: bool, stands: bool, text: &str) -> Given {
-    Given {
+fn given(by: Option<&str>, allow: bool, stands: bool, text: &str) -> GivenAnswer {
+    GivenAnswer {
         label: "self".into(),
         by: by.map(Into::into),
         allow,

@@ -1,10 +1,10 @@
-//! A wrong configuration: where and why.
+//! Errors of the configuration, with their positions.
 
 use std::fmt;
 
 use mom_login::SettingError;
 
-/// What is wrong with a configuration, and the place: file, line, key.
+/// An error of the configuration with file, line and key.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ConfigError {
     /// The file; none for a configuration that was made in a program.

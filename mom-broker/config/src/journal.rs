@@ -1,4 +1,4 @@
-//! What the journal has to know of a configuration.
+//! The journal's view of a configuration.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use sha2::{Digest, Sha256};
 use crate::Config;
 
 impl Config {
-    /// Its file, as the journal names it.
+    /// Its file, as named in the journal.
     pub fn file(&self) -> ConfigFile {
         let source = self.source.as_ref();
         let name = source.and_then(|source| Path::new(&source.name).file_name());

@@ -1,4 +1,4 @@
-//! The configuration: what the file may say, and its defaults.
+//! The configuration: its keys and their defaults.
 
 mod error;
 mod explain;
@@ -23,12 +23,12 @@ use serde::Deserialize;
 
 pub use error::ConfigError;
 pub use explain::{Asked, Explanation, Supposed};
-pub use locate::Place;
+pub use locate::Location;
 pub use schema::{config_schema, users_schema};
 
-use locate::Source;
+use locate::SourceText;
 
-/// All that a broker can be told.
+/// The whole configuration of a broker.
 ///
 /// ```
 /// use mom_config::Config;
@@ -46,7 +46,7 @@ pub struct Config {
     pub log: String,
     /// When the file is read again.
     pub reload: ReloadOn,
-    /// What the hub takes.
+    /// The hub's limits.
     pub limits: Limits,
     /// How logins are checked.
     pub login: LoginConfig,
@@ -54,17 +54,17 @@ pub struct Config {
     pub store: StoreConfig,
     /// Where the audit log goes.
     pub audit: AuditConfig,
-    /// Where control inputs are recorded.
+    /// Where the hub's inputs are recorded.
     pub record: RecordConfig,
     /// The manager of the root.
     pub root: Value,
-    /// The managers that have names.
+    /// The named managers.
     pub managers: BTreeMap<String, Value>,
-    /// The contexts that are always there.
+    /// The permanent contexts.
     pub contexts: Vec<ContextSpec>,
     /// The users.
     pub users: Vec<UserEntry>,
-    source: Option<Source>,
+    source: Option<SourceText>,
 }
 
 /// When the configuration file is read again.
@@ -100,7 +100,7 @@ impl Default for Config {
 }
 
 impl Config {
-    /// Checks all that can be checked without starting: managers, contexts, paths.
+    /// Checks everything that can be checked without starting: managers, contexts, paths.
     ///
     /// # Errors
     /// What is wrong, with file, line and key where it came from a file.
@@ -113,7 +113,7 @@ impl Config {
         self.hub().map(|_| ())
     }
 
-    /// A hub of this configuration to which nobody has come yet, to ask what it would say.
+    /// A hub of this configuration without peers, for hypothetical requests.
     ///
     /// # Errors
     /// As [`Config::check`].

@@ -11,7 +11,7 @@ use mom_store::StoreConfig;
 use serde::Deserialize;
 use tracing_subscriber::EnvFilter;
 
-use super::locate::Source;
+use super::locate::SourceText;
 use super::{Config, ConfigError, ReloadOn, users};
 
 const LAB: &str = include_str!("../../../config/lab.toml");
@@ -19,7 +19,7 @@ const LAB_USERS: &str = include_str!("../../../config/lab-users.toml");
 
 #[derive(Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
-struct File {
+struct ConfigDocument {
     listen: Vec<String>,
     connections: usize,
     log: String,
@@ -35,8 +35,8 @@ struct File {
     contexts: Vec<ContextSpec>,
 }
 
-impl Default for File {
-    fn default() -> File {
+impl Default for ConfigDocument {
+    fn default() -> ConfigDocument {
         let Config {
             listen,
             connections,
@@ -52,7 +52,7 @@ impl Default for File {
             contexts,
             ..
         } = Config::default();
-        File {
+        ConfigDocument {
             listen,
             connections,
             log,
@@ -87,7 +87,7 @@ impl Config {
     /// # Panics
     /// Never: a test reads the same files.
     pub fn lab() -> Config {
-        let source = |name: &str, text: &str| Source {
+        let source = |name: &str, text: &str| SourceText {
             name: name.to_owned(),
             text: text.to_owned(),
         };
@@ -97,10 +97,10 @@ impl Config {
     }
 
     fn parse(
-        source: Source,
-        beside: impl Fn(&str) -> Result<Source, ConfigError>,
+        source: SourceText,
+        beside: impl Fn(&str) -> Result<SourceText, ConfigError>,
     ) -> Result<Config, ConfigError> {
-        let mut file: File = toml::from_str(&source.text).map_err(|error| source.syntax(&error))?;
+        let mut file: ConfigDocument = toml::from_str(&source.text).map_err(|error| source.syntax(&error))?;
         check(&file, &source)?;
         let folder = Path::new(&source.name).parent().unwrap_or(Path::new("."));
         file.audit.resolve(folder);
@@ -138,15 +138,15 @@ impl Config {
     }
 }
 
-fn read(path: &Path) -> Result<Source, ConfigError> {
+fn read(path: &Path) -> Result<SourceText, ConfigError> {
     let name = path.display().to_string();
     match std::fs::read_to_string(path) {
-        Ok(text) => Ok(Source { name, text }),
+        Ok(text) => Ok(SourceText { name, text }),
         Err(error) => Err(ConfigError::of_file(&name, format!("cannot be read: {error}"))),
     }
 }
 
-fn check(file: &File, source: &Source) -> Result<(), ConfigError> {
+fn check(file: &ConfigDocument, source: &SourceText) -> Result<(), ConfigError> {
     let at_least_one = [
         ("connections", file.connections as u64, "connections"),
         ("limits", file.limits.heartbeat, "heartbeat"),
@@ -209,7 +209,7 @@ fn check(file: &File, source: &Source) -> Result<(), ConfigError> {
 }
 
 /// Checks what is written: the store, the audit log, the recording.
-fn check_files(file: &File, source: &Source) -> Result<(), ConfigError> {
+fn check_files(file: &ConfigDocument, source: &SourceText) -> Result<(), ConfigError> {
     for (table, size, least) in [
         ("audit", file.audit.size, AuditConfig::LEAST),
         ("record", file.record.size, RecordConfig::LEAST),

@@ -1,4 +1,4 @@
-//! From a key of the configuration to its line.
+//! Finds the line of a configuration key.
 
 use std::fmt;
 
@@ -9,9 +9,9 @@ use toml::de::{DeTable, DeValue};
 
 use super::{Config, ConfigError};
 
-/// Where something stands in the configuration.
+/// A position in the configuration.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Place {
+pub struct Location {
     /// The file.
     pub file: String,
     /// The line, from 1.
@@ -20,7 +20,7 @@ pub struct Place {
     pub key: String,
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for Location {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(formatter, "{}:{}", self.file, self.line)
     }
@@ -28,12 +28,12 @@ impl fmt::Display for Place {
 
 /// A file's name and text, for errors that come after it was read.
 #[derive(Clone, Debug)]
-pub(super) struct Source {
+pub(super) struct SourceText {
     pub(super) name: String,
     pub(super) text: String,
 }
 
-impl Source {
+impl SourceText {
     /// An error of the parser.
     pub(super) fn syntax(&self, error: &toml::de::Error) -> ConfigError {
         let line = error.span().map(|span| self.line_at(span.start));
@@ -58,9 +58,9 @@ impl Source {
         }
     }
 
-    /// Where a key stands, or the nearest table above it.
-    pub(super) fn place(&self, keys: &[&str]) -> Option<Place> {
-        Some(Place {
+    /// The location of a key, or of the nearest table above it.
+    pub(super) fn place(&self, keys: &[&str]) -> Option<Location> {
+        Some(Location {
             file: self.name.clone(),
             line: self.line_at(self.offset_of(keys)?),
             key: key_text(keys),
@@ -136,7 +136,7 @@ fn key_text(keys: &[&str]) -> String {
 }
 
 impl Config {
-    /// What the hub found wrong, at its place in the file.
+    /// An error that the hub found, with its position in the file.
     pub(crate) fn locate(&self, error: &SetupError) -> ConfigError {
         match error.entry {
             Some(entry) => self.at(&["contexts", &entry.to_string()], &error.error),
@@ -144,7 +144,7 @@ impl Config {
         }
     }
 
-    /// What is wrong with a named manager.
+    /// An error of a named manager.
     pub(crate) fn locate_manager(&self, name: &str, error: &WireError) -> ConfigError {
         self.at(&["managers", name], error)
     }
@@ -167,7 +167,7 @@ impl Config {
         self.remark(&keys, text)
     }
 
-    /// Words about a key, at its place.
+    /// A remark about a key, with its position.
     pub(super) fn remark(&self, keys: &[&str], text: String) -> ConfigError {
         match &self.source {
             Some(source) => source.error(keys, text),
@@ -188,7 +188,7 @@ mod tests {
     #[test]
     fn keys_are_found() {
         let text = "a = 1\n[managers.lab]\nkind = \"roles\"\n[[contexts]]\npath = \"/a\"\n[[contexts]]\nkind = 'x'\n";
-        let source = Source {
+        let source = SourceText {
             name: "mom.toml".into(),
             text: text.into(),
         };

@@ -1,4 +1,4 @@
-//! The table `[login]` and the users, held to what a login can use.
+//! Checks the table `[login]` and the users.
 
 use mom_proto::{Code, WireError};
 
@@ -15,7 +15,7 @@ impl Config {
             let error = error.below(&["login"]);
             wrong(&error.keys(), error.text.clone())
         })?;
-        // Those of a file have been checked at their lines; this is for those of a program.
+        // Users of a file were checked with their lines; this checks those set by a program.
         for user in &self.users {
             user.check(self.login.guests)
                 .map_err(|error| wrong(&["users"], format!("user {:?}: {}", user.name, error.text)))?;

@@ -1,28 +1,28 @@
-//! The managers of a configuration as they stand in it: which there are, and where their rules are.
+//! The managers of a configuration, and the locations of their rules.
 
 use std::collections::BTreeSet;
 
 use mom_proto::{Map, Path, Value};
 
-use super::{Config, Place};
+use super::{Config, Location};
 
-/// Managers inside managers, as deep as they can be built.
+/// The deepest nesting of managers that can be built.
 const DEPTH: usize = 4;
 
 /// One manager of the configuration.
 #[derive(Clone, Debug)]
-pub(super) struct Node<'a> {
-    /// What verdicts call it.
+pub(super) struct ManagerNode<'a> {
+    /// Its name in verdicts.
     pub(super) label: String,
     pub(super) kind: &'a str,
-    /// None for a kind that is named without any.
+    /// None for a kind without parameters.
     pub(super) params: Option<&'a Map>,
     /// The keys that lead to it.
     pub(super) keys: Vec<String>,
 }
 
-impl Node<'_> {
-    /// The keys of something in its parameters.
+impl ManagerNode<'_> {
+    /// The keys of one of its parameters.
     pub(super) fn at(&self, inner: &[&str]) -> Vec<String> {
         let inner = inner.iter().map(|key| (*key).to_owned());
         self.keys.iter().cloned().chain(inner).collect()
@@ -49,7 +49,7 @@ impl Node<'_> {
 impl Config {
     /// All managers of the configuration, each once: the named ones, and those that the root, contexts and other
     /// managers define on the spot.
-    pub(super) fn all_managers(&self) -> Vec<Node<'_>> {
+    pub(super) fn all_managers(&self) -> Vec<ManagerNode<'_>> {
         let mut all = Vec::new();
         for name in self.managers.keys() {
             self.walk_named(name, DEPTH, &mut all);
@@ -64,7 +64,7 @@ impl Config {
     }
 
     /// The manager that a context names, and all inside it, outermost first.
-    pub(super) fn managers_at(&self, context: &Path) -> Vec<Node<'_>> {
+    pub(super) fn managers_at(&self, context: &Path) -> Vec<ManagerNode<'_>> {
         if *context == Path::root() {
             let mut found = Vec::new();
             self.walk(&self.root, None, vec!["root".to_owned()], DEPTH, &mut found);
@@ -82,7 +82,7 @@ impl Config {
             .position(|spec| spec.path.as_deref() == Some(context))
     }
 
-    fn managers_of_context(&self, entry: usize) -> Vec<Node<'_>> {
+    fn managers_of_context(&self, entry: usize) -> Vec<ManagerNode<'_>> {
         let mut found = Vec::new();
         if let Some(spec) = &self.contexts[entry].manager {
             let keys = ["contexts", &entry.to_string(), "manager"].map(str::to_owned);
@@ -91,7 +91,7 @@ impl Config {
         found
     }
 
-    fn walk_named<'a>(&'a self, name: &'a str, depth: usize, out: &mut Vec<Node<'a>>) {
+    fn walk_named<'a>(&'a self, name: &'a str, depth: usize, out: &mut Vec<ManagerNode<'a>>) {
         if let Some(spec) = self.managers.get(name) {
             let keys = vec!["managers".to_owned(), name.to_owned()];
             self.walk(spec, Some(name.to_owned()), keys, depth, out);
@@ -105,12 +105,12 @@ impl Config {
         label: Option<String>,
         keys: Vec<String>,
         depth: usize,
-        out: &mut Vec<Node<'a>>,
+        out: &mut Vec<ManagerNode<'a>>,
     ) {
         let Some(depth) = depth.checked_sub(1) else { return };
         match spec {
             Value::String(name) if self.managers.contains_key(name) => self.walk_named(name, depth, out),
-            Value::String(kind) => out.push(Node {
+            Value::String(kind) => out.push(ManagerNode {
                 label: label.unwrap_or_else(|| kind.clone()),
                 kind,
                 params: None,
@@ -121,7 +121,7 @@ impl Config {
                     return;
                 };
                 let label = label.unwrap_or_else(|| kind.to_owned());
-                let node = Node {
+                let node = ManagerNode {
                     label,
                     kind,
                     params,
@@ -148,10 +148,10 @@ impl Config {
         label
     }
 
-    /// Where a rule stands, by the name that a verdict or an audit record gives it; where that is a part of a
-    /// manager that cannot be told from its other parts, the manager. `managed_at` is the context whose manager
-    /// decided. None for what no configuration says: the hub's own rules.
-    pub fn locate_rule(&self, rule: &str, managed_at: &Path) -> Option<Place> {
+    /// The location of a rule, by its name in a verdict or an audit record; if the name does not identify one part of
+    /// a manager, the manager's location. `managed_at` is the context whose manager decided. None for the hub's own
+    /// rules.
+    pub fn locate_rule(&self, rule: &str, managed_at: &Path) -> Option<Location> {
         if let Some(channel) = rule.strip_prefix("guard of ") {
             let entry = self.entry_of(channel)?;
             return self.place(&["contexts", &entry.to_string(), "guard"].map(str::to_owned));
@@ -159,7 +159,7 @@ impl Config {
         let nodes = self.managers_at(managed_at);
         let exactly = nodes.iter().find(|node| node.label == rule);
         let keys = exactly.map(|node| node.keys.clone());
-        let inside = |node: &Node<'_>| {
+        let inside = |node: &ManagerNode<'_>| {
             let name = rule.strip_prefix(&*node.label)?.strip_prefix('/')?;
             Some((node.entry(name), node.label.len(), node.keys.clone()))
         };
@@ -172,12 +172,12 @@ impl Config {
         self.place(&keys)
     }
 
-    /// Where the manager of a context stands.
-    pub(super) fn locate_manager_of(&self, managed_at: &Path) -> Option<Place> {
+    /// The location of a context's manager.
+    pub(super) fn locate_manager_of(&self, managed_at: &Path) -> Option<Location> {
         self.place(&self.managers_at(managed_at).first()?.keys)
     }
 
-    pub(super) fn place(&self, keys: &[String]) -> Option<Place> {
+    pub(super) fn place(&self, keys: &[String]) -> Option<Location> {
         let keys: Vec<&str> = keys.iter().map(String::as_str).collect();
         self.source.as_ref()?.place(&keys)
     }

@@ -1,15 +1,15 @@
-//! What is right and still looks like a mistake.
+//! Warnings: valid settings that look like mistakes.
 
 use std::collections::BTreeSet;
 
 use mom_login::{GUEST, JwtConfig, JwtUsers};
 use mom_proto::{Map, Value, event};
 
-use super::managers::Node;
+use super::managers::ManagerNode;
 use super::{Config, ConfigError};
 
 impl Config {
-    /// What is not wrong but probably not meant, with its place, in the order of the kinds of remark.
+    /// Warnings with their locations, ordered by kind.
     pub fn warnings(&self) -> Vec<ConfigError> {
         let mut found = Vec::new();
         for manager in self.all_managers() {
@@ -34,14 +34,14 @@ impl Config {
         found.push(self.remark(&keys, text));
     }
 
-    /// Rules that are never asked, and names that do not tell rules apart.
-    fn review_rules(&self, manager: &Node<'_>, found: &mut Vec<ConfigError>) {
+    /// Rules that never decide, and rules with the same name.
+    fn review_rules(&self, manager: &ManagerNode<'_>, found: &mut Vec<ConfigError>) {
         let rules = manager.params.and_then(|params| params.get("rules")?.as_list());
-        let rules: Vec<Rule<'_>> = rules
+        let rules: Vec<ReviewedRule<'_>> = rules
             .unwrap_or_default()
             .iter()
             .enumerate()
-            .map(|(index, rule)| Rule::read(index, rule))
+            .map(|(index, rule)| ReviewedRule::read(index, rule))
             .collect();
         for (index, rule) in rules.iter().enumerate() {
             let keys = manager.at(&["rules", &index.to_string()]);
@@ -72,7 +72,7 @@ impl Config {
             .unwrap_or_default()
     }
 
-    /// Users, groups and levels that nobody has. Where users come from elsewhere nothing can be said of them.
+    /// Users, groups and levels that nobody has. Not checked if users also come from elsewhere.
     fn review_people(&self, value: &Value, keys: &mut Vec<String>, found: &mut Vec<ConfigError>) {
         let from_claims = |jwt: &JwtConfig| jwt.users == JwtUsers::FromClaims;
         let Some(highest) = self.users.iter().map(|user| user.level).max() else {
@@ -183,7 +183,7 @@ impl Config {
 }
 
 /// A rule of the manager `roles`, as it stands in the file.
-struct Rule<'a> {
+struct ReviewedRule<'a> {
     index: usize,
     /// Its name in quotes, or its number.
     called: String,
@@ -193,12 +193,12 @@ struct Rule<'a> {
     min_level: Option<i64>,
     places: Vec<&'a str>,
     messages: Vec<&'a str>,
-    /// Conditions that are not looked into.
+    /// Conditions that are not analysed.
     more: Vec<(&'a str, &'a Value)>,
 }
 
-impl<'a> Rule<'a> {
-    fn read(index: usize, rule: &'a Value) -> Rule<'a> {
+impl<'a> ReviewedRule<'a> {
+    fn read(index: usize, rule: &'a Value) -> ReviewedRule<'a> {
         let words = |key: &str| -> Vec<&'a str> {
             let list = rule.get(key).and_then(Value::as_list).unwrap_or_default();
             list.iter().filter_map(Value::as_str).collect()
@@ -214,7 +214,7 @@ impl<'a> Rule<'a> {
             "messages",
         ];
         let keys = rule.as_map().into_iter().flat_map(Map::iter);
-        Rule {
+        ReviewedRule {
             index,
             called: match rule.get("name").and_then(Value::as_str) {
                 Some(name) => format!("{name:?}"),
@@ -230,8 +230,8 @@ impl<'a> Rule<'a> {
         }
     }
 
-    /// Whether it decides every question that the other one could.
-    fn covers(&self, later: &Rule<'_>) -> bool {
+    /// Whether it covers every question that the other rule covers.
+    fn covers(&self, later: &ReviewedRule<'_>) -> bool {
         let within = |one: &[&str], all: &[&str]| one.iter().all(|word| all.contains(word));
         let verbs = self.verbs.contains(&"*") || within(&later.verbs, &self.verbs);
         let anybody = self.users.is_empty() && self.groups.is_empty();

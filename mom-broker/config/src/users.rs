@@ -4,18 +4,18 @@ use mom_login::UserEntry;
 use serde::Deserialize;
 
 use crate::ConfigError;
-use crate::locate::Source;
+use crate::locate::SourceText;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct File {
+struct UsersFile {
     #[serde(default)]
     users: Vec<UserEntry>,
 }
 
 /// Reads a users file's text.
-pub(super) fn parse(source: &Source, guests: bool) -> Result<Vec<UserEntry>, ConfigError> {
-    let File { users } = toml::from_str(&source.text).map_err(|error| source.syntax(&error))?;
+pub(super) fn parse(source: &SourceText, guests: bool) -> Result<Vec<UserEntry>, ConfigError> {
+    let UsersFile { users } = toml::from_str(&source.text).map_err(|error| source.syntax(&error))?;
     for (index, user) in users.iter().enumerate() {
         let index_key = index.to_string();
         let at = |keys: &[&str], text: String| {

@@ -1,4 +1,4 @@
-//! Which configuration file a hub goes by.
+//! The configuration file of a hub.
 
 /// A configuration file, as the audit log and recordings name it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

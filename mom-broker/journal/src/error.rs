@@ -1,8 +1,8 @@
-//! What keeps a journal from being written.
+//! Errors of opening a journal.
 
 use std::path::{Path, PathBuf};
 
-/// A file that the journal shall write and cannot.
+/// A file that the journal cannot write.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot write the {what} {}: {error}", path.display())]
 pub struct WriteError {

@@ -1,5 +1,4 @@
-//! What is written down: the audit log for people, recordings for `mom-broker what-if`, and the tap between broker and
-//! hub that feeds both.
+//! The audit log for people, recordings for `mom-broker what-if`, and the tap between broker and hub that feeds both.
 
 mod audit;
 mod config_file;

@@ -1,4 +1,4 @@
-//! Stands between the broker and its hub, and writes down what goes in and what comes out.
+//! The tap between the broker and its hub: writes inputs and effects to the audit log and the recording.
 
 use std::sync::Arc;
 
@@ -14,19 +14,19 @@ use crate::{ConfigFile, WriteError};
 /// The audit log and the recording of a broker.
 #[derive(Debug)]
 pub struct Tap {
-    /// The audit log, for facts of which the hub does not know.
+    /// The audit log, for facts that the hub does not know.
     pub audit: AuditLog,
     recorder: Option<Recorder>,
     clock: Clock,
-    /// Which configuration the hub goes by, or is about to.
+    /// The hub's configuration, or the one about to be applied.
     config: Mutex<ConfigFile>,
 }
 
 impl Tap {
-    /// Opens what the configuration wishes, for a hub that starts with these settings.
+    /// Opens what is configured, for a hub that starts with these settings.
     ///
     /// # Errors
-    /// A file that cannot be written: a broker that shall be audited does not run without.
+    /// A file that cannot be written: a broker with an audit log does not run without it.
     pub fn start(
         (audit, record): (&AuditConfig, &RecordConfig),
         config: ConfigFile,
@@ -55,7 +55,7 @@ impl Tap {
         *self.config.lock() = config;
     }
 
-    /// Gives the hub an input and writes down what it decides.
+    /// Gives the hub an input and writes down its decision.
     pub fn handle(&self, hub: &mut Hub, input: Input, effects: &mut Vec<Effect>) {
         let now = self.clock.now();
         let peer = match &input {
@@ -99,7 +99,7 @@ impl Tap {
         let verb = Verb::of(Family::Message, message).ok();
         let audit = Audit {
             peer: name,
-            // Whoever is no member there is still somebody.
+            // A peer that is not a member there still has a name.
             user: facts
                 .map(|facts| Arc::clone(&facts.user))
                 .or_else(|| self.audit.user(peer)),
@@ -115,9 +115,9 @@ impl Tap {
         self.audit.refused(Fact::new(self.clock.wall(), audit));
     }
 
-    /// Notes a login that was refused. `user` is the one that it claimed to be, if there is such a user.
+    /// Notes a refused login. `user` is the claimed user, if there is one of that name.
     pub fn login_refused(&self, peer: PeerId, name: Option<Arc<str>>, user: Option<Arc<str>>, code: &Code) {
-        // No text: it may quote what was typed. No name but a known one: people type passwords there.
+        // No text, because it may quote what was typed, and only known names, because people type passwords there.
         let audit = Audit {
             peer: name,
             user: Some(user.unwrap_or_else(|| "unknown".into())),
@@ -129,7 +129,7 @@ impl Tap {
         self.audit.login(peer, fact);
     }
 
-    /// The last words, and that they are written.
+    /// Writes `stopped` and waits until all is written.
     pub async fn stop(&self) {
         self.audit.note(Fact::of(self.clock.wall(), "stopped"));
         self.audit.flush().await;
@@ -139,7 +139,7 @@ impl Tap {
     }
 }
 
-/// Says in a fact which configuration it is about.
+/// Adds the configuration to a fact.
 fn name_config(fact: &mut Fact, config: &ConfigFile) {
     let keys = [("config", &config.name), ("sha256", &config.sha256)];
     let known = keys

@@ -1,4 +1,4 @@
-//! One configuration of logins: the users, and who else is let in.
+//! One configuration of logins: the users, and which others are let in.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -18,7 +18,7 @@ pub const GUEST: &str = "guest";
 
 /// Where a user comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Origin {
+pub enum UserSource {
     /// The users file.
     File,
     /// Nowhere: a guest.
@@ -27,11 +27,11 @@ pub enum Origin {
     Claims,
 }
 
-/// All that logins go by.
+/// The configuration of logins.
 #[derive(Debug)]
 pub(super) struct Book {
-    pub(super) users: BTreeMap<String, Entry>,
-    /// Of each look of a user's name whose it is; none = of several.
+    pub(super) users: BTreeMap<String, BookEntry>,
+    /// The user for each visual form of a name; none = several users share it.
     looks: BTreeMap<String, Option<String>>,
     /// The most keys that a user has.
     pub(super) keys: usize,
@@ -43,38 +43,38 @@ pub(super) struct Book {
 
 /// A user of the file.
 #[derive(Debug)]
-pub(super) struct Entry {
+pub(super) struct BookEntry {
     pub(super) user: Arc<User>,
     pub(super) password: Option<String>,
     pub(super) keys: Vec<VerifyingKey>,
 }
 
-/// As whom a peer is here.
+/// A logged-in peer's user.
 #[derive(Clone, Debug)]
-pub(super) struct Standing {
+pub(super) struct Identity {
     /// Shared by all peers of a user.
     pub(super) user: Arc<User>,
-    pub(super) origin: Origin,
-    /// What it has shown, which must still be the user's for it to stay.
-    proof: Proof,
+    pub(super) origin: UserSource,
+    /// The proof it has shown, which must remain valid for it to stay.
+    proof: ShownProof,
 }
 
-/// By what a peer has shown who it is.
+/// The proof by which a peer has authenticated.
 #[derive(Clone, Debug)]
-pub(super) enum Proof {
-    /// A password; the hash that it was checked against, which is another one after each change.
+pub(super) enum ShownProof {
+    /// A password, as the hash that it was checked against; each change makes another hash.
     Password(String),
     /// The key that signed.
     Key(Box<VerifyingKey>),
-    /// A token, by what it was checked.
+    /// A JWT, with the settings by which it was checked.
     Token(Arc<Verifier>),
     /// Nothing: a guest.
     Nothing,
 }
 
 impl Book {
-    /// What an earlier one had and still holds is kept: the places at which passwords are hashed, and the
-    /// verifier, by which bearers of tokens are known to be still trusted.
+    /// Keeps what is still valid of an earlier configuration: the hashing pool, and the verifier, which shows that
+    /// bearers of JWTs are still trusted.
     pub(super) fn new(
         users: Vec<UserEntry>,
         settings: LoginConfig,
@@ -96,7 +96,7 @@ impl Book {
         };
         let users = users
             .into_iter()
-            .map(|user| Ok((user.name.clone(), Entry::new(user)?)))
+            .map(|user| Ok((user.name.clone(), BookEntry::new(user)?)))
             .collect::<Result<BTreeMap<_, _>, SettingError>>()?;
         let mut looks: BTreeMap<String, Option<String>> = BTreeMap::new();
         for name in users.keys() {
@@ -125,19 +125,19 @@ impl Book {
         self.settings.challenge_time.saturating_mul(1000)
     }
 
-    pub(super) fn guest(&self) -> Result<Standing, WireError> {
+    pub(super) fn guest(&self) -> Result<Identity, WireError> {
         if !self.settings.guests {
             return Err(WireError::new(Code::BAD_LOGIN, "this hub lets no guests in"));
         }
-        Ok(Standing {
+        Ok(Identity {
             user: Arc::clone(&self.guest),
-            origin: Origin::Guest,
-            proof: Proof::Nothing,
+            origin: UserSource::Guest,
+            proof: ShownProof::Nothing,
         })
     }
 
     /// The bearer of a token, and when it must prove itself again.
-    pub(super) fn bearer(&self, token: &str, now: Time) -> Result<(Standing, Time), WireError> {
+    pub(super) fn bearer(&self, token: &str, now: Time) -> Result<(Identity, Time), WireError> {
         let refused = |text: &str| WireError::new(Code::BAD_LOGIN, text);
         let verifier = self
             .verifier
@@ -146,25 +146,25 @@ impl Book {
         let Proven { name, claims, until } = verifier.verify(token, now)?;
         let entry = self.users.get(&name);
         let standing = match (entry, claims) {
-            (Some(entry), None) => Standing::of_file(entry, Proof::Token(Arc::clone(verifier))),
+            (Some(entry), None) => Identity::of_file(entry, ShownProof::Token(Arc::clone(verifier))),
             (None, None) => return Err(refused("the token's user is none here")),
-            (None, Some((level, groups))) if !self.is_guest(&name) => Standing {
+            (None, Some((level, groups))) if !self.is_guest(&name) => Identity {
                 user: Arc::new(User {
                     name,
                     level,
                     groups,
                     details: Map::new(),
                 }),
-                origin: Origin::Claims,
-                proof: Proof::Token(Arc::clone(verifier)),
+                origin: UserSource::Claims,
+                proof: ShownProof::Token(Arc::clone(verifier)),
             },
-            // Whoever is in the file has its rights from there, and those may be more.
+            // A user of the file has its rights from there, and those may be higher.
             (_, Some(_)) => return Err(refused("the token's user is one of this hub's own")),
         };
         Ok((standing, until))
     }
 
-    /// Refuses the name of another user, and what looks like it: this one could be taken for that.
+    /// Refuses the name of another user, and look-alikes of it, so that nobody can be mistaken for that user.
     pub(super) fn check_nickname(&self, user: &User, nickname: Option<&str>) -> Result<(), WireError> {
         let Some(nickname) = nickname.filter(|nickname| *nickname != user.name) else {
             return Ok(());
@@ -188,34 +188,34 @@ impl Book {
     }
 }
 
-impl Standing {
-    pub(super) fn of_file(entry: &Entry, proof: Proof) -> Standing {
-        Standing {
+impl Identity {
+    pub(super) fn of_file(entry: &BookEntry, proof: ShownProof) -> Identity {
+        Identity {
             user: Arc::clone(&entry.user),
-            origin: Origin::File,
+            origin: UserSource::File,
             proof,
         }
     }
 
-    /// The user as another book has it; none = it is nobody there, or what it has shown proves nothing any more.
+    /// The same user in another book; none = there is no such user, or its proof is no longer valid.
     pub(super) fn as_of(&self, book: &Book) -> Option<Arc<User>> {
         let entry = book.users.get(&self.user.name);
         let proven = match &self.proof {
-            Proof::Password(hash) => entry.is_some_and(|entry| entry.password.as_ref() == Some(hash)),
-            Proof::Key(key) => entry.is_some_and(|entry| entry.keys.contains(key)),
-            Proof::Token(trusted) => book
+            ShownProof::Password(hash) => entry.is_some_and(|entry| entry.password.as_ref() == Some(hash)),
+            ShownProof::Key(key) => entry.is_some_and(|entry| entry.keys.contains(key)),
+            ShownProof::Token(trusted) => book
                 .verifier
                 .as_ref()
                 .is_some_and(|now| Arc::ptr_eq(now, trusted)),
-            Proof::Nothing => true,
+            ShownProof::Nothing => true,
         };
         if !proven {
             return None;
         }
         match self.origin {
-            Origin::File => entry.map(|entry| Arc::clone(&entry.user)),
-            Origin::Guest => book.settings.guests.then(|| Arc::clone(&book.guest)),
-            Origin::Claims => {
+            UserSource::File => entry.map(|entry| Arc::clone(&entry.user)),
+            UserSource::Guest => book.settings.guests.then(|| Arc::clone(&book.guest)),
+            UserSource::Claims => {
                 let free = entry.is_none() && !book.is_guest(&self.user.name);
                 free.then(|| Arc::clone(&self.user))
             }
@@ -223,8 +223,8 @@ impl Standing {
     }
 }
 
-impl Entry {
-    fn new(user: UserEntry) -> Result<Entry, SettingError> {
+impl BookEntry {
+    fn new(user: UserEntry) -> Result<BookEntry, SettingError> {
         let keys = user
             .keys
             .iter()
@@ -232,7 +232,7 @@ impl Entry {
                 parse_key(key).map_err(|text| SettingError::new(&["users"], format!("{}: {text}", user.name)))
             })
             .collect::<Result<_, _>>()?;
-        Ok(Entry {
+        Ok(BookEntry {
             user: Arc::new(user.to_user()),
             password: user.password,
             keys,
@@ -240,7 +240,7 @@ impl Entry {
     }
 }
 
-/// The user that all guests are.
+/// The user of all guests.
 pub fn guest() -> User {
     User {
         name: GUEST.to_owned(),

@@ -1,41 +1,41 @@
-//! What a login says. Its errors quote nothing of it: it may be a secret at a wrong place.
+//! The content of a login. Its errors quote nothing, because it may be a secret in the wrong field.
 
 use mom_proto::nearest::nearest;
-use mom_proto::{Code, Kind, Map, Parcel, Value, WireError, check_name};
+use mom_proto::{Code, Map, Parcel, Value, ValueKind, WireError, check_name};
 
-/// How a peer means to prove who it is.
+/// A login request.
 #[derive(Debug)]
-pub(super) struct Request {
-    pub(super) proof: Proof,
-    /// The name it wishes.
+pub(super) struct LoginRequest {
+    pub(super) proof: ClaimedProof,
+    /// The requested nickname.
     pub(super) nickname: Option<String>,
 }
 
-/// By what.
-pub(super) enum Proof {
+/// The proof that it claims to have.
+pub(super) enum ClaimedProof {
     Password { name: String, password: String },
     Key { name: String },
     Token(String),
     Guest,
 }
 
-impl std::fmt::Debug for Proof {
+impl std::fmt::Debug for ClaimedProof {
     // Without the secrets.
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         formatter.write_str(match self {
-            Proof::Password { .. } => "Password",
-            Proof::Key { .. } => "Key",
-            Proof::Token(_) => "Token",
-            Proof::Guest => "Guest",
+            ClaimedProof::Password { .. } => "Password",
+            ClaimedProof::Key { .. } => "Key",
+            ClaimedProof::Token(_) => "Token",
+            ClaimedProof::Guest => "Guest",
         })
     }
 }
 
 const KEYS: [&str; 6] = ["name", "password", "key", "token", "guest", "nickname"];
 
-impl Request {
+impl LoginRequest {
     /// Reads the content of `login login`.
-    pub(super) fn read(parcel: &Parcel) -> Result<Request, WireError> {
+    pub(super) fn read(parcel: &Parcel) -> Result<LoginRequest, WireError> {
         let mut map = map_of(
             parcel,
             "a login needs content {name, password}, {name, key}, {token} or {guest}",
@@ -51,10 +51,10 @@ impl Request {
             check_name(nickname).map_err(|error| error.slot("content/nickname"))?;
         }
         let proof = match (name, password, key, token, guest) {
-            (Some(name), Some(password), false, None, false) => Proof::Password { name, password },
-            (Some(name), None, true, None, false) => Proof::Key { name },
-            (None, None, false, Some(token), false) => Proof::Token(token),
-            (None, None, false, None, true) => Proof::Guest,
+            (Some(name), Some(password), false, None, false) => ClaimedProof::Password { name, password },
+            (Some(name), None, true, None, false) => ClaimedProof::Key { name },
+            (None, None, false, Some(token), false) => ClaimedProof::Token(token),
+            (None, None, false, None, true) => ClaimedProof::Guest,
             (Some(_), None, false, None, false) => {
                 let text = "it is missing; who has a key says key, true, instead";
                 return Err(wrong("password", text));
@@ -70,7 +70,7 @@ impl Request {
                 return Err(WireError::new(Code::BAD_CONTENT, text).slot("content"));
             }
         };
-        Ok(Request { proof, nickname })
+        Ok(LoginRequest { proof, nickname })
     }
 }
 
@@ -98,9 +98,9 @@ fn map_of(parcel: &Parcel, wanted: &str) -> Result<Map, WireError> {
     }
 }
 
-/// A member; null is as good as none.
+/// A member; null counts as absent.
 fn take(map: &mut Map, key: &str) -> Option<Value> {
-    map.remove(key).filter(|value| value.kind() != Kind::Null)
+    map.remove(key).filter(|value| value.kind() != ValueKind::Null)
 }
 
 fn take_text(map: &mut Map, key: &str) -> Result<Option<String>, WireError> {
@@ -135,7 +135,7 @@ fn wrong_kind(key: &str, given: &Value, wanted: &str) -> WireError {
 }
 
 fn wrong(key: &str, text: &str) -> WireError {
-    // Keys come from outside; an error quotes what people can read, not megabytes.
+    // Keys come from outside, so errors quote only a readable part of them.
     let key: String = key.chars().take(64).collect();
     let slot = format!("content/{key}");
     WireError::new(Code::BAD_CONTENT, format!("{slot}: {text}")).slot(&slot)
@@ -146,8 +146,8 @@ mod tests {
     use super::*;
     use mom_proto::Family;
 
-    fn read(map: Map) -> Result<Request, WireError> {
-        Request::read(&Parcel::new(Family::Login, "login").content(map))
+    fn read(map: Map) -> Result<LoginRequest, WireError> {
+        LoginRequest::read(&Parcel::new(Family::Login, "login").content(map))
     }
 
     #[test]

@@ -9,13 +9,13 @@ use ed25519_dalek::{Signature, VerifyingKey};
 use mom_managers::Micros;
 use mom_proto::{Code, LOGIN_CONTEXT, Map, NONCE_BYTES, Value, WireError, login_challenge};
 
-/// RFC 8032, 7.1, test 1: checked in place of keys that a user does not have. What comes of it is thrown away.
+/// RFC 8032, 7.1, test 1: checked in place of keys that a user does not have. The result is discarded.
 const DUMMY: [u8; 32] = [
     0xd7, 0x5a, 0x98, 0x01, 0x82, 0xb1, 0x0a, 0xb7, 0xd5, 0x4b, 0xfe, 0xd3, 0xc9, 0x64, 0x07, 0x3a, 0x0e,
     0xe1, 0x72, 0xf3, 0xda, 0xa6, 0x23, 0x25, 0xaf, 0x02, 0x1a, 0x68, 0xf7, 0x07, 0x51, 0x1a,
 ];
 
-/// A question to one connection, to be answered once and soon.
+/// A challenge to one connection, to be answered once and soon.
 #[derive(Debug)]
 pub struct Challenge {
     pub(super) user: String,
@@ -50,7 +50,7 @@ impl Challenge {
         })
     }
 
-    /// The user that it was asked for, whether there is one or not.
+    /// The user who wants to log in, whether or not it exists.
     pub fn user(&self) -> &str {
         &self.user
     }
@@ -78,7 +78,7 @@ impl Challenge {
         let message = login_challenge(&self.hub, &self.user, &self.nonce);
         let signature = Signature::from_bytes(signature);
         let proves = |key: &VerifyingKey| key.verify_strict(&message, &signature).is_ok();
-        // All of them, whichever it is: the time is to tell nothing.
+        // Checks all keys even after a match, so that the time reveals nothing.
         let latter = |found, key: &VerifyingKey| if proves(key) { Some(*key) } else { found };
         let proven = keys.iter().fold(None, latter);
         if let Ok(dummy) = VerifyingKey::from_bytes(&DUMMY) {
@@ -160,7 +160,7 @@ mod tests {
         assert!(asked.is_open(9) && !asked.is_open(10));
     }
 
-    /// Whoever has the private key of the dummy, which is printed in the RFC, has nothing.
+    /// The dummy's private key, which is printed in the RFC, must not let anybody in.
     #[test]
     fn the_dummy_opens_nothing() {
         let seed = [

@@ -1,4 +1,4 @@
-//! Who is it? Passwords, keys, tokens and guests (M12, M13).
+//! Authentication: passwords, keys, tokens and guests (M12, M13).
 
 mod book;
 mod content;
@@ -20,11 +20,11 @@ use mom_proto::{Code, Parcel, Time, WireError};
 use mom_system::Clock;
 use parking_lot::RwLock;
 
-use self::book::{Book, Standing};
-use self::content::{Proof, Request, read_signature};
+use self::book::{Book, Identity};
+use self::content::{ClaimedProof, LoginRequest, read_signature};
 use self::throttle::Throttle;
 
-pub use book::{GUEST, Origin, guest};
+pub use book::{GUEST, UserSource, guest};
 pub use error::SettingError;
 pub use jwt::Verifier;
 pub use key::Challenge;
@@ -32,35 +32,35 @@ pub use password::{LoginStats, hash};
 pub use settings::{FailureRate, JwtConfig, JwtKey, JwtUsers, LoginConfig, ThrottleConfig};
 pub use user::UserEntry;
 
-/// What follows on a login that is not refused.
+/// The next step of a login that is not refused.
 #[derive(Debug)]
-pub enum Step {
-    /// A key has to answer this first.
+pub enum LoginStep {
+    /// A key must answer this challenge first.
     Challenge(Challenge),
-    /// It is that user.
+    /// The user is authenticated.
     Granted(Granted),
 }
 
-/// A user that has proven who it is, before the hub knows.
+/// An authenticated user, before the hub knows of it.
 #[derive(Debug)]
 pub struct Granted {
-    standing: Standing,
+    standing: Identity,
     nickname: Option<String>,
     until: Option<Time>,
     /// By which it was proven.
     book: Arc<Book>,
 }
 
-/// The users, and all that logins go through.
+/// The users, and everything that checks logins.
 #[derive(Debug)]
 pub struct Logins {
     clock: Clock,
-    /// Replaced whole by a new configuration.
+    /// Replaced as a whole by a new configuration.
     book: RwLock<Arc<Book>>,
     throttle: Throttle,
-    /// As whom each peer is here.
-    peers: DashMap<PeerId, Standing>,
-    /// Checked in place of an unknown user's, so that the time says nothing about who exists.
+    /// The user of each peer.
+    peers: DashMap<PeerId, Identity>,
+    /// Checked in place of an unknown user's hash, so that the time does not reveal which users exist.
     dummy: String,
 }
 
@@ -77,12 +77,12 @@ impl Logins {
         })
     }
 
-    /// Takes another configuration: from now on logins go by it, those under way included. `apply` gets the peers
-    /// whose user has changed since they logged in, as it is now (none = it may not be here any more), to tell the
-    /// hub; nobody logs in before it has returned.
+    /// Applies another configuration, also to logins under way. `apply` gets the peers whose user has changed since
+    /// they logged in, with the new user (none = it may no longer be here), to tell the hub; nobody logs in before it
+    /// has returned.
     ///
     /// # Errors
-    /// As [`Logins::new`]; then all stays as it is.
+    /// As [`Logins::new`]; then nothing changes.
     pub fn replace(
         &self,
         users: Vec<UserEntry>,
@@ -121,7 +121,7 @@ impl Logins {
         self.book().settings.attempts
     }
 
-    /// What hashing has come to.
+    /// Statistics of the hashing pool.
     pub fn stats(&self) -> LoginStats {
         self.book().hashing.stats()
     }
@@ -130,25 +130,25 @@ impl Logins {
     ///
     /// # Errors
     /// Why it is refused.
-    pub async fn check(&self, parcel: &Parcel, from: Option<IpAddr>) -> Result<Step, WireError> {
-        let Request { proof, nickname } = Request::read(parcel)?;
+    pub async fn check(&self, parcel: &Parcel, from: Option<IpAddr>) -> Result<LoginStep, WireError> {
+        let LoginRequest { proof, nickname } = LoginRequest::read(parcel)?;
         let book = self.book();
         let (standing, until) = match proof {
-            Proof::Password { name, password } => {
+            ClaimedProof::Password { name, password } => {
                 (self.by_password(&book, &name, password, from).await?, None)
             }
-            Proof::Token(token) => self.by_token(&book, &token, from)?,
-            Proof::Guest => (book.guest()?, None),
-            Proof::Key { name } => {
+            ClaimedProof::Token(token) => self.by_token(&book, &token, from)?,
+            ClaimedProof::Guest => (book.guest()?, None),
+            ClaimedProof::Key { name } => {
                 let until = self.clock.now().saturating_add(book.challenge_time());
                 let challenge = Challenge::new(name, nickname, &book.settings.hub, until)?;
-                return Ok(Step::Challenge(challenge));
+                return Ok(LoginStep::Challenge(challenge));
             }
         };
-        Granted::new(standing, nickname, until, book).map(Step::Granted)
+        Granted::new(standing, nickname, until, book).map(LoginStep::Granted)
     }
 
-    /// Checks a `login answer` to the last challenge of its connection, which is used up by that.
+    /// Checks a `login answer` to the last challenge of its connection, and consumes the challenge.
     ///
     /// # Errors
     /// Why it is refused.
@@ -173,7 +173,7 @@ impl Logins {
         let keys = entry.map_or(&[][..], |entry| &entry.keys);
         match entry.zip(challenge.is_answered(keys, book.keys, &signature)) {
             Some((entry, key)) => {
-                let standing = Standing::of_file(entry, book::Proof::Key(Box::new(key)));
+                let standing = Identity::of_file(entry, book::ShownProof::Key(Box::new(key)));
                 Granted::new(standing, challenge.nickname, None, Arc::clone(&book))
             }
             None => {
@@ -184,7 +184,7 @@ impl Logins {
         }
     }
 
-    /// Lets a user in that has proven who it is: `decide` tells the hub. No other configuration comes in between.
+    /// Admits an authenticated user: `decide` tells the hub. No reload can happen in between.
     ///
     /// # Errors
     /// `bad-login` if the configuration has changed meanwhile and the user is none any more.
@@ -225,7 +225,7 @@ impl Logins {
         self.peers.remove(&peer);
     }
 
-    /// Takes all places at which passwords are hashed, until what it gives is dropped: for tests.
+    /// Occupies the whole hashing pool until the result is dropped: for tests.
     #[cfg(feature = "occupy")]
     pub async fn occupy(&self) -> tokio::sync::OwnedSemaphorePermit {
         self.book().hashing.occupy().await
@@ -241,7 +241,7 @@ impl Logins {
         name: &str,
         password: String,
         from: Option<IpAddr>,
-    ) -> Result<Standing, WireError> {
+    ) -> Result<Identity, WireError> {
         password::check_private(from, "password")?;
         let attempt = self.enter(book, from, Some(name))?;
         let entry = book.users.get(name).filter(|entry| entry.password.is_some());
@@ -255,7 +255,7 @@ impl Logins {
         match entry.filter(|_| matches) {
             Some(entry) => {
                 attempt.succeed();
-                Ok(Standing::of_file(entry, book::Proof::Password(shown)))
+                Ok(Identity::of_file(entry, book::ShownProof::Password(shown)))
             }
             None => {
                 attempt.fail();
@@ -272,7 +272,7 @@ impl Logins {
         book: &Book,
         token: &str,
         from: Option<IpAddr>,
-    ) -> Result<(Standing, Option<Time>), WireError> {
+    ) -> Result<(Identity, Option<Time>), WireError> {
         password::check_private(from, "token")?;
         let attempt = self.enter(book, from, None)?;
         let standing = book.bearer(token, self.clock.wall());
@@ -282,7 +282,7 @@ impl Logins {
         standing.map(|(standing, until)| (standing, Some(until)))
     }
 
-    /// An attempt to prove something, if none has to be waited for.
+    /// An attempt, unless the throttle makes it wait.
     fn enter<'a>(
         &'a self,
         book: &'a Book,
@@ -296,7 +296,7 @@ impl Logins {
             source,
         };
         let Some(source) = source else {
-            // Who is inside this process need not guess.
+            // Peers inside this process are not throttled: they need not guess.
             return Ok(attempt);
         };
         self.throttle
@@ -316,12 +316,12 @@ impl Logins {
 
 impl Granted {
     fn new(
-        standing: Standing,
+        standing: Identity,
         nickname: Option<String>,
         until: Option<Time>,
         book: Arc<Book>,
     ) -> Result<Granted, WireError> {
-        // Only now: before, it would tell anybody which users there are.
+        // Only now: an earlier refusal would reveal which users exist.
         book.check_nickname(&standing.user, nickname.as_deref())?;
         Ok(Granted {
             standing,
@@ -337,16 +337,16 @@ impl Granted {
     }
 
     /// Where the user comes from, for logs.
-    pub fn origin(&self) -> Origin {
+    pub fn origin(&self) -> UserSource {
         self.standing.origin
     }
 }
 
-/// One attempt, to be counted by its outcome; without an outcome it does not count.
+/// One attempt, counted by its outcome; without an outcome it does not count.
 struct Attempt<'a> {
     logins: &'a Logins,
     book: &'a Book,
-    source: Option<throttle::Source>,
+    source: Option<throttle::AttemptSource>,
 }
 
 impl Attempt<'_> {

@@ -15,7 +15,7 @@ use tokio::sync::{Semaphore, oneshot};
 /// The argon2id hash of a password with a new salt, for the users file.
 ///
 /// # Errors
-/// The words of the hash function: no randomness, or a password it does not take.
+/// The message of the hash function: no randomness, or a password that it does not accept.
 pub fn hash(password: &str) -> Result<String, String> {
     Argon2::default()
         .hash_password(password.as_bytes())
@@ -30,7 +30,7 @@ pub(crate) fn is_hash(text: &str) -> bool {
 
 /// Refuses a secret that others could have read on its way.
 pub(super) fn check_private(from: Option<IpAddr>, what: &str) -> Result<(), WireError> {
-    // One that listens for both protocols sees loopback's IPv4 as mapped into IPv6.
+    // A dual-stack listener sees IPv4 loopback as an IPv4-mapped IPv6 address.
     if from.is_none_or(|from| from.to_canonical().is_loopback()) {
         return Ok(());
     }
@@ -40,7 +40,7 @@ pub(super) fn check_private(from: Option<IpAddr>, what: &str) -> Result<(), Wire
     Err(WireError::new(Code::INSECURE, text))
 }
 
-/// What the hashing of passwords has come to since the broker's start.
+/// Statistics of password hashing since the broker's start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct LoginStats {
@@ -54,12 +54,12 @@ pub struct LoginStats {
     pub most: usize,
 }
 
-/// By how much hashing gives way to all else. A core that has nothing better to do is hashing's all the same.
+/// The niceness of hashing threads. An idle core is still used for hashing.
 const GIVES_WAY: i32 = 5;
 
 /// The pool. Hashing takes a core for some 20 ms, so only so many passwords are hashed at once and only so many
-/// logins wait for that. It has threads of its own, one for each hash, because a thread that gives way once does so
-/// for good: a renewal or a stop must not wait until a stranger's password is hashed.
+/// logins wait for that. It has threads of its own, one for each hash, because a thread cannot lower its niceness
+/// again: a renewal or a stop must not wait until a stranger's password is hashed.
 #[derive(Debug)]
 pub(super) struct Hashing {
     pub(super) hashers: usize,
@@ -95,7 +95,7 @@ impl Hashing {
         hash: String,
         most: usize,
     ) -> Result<bool, WireError> {
-        let _place = Waiting::enter(&self.waiting, most).ok_or_else(|| {
+        let _place = HashPlace::enter(&self.waiting, most).ok_or_else(|| {
             WireError::new(Code::TRY_LATER, "too many logins at once").retry_after(Duration::from_secs(1))
         })?;
         let stopped = |_| WireError::new(Code::SHUTDOWN, "the hub is shutting down");
@@ -103,13 +103,13 @@ impl Hashing {
         let count = Arc::clone(&self.count);
         let (answer, answered) = oneshot::channel();
         let check = move || {
-            // The permit goes along: a login that is given up still has its hash under way.
+            // The permit moves along: when a login is abandoned its hash is still being computed.
             let _permit = permit;
             give_way();
             count.begin();
             let matches = matches(&password, &hash);
             count.end();
-            // Nobody waits any more if the login was given up.
+            // The receiver is gone if the login was abandoned.
             let _ = answer.send(matches);
         };
         let failed = || WireError::new(Code::TRY_LATER, "the login failed here");
@@ -149,9 +149,9 @@ impl Count {
     }
 }
 
-/// Lets all other threads go first, from here on.
+/// Lowers the priority of the current thread for good.
 fn give_way() {
-    // On Linux this is of the thread, not of the process. It is refused nowhere: everybody may be nicer.
+    // On Linux this applies to the thread, not to the process. It cannot fail: every process may raise its niceness.
     let _ = rustix::process::nice(GIVES_WAY);
 }
 
@@ -163,18 +163,18 @@ fn matches(password: &str, hash: &str) -> bool {
     })
 }
 
-/// A place among those who wait for a hash; left on drop.
-struct Waiting<'a>(&'a AtomicUsize);
+/// A place among the waiting logins; given up on drop.
+struct HashPlace<'a>(&'a AtomicUsize);
 
-impl<'a> Waiting<'a> {
-    fn enter(waiting: &'a AtomicUsize, most: usize) -> Option<Waiting<'a>> {
+impl<'a> HashPlace<'a> {
+    fn enter(waiting: &'a AtomicUsize, most: usize) -> Option<HashPlace<'a>> {
         let before = waiting.fetch_add(1, Ordering::AcqRel);
-        let place = Waiting(waiting);
+        let place = HashPlace(waiting);
         (before < most).then_some(place)
     }
 }
 
-impl Drop for Waiting<'_> {
+impl Drop for HashPlace<'_> {
     fn drop(&mut self) {
         self.0.fetch_sub(1, Ordering::AcqRel);
     }

@@ -13,11 +13,11 @@ use crate::{SettingError, Verifier};
 pub struct LoginConfig {
     /// Passwords hashed at once.
     pub hashers: usize,
-    /// Logins that may wait for that; more are told to try later.
+    /// Logins that may wait for hashing; more get `try-later`.
     pub waiting: usize,
     /// Failed logins after which a connection is closed.
     pub attempts: u32,
-    /// The name of this hub, in what keys sign: it keeps a signature from being shown to another hub.
+    /// The name of this hub in challenges to keys, so that a signature is of no use at another hub.
     pub hub: String,
     /// How long a challenge may be answered, in ms.
     pub challenge_time: u64,
@@ -25,17 +25,17 @@ pub struct LoginConfig {
     pub guests: bool,
     /// How often logins may fail.
     pub throttle: ThrottleConfig,
-    /// Whose tokens are taken; none = nobody's.
+    /// The issuer of accepted tokens; none = no tokens.
     pub jwt: Option<JwtConfig>,
 }
 
-/// How often logins may fail before more have to wait.
+/// How often logins may fail before later ones have to wait.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct ThrottleConfig {
     /// From one address; of IPv6, from one network of 64 bits.
     pub per_address: FailureRate,
-    /// At one account by its password, from all addresses together but those from which it has logged in before.
+    /// At one account by its password, from all addresses together, except those from which it has logged in before.
     pub per_account: FailureRate,
 }
 
@@ -45,11 +45,11 @@ pub struct ThrottleConfig {
 pub struct FailureRate {
     /// Failures a minute in the long run.
     pub per_minute: u32,
-    /// Failures at once before that counts.
+    /// Failures at once before the rate applies.
     pub burst: u32,
 }
 
-/// Whose tokens (JWT, RFC 7519) are taken.
+/// The issuer of accepted tokens (JWT, RFC 7519).
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct JwtConfig {
@@ -57,14 +57,14 @@ pub struct JwtConfig {
     pub issuer: String,
     /// This hub, as the claim `aud` has it.
     pub audience: String,
-    /// The algorithms that may sign, such as `EdDSA`; all for the one key.
+    /// The accepted algorithms, such as `EdDSA`; all use the same key.
     pub algorithms: Vec<String>,
     /// The issuer's public key, or the secret shared with it.
     pub key: JwtKey,
     /// How far the issuer's clock may be off, in ms.
     #[serde(default)]
     pub leeway: u64,
-    /// Where level and groups of the user come from.
+    /// The source of the user's level and groups.
     #[serde(default)]
     pub users: JwtUsers,
     /// The highest level that a claim gives.
@@ -72,14 +72,14 @@ pub struct JwtConfig {
     pub max_level: i32,
 }
 
-/// Where the level and groups of a user come from who logs in with a token.
+/// The source of level and groups for logins with a token.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum JwtUsers {
     /// From the users file; the claim `sub` names the user there.
     #[default]
     File,
-    /// From the claims `level` and `groups`; `sub` is in no file.
+    /// From the claims `level` and `groups`; `sub` need not be in a file.
     FromClaims,
 }
 

@@ -19,9 +19,9 @@ const ROOM: usize = 16 * 1024;
 
 const MINUTE: Micros = 60_000_000;
 
-/// Where an attempt comes from, and at whose account it aims; hashed, so that all keys have one size.
+/// The address and the target account of an attempt; hashed, so that all keys have one size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Source {
+pub(super) struct AttemptSource {
     address: u64,
     account: Option<Account>,
 }
@@ -32,21 +32,21 @@ struct Account {
     pair: u64,
 }
 
-/// Failures of late.
+/// Recent failures.
 #[derive(Debug)]
 pub(super) struct Throttle {
     keys: RandomState,
-    state: Mutex<State>,
+    state: Mutex<ThrottleState>,
 }
 
 #[derive(Debug)]
-struct State {
+struct ThrottleState {
     addresses: Table,
     accounts: Table,
-    /// Failures from an address that is known to the account: counted apart, so that neither who attacks the
-    /// account from elsewhere nor who attacks others from there is in the right user's way.
+    /// Failures from an address that is known to the account, counted separately: neither attacks on the account from
+    /// elsewhere nor attacks on others from there hinder the right user.
     pairs: Table,
-    /// When an address was last the account's.
+    /// When an account last logged in from an address.
     known: Table,
 }
 
@@ -60,7 +60,7 @@ impl Throttle {
             times: HashMap::new(),
             room,
         };
-        let state = State {
+        let state = ThrottleState {
             addresses: table(),
             accounts: table(),
             pairs: table(),
@@ -72,11 +72,10 @@ impl Throttle {
         }
     }
 
-    /// The source of an attempt. A proof that cannot be guessed names no account: nobody can get its owner into
-    /// trouble.
-    pub(super) fn source(&self, from: IpAddr, account: Option<&str>) -> Source {
+    /// The source of an attempt. A proof that cannot be guessed names no account, so nobody can lock out its owner.
+    pub(super) fn source(&self, from: IpAddr, account: Option<&str>) -> AttemptSource {
         let from = network(from);
-        Source {
+        AttemptSource {
             address: self.key(from),
             account: account.map(|account| Account {
                 account: self.key(account),
@@ -92,8 +91,13 @@ impl Throttle {
     /// Whether an attempt may be made now.
     ///
     /// # Errors
-    /// How long it has to wait.
-    pub(super) fn check(&self, source: Source, now: Micros, config: &ThrottleConfig) -> Result<(), Duration> {
+    /// The time to wait.
+    pub(super) fn check(
+        &self,
+        source: AttemptSource,
+        now: Micros,
+        config: &ThrottleConfig,
+    ) -> Result<(), Duration> {
         let state = self.state.lock();
         let wait = match source.account {
             Some(account) if state.known.has(account.pair) => {
@@ -110,7 +114,7 @@ impl Throttle {
     }
 
     /// Counts a failure.
-    pub(super) fn fail(&self, source: Source, now: Micros, config: &ThrottleConfig) {
+    pub(super) fn fail(&self, source: AttemptSource, now: Micros, config: &ThrottleConfig) {
         let mut state = self.state.lock();
         match source.account {
             Some(account) if state.known.has(account.pair) => {
@@ -125,15 +129,15 @@ impl Throttle {
         }
     }
 
-    /// Remembers from where the right user came.
-    pub(super) fn succeed(&self, source: Source, now: Micros) {
+    /// Remembers the address of a successful login.
+    pub(super) fn succeed(&self, source: AttemptSource, now: Micros) {
         if let Some(account) = source.account {
             self.state.lock().known.set(account.pair, now);
         }
     }
 }
 
-/// What counts as one address: whoever has one of IPv6 has 2⁶⁴ of them.
+/// The part that counts as one address: an IPv6 host has 2⁶⁴ of them.
 fn network(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(address) => IpAddr::V6(Ipv6Addr::from_bits(address.to_bits() >> 64 << 64)),
@@ -141,7 +145,7 @@ fn network(address: IpAddr) -> IpAddr {
     }
 }
 
-/// Times by key, as many as there is room for.
+/// Times by key, of bounded number.
 #[derive(Debug)]
 struct Table {
     times: HashMap<u64, Micros>,
@@ -177,8 +181,8 @@ impl Table {
         self.times.insert(key, time);
     }
 
-    /// Forgets an eighth: the oldest times, which are the accounts with the fewest failures and the addresses
-    /// that were not seen for longest. Whoever is under attack stays.
+    /// Evicts an eighth: the oldest times, which belong to accounts with the fewest failures and addresses not seen
+    /// for longest. Accounts under attack stay.
     fn make_room(&mut self) {
         let mut times: Vec<Micros> = self.times.values().copied().collect();
         let (_, limit, _) = times.select_nth_unstable(self.room / 8);
@@ -216,7 +220,7 @@ mod tests {
     }
 
     /// How many attempts in a row may fail before the source is told to wait, and how long.
-    fn fail_all(throttle: &Throttle, source: Source, now: Micros) -> (usize, Duration) {
+    fn fail_all(throttle: &Throttle, source: AttemptSource, now: Micros) -> (usize, Duration) {
         for count in 0.. {
             if let Err(wait) = throttle.check(source, now, &CONFIG) {
                 return (count, wait);
@@ -268,7 +272,7 @@ mod tests {
         assert!(throttle.check(elsewhere, 10_000_000, &CONFIG).is_ok());
     }
 
-    /// An attacker beside the right user is in nobody's way but its own.
+    /// An attacker beside the right user hinders only itself.
     #[test]
     fn a_known_address_is_no_licence() {
         let throttle = Throttle::new();

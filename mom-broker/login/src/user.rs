@@ -9,7 +9,7 @@ use crate::book::GUEST;
 use crate::key::parse_key;
 use crate::password::is_hash;
 
-/// Keys of one user: all are tried at a login, so that the time says nothing.
+/// The most keys of one user: all are tried at each login, so that the time reveals nothing.
 const KEYS: usize = 16;
 
 /// A user: human, server or agent.
@@ -30,10 +30,10 @@ pub struct UserEntry {
     /// The groups.
     #[serde(default)]
     pub groups: Vec<String>,
-    /// What the user likes; given back at login.
+    /// The user's preferences; returned at login.
     #[serde(default)]
     pub preferences: Map,
-    /// What is known of the user; given back at login.
+    /// Personal information; returned at login.
     #[serde(default)]
     pub personal: Map,
 }
@@ -52,7 +52,7 @@ impl UserEntry {
         }
     }
 
-    /// Checks it by itself.
+    /// Checks one user.
     ///
     /// # Errors
     /// The first key that is wrong.

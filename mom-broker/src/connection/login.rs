@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use mom_hub::Input;
-use mom_login::{Challenge, Granted, Step};
+use mom_login::{Challenge, Granted, LoginStep};
 use mom_net::Reader;
 use mom_proto::{Code, Family, Parcel, Path, Value, Verb, WireError};
 
@@ -39,16 +39,16 @@ impl Connection {
         let step = if parcel.name() == Verb::Answer.word() {
             logins
                 .answer(parcel, challenge.map(|challenge| *challenge), self.from)
-                .map(Step::Granted)
+                .map(LoginStep::Granted)
         } else {
             logins.check(parcel, self.from).await
         };
         let refused = match step {
-            Ok(Step::Challenge(challenge)) => {
+            Ok(LoginStep::Challenge(challenge)) => {
                 self.challenge(challenge, parcel.id, touched);
                 return Ok(());
             }
-            Ok(Step::Granted(granted)) => self.admit(reader, granted, parcel.id, touched),
+            Ok(LoginStep::Granted(granted)) => self.admit(reader, granted, parcel.id, touched),
             Err(error) => Err(error),
         };
         refused.or_else(|error| self.refuse_login(error, claimed, parcel.id, touched))

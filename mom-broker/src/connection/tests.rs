@@ -9,7 +9,7 @@ use ed25519_dalek::{Signer, SigningKey};
 use mom_config::Config;
 use mom_hub::{Hub, PeerId, Settings, User};
 use mom_journal::Tap;
-use mom_login::{Granted, LoginConfig, Logins, Origin, Step, UserEntry};
+use mom_login::{Granted, LoginConfig, LoginStep, Logins, UserEntry, UserSource};
 use mom_net::Transceiver;
 use mom_proto::codec::Frame;
 use mom_proto::{Code, Family, Map, Parcel, Path, Value, WireError, login_challenge};
@@ -227,7 +227,7 @@ async fn logins_that_wait_hold_nobody_up() {
 
 async fn prove(logins: &Logins, content: Map) -> Granted {
     match logins.check(&login(content), None).await {
-        Ok(Step::Granted(granted)) => granted,
+        Ok(LoginStep::Granted(granted)) => granted,
         other => panic!("{other:?}"),
     }
 }
@@ -265,7 +265,7 @@ async fn what_was_shown_must_still_be_the_users() {
     let asked = logins
         .check(&login(Map::new().with("name", "bob").with("key", true)), None)
         .await;
-    let Ok(Step::Challenge(challenge)) = asked else {
+    let Ok(LoginStep::Challenge(challenge)) = asked else {
         panic!("{asked:?}")
     };
     let answer = answer_to(&challenge.content().into(), "bob", &key);
@@ -303,7 +303,7 @@ async fn a_new_users_file_holds_for_everybody() {
         admit(&logins, peer, prove(&logins, password(name, name)).await).expect("in");
     }
     let guest = prove(&logins, Map::new().with("guest", true)).await;
-    assert_eq!(guest.origin(), Origin::Guest);
+    assert_eq!(guest.origin(), UserSource::Guest);
     admit(&logins, 4, guest).expect("in");
     let late = prove(&logins, password("alice", "alice")).await;
     let promoted = prove(&logins, password("bob", "bob")).await;

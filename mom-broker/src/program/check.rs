@@ -1,4 +1,4 @@
-//! `mom-broker check`: whether a configuration file is right, what it makes, and what looks like a mistake.
+//! `mom-broker check`: validates a configuration file, shows its contexts and warns of likely mistakes.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -12,15 +12,15 @@ use mom_proto::Path;
 use serde_json::{Value, json};
 
 #[derive(clap::Args)]
-pub(super) struct Args {
+pub(super) struct CheckArgs {
     /// The file.
     file: PathBuf,
-    /// As JSON, also what is wrong.
+    /// Print JSON, errors too.
     #[arg(long)]
     json: bool,
 }
 
-pub(super) fn run(args: &Args) -> Result<ExitCode> {
+pub(super) fn run(args: &CheckArgs) -> Result<ExitCode> {
     let mut out = std::io::stdout().lock();
     match Config::load(&args.file) {
         Err(error) if args.json => {
@@ -41,7 +41,7 @@ pub(super) fn run(args: &Args) -> Result<ExitCode> {
 }
 
 /// One context of the tree.
-struct Line {
+struct TreeLine {
     path: Path,
     kind: &'static str,
     manager: String,
@@ -51,18 +51,18 @@ struct Line {
 }
 
 /// The contexts in the order of the tree, the root first.
-fn tree(config: &Config) -> Result<Vec<Line>, ConfigError> {
+fn tree(config: &Config) -> Result<Vec<TreeLine>, ConfigError> {
     let hub = config.hub()?;
     let paths = config.contexts.iter().filter_map(path_of);
     let mut paths: Vec<Path> = std::iter::once(Path::root()).chain(paths).collect();
-    // Children before the next sibling, whatever their names hold.
+    // Children come before the next sibling, whatever characters their names contain.
     paths.sort_by(|one, other| one.segments().cmp(other.segments()));
     let places = paths.iter().filter_map(|path| hub.place(path));
     let line = |place: mom_hub::Place| {
         let mut specs = config.contexts.iter();
         let spec = specs.find(|spec| path_of(spec).as_ref() == Some(&place.path));
         let guard = spec.and_then(|spec| spec.guard.as_ref());
-        Line {
+        TreeLine {
             kind: place.kind.word(),
             manager: place.manager,
             managed_at: place.managed_at,
@@ -78,7 +78,7 @@ fn path_of(spec: &ContextSpec) -> Option<Path> {
     Path::parse(spec.path.as_deref()?).ok()
 }
 
-fn show(out: &mut impl Write, args: &Args, config: &Config, lines: &[Line]) -> Result<()> {
+fn show(out: &mut impl Write, args: &CheckArgs, config: &Config, lines: &[TreeLine]) -> Result<()> {
     let (managers, contexts, users) = (config.managers.len(), config.contexts.len(), config.users.len());
     writeln!(
         out,
@@ -100,7 +100,7 @@ fn show(out: &mut impl Write, args: &Args, config: &Config, lines: &[Line]) -> R
     Ok(())
 }
 
-fn row(lines: &[Line], at: usize) -> [String; 3] {
+fn row(lines: &[TreeLine], at: usize) -> [String; 3] {
     let line = &lines[at];
     let depth = line.path.segments().count();
     let name = match depth {
@@ -121,7 +121,7 @@ fn row(lines: &[Line], at: usize) -> [String; 3] {
 }
 
 /// The lines that lead to a context.
-fn branches(lines: &[Line], at: usize, depth: usize) -> String {
+fn branches(lines: &[TreeLine], at: usize, depth: usize) -> String {
     // Whether another context of this depth follows under the same parent.
     let goes_on = |depth: usize| {
         let mut below = lines[at + 1..].iter().map(|line| line.path.segments().count());
@@ -144,7 +144,7 @@ fn lease(terms: &Terms) -> String {
     }
 }
 
-fn report(config: &Config, lines: &[Line]) -> Value {
+fn report(config: &Config, lines: &[TreeLine]) -> Value {
     let contexts: Vec<Value> = lines
         .iter()
         .map(|line| {

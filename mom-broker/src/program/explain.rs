@@ -11,23 +11,23 @@ use mom_proto::{ContextKind, Path, Time, Value, Verb};
 use super::words;
 
 #[derive(clap::Args)]
-pub(super) struct Args {
+pub(super) struct ExplainArgs {
     /// The configuration file.
     #[arg(long, short, env = "MOM_CONFIG")]
     config: PathBuf,
-    /// Who asks.
+    /// The user who asks.
     #[arg(long)]
     user: String,
-    /// Where; for create the path to be made.
+    /// The context; for create the new path.
     #[arg(long)]
     context: String,
-    /// For what, such as grab or send; without it all that can be asked there.
+    /// The verb, such as grab or send; without it all verbs of the context.
     #[arg(long)]
     verb: Option<String>,
     /// The name of the message, for send.
     #[arg(long)]
     message: Option<String>,
-    /// Who owns the token meanwhile.
+    /// The user who owns the token meanwhile.
     #[arg(long)]
     owner: Option<String>,
     /// As if a member had invited the user there.
@@ -36,21 +36,21 @@ pub(super) struct Args {
     /// As if it were this time, such as 2026-11-23T09:30:00Z.
     #[arg(long)]
     at: Option<Time>,
-    /// The kind to be made, for create: session, channel or token.
+    /// The kind of the new context, for create: session, channel or token.
     #[arg(long)]
     kind: Option<String>,
     /// As if the user had this level; with it the users file need not know the user.
     #[arg(long, allow_negative_numbers = true)]
     level: Option<i32>,
-    /// As if the user were in this group and no other; may stand several times.
+    /// As if the user were in this group and no other; may be repeated.
     #[arg(long = "group")]
     groups: Vec<String>,
-    /// As JSON.
+    /// Print JSON.
     #[arg(long)]
     json: bool,
 }
 
-pub(super) fn run(args: &Args) -> Result<()> {
+pub(super) fn run(args: &ExplainArgs) -> Result<()> {
     let config = Config::load(&args.config)?;
     let supposed = Supposed {
         user: args.user.clone(),
@@ -100,7 +100,7 @@ fn kind(word: &str) -> Result<ContextKind> {
     }
 }
 
-/// One answer, in words.
+/// One answer as text.
 fn tell(out: &mut impl Write, explained: &Explanation, owner: Option<&str>) -> Result<()> {
     let may = match explained.answer {
         "allow" => "may",

@@ -28,36 +28,36 @@ const EXAMPLES: &str = "Examples:
 /// The MOM broker: the hub to which robots, cameras, agents and people connect.
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
-struct Cli {
+struct BrokerCli {
     #[command(subcommand)]
-    command: Option<Command>,
+    command: Option<BrokerCommand>,
     #[command(flatten)]
-    serve: serve::Args,
+    serve: serve::ServeArgs,
 }
 
 #[derive(Subcommand)]
-enum Command {
-    /// Say whether a configuration file is right, and where not; show its contexts, and what looks like a mistake.
-    Check(check::Args),
-    /// Say what a user may do where, and by which rule of the configuration.
-    Explain(explain::Args),
+enum BrokerCommand {
+    /// Check a configuration file: errors with their lines, its contexts, and likely mistakes.
+    Check(check::CheckArgs),
+    /// Explain what a user may do in a context, and by which rule of the configuration.
+    Explain(explain::ExplainArgs),
     /// Hash a password, from MOM_PASSWORD, a prompt or standard input, for the users file.
-    Passwd(passwd::Args),
-    /// Print the JSON schema of the configuration file, by which editors complete and check it.
-    Schema(schema::Args),
+    Passwd(passwd::PasswdArgs),
+    /// Print the JSON schema of the configuration file, for completion and checks in editors.
+    Schema(schema::SchemaArgs),
     /// Decide a recording again by a changed configuration, and list what differs.
-    WhatIf(what_if::Args),
+    WhatIf(what_if::WhatIfArgs),
 }
 
-/// Runs what the command line says.
+/// Runs the command.
 pub(crate) fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli = BrokerCli::parse();
     let result = match &cli.command {
-        Some(Command::Check(args)) => return report(check::run(args)),
-        Some(Command::Explain(args)) => explain::run(args),
-        Some(Command::Passwd(args)) => passwd::run(args),
-        Some(Command::Schema(args)) => schema::run(args),
-        Some(Command::WhatIf(args)) => return report(what_if::run(args)),
+        Some(BrokerCommand::Check(args)) => return report(check::run(args)),
+        Some(BrokerCommand::Explain(args)) => explain::run(args),
+        Some(BrokerCommand::Passwd(args)) => passwd::run(args),
+        Some(BrokerCommand::Schema(args)) => schema::run(args),
+        Some(BrokerCommand::WhatIf(args)) => return report(what_if::run(args)),
         None => serve::run(&cli.serve),
     };
     report(result.map(|()| ExitCode::SUCCESS))
@@ -65,13 +65,13 @@ pub(crate) fn main() -> ExitCode {
 
 fn report(result: Result<ExitCode>) -> ExitCode {
     result.unwrap_or_else(|error| {
-        // Standard error may be closed; the exit code says it all the same.
+        // Standard error may be closed; the exit code still reports the failure.
         let _ = writeln!(std::io::stderr(), "mom-broker: {error:#}");
         ExitCode::FAILURE
     })
 }
 
-/// What people would read of a value of the wire: text without quotes.
+/// A wire value for people: text without quotes.
 fn words(value: &mom_proto::Value) -> String {
     match value {
         mom_proto::Value::String(text) => text.clone(),

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 
 #[derive(clap::Args)]
-pub(super) struct Args {
+pub(super) struct PasswdArgs {
     /// The user's name.
     user: String,
     /// The users file to change; without it the entry is printed.
@@ -14,7 +14,7 @@ pub(super) struct Args {
     users: Option<PathBuf>,
 }
 
-pub(super) fn run(args: &Args) -> Result<()> {
+pub(super) fn run(args: &PasswdArgs) -> Result<()> {
     let user = args.user.as_str();
     mom_proto::check_name(user)?;
     let password = match std::env::var("MOM_PASSWORD") {

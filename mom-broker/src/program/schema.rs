@@ -5,13 +5,13 @@ use std::io::Write;
 use anyhow::Result;
 
 #[derive(clap::Args)]
-pub(super) struct Args {
-    /// That of the users file instead.
+pub(super) struct SchemaArgs {
+    /// The schema of the users file instead.
     #[arg(long)]
     users: bool,
 }
 
-pub(super) fn run(args: &Args) -> Result<()> {
+pub(super) fn run(args: &SchemaArgs) -> Result<()> {
     let schema = match args.users {
         true => mom_broker::users_schema(),
         false => mom_broker::config_schema(),

@@ -1,4 +1,4 @@
-//! The service itself: until SIGTERM or Ctrl-C, with a look at its file whenever that changes.
+//! The service: runs until SIGTERM or Ctrl-C, and reloads its configuration when the files change.
 
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
@@ -8,17 +8,17 @@ use mom_broker::{Broker, Config, ConfigError, ReloadOn};
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
-use super::watch::Watch;
+use super::watch::FileWatch;
 
 #[derive(clap::Args)]
-pub(super) struct Args {
+pub(super) struct ServeArgs {
     /// The configuration file; without one the broker is closed to everybody.
     #[arg(long, short, env = "MOM_CONFIG")]
     config: Option<PathBuf>,
-    /// Listen here instead of where the configuration says; port 0 takes any free one.
+    /// Listen here instead of at the configured addresses; port 0 takes any free port.
     #[arg(long)]
     listen: Vec<String>,
-    /// Record what the hub is told and decides in this file, for what-if.
+    /// Record the hub's inputs and decisions in this file, for what-if.
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
     /// Log as JSON lines.
@@ -29,9 +29,9 @@ pub(super) struct Args {
 /// Changes what is logged.
 type LogFilter = Box<dyn Fn(EnvFilter) -> Result<()>>;
 
-pub(super) fn run(args: &Args) -> Result<()> {
-    // Before the file is read for the first time, so that no change is missed.
-    let watch = args.config.clone().map(Watch::new);
+pub(super) fn run(args: &ServeArgs) -> Result<()> {
+    // Started before the file is first read, so that no change is missed.
+    let watch = args.config.clone().map(FileWatch::new);
     let config = args.load()?;
     let log_filter = log(&config.log, args.log_json)?;
     if args.config.is_none() {
@@ -45,7 +45,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     runtime.block_on(args.serve(config, watch, &log_filter))
 }
 
-impl Args {
+impl ServeArgs {
     fn load(&self) -> Result<Config, ConfigError> {
         let mut config = match &self.config {
             Some(file) => Config::load(file)?,
@@ -60,13 +60,18 @@ impl Args {
         Ok(config)
     }
 
-    async fn serve(&self, config: Config, mut watch: Option<Watch>, log_filter: &LogFilter) -> Result<()> {
+    async fn serve(
+        &self,
+        config: Config,
+        mut watch: Option<FileWatch>,
+        log_filter: &LogFilter,
+    ) -> Result<()> {
         let mut terminate = signal(SignalKind::terminate()).context("cannot wait for SIGTERM")?;
         let mut interrupt = signal(SignalKind::interrupt()).context("cannot wait for Ctrl-C")?;
         let mut hang_up = signal(SignalKind::hangup()).context("cannot wait for SIGHUP")?;
         let mut on_change = config.reload == ReloadOn::Change;
         let broker = Broker::start(config).await?;
-        // On standard output, so that whoever chose port 0 can read which it is.
+        // On standard output, so that a caller that chose port 0 can read the actual port.
         for address in broker.local_addrs() {
             writeln!(
                 std::io::stdout(),
@@ -90,7 +95,7 @@ impl Args {
                 _ = hang_up.recv() => tracing::info!("SIGHUP: reading the configuration again"),
                 () = changed => tracing::info!("the configuration has changed: reading it again"),
             }
-            // What is read now is no news later.
+            // Marks the files as known before they are read.
             if let Some(watch) = &mut watch {
                 watch.look();
             }
@@ -102,7 +107,7 @@ impl Args {
         Ok(())
     }
 
-    /// Reads the file again. What is wrong changes nothing and is logged; none then.
+    /// Reads the files again. Errors are logged and change nothing; then none.
     fn reload(&self, broker: &Broker, log_filter: &LogFilter) -> Option<ReloadOn> {
         if self.config.is_none() {
             tracing::warn!("there is no configuration file to read again");

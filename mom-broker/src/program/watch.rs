@@ -1,8 +1,8 @@
-//! Whether the configuration has changed, by looking at its files twice a second.
+//! Detects changes of the configuration by polling its files twice a second.
 //!
-//! Looking costs two system calls and works for files that are written in place, replaced by rename (as editors and
+//! Polling costs two system calls and works for files that are written in place, replaced by rename (as editors and
 //! `mom-broker passwd` do), behind symbolic links of whole folders (as deployments do), on network file systems and
-//! in containers; news from the kernel covers the first two alone.
+//! in containers; kernel notifications cover only the first two.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -10,35 +10,35 @@ use std::time::{Duration, SystemTime};
 
 const EVERY: Duration = Duration::from_millis(500);
 
-/// What tells one state of a file from the next without reading it.
+/// Distinguishes states of a file without reading it.
 type Stamp = Option<(u64, Option<SystemTime>, (u64, u64), (i64, i64))>;
 
 /// The configuration file, and the files that it names.
-pub(super) struct Watch {
+pub(super) struct FileWatch {
     /// The configuration file first.
-    files: Vec<File>,
-    /// The files were different at the last look; they are read when they are at rest.
+    files: Vec<WatchedFile>,
+    /// The files had changed at the last poll; they are read once they stay unchanged.
     moving: bool,
 }
 
-struct File {
+struct WatchedFile {
     path: PathBuf,
     stamp: Stamp,
     content: Option<Vec<u8>>,
 }
 
-impl Watch {
-    /// Looks at the files as they are now.
-    pub(super) fn new(config: PathBuf) -> Watch {
-        let mut watch = Watch {
-            files: vec![File::look(config)],
+impl FileWatch {
+    /// Notes the present state of the files.
+    pub(super) fn new(config: PathBuf) -> FileWatch {
+        let mut watch = FileWatch {
+            files: vec![WatchedFile::look(config)],
             moving: false,
         };
         watch.look();
         watch
     }
 
-    /// Returns when the files say something else than at the last look, and nobody has written for half a second.
+    /// Returns when the content has changed since the last poll, and nobody has written for half a second.
     ///
     /// Nothing is lost if this is dropped and called again.
     pub(super) async fn changed(&mut self) {
@@ -64,17 +64,17 @@ impl Watch {
         std::mem::take(&mut self.moving) && self.look()
     }
 
-    /// Takes the files as they are for known; says whether they say something else than at the last look.
+    /// Marks the present state as known; gives whether the content has changed since the last poll.
     pub(super) fn look(&mut self) -> bool {
-        let config = File::look(self.files[0].path.clone());
-        // A half-written file does not say which others there are.
+        let config = WatchedFile::look(self.files[0].path.clone());
+        // A half-written file may not name the other files.
         let others = config.others();
         let known = || self.files.iter().skip(1).map(|file| file.path.clone()).collect();
         let others: Vec<PathBuf> = others.unwrap_or_else(known);
-        let files: Vec<File> = std::iter::once(config)
-            .chain(others.into_iter().map(File::look))
+        let files: Vec<WatchedFile> = std::iter::once(config)
+            .chain(others.into_iter().map(WatchedFile::look))
             .collect();
-        let said = |file: &File| (file.path.clone(), file.content.clone());
+        let said = |file: &WatchedFile| (file.path.clone(), file.content.clone());
         let changed = !files.iter().map(said).eq(self.files.iter().map(said));
         self.files = files;
         self.moving = false;
@@ -82,15 +82,15 @@ impl Watch {
     }
 }
 
-impl File {
-    fn look(path: PathBuf) -> File {
-        // The stamp before the content: what is written in between is seen the next time.
+impl WatchedFile {
+    fn look(path: PathBuf) -> WatchedFile {
+        // The stamp is taken before the content: a write in between is seen at the next poll.
         let stamp = stamp(&path);
         let content = fs::read(&path).ok();
-        File { path, stamp, content }
+        WatchedFile { path, stamp, content }
     }
 
-    /// The files that a configuration names; none for text that does not say.
+    /// The files that a configuration names; none if its text cannot be parsed.
     fn others(&self) -> Option<Vec<PathBuf>> {
         let text = std::str::from_utf8(self.content.as_ref()?).ok()?;
         let table: toml::Table = text.parse().ok()?;
@@ -113,7 +113,7 @@ fn stamp(file: &Path) -> Stamp {
         known.len(),
         known.modified().ok(),
         (known.dev(), known.ino()),
-        // The time of the change itself: a copy may bring an old time of modification along.
+        // The time of the inode change: a copy may keep an old modification time.
         (known.ctime(), known.ctime_nsec()),
     ))
 }

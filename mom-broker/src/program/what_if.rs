@@ -1,4 +1,4 @@
-//! `mom-broker what-if`: what would have been decided by another configuration.
+//! `mom-broker what-if`: decides a recording again with another configuration.
 
 use std::io::{self, IsTerminal, Write};
 use std::path::PathBuf;
@@ -10,32 +10,32 @@ use mom_broker::{Config, Replay};
 use mom_proto::Path;
 use serde_json::json;
 
-/// Recordings from this size on show how far they are.
+/// Recordings from this size on show progress.
 const LONG: u64 = 4 * 1024 * 1024;
 
-/// Inputs between two looks at how far it is.
+/// Inputs between two updates of the progress bar.
 const STRIDE: u64 = 1024;
 
-/// What the exit code says if something differs.
+/// The exit code if something differs.
 const DIFFERS: u8 = 2;
 
 #[derive(clap::Args)]
-pub(super) struct Args {
+pub(super) struct WhatIfArgs {
     /// The configuration file to try.
     file: PathBuf,
-    /// What a broker has recorded ([record] in its configuration, or --record).
+    /// The recording of a broker ([record] in its configuration, or --record).
     #[arg(long, value_name = "RECORDED")]
     log: PathBuf,
     /// Print JSON lines.
     #[arg(long)]
     json: bool,
-    /// List what is decided the same by another rule, too.
+    /// Also list equal decisions by another rule.
     #[arg(long)]
     rules: bool,
 }
 
 /// Exits with 0 if nothing differs and 2 if something does.
-pub(super) fn run(args: &Args) -> Result<ExitCode> {
+pub(super) fn run(args: &WhatIfArgs) -> Result<ExitCode> {
     let config = Config::load(&args.file)?;
     let mut replay = config.replay(&args.log)?;
     if args.rules {
@@ -84,7 +84,7 @@ pub(super) fn run(args: &Args) -> Result<ExitCode> {
     })
 }
 
-/// Where a rule stands: with the manager of the context, or of the nearest above that has one.
+/// The location of a rule: in the manager of the context, or of the nearest above that has one.
 fn place(config: &Config, rule: &str, context: &Path) -> Option<String> {
     let mut at = Some(context.clone());
     while let Some(context) = at {
@@ -105,8 +105,8 @@ fn progress(replay: &Replay) -> ProgressBar {
     ProgressBar::new(length).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }
 
-/// Says what makes the comparison less than whole.
-fn warn(replay: &Replay, args: &Args) -> Result<()> {
+/// Reports why the comparison is incomplete.
+fn warn(replay: &Replay, args: &WhatIfArgs) -> Result<()> {
     let mut err = io::stderr().lock();
     let log = args.log.display();
     let summary = replay.summary();

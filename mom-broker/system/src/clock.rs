@@ -1,4 +1,4 @@
-//! The broker's one clock: monotonic for what is decided, wall time for what is shown.
+//! The broker's clock: monotonic time for decisions, wall time for display.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -9,9 +9,9 @@ use tokio::sync::watch;
 
 /// Monotonic µs since the broker's start, and the wall time of that start.
 ///
-/// Leases, expiries, names that rest and all stamps go by it. [`Clock::manual`] stands still until
+/// Leases, expiries, resting names and all stamps use it. [`Clock::manual`] stands still until
 /// [`Clock::advance`] moves it, for simulations and tests: a lease of three minutes is over at once.
-/// Whatever guards a link (heartbeats, login deadlines) goes by the system's time on either.
+/// Timeouts of a link (heartbeats, login deadlines) use the system's time with either.
 ///
 /// ```
 /// use std::time::Duration;
@@ -25,11 +25,11 @@ use tokio::sync::watch;
 #[derive(Clone, Debug)]
 pub struct Clock {
     anchor: Time,
-    source: Source,
+    source: TimeSource,
 }
 
 #[derive(Clone, Debug)]
-enum Source {
+enum TimeSource {
     System(Instant),
     Manual(Arc<watch::Sender<Micros>>),
 }
@@ -44,22 +44,22 @@ impl Clock {
             .unwrap_or_default();
         Clock {
             anchor,
-            source: Source::System(Instant::now()),
+            source: TimeSource::System(Instant::now()),
         }
     }
 
-    /// A clock that stands at this wall time until it is advanced.
+    /// A clock that stays at this wall time until it is advanced.
     pub fn manual(anchor: Time) -> Clock {
         Clock {
             anchor,
-            source: Source::Manual(Arc::new(watch::Sender::new(0))),
+            source: TimeSource::Manual(Arc::new(watch::Sender::new(0))),
         }
     }
 
-    /// Moves a manual clock, with all its clones, and wakes what waits for a time that has come. The
-    /// system's time goes by itself and stays as it is.
+    /// Advances a manual clock, with all its clones, and wakes the tasks whose time has come. The system's clock is
+    /// not changed.
     pub fn advance(&self, by: Duration) {
-        if let Source::Manual(now) = &self.source {
+        if let TimeSource::Manual(now) = &self.source {
             now.send_modify(|now| *now = now.saturating_add(micros(by)));
         }
     }
@@ -67,8 +67,8 @@ impl Clock {
     /// µs since the start.
     pub fn now(&self) -> Micros {
         match &self.source {
-            Source::System(start) => micros(start.elapsed()),
-            Source::Manual(now) => *now.borrow(),
+            TimeSource::System(start) => micros(start.elapsed()),
+            TimeSource::Manual(now) => *now.borrow(),
         }
     }
 
@@ -94,11 +94,11 @@ impl Clock {
     /// Waits until a monotonic time has come.
     pub async fn reach(&self, at: Micros) {
         match &self.source {
-            Source::System(start) => {
+            TimeSource::System(start) => {
                 let at = *start + Duration::from_micros(at);
                 tokio::time::sleep_until(at.into()).await;
             }
-            Source::Manual(now) => {
+            TimeSource::Manual(now) => {
                 // The sender lives as long as this clock, so the wait ends only with the time.
                 let _ = now.subscribe().wait_for(|now| *now >= at).await;
             }

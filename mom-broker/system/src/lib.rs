@@ -1,6 +1,6 @@
-//! What the broker takes from the system: the clock, locks and threads, files of its own.
+//! System services for the broker: the clock, locks and threads, private files.
 //!
-//! Each of them can be replaced for tests: the clock by one that is moved by hand, locks and threads by those of
+//! Each of them can be replaced for tests: the clock by a manual one, locks and threads by those of
 //! shuttle (feature `shuttle`).
 
 mod clock;

@@ -4,7 +4,7 @@ use std::fs::{File, OpenOptions, TryLockError};
 use std::io;
 use std::path::Path;
 
-/// Opens a file to append to it, or makes it; nobody else may read it, and no other broker may write it.
+/// Opens or creates a file for appending; nobody else may read it, and no other broker may write it.
 ///
 /// # Errors
 /// What the system says, or that another broker has the file.
@@ -19,7 +19,7 @@ pub fn open_own(path: &Path) -> io::Result<File> {
             let text = "another broker writes to it";
             return Err(io::Error::new(io::ErrorKind::ResourceBusy, text));
         }
-        // File systems without locks are taken as they are.
+        // File systems without locks are accepted.
         Ok(()) | Err(TryLockError::Error(_)) => {}
     }
     #[cfg(unix)]

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use mom_client::{
-    Code, ContextInfo, ContextKind, Event, Family, GuardState, Link, Map, Member, Parcel, WireError,
+    Code, ContextInfo, ContextKind, Event, Family, GuardState, LinkState, Map, Member, Parcel, WireError,
 };
 use tokio::time::Instant;
 
@@ -297,7 +297,7 @@ async fn a_client_that_only_sends_still_asks_whether_the_hub_lives() {
         tokio::time::sleep(Duration::from_millis(500)).await; // tidy: moves the paused clock
     }
     assert!(pings >= 5, "{pings} pings");
-    assert_eq!(*client.state().borrow(), Link::Up);
+    assert_eq!(*client.state().borrow(), LinkState::Up);
 }
 
 #[tokio::test(start_paused = true)]
@@ -309,7 +309,7 @@ async fn a_silent_hub_is_a_lost_link() {
     let mut state = client.state();
     state.changed().await.unwrap();
     assert_eq!(start.elapsed().as_secs(), 9);
-    let Link::Closed(Some(error)) = state.borrow().clone() else {
+    let LinkState::Closed(Some(error)) = state.borrow().clone() else {
         panic!("closed, as it may not reconnect")
     };
     assert_eq!(error.code, Code::DISCONNECTED);

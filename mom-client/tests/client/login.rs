@@ -4,7 +4,7 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use ed25519_dalek::{Signature, VerifyingKey};
 use mom_client::{
-    Builder, Client, Code, ErrorKind, Event, Family, Key, Link, Map, Parcel, Proof, Reconnect, Value,
+    Builder, Client, Code, ErrorKind, Event, Family, Key, LinkState, Map, Parcel, Proof, Reconnect, Value,
     WireError,
 };
 use mom_proto::{LOGIN_CONTEXT, login_challenge};
@@ -202,7 +202,7 @@ async fn authenticating_again() {
     assert_eq!(next(&mut events).await, Event::LinkDown);
     peer.join_one("/chat", "channel", Map::new()).await;
     assert_eq!(next(&mut events).await, Event::Rejoined);
-    assert_eq!(*client.state().borrow(), Link::Up);
+    assert_eq!(*client.state().borrow(), LinkState::Up);
     chat.send("chat", "good morning").await.unwrap();
     assert_eq!(peer.hear().await.context, Some(path("/chat")));
 }

@@ -306,6 +306,6 @@ async fn questions_wait_in_a_bounded_queue_and_end_with_the_client() {
 /// Ends the link, and waits until the client knows.
 async fn close(client: &Client, peer: Peer) {
     peer.hang_up();
-    let closed = |link: &mom_client::Link| matches!(link, mom_client::Link::Closed(_));
+    let closed = |link: &mom_client::LinkState| matches!(link, mom_client::LinkState::Closed(_));
     client.state().wait_for(closed).await.unwrap();
 }

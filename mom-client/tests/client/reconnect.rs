@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use mom_client::{
-    Builder, Client, Code, ErrorKind, Event, Family, Link, Map, Parcel, Reconnect, Thinning, WireError,
+    Builder, Client, Code, ErrorKind, Event, Family, LinkState, Map, Parcel, Reconnect, Thinning, WireError,
 };
 use tokio::time::Instant;
 
@@ -54,7 +54,11 @@ async fn everything_is_joined_again_parents_first() {
         }
 
         let mut peer = back(&mut hub, "ally~2").await;
-        client.state().wait_for(|link| *link == Link::Up).await.unwrap();
+        client
+            .state()
+            .wait_for(|link| *link == LinkState::Up)
+            .await
+            .unwrap();
         assert_eq!(client.name(), "ally~2");
         // What is sent now comes after the joins.
         client
@@ -101,7 +105,11 @@ async fn what_one_is_spared_of_is_asked_for_again() {
     let join = peer.expect("context join /chat").await;
     assert_eq!(join.value(), Map::new().with("rate", "1/min").into());
     peer.ok(&join, member.clone()).await;
-    client.state().wait_for(|link| *link == Link::Up).await.unwrap();
+    client
+        .state()
+        .wait_for(|link| *link == LinkState::Up)
+        .await
+        .unwrap();
     let (ended, ()) = tokio::join!(chat.thin(Thinning::default()), async {
         let join = peer.expect("context join /chat").await;
         assert_eq!(join.value(), Map::new().into(), "an empty map ends it");
@@ -206,7 +214,7 @@ async fn what_was_asked_fails_and_what_waited_is_counted() {
 
     // While it is down nothing is taken.
     let down = client.state().borrow().clone();
-    assert!(matches!(down, Link::Down { .. }), "{down:?}");
+    assert!(matches!(down, LinkState::Down { .. }), "{down:?}");
     assert_eq!(
         chat.send("chat", "x").await.unwrap_err().kind(),
         ErrorKind::Connection
@@ -240,14 +248,18 @@ async fn attempts_back_off() {
         );
         let down = client.state().borrow().clone();
         assert!(
-            matches!(down, Link::Down { attempt: failed, .. } if failed as usize == attempt),
+            matches!(down, LinkState::Down { attempt: failed, .. } if failed as usize == attempt),
             "{down:?}"
         );
         since = Instant::now();
         peer.hang_up();
     }
     let _peer = back(&mut hub, "ally").await;
-    client.state().wait_for(|link| *link == Link::Up).await.unwrap();
+    client
+        .state()
+        .wait_for(|link| *link == LinkState::Up)
+        .await
+        .unwrap();
 }
 
 #[tokio::test(start_paused = true)]
@@ -305,7 +317,11 @@ async fn a_refused_login_ends_or_goes_on_by_its_code() {
                 refused.elapsed() >= error.retry_in().unwrap_or_default(),
                 "{error}"
             );
-            client.state().wait_for(|link| *link == Link::Up).await.unwrap();
+            client
+                .state()
+                .wait_for(|link| *link == LinkState::Up)
+                .await
+                .unwrap();
         } else {
             closed_with(&client, &error).await;
         }
@@ -325,7 +341,7 @@ async fn it_gives_up_when_told_so() {
     drop(hub);
     client
         .state()
-        .wait_for(|link| matches!(link, Link::Closed(_)))
+        .wait_for(|link| matches!(link, LinkState::Closed(_)))
         .await
         .unwrap();
     assert!(
@@ -348,17 +364,17 @@ async fn a_client_dropped_while_down_stops_trying() {
     assert_eq!(next(&mut others).await, Event::LinkDown);
     drop(client);
     assert_eq!(others.next().await, None);
-    assert_eq!(*state.borrow(), Link::Closed(None));
+    assert_eq!(*state.borrow(), LinkState::Closed(None));
 }
 
 async fn closed_with(client: &Client, error: &WireError) {
     let mut state = client.state();
     let closed = state
-        .wait_for(|link| matches!(link, Link::Closed(_)))
+        .wait_for(|link| matches!(link, LinkState::Closed(_)))
         .await
         .unwrap()
         .clone();
-    assert_eq!(closed, Link::Closed(Some(error.clone())));
+    assert_eq!(closed, LinkState::Closed(Some(error.clone())));
     let refused = client.info("/").await.unwrap_err();
     assert_eq!((refused.kind(), refused.wire()), (ErrorKind::Closed, Some(error)));
 }

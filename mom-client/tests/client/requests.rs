@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use crate::common::{local, logged_in, logged_in_with, next, path, tcp, words};
 use mom_client::{
-    Client, ClientError, Code, ContextKind, Delivery, ErrorKind, Event, Family, Link, Map, Parcel, Value,
-    WireError,
+    Client, ClientError, Code, ContextKind, Delivery, ErrorKind, Event, Family, LinkState, Map, Parcel,
+    Value, WireError,
 };
 
 #[tokio::test]
@@ -486,8 +486,8 @@ async fn closing_says_goodbye_after_all_that_was_sent() {
             };
             tokio::join!(close, script);
             assert_eq!(
-                *state.wait_for(|link| *link != Link::Up).await.unwrap(),
-                Link::Closed(None)
+                *state.wait_for(|link| *link != LinkState::Up).await.unwrap(),
+                LinkState::Closed(None)
             );
             assert_eq!(others.next().await, None, "{form}");
         }

@@ -3,7 +3,7 @@
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 
-use mom_managers::{Answer, Defer, Given, Grant, PeerFacts, Question, Verdict};
+use mom_managers::{Answer, Defer, GivenAnswer, Grant, PeerFacts, Question, Verdict};
 use mom_proto::{Code, ContextNumber, Verb, WireError};
 
 use super::refusal::{Deferred, Refusal};
@@ -96,7 +96,7 @@ impl World {
         let mine = answers
             .iter()
             .filter(|heard| heard.peer == peer && heard.verb == wish.verb && heard.at == wish.at);
-        let given: Vec<Given> = mine.map(|heard| heard.given.clone()).collect();
+        let given: Vec<GivenAnswer> = mine.map(|heard| heard.given.clone()).collect();
         let repeated = !answers.is_empty();
         let verdict = match self.question((managing, wish), (peer, &facts), &given, repeated) {
             // A manager of somebody else's making that panics must not end the hub, nor let anybody in.
@@ -117,7 +117,7 @@ impl World {
         &'a self,
         (managing, wish): (ContextNumber, &'a Wish<'_>),
         (peer, facts): (PeerId, &'a PeerFacts),
-        answers: &'a [Given],
+        answers: &'a [GivenAnswer],
         repeated: bool,
     ) -> Option<Question<'a>> {
         let context = self.tree.get(wish.at)?;

@@ -7,7 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
-use mom_managers::{Ask, Given};
+use mom_managers::{Ask, GivenAnswer};
 use mom_proto::{Code, Content, ContextNumber, Family, Map, Micros, Parcel, Value, Verb, WireError};
 
 use super::refusal::Deferred;
@@ -145,7 +145,7 @@ impl Questions {
         &mut self,
         world: &mut World,
         question: u64,
-        (given, by): (Given, PeerId),
+        (given, by): (GivenAnswer, PeerId),
         out: &mut Vec<Effect>,
     ) -> Option<Vec<Due>> {
         let asked = self.pending.get(&question)?;
@@ -155,7 +155,7 @@ impl Questions {
         }
         let pending = self.take(world, question)?;
         let label = Arc::clone(&pending.label);
-        Some(finish(world, pending, Given { label, ..given }, out))
+        Some(finish(world, pending, GivenAnswer { label, ..given }, out))
     }
 
     /// Ends a question that nobody has answered in time, and returns the requests that are due with that.
@@ -238,7 +238,7 @@ impl Pending {
 }
 
 /// The requests that are due once a question has its answer: its own, then the sends behind it in their order.
-fn finish(world: &mut World, pending: Pending, given: Given, out: &mut Vec<Effect>) -> Vec<Due> {
+fn finish(world: &mut World, pending: Pending, given: GivenAnswer, out: &mut Vec<Effect>) -> Vec<Due> {
     let Pending {
         request,
         channel,
@@ -351,7 +351,7 @@ impl Whom {
         }
     }
 
-    fn heard(&self, given: Given) -> Heard {
+    fn heard(&self, given: GivenAnswer) -> Heard {
         Heard {
             peer: self.peer,
             verb: self.verb,
@@ -366,8 +366,8 @@ pub(crate) fn take_parcel(parcel: &mut Parcel) -> Parcel {
     std::mem::replace(parcel, Parcel::new(Family::Message, ""))
 }
 
-fn unanswered(label: Arc<str>, why: &str) -> Given {
-    Given {
+fn unanswered(label: Arc<str>, why: &str) -> GivenAnswer {
+    GivenAnswer {
         label,
         by: None,
         allow: false,

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use mom_managers::Given;
+use mom_managers::GivenAnswer;
 use mom_proto::{Code, WireError};
 use serde::Deserialize;
 
@@ -38,7 +38,7 @@ pub(crate) fn on(
         .peers
         .get(request.peer)
         .map(|peer| Arc::clone(&peer.facts.name));
-    let given = Given {
+    let given = GivenAnswer {
         label: Arc::from(""),
         by,
         allow: args.allow,

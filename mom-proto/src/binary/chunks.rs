@@ -1,15 +1,15 @@
-//! Large parcels in pieces, so that urgent ones can overtake inside them (design §5, §7).
+//! Large parcels in chunks, so that urgent ones can overtake them (design §5, §7).
 //!
-//! A chunk frame is: kind 1, a varint stream number, one byte of flags (1 first, 2 last, 4 aborted), in the
-//! first chunk a varint of the whole length, then bytes. The pieces of a stream joined are the frame that
-//! would have been sent whole, from its kind byte on.
+//! A chunk frame is: kind 1, a varint stream number, one byte of flags (1 first, 2 last, 4 aborted), in the first
+//! chunk a varint of the whole length, then bytes. The chunks of a stream, joined, are the frame that would have been
+//! sent whole, from its kind byte on.
 
 use std::collections::BTreeMap;
 
 use bytes::{Bytes, BytesMut};
 
 use super::decoder::broken;
-use super::wire::{Reader, put_varint};
+use super::wire::{FieldReader, put_varint};
 use super::{KIND_CHUNK, KIND_PARCEL};
 use crate::codec::Encoded;
 use crate::{Code, Limit, WireError};
@@ -45,7 +45,7 @@ impl ChunkHead {
         ChunkHead::with(stream, flags, whole, piece)
     }
 
-    /// The frame that gives up a stream.
+    /// The frame that aborts a stream.
     pub fn abort(stream: u64) -> ChunkHead {
         ChunkHead::with(stream, ABORT, None, 0)
     }
@@ -90,15 +90,15 @@ pub fn chunks(encoded: &Encoded, stream: u64, size: usize) -> Vec<Bytes> {
     frames
 }
 
-/// The parcels that are on their way in pieces; together never larger than one parcel may be.
+/// The parcels arriving in chunks; together never larger than one parcel may be.
 #[derive(Debug, Default)]
 pub(super) struct Assembly {
-    open: BTreeMap<u64, Open>,
+    open: BTreeMap<u64, OpenStream>,
     announced: usize,
 }
 
 #[derive(Debug)]
-struct Open {
+struct OpenStream {
     length: usize,
     bytes: BytesMut,
 }
@@ -106,7 +106,7 @@ struct Open {
 impl Assembly {
     /// Adds a chunk; gives the whole frame with the last one.
     pub(super) fn add(&mut self, frame: &Bytes, limit: Limit) -> Result<Option<Bytes>, WireError> {
-        let mut reader = Reader::at(frame, 1);
+        let mut reader = FieldReader::at(frame, 1);
         let read = |result: Result<u64, WireError>| result.map_err(|error| broken(&error.text));
         let stream = read(reader.varint())?;
         let flags = reader.byte().map_err(|error| broken(&error.text))?;
@@ -160,7 +160,7 @@ impl Assembly {
             .open
             .insert(
                 stream,
-                Open {
+                OpenStream {
                     length,
                     bytes: BytesMut::new(),
                 },
@@ -173,7 +173,7 @@ impl Assembly {
         Ok(())
     }
 
-    fn close(&mut self, stream: u64) -> Option<Open> {
+    fn close(&mut self, stream: u64) -> Option<OpenStream> {
         let open = self.open.remove(&stream)?;
         self.announced -= open.length;
         Some(open)

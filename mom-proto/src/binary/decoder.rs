@@ -125,8 +125,8 @@ impl BinaryDecoder {
         Ok(true)
     }
 
-    /// The bytes of the frame that `input` begins with, as far as they are announced: who reads may make room for all of
-    /// it. 0 if that is not known yet, or more than the limit.
+    /// The announced size of the frame that `input` begins with, so that the reader can reserve memory for all of it.
+    /// 0 if it is not known yet, or above the limit.
     pub fn announced(&self, input: &[u8]) -> usize {
         let known = input.first_chunk::<4>().filter(|_| self.greeted);
         let length = known.map_or(0, |announced| u32::from_be_bytes(*announced) as usize);

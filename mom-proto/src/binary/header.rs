@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 
-use super::wire::{Reader, bad, put_name, put_varint, put_zigzag};
+use super::wire::{FieldReader, bad, put_name, put_varint, put_zigzag};
 use super::words::NameCache;
 use crate::parcel::ContextNumber;
 use crate::slots::check_extra;
@@ -127,21 +127,21 @@ pub(super) fn presence(parcel: &Parcel) -> u64 {
 /// Reads the parcel in `frame`, whose first byte is the kind.
 ///
 /// # Errors
-/// What is wrong with the parcel, and its id if that was read before.
+/// The error of the parcel, and its id if that was read before.
 pub(super) fn read(
     frame: &Bytes,
     depth: usize,
     names: &mut NameCache,
 ) -> Result<Parcel, (Option<u64>, WireError)> {
     let mut parcel = Parcel::new(Family::Message, "");
-    let mut reader = Reader::at(frame, 1);
+    let mut reader = FieldReader::at(frame, 1);
     fill(&mut parcel, &mut reader, depth, names).map_err(|error| (parcel.id, error))?;
     Ok(parcel)
 }
 
 fn fill(
     parcel: &mut Parcel,
-    reader: &mut Reader<'_>,
+    reader: &mut FieldReader<'_>,
     depth: usize,
     names: &mut NameCache,
 ) -> Result<(), WireError> {
@@ -182,7 +182,7 @@ fn fill(
 
 fn fill_rare(
     parcel: &mut Parcel,
-    reader: &mut Reader<'_>,
+    reader: &mut FieldReader<'_>,
     bit: u32,
     depth: usize,
     names: &mut NameCache,
@@ -217,7 +217,7 @@ fn fill_rare(
     Ok(())
 }
 
-fn number(reader: &mut Reader<'_>, slot: &str) -> Result<u64, WireError> {
+fn number(reader: &mut FieldReader<'_>, slot: &str) -> Result<u64, WireError> {
     let start = reader.position();
     let number = reader.varint()?;
     match number <= MAX_ID {
@@ -226,7 +226,7 @@ fn number(reader: &mut Reader<'_>, slot: &str) -> Result<u64, WireError> {
     }
 }
 
-fn flag(reader: &mut Reader<'_>, slot: &str) -> Result<bool, WireError> {
+fn flag(reader: &mut FieldReader<'_>, slot: &str) -> Result<bool, WireError> {
     let start = reader.position();
     match reader.byte()? {
         0 => Ok(false),
@@ -235,12 +235,12 @@ fn flag(reader: &mut Reader<'_>, slot: &str) -> Result<bool, WireError> {
     }
 }
 
-fn time(reader: &mut Reader<'_>) -> Result<Time, WireError> {
+fn time(reader: &mut FieldReader<'_>) -> Result<Time, WireError> {
     let start = reader.position();
     Time::from_micros(reader.long()?).ok_or_else(|| bad(start, "a time outside the years 0 to 9999"))
 }
 
-fn address(reader: &mut Reader<'_>, names: &mut NameCache) -> Result<Vec<Arc<str>>, WireError> {
+fn address(reader: &mut FieldReader<'_>, names: &mut NameCache) -> Result<Vec<Arc<str>>, WireError> {
     let start = reader.position();
     let count = reader.varint()?;
     if count == 0 {
@@ -257,7 +257,7 @@ fn address(reader: &mut Reader<'_>, names: &mut NameCache) -> Result<Vec<Arc<str
     Ok(address)
 }
 
-fn extra(reader: &mut Reader<'_>, depth: usize) -> Result<Map, WireError> {
+fn extra(reader: &mut FieldReader<'_>, depth: usize) -> Result<Map, WireError> {
     let start = reader.position();
     let block = reader.block()?;
     let within = reader.position() - block.len();

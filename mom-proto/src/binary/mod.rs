@@ -2,7 +2,7 @@
 //!
 //! A connection begins with the preface `\x8fMOM`, major, minor, in both directions. Then come frames: a
 //! big-endian u32 length of what follows, one byte for the kind, the rest. Kind 0 is a whole parcel, kind 1
-//! a chunk of one. Kinds from 128 on may be skipped by who does not know them, lower ones may not.
+//! a chunk of one. A reader skips unknown kinds from 128 on, and refuses lower ones.
 //!
 //! A parcel is a presence bitmap (LEB128), the slots whose bits are set in the order of their bits, and the
 //! content as MessagePack up to the end of the frame. `docs/PROTOCOL.md` has the table of bits.
@@ -48,7 +48,7 @@ use bytes::Bytes;
 
 pub use chunks::{ChunkHead, STREAMS, chunks};
 pub use decoder::BinaryDecoder;
-pub use plain::{Plain, Run, cut};
+pub use plain::{ParcelRun, Plain, cut};
 pub use words::WORDS;
 
 use crate::codec::{Encoded, Scratch};

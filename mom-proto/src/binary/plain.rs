@@ -1,7 +1,7 @@
-//! Plain messages without a detour: looked at where they arrived, and written on as a run.
+//! A fast path for plain messages: read in place, and forwarded as a run.
 //!
-//! A peer that sends much sends the same again and again: one name, one context, other content. What such
-//! messages have in common is decided once; each then costs its stamps and one copy of its content.
+//! A fast peer repeats the same name and context with other content. The common part is decided once; each message
+//! then costs its stamps and one copy of its content.
 
 use bytes::Bytes;
 
@@ -22,7 +22,7 @@ const ALLOWED: u64 = bits(&[
     DELIVERY,
     ECHO,
 ]);
-/// The slots that it has to have.
+/// The required slots.
 const NEEDED: u64 = bits(&[CONTEXT_NUMBER, NAME]);
 
 const fn bits(slots: &[u32]) -> u64 {
@@ -34,8 +34,8 @@ const fn bits(slots: &[u32]) -> u64 {
     all
 }
 
-/// A whole frame with a message to all members of a context given by number, with no slot that has to be looked
-/// at by itself (address, fence, expiry, receipt, slots of applications).
+/// A whole frame with a message to all members of a context given by number, without slots that need a decision of
+/// their own (address, fence, expiry, receipt, slots of applications).
 #[derive(Clone, Copy, Debug)]
 pub struct Plain<'a> {
     /// The whole frame.
@@ -54,7 +54,7 @@ pub struct Plain<'a> {
 }
 
 impl<'a> Plain<'a> {
-    /// Looks at the front of `input`; none if that is no whole frame, or one for which the decoder is needed.
+    /// Reads the front of `input`; none if that is not a complete frame, or needs the decoder.
     pub(super) fn look(input: &'a [u8]) -> Option<Plain<'a>> {
         let length = u32::from_be_bytes(*input.first_chunk::<4>()?) as usize;
         let frame = input.get(..length.checked_add(4)?)?;
@@ -158,11 +158,11 @@ impl<'a> Rest<'a> {
     }
 }
 
-/// Messages of one peer that were admitted together, as they go out: frames one behind the other.
+/// Outgoing messages of one peer that were admitted together: frames one after the other.
 ///
-/// The first is admitted as any parcel is; the others follow as long as they are like it in all that was decided.
+/// The first is admitted like any parcel; the others follow while they agree with it in everything that was decided.
 #[derive(Debug)]
-pub struct Run {
+pub struct ParcelRun {
     /// What the messages have in common as they arrive.
     head: Vec<u8>,
     tail: Vec<u8>,
@@ -174,11 +174,11 @@ pub struct Run {
     count: u32,
 }
 
-impl Run {
+impl ParcelRun {
     /// A run that begins with `first`, of which `stamped` is what was admitted: without content, but with
-    /// sender, time, age and fence. `room` is how many bytes it may come to, as far as is known.
-    pub fn begin(first: &Plain<'_>, stamped: &Parcel, room: usize) -> Run {
-        let mut run = Run {
+    /// sender, time, age and fence. `room` is the expected size in bytes.
+    pub fn begin(first: &Plain<'_>, stamped: &Parcel, room: usize) -> ParcelRun {
+        let mut run = ParcelRun {
             head: first.head.to_vec(),
             tail: first.tail.to_vec(),
             prefix: Vec::with_capacity(64),
@@ -225,7 +225,7 @@ impl Run {
         run
     }
 
-    /// Whether this message is like the first in all that was decided.
+    /// Whether this message agrees with the first in everything that was decided.
     pub fn takes(&self, plain: &Plain<'_>) -> bool {
         plain.head == self.head && plain.tail == self.tail
     }
@@ -257,7 +257,7 @@ impl Run {
         self.count
     }
 
-    /// All of its frames, one behind the other.
+    /// All of its frames, one after the other.
     pub fn finish(self) -> Encoded {
         Encoded {
             head: self.out.into(),
@@ -350,7 +350,7 @@ mod tests {
     }
 
     proptest! {
-        /// A run is what the messages would be that were decoded, stamped and encoded one by one.
+        /// A run equals the messages decoded, stamped and encoded one by one.
         #[test]
         fn a_run_says_what_its_messages_say(messages in messages(), guarded: bool) {
             let mut input: Vec<u8> = Vec::new();
@@ -368,7 +368,7 @@ mod tests {
             while let Some(plain) = decoder.plain(rest) {
                 let mut stamped = decoder.head(&plain).expect("plain messages are decoded");
                 stamp(&mut stamped, guarded);
-                let run = run.get_or_insert_with(|| Run::begin(&plain, &stamped, 0));
+                let run = run.get_or_insert_with(|| ParcelRun::begin(&plain, &stamped, 0));
                 prop_assert!(run.takes(&plain));
                 run.push(&plain, -5);
                 rest.advance(plain.length());
@@ -381,7 +381,7 @@ mod tests {
             prop_assert_eq!(frames, expected);
         }
 
-        /// Whatever arrives: what is called plain is what the decoder takes for a message without other slots.
+        /// For any input: a plain message is one that the decoder reads as a message without other slots.
         #[test]
         fn what_is_plain_is_healthy(frame in proptest::collection::vec(any::<u8>(), 0..60), change in any::<(u8, u8)>()) {
             let parcel = Parcel::new(Family::Message, "command").id(7).content("grip");
@@ -417,7 +417,7 @@ mod tests {
         let first = frame(message("state"));
         let plain = decoder.plain(&first).unwrap();
         let stamped = decoder.head(&plain).unwrap();
-        let run = Run::begin(&plain, &stamped, 100);
+        let run = ParcelRun::begin(&plain, &stamped, 100);
         assert!(run.takes(&decoder.plain(&frame(message("state").id(900))).unwrap()));
         let urgent = Parcel {
             priority: Some(1),

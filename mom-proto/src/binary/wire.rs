@@ -30,15 +30,15 @@ pub(crate) fn put_name(out: &mut Vec<u8>, name: &str) {
 }
 
 /// Reads a frame's body from its front, knowing the position for errors.
-pub(crate) struct Reader<'a> {
+pub(crate) struct FieldReader<'a> {
     bytes: &'a Bytes,
     position: usize,
 }
 
-impl<'a> Reader<'a> {
+impl<'a> FieldReader<'a> {
     /// Reads `bytes`, of which the first `position` are read already.
-    pub(crate) fn at(bytes: &'a Bytes, position: usize) -> Reader<'a> {
-        Reader { bytes, position }
+    pub(crate) fn at(bytes: &'a Bytes, position: usize) -> FieldReader<'a> {
+        FieldReader { bytes, position }
     }
 
     pub(crate) fn position(&self) -> usize {
@@ -152,7 +152,7 @@ mod tests {
             put_varint(&mut out, number);
             put_zigzag(&mut out, number as i64);
             let bytes = Bytes::from(out);
-            let mut reader = Reader::at(&bytes, 0);
+            let mut reader = FieldReader::at(&bytes, 0);
             assert_eq!(
                 (reader.varint(), reader.zigzag()),
                 (Ok(number), Ok(number as i64))
@@ -168,7 +168,7 @@ mod tests {
             &[0x80],
         ] {
             let bytes = Bytes::copy_from_slice(bytes);
-            assert!(Reader::at(&bytes, 0).varint().is_err());
+            assert!(FieldReader::at(&bytes, 0).varint().is_err());
         }
     }
 }

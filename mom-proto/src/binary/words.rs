@@ -81,7 +81,7 @@ pub(crate) fn word(number: u64) -> Option<Arc<str>> {
         .cloned()
 }
 
-/// The names of one connection that are no words of the table: senders, receivers, message names.
+/// The names of one connection that are not in the table: senders, receivers, message names.
 ///
 /// The same few come again and again; keeping them saves an allocation for each parcel.
 #[derive(Debug, Default)]
@@ -89,7 +89,7 @@ pub(crate) struct NameCache(HashMap<Box<str>, Arc<str>>);
 
 impl NameCache {
     const MOST: usize = 256;
-    /// As long as a message's name may be. What is longer is refused soon, and must not stay here.
+    /// The longest name of a message. Longer ones are refused soon, and must not stay here.
     const LONGEST: usize = 128;
 
     /// The shared form of a name.

@@ -14,9 +14,9 @@ use crate::{Map, Value};
 
 use super::TIME;
 use super::depth::Depth;
-use super::error::Error;
+use super::error::SerdeError;
 
-// Up to here every whole number is a float of its own.
+// Up to here every whole number has a float of its own.
 const F64_EXACT: u64 = 1 << f64::MANTISSA_DIGITS;
 const F32_EXACT: u64 = 1 << f32::MANTISSA_DIGITS;
 
@@ -32,7 +32,7 @@ impl ValueDeserializer {
         ValueDeserializer { value, depth }
     }
 
-    fn deeper(self) -> Result<ValueDeserializer, Error> {
+    fn deeper(self) -> Result<ValueDeserializer, SerdeError> {
         let depth = self.depth.step()?;
         Ok(ValueDeserializer { depth, ..self })
     }
@@ -49,13 +49,13 @@ impl ValueDeserializer {
 }
 
 impl<'de> Deserializer<'de> for ValueDeserializer {
-    type Error = Error;
+    type Error = SerdeError;
 
     fn is_human_readable(&self) -> bool {
         false
     }
 
-    fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
+    fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, SerdeError> {
         match self.value {
             Value::Null => visitor.visit_unit(),
             Value::Bool(flag) => visitor.visit_bool(flag),
@@ -73,7 +73,7 @@ impl<'de> Deserializer<'de> for ValueDeserializer {
         }
     }
 
-    fn deserialize_f32<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
+    fn deserialize_f32<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, SerdeError> {
         match self.widened(F32_EXACT) {
             ValueDeserializer {
                 value: Value::Double(number),
@@ -83,14 +83,14 @@ impl<'de> Deserializer<'de> for ValueDeserializer {
         }
     }
 
-    fn deserialize_f64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
+    fn deserialize_f64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, SerdeError> {
         match self.widened(F64_EXACT).value {
             Value::Double(number) => visitor.visit_f64(number),
             other => Err(no_float(&other, &visitor)),
         }
     }
 
-    fn deserialize_str<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
+    fn deserialize_str<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, SerdeError> {
         match self.value {
             // Other crates' types of instants read text.
             Value::Time(time) => visitor.visit_string(time.to_string()),
@@ -98,11 +98,11 @@ impl<'de> Deserializer<'de> for ValueDeserializer {
         }
     }
 
-    fn deserialize_string<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
+    fn deserialize_string<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, SerdeError> {
         self.deserialize_str(visitor)
     }
 
-    fn deserialize_option<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
+    fn deserialize_option<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, SerdeError> {
         match self.value {
             Value::Null => visitor.visit_none(),
             _ => visitor.visit_some(self.deeper()?),
@@ -113,7 +113,7 @@ impl<'de> Deserializer<'de> for ValueDeserializer {
         self,
         name: &'static str,
         visitor: V,
-    ) -> Result<V::Value, Error> {
+    ) -> Result<V::Value, SerdeError> {
         match (name, &self.value) {
             (TIME, Value::Time(_)) => self.deserialize_any(visitor),
             (TIME, value) if value.as_str().is_none() => Err(mismatch(value, &visitor)),
@@ -126,7 +126,7 @@ impl<'de> Deserializer<'de> for ValueDeserializer {
         _name: &'static str,
         _fields: &'static [&'static str],
         visitor: V,
-    ) -> Result<V::Value, Error> {
+    ) -> Result<V::Value, SerdeError> {
         match self.value {
             Value::Map(map) => visit_map(map, self.depth, visitor),
             // Derived types would take a list's members by their order, which no sender can have meant.
@@ -139,7 +139,7 @@ impl<'de> Deserializer<'de> for ValueDeserializer {
         _name: &'static str,
         _variants: &'static [&'static str],
         visitor: V,
-    ) -> Result<V::Value, Error> {
+    ) -> Result<V::Value, SerdeError> {
         let (variant, content, depth) = match self.value {
             Value::String(variant) => (variant, None, self.depth),
             Value::Map(map) if map.len() == 1 => match map.into_iter().next() {
@@ -155,7 +155,7 @@ impl<'de> Deserializer<'de> for ValueDeserializer {
         })
     }
 
-    fn deserialize_ignored_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
+    fn deserialize_ignored_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, SerdeError> {
         visitor.visit_unit()
     }
 
@@ -174,9 +174,12 @@ struct List {
 }
 
 impl<'de> SeqAccess<'de> for List {
-    type Error = Error;
+    type Error = SerdeError;
 
-    fn next_element_seed<T: DeserializeSeed<'de>>(&mut self, seed: T) -> Result<Option<T::Value>, Error> {
+    fn next_element_seed<T: DeserializeSeed<'de>>(
+        &mut self,
+        seed: T,
+    ) -> Result<Option<T::Value>, SerdeError> {
         let Some(value) = self.items.next() else {
             return Ok(None);
         };
@@ -200,22 +203,22 @@ struct Members {
 }
 
 impl<'de> MapAccess<'de> for Members {
-    type Error = Error;
+    type Error = SerdeError;
 
-    fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, seed: K) -> Result<Option<K::Value>, Error> {
+    fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, seed: K) -> Result<Option<K::Value>, SerdeError> {
         self.current = self.members.next();
         let Some((key, _)) = &self.current else {
             return Ok(None);
         };
         let depth = self.depth;
-        seed.deserialize(Key { key, depth })
+        seed.deserialize(MapKey { key, depth })
             .map(Some)
             .map_err(|error| error.inside(key))
     }
 
-    fn next_value_seed<T: DeserializeSeed<'de>>(&mut self, seed: T) -> Result<T::Value, Error> {
+    fn next_value_seed<T: DeserializeSeed<'de>>(&mut self, seed: T) -> Result<T::Value, SerdeError> {
         let Some((key, value)) = self.current.take() else {
-            return Err(Error::bad_content(
+            return Err(SerdeError::bad_content(
                 "the type reads a map's member without its key",
             ));
         };
@@ -230,13 +233,13 @@ impl<'de> MapAccess<'de> for Members {
 }
 
 /// A map's key: text, which may stand for a whole number, a boolean or a unit variant.
-struct Key<'a> {
+struct MapKey<'a> {
     key: &'a str,
     depth: Depth,
 }
 
-impl Key<'_> {
-    fn number<'de, V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
+impl MapKey<'_> {
+    fn number<'de, V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, SerdeError> {
         if let Some(number) = canonical(self.key) {
             visitor.visit_i64(number)
         } else if let Some(number) = canonical(self.key) {
@@ -250,32 +253,32 @@ impl Key<'_> {
         }
     }
 
-    fn deeper(self) -> Result<Self, Error> {
+    fn deeper(self) -> Result<Self, SerdeError> {
         let depth = self.depth.step()?;
-        Ok(Key { depth, ..self })
+        Ok(MapKey { depth, ..self })
     }
 }
 
 macro_rules! deserialize_numbers {
     ($($method:ident)*) => {
-        $(fn $method<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
+        $(fn $method<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, SerdeError> {
             self.number(visitor)
         })*
     };
 }
 
-impl<'de> Deserializer<'de> for Key<'_> {
-    type Error = Error;
+impl<'de> Deserializer<'de> for MapKey<'_> {
+    type Error = SerdeError;
 
     fn is_human_readable(&self) -> bool {
         true
     }
 
-    fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
+    fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, SerdeError> {
         visitor.visit_str(self.key)
     }
 
-    fn deserialize_bool<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
+    fn deserialize_bool<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, SerdeError> {
         match self.key.parse() {
             Ok(flag) => visitor.visit_bool(flag),
             Err(_) => visitor.visit_str(self.key),
@@ -287,7 +290,7 @@ impl<'de> Deserializer<'de> for Key<'_> {
         deserialize_u8 deserialize_u16 deserialize_u32 deserialize_u64 deserialize_u128
     }
 
-    fn deserialize_option<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
+    fn deserialize_option<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, SerdeError> {
         visitor.visit_some(self.deeper()?)
     }
 
@@ -295,7 +298,7 @@ impl<'de> Deserializer<'de> for Key<'_> {
         self,
         _name: &'static str,
         visitor: V,
-    ) -> Result<V::Value, Error> {
+    ) -> Result<V::Value, SerdeError> {
         visitor.visit_newtype_struct(self.deeper()?)
     }
 
@@ -304,7 +307,7 @@ impl<'de> Deserializer<'de> for Key<'_> {
         _name: &'static str,
         _variants: &'static [&'static str],
         visitor: V,
-    ) -> Result<V::Value, Error> {
+    ) -> Result<V::Value, SerdeError> {
         visitor.visit_enum(text(self.key))
     }
 
@@ -321,10 +324,10 @@ struct Variant {
 }
 
 impl<'de> EnumAccess<'de> for Variant {
-    type Error = Error;
+    type Error = SerdeError;
     type Variant = Variant;
 
-    fn variant_seed<T: DeserializeSeed<'de>>(self, seed: T) -> Result<(T::Value, Variant), Error> {
+    fn variant_seed<T: DeserializeSeed<'de>>(self, seed: T) -> Result<(T::Value, Variant), SerdeError> {
         let variant = seed.deserialize(text(&self.variant))?;
         Ok((variant, self))
     }
@@ -332,13 +335,16 @@ impl<'de> EnumAccess<'de> for Variant {
 
 impl Variant {
     /// Hands the content on; errors in it get the variant's name as their place.
-    fn content<T>(self, read: impl FnOnce(ValueDeserializer) -> Result<T, Error>) -> Result<T, Error> {
+    fn content<T>(
+        self,
+        read: impl FnOnce(ValueDeserializer) -> Result<T, SerdeError>,
+    ) -> Result<T, SerdeError> {
         let Some(value) = self.content else {
             let text = format!(
                 "the variant needs content: a map of one member {:?}",
                 self.variant
             );
-            return Err(Error::bad_content(text));
+            return Err(SerdeError::bad_content(text));
         };
         let depth = self.depth;
         read(ValueDeserializer { value, depth }).map_err(|error| error.inside(self.variant))
@@ -346,20 +352,20 @@ impl Variant {
 }
 
 impl<'de> VariantAccess<'de> for Variant {
-    type Error = Error;
+    type Error = SerdeError;
 
-    fn unit_variant(self) -> Result<(), Error> {
+    fn unit_variant(self) -> Result<(), SerdeError> {
         match self.content {
             None | Some(Value::Null) => Ok(()),
             Some(other) => Err(mismatch(&other, &"nothing").inside(self.variant)),
         }
     }
 
-    fn newtype_variant_seed<T: DeserializeSeed<'de>>(self, seed: T) -> Result<T::Value, Error> {
+    fn newtype_variant_seed<T: DeserializeSeed<'de>>(self, seed: T) -> Result<T::Value, SerdeError> {
         self.content(|content| seed.deserialize(content))
     }
 
-    fn tuple_variant<V: Visitor<'de>>(self, length: usize, visitor: V) -> Result<V::Value, Error> {
+    fn tuple_variant<V: Visitor<'de>>(self, length: usize, visitor: V) -> Result<V::Value, SerdeError> {
         self.content(|content| content.deserialize_tuple(length, visitor))
     }
 
@@ -367,12 +373,16 @@ impl<'de> VariantAccess<'de> for Variant {
         self,
         fields: &'static [&'static str],
         visitor: V,
-    ) -> Result<V::Value, Error> {
+    ) -> Result<V::Value, SerdeError> {
         self.content(|content| content.deserialize_struct("", fields, visitor))
     }
 }
 
-fn visit_list<'de, V: Visitor<'de>>(list: Vec<Value>, depth: Depth, visitor: V) -> Result<V::Value, Error> {
+fn visit_list<'de, V: Visitor<'de>>(
+    list: Vec<Value>,
+    depth: Depth,
+    visitor: V,
+) -> Result<V::Value, SerdeError> {
     let length = list.len();
     let mut list = List {
         items: list.into_iter(),
@@ -382,14 +392,14 @@ fn visit_list<'de, V: Visitor<'de>>(list: Vec<Value>, depth: Depth, visitor: V) 
     let object = visitor.visit_seq(&mut list)?;
     match list.items.len() {
         0 => Ok(object),
-        left => Err(Error::bad_content(format!(
+        left => Err(SerdeError::bad_content(format!(
             "{length} members stand where {} are wanted",
             length - left
         ))),
     }
 }
 
-fn visit_map<'de, V: Visitor<'de>>(map: Map, depth: Depth, visitor: V) -> Result<V::Value, Error> {
+fn visit_map<'de, V: Visitor<'de>>(map: Map, depth: Depth, visitor: V) -> Result<V::Value, SerdeError> {
     let mut members = Members {
         members: map.into_iter(),
         current: None,
@@ -398,11 +408,11 @@ fn visit_map<'de, V: Visitor<'de>>(map: Map, depth: Depth, visitor: V) -> Result
     let object = visitor.visit_map(&mut members)?;
     match members.members.next() {
         None => Ok(object),
-        Some((key, _)) => Err(Error::bad_content("nothing more may stand here").inside(key)),
+        Some((key, _)) => Err(SerdeError::bad_content("nothing more may stand here").inside(key)),
     }
 }
 
-fn mismatch(value: &Value, wanted: &dyn de::Expected) -> Error {
+fn mismatch(value: &Value, wanted: &dyn de::Expected) -> SerdeError {
     let given = match value {
         Value::Null => Unexpected::Unit,
         Value::Bool(flag) => Unexpected::Bool(*flag),
@@ -417,14 +427,14 @@ fn mismatch(value: &Value, wanted: &dyn de::Expected) -> Error {
     de::Error::invalid_type(given, wanted)
 }
 
-fn no_float(value: &Value, wanted: &dyn de::Expected) -> Error {
+fn no_float(value: &Value, wanted: &dyn de::Expected) -> SerdeError {
     match value {
-        Value::Int(number) => Error::bad_content(format!("int {number} has no exact form as {wanted}")),
+        Value::Int(number) => SerdeError::bad_content(format!("int {number} has no exact form as {wanted}")),
         _ => mismatch(value, wanted),
     }
 }
 
-fn text(text: &str) -> StrDeserializer<'_, Error> {
+fn text(text: &str) -> StrDeserializer<'_, SerdeError> {
     text.into_deserializer()
 }
 

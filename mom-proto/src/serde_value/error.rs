@@ -1,4 +1,4 @@
-//! What does not fit between values and `serde` types, and its place.
+//! Mismatches between values and `serde` types, with their positions.
 
 use std::fmt::Display;
 
@@ -12,13 +12,13 @@ use crate::{Code, WireError, is_xml_char};
 const STEP_CHARS: usize = 64;
 const TEXT_CHARS: usize = 512;
 
-/// A [`WireError`] in the making: its place grows while the recursion returns.
+/// A [`WireError`] being built: its position grows while the recursion returns.
 #[derive(Debug, thiserror::Error)]
 #[error("{}", .0.text)]
-pub(super) struct Error(Box<Fault>);
+pub(super) struct SerdeError(Box<ValueFault>);
 
 #[derive(Debug)]
-struct Fault {
+struct ValueFault {
     code: Code,
     text: String,
     /// From the innermost step outwards.
@@ -26,30 +26,30 @@ struct Fault {
     nearest: Option<String>,
 }
 
-impl Error {
+impl SerdeError {
     /// `not-encodable`
-    pub(super) fn not_encodable(text: impl Display) -> Error {
-        Error::new(Code::NOT_ENCODABLE, text)
+    pub(super) fn not_encodable(text: impl Display) -> SerdeError {
+        SerdeError::new(Code::NOT_ENCODABLE, text)
     }
 
     /// `bad-content`
-    pub(super) fn bad_content(text: impl Display) -> Error {
-        Error::new(Code::BAD_CONTENT, text)
+    pub(super) fn bad_content(text: impl Display) -> SerdeError {
+        SerdeError::new(Code::BAD_CONTENT, text)
     }
 
     /// `too-deep`
-    pub(super) fn too_deep(text: impl Display) -> Error {
-        Error::new(Code::TOO_DEEP, text)
+    pub(super) fn too_deep(text: impl Display) -> SerdeError {
+        SerdeError::new(Code::TOO_DEEP, text)
     }
 
     /// The same error seen from one level further out: it happened in this member.
-    pub(super) fn inside(mut self, step: impl Display) -> Error {
+    pub(super) fn inside(mut self, step: impl Display) -> SerdeError {
         self.0.place.push(brief(&step.to_string(), STEP_CHARS));
         self
     }
 
-    fn new(code: Code, text: impl Display) -> Error {
-        Error(Box::new(Fault {
+    fn new(code: Code, text: impl Display) -> SerdeError {
+        SerdeError(Box::new(ValueFault {
             code,
             text: brief(&text.to_string(), TEXT_CHARS),
             place: Vec::new(),
@@ -57,9 +57,9 @@ impl Error {
         }))
     }
 
-    fn unknown(what: &str, known: &'static [&'static str]) -> Error {
+    fn unknown(what: &str, known: &'static [&'static str]) -> SerdeError {
         let quoted = brief(what, STEP_CHARS);
-        let mut error = Error::bad_content(match known {
+        let mut error = SerdeError::bad_content(match known {
             [] => format!("{quoted:?} is not known; nothing may stand here"),
             _ => format!("{quoted:?} is not known; known are {}", known.join(", ")),
         });
@@ -68,8 +68,8 @@ impl Error {
     }
 }
 
-impl From<Error> for WireError {
-    fn from(error: Error) -> WireError {
+impl From<SerdeError> for WireError {
+    fn from(error: SerdeError) -> WireError {
         let fault = *error.0;
         let mut slot = "content".to_owned();
         for step in fault.place.iter().rev() {
@@ -82,44 +82,44 @@ impl From<Error> for WireError {
     }
 }
 
-impl ser::Error for Error {
-    fn custom<T: Display>(text: T) -> Error {
-        Error::not_encodable(text)
+impl ser::Error for SerdeError {
+    fn custom<T: Display>(text: T) -> SerdeError {
+        SerdeError::not_encodable(text)
     }
 }
 
-impl de::Error for Error {
-    fn custom<T: Display>(text: T) -> Error {
-        Error::bad_content(text)
+impl de::Error for SerdeError {
+    fn custom<T: Display>(text: T) -> SerdeError {
+        SerdeError::bad_content(text)
     }
 
-    fn invalid_type(given: Unexpected<'_>, wanted: &dyn Expected) -> Error {
-        Error::bad_content(format!("{} stands where {wanted} is wanted", words(given)))
+    fn invalid_type(given: Unexpected<'_>, wanted: &dyn Expected) -> SerdeError {
+        SerdeError::bad_content(format!("{} stands where {wanted} is wanted", words(given)))
     }
 
-    fn invalid_value(given: Unexpected<'_>, wanted: &dyn Expected) -> Error {
+    fn invalid_value(given: Unexpected<'_>, wanted: &dyn Expected) -> SerdeError {
         de::Error::invalid_type(given, wanted)
     }
 
-    fn invalid_length(length: usize, wanted: &dyn Expected) -> Error {
-        Error::bad_content(format!("{length} members stand where {wanted} is wanted"))
+    fn invalid_length(length: usize, wanted: &dyn Expected) -> SerdeError {
+        SerdeError::bad_content(format!("{length} members stand where {wanted} is wanted"))
     }
 
-    fn unknown_variant(variant: &str, known: &'static [&'static str]) -> Error {
-        Error::unknown(variant, known)
+    fn unknown_variant(variant: &str, known: &'static [&'static str]) -> SerdeError {
+        SerdeError::unknown(variant, known)
     }
 
-    fn unknown_field(field: &str, known: &'static [&'static str]) -> Error {
+    fn unknown_field(field: &str, known: &'static [&'static str]) -> SerdeError {
         // Derived types say this while they read the key, whose place is known.
-        Error::unknown(field, known)
+        SerdeError::unknown(field, known)
     }
 
-    fn missing_field(field: &'static str) -> Error {
-        Error::bad_content("it is missing").inside(field)
+    fn missing_field(field: &'static str) -> SerdeError {
+        SerdeError::bad_content("it is missing").inside(field)
     }
 
-    fn duplicate_field(field: &'static str) -> Error {
-        Error::bad_content("it stands there twice").inside(field)
+    fn duplicate_field(field: &'static str) -> SerdeError {
+        SerdeError::bad_content("it stands there twice").inside(field)
     }
 }
 

@@ -18,9 +18,9 @@ const TOML_DATETIME: &str = "$__toml_private_datetime";
 impl Serialize for Time {
     /// Its text in text formats, µs since the epoch in others, a time in a [`Value`].
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        struct Form(Time);
+        struct TimeForm(Time);
 
-        impl Serialize for Form {
+        impl Serialize for TimeForm {
             fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
                 match serializer.is_human_readable() {
                     true => serializer.collect_str(&self.0),
@@ -29,7 +29,7 @@ impl Serialize for Time {
             }
         }
 
-        serializer.serialize_newtype_struct(TIME, &Form(*self))
+        serializer.serialize_newtype_struct(TIME, &TimeForm(*self))
     }
 }
 

@@ -30,13 +30,13 @@ pub(super) struct Body {
 
 /// The header lines of one entity so far.
 #[derive(Debug, Default)]
-pub(super) struct Head {
+pub(super) struct EntityHead {
     length: Option<usize>,
     media: Option<Result<Media, WireError>>,
     encoding: Option<WireError>,
 }
 
-impl Head {
+impl EntityHead {
     /// Takes one line, without its line end.
     pub(super) fn line(&mut self, line: &[u8], limits: &Limits) -> Result<(), WireError> {
         if line == OWN_TYPE {
@@ -95,7 +95,7 @@ pub(super) fn header(line: &[u8]) -> Result<(&str, &str), WireError> {
     let (name, value) = text
         .and_then(|text| text.split_once(':'))
         .ok_or_else(|| no_header(line))?;
-    // A blank before the colon is how requests are smuggled past lenient readers.
+    // A blank before the colon would allow request smuggling past lenient readers.
     let token = |byte: u8| byte.is_ascii_alphanumeric() || b"-_".contains(&byte);
     match name.len() > FIRST.len() && name.bytes().all(token) {
         true => Ok((name, value.trim_matches([' ', '\t']))),
@@ -129,7 +129,7 @@ pub(super) fn media(value: &str) -> Result<Media, WireError> {
         "multipart/related" => &["type", "boundary"],
         _ => return Err(refused("application/xml or multipart/related is expected")),
     };
-    // A parameter that this side ignores and another side obeys would make them see two things.
+    // If one side ignored a parameter that another obeys, they would read different things.
     let mut seen: Vec<mime::Name<'_>> = Vec::new();
     for (name, _) in mime.params() {
         if seen.contains(&name) || !known.contains(&name.as_str()) {

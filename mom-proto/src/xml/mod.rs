@@ -4,10 +4,9 @@
 //! of exactly `Content-Length` bytes. The body is one `<parcel>` element, or `multipart/related` with that
 //! element first and each binary value in a part of its own.
 //!
-//! The grammar is closed: what it does not name is refused, with a code and the byte in the body. What is
-//! wrong inside a complete entity is [`Frame::Malformed`] and the connection lives; broken framing and
-//! `restricted-xml` (document types, declarations, processing instructions) end it. Decided here, where the
-//! design is silent:
+//! The grammar is closed: everything else is refused, with a code and the byte in the body. An error inside a
+//! complete entity is [`Frame::Malformed`] and the connection stays open; broken framing and `restricted-xml`
+//! (document types, declarations, processing instructions) end it. Decided here, where the design is silent:
 //! - Line ends and blanks are normalised as XML 1.0 says: CR LF and lone CR in text are LF, tabs and line
 //!   ends in attributes are blanks; a character reference is kept as it is.
 //! - Base64 text is the standard alphabet with padding; ASCII white space in it is ignored.
@@ -31,7 +30,7 @@ use bytes::{Buf, BytesMut};
 use crate::codec::Frame;
 use crate::{Code, Limits, WireError};
 
-use head::{Body, Head, Media};
+use head::{Body, EntityHead, Media};
 use multipart::Parts;
 
 pub use write::encode;
@@ -56,7 +55,7 @@ const FIRST: &[u8] = b"content-";
 #[derive(Debug)]
 pub struct XmlDecoder {
     limits: Limits,
-    head: Head,
+    head: EntityHead,
     // Bytes of this entity's header lines that are read and gone.
     head_bytes: usize,
     // Bytes at the front of the input that are known to hold no line end.
@@ -69,7 +68,7 @@ impl XmlDecoder {
     pub fn new(limits: &Limits) -> XmlDecoder {
         XmlDecoder {
             limits: limits.clone(),
-            head: Head::default(),
+            head: EntityHead::default(),
             head_bytes: 0,
             scanned: 0,
             body: None,

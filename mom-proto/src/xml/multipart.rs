@@ -14,10 +14,10 @@ use super::name::brief;
 
 /// The binary parts by their Content-ID; each is taken exactly once.
 #[derive(Debug, Default)]
-pub(super) struct Parts(IndexMap<String, Part>);
+pub(super) struct Parts(IndexMap<String, MimePart>);
 
 #[derive(Debug)]
-struct Part {
+struct MimePart {
     // Nothing once it is taken.
     data: Option<Bytes>,
     position: usize,
@@ -121,7 +121,7 @@ impl Walk<'_> {
             let (range, again) = self.data()?;
             more = again;
             match parts.0.entry(id) {
-                Entry::Vacant(entry) => entry.insert(Part {
+                Entry::Vacant(entry) => entry.insert(MimePart {
                     data: Some(self.body.slice(range)),
                     position: start,
                 }),

@@ -2,13 +2,13 @@
 
 use std::borrow::Cow;
 
-use crate::{Code, HARD_DEPTH, Kind, Limits, Map, Parcel, ReadSlots, Value, WireError};
+use crate::{Code, HARD_DEPTH, Limits, Map, Parcel, ReadSlots, Value, ValueKind, WireError};
 
 use super::multipart::Parts;
 use super::name::{brief, is_reserved, within};
 use super::scalar;
-use super::text::{self, Place, bad, first_ink, unescape};
-use super::token::{Tag, Token, Tokens};
+use super::text::{self, TextKind, bad, first_ink, unescape};
+use super::token::{Lexeme, Tag, Tokens};
 
 /// Why a document is no parcel, and its id if that was read before.
 #[derive(Debug)]
@@ -33,7 +33,7 @@ pub(super) fn read(
     let reference = slots.id();
     let failed = |error| Failed { reference, error };
     if let Some(error) = broken {
-        // What is never allowed closes the connection, whatever comes after it.
+        // Forbidden constructs close the connection, whatever comes after them.
         let restricted = read.err().filter(|error| error.code == Code::RESTRICTED_XML);
         return Err(failed(restricted.unwrap_or(error)));
     }
@@ -56,7 +56,7 @@ fn document_slots(
     parts: &mut Parts,
     slots: &mut ReadSlots,
 ) -> Result<(), WireError> {
-    let mut reader = Reader {
+    let mut reader = ParcelReader {
         tokens: Tokens::new(text, base, limits)?,
         parts,
     };
@@ -64,7 +64,7 @@ fn document_slots(
     while let Some(tag) = reader.child(&root)? {
         let position = tag.position;
         let key = member_key(&tag)?;
-        let kind = ReadSlots::kind_of(&key).unwrap_or(Kind::String);
+        let kind = ReadSlots::kind_of(&key).unwrap_or(ValueKind::String);
         let depth = limits.depth.min(HARD_DEPTH);
         let value = reader
             .value(&tag, tag.kind.unwrap_or(kind), depth)
@@ -77,18 +77,18 @@ fn document_slots(
     reader.parts.check_used()
 }
 
-struct Reader<'a, 'p> {
+struct ParcelReader<'a, 'p> {
     tokens: Tokens<'a>,
     parts: &'p mut Parts,
 }
 
-impl<'a> Reader<'a, '_> {
+impl<'a> ParcelReader<'a, '_> {
     fn root(&mut self) -> Result<Tag<'a>, WireError> {
         loop {
             let position = self.tokens.position();
             match self.tokens.next()? {
-                Token::Text(raw) => check_blank(raw, position)?,
-                Token::Open(tag) if tag.name == "parcel" && tag.is_bare() => return Ok(tag),
+                Lexeme::Text(raw) => check_blank(raw, position)?,
+                Lexeme::Open(tag) if tag.name == "parcel" && tag.is_bare() => return Ok(tag),
                 _ => {
                     return Err(bad(
                         position,
@@ -103,8 +103,8 @@ impl<'a> Reader<'a, '_> {
         loop {
             let position = self.tokens.position();
             match self.tokens.next()? {
-                Token::Text(raw) => check_blank(raw, position)?,
-                Token::End => return Ok(()),
+                Lexeme::Text(raw) => check_blank(raw, position)?,
+                Lexeme::End => return Ok(()),
                 _ => return Err(bad(position, "nothing may follow after </parcel>")),
             }
         }
@@ -118,28 +118,28 @@ impl<'a> Reader<'a, '_> {
         loop {
             let position = self.tokens.position();
             match self.tokens.next()? {
-                Token::Text(raw) => check_blank(raw, position)?,
-                Token::Open(tag) => return Ok(Some(tag)),
-                Token::Close(name) if name == parent.name => return Ok(None),
+                Lexeme::Text(raw) => check_blank(raw, position)?,
+                Lexeme::Open(tag) => return Ok(Some(tag)),
+                Lexeme::Close(name) if name == parent.name => return Ok(None),
                 token => return Err(not_closed(parent, &token, position)),
             }
         }
     }
 
     /// The value of an element; `depth` more lists and maps may open.
-    fn value(&mut self, tag: &Tag<'a>, kind: Kind, depth: usize) -> Result<Value, WireError> {
-        if tag.base64 && kind != Kind::Binary {
+    fn value(&mut self, tag: &Tag<'a>, kind: ValueKind, depth: usize) -> Result<Value, WireError> {
+        if tag.base64 && kind != ValueKind::Binary {
             return Err(bad(tag.position, "only binary values have an encoding"));
         }
-        if depth == 0 && matches!(kind, Kind::List | Kind::Map) {
+        if depth == 0 && matches!(kind, ValueKind::List | ValueKind::Map) {
             let why = "lists and maps are nested deeper than the limit";
             return Err(WireError::new(Code::TOO_DEEP, why).position(tag.position));
         }
         match kind {
-            Kind::List => self.list(tag, depth - 1),
-            Kind::Map => self.map(tag, depth - 1),
-            Kind::Binary if !tag.base64 => self.part(tag),
-            Kind::String => Ok(Value::String(self.text(tag)?.0.into_owned())),
+            ValueKind::List => self.list(tag, depth - 1),
+            ValueKind::Map => self.map(tag, depth - 1),
+            ValueKind::Binary if !tag.base64 => self.part(tag),
+            ValueKind::String => Ok(Value::String(self.text(tag)?.0.into_owned())),
             _ => {
                 let (text, position) = self.text(tag)?;
                 scalar::parse(kind, &text, position)
@@ -160,7 +160,7 @@ impl<'a> Reader<'a, '_> {
         if tag.name != "item" || tag.key.is_some() {
             return Err(bad(tag.position, "a list is made of <item type=\"…\"> elements"));
         }
-        self.value(tag, tag.kind.unwrap_or(Kind::String), depth)
+        self.value(tag, tag.kind.unwrap_or(ValueKind::String), depth)
     }
 
     fn map(&mut self, map: &Tag<'a>, depth: usize) -> Result<Value, WireError> {
@@ -168,7 +168,7 @@ impl<'a> Reader<'a, '_> {
         while let Some(tag) = self.child(map)? {
             let key = member_key(&tag)?;
             let value = self
-                .value(&tag, tag.kind.unwrap_or(Kind::String), depth)
+                .value(&tag, tag.kind.unwrap_or(ValueKind::String), depth)
                 .map_err(|error| within(error, &key))?;
             members.insert_new(key.into_owned(), value).map_err(|key| {
                 let twice = format!("the member {:?} stands there twice", brief(&key));
@@ -204,12 +204,12 @@ impl<'a> Reader<'a, '_> {
         loop {
             let position = self.tokens.position();
             match self.tokens.next()? {
-                Token::Text(_) => {}
-                Token::Close(name) if name == tag.name => {
+                Lexeme::Text(_) => {}
+                Lexeme::Close(name) if name == tag.name => {
                     let raw = self.tokens.between(start, position);
-                    return Ok((unescape(raw, start, Place::Element)?, start));
+                    return Ok((unescape(raw, start, TextKind::Element)?, start));
                 }
-                Token::Open(_) => return Err(bad(position, "a value of this type has no elements in it")),
+                Lexeme::Open(_) => return Err(bad(position, "a value of this type has no elements in it")),
                 token => return Err(not_closed(tag, &token, position)),
             }
         }
@@ -237,9 +237,9 @@ fn check_blank(raw: &str, position: usize) -> Result<(), WireError> {
     }
 }
 
-fn not_closed(tag: &Tag<'_>, found: &Token<'_>, position: usize) -> WireError {
+fn not_closed(tag: &Tag<'_>, found: &Lexeme<'_>, position: usize) -> WireError {
     let found = match found {
-        Token::Close(name) => format!("</{}>", brief(name)),
+        Lexeme::Close(name) => format!("</{}>", brief(name)),
         _ => "the end".to_owned(),
     };
     bad(

@@ -3,25 +3,25 @@
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 
-use crate::{Code, Kind, Time, Value, WireError};
+use crate::{Code, Time, Value, ValueKind, WireError};
 
 use super::name::brief;
 
 /// Reads the text of a value; lists, maps and parts have no text form.
-pub(super) fn parse(kind: Kind, text: &str, position: usize) -> Result<Value, WireError> {
+pub(super) fn parse(kind: ValueKind, text: &str, position: usize) -> Result<Value, WireError> {
     let value = match kind {
-        Kind::Null => text.is_empty().then_some(Value::Null),
-        Kind::Bool => match text {
+        ValueKind::Null => text.is_empty().then_some(Value::Null),
+        ValueKind::Bool => match text {
             "true" => Some(Value::Bool(true)),
             "false" => Some(Value::Bool(false)),
             _ => None,
         },
-        Kind::Int => int(text).map(Value::Int),
-        Kind::Double => double(text).map(Value::Double),
-        Kind::String => Some(Value::String(text.to_owned())),
-        Kind::Time => text.parse::<Time>().ok().map(Value::Time),
-        Kind::Binary => base64(text).map(|bytes| Value::Binary(bytes.into())),
-        Kind::List | Kind::Map => None,
+        ValueKind::Int => int(text).map(Value::Int),
+        ValueKind::Double => double(text).map(Value::Double),
+        ValueKind::String => Some(Value::String(text.to_owned())),
+        ValueKind::Time => text.parse::<Time>().ok().map(Value::Time),
+        ValueKind::Binary => base64(text).map(|bytes| Value::Binary(bytes.into())),
+        ValueKind::List | ValueKind::Map => None,
     };
     value.ok_or_else(|| {
         let form = form(kind);
@@ -30,16 +30,16 @@ pub(super) fn parse(kind: Kind, text: &str, position: usize) -> Result<Value, Wi
     })
 }
 
-fn form(kind: Kind) -> &'static str {
+fn form(kind: ValueKind) -> &'static str {
     match kind {
-        Kind::Null => "empty",
-        Kind::Bool => "true or false",
-        Kind::Int => "a decimal number of 64 bits without + and leading zeros",
-        Kind::Double => "a finite decimal number, like -1.5e3",
-        Kind::String => "text",
-        Kind::Time => "written like 2026-11-21T10:00:00.000123Z",
-        Kind::Binary => "standard base64 with its padding",
-        Kind::List | Kind::Map => "made of elements",
+        ValueKind::Null => "empty",
+        ValueKind::Bool => "true or false",
+        ValueKind::Int => "a decimal number of 64 bits without + and leading zeros",
+        ValueKind::Double => "a finite decimal number, like -1.5e3",
+        ValueKind::String => "text",
+        ValueKind::Time => "written like 2026-11-21T10:00:00.000123Z",
+        ValueKind::Binary => "standard base64 with its padding",
+        ValueKind::List | ValueKind::Map => "made of elements",
     }
 }
 
@@ -75,7 +75,7 @@ fn base64(text: &str) -> Option<Vec<u8>> {
 mod tests {
     use super::*;
 
-    fn check(kind: Kind, text: &str, expected: impl Into<Option<Value>>) {
+    fn check(kind: ValueKind, text: &str, expected: impl Into<Option<Value>>) {
         let read = parse(kind, text, 3);
         if let Err(error) = &read {
             assert_eq!(
@@ -88,14 +88,14 @@ mod tests {
 
     #[test]
     fn one_form_per_type() {
-        check(Kind::Null, "", Some(Value::Null));
-        check(Kind::Null, " ", None);
-        check(Kind::Bool, "true", Some(true.into()));
+        check(ValueKind::Null, "", Some(Value::Null));
+        check(ValueKind::Null, " ", None);
+        check(ValueKind::Bool, "true", Some(true.into()));
         for bad in ["", "True", "1", " true"] {
-            check(Kind::Bool, bad, None);
+            check(ValueKind::Bool, bad, None);
         }
-        check(Kind::Int, "-9223372036854775808", Some(i64::MIN.into()));
-        check(Kind::Int, "0", Some(0.into()));
+        check(ValueKind::Int, "-9223372036854775808", Some(i64::MIN.into()));
+        check(ValueKind::Int, "0", Some(0.into()));
         for bad in [
             "",
             "-",
@@ -108,10 +108,10 @@ mod tests {
             " 1",
             "１",
         ] {
-            check(Kind::Int, bad, None);
+            check(ValueKind::Int, bad, None);
         }
-        check(Kind::Double, "-1.5E+3", Some(Value::Double(-1500.0)));
-        check(Kind::Double, ".5", Some(Value::Double(0.5)));
+        check(ValueKind::Double, "-1.5E+3", Some(Value::Double(-1500.0)));
+        check(ValueKind::Double, ".5", Some(Value::Double(0.5)));
         for bad in [
             "",
             ".",
@@ -126,24 +126,24 @@ mod tests {
             "--1",
             "e5",
         ] {
-            check(Kind::Double, bad, None);
+            check(ValueKind::Double, bad, None);
         }
-        let zero = parse(Kind::Double, "-0.0", 0).unwrap();
+        let zero = parse(ValueKind::Double, "-0.0", 0).unwrap();
         assert!(matches!(zero, Value::Double(number) if number.is_sign_negative()));
         check(
-            Kind::Time,
+            ValueKind::Time,
             "1970-01-01T00:00:00Z",
             Time::from_micros(0).map(Value::Time),
         );
-        check(Kind::Time, "yesterday", None);
+        check(ValueKind::Time, "yesterday", None);
         check(
-            Kind::Binary,
+            ValueKind::Binary,
             " AQ\n ID ",
             Some(Value::Binary(vec![1, 2, 3].into())),
         );
-        check(Kind::Binary, "", Some(Value::Binary(Vec::new().into())));
+        check(ValueKind::Binary, "", Some(Value::Binary(Vec::new().into())));
         for bad in ["AQI", "AR==", "AQ==AQ==", "A_-=", "AQ=", "=", "AQ I\u{a0}D"] {
-            check(Kind::Binary, bad, None);
+            check(ValueKind::Binary, bad, None);
         }
     }
 }

@@ -11,7 +11,7 @@ const REFERENCE_BYTES: usize = 12;
 
 /// Where a raw text stands: the rules of XML for line ends differ.
 #[derive(Clone, Copy, PartialEq)]
-pub(super) enum Place {
+pub(super) enum TextKind {
     Element,
     Attribute,
 }
@@ -52,7 +52,7 @@ pub(super) fn decode(bytes: &[u8], base: usize) -> Result<&str, (&str, WireError
 }
 
 /// Resolves references and line ends; `base` is the raw text's position in the body.
-pub(super) fn unescape(raw: &str, base: usize, place: Place) -> Result<Cow<'_, str>, WireError> {
+pub(super) fn unescape(raw: &str, base: usize, place: TextKind) -> Result<Cow<'_, str>, WireError> {
     let Some(first) = find_special(raw.as_bytes(), 0, place) else {
         return Ok(Cow::Borrowed(raw));
     };
@@ -69,14 +69,14 @@ pub(super) fn unescape(raw: &str, base: usize, place: Place) -> Result<Cow<'_, s
                 out.push(c);
                 copied = at + length;
             }
-            (b'>', Place::Element) if raw[..at].ends_with("]]") => {
+            (b'>', TextKind::Element) if raw[..at].ends_with("]]") => {
                 return Err(bad(base + at - 2, "]]> may not stand in text"));
             }
             (b'>', _) => out.push('>'),
             (b'\r', _) if bytes.get(at + 1) == Some(&b'\n') => {}
-            (b'\r', Place::Element) => out.push('\n'),
-            (_, Place::Attribute) => out.push(' '),
-            (byte, Place::Element) => out.push(char::from(byte)),
+            (b'\r', TextKind::Element) => out.push('\n'),
+            (_, TextKind::Attribute) => out.push(' '),
+            (byte, TextKind::Element) => out.push(char::from(byte)),
         }
         special = find_special(bytes, copied, place);
     }
@@ -99,11 +99,11 @@ pub(super) fn bad(position: usize, text: impl Into<String>) -> WireError {
     WireError::new(Code::BAD_XML, text).position(position)
 }
 
-fn find_special(bytes: &[u8], from: usize, place: Place) -> Option<usize> {
+fn find_special(bytes: &[u8], from: usize, place: TextKind) -> Option<usize> {
     let rest = &bytes[from..];
     let found = match place {
-        Place::Element => memchr::memchr3(b'&', b'\r', b'>', rest),
-        Place::Attribute => rest
+        TextKind::Element => memchr::memchr3(b'&', b'\r', b'>', rest),
+        TextKind::Attribute => rest
             .iter()
             .position(|byte| matches!(byte, b'&' | b'\r' | b'\n' | b'\t')),
     };
@@ -153,7 +153,7 @@ fn numbered(number: &str) -> Option<char> {
 mod tests {
     use super::*;
 
-    fn check(raw: &str, place: Place, expected: Result<&str, i64>) {
+    fn check(raw: &str, place: TextKind, expected: Result<&str, i64>) {
         let read = unescape(raw, 100, place);
         let read = read.as_deref().map_err(|error| {
             assert_eq!(error.code, Code::BAD_XML);
@@ -164,18 +164,22 @@ mod tests {
 
     #[test]
     fn references_and_line_ends() {
-        check("plain ü", Place::Element, Ok("plain ü"));
+        check("plain ü", TextKind::Element, Ok("plain ü"));
         check(
             "&lt;a&gt; &amp;amp; &quot;&apos;",
-            Place::Element,
+            TextKind::Element,
             Ok("<a> &amp; \"'"),
         );
-        check("&#65;&#x41;&#x1F600;&#0065;", Place::Element, Ok("AA😀A"));
-        check("a\r\nb\rc\nd&#13;", Place::Element, Ok("a\nb\nc\nd\r"));
-        check("a\r\nb\rc\nd\te&#9;&#10;", Place::Attribute, Ok("a b c d e\t\n"));
-        check("a > b ]> ]] >", Place::Element, Ok("a > b ]> ]] >"));
-        check("]]>", Place::Attribute, Ok("]]>"));
-        check("ab]]>", Place::Element, Err(2));
+        check("&#65;&#x41;&#x1F600;&#0065;", TextKind::Element, Ok("AA😀A"));
+        check("a\r\nb\rc\nd&#13;", TextKind::Element, Ok("a\nb\nc\nd\r"));
+        check(
+            "a\r\nb\rc\nd\te&#9;&#10;",
+            TextKind::Attribute,
+            Ok("a b c d e\t\n"),
+        );
+        check("a > b ]> ]] >", TextKind::Element, Ok("a > b ]> ]] >"));
+        check("]]>", TextKind::Attribute, Ok("]]>"));
+        check("ab]]>", TextKind::Element, Err(2));
         for (raw, position) in [
             ("&", 0),
             ("a &b c", 2),
@@ -195,8 +199,8 @@ mod tests {
             ("&amp", 0),
             ("&ü;", 0),
         ] {
-            check(raw, Place::Element, Err(position));
-            check(raw, Place::Attribute, Err(position));
+            check(raw, TextKind::Element, Err(position));
+            check(raw, TextKind::Attribute, Err(position));
         }
     }
 

@@ -1,4 +1,4 @@
-//! Tokens of XML: quick-xml finds where they end, this checks all of what they hold.
+//! Lexemes of XML: quick-xml finds their ends, this module checks their content.
 
 use std::borrow::Cow;
 
@@ -6,14 +6,14 @@ use quick_xml::Reader;
 use quick_xml::events::Event;
 
 use crate::nearest::nearest;
-use crate::{Code, Kind, Limits, WireError};
+use crate::{Code, Limits, ValueKind, WireError};
 
 use super::name::{brief, is_name, within};
-use super::text::{Place, bad, first_ink, is_blank, unescape};
+use super::text::{TextKind, bad, first_ink, is_blank, unescape};
 
-/// One token; positions count from the start of the text.
+/// One lexeme; positions count from the start of the text.
 #[derive(Debug)]
-pub(super) enum Token<'a> {
+pub(super) enum Lexeme<'a> {
     /// `<name …>` or `<name …/>`.
     Open(Tag<'a>),
     /// `</name>`.
@@ -29,7 +29,7 @@ pub(super) enum Token<'a> {
 pub(super) struct Tag<'a> {
     pub(super) name: &'a str,
     pub(super) key: Option<Cow<'a, str>>,
-    pub(super) kind: Option<Kind>,
+    pub(super) kind: Option<ValueKind>,
     pub(super) base64: bool,
     /// Whether it is its own end.
     pub(super) empty: bool,
@@ -44,7 +44,7 @@ impl Tag<'_> {
     }
 }
 
-/// The tokens of one document.
+/// The lexemes of one document.
 pub(super) struct Tokens<'a> {
     text: &'a str,
     reader: Reader<&'a [u8]>,
@@ -85,7 +85,7 @@ impl<'a> Tokens<'a> {
     }
 
     /// The next token.
-    pub(super) fn next(&mut self) -> Result<Token<'a>, WireError> {
+    pub(super) fn next(&mut self) -> Result<Lexeme<'a>, WireError> {
         let start = self.offset();
         let rest = &self.text.as_bytes()[start..];
         // Before the tokenizer looks for their end: a document type may be as long as the body.
@@ -95,12 +95,12 @@ impl<'a> Tokens<'a> {
         let event = self.reader.read_event();
         let raw = &self.text[start..self.offset()];
         match event {
-            Ok(Event::Start(_) | Event::Empty(_)) => self.tag(raw, start).map(Token::Open),
-            Ok(Event::End(_)) => Ok(Token::Close(
+            Ok(Event::Start(_) | Event::Empty(_)) => self.tag(raw, start).map(Lexeme::Open),
+            Ok(Event::End(_)) => Ok(Lexeme::Close(
                 raw[2..raw.len() - 1].trim_end_matches([' ', '\t', '\r', '\n']),
             )),
-            Ok(Event::Text(_) | Event::GeneralRef(_)) => Ok(Token::Text(raw)),
-            Ok(Event::Eof) => Ok(Token::End),
+            Ok(Event::Text(_) | Event::GeneralRef(_)) => Ok(Lexeme::Text(raw)),
+            Ok(Event::Eof) => Ok(Lexeme::End),
             Ok(_) => Err(bad(self.base + start, "this markup is no part of a parcel")),
             Err(error) => Err(bad(self.base + start, format!("no well-formed XML: {error}"))),
         }
@@ -194,7 +194,7 @@ impl<'a> Tag<'a> {
         } = attribute;
         let before = match name {
             "type" => {
-                let kind = Kind::from_word(&value).ok_or_else(|| unknown_type(&value, position))?;
+                let kind = ValueKind::from_word(&value).ok_or_else(|| unknown_type(&value, position))?;
                 self.kind.replace(kind).is_some()
             }
             "key" => self.key.replace(value).is_some(),
@@ -270,7 +270,7 @@ impl<'a> Attributes<'a, '_> {
         }
         Ok(Some(Attribute {
             name,
-            value: unescape(raw, start, Place::Attribute)?,
+            value: unescape(raw, start, TextKind::Attribute)?,
             position,
         }))
     }
@@ -307,7 +307,7 @@ fn check_name(name: &str, position: usize) -> Result<(), WireError> {
 }
 
 fn unknown_type(word: &str, position: usize) -> WireError {
-    let near = nearest(word, Kind::ALL.map(Kind::word));
+    let near = nearest(word, ValueKind::ALL.map(ValueKind::word));
     WireError::new(Code::BAD_SLOT, format!("the type {:?} is unknown", brief(word)))
         .position(position)
         .nearest_opt(near)

@@ -8,7 +8,7 @@ use bytes::Bytes;
 
 use crate::codec::Encoded;
 use crate::slots::check_extra;
-use crate::{Code, Content, HARD_DEPTH, Kind, Parcel, Value, WireError, write_slots};
+use crate::{Code, Content, HARD_DEPTH, Parcel, Value, ValueKind, WireError, write_slots};
 
 use super::name::{is_element_key, within};
 
@@ -39,7 +39,7 @@ pub fn encode(parcel: &Parcel) -> Result<Encoded, WireError> {
     check_extra(&parcel.extra)?;
     let mut out = Vec::with_capacity(HEAD_BYTES + 512);
     out.resize(HEAD_BYTES, 0);
-    let mut writer = Writer {
+    let mut writer = XmlWriter {
         out,
         parts: Vec::new(),
     };
@@ -50,13 +50,13 @@ pub fn encode(parcel: &Parcel) -> Result<Encoded, WireError> {
     })
 }
 
-struct Writer {
+struct XmlWriter {
     // HEAD_BYTES of nothing yet, then the XML.
     out: Vec<u8>,
     parts: Vec<Bytes>,
 }
 
-impl Writer {
+impl XmlWriter {
     fn parcel(&mut self, parcel: &Parcel) -> Result<(), WireError> {
         self.out.extend_from_slice(b"<parcel>");
         let mut written = Ok(());
@@ -98,7 +98,7 @@ impl Writer {
             escape(key, true, &mut self.out)?;
             self.out.push(b'"');
         }
-        if value.kind() != Kind::String {
+        if value.kind() != ValueKind::String {
             self.out.extend_from_slice(b" type=\"");
             self.out.extend_from_slice(value.kind().word().as_bytes());
             self.out.push(b'"');
@@ -216,8 +216,7 @@ fn is_hollow(value: &Value) -> bool {
 
 /// `mom-` and the smallest number with which it stands in none of these pieces.
 ///
-/// Found in one pass: counting up and searching again each time would let a sender of crafted data choose
-/// how long that takes.
+/// Found in one pass: searching again for each candidate would let crafted data take arbitrarily long.
 fn boundary(xml: &[u8], parts: &[Bytes]) -> String {
     // More digits than any count of places in memory has.
     const DIGITS: usize = 18;

@@ -1,4 +1,4 @@
-//! What can be typed about tokens, and about who may do what.
+//! Arguments of the commands for tokens and access.
 
 use std::time::Duration;
 
@@ -8,25 +8,25 @@ use super::duration;
 
 /// How long to hold a token.
 #[derive(Args, Debug)]
-pub(crate) struct Hold {
+pub(crate) struct HoldArgs {
     /// Release it after this time instead of at Ctrl-C: 30s, 5m
     #[arg(long = "for", value_name = "TIME", value_parser = duration)]
     pub(crate) time: Option<Duration>,
-    /// Answer those who ask for it: y and Enter hands it over, n and Enter does not
+    /// Answer peers that ask for it: y and Enter hands it over, n and Enter does not
     #[arg(long, short)]
     pub(crate) answer: bool,
 }
 
 /// `mom grab`
 #[derive(Args, Debug)]
-pub(crate) struct Grab {
+pub(crate) struct GrabArgs {
     /// The token
     pub(crate) path: String,
-    /// Wait for your turn, so long at most: 30s, 5m, or forever
+    /// Wait in the queue for at most this time: 30s, 5m, or forever
     #[arg(long, value_name = "TIME", value_parser = wait)]
-    pub(crate) wait: Option<Wait>,
+    pub(crate) wait: Option<WaitArg>,
     #[command(flatten)]
-    pub(crate) hold: Hold,
+    pub(crate) hold: HoldArgs,
 }
 
 pub(super) const GRAB: &str = "\
@@ -40,33 +40,33 @@ Ctrl-C releases it, or leaves the queue.";
 
 /// How long to wait for a token.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Wait {
-    /// So long.
+pub(crate) enum WaitArg {
+    /// At most this long.
     For(Duration),
     /// As long as it takes.
     Forever,
 }
 
-fn wait(text: &str) -> Result<Wait, String> {
+fn wait(text: &str) -> Result<WaitArg, String> {
     match text {
-        "forever" => Ok(Wait::Forever),
-        text => duration(text).map(Wait::For),
+        "forever" => Ok(WaitArg::Forever),
+        text => duration(text).map(WaitArg::For),
     }
 }
 
 /// `mom request`
 #[derive(Args, Debug)]
-pub(crate) struct Request {
+pub(crate) struct RequestArgs {
     /// The token
     pub(crate) path: String,
-    /// Why; its owner is shown it
+    /// The reason, shown to the owner
     #[arg(long, value_name = "WORDS")]
     pub(crate) text: Option<String>,
     /// How long its owner may take to answer; 30s if absent
     #[arg(long, value_name = "TIME", value_parser = duration)]
     pub(crate) within: Option<Duration>,
     #[command(flatten)]
-    pub(crate) hold: Hold,
+    pub(crate) hold: HoldArgs,
 }
 
 pub(super) const REQUEST: &str = "\
@@ -78,23 +78,23 @@ A free token is yours at once. Its owner answers with y or n in: mom grab --answ
 
 /// `mom give`
 #[derive(Args, Debug)]
-pub(crate) struct Give {
+pub(crate) struct GiveArgs {
     /// The peer, by its name at the hub
     pub(crate) peer: String,
     /// The token
     pub(crate) path: String,
-    /// Only for this time, then it comes back and is released: 30s, 2m
+    /// Only for this time; then it returns and is released: 30s, 2m
     #[arg(long = "for", value_name = "TIME", value_parser = duration)]
     pub(crate) time: Option<Duration>,
-    /// Only for so many commands, then it comes back and is released
+    /// Only for so many commands; then it returns and is released
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub(crate) commands: Option<u64>,
     /// How long the peer may take to accept; 10s if absent
     #[arg(long, value_name = "TIME", value_parser = duration)]
     pub(crate) within: Option<Duration>,
-    /// Wait for your turn to grab it first, so long at most: 30s, 5m, or forever
+    /// First wait in the queue for at most this time: 30s, 5m, or forever
     #[arg(long, value_name = "TIME", value_parser = wait)]
-    pub(crate) wait: Option<Wait>,
+    pub(crate) wait: Option<WaitArg>,
 }
 
 pub(super) const GIVE: &str = "\
@@ -107,7 +107,7 @@ The other peer takes it with: mom accept /robot/token";
 
 /// `mom accept`
 #[derive(Args, Debug)]
-pub(crate) struct Accept {
+pub(crate) struct AcceptArgs {
     /// The token
     pub(crate) path: String,
     /// Only if this peer offers it
@@ -117,7 +117,7 @@ pub(crate) struct Accept {
     #[arg(long, value_name = "TIME", value_parser = duration)]
     pub(crate) within: Option<Duration>,
     #[command(flatten)]
-    pub(crate) hold: Hold,
+    pub(crate) hold: HoldArgs,
 }
 
 pub(super) const ACCEPT: &str = "\
@@ -127,7 +127,7 @@ Examples:
 
 /// `mom decline`
 #[derive(Args, Debug)]
-pub(crate) struct Decline {
+pub(crate) struct DeclineArgs {
     /// The token
     pub(crate) path: String,
     /// Only if this peer offers it
@@ -145,7 +145,7 @@ Examples:
 
 /// `mom break`
 #[derive(Args, Debug)]
-pub(crate) struct Break {
+pub(crate) struct BreakArgs {
     /// The token
     pub(crate) path: String,
 }
@@ -156,7 +156,7 @@ Examples:
 
 /// `mom inhibit`
 #[derive(Args, Debug)]
-pub(crate) struct Inhibit {
+pub(crate) struct InhibitArgs {
     /// The token
     pub(crate) path: String,
     /// End it after this time instead of at Ctrl-C: 30s, 5m
@@ -173,7 +173,7 @@ Several may do so at a time; the token can be had again when the last of them en
 
 /// `mom token`
 #[derive(Args, Debug)]
-pub(crate) struct Token {
+pub(crate) struct TokenArgs {
     /// The token
     pub(crate) path: String,
 }
@@ -185,7 +185,7 @@ Examples:
 
 /// `mom invite`
 #[derive(Args, Debug)]
-pub(crate) struct Invite {
+pub(crate) struct InviteArgs {
     /// The peer, by its name at the hub
     pub(crate) peer: String,
     /// The context
@@ -200,15 +200,15 @@ Whether the peer may join is for the context's manager to say; some let in who w
 
 /// `mom expel`
 #[derive(Args, Debug)]
-pub(crate) struct Expel {
+pub(crate) struct ExpelArgs {
     /// The peer, by its name at the hub
     pub(crate) peer: String,
     /// The context; / is the whole hub
     pub(crate) path: String,
-    /// Why; the peer and the members are shown it
+    /// The reason, shown to the peer and the members
     #[arg(long, value_name = "WORDS")]
     pub(crate) text: Option<String>,
-    /// How long it is kept out; 1m if absent
+    /// How long the peer is kept out; 1m if absent
     #[arg(long = "for", value_name = "TIME", value_parser = duration)]
     pub(crate) time: Option<Duration>,
 }
@@ -220,7 +220,7 @@ Examples:
 
 /// `mom manage`
 #[derive(Args, Debug)]
-pub(crate) struct Manage {
+pub(crate) struct ManageArgs {
     /// The contexts where you have the chair; the hub asks only who is in them
     #[arg(required = true, value_name = "PATH")]
     pub(crate) paths: Vec<String>,
@@ -243,8 +243,8 @@ mod tests {
 
     #[test]
     fn how_long_to_wait() {
-        assert_eq!(wait("forever"), Ok(Wait::Forever));
-        assert_eq!(wait("5s"), Ok(Wait::For(Duration::from_secs(5))));
+        assert_eq!(wait("forever"), Ok(WaitArg::Forever));
+        assert_eq!(wait("5s"), Ok(WaitArg::For(Duration::from_secs(5))));
         assert!(wait("5").is_err());
     }
 }

@@ -1,20 +1,20 @@
-//! `mom accept`: a token that is offered, taken and held until Ctrl-C.
+//! `mom accept`: accepts an offered token and holds it until Ctrl-C.
 
-use super::hold::{Held, hold};
-use super::offers::{Awaited, offer};
-use crate::cli::{self, Global};
+use super::hold::{TokenToHold, hold};
+use super::offers::{AwaitedOffer, offer};
+use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::interrupt::Interrupt;
 use crate::output::Output;
 
-pub(crate) async fn run(args: &cli::Accept, global: &Global, output: Output) -> Result<(), Failure> {
+pub(crate) async fn run(args: &cli::AcceptArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Once).await?;
     let mut interrupt = Interrupt::install()?;
     let path = &args.path;
     let token = client.token(path).await.doing(format!("join {path}"))?;
     let mut events = token.events();
-    let awaited = Awaited {
+    let awaited = AwaitedOffer {
         me: &client.name(),
         peer: args.peer.as_deref(),
         within: args.within,
@@ -23,7 +23,7 @@ pub(crate) async fn run(args: &cli::Accept, global: &Global, output: Output) -> 
     if result.is_ok() {
         result = match token.accept().await.doing(format!("accept {path}")) {
             Ok(guard) => {
-                let held = Held {
+                let held = TokenToHold {
                     client: &client,
                     token: &token,
                     events,

@@ -1,14 +1,14 @@
-//! `mom break`: a token, taken away from its owner.
+//! `mom break`: takes a token away from its owner.
 
 use serde_json::json;
 
-use crate::cli::{self, Global};
+use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
-use crate::output::style::{Ink, ink};
+use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
 
-pub(crate) async fn run(args: &cli::Break, global: &Global, output: Output) -> Result<(), Failure> {
+pub(crate) async fn run(args: &cli::BreakArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Once).await?;
     let path = &args.path;
     let token = client.token(path).await.doing(format!("join {path}"))?;
@@ -22,7 +22,7 @@ pub(crate) async fn run(args: &cli::Break, global: &Global, output: Output) -> R
                 let had: Vec<String> = had.iter().map(|peer| words::visible(peer)).collect();
                 let who = had.join(", ");
                 let verb = if had.len() == 1 { "has" } else { "have" };
-                ink(format_args!("broke {path}: {who} {verb} it no more"), Ink::Good)
+                ink(format_args!("broke {path}: {who} {verb} it no more"), Tone::Good)
             }
         },
     )?;

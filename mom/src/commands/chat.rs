@@ -1,21 +1,21 @@
-//! `mom chat`: lines of the input are sent, those of others shown.
+//! `mom chat`: sends input lines and shows those of others.
 
 use mom_client::{Channel, Event, Parcel, to_value};
 
-use crate::cli::{self, Global};
+use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::input;
 use crate::interrupt::Interrupt;
 use crate::output::event::event_words;
-use crate::output::record::Record;
-use crate::output::style::{Ink, ink};
+use crate::output::record::OutputRecord;
+use crate::output::style::{Tone, ink};
 use crate::output::{Output, refusal_text, words};
 
 /// The name of the messages (M39).
 const CHAT: &str = "chat";
 
-pub(crate) async fn run(args: &cli::Chat, global: &Global, output: Output) -> Result<(), Failure> {
+pub(crate) async fn run(args: &cli::ChatArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Reconnecting).await?;
     let mut interrupt = Interrupt::install()?;
     let channel = client
@@ -33,7 +33,7 @@ pub(crate) async fn run(args: &cli::Chat, global: &Global, output: Output) -> Re
         };
         output.remark(ink(
             format_args!("{} as {me}; here: {who}; Ctrl-D ends", args.path),
-            Ink::Faint,
+            Tone::Faint,
         ));
     }
     let mut lines = input::lines();
@@ -51,7 +51,7 @@ pub(crate) async fn run(args: &cli::Chat, global: &Global, output: Output) -> Re
             () = interrupt.wait() => break,
         }
     }
-    // What came while the last line was on its way.
+    // Messages that arrived while the last line was on its way.
     while let Some(event) = events.try_next() {
         show(&args.path, &event, output)?;
     }
@@ -62,7 +62,7 @@ pub(crate) async fn run(args: &cli::Chat, global: &Global, output: Output) -> Re
     }
 }
 
-/// Sends a line; whether it got there.
+/// Sends a line; returns whether it was accepted.
 async fn say(channel: &Channel, line: &str, output: Output) -> bool {
     if line.trim().is_empty() {
         return true;
@@ -80,7 +80,7 @@ async fn say(channel: &Channel, line: &str, output: Output) -> bool {
     {
         Ok(receipt) => {
             if receipt.delivered == 0 {
-                output.remark(ink("  (nobody else is here)", Ink::Faint));
+                output.remark(ink("  (nobody else is here)", Tone::Faint));
             }
             true
         }
@@ -88,7 +88,7 @@ async fn say(channel: &Channel, line: &str, output: Output) -> bool {
             let what = "not sent";
             match error.wire() {
                 Some(error) => output.remark(refusal_text(what, error)),
-                None => output.remark(ink(format_args!("{what}: {error}"), Ink::Bad)),
+                None => output.remark(ink(format_args!("{what}: {error}"), Tone::Bad)),
             }
             false
         }
@@ -96,26 +96,26 @@ async fn say(channel: &Channel, line: &str, output: Output) -> bool {
 }
 
 fn show(path: &str, event: &Event, output: Output) -> std::io::Result<()> {
-    output.tell(|| Record::of(path, event).json(), || human(path, event))
+    output.tell(|| OutputRecord::of(path, event).json(), || human(path, event))
 }
 
 /// `alice: good morning`, `* bob joined (level 1)`
 fn human(path: &str, event: &Event) -> String {
     match event {
         Event::Message(parcel) if parcel.name() == CHAT => said(parcel),
-        Event::Message(_) | Event::Other(_) => Record::of(path, event).line(),
-        other => ink(format_args!("* {}", event_words(other)), Ink::Notice),
+        Event::Message(_) | Event::Other(_) => OutputRecord::of(path, event).line(),
+        other => ink(format_args!("* {}", event_words(other)), Tone::Notice),
     }
 }
 
 fn said(parcel: &Parcel) -> String {
     let sender = words::visible(parcel.sender.as_deref().unwrap_or("?"));
     let to_me = if parcel.address.is_some() { " (to you)" } else { "" };
-    let history = words::history(parcel).map(|history| ink(format_args!(" ({history})"), Ink::Faint));
+    let history = words::history(parcel).map(|history| ink(format_args!(" ({history})"), Tone::Faint));
     format!(
         "{}{}{}: {}",
-        ink(sender, Ink::Peer),
-        ink(to_me, Ink::Faint),
+        ink(sender, Tone::Peer),
+        ink(to_me, Tone::Faint),
         history.unwrap_or_default(),
         words::said(parcel)
     )

@@ -1,20 +1,20 @@
-//! `mom decline`: no to a token that is offered.
+//! `mom decline`: declines an offered token.
 
 use serde_json::json;
 
-use super::offers::{Awaited, offer};
-use crate::cli::{self, Global};
+use super::offers::{AwaitedOffer, offer};
+use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::interrupt::Interrupt;
 use crate::output::Output;
 
-pub(crate) async fn run(args: &cli::Decline, global: &Global, output: Output) -> Result<(), Failure> {
+pub(crate) async fn run(args: &cli::DeclineArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Once).await?;
     let mut interrupt = Interrupt::install()?;
     let path = &args.path;
     let token = client.token(path).await.doing(format!("join {path}"))?;
-    let awaited = Awaited {
+    let awaited = AwaitedOffer {
         me: &client.name(),
         peer: args.peer.as_deref(),
         within: args.within,

@@ -1,14 +1,14 @@
-//! `mom expel`: a peer is put out of a context.
+//! `mom expel`: expels a peer from a context.
 
 use serde_json::json;
 
-use crate::cli::{self, Global};
+use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
-use crate::output::style::{Ink, ink};
+use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
 
-pub(crate) async fn run(args: &cli::Expel, global: &Global, output: Output) -> Result<(), Failure> {
+pub(crate) async fn run(args: &cli::ExpelArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Once).await?;
     let (peer, path) = (&args.peer, &args.path);
     let text = args.text.as_deref().unwrap_or_default();
@@ -21,7 +21,7 @@ pub(crate) async fn run(args: &cli::Expel, global: &Global, output: Output) -> R
         || json!({"state": "expelled", "path": path, "peer": peer}),
         || {
             let peer = words::visible(peer);
-            ink(format_args!("{peer} is out of {path}"), Ink::Good)
+            ink(format_args!("{peer} is out of {path}"), Tone::Good)
         },
     )?;
     Ok(())

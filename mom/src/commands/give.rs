@@ -1,18 +1,18 @@
-//! `mom give`: a token, grabbed and given to another peer.
+//! `mom give`: grabs a token and gives it to another peer.
 
 use mom_client::{Given, Lapsed, Token, TokenGuard};
 use serde_json::json;
 
 use super::grab::grab;
 use super::hold::{tell_lost, tell_released};
-use crate::cli::{self, Global};
+use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::interrupt::Interrupt;
-use crate::output::style::{Ink, ink};
+use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
 
-pub(crate) async fn run(args: &cli::Give, global: &Global, output: Output) -> Result<(), Failure> {
+pub(crate) async fn run(args: &cli::GiveArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Once).await?;
     let mut interrupt = Interrupt::install()?;
     let path = &args.path;
@@ -23,7 +23,7 @@ pub(crate) async fn run(args: &cli::Give, global: &Global, output: Output) -> Re
 }
 
 async fn give(
-    args: &cli::Give,
+    args: &cli::GiveArgs,
     token: &Token,
     interrupt: &mut Interrupt,
     output: Output,
@@ -50,7 +50,7 @@ async fn give(
     output.tell(
         || json!({"state": "given", "path": path, "to": peer}),
         || {
-            let head = ink(format_args!("{} has {path}", words::visible(peer)), Ink::Good);
+            let head = ink(format_args!("{} has {path}", words::visible(peer)), Tone::Good);
             format!("{head}{extent}")
         },
     )?;
@@ -60,7 +60,7 @@ async fn give(
     }
 }
 
-async fn offer(args: &cli::Give, guard: &TokenGuard) -> Result<Given, Failure> {
+async fn offer(args: &cli::GiveArgs, guard: &TokenGuard) -> Result<Given, Failure> {
     let mut give = guard.give(&args.peer);
     if let Some(time) = args.time {
         give = give.time(time);
@@ -74,7 +74,7 @@ async fn offer(args: &cli::Give, guard: &TokenGuard) -> Result<Given, Failure> {
     give.await.doing(format!("give {} to {}", args.path, args.peer))
 }
 
-/// The token comes back, and is released.
+/// The token has returned, and is released.
 async fn wait_for_return(
     given: Given,
     path: &str,
@@ -83,7 +83,7 @@ async fn wait_for_return(
 ) -> Result<(), Failure> {
     output.remark(ink(
         "it comes back by itself; after Ctrl-C it goes to nobody then",
-        Ink::Faint,
+        Tone::Faint,
     ));
     let returned = tokio::select! {
         returned = given.returned() => returned,

@@ -1,4 +1,4 @@
-//! `mom grab`: a token, waited for and held until Ctrl-C.
+//! `mom grab`: waits for a token and holds it until Ctrl-C.
 
 use std::io::{self, IsTerminal as _};
 use std::time::Duration;
@@ -7,17 +7,17 @@ use indicatif::{ProgressBar, ProgressStyle};
 use mom_client::{Place, Token, TokenGuard, ordinal};
 use serde_json::json;
 
-use super::hold::{Held, hold};
-use crate::cli::{self, Global, Wait};
+use super::hold::{TokenToHold, hold};
+use crate::cli::{self, GlobalArgs, WaitArg};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::interrupt::Interrupt;
-use crate::output::style::{Ink, ink};
+use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
 
 const TICK: Duration = Duration::from_millis(100);
 
-pub(crate) async fn run(args: &cli::Grab, global: &Global, output: Output) -> Result<(), Failure> {
+pub(crate) async fn run(args: &cli::GrabArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Once).await?;
     let mut interrupt = Interrupt::install()?;
     let token = client
@@ -27,7 +27,7 @@ pub(crate) async fn run(args: &cli::Grab, global: &Global, output: Output) -> Re
     let events = token.events();
     let result = match grab(&token, args.wait, &mut interrupt, output).await {
         Ok(guard) => {
-            let held = Held {
+            let held = TokenToHold {
                 client: &client,
                 token: &token,
                 events,
@@ -44,19 +44,19 @@ pub(crate) async fn run(args: &cli::Grab, global: &Global, output: Output) -> Re
 /// Grabs a token, and shows the place in the queue while it waits.
 pub(super) async fn grab(
     token: &Token,
-    wait: Option<Wait>,
+    wait: Option<WaitArg>,
     interrupt: &mut Interrupt,
     output: Output,
 ) -> Result<TokenGuard, Failure> {
     let path = token.path().as_str();
-    let queue = Queue::new(path, output);
+    let queue = PlaceDisplay::new(path, output);
     let grab = match wait {
         None => token.grab(),
-        Some(Wait::For(most)) => token.grab().wait(most),
-        Some(Wait::Forever) => token.grab().wait_forever(),
+        Some(WaitArg::For(most)) => token.grab().wait(most),
+        Some(WaitArg::Forever) => token.grab().wait_forever(),
     };
     let grab = grab.on_place(|place| queue.show(place));
-    // Dropped with the interrupt, it leaves the queue.
+    // If the interrupt drops it, it leaves the queue.
     let granted = tokio::select! {
         granted = grab => granted.doing(format!("grab {path}")),
         () = interrupt.wait() => Err(Failure::plain(format!("interrupted before it was your turn at {path}"))),
@@ -66,16 +66,16 @@ pub(super) async fn grab(
 }
 
 /// The place in the queue: a moving line at a terminal, one line per change elsewhere.
-struct Queue<'a> {
+struct PlaceDisplay<'a> {
     path: &'a str,
     output: Output,
     bar: Option<ProgressBar>,
 }
 
-impl<'a> Queue<'a> {
-    fn new(path: &'a str, output: Output) -> Queue<'a> {
+impl<'a> PlaceDisplay<'a> {
+    fn new(path: &'a str, output: Output) -> PlaceDisplay<'a> {
         let terminal = !output.is_json() && io::stdout().is_terminal() && io::stderr().is_terminal();
-        Queue {
+        PlaceDisplay {
             path,
             output,
             bar: terminal.then(make_bar),
@@ -92,10 +92,10 @@ impl<'a> Queue<'a> {
         let expected = place.expected.map(words::in_millis);
         let told = self.output.tell(
             || json!({"state": "waiting", "path": self.path, "place": place.place, "expected": expected}),
-            || ink(&words, Ink::Notice),
+            || ink(&words, Tone::Notice),
         );
         if told.is_err() {
-            // Whoever read this wants no more of it; the grab is what matters.
+            // Nobody reads this output any more; the grab still matters.
             self.output.remark(&words);
         }
     }

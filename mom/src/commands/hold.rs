@@ -14,16 +14,16 @@ use crate::failure::{Doing as _, Failure};
 use crate::input::Answers;
 use crate::interrupt::Interrupt;
 use crate::output::event::{lost_words, member_words};
-use crate::output::style::{Ink, ink};
+use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
 
-/// The hub is asked for the lease so often in its course, but not too often.
+/// The hub is asked for the lease this often during a lease, within bounds.
 const LOOKS_PER_LEASE: u32 = 12;
 const SOONEST: Duration = Duration::from_millis(100);
 const LATEST: Duration = Duration::from_secs(10);
 
 /// A token that is to be held, with its events since it was joined.
-pub(super) struct Held<'a> {
+pub(super) struct TokenToHold<'a> {
     pub(super) client: &'a Client,
     pub(super) token: &'a Token,
     pub(super) events: Events,
@@ -32,12 +32,12 @@ pub(super) struct Held<'a> {
 
 /// Holds a token until Ctrl-C, its time, or its loss, and shows what happens to it meanwhile.
 pub(super) async fn hold(
-    held: Held<'_>,
-    args: &cli::Hold,
+    held: TokenToHold<'_>,
+    args: &cli::HoldArgs,
     interrupt: &mut Interrupt,
     output: Output,
 ) -> Result<(), Failure> {
-    let Held {
+    let TokenToHold {
         client,
         token,
         events,
@@ -61,7 +61,7 @@ pub(super) async fn hold(
         lost = guard.lost() => Err(lost),
         () = interrupt.wait() => Ok(()),
         () = wait(until) => Ok(()),
-        // Only writing can fail there; nobody listens any more.
+        // Only writing can fail there: nobody reads the output any more.
         error = watch_renewals(token, output) => return Err(error.into()),
         error = visitors.attend() => return Err(error),
     };
@@ -77,7 +77,7 @@ pub(super) async fn hold(
 
 pub(super) fn tell_grabbed(path: &str, guard: &TokenGuard, output: Output) -> Result<(), Failure> {
     output.tell(|| grabbed_json(path, guard), || grabbed_line(path, guard))?;
-    output.remark(ink("Ctrl-C releases it", Ink::Faint));
+    output.remark(ink("Ctrl-C releases it", Tone::Faint));
     Ok(())
 }
 
@@ -119,7 +119,7 @@ fn grabbed_line(path: &str, guard: &TokenGuard) -> String {
         ),
         None => String::new(),
     };
-    let head = ink(format_args!("holding {path}"), Ink::Good);
+    let head = ink(format_args!("holding {path}"), Tone::Good);
     format!("{head}  fence {}, {lease}{from}", words::fence(guard.fence()))
 }
 
@@ -130,7 +130,7 @@ pub(super) fn tell_released(path: &str, output: Output) -> io::Result<()> {
     )
 }
 
-/// Tells how a token was lost; whether that is an end that was agreed on.
+/// Reports how a token was lost; returns whether the end was agreed on.
 pub(super) fn tell_lost(path: &str, lost: &Lost, output: Output) -> Result<(), Failure> {
     let agreed = matches!(lost.reason.as_str(), "given" | "returned");
     let state = if agreed { lost.reason.as_str() } else { "lost" };
@@ -138,8 +138,8 @@ pub(super) fn tell_lost(path: &str, lost: &Lost, output: Output) -> Result<(), F
         || json!({"state": state, "path": path, "reason": lost.reason, "by": lost.by}),
         || {
             let head = match agreed {
-                true => ink(format_args!("no longer holding {path}:"), Ink::Notice),
-                false => ink(format_args!("lost {path}:"), Ink::Bad),
+                true => ink(format_args!("no longer holding {path}:"), Tone::Notice),
+                false => ink(format_args!("lost {path}:"), Tone::Bad),
             };
             format!("{head} {}", lost_words(lost))
         },
@@ -161,7 +161,7 @@ struct Visitors<'a> {
 }
 
 impl Visitors<'_> {
-    /// Shows who asks and passes the answers on; ends only with what cannot be shown or passed on.
+    /// Shows requests and forwards the answers; ends only with an error.
     async fn attend(&mut self) -> Failure {
         loop {
             let done = tokio::select! {
@@ -219,7 +219,7 @@ impl Visitors<'_> {
                     member_words(member),
                     text.unwrap_or_default(),
                     words::duration(within),
-                    ink(how, Ink::Faint)
+                    ink(how, Tone::Faint)
                 )
             },
         )?;
@@ -245,7 +245,7 @@ impl Visitors<'_> {
             false => self.token.decline_request(&peer, text.trim()).await,
         };
         match (answered, hands_over) {
-            // The loss of the guard tells of it.
+            // The guard reports the loss.
             (Ok(()), true) => Ok(()),
             (Ok(()), false) => self.tell("declined", &peer, "is told no"),
             (Err(error), _) => {
@@ -260,18 +260,18 @@ impl Visitors<'_> {
         let path = self.token.path().as_str();
         self.output.tell(
             || json!({"state": state, "path": path, "peer": peer}),
-            || format!("{} {what}", ink(words::visible(peer), Ink::Peer)),
+            || format!("{} {what}", ink(words::visible(peer), Tone::Peer)),
         )?;
         Ok(())
     }
 }
 
-/// Tells each renewal, as the hub's answer about the lease shows it; ends only if that cannot be written.
+/// Reports each renewal, as shown by the hub's answer about the lease; ends only if that cannot be written.
 async fn watch_renewals(token: &Token, output: Output) -> io::Error {
     let mut before: Option<Duration> = None;
     loop {
         let Ok(status) = token.status().await else {
-            // Who may not ask does without; a lost link ends the guard.
+            // A user that may not ask goes without; a lost link ends the guard.
             return pending().await;
         };
         let Some(lease) = status.lease else {
@@ -281,7 +281,7 @@ async fn watch_renewals(token: &Token, output: Output) -> io::Error {
         if before.is_some_and(|before| left > before) {
             let told = output.tell(
                 || json!({"state": "renewed", "path": token.path().as_str(), "lease-left": words::in_millis(left)}),
-                || ink(format_args!("renewed, {} left", words::duration(left)), Ink::Faint),
+                || ink(format_args!("renewed, {} left", words::duration(left)), Tone::Faint),
             );
             if let Err(error) = told {
                 return error;

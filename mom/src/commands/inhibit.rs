@@ -1,17 +1,17 @@
-//! `mom inhibit`: nobody owns a token, until Ctrl-C.
+//! `mom inhibit`: keeps everybody from a token until Ctrl-C.
 
 use serde_json::json;
 use tokio::time::Instant;
 
 use super::hold::{tell_lost, wait};
-use crate::cli::{self, Global};
+use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::interrupt::Interrupt;
 use crate::output::Output;
-use crate::output::style::{Ink, ink};
+use crate::output::style::{Tone, ink};
 
-pub(crate) async fn run(args: &cli::Inhibit, global: &Global, output: Output) -> Result<(), Failure> {
+pub(crate) async fn run(args: &cli::InhibitArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Once).await?;
     let mut interrupt = Interrupt::install()?;
     let path = &args.path;
@@ -19,9 +19,9 @@ pub(crate) async fn run(args: &cli::Inhibit, global: &Global, output: Output) ->
     let mut part = token.inhibit().await.doing(format!("inhibit {path}"))?;
     output.tell(
         || json!({"state": "inhibited", "path": path}),
-        || ink(format_args!("nobody can have {path}"), Ink::Good),
+        || ink(format_args!("nobody can have {path}"), Tone::Good),
     )?;
-    output.remark(ink("Ctrl-C ends it", Ink::Faint));
+    output.remark(ink("Ctrl-C ends it", Tone::Faint));
     let until = args.time.map(|time| Instant::now() + time);
     let lost = tokio::select! {
         lost = part.lost() => Some(lost),

@@ -1,14 +1,14 @@
-//! `mom invite`: a peer is told of a context.
+//! `mom invite`: invites a peer to a context.
 
 use serde_json::json;
 
-use crate::cli::{self, Global};
+use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
-use crate::output::style::{Ink, ink};
+use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
 
-pub(crate) async fn run(args: &cli::Invite, global: &Global, output: Output) -> Result<(), Failure> {
+pub(crate) async fn run(args: &cli::InviteArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Once).await?;
     let (peer, path) = (&args.peer, &args.path);
     client
@@ -20,7 +20,7 @@ pub(crate) async fn run(args: &cli::Invite, global: &Global, output: Output) -> 
         || json!({"state": "invited", "path": path, "peer": peer}),
         || {
             let peer = words::visible(peer);
-            ink(format_args!("{peer} is invited to {path}"), Ink::Good)
+            ink(format_args!("{peer} is invited to {path}"), Tone::Good)
         },
     )?;
     Ok(())

@@ -7,12 +7,12 @@ use std::path::{Path, PathBuf};
 use mom_client::Key;
 use serde_json::json;
 
-use crate::cli::{self, Global};
+use crate::cli::{self, GlobalArgs};
 use crate::failure::{Doing as _, Failure};
 use crate::output::Output;
-use crate::output::style::{Ink, ink};
+use crate::output::style::{Tone, ink};
 
-pub(crate) fn run(args: &cli::Keygen, global: &Global, output: Output) -> Result<(), Failure> {
+pub(crate) fn run(args: &cli::KeygenArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let key = Key::generate().doing("make a key")?;
     let file = args.out.display();
     write(&args.out, &key.to_pem(), args.force).map_err(|error| match error.kind() {
@@ -27,7 +27,7 @@ pub(crate) fn run(args: &cli::Keygen, global: &Global, output: Output) -> Result
     let line = format!("keys = [\"{public}\"]");
     output.remark(format!(
         "{}  the private key; it stays here and is readable by you only\n\n{}\n",
-        ink(&file, Ink::Strong),
+        ink(&file, Tone::Strong),
         match user {
             Some(user) => format!("In the hub's users file, below name = \"{user}\":"),
             None => "In the hub's users file, below the name of the device:".to_owned(),

@@ -21,18 +21,18 @@ use crate::cli;
 use crate::failure::{Doing as _, Failure};
 use crate::interrupt::Interrupt;
 use crate::output::Output;
-use crate::output::style::{Ink, ink, padded};
+use crate::output::style::{Tone, ink, padded};
 
-/// Where the hub listens if nothing else is said, and where the other commands look for it.
+/// The default address of the hub, where the other commands look for it.
 const USUAL: &str = "127.0.0.1:7666";
-/// The devices need this long at most to take their places.
+/// The longest time for the devices to join their channels.
 const READY: Duration = Duration::from_secs(5);
 const LOOK: Duration = Duration::from_millis(10);
 
 /// A device of the lab while it runs.
 type Device = Pin<Box<dyn Future<Output = Result<(), ClientError>> + Send>>;
 
-pub(crate) async fn run(args: &cli::Lab, output: Output) -> Result<(), Failure> {
+pub(crate) async fn run(args: &cli::LabArgs, output: Output) -> Result<(), Failure> {
     log(&args.log)?;
     let mut interrupt = Interrupt::install()?;
     let mut config = Config::lab();
@@ -41,7 +41,7 @@ pub(crate) async fn run(args: &cli::Lab, output: Output) -> Result<(), Failure> 
     }
     let users = config.users.clone();
     let broker = Broker::start(config).await.map_err(start_failure)?;
-    let lab = Lab {
+    let lab = LabSummary {
         address: within_reach(broker.local_addr()),
         program: env::args().next().unwrap_or_else(|| "mom".to_owned()),
         users,
@@ -54,8 +54,8 @@ pub(crate) async fn run(args: &cli::Lab, output: Output) -> Result<(), Failure> 
         () = interrupt.wait() => None,
         ended = devices.join_next() => ended,
     };
-    output.remark(ink("stopping", Ink::Faint));
-    // The devices say goodbye first; the receivers of this are theirs.
+    output.remark(ink("stopping", Tone::Faint));
+    // The devices log out first; they hold the receivers of this.
     let _ = stop.send(true);
     while devices.join_next().await.is_some() {}
     stop_broker(broker).await;
@@ -67,7 +67,7 @@ pub(crate) async fn run(args: &cli::Lab, output: Output) -> Result<(), Failure> 
     }
 }
 
-/// What is going on inside, on standard error.
+/// The log, on standard error.
 fn log(filter: &str) -> Result<(), Failure> {
     let filter = EnvFilter::try_new(filter).map_err(|error| {
         Failure::usage(
@@ -104,7 +104,7 @@ fn within_reach(mut address: SocketAddr) -> SocketAddr {
     address
 }
 
-/// Arm and camera, in their places.
+/// Arm and camera, in their channels.
 async fn start_devices(
     broker: &Arc<Broker>,
     stopping: &watch::Receiver<bool>,
@@ -158,7 +158,7 @@ fn stopped(stopping: &watch::Receiver<bool>) -> impl Future<Output = ()> + Send 
     }
 }
 
-/// Lets what waits go out, once the devices' connections have let go of the broker.
+/// Lets waiting parcels leave, once the devices' connections have released the broker.
 async fn stop_broker(mut broker: Arc<Broker>) {
     let begin = Instant::now();
     while begin.elapsed() < READY {
@@ -170,14 +170,14 @@ async fn stop_broker(mut broker: Arc<Broker>) {
     }
 }
 
-/// What there is to tell about a running lab.
-struct Lab {
+/// The summary of a running lab.
+struct LabSummary {
     address: SocketAddr,
     program: String,
     users: Vec<UserEntry>,
 }
 
-impl Lab {
+impl LabSummary {
     fn json(&self) -> Json {
         let people = self
             .users
@@ -192,12 +192,12 @@ impl Lab {
     }
 
     fn text(&self) -> String {
-        let row = |label: &str, text: String| format!("  {}  {text}", padded(label, 7, Ink::Faint));
-        let place = |text: &str| ink(text, Ink::Place);
+        let row = |label: &str, text: String| format!("  {}  {text}", padded(label, 7, Tone::Faint));
+        let place = |text: &str| ink(text, Tone::Place);
         let mut lines = vec![
             ink(
                 "A hub, a robot arm and a camera are running here. Ctrl-C ends them.",
-                Ink::Strong,
+                Tone::Strong,
             ),
             String::new(),
             row(
@@ -228,7 +228,7 @@ impl Lab {
             String::new(),
             "Try in another terminal, as alice:".to_owned(),
         ];
-        let command = |text: String| format!("  {}", ink(text, Ink::Command));
+        let command = |text: String| format!("  {}", ink(text, Tone::Command));
         let program = &self.program;
         lines.extend([
             command(format!("export {}MOM_USER=alice MOM_PASSWORD=alice", self.hub())),
@@ -247,7 +247,7 @@ impl Lab {
         lines.join("\n")
     }
 
-    /// The people: those who are not devices.
+    /// The users that are not devices.
     fn people(&self) -> String {
         let people = self
             .users
@@ -257,13 +257,13 @@ impl Lab {
             .map(|user| {
                 let mut facts = vec![format!("level {}", user.level)];
                 facts.extend(user.groups.iter().cloned());
-                format!("{} ({})", ink(&user.name, Ink::Peer), facts.join(", "))
+                format!("{} ({})", ink(&user.name, Tone::Peer), facts.join(", "))
             })
             .collect();
         people.join(", ")
     }
 
-    /// Where to look for the hub, if it is not where everybody looks.
+    /// The hub's address, if it is not the default.
     fn hub(&self) -> String {
         match self.address.to_string() == USUAL {
             true => String::new(),
@@ -277,7 +277,7 @@ mod tests {
     use super::*;
 
     fn lab(address: &str) -> String {
-        let lab = Lab {
+        let lab = LabSummary {
             address: address.parse().unwrap(),
             program: "target/release/mom".to_owned(),
             users: Config::lab().users,

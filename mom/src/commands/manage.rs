@@ -1,23 +1,23 @@
-//! `mom manage`: the hub's questions, answered by who has the chair.
+//! `mom manage`: the chair's answers to the hub's questions.
 
 use std::collections::VecDeque;
 use std::io;
 
-use mom_client::{Client, ClientError, Code, Consult, Link, Thinning};
+use mom_client::{Client, ClientError, Code, Consult, LinkState, Thinning};
 use serde_json::{Value as Json, json};
 use tokio::time::Instant;
 
 use super::hold::wait;
 use super::watch::events;
-use crate::cli::{self, Global};
+use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::input::Answers;
 use crate::interrupt::Interrupt;
-use crate::output::style::{Ink, ink};
+use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
 
-pub(crate) async fn run(args: &cli::Manage, global: &Global, output: Output) -> Result<(), Failure> {
+pub(crate) async fn run(args: &cli::ManageArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Reconnecting).await?;
     let mut interrupt = Interrupt::install()?;
     // Before the first question can come.
@@ -33,7 +33,7 @@ pub(crate) async fn run(args: &cli::Manage, global: &Global, output: Output) -> 
             args.paths.join(", "),
             client.name()
         ),
-        Ink::Faint,
+        Tone::Faint,
     ));
     let mut desk = Desk {
         output,
@@ -69,7 +69,7 @@ pub(crate) async fn run(args: &cli::Manage, global: &Global, output: Output) -> 
 /// Why there are no more questions.
 fn ended(client: &Client) -> Failure {
     match &*client.state().borrow() {
-        Link::Closed(Some(error)) => Failure::Refused {
+        LinkState::Closed(Some(error)) => Failure::Refused {
             what: "the hub closed the connection".to_owned(),
             error: error.clone(),
         },
@@ -84,7 +84,7 @@ struct Desk {
     waiting: VecDeque<(Consult, Option<Instant>)>,
 }
 
-/// What a line says.
+/// The meaning of an input line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Said {
     Allow,
@@ -137,9 +137,9 @@ impl Desk {
             Said::Deny(text) => ("denied", consult.deny(text).await),
         };
         match answered {
-            Ok(()) => self.tell(number, answer, Ink::Good),
+            Ok(()) => self.tell(number, answer, Tone::Good),
             Err(ClientError::Refused(error)) if error.code == Code::TOO_LATE => {
-                self.tell(number, "too late: it is answered already, or over", Ink::Notice)
+                self.tell(number, "too late: it is answered already, or over", Tone::Notice)
             }
             Err(error) => Err(Failure::of_client(format!("answer question {number}"), error)),
         }
@@ -151,7 +151,7 @@ impl Desk {
             self.tell(
                 consult.number,
                 "not answered in time, so the hub says no",
-                Ink::Bad,
+                Tone::Bad,
             )?;
             self.next();
         }
@@ -162,7 +162,7 @@ impl Desk {
     fn leave(&self) -> Result<(), Failure> {
         match self.waiting.len() {
             0 => {
-                self.output.remark(ink("no more answers", Ink::Faint));
+                self.output.remark(ink("no more answers", Tone::Faint));
                 Ok(())
             }
             open => Err(Failure::plain(format!(
@@ -181,16 +181,16 @@ impl Desk {
 
     fn prompt(&self) {
         self.output
-            .remark(ink("  y yes, a yes from now on, n no, or n and why", Ink::Faint));
+            .remark(ink("  y yes, a yes from now on, n no, or n and why", Tone::Faint));
     }
 
-    fn tell(&self, number: u64, answer: &str, colour: Ink) -> Result<(), Failure> {
+    fn tell(&self, number: u64, answer: &str, colour: Tone) -> Result<(), Failure> {
         self.output.tell(
             || json!({"consult": number, "answer": answer}),
             || {
                 format!(
                     "  {} {}",
-                    ink(format_args!("#{number}"), Ink::Faint),
+                    ink(format_args!("#{number}"), Tone::Faint),
                     ink(answer, colour)
                 )
             },
@@ -231,7 +231,7 @@ fn question_json(consult: &Consult) -> Json {
 
 /// `#7 bob (level 1) wants to send command (12 B) to /robot/arm  5 s, rule chairs`
 fn question_line(consult: &Consult) -> String {
-    let path = ink(&consult.context, Ink::Place);
+    let path = ink(&consult.context, Tone::Place);
     let what = match (&consult.message, &consult.kind) {
         (Some(message), _) => {
             let size = consult
@@ -240,14 +240,14 @@ fn question_line(consult: &Consult) -> String {
                 .map(|size| format!(" ({})", words::size(size)));
             format!(
                 "send {}{} to {path}",
-                ink(words::visible(message), Ink::Strong),
+                ink(words::visible(message), Tone::Strong),
                 size.unwrap_or_default()
             )
         }
         (None, Some(kind)) if consult.verb == "create" => {
             format!("create the {} {path}", words::visible(kind))
         }
-        _ => format!("{} {path}", ink(words::visible(&consult.verb), Ink::Strong)),
+        _ => format!("{} {path}", ink(words::visible(&consult.verb), Tone::Strong)),
     };
     let rule = match &consult.rule {
         Some(rule) => format!(", asked by {}", words::visible(rule)),
@@ -255,11 +255,11 @@ fn question_line(consult: &Consult) -> String {
     };
     format!(
         "{} {} wants to {what}{}",
-        ink(format_args!("#{}", consult.number), Ink::Faint),
+        ink(format_args!("#{}", consult.number), Tone::Faint),
         who(consult),
         ink(
             format_args!("  {} to answer{rule}", words::duration(consult.left())),
-            Ink::Faint
+            Tone::Faint
         )
     )
 }
@@ -274,7 +274,7 @@ fn who(consult: &Consult) -> String {
     facts.extend(consult.groups.iter().map(|group| words::visible(group)));
     format!(
         "{} ({})",
-        ink(words::visible(&consult.peer), Ink::Peer),
+        ink(words::visible(&consult.peer), Tone::Peer),
         facts.join(", ")
     )
 }

@@ -27,7 +27,7 @@ use crate::cli::{Cli, Command};
 use crate::failure::Failure;
 use crate::output::Output;
 
-/// Carries out what was typed.
+/// Runs a command.
 pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     let (global, output) = (&cli.global, *output);
     match &cli.command {

@@ -1,4 +1,4 @@
-//! Waiting for an offer of a token, for those who take it or do not.
+//! Waits for an offer of a token, to accept or decline it.
 
 use std::time::Duration;
 
@@ -10,15 +10,15 @@ use super::hold::wait;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::event::event_words;
-use crate::output::style::{Ink, ink};
+use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
 
-/// Which offer is waited for, and how long.
+/// The awaited offer, and how long to wait.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Awaited<'a> {
+pub(super) struct AwaitedOffer<'a> {
     /// To this peer, which waits.
     pub(super) me: &'a str,
-    /// Only of this peer.
+    /// Only from this peer.
     pub(super) peer: Option<&'a str>,
     /// For ever if absent.
     pub(super) within: Option<Duration>,
@@ -28,14 +28,14 @@ pub(super) struct Awaited<'a> {
 pub(super) async fn offer(
     token: &Token,
     events: &mut Events,
-    awaited: Awaited<'_>,
+    awaited: AwaitedOffer<'_>,
     interrupt: &mut Interrupt,
     output: Output,
 ) -> Result<(), Failure> {
     let (path, me) = (token.path(), awaited.me);
     output.remark(ink(
         format_args!("waiting for {path} to be offered to {me}; Ctrl-C ends"),
-        Ink::Faint,
+        Tone::Faint,
     ));
     let until = awaited.within.map(|within| Instant::now() + within);
     let event = tokio::select! {

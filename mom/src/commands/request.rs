@@ -1,14 +1,14 @@
-//! `mom request`: a token, asked from its owner and held until Ctrl-C.
+//! `mom request`: asks the owner for its token and holds it until Ctrl-C.
 
-use super::hold::{Held, hold};
-use crate::cli::{self, Global};
+use super::hold::{TokenToHold, hold};
+use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::interrupt::Interrupt;
 use crate::output::Output;
-use crate::output::style::{Ink, ink};
+use crate::output::style::{Tone, ink};
 
-pub(crate) async fn run(args: &cli::Request, global: &Global, output: Output) -> Result<(), Failure> {
+pub(crate) async fn run(args: &cli::RequestArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Once).await?;
     let mut interrupt = Interrupt::install()?;
     let path = &args.path;
@@ -23,7 +23,7 @@ pub(crate) async fn run(args: &cli::Request, global: &Global, output: Output) ->
     }
     output.remark(ink(
         format_args!("asking for {path} as {}; Ctrl-C ends", client.name()),
-        Ink::Faint,
+        Tone::Faint,
     ));
     let granted = tokio::select! {
         granted = request => granted.doing(format!("request {path}")),
@@ -31,7 +31,7 @@ pub(crate) async fn run(args: &cli::Request, global: &Global, output: Output) ->
     };
     let result = match granted {
         Ok(guard) => {
-            let held = Held {
+            let held = TokenToHold {
                 client: &client,
                 token: &token,
                 events,

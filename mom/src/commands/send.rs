@@ -3,14 +3,14 @@
 use mom_client::{Channel, Client, Delivery, Event, Message, Value, to_value};
 use serde_json::json;
 
-use crate::cli::{self, Global};
+use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::input;
-use crate::output::style::{Ink, ink};
+use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
 
-pub(crate) async fn run(args: &cli::Send, global: &Global, output: Output) -> Result<(), Failure> {
+pub(crate) async fn run(args: &cli::SendArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let content = content(args)?;
     let client = connect(global, Stay::Once).await?;
     let channel = client
@@ -28,11 +28,11 @@ pub(crate) async fn run(args: &cli::Send, global: &Global, output: Output) -> Re
 }
 
 /// The content, if there is to be one.
-fn content(args: &cli::Send) -> Result<Option<Value>, Failure> {
+fn content(args: &cli::SendArgs) -> Result<Option<Value>, Failure> {
     let Some(content) = given(args)? else {
         return Ok(None);
     };
-    // What has no form on the wire is better told here than by those who cannot read it.
+    // A value without a form on the wire is better refused here than by its receivers.
     to_value(&content).map(Some).map_err(|error| {
         Failure::usage(
             error.text,
@@ -41,7 +41,7 @@ fn content(args: &cli::Send) -> Result<Option<Value>, Failure> {
     })
 }
 
-fn given(args: &cli::Send) -> Result<Option<Value>, Failure> {
+fn given(args: &cli::SendArgs) -> Result<Option<Value>, Failure> {
     if let Some(json) = &args.content_json {
         return serde_json::from_str(json).map(Some).map_err(|error| {
             Failure::usage(
@@ -57,8 +57,8 @@ fn given(args: &cli::Send) -> Result<Option<Value>, Failure> {
     })
 }
 
-fn message(channel: &Channel, args: &cli::Send, content: Option<Value>) -> Message {
-    // Nobody would read the echo: this peer is gone as soon as its message is sent.
+fn message(channel: &Channel, args: &cli::SendArgs, content: Option<Value>) -> Message {
+    // Nobody would read the echo: this peer logs out as soon as its message is sent.
     let mut message = channel.message(&args.name).no_echo();
     if let Some(content) = content {
         message = message.content(content);
@@ -78,16 +78,16 @@ fn message(channel: &Channel, args: &cli::Send, content: Option<Value>) -> Messa
     message
 }
 
-/// Sends, and tells how many receivers have it.
+/// Sends, and reports how many receivers got it.
 async fn acknowledged(message: Message, what: &str, output: Output) -> Result<(), Failure> {
     let receipt = message.send_acknowledged().await.doing(what)?;
     output.tell(
         || json!({"delivered": receipt.delivered, "dropped": receipt.dropped}),
         || match receipt.delivered {
-            0 => ink("delivered to nobody: no one else is there", Ink::Notice),
+            0 => ink("delivered to nobody: no one else is there", Tone::Notice),
             count => ink(
                 format_args!("delivered to {}", words::count(count, "member")),
-                Ink::Good,
+                Tone::Good,
             ),
         },
     )?;
@@ -120,6 +120,6 @@ async fn accepted(
             });
         }
     }
-    output.tell(|| json!({"sent": true}), || ink("sent", Ink::Good))?;
+    output.tell(|| json!({"sent": true}), || ink("sent", Tone::Good))?;
     Ok(())
 }

@@ -8,13 +8,13 @@ use bytes::Bytes;
 use mom_client::{Client, Code, Event, Events, Family, Parcel, Path, Value, WireError};
 use tokio::time::timeout;
 
-use crate::cli::{self, Global};
+use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
-use crate::output::style::{Ink, ink};
+use crate::output::style::{Tone, ink};
 use crate::output::{Output, to_json, words};
 
-pub(crate) async fn run(args: &cli::Snap, global: &Global, output: Output) -> Result<(), Failure> {
+pub(crate) async fn run(args: &cli::SnapArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let to_stdout = args.output.as_deref().is_some_and(|file| file.as_os_str() == "-");
     if to_stdout && output.is_json() {
         return Err(Failure::usage(
@@ -53,8 +53,8 @@ pub(crate) async fn run(args: &cli::Snap, global: &Global, output: Output) -> Re
         || {
             format!(
                 "{}  {}",
-                ink(file.display(), Ink::Strong),
-                ink(facts(&content, image.len()), Ink::Faint)
+                ink(file.display(), Tone::Strong),
+                ink(facts(&content, image.len()), Tone::Faint)
             )
         },
     )?;

@@ -1,4 +1,4 @@
-//! `mom stats`: what channels have counted, as a table, once or again and again.
+//! `mom stats`: statistics of channels as a table, once or repeatedly.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -7,11 +7,11 @@ use mom_client::{ChannelStats, ContextKind, Counts, Stats};
 use serde_json::{Value as Json, json};
 use tokio::time::{MissedTickBehavior, interval};
 
-use crate::cli::{self, Global};
+use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::interrupt::Interrupt;
-use crate::output::style::{Ink, ink, padded};
+use crate::output::style::{Tone, ink, padded};
 use crate::output::{Output, words};
 
 /// The columns after the name.
@@ -25,7 +25,7 @@ const HEADINGS: [&str; 7] = [
     "dropped",
 ];
 
-pub(crate) async fn run(args: &cli::Stats, global: &Global, output: Output) -> Result<(), Failure> {
+pub(crate) async fn run(args: &cli::StatsArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Once).await?;
     let asking = || format!("ask for the figures of {}", args.path);
     let kind = client.lookup(&args.path).await.doing(asking())?.kind;
@@ -44,7 +44,7 @@ pub(crate) async fn run(args: &cli::Stats, global: &Global, output: Output) -> R
             _ = ticks.tick() => {}
         }
         let stats = client.stats(&args.path).await.doing(asking())?;
-        output.human(ink(stats.time, Ink::Faint))?;
+        output.human(ink(stats.time, Tone::Faint))?;
         tell(&stats)?;
         output.human("")?;
     }
@@ -86,7 +86,7 @@ fn table(stats: &Stats, kind: ContextKind) -> String {
             cells.max().unwrap_or_default().max(heading.len())
         })
         .collect();
-    let line = |name: String, cells: &[&str], as_ink: Option<Ink>| {
+    let line = |name: String, cells: &[&str], as_ink: Option<Tone>| {
         let mut line = name;
         for (column, cell) in cells.iter().enumerate() {
             let last = column + 1 == HEADINGS.len();
@@ -95,7 +95,7 @@ fn table(stats: &Stats, kind: ContextKind) -> String {
                 Some(as_ink) => ink(cell, as_ink),
                 None => (*cell).to_owned(),
             };
-            // Figures stand to the right, words to the left.
+            // Numbers are right-aligned, words left-aligned.
             line.push_str(&if last {
                 format!("  {cell}")
             } else {
@@ -104,19 +104,19 @@ fn table(stats: &Stats, kind: ContextKind) -> String {
         }
         line.trim_end().to_owned()
     };
-    let heading = line(" ".repeat(name_width), &HEADINGS, Some(Ink::Faint));
+    let heading = line(" ".repeat(name_width), &HEADINGS, Some(Tone::Faint));
     let body = cells.iter().map(|(name, cells)| {
         let colour = if name.starts_with(' ') {
-            Ink::Peer
+            Tone::Peer
         } else {
-            Ink::Place
+            Tone::Place
         };
         let cells: Vec<&str> = cells.iter().map(String::as_str).collect();
         line(padded(name, name_width, colour), &cells, None)
     });
     let mut lines: Vec<String> = std::iter::once(heading).chain(body).collect();
     if stats.more {
-        lines.push(ink("and more: ask for a session below", Ink::Faint));
+        lines.push(ink("and more: ask for a session below", Tone::Faint));
     }
     lines.join("\n")
 }

@@ -1,24 +1,24 @@
-//! `mom token`: who has a token, who wants it, and for how long.
+//! `mom token`: a token's owner, queue, offers and lease.
 
 use std::time::Duration;
 
 use mom_client::{Code, ContextKind, TokenInfo, Value, WireError};
 
-use crate::cli::{self, Global};
+use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::output::event::member_words;
-use crate::output::style::{Ink, ink, padded};
+use crate::output::style::{Tone, ink, padded};
 use crate::output::{Output, to_json, words};
 
 /// Letters of the lease's bar.
 const BAR: u32 = 20;
 /// Letters of the labels.
 const LABEL: usize = 8;
-/// Those shown of a long queue; of more, only the number is told.
+/// The most entries shown of a queue; of the others only the number.
 const SHOWN: usize = 10;
 
-pub(crate) async fn run(args: &cli::Token, global: &Global, output: Output) -> Result<(), Failure> {
+pub(crate) async fn run(args: &cli::TokenArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Once).await?;
     let path = &args.path;
     let info = client.info(path).await.doing(format!("look at {path}"))?;
@@ -39,11 +39,11 @@ pub(crate) async fn run(args: &cli::Token, global: &Global, output: Output) -> R
 fn picture(path: &str, info: &TokenInfo) -> String {
     let mut lines = vec![format!(
         "{}  fence {}",
-        ink(path, Ink::Strong),
+        ink(path, Tone::Strong),
         words::fence(info.fence)
     )];
     let mut fact = |label: &str, text: String| {
-        lines.push(format!("  {}  {text}", padded(label, LABEL, Ink::Faint)));
+        lines.push(format!("  {}  {text}", padded(label, LABEL, Tone::Faint)));
     };
     fact("owner", owner(path, info));
     if let Some(lease) = lease(info) {
@@ -88,7 +88,7 @@ fn owner(path: &str, info: &TokenInfo) -> String {
             1 => ("inhibits", ""),
             _ => ("inhibit", "all of "),
         };
-        return format!("nobody: {who}{} {verb} it", ink(holders.join(", "), Ink::Peer));
+        return format!("nobody: {who}{} {verb} it", ink(holders.join(", "), Tone::Peer));
     }
     if let Some(owner) = &info.owner {
         let level = info.owner_level.map(|level| format!(" (level {level})"));
@@ -97,7 +97,7 @@ fn owner(path: &str, info: &TokenInfo) -> String {
             .map(|held| format!(", for {} now", words::duration(held)));
         return format!(
             "{}{}{}",
-            ink(words::visible(owner), Ink::Peer),
+            ink(words::visible(owner), Tone::Peer),
             level.unwrap_or_default(),
             held.unwrap_or_default()
         );
@@ -112,7 +112,7 @@ fn owner(path: &str, info: &TokenInfo) -> String {
             None => format!("nobody; kept for {left}, as it is not known who had it before"),
         };
     }
-    format!("{}; grab it with: mom grab {path}", ink("nobody", Ink::Good))
+    format!("{}; grab it with: mom grab {path}", ink("nobody", Tone::Good))
 }
 
 /// `████████░░░░  1 min 41 s of 3 min left, then the next grab takes it`
@@ -131,8 +131,8 @@ fn lease(info: &TokenInfo) -> Option<String> {
     let filled = cells(left, lease);
     let bar = format!(
         "{}{}",
-        ink("█".repeat(filled), Ink::Notice),
-        ink("░".repeat(BAR as usize - filled), Ink::Faint)
+        ink("█".repeat(filled), Tone::Notice),
+        ink("░".repeat(BAR as usize - filled), Tone::Faint)
     );
     Some(match left.is_zero() {
         true => format!("{bar}  {full} are over, {then}"),

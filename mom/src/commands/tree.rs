@@ -1,4 +1,4 @@
-//! `mom tree`: what there is, who is there, who holds what.
+//! `mom tree`: the contexts, their members and owners.
 
 use std::future::Future;
 use std::pin::Pin;
@@ -6,27 +6,27 @@ use std::pin::Pin;
 use mom_client::{Client, ContextInfo, ContextKind, Map, Member, Value};
 use serde_json::{Value as Json, json};
 
-use crate::cli::{self, Global};
+use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
-use crate::output::style::{Ink, ink, padded};
+use crate::output::style::{Tone, ink, padded};
 use crate::output::{Output, to_json, words};
 
-/// Members named beside a context; of more, only the number is told.
+/// The most members named beside a context; of the others only the number.
 const NAMED: usize = 4;
 
 /// A context with what is below it.
 #[derive(Debug)]
-struct Node {
+struct TreeNode {
     info: ContextInfo,
     /// All that `info` tells; none where this user may not ask.
     facts: Option<Map>,
     /// Who is in it; none where this user may not ask.
     members: Option<Vec<Member>>,
-    children: Vec<Node>,
+    children: Vec<TreeNode>,
 }
 
-pub(crate) async fn run(args: &cli::Tree, global: &Global, output: Output) -> Result<(), Failure> {
+pub(crate) async fn run(args: &cli::TreeArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Once).await?;
     let top = client
         .lookup(&args.path)
@@ -43,10 +43,10 @@ fn grow(
     client: &Client,
     info: ContextInfo,
     depth: usize,
-) -> Pin<Box<dyn Future<Output = Result<Node, Failure>> + Send + '_>> {
+) -> Pin<Box<dyn Future<Output = Result<TreeNode, Failure>> + Send + '_>> {
     Box::pin(async move {
         let path = info.path.to_string();
-        // A refusal leaves a gap in the picture; it is no reason to show none.
+        // A refusal leaves a gap in the tree; the rest is shown.
         let facts = client.info(&path).await.ok();
         let members = client.members(&path).await.ok();
         let mut children = Vec::new();
@@ -55,7 +55,7 @@ fn grow(
                 children.push(grow(client, child, depth - 1).await?);
             }
         }
-        Ok(Node {
+        Ok(TreeNode {
             info,
             facts,
             members,
@@ -64,7 +64,7 @@ fn grow(
     })
 }
 
-impl Node {
+impl TreeNode {
     fn json(&self) -> Json {
         let members = self
             .members
@@ -77,7 +77,7 @@ impl Node {
             "number": self.info.number,
             "members": self.members.as_ref().map(|_| members.collect::<Vec<_>>()),
             "info": self.facts.as_ref().map(to_json),
-            "children": self.children.iter().map(Node::json).collect::<Vec<_>>(),
+            "children": self.children.iter().map(TreeNode::json).collect::<Vec<_>>(),
         })
     }
 
@@ -98,16 +98,16 @@ impl Node {
         rows.into_iter()
             .map(|(branch, name, node)| {
                 let colour = match node.info.kind {
-                    ContextKind::Session => Ink::Place,
-                    ContextKind::Channel => Ink::Strong,
-                    ContextKind::Token => Ink::Notice,
+                    ContextKind::Session => Tone::Place,
+                    ContextKind::Channel => Tone::Strong,
+                    ContextKind::Token => Tone::Notice,
                 };
                 let line = format!(
                     "{}{}  {}  {}  {}",
-                    ink(&branch, Ink::Faint),
+                    ink(&branch, Tone::Faint),
                     padded(&name, width - letters(&branch), colour),
-                    padded(node.info.kind.word(), 7, Ink::Faint),
-                    padded(&node.who(), members, Ink::Peer),
+                    padded(node.info.kind.word(), 7, Tone::Faint),
+                    padded(&node.who(), members, Tone::Peer),
                     node.note(),
                 );
                 line.trim_end().to_owned()
@@ -115,7 +115,7 @@ impl Node {
             .collect()
     }
 
-    fn push_rows<'a>(&'a self, own: &str, below: &str, rows: &mut Vec<(String, String, &'a Node)>) {
+    fn push_rows<'a>(&'a self, own: &str, below: &str, rows: &mut Vec<(String, String, &'a TreeNode)>) {
         let name = match own.is_empty() {
             true => self.info.path.as_str(),
             false => self.info.path.name(),
@@ -165,7 +165,7 @@ impl Node {
 /// Who holds a token, and for how long still.
 fn owner(facts: &Map) -> String {
     let Some(owner) = facts.get("owner").and_then(Value::as_str) else {
-        return ink("free", Ink::Good);
+        return ink("free", Tone::Good);
     };
     let mut text = format!("held by {}", words::visible(owner));
     if let Some(level) = facts.get("owner-level").and_then(Value::as_int) {
@@ -176,7 +176,7 @@ fn owner(facts: &Map) -> String {
         Some(left) => text.push_str(&format!(", {} of its lease left", words::duration(left))),
         None => {}
     }
-    ink(text, Ink::Notice)
+    ink(text, Tone::Notice)
 }
 
 fn guarded(guard: &Map) -> Option<String> {
@@ -190,7 +190,7 @@ fn guarded(guard: &Map) -> Option<String> {
     let token = guard.get("token")?.as_str()?;
     Some(ink(
         format_args!("{} guarded by {token}", names.join(" ")),
-        Ink::Faint,
+        Tone::Faint,
     ))
 }
 
@@ -204,13 +204,19 @@ mod tests {
 
     use super::*;
 
-    fn node(path: &str, kind: ContextKind, facts: Map, members: &[&str], children: Vec<Node>) -> Node {
+    fn node(
+        path: &str,
+        kind: ContextKind,
+        facts: Map,
+        members: &[&str],
+        children: Vec<TreeNode>,
+    ) -> TreeNode {
         let member = |peer: &&str| Member {
             peer: (*peer).to_owned(),
             user: (*peer).to_owned(),
             level: 1,
         };
-        Node {
+        TreeNode {
             info: ContextInfo {
                 path: Path::parse(path).unwrap(),
                 kind,
@@ -223,7 +229,7 @@ mod tests {
         }
     }
 
-    fn lab() -> Node {
+    fn lab() -> TreeNode {
         use ContextKind::{Channel, Session, Token};
         let guard = Map::new().with(
             "guard",

@@ -1,20 +1,20 @@
 //! `mom watch`: what happens in contexts, one line per parcel.
 
-use mom_client::{Client, ContextInfo, ContextKind, Event, Events, Link, Path, Thinning};
+use mom_client::{Client, ContextInfo, ContextKind, Event, Events, LinkState, Path, Thinning};
 use tokio::sync::mpsc;
 
-use crate::cli::{self, Global};
+use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::interrupt::Interrupt;
 use crate::output::Output;
-use crate::output::record::Record;
-use crate::output::style::{Ink, ink};
+use crate::output::record::OutputRecord;
+use crate::output::style::{Tone, ink};
 
 /// Events on their way from the contexts to the one place that writes them.
 const WAITING: usize = 64;
 
-pub(crate) async fn run(args: &cli::Watch, global: &Global, output: Output) -> Result<(), Failure> {
+pub(crate) async fn run(args: &cli::WatchArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Reconnecting).await?;
     let mut interrupt = Interrupt::install()?;
     let mut contexts = Vec::new();
@@ -33,7 +33,7 @@ pub(crate) async fn run(args: &cli::Watch, global: &Global, output: Output) -> R
     };
     output.remark(ink(
         format_args!("watching {what} as {}; Ctrl-C ends", client.name()),
-        Ink::Faint,
+        Tone::Faint,
     ));
     let mut left = args.count;
     while left != Some(0) {
@@ -47,7 +47,7 @@ pub(crate) async fn run(args: &cli::Watch, global: &Global, output: Output) -> R
         if args.messages && is_news(&event) {
             continue;
         }
-        let record = Record::of(&context, &event);
+        let record = OutputRecord::of(&context, &event);
         output.tell(|| record.json(), || record.line())?;
         left = left.map(|left| left - 1);
     }
@@ -109,7 +109,7 @@ async fn subscribe(
     Ok(receiver)
 }
 
-/// Joins a context, if it is a channel spared of this; its events keep it joined.
+/// Joins a context, a channel with thinning; its events keep it joined.
 pub(super) async fn events(
     client: &Client,
     info: &ContextInfo,
@@ -127,7 +127,7 @@ pub(super) async fn events(
     })
 }
 
-/// Whether this is an event that `--messages` leaves out; trouble is always shown.
+/// Whether `--messages` leaves this event out; problems are always shown.
 fn is_news(event: &Event) -> bool {
     !matches!(
         event,
@@ -135,14 +135,14 @@ fn is_news(event: &Event) -> bool {
     )
 }
 
-/// Why nothing more will come.
+/// Why the events have ended.
 fn ended(client: &Client) -> Failure {
     match &*client.state().borrow() {
-        Link::Closed(Some(error)) => Failure::Refused {
+        LinkState::Closed(Some(error)) => Failure::Refused {
             what: "the hub closed the connection".to_owned(),
             error: error.clone(),
         },
-        Link::Closed(None) => Failure::plain("the connection to the hub is closed"),
+        LinkState::Closed(None) => Failure::plain("the connection to the hub is closed"),
         _ => Failure::plain("what was watched is no more"),
     }
 }

@@ -1,4 +1,4 @@
-//! What people and programs read: lines with colour, or JSON, one object per line.
+//! Output for people (lines with colour) and programs (JSON, one object per line).
 
 pub(crate) mod event;
 mod handover;
@@ -15,7 +15,7 @@ use mom_client::{Map, WireError};
 use serde::Serialize;
 use serde_json::{Value as Json, json};
 
-use self::style::{Ink, ink};
+use self::style::{Tone, ink};
 use crate::failure::Failure;
 
 /// Standard output and standard error, in the form that was asked for.
@@ -45,7 +45,7 @@ impl Output {
         }
     }
 
-    /// A result for people that programs have no use for.
+    /// A result for people only.
     pub(crate) fn human(self, line: impl Display) -> io::Result<()> {
         match self.json {
             true => Ok(()),
@@ -60,7 +60,7 @@ impl Output {
         }
     }
 
-    /// Tells why the command did not do its work, and gives its exit code.
+    /// Reports a failure, and gives the exit code.
     pub(crate) fn failure(self, failure: &Failure) -> ExitCode {
         let code = failure.exit_code();
         if code != 0 && !matches!(failure, Failure::Told) {
@@ -85,7 +85,7 @@ impl Output {
         stdout.flush()
     }
 
-    // If standard error is closed there is nobody left to tell.
+    // If standard error is closed nobody can be told.
     fn complain(self, text: impl Display) {
         let _ = writeln!(anstream::stderr().lock(), "{text}");
     }
@@ -139,9 +139,9 @@ fn failure_text(failure: &Failure) -> String {
         Failure::Io(error) => ("error", error.to_string(), None),
         Failure::Told => return String::new(),
     };
-    let mut text = format!("{} {headline}", ink(format_args!("{label}:"), Ink::Bad));
+    let mut text = format!("{} {headline}", ink(format_args!("{label}:"), Tone::Bad));
     for hint in hints.into_iter().flat_map(|hint| hint.lines()) {
-        text.push_str(&format!("\n  {} {hint}", ink("->", Ink::Faint)));
+        text.push_str(&format!("\n  {} {hint}", ink("->", Tone::Faint)));
     }
     text
 }
@@ -155,11 +155,11 @@ pub(crate) fn refusal_text(what: &str, error: &WireError) -> String {
         .map(|(label, _)| label.len())
         .max()
         .unwrap_or(0);
-    let mut text = format!("{} {}", ink("refused:", Ink::Bad), refusal.headline);
+    let mut text = format!("{} {}", ink("refused:", Tone::Bad), refusal.headline);
     for (label, fact) in &refusal.facts {
         text.push_str(&format!(
             "\n  {}  {fact}",
-            style::padded(label, width, Ink::Faint)
+            style::padded(label, width, Tone::Faint)
         ));
     }
     text

@@ -6,12 +6,12 @@ use mom_client::{Content, Event, Map, Parcel, Time, Value};
 use serde_json::Value as Json;
 
 use super::event::{event_slots, event_words};
-use super::style::{Ink, ink};
+use super::style::{Tone, ink};
 use super::{to_json, words};
 
 /// One thing that happened.
 #[derive(Debug)]
-pub(crate) struct Record {
+pub(crate) struct OutputRecord {
     time: Time,
     context: String,
     what: What,
@@ -35,19 +35,19 @@ enum What {
     Trouble(String),
 }
 
-impl Record {
+impl OutputRecord {
     /// What an event of the context `context` says, at the time of its arrival.
-    pub(crate) fn of(context: &str, event: &Event) -> Record {
+    pub(crate) fn of(context: &str, event: &Event) -> OutputRecord {
         let now = now();
         match event {
-            Event::Message(parcel) => Record::of_message(context, parcel, now),
-            Event::Other(parcel) => Record {
+            Event::Message(parcel) => OutputRecord::of_message(context, parcel, now),
+            Event::Other(parcel) => OutputRecord {
                 what: What::Event(format!(
                     "{} {}",
                     parcel.name(),
                     words::shorten(&words::said(parcel))
                 )),
-                ..Record::of_message(context, parcel, now)
+                ..OutputRecord::of_message(context, parcel, now)
             },
             other => {
                 let (name, content) = event_slots(other);
@@ -57,7 +57,7 @@ impl Record {
                     _ => "event",
                 };
                 let words = event_words(other);
-                Record {
+                OutputRecord {
                     time: now,
                     context: context.to_owned(),
                     what: match other {
@@ -77,12 +77,12 @@ impl Record {
         }
     }
 
-    fn of_message(context: &str, parcel: &Parcel, now: Time) -> Record {
+    fn of_message(context: &str, parcel: &Parcel, now: Time) -> OutputRecord {
         let address = parcel.address.as_ref().map(|peers| {
             let peers: Vec<String> = peers.iter().map(|peer| words::visible(peer)).collect();
             peers.join(",")
         });
-        Record {
+        OutputRecord {
             time: parcel.received.unwrap_or(now),
             context: context.to_owned(),
             what: What::Message {
@@ -106,7 +106,7 @@ impl Record {
         let stamp = self.time.to_string();
         // The text form has a fixed width: hours to milliseconds are bytes 11 to 23.
         let clock = stamp.get(11..23).unwrap_or(&stamp);
-        let head = format!("{} {}", ink(clock, Ink::Faint), ink(&self.context, Ink::Place));
+        let head = format!("{} {}", ink(clock, Tone::Faint), ink(&self.context, Tone::Place));
         match &self.what {
             What::Message {
                 sender,
@@ -117,7 +117,7 @@ impl Record {
             } => {
                 let to = address
                     .as_ref()
-                    .map(|to| format!(" -> {}", ink(to, Ink::Peer)))
+                    .map(|to| format!(" -> {}", ink(to, Tone::Peer)))
                     .unwrap_or_default();
                 let end = match content.is_empty() {
                     true => String::new(),
@@ -125,16 +125,16 @@ impl Record {
                 };
                 let history = history
                     .as_ref()
-                    .map(|history| ink(format_args!(" ({history})"), Ink::Faint));
+                    .map(|history| ink(format_args!(" ({history})"), Tone::Faint));
                 format!(
                     "{head} {}{to} {}{}{end}",
-                    ink(sender, Ink::Peer),
-                    ink(name, Ink::Strong),
+                    ink(sender, Tone::Peer),
+                    ink(name, Tone::Strong),
                     history.unwrap_or_default()
                 )
             }
-            What::Event(words) => format!("{head} {}", ink(format_args!("* {words}"), Ink::Notice)),
-            What::Trouble(words) => format!("{head} {}", ink(format_args!("! {words}"), Ink::Bad)),
+            What::Event(words) => format!("{head} {}", ink(format_args!("* {words}"), Tone::Notice)),
+            What::Trouble(words) => format!("{head} {}", ink(format_args!("! {words}"), Tone::Bad)),
         }
     }
 }
@@ -202,7 +202,7 @@ mod tests {
     }
 
     fn check(event: &Event, words: &str, name: &str, content: &str) {
-        let record = Record::of("/robot", event);
+        let record = OutputRecord::of("/robot", event);
         let line = anstream::adapter::strip_str(&record.line()).to_string();
         assert_eq!(
             line.split_once(' ').map(|(_, rest)| rest),
@@ -306,7 +306,7 @@ mod tests {
             parcel.sender = Some("arm".into());
             (parcel.age, parcel.age_error) = (Some(age), error);
             parcel.extra.set(mom_client::HISTORY, history);
-            let record = Record::of("/robot", &Event::Message(parcel));
+            let record = OutputRecord::of("/robot", &Event::Message(parcel));
             let line = anstream::adapter::strip_str(&record.line()).to_string();
             assert!(line.ends_with(&format!(" /robot arm state{words}: up")), "{line}");
             let json = record.json();
@@ -322,7 +322,7 @@ mod tests {
             content: Some(Content::Encoded(Bytes::from_static(b"\xa1\x1b"))),
             ..parcel
         };
-        let record = Record::of("/chat", &Event::Message(parcel));
+        let record = OutputRecord::of("/chat", &Event::Message(parcel));
         let line = anstream::adapter::strip_str(&record.line()).to_string();
         assert!(line.contains("? x: (content that cannot be read: "), "{line}");
         let json = record.json();
@@ -342,7 +342,7 @@ mod tests {
         parcel.received = "2026-11-21T10:00:00.123456Z".parse().ok();
         parcel.fence = Some(5);
         parcel.extra.set("colour", "red");
-        let record = Record::of("/robot/arm", &Event::Message(parcel));
+        let record = OutputRecord::of("/robot/arm", &Event::Message(parcel));
         assert_eq!(
             anstream::adapter::strip_str(&record.line()).to_string(),
             "10:00:00.123 /robot/arm alice -> arm command: grip\\nopen"

@@ -1,4 +1,4 @@
-//! A refusal in words: what, by which rule, who has it, when to try again, what to do now.
+//! A refusal as text: what, by which rule, who owns it, when to try again, what to do now.
 
 use mom_client::{Code, Refusal as Details, Value, WireError, ordinal};
 
@@ -6,7 +6,7 @@ use super::words;
 
 /// The first line of a refusal, and below it what is known, each with its label.
 #[derive(Debug, PartialEq)]
-pub(crate) struct Refusal {
+pub(crate) struct RefusalText {
     /// What was refused and why, in one line.
     pub(crate) headline: String,
     /// Label and text, in the order in which a reader asks.
@@ -14,7 +14,7 @@ pub(crate) struct Refusal {
 }
 
 /// Words for the hub's refusal of `what` (`grab /robot/token`).
-pub(crate) fn refusal(what: &str, error: &WireError) -> Refusal {
+pub(crate) fn refusal(what: &str, error: &WireError) -> RefusalText {
     let text = match error.text.is_empty() {
         true => error.code.word().to_owned(),
         false => words::visible(&error.text),
@@ -39,7 +39,7 @@ pub(crate) fn refusal(what: &str, error: &WireError) -> Refusal {
     );
     fact("code", Some(format!("{} ({})", error.code, error.code.number())));
     fact("try", hint(error).map(str::to_owned));
-    Refusal {
+    RefusalText {
         headline: format!("{what}: {text}"),
         facts,
     }
@@ -69,7 +69,7 @@ fn retry(details: &Details<'_>) -> Option<String> {
     })
 }
 
-/// The place that a grab which waits would have, or had when its time was over.
+/// The place that a waiting grab would have, or had when its wait ended.
 fn place(details: &Details<'_>) -> Option<String> {
     let place = ordinal(details.place?);
     Some(match details.expected {

@@ -7,7 +7,7 @@ use owo_colors::{OwoColorize as _, Style};
 
 /// What a piece of text means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Ink {
+pub(crate) enum Tone {
     /// A path of a context, an address of a hub.
     Place,
     /// A peer.
@@ -27,31 +27,31 @@ pub(crate) enum Ink {
 }
 
 /// The text in the colour of its meaning.
-pub(crate) fn ink(text: impl Display, ink: Ink) -> String {
+pub(crate) fn ink(text: impl Display, ink: Tone) -> String {
     text.style(style(ink)).to_string()
 }
 
 /// The text in its colour, padded with blanks to a width that its letters alone are counted for.
-pub(crate) fn padded(text: &str, width: usize, as_ink: Ink) -> String {
+pub(crate) fn padded(text: &str, width: usize, as_ink: Tone) -> String {
     let blanks = " ".repeat(width.saturating_sub(text.chars().count()));
     match text.is_empty() {
-        // No colour for nothing: it would hide that the line ends in blanks.
+        // Empty text gets no colour: escapes would hide that the line ends in blanks.
         true => blanks,
         false => format!("{}{blanks}", ink(text, as_ink)),
     }
 }
 
-fn style(ink: Ink) -> Style {
+fn style(ink: Tone) -> Style {
     let plain = Style::new();
     match ink {
-        Ink::Place => plain.blue(),
-        Ink::Peer => plain.cyan(),
-        Ink::Good => plain.green(),
-        Ink::Notice => plain.yellow(),
-        Ink::Bad => plain.red().bold(),
-        Ink::Faint => plain.dimmed(),
-        Ink::Strong => plain.bold(),
-        Ink::Command => plain.green(),
+        Tone::Place => plain.blue(),
+        Tone::Peer => plain.cyan(),
+        Tone::Good => plain.green(),
+        Tone::Notice => plain.yellow(),
+        Tone::Bad => plain.red().bold(),
+        Tone::Faint => plain.dimmed(),
+        Tone::Strong => plain.bold(),
+        Tone::Command => plain.green(),
     }
 }
 
@@ -61,10 +61,10 @@ mod tests {
 
     #[test]
     fn padding_does_not_count_the_colour() {
-        let plain = anstream::adapter::strip_str(&padded("Zoë", 5, Ink::Peer)).to_string();
+        let plain = anstream::adapter::strip_str(&padded("Zoë", 5, Tone::Peer)).to_string();
         assert_eq!(plain, "Zoë  ");
         assert_eq!(
-            anstream::adapter::strip_str(&padded("longer", 5, Ink::Peer)).to_string(),
+            anstream::adapter::strip_str(&padded("longer", 5, Tone::Peer)).to_string(),
             "longer"
         );
     }

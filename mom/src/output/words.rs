@@ -69,7 +69,7 @@ pub(crate) fn visible(text: &str) -> String {
     shown
 }
 
-/// How old what was said before a late joiner came is: `history, 12 s old`; none for what is said now.
+/// The age of a message from a channel's history: `history, 12 s old`; none for a new message.
 pub(crate) fn history(parcel: &Parcel) -> Option<String> {
     if parcel.extra.get(HISTORY).and_then(Value::as_bool) != Some(true) {
         return None;
@@ -96,7 +96,7 @@ pub(crate) fn said(parcel: &Parcel) -> String {
     match parcel.content.as_ref().map(Content::to_value) {
         None => String::new(),
         Some(Ok(value)) => content(&value),
-        // It is encoded by its sender, and passed on unopened.
+        // Encoded by its sender, and forwarded unopened.
         Some(Err(error)) => format!("(content that cannot be read: {})", visible(&error.to_string())),
     }
 }

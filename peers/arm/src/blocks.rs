@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::motion::Posture;
 use crate::pose::{Pose, along, dot, minus};
-use crate::solid::{GIVE, Solid};
+use crate::solid::{GIVE, UprightBox};
 
 /// mm of a standard block's edges.
 pub const BLOCK_SIZE: f64 = 40.0;
@@ -66,11 +66,11 @@ impl Block {
     }
 
     /// The upright box around the block.
-    pub(crate) fn solid(&self) -> Solid {
+    pub(crate) fn solid(&self) -> UprightBox {
         let (sin, cos) = self.tilt.to_radians().sin_cos();
         let half = self.size / 2.0;
         let leaning = half * (sin.abs() + cos.abs());
-        Solid {
+        UprightBox {
             centre: [self.x, self.y, self.z],
             yaw: self.yaw,
             half: [half, leaning, leaning],
@@ -94,12 +94,12 @@ impl Block {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Blocks {
     all: Vec<Block>,
-    held: Option<Held>,
+    held: Option<Grasp>,
 }
 
 /// How a block lies in the jaws; it keeps this while it is carried.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Held {
+struct Grasp {
     index: usize,
     /// mm from the fingertips, across the jaw line.
     across: f64,
@@ -166,7 +166,7 @@ impl Blocks {
         let frame = pose.frame();
         let (across, along) = (dot(offset, frame.across), dot(offset, frame.approach));
         self.all[index] = block;
-        self.held = Some(Held {
+        self.held = Some(Grasp {
             index,
             across,
             along,
@@ -217,7 +217,7 @@ impl Blocks {
     }
 
     /// Whether the place is free of all blocks but one.
-    fn is_free(&self, except: usize, place: &Solid) -> bool {
+    fn is_free(&self, except: usize, place: &UprightBox) -> bool {
         let others = self.all.iter().enumerate().filter(|(index, _)| *index != except);
         others
             .into_iter()

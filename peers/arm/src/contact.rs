@@ -1,4 +1,4 @@
-//! What the hand would run into. The controller knows a contact only by the overload of its motors
+//! Contacts of the hand. The controller knows a contact only by the overload of its motors
 //! (M49), so each ends in a `torque-overload`.
 //!
 //! The hand is two fingers and a palm. The fingers are round, 8 mm thick, and reach from the
@@ -10,7 +10,7 @@ use crate::blocks::Blocks;
 use crate::error::{ArmError, ErrorName};
 use crate::motion::Posture;
 use crate::pose::along;
-use crate::solid::{GIVE, Solid};
+use crate::solid::{GIVE, UprightBox};
 
 /// mm from the fingertips back to the palm.
 pub const FINGER_LENGTH: f64 = 60.0;
@@ -32,7 +32,7 @@ pub struct Contact {
 
 /// The first contact on the straight way between two postures, if there is one.
 ///
-/// What is touched at the beginning may be left: it counts only when it is touched anew.
+/// A body touched at the beginning may be left: it counts only when it is touched again.
 /// `grasping` is the block that the closing jaws are to take, which they may touch.
 #[must_use]
 pub fn first(blocks: &Blocks, from: &Posture, to: &Posture, grasping: Option<usize>) -> Option<Contact> {
@@ -72,11 +72,11 @@ pub fn first(blocks: &Blocks, from: &Posture, to: &Posture, grasping: Option<usi
 /// A part of the hand against a body.
 struct Touch {
     part: &'static str,
-    body: Body,
+    body: Obstacle,
 }
 
 #[derive(PartialEq)]
-enum Body {
+enum Obstacle {
     Table,
     Block(usize),
 }
@@ -88,8 +88,8 @@ impl Touch {
             _ => self.part.to_owned(),
         };
         match self.body {
-            Body::Table => format!("{part} met the table"),
-            Body::Block(index) => format!("{part} met block {}", blocks.all()[index].name),
+            Obstacle::Table => format!("{part} met the table"),
+            Obstacle::Block(index) => format!("{part} met block {}", blocks.all()[index].name),
         }
     }
 }
@@ -103,7 +103,7 @@ fn touched(blocks: &Blocks, posture: &Posture, grasping: Option<usize>) -> Vec<T
     if held.is_some_and(|held| held.bottom() < -GIVE) {
         touches.push(Touch {
             part: HELD,
-            body: Body::Table,
+            body: Obstacle::Table,
         });
     }
     for (index, block) in blocks.all().iter().enumerate() {
@@ -124,7 +124,7 @@ fn touched(blocks: &Blocks, posture: &Posture, grasping: Option<usize>) -> Vec<T
         };
         touches.push(Touch {
             part,
-            body: Body::Block(index),
+            body: Obstacle::Block(index),
         });
     }
     touches
@@ -136,7 +136,7 @@ const HAND_RADIUS: f64 = 90.0;
 /// mm between the points of a hand's part that are tested; below any block's size.
 const SPACING: f64 = 20.0;
 
-fn finger_in(posture: &Posture, solid: &Solid) -> bool {
+fn finger_in(posture: &Posture, solid: &UprightBox) -> bool {
     let (tip, frame) = (posture.pose.position(), posture.pose.frame());
     let aside = (posture.opening + FINGER_THICKNESS) / 2.0;
     [-aside, aside].into_iter().any(|aside| {
@@ -146,7 +146,7 @@ fn finger_in(posture: &Posture, solid: &Solid) -> bool {
     })
 }
 
-fn palm_in(posture: &Posture, solid: &Solid) -> bool {
+fn palm_in(posture: &Posture, solid: &UprightBox) -> bool {
     let frame = posture.pose.frame();
     let middle = along(posture.pose.position(), frame.approach, -FINGER_LENGTH);
     grid(-PALM_WIDTH / 2.0, PALM_WIDTH / 2.0).any(|aside| {

@@ -1,4 +1,4 @@
-//! What can go wrong with the arm (M53): a code word, the controller's number, and plain words.
+//! Errors of the arm (M53): a code word, the controller's number, and a text.
 
 use std::fmt;
 
@@ -22,7 +22,7 @@ pub enum ErrorName {
     Singularity,
     /// A joint would have to bend or reach further than it can.
     JointLimit,
-    /// The motors worked against something: a contact, which is known by nothing else (M49).
+    /// The motors were overloaded by a contact, which has no other sensor (M49).
     TorqueOverload,
     /// The command was ended before its end, or never begun, because the arm was halted.
     Halted,

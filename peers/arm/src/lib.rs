@@ -1,6 +1,6 @@
 //! The robot arm of the demonstration lab: a pure model, and the peer that connects it to the hub.
 //!
-//! Nothing but [`peer`] does IO or reads a clock. Time is an argument ([`Micros`]), so the same calls give
+//! Nothing but [`peer`] does IO or reads a clock. Time is an argument ([`ArmTime`]), so the same calls give
 //! the same motion to the bit, and a program that wants a live arm calls [`Arm::advance`] whenever
 //! [`Arm::next_wake`] is due.
 //!
@@ -10,11 +10,11 @@
 //! 2. [`path`] turns each `move` into straight legs by the path rule (M52), and [`workspace`] (M50)
 //!    and [`reach`] check every leg of the whole script before anything moves;
 //! 3. [`arm`] queues the command, and executes one statement after the other;
-//! 4. [`motion`] says where the hand is at a time (150 mm/s, M49), [`contact`] where it would hit
-//!    something, and [`blocks`] what lies on the table and in the hand.
+//! 4. [`motion`] gives the hand's posture at a time (150 mm/s, M49), [`contact`] its first collision, and [`blocks`]
+//!   the blocks on the table and in the hand.
 //!
-//! [`RobotServer`] decides what the arm does about the parcels and events of its channel, and what it
-//! says there; [`peer::run`] carries both ways, in a program of its own (`mom-arm`) or in another one.
+//! [`RobotServer`] decides how the arm reacts to the parcels and events of its channel; [`peer::run`] connects it to
+//! the hub, in a program of its own (`mom-arm`) or in another one.
 //!
 //! Lengths are millimetres and angles degrees everywhere, in the table's frame: the origin is the
 //! middle of the table's surface and z points up. Times are int microseconds.
@@ -58,10 +58,10 @@ pub mod workspace;
 pub use arm::Arm;
 pub use blocks::Block;
 pub use error::{ArmError, ErrorName};
-pub use motion::Micros;
+pub use motion::ArmTime;
 pub use peer::ArmOptions;
 pub use pose::Pose;
 pub use script::{Grip, Script, Statement};
 pub use server::RobotServer;
-pub use state::{ArmEvent, ArmState, CommandState, Executing, Gripper, Progress};
+pub use state::{ArmEvent, ArmState, CommandState, Executing, Gripper, ScriptProgress};
 pub use status::Status;

@@ -24,7 +24,7 @@ anywhere, a password over loopback only. The log goes to the standard error; RUS
 /// The robot arm of the demonstration lab: obeys the scripts of the token's owner and tells its state.
 #[derive(Debug, Parser)]
 #[command(name = "mom-arm", version, after_help = EXAMPLES)]
-struct Args {
+struct ArmArgs {
     /// The hub, as bin://host:port (binary) or tcp://host:port (XML)
     #[arg(long, default_value = "bin://127.0.0.1:7666")]
     hub: String,
@@ -44,7 +44,7 @@ struct Args {
 
 #[tokio::main]
 async fn main() -> anyhow::Result<()> {
-    let args = Args::parse();
+    let args = ArmArgs::parse();
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
     tracing_subscriber::fmt()
         .with_env_filter(filter)
@@ -66,15 +66,15 @@ async fn main() -> anyhow::Result<()> {
         .context("the arm ended")
 }
 
-/// By its key if it has one.
-fn proof(args: &Args) -> anyhow::Result<Proof> {
+/// Authenticates by key if there is one.
+fn proof(args: &ArmArgs) -> anyhow::Result<Proof> {
     match &args.key {
         Some(file) => Ok(Proof::Key(Key::from_file(file).context("--key")?)),
         None => password(args).map(Proof::Password),
     }
 }
 
-fn password(args: &Args) -> anyhow::Result<String> {
+fn password(args: &ArmArgs) -> anyhow::Result<String> {
     let Some(file) = &args.password_file else {
         return std::env::var("MOM_PASSWORD")
             .map_err(|_| anyhow!("set MOM_PASSWORD, or name a file with --password-file or --key"));

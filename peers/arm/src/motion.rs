@@ -3,7 +3,7 @@
 use crate::pose::{Pose, mix};
 
 /// A time or a duration in int microseconds.
-pub type Micros = i64;
+pub type ArmTime = i64;
 
 /// mm/s of the hand (M49).
 pub const SPEED: f64 = 150.0;
@@ -35,11 +35,11 @@ impl Posture {
 
     /// How long the way to `other` takes at full speed, rounded up so that no speed is exceeded.
     #[must_use]
-    pub fn duration(&self, other: &Self) -> Micros {
+    pub fn duration(&self, other: &Self) -> ArmTime {
         let seconds = (self.pose.distance(&other.pose) / SPEED)
             .max(self.pose.turn(&other.pose) / TURN_SPEED)
             .max((other.opening - self.opening).abs() / JAW_SPEED);
-        (seconds * 1e6).ceil() as Micros
+        (seconds * 1e6).ceil() as ArmTime
     }
 }
 
@@ -60,7 +60,7 @@ impl Posture {
 pub struct Leg {
     from: Posture,
     to: Posture,
-    duration: Micros,
+    duration: ArmTime,
 }
 
 impl Leg {
@@ -76,13 +76,13 @@ impl Leg {
 
     /// µs from its beginning to its end.
     #[must_use]
-    pub const fn duration(&self) -> Micros {
+    pub const fn duration(&self) -> ArmTime {
         self.duration
     }
 
     /// The posture so many µs after the beginning; before it the first, after the end the last.
     #[must_use]
-    pub fn at(&self, elapsed: Micros) -> Posture {
+    pub fn at(&self, elapsed: ArmTime) -> Posture {
         if elapsed >= self.duration {
             return self.to;
         }
@@ -148,7 +148,7 @@ mod tests {
             opening: 0.1,
         };
         let leg = Leg::new(HOME, to);
-        for (elapsed, want) in [(-5, HOME), (0, HOME), (leg.duration(), to), (Micros::MAX, to)] {
+        for (elapsed, want) in [(-5, HOME), (0, HOME), (leg.duration(), to), (ArmTime::MAX, to)] {
             assert_eq!(leg.at(elapsed), want, "{elapsed}");
         }
     }

@@ -1,21 +1,21 @@
-//! The arm as a peer: joins its channel and carries between it and the [`RobotServer`].
+//! The arm as a peer: joins its channel and connects it to the [`RobotServer`].
 
 use std::future::{Future, pending};
 use std::pin::pin;
 use std::time::{Duration, SystemTime};
 
-use mom_client::{Client, ClientError, Code, Event, Link, Parcel, Time, WireError};
+use mom_client::{Client, ClientError, Code, Event, LinkState, Parcel, Time, WireError};
 use tokio::time::{Instant, sleep_until, timeout};
 
 use crate::arm::Arm;
-use crate::motion::Micros;
+use crate::motion::ArmTime;
 use crate::outlet::{Outlet, Sending};
 use crate::server::RobotServer;
 
 /// How long the last statuses may take to leave when the program ends.
 const FAREWELL: Duration = Duration::from_secs(1);
 
-/// Where the arm is heard.
+/// The channel of the arm.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ArmOptions {
     /// The channel of its commands and states; its session is joined first.
@@ -31,7 +31,7 @@ impl Default for ArmOptions {
     }
 }
 
-/// Runs an arm until `shutdown` is done. Then it halts, says so, and logs out.
+/// Runs an arm until `shutdown` is done. Then it halts, reports that, and logs out.
 ///
 /// A lost link halts the arm; the client connects again by itself, and the arm goes on with the next command.
 ///
@@ -114,7 +114,7 @@ fn log(event: &Event) {
 /// Why there are no more events.
 fn ended(client: &Client) -> ClientError {
     match &*client.state().borrow() {
-        Link::Closed(error) => ClientError::Closed(error.clone()),
+        LinkState::Closed(error) => ClientError::Closed(error.clone()),
         _ => WireError::new(Code::UNKNOWN_PATH, "the hub deleted the arm's channel").into(),
     }
 }
@@ -132,10 +132,10 @@ fn time_of_day() -> Time {
     micros.and_then(Time::from_micros).unwrap_or_default()
 }
 
-fn micros(begin: Instant) -> Micros {
-    Micros::try_from(begin.elapsed().as_micros()).unwrap_or(Micros::MAX)
+fn micros(begin: Instant) -> ArmTime {
+    ArmTime::try_from(begin.elapsed().as_micros()).unwrap_or(ArmTime::MAX)
 }
 
-fn duration(micros: Micros) -> Duration {
+fn duration(micros: ArmTime) -> Duration {
     Duration::from_micros(u64::try_from(micros).unwrap_or(0))
 }

@@ -1,9 +1,9 @@
-//! Where the hand is: a position and two angles in the table's frame (M50).
+//! The pose of the hand: a position and two angles in the table's frame (M50).
 
 use serde::{Deserialize, Serialize};
 
 /// A vector in the table's frame: x, y, z in mm, or without a unit for a direction.
-pub type Vector = [f64; 3];
+pub type Xyz = [f64; 3];
 
 /// A pose of the hand, five degrees of freedom (M50): the point between the fingertips in mm, and
 /// two angles in degrees.
@@ -35,13 +35,13 @@ pub struct Pose {
 
 /// The hand's own axes, as unit vectors in the table's frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Frame {
+pub struct HandAxes {
     /// Along the jaw line; always level.
-    pub jaw: Vector,
+    pub jaw: Xyz,
     /// Across the jaw line, level while the hand is not tilted.
-    pub across: Vector,
+    pub across: Xyz,
     /// The way the fingers point.
-    pub approach: Vector,
+    pub approach: Xyz,
 }
 
 impl Pose {
@@ -53,7 +53,7 @@ impl Pose {
 
     /// The point between the fingertips.
     #[must_use]
-    pub const fn position(&self) -> Vector {
+    pub const fn position(&self) -> Xyz {
         [self.x, self.y, self.z]
     }
 
@@ -91,10 +91,10 @@ impl Pose {
 
     /// The hand's axes in this pose.
     #[must_use]
-    pub fn frame(&self) -> Frame {
+    pub fn frame(&self) -> HandAxes {
         let (sin, cos) = self.spin.to_radians().sin_cos();
         let (lean, upright) = self.tilt.to_radians().sin_cos();
-        Frame {
+        HandAxes {
             jaw: [cos, sin, 0.0],
             across: [-sin * upright, cos * upright, lean],
             approach: [-sin * lean, cos * lean, -upright],
@@ -107,16 +107,16 @@ pub(crate) fn mix(from: f64, to: f64, fraction: f64) -> f64 {
     (from + (to - from) * fraction).clamp(from.min(to), from.max(to))
 }
 
-pub(crate) fn dot(a: Vector, b: Vector) -> f64 {
+pub(crate) fn dot(a: Xyz, b: Xyz) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-pub(crate) fn minus(a: Vector, b: Vector) -> Vector {
+pub(crate) fn minus(a: Xyz, b: Xyz) -> Xyz {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
 /// `point + direction × length`.
-pub(crate) fn along(point: Vector, direction: Vector, length: f64) -> Vector {
+pub(crate) fn along(point: Xyz, direction: Xyz, length: f64) -> Xyz {
     [
         point[0] + direction[0] * length,
         point[1] + direction[1] * length,
@@ -166,7 +166,7 @@ mod tests {
     proptest! {
         #[test]
         fn frame_is_orthonormal_with_a_level_jaw_line(spin in -180.0..180.0, tilt in -45.0..45.0) {
-            let Frame { jaw, across, approach } = Pose::new(0.0, 0.0, 0.0, spin, tilt).frame();
+            let HandAxes { jaw, across, approach } = Pose::new(0.0, 0.0, 0.0, spin, tilt).frame();
             for (a, b, want) in [
                 (jaw, jaw, 1.0), (across, across, 1.0), (approach, approach, 1.0),
                 (jaw, across, 0.0), (jaw, approach, 0.0), (across, approach, 0.0),

@@ -1,4 +1,4 @@
-//! What the joints allow: an arm with a turning base, a shoulder, an elbow and a wrist.
+//! The limits of the joints: an arm with a turning base, a shoulder, an elbow and a wrist.
 //!
 //! The arm of the demonstration has the build of an industrial arm of M49's size: its base stands
 //! beside the table, the elbow is always up, and the wrist carries the hand. From the pose of the

@@ -28,7 +28,7 @@ pub const MAX_STATEMENTS: usize = 1000;
 /// The longest `wait`, in ms.
 pub const MAX_WAIT: u32 = 60_000;
 
-/// What the jaws are told to do.
+/// A command to the jaws.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Grip {
@@ -195,7 +195,7 @@ struct Word<'a> {
 }
 
 impl Word<'_> {
-    /// The word for an error's text, cut where nobody would read on.
+    /// The word for an error's text, shortened.
     fn short(&self) -> String {
         let mut short: String = self.text.chars().take(24).collect();
         if short.len() < self.text.len() {

@@ -1,6 +1,6 @@
-//! Boxes that stand upright, turned about the vertical: the shape of everything that can be hit.
+//! Boxes that stand upright, turned about the vertical: the shape of all obstacles.
 
-use crate::pose::{Vector, dot, minus};
+use crate::pose::{Xyz, dot, minus};
 
 /// mm by which two bodies may press into each other before the motors feel it. Blocks that lie on
 /// or beside each other touch, and rounding must not make that a collision.
@@ -8,15 +8,15 @@ pub(crate) const GIVE: f64 = 1.0;
 
 /// An upright box.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Solid {
-    pub(crate) centre: Vector,
+pub(crate) struct UprightBox {
+    pub(crate) centre: Xyz,
     /// Degrees of its first level axis from x.
     pub(crate) yaw: f64,
     /// Half its size along its first level axis, its second, and upward.
-    pub(crate) half: Vector,
+    pub(crate) half: Xyz,
 }
 
-impl Solid {
+impl UprightBox {
     pub(crate) fn top(&self) -> f64 {
         self.centre[2] + self.half[2]
     }
@@ -26,7 +26,7 @@ impl Solid {
     }
 
     /// Whether the point lies inside by more than [`GIVE`], the box being wider by `margin` on the level.
-    pub(crate) fn contains(&self, point: Vector, margin: f64) -> bool {
+    pub(crate) fn contains(&self, point: Xyz, margin: f64) -> bool {
         let offset = [point[0] - self.centre[0], point[1] - self.centre[1]];
         let level = self.axes().into_iter().zip(self.half);
         (point[2] - self.centre[2]).abs() < self.half[2] - GIVE
@@ -36,7 +36,7 @@ impl Solid {
     }
 
     /// Whether all of the box is certainly farther from the point than this, in mm.
-    pub(crate) fn is_farther(&self, point: Vector, distance: f64) -> bool {
+    pub(crate) fn is_farther(&self, point: Xyz, distance: f64) -> bool {
         let offset = minus(self.centre, point);
         let reach = distance + self.half.into_iter().sum::<f64>();
         dot(offset, offset) > reach * reach
@@ -80,8 +80,8 @@ fn level_dot(a: [f64; 2], b: [f64; 2]) -> f64 {
 mod tests {
     use super::*;
 
-    fn cube(x: f64, y: f64, z: f64, yaw: f64) -> Solid {
-        Solid {
+    fn cube(x: f64, y: f64, z: f64, yaw: f64) -> UprightBox {
+        UprightBox {
             centre: [x, y, z],
             yaw,
             half: [20.0; 3],

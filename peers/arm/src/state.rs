@@ -1,4 +1,4 @@
-//! What the arm tells: its state, and what became of its commands.
+//! Reports of the arm: its state, and the progress of its commands.
 
 use serde::{Deserialize, Serialize};
 
@@ -25,7 +25,7 @@ pub enum CommandState {
 
 /// Which statement of how many.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Progress {
+pub struct ScriptProgress {
     /// The statement being executed, or the last one begun; 1 for the first, 0 before it.
     pub statement: u32,
     /// How many statements the command has.
@@ -78,7 +78,7 @@ pub struct ArmState {
     pub waiting: usize,
 }
 
-/// All that leaves the arm, in the order in which it happened.
+/// The events of the arm, in order.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ArmEvent {
     /// A command changed its state or began its next statement.
@@ -88,7 +88,7 @@ pub enum ArmEvent {
         /// Its state now.
         state: CommandState,
         /// How far it has come.
-        progress: Progress,
+        progress: ScriptProgress,
         /// Why, where the state is `error`.
         error: Option<ArmError>,
     },

@@ -1,10 +1,10 @@
-//! What the commander hears about one command: the content of `status` messages (M42).
+//! Reports to the sender of a command: the content of `status` messages (M42).
 
 use mom_client::{Code, Fence, Map, Stale, Value, WireError, to_value};
 use serde::{Deserialize, Serialize};
 
 use crate::error::ArmError;
-use crate::state::{CommandState, Progress};
+use crate::state::{CommandState, ScriptProgress};
 
 /// How far one command has come: the content of a `status` message.
 ///
@@ -40,58 +40,58 @@ pub struct Status {
 }
 
 impl Status {
-    /// Puts in how far the command has come.
-    pub(crate) fn at(mut self, state: CommandState, progress: Progress) -> Self {
+    /// Sets the progress of the command.
+    pub(crate) fn at(mut self, state: CommandState, progress: ScriptProgress) -> Self {
         self.state = state;
         self.statement = progress.statement;
         self.of = progress.of;
         self
     }
 
-    /// Puts in why the command ended.
-    pub(crate) fn because(mut self, reason: Option<&Refusal>) -> Self {
-        self.error = reason.and_then(Refusal::content);
+    /// Sets the reason why the command ended.
+    pub(crate) fn because(mut self, reason: Option<&CommandRefusal>) -> Self {
+        self.error = reason.and_then(CommandRefusal::content);
         self
     }
 }
 
 /// Why a command was refused or ended before its end.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) enum Refusal {
+pub(crate) enum CommandRefusal {
     /// The arm's own reason.
     Arm(ArmError),
     /// The command was not sent by the token's present owner.
     Stale(Stale),
-    /// What the command was based on holds no more, or is no state.
+    /// The state that the command was based on is outdated or unknown.
     State(WireError),
 }
 
-impl Refusal {
+impl CommandRefusal {
     /// A map of code word, number, plain words, and what else applies.
     fn content(&self) -> Option<Value> {
         match self {
-            Refusal::Arm(error) => to_value(error).ok(),
-            Refusal::Stale(stale) => Some(stale_map(stale).into()),
-            Refusal::State(error) => Some(error.to_map().into()),
+            CommandRefusal::Arm(error) => to_value(error).ok(),
+            CommandRefusal::Stale(stale) => Some(stale_map(stale).into()),
+            CommandRefusal::State(error) => Some(error.to_map().into()),
         }
     }
 }
 
-impl From<ArmError> for Refusal {
+impl From<ArmError> for CommandRefusal {
     fn from(error: ArmError) -> Self {
-        Refusal::Arm(error)
+        CommandRefusal::Arm(error)
     }
 }
 
-impl From<Stale> for Refusal {
+impl From<Stale> for CommandRefusal {
     fn from(stale: Stale) -> Self {
-        Refusal::Stale(stale)
+        CommandRefusal::Stale(stale)
     }
 }
 
-impl From<WireError> for Refusal {
+impl From<WireError> for CommandRefusal {
     fn from(error: WireError) -> Self {
-        Refusal::State(error)
+        CommandRefusal::State(error)
     }
 }
 
@@ -133,7 +133,7 @@ mod tests {
             fence: (9 << 20) + 6,
             owner: owner.map(str::to_owned),
         };
-        let map = Refusal::from(stale).content().unwrap();
+        let map = CommandRefusal::from(stale).content().unwrap();
         assert_eq!(map.get("text").and_then(Value::as_str), Some(text));
         assert_eq!(map.get("owner").and_then(Value::as_str), owner);
         assert_eq!(map.get("code"), Some(&Value::Int(205)));

@@ -34,7 +34,7 @@ pub const WORKSPACE: Workspace = Workspace {
 };
 
 impl Workspace {
-    /// Checks that the pose lies inside; the limits themselves do.
+    /// Checks that the pose lies inside; the limits themselves are allowed.
     ///
     /// The box and the cone are convex, so a straight way between two poses inside stays inside.
     ///

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use mom_camera::{Format, Renderer, Scene, Settings, View};
+use mom_camera::{CameraSettings, Format, Renderer, Scene, View};
 
 const SCENE: &str = r##"{
     "pose": {"x": 90, "y": -60, "z": 150, "spin": 25, "tilt": 15},
@@ -29,9 +29,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         for (format, ending) in [(Format::Png, "png"), (Format::Jpeg, "jpg")] {
             let renderer = Renderer::new(
                 view,
-                Settings {
+                CameraSettings {
                     format,
-                    ..Settings::default()
+                    ..CameraSettings::default()
                 },
             )?;
             let image = renderer.render(&scene);

@@ -5,17 +5,17 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder, ImageResult};
 use tiny_skia::Pixmap;
 
-use crate::settings::{Format, Settings};
+use crate::settings::{CameraSettings, Format};
 
 /// The bytes of an image file; the size is that of the pixels.
-pub(crate) fn encode(pixels: &Pixmap, settings: &Settings) -> Vec<u8> {
+pub(crate) fn encode(pixels: &Pixmap, settings: &CameraSettings) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(pixels.data().len() / 8);
     write(pixels, settings, &mut bytes)
         .expect("both encoders take RGB of any size within the limits, and memory takes every byte");
     bytes
 }
 
-fn write(pixels: &Pixmap, settings: &Settings, bytes: &mut Vec<u8>) -> ImageResult<()> {
+fn write(pixels: &Pixmap, settings: &CameraSettings, bytes: &mut Vec<u8>) -> ImageResult<()> {
     // The picture covers its background, so that dropping the opacity loses nothing.
     let rgb: Vec<u8> = pixels
         .data()

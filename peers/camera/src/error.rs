@@ -1,13 +1,13 @@
-//! What can be wrong with a camera's settings, in plain words.
+//! Errors of a camera's settings.
 
 /// A setting that the camera refuses.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
-pub enum Error {
+pub enum SettingsError {
     /// A setting has a value that the camera cannot use.
     #[error("{setting} is {value}; it must be {limits}")]
     Setting {
-        /// The name of the setting, as in [`Settings`](crate::Settings).
+        /// The name of the setting, as in [`CameraSettings`](crate::CameraSettings).
         setting: &'static str,
         /// The refused value.
         value: String,

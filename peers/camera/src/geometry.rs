@@ -8,7 +8,7 @@ use nalgebra::{Matrix3, Point3, Vector3};
 /// A point in the world, mm.
 pub(crate) type Point = Point3<f64>;
 /// A direction in the world, or a point in the camera's frame, mm.
-pub(crate) type Vector = Vector3<f64>;
+pub(crate) type Direction = Vector3<f64>;
 /// A point in the image, pixels.
 pub(crate) type Pixel = (f32, f32);
 
@@ -20,9 +20,9 @@ const MARGIN: f64 = 16.0;
 /// A pinhole camera with square pixels and the principal point in the middle of the image.
 ///
 /// ```
-/// use mom_camera::{Pose, View};
+/// use mom_camera::{DrawnPose, View};
 ///
-/// let camera = View::Top.camera(&Pose::default(), 640, 480);
+/// let camera = View::Top.camera(&DrawnPose::default(), 640, 480);
 /// let pixel = camera.project([0.0, 0.0, 0.0]).unwrap();
 /// assert!((pixel[0] - 320.0).abs() < 1e-9 && (pixel[1] - 240.0).abs() < 1e-9);
 /// ```
@@ -43,13 +43,19 @@ impl Camera {
     ///
     /// `focal` is the focal length in pixels. A direction that is not defined (target at the position, `up` along
     /// the view) is replaced by one that is.
-    pub(crate) fn look(position: Point, target: Point, up: Vector, focal: f64, size: (u32, u32)) -> Camera {
-        let forward = (target - position).try_normalize(1e-9).unwrap_or(-Vector::z());
+    pub(crate) fn look(
+        position: Point,
+        target: Point,
+        up: Direction,
+        focal: f64,
+        size: (u32, u32),
+    ) -> Camera {
+        let forward = (target - position).try_normalize(1e-9).unwrap_or(-Direction::z());
         let right = forward
             .cross(&up)
             .try_normalize(1e-9)
-            .or_else(|| forward.cross(&Vector::y()).try_normalize(1e-9))
-            .unwrap_or(Vector::x());
+            .or_else(|| forward.cross(&Direction::y()).try_normalize(1e-9))
+            .unwrap_or(Direction::x());
         let down = forward.cross(&right);
         let rotation = Matrix3::from_rows(&[right.transpose(), down.transpose(), forward.transpose()]);
         Camera {
@@ -120,7 +126,7 @@ impl Camera {
     ///
     /// Empty if nothing of it is seen.
     pub(crate) fn polygon(&self, points: &[Point]) -> Vec<Pixel> {
-        let mut polygon: Vec<Vector> = points.iter().map(|p| self.to_camera(p)).collect();
+        let mut polygon: Vec<Direction> = points.iter().map(|p| self.to_camera(p)).collect();
         for plane in self.planes() {
             if polygon.iter().any(|p| plane.distance(p) < 0.0) {
                 polygon = clip_polygon(&polygon, &plane);
@@ -147,12 +153,12 @@ impl Camera {
         Some((self.to_pixel(&a), self.to_pixel(&b)))
     }
 
-    fn to_camera(&self, point: &Point) -> Vector {
+    fn to_camera(&self, point: &Point) -> Direction {
         self.rotation * (point - self.position)
     }
 
     /// Only for points that have passed the near plane.
-    fn to_pixel(&self, p: &Vector) -> Pixel {
+    fn to_pixel(&self, p: &Direction) -> Pixel {
         let depth = p.z.max(NEAR / 2.0);
         let x = self.focal * p.x / depth + self.width / 2.0;
         let y = self.focal * p.y / depth + self.height / 2.0;
@@ -163,12 +169,12 @@ impl Camera {
     fn planes(&self) -> [Plane; 5] {
         let (across, along) = (self.width / 2.0 + MARGIN, self.height / 2.0 + MARGIN);
         let side = |x: f64, y: f64, z: f64| Plane {
-            normal: Vector::new(x, y, z),
+            normal: Direction::new(x, y, z),
             offset: 0.0,
         };
         [
             Plane {
-                normal: Vector::z(),
+                normal: Direction::z(),
                 offset: NEAR,
             },
             side(self.focal, 0.0, across),
@@ -181,18 +187,18 @@ impl Camera {
 
 /// A plane in the camera's frame; what has a negative distance is not seen.
 struct Plane {
-    normal: Vector,
+    normal: Direction,
     offset: f64,
 }
 
 impl Plane {
-    fn distance(&self, p: &Vector) -> f64 {
+    fn distance(&self, p: &Direction) -> f64 {
         self.normal.dot(p) - self.offset
     }
 }
 
 /// Sutherland and Hodgman's clipping of a polygon at one plane.
-fn clip_polygon(polygon: &[Vector], plane: &Plane) -> Vec<Vector> {
+fn clip_polygon(polygon: &[Direction], plane: &Plane) -> Vec<Direction> {
     let mut kept = Vec::with_capacity(polygon.len() + 1);
     for (i, b) in polygon.iter().enumerate() {
         let a = &polygon[(i + polygon.len() - 1) % polygon.len()];
@@ -208,7 +214,7 @@ fn clip_polygon(polygon: &[Vector], plane: &Plane) -> Vec<Vector> {
 }
 
 /// Where the line from `a` to `b` meets the plane at the distances `da` and `db`, of which one is negative.
-fn crossing(a: &Vector, da: f64, b: &Vector, db: f64) -> Vector {
+fn crossing(a: &Direction, da: f64, b: &Direction, db: f64) -> Direction {
     a + (b - a) * (da / (da - db))
 }
 
@@ -221,7 +227,7 @@ mod tests {
         Camera::look(
             Point::new(0.0, -1000.0, 0.0),
             Point::origin(),
-            Vector::z(),
+            Direction::z(),
             100.0,
             (200, 100),
         )
@@ -295,7 +301,7 @@ mod tests {
     fn a_camera_that_looks_straight_down_has_a_direction() {
         let up = Point::new(0.0, 0.0, 500.0);
         for target in [Point::origin(), up] {
-            let camera = Camera::look(up, target, Vector::z(), 100.0, (64, 48));
+            let camera = Camera::look(up, target, Direction::z(), 100.0, (64, 48));
             assert!(camera.matrix().iter().all(|v| v.is_finite()));
             assert_eq!(camera.project([0.0, 0.0, 0.0]), Some([32.0, 24.0]));
         }

@@ -4,8 +4,8 @@
 //! draws a [`Scene`], which is read from the arm's state, and gives a JPEG or PNG [`Image`] with the matrix that maps
 //! millimetres on the table to its pixels (M54, M55).
 //!
-//! [`ImageServer`] decides what the camera does about the parcels and events of its contexts, and what it says;
-//! [`peer::run`] carries both ways and draws on a thread of its own, in a program (`mom-camera`) or in another one.
+//! [`ImageServer`] decides how the camera reacts to the parcels and events of its contexts; [`peer::run`] connects it
+//! to the hub and draws on a thread of its own, in a program (`mom-camera`) or in another one.
 
 mod draw;
 mod encode;
@@ -23,12 +23,12 @@ mod solid;
 mod trail;
 mod view;
 
-pub use error::Error;
+pub use error::SettingsError;
 pub use geometry::Camera;
 pub use peer::CameraOptions;
 pub use renderer::{Image, Renderer};
-pub use scene::{Block, Colour, Gripper, Pose, Scene};
+pub use scene::{Colour, DrawnBlock, DrawnGripper, DrawnPose, Scene};
 pub use server::{ImageServer, ServerOptions};
-pub use settings::{Format, HEIGHTS, QUALITIES, Settings, SettingsChange, WIDTHS};
+pub use settings::{CameraSettings, Format, HEIGHTS, QUALITIES, SettingsChange, WIDTHS};
 pub use shot::{Picture, Shot};
 pub use view::View;

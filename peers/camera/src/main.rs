@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, anyhow};
 use clap::Parser;
-use mom_camera::{CameraOptions, Settings, SettingsChange, View, peer};
+use mom_camera::{CameraOptions, CameraSettings, SettingsChange, View, peer};
 use mom_client::{Client, Key, Proof};
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
@@ -24,7 +24,7 @@ anywhere, a password over loopback only. The log goes to the standard error; RUS
 /// The camera of the demonstration lab: shows the robot's workspace after each of its states and on request.
 #[derive(Debug, Parser)]
 #[command(name = "mom-camera", version, after_help = EXAMPLES)]
-struct Args {
+struct CameraArgs {
     /// The hub, as bin://host:port (binary) or tcp://host:port (XML)
     #[arg(long, default_value = "bin://127.0.0.1:7666")]
     hub: String,
@@ -71,7 +71,7 @@ struct Args {
 
 #[tokio::main]
 async fn main() -> anyhow::Result<()> {
-    let args = Args::parse();
+    let args = CameraArgs::parse();
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
     tracing_subscriber::fmt()
         .with_env_filter(filter)
@@ -91,7 +91,7 @@ async fn main() -> anyhow::Result<()> {
         .context("the camera ended")
 }
 
-fn options(args: &Args) -> anyhow::Result<CameraOptions> {
+fn options(args: &CameraArgs) -> anyhow::Result<CameraOptions> {
     let lab = CameraOptions::new(args.view);
     let settings = SettingsChange {
         width: args.width,
@@ -103,22 +103,22 @@ fn options(args: &Args) -> anyhow::Result<CameraOptions> {
         channel: args.channel.clone().unwrap_or(lab.channel),
         robot: args.robot.clone(),
         token: args.token.clone(),
-        settings: Settings::default().with(&settings)?,
+        settings: CameraSettings::default().with(&settings)?,
         rate: args.rate,
         trail: args.trail,
         ..CameraOptions::new(args.view)
     })
 }
 
-/// By its key if it has one.
-fn proof(args: &Args) -> anyhow::Result<Proof> {
+/// Authenticates by key if there is one.
+fn proof(args: &CameraArgs) -> anyhow::Result<Proof> {
     match &args.key {
         Some(file) => Ok(Proof::Key(Key::from_file(file).context("--key")?)),
         None => password(args).map(Proof::Password),
     }
 }
 
-fn password(args: &Args) -> anyhow::Result<String> {
+fn password(args: &CameraArgs) -> anyhow::Result<String> {
     let Some(file) = &args.password_file else {
         return std::env::var("MOM_PASSWORD")
             .map_err(|_| anyhow!("set MOM_PASSWORD, or name a file with --password-file or --key"));

@@ -1,4 +1,4 @@
-//! Who owns the robot's token, as far as the camera has heard (M33).
+//! The owner of the robot's token, as known to the camera (M33).
 
 use mom_client::{Code, Event, Map, Path, Value, WireError};
 
@@ -6,7 +6,7 @@ use mom_client::{Code, Event, Map, Path, Value, WireError};
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Owner {
     name: Option<String>,
-    /// The newest fence heard of. What is told late, of an older one, changes nothing.
+    /// The newest known fence. Late reports about older fences change nothing.
     fence: u64,
 }
 
@@ -15,7 +15,7 @@ impl Owner {
         match event {
             Event::Grabbed { owner, fence, .. } => self.set(Some(owner), *fence),
             Event::Released { fence, .. } => self.set(None, *fence),
-            // When the link is back the hub is asked again; one that began anew may count from elsewhere.
+            // After a lost link the hub is asked again; a restarted hub may have other fences.
             Event::LinkDown => *self = Owner::default(),
             _ => {}
         }
@@ -30,7 +30,7 @@ impl Owner {
         );
     }
 
-    /// Whether this peer owns the token; the error says who does.
+    /// Whether this peer owns the token; the error names the owner.
     pub(crate) fn check(&self, peer: Option<&str>, token: &Path) -> Result<(), WireError> {
         match &self.name {
             Some(owner) if peer == Some(owner) => Ok(()),

@@ -1,15 +1,15 @@
-//! The camera as a peer: joins its contexts and carries between them and the [`ImageServer`].
+//! The camera as a peer: joins its contexts and connects them to the [`ImageServer`].
 
 use std::future::{Future, pending};
 use std::pin::pin;
 use std::time::{Duration, SystemTime};
 
-use mom_client::{Client, ClientError, Code, Event, Link, Parcel, Path, Time, Token, WireError};
+use mom_client::{Client, ClientError, Code, Event, LinkState, Parcel, Path, Time, Token, WireError};
 use tokio::task::{JoinHandle, spawn_blocking};
 use tokio::time::{Instant, sleep_until};
 
-use crate::server::Micros;
-use crate::{Error, ImageServer, Picture, ServerOptions, Settings, View};
+use crate::server::CameraTime;
+use crate::{CameraSettings, ImageServer, Picture, ServerOptions, SettingsError, View};
 
 /// Where the camera stands and what it listens to.
 #[derive(Debug, Clone, PartialEq)]
@@ -23,7 +23,7 @@ pub struct CameraOptions {
     /// The token whose owner may change the settings.
     pub token: String,
     /// The settings to begin with.
-    pub settings: Settings,
+    pub settings: CameraSettings,
     /// Broadcast images per second, at most.
     pub rate: f64,
     /// How many past poses the path in the image has (M44).
@@ -39,15 +39,15 @@ impl CameraOptions {
             channel: format!("/camera/{view}"),
             robot: "/robot/arm".to_owned(),
             token: "/robot/token".to_owned(),
-            settings: Settings::default(),
+            settings: CameraSettings::default(),
             rate: 10.0,
             trail: 100,
         }
     }
 
-    /// What the server makes of them.
+    /// The server's options from these.
     fn server(&self) -> Result<ImageServer, ClientError> {
-        let bad = |error: Error| WireError::new(Code::BAD_CONTENT, error.to_string());
+        let bad = |error: SettingsError| WireError::new(Code::BAD_CONTENT, error.to_string());
         if !(self.rate > 0.0 && self.rate.is_finite()) {
             let text = format!("the rate is {} images per second; it must be above 0", self.rate);
             return Err(WireError::new(Code::BAD_CONTENT, text).into());
@@ -57,7 +57,7 @@ impl CameraOptions {
             channel: Path::parse(&self.channel)?,
             token: Path::parse(&self.token)?,
             settings: self.settings,
-            period: (1e6 / self.rate) as Micros,
+            period: (1e6 / self.rate) as CameraTime,
             trail: self.trail,
         };
         Ok(ImageServer::new(options).map_err(bad)?)
@@ -147,12 +147,12 @@ fn open(event: Option<Event>, client: &Client) -> Result<Event, ClientError> {
 /// Why there are no more events.
 fn ended(client: &Client) -> ClientError {
     match &*client.state().borrow() {
-        Link::Closed(error) => ClientError::Closed(error.clone()),
+        LinkState::Closed(error) => ClientError::Closed(error.clone()),
         _ => WireError::new(Code::UNKNOWN_PATH, "the hub deleted a context of the camera").into(),
     }
 }
 
-/// Asks the hub who owns the token, where events may have been missed.
+/// Asks the hub who owns the token, in case events were missed.
 async fn ask_owner(token: &Token, server: &mut ImageServer) {
     match token.info().await {
         Ok(info) => server.handle_token_info(&info),
@@ -195,10 +195,10 @@ fn wall() -> Time {
     micros.and_then(Time::from_micros).unwrap_or_default()
 }
 
-fn micros(begin: Instant) -> Micros {
-    Micros::try_from(begin.elapsed().as_micros()).unwrap_or(Micros::MAX)
+fn micros(begin: Instant) -> CameraTime {
+    CameraTime::try_from(begin.elapsed().as_micros()).unwrap_or(CameraTime::MAX)
 }
 
-fn duration(micros: Micros) -> Duration {
+fn duration(micros: CameraTime) -> Duration {
     Duration::from_micros(u64::try_from(micros).unwrap_or(0))
 }

@@ -5,11 +5,11 @@ use tiny_skia::Pixmap;
 
 use crate::draw::{self, Canvas};
 use crate::encode::encode;
-use crate::geometry::{Point, Vector};
+use crate::geometry::{Direction, Point};
 use crate::robot::{self, ToolFrame};
-use crate::scene::{Block, Scene};
+use crate::scene::{DrawnBlock, Scene};
 use crate::solid::Solid;
-use crate::{Camera, Error, Format, Settings, View};
+use crate::{Camera, CameraSettings, Format, SettingsError, View};
 
 /// More blocks and poses than these are not drawn, so that no scene can hold the camera up.
 const MOST_BLOCKS: usize = 64;
@@ -20,19 +20,19 @@ const MOST_POSES: usize = 200;
 /// The same scene gives the same bytes.
 ///
 /// ```
-/// use mom_camera::{Renderer, Scene, Settings, View};
+/// use mom_camera::{Renderer, Scene, CameraSettings, View};
 ///
-/// let renderer = Renderer::new(View::Top, Settings::default())?;
+/// let renderer = Renderer::new(View::Top, CameraSettings::default())?;
 /// let image = renderer.render(&Scene::default());
 /// assert_eq!(image.media_type, "image/jpeg");
 /// assert_eq!((image.width, image.height), (640, 480));
-/// # Ok::<(), mom_camera::Error>(())
+/// # Ok::<(), mom_camera::SettingsError>(())
 /// ```
 #[derive(Debug, Clone)]
 pub struct Renderer {
     view: View,
-    settings: Settings,
-    /// What never moves in the picture, drawn once; `None` for a camera that moves.
+    settings: CameraSettings,
+    /// The static background, drawn once; `None` for a camera that moves.
     backdrop: Option<Pixmap>,
 }
 
@@ -55,7 +55,7 @@ pub struct Image {
 
 impl Renderer {
     /// A renderer for a view, or the setting that is outside its limits.
-    pub fn new(view: View, settings: Settings) -> Result<Renderer, Error> {
+    pub fn new(view: View, settings: CameraSettings) -> Result<Renderer, SettingsError> {
         settings.check()?;
         let mut renderer = Renderer {
             view,
@@ -75,7 +75,7 @@ impl Renderer {
     }
 
     /// The settings of its images.
-    pub fn settings(&self) -> Settings {
+    pub fn settings(&self) -> CameraSettings {
         self.settings
     }
 
@@ -132,7 +132,7 @@ impl Renderer {
         draw::shadows(canvas, &scene.blocks, &gripper, &arm, &scene.pose);
         let mut solids: Vec<Solid> = scene.blocks.iter().map(block).collect();
         solids.extend(gripper);
-        // The camera on the gripper sits among these and would look into them.
+        // The camera on the gripper is inside these solids and would see them from within.
         if self.view != View::Wrist {
             solids.extend(arm);
             solids.extend(robot::wrist_camera(&tool));
@@ -143,10 +143,10 @@ impl Renderer {
     }
 }
 
-fn block(block: &Block) -> Solid {
-    let yaw = Rotation3::from_axis_angle(&Vector::z_axis(), block.yaw.to_radians());
-    let tilt = Rotation3::from_axis_angle(&Vector::x_axis(), block.tilt.to_radians());
-    let axes = [Vector::x(), Vector::y(), Vector::z()];
+fn block(block: &DrawnBlock) -> Solid {
+    let yaw = Rotation3::from_axis_angle(&Direction::z_axis(), block.yaw.to_radians());
+    let tilt = Rotation3::from_axis_angle(&Direction::x_axis(), block.tilt.to_radians());
+    let axes = [Direction::x(), Direction::y(), Direction::z()];
     let edges = std::array::from_fn(|i| yaw * tilt * axes[i] * (block.size[i] / 2.0));
     Solid::cuboid(Point::new(block.x, block.y, block.z), edges, block.colour)
 }

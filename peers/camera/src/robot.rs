@@ -5,8 +5,8 @@
 
 use nalgebra::{Rotation3, Vector2};
 
-use crate::geometry::{Point, Vector};
-use crate::scene::{Colour, Gripper, Pose};
+use crate::geometry::{Direction, Point};
+use crate::scene::{Colour, DrawnGripper, DrawnPose};
 use crate::solid::Solid;
 use crate::view::WRIST_MOUNT;
 
@@ -31,16 +31,16 @@ const RUBBER: Colour = Colour([56, 60, 68]);
 #[derive(Debug, Clone)]
 pub(crate) struct ToolFrame {
     tip: Point,
-    axes: [Vector; 3],
+    axes: [Direction; 3],
 }
 
 impl ToolFrame {
     /// The frame of a pose: `Rz(spin) Rx(tilt)`, so that the jaw line is always parallel to the table (M50).
-    pub(crate) fn new(pose: &Pose) -> ToolFrame {
-        let spin = Rotation3::from_axis_angle(&Vector::z_axis(), pose.spin.to_radians());
-        let tilt = Rotation3::from_axis_angle(&Vector::x_axis(), pose.tilt.to_radians());
+    pub(crate) fn new(pose: &DrawnPose) -> ToolFrame {
+        let spin = Rotation3::from_axis_angle(&Direction::z_axis(), pose.spin.to_radians());
+        let tilt = Rotation3::from_axis_angle(&Direction::x_axis(), pose.tilt.to_radians());
         let rotation = spin * tilt;
-        let axes = [Vector::x(), Vector::y(), Vector::z()].map(|axis| rotation * axis);
+        let axes = [Direction::x(), Direction::y(), Direction::z()].map(|axis| rotation * axis);
         ToolFrame {
             tip: Point::new(pose.x, pose.y, pose.z),
             axes,
@@ -53,7 +53,7 @@ impl ToolFrame {
     }
 
     /// The direction across the jaw line and the gripper's axis.
-    pub(crate) fn across(&self) -> Vector {
+    pub(crate) fn across(&self) -> Direction {
         self.axes[1]
     }
 
@@ -69,7 +69,7 @@ impl ToolFrame {
 }
 
 /// The gripper: two jaws, their palm and the flange.
-pub(crate) fn gripper(tool: &ToolFrame, gripper: &Gripper) -> Vec<Solid> {
+pub(crate) fn gripper(tool: &ToolFrame, gripper: &DrawnGripper) -> Vec<Solid> {
     let finger = |sign: f64| {
         let middle = sign * (gripper.opening / 2.0 + 4.0);
         [
@@ -101,31 +101,31 @@ pub(crate) fn wrist_camera(tool: &ToolFrame) -> Vec<Solid> {
 }
 
 /// The joints of the arm for a pose.
-struct Joints {
+struct DrawnJoints {
     /// The direction from the base towards the wrist, along the table.
-    ahead: Vector,
+    ahead: Direction,
     /// The direction of the shoulder's and the elbow's axes.
-    across: Vector,
+    across: Direction,
     shoulder: Point,
     elbow: Point,
     wrist: Point,
 }
 
-impl Joints {
-    fn new(tool: &ToolFrame) -> Joints {
+impl DrawnJoints {
+    fn new(tool: &ToolFrame) -> DrawnJoints {
         let wrist = tool.at([0.0, 0.0, WRIST]);
         let base = Point::new(BASE[0], BASE[1], 0.0);
-        let ahead = Vector::new(wrist.x - base.x, wrist.y - base.y, 0.0).try_normalize(1e-9);
-        let ahead = ahead.unwrap_or(Vector::x());
-        let across = Vector::z().cross(&ahead);
-        let shoulder = base + ahead * SHOULDER[0] + Vector::z() * SHOULDER[1];
+        let ahead = Direction::new(wrist.x - base.x, wrist.y - base.y, 0.0).try_normalize(1e-9);
+        let ahead = ahead.unwrap_or(Direction::x());
+        let across = Direction::z().cross(&ahead);
+        let shoulder = base + ahead * SHOULDER[0] + Direction::z() * SHOULDER[1];
         let reach = Vector2::new(ahead.dot(&(wrist - shoulder)), wrist.z - shoulder.z);
         // The law of cosines, kept within the lengths for which there is a triangle.
         let distance = reach.norm().clamp(FORE - UPPER + 30.0, FORE + UPPER - 1.0);
         let cosine = (UPPER * UPPER + distance * distance - FORE * FORE) / (2.0 * UPPER * distance);
         let angle = reach.y.atan2(reach.x) + cosine.clamp(-1.0, 1.0).acos();
-        let elbow = shoulder + (ahead * angle.cos() + Vector::z() * angle.sin()) * UPPER;
-        Joints {
+        let elbow = shoulder + (ahead * angle.cos() + Direction::z() * angle.sin()) * UPPER;
+        DrawnJoints {
             ahead,
             across,
             shoulder,
@@ -137,13 +137,13 @@ impl Joints {
 
 /// The arm above the table's height, from the turret to the wrist.
 pub(crate) fn arm(tool: &ToolFrame) -> Vec<Solid> {
-    let Joints {
+    let DrawnJoints {
         ahead,
         across,
         shoulder,
         elbow,
         wrist,
-    } = Joints::new(tool);
+    } = DrawnJoints::new(tool);
     let base = |z: f64| Point::new(BASE[0], BASE[1], z);
     let joint = |middle: Point, half: f64, radius: f64, colour: Colour| {
         Solid::cylinder(
@@ -170,7 +170,7 @@ pub(crate) fn arm(tool: &ToolFrame) -> Vec<Solid> {
         Solid::cylinder((base(228.0), 146.0), (base(300.0), 136.0), PAINT),
         Solid::beam(
             (base(300.0) + ahead * 20.0, [105.0, 120.0]),
-            (shoulder + ahead * -30.0 + Vector::z() * -50.0, [85.0, 75.0]),
+            (shoulder + ahead * -30.0 + Direction::z() * -50.0, [85.0, 75.0]),
             across,
             PAINT,
         ),

@@ -12,8 +12,8 @@ const LARGEST: f64 = 2_000.0;
 
 /// Everything that is drawn.
 ///
-/// It is read from the content of the arm's `state` parcels. Fields that are missing have their default and fields
-/// that are not known are passed over, so that a camera and an arm of different versions understand each other.
+/// It is read from the content of the arm's `state` parcels. Missing fields have their defaults and unknown fields
+/// are ignored, so that a camera and an arm of different versions understand each other.
 ///
 /// ```
 /// use mom_camera::Scene;
@@ -30,14 +30,14 @@ const LARGEST: f64 = 2_000.0;
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Scene {
-    /// Where the gripper is.
-    pub pose: Pose,
+    /// The pose of the gripper.
+    pub pose: DrawnPose,
     /// How far the jaws are open.
-    pub gripper: Gripper,
+    pub gripper: DrawnGripper,
     /// The blocks on the table and between the jaws.
-    pub blocks: Vec<Block>,
+    pub blocks: Vec<DrawnBlock>,
     /// The path to draw and its poses, oldest first (M44).
-    pub trail: Vec<Pose>,
+    pub trail: Vec<DrawnPose>,
 }
 
 /// The pose of the gripper's tip in the table's frame (M50).
@@ -45,7 +45,7 @@ pub struct Scene {
 /// At spin 0 and tilt 0 the gripper points straight down and its jaws close along the x axis.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
-pub struct Pose {
+pub struct DrawnPose {
     /// Along the table's x axis, mm.
     pub x: f64,
     /// Along the table's y axis, mm.
@@ -61,7 +61,7 @@ pub struct Pose {
 
 /// The gripper's jaws.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Gripper {
+pub struct DrawnGripper {
     /// The distance between the jaws, mm.
     pub opening: f64,
 }
@@ -69,7 +69,7 @@ pub struct Gripper {
 /// A block; its place is that of its middle.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
-pub struct Block {
+pub struct DrawnBlock {
     /// Along the table's x axis, mm.
     pub x: f64,
     /// Along the table's y axis, mm.
@@ -92,9 +92,9 @@ pub struct Block {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Colour(pub [u8; 3]);
 
-impl Default for Pose {
+impl Default for DrawnPose {
     fn default() -> Self {
-        Pose {
+        DrawnPose {
             x: 0.0,
             y: 0.0,
             z: 200.0,
@@ -104,15 +104,15 @@ impl Default for Pose {
     }
 }
 
-impl Default for Gripper {
+impl Default for DrawnGripper {
     fn default() -> Self {
-        Gripper { opening: OPEN }
+        DrawnGripper { opening: OPEN }
     }
 }
 
-impl Default for Block {
+impl Default for DrawnBlock {
     fn default() -> Self {
-        Block {
+        DrawnBlock {
             x: 0.0,
             y: 0.0,
             z: 20.0,
@@ -166,25 +166,30 @@ fn from_hex(text: &str) -> Option<[u8; 3]> {
 }
 
 impl Scene {
-    /// The scene with numbers that can be drawn: finite and not beyond all measure.
+    /// The scene with numbers that can be drawn: finite and bounded.
     pub(crate) fn drawable(&self, blocks: usize, trail: usize) -> Scene {
         let newest = self.trail.len().saturating_sub(trail);
         Scene {
             pose: self.pose.drawable(),
-            gripper: Gripper {
+            gripper: DrawnGripper {
                 opening: finite(self.gripper.opening).clamp(0.0, 120.0),
             },
-            blocks: self.blocks.iter().take(blocks).map(Block::drawable).collect(),
-            trail: self.trail[newest..].iter().map(Pose::drawable).collect(),
+            blocks: self
+                .blocks
+                .iter()
+                .take(blocks)
+                .map(DrawnBlock::drawable)
+                .collect(),
+            trail: self.trail[newest..].iter().map(DrawnPose::drawable).collect(),
         }
     }
 }
 
-impl Pose {
-    /// The pose with finite numbers; what is not finite is 0.
-    pub(crate) fn drawable(&self) -> Pose {
-        let Pose { x, y, z, spin, tilt } = *self;
-        Pose {
+impl DrawnPose {
+    /// The pose with finite numbers; others become 0.
+    pub(crate) fn drawable(&self) -> DrawnPose {
+        let DrawnPose { x, y, z, spin, tilt } = *self;
+        DrawnPose {
             x: place(x),
             y: place(y),
             z: place(z),
@@ -194,9 +199,9 @@ impl Pose {
     }
 }
 
-impl Block {
-    fn drawable(&self) -> Block {
-        Block {
+impl DrawnBlock {
+    fn drawable(&self) -> DrawnBlock {
+        DrawnBlock {
             x: place(self.x),
             y: place(self.y),
             z: place(self.z),
@@ -224,35 +229,35 @@ fn angle(value: f64) -> f64 {
 fn edges<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 3], D::Error> {
     #[derive(Deserialize)]
     #[serde(untagged)]
-    enum Form {
+    enum BlockForm {
         Cube(f64),
         Edges([f64; 3]),
     }
-    Ok(match Form::deserialize(deserializer)? {
-        Form::Cube(edge) => [edge; 3],
-        Form::Edges(edges) => edges,
+    Ok(match BlockForm::deserialize(deserializer)? {
+        BlockForm::Cube(edge) => [edge; 3],
+        BlockForm::Edges(edges) => edges,
     })
 }
 
-impl<'de> Deserialize<'de> for Gripper {
+impl<'de> Deserialize<'de> for DrawnGripper {
     /// Millimetres, a word (`open`, `closed`), whether it is open, or a map with `opening`.
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         #[derive(Deserialize)]
         #[serde(untagged)]
-        enum Form {
+        enum GripForm {
             Open(bool),
             Opening(f64),
             Word(String),
             Map { opening: f64 },
             Other(IgnoredAny),
         }
-        let opening = match Form::deserialize(deserializer)? {
-            Form::Opening(opening) | Form::Map { opening } => opening,
-            Form::Open(open) => f64::from(u8::from(open)) * OPEN,
-            Form::Word(word) if word.to_ascii_lowercase().starts_with("clos") => 0.0,
-            Form::Word(_) | Form::Other(_) => OPEN,
+        let opening = match GripForm::deserialize(deserializer)? {
+            GripForm::Opening(opening) | GripForm::Map { opening } => opening,
+            GripForm::Open(open) => f64::from(u8::from(open)) * OPEN,
+            GripForm::Word(word) if word.to_ascii_lowercase().starts_with("clos") => 0.0,
+            GripForm::Word(_) | GripForm::Other(_) => OPEN,
         };
-        Ok(Gripper { opening })
+        Ok(DrawnGripper { opening })
     }
 }
 
@@ -261,15 +266,15 @@ impl<'de> Deserialize<'de> for Colour {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         #[derive(Deserialize)]
         #[serde(untagged)]
-        enum Form {
+        enum ColourForm {
             Name(String),
             Rgb([u8; 3]),
             Other(IgnoredAny),
         }
-        Ok(match Form::deserialize(deserializer)? {
-            Form::Name(name) => Colour::from_name(&name),
-            Form::Rgb(rgb) => Colour(rgb),
-            Form::Other(_) => Colour::default(),
+        Ok(match ColourForm::deserialize(deserializer)? {
+            ColourForm::Name(name) => Colour::from_name(&name),
+            ColourForm::Rgb(rgb) => Colour(rgb),
+            ColourForm::Other(_) => Colour::default(),
         })
     }
 }
@@ -288,7 +293,7 @@ mod tests {
                             "tilt": 5}]}"#,
         )
         .unwrap();
-        let block = Block {
+        let block = DrawnBlock {
             x: 1.0,
             y: 2.5,
             z: 3.0,
@@ -298,14 +303,14 @@ mod tests {
             colour: Colour([200, 40, 41]),
         };
         let expected = Scene {
-            pose: Pose {
+            pose: DrawnPose {
                 x: 1.0,
                 y: 2.5,
                 z: 3.0,
                 spin: 4.0,
                 tilt: -5.0,
             },
-            gripper: Gripper { opening: 40.0 },
+            gripper: DrawnGripper { opening: 40.0 },
             blocks: vec![block],
             trail: vec![],
         };
@@ -320,23 +325,23 @@ mod tests {
         let scene: Scene = serde_json::from_str(r#"{"blocks": [{"x": 7}], "trail": [{"z": 9}]}"#).unwrap();
         assert_eq!(
             scene.blocks,
-            [Block {
+            [DrawnBlock {
                 x: 7.0,
-                ..Block::default()
+                ..DrawnBlock::default()
             }]
         );
         assert_eq!(
             scene.trail,
-            [Pose {
+            [DrawnPose {
                 z: 9.0,
-                ..Pose::default()
+                ..DrawnPose::default()
             }]
         );
     }
 
     #[test]
     fn grippers_and_colours_have_several_forms() {
-        let opening = |json: &str| serde_json::from_str::<Gripper>(json).unwrap().opening;
+        let opening = |json: &str| serde_json::from_str::<DrawnGripper>(json).unwrap().opening;
         for (json, expected) in [
             ("25", 25.0),
             (r#"{"opening": 12.5, "force": 3}"#, 12.5),

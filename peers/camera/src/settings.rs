@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 
 use serde::{Deserialize, Serialize};
 
-use crate::Error;
+use crate::SettingsError;
 
 /// Allowed widths in pixels.
 pub const WIDTHS: RangeInclusive<u32> = 64..=1920;
@@ -19,20 +19,20 @@ pub const QUALITIES: RangeInclusive<u8> = 1..=100;
 /// Deserializing checks the limits; a missing setting has its default.
 ///
 /// ```
-/// use mom_camera::{Settings, SettingsChange};
+/// use mom_camera::{CameraSettings, SettingsChange};
 ///
-/// let settings = Settings::default();
+/// let settings = CameraSettings::default();
 /// let change = SettingsChange { quality: Some(50), ..SettingsChange::default() };
 /// assert_eq!(settings.with(&change)?.quality, 50);
 ///
 /// let change = SettingsChange { width: Some(5000), ..SettingsChange::default() };
 /// let error = settings.with(&change).unwrap_err();
 /// assert_eq!(error.to_string(), "width is 5000; it must be 64 to 1920 pixels");
-/// # Ok::<(), mom_camera::Error>(())
+/// # Ok::<(), mom_camera::SettingsError>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "SettingsChange")]
-pub struct Settings {
+pub struct CameraSettings {
     /// Width in pixels, 64 to 1920.
     pub width: u32,
     /// Height in pixels, 48 to 1080.
@@ -54,9 +54,9 @@ pub enum Format {
     Png,
 }
 
-/// A wish for other settings: what is absent stays as it is.
+/// A change of settings: absent ones stay as they are.
 ///
-/// The numbers are wider than those of [`Settings`], so that a value outside the limits is refused with the
+/// The numbers are wider than those of [`CameraSettings`], so that a value outside the limits is refused with the
 /// limits in words. A setting that does not exist is refused, because its sender expects it to do something.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -71,9 +71,9 @@ pub struct SettingsChange {
     pub format: Option<String>,
 }
 
-impl Default for Settings {
+impl Default for CameraSettings {
     fn default() -> Self {
-        Settings {
+        CameraSettings {
             width: 640,
             height: 480,
             quality: 80,
@@ -82,10 +82,10 @@ impl Default for Settings {
     }
 }
 
-impl Settings {
+impl CameraSettings {
     /// These settings with a change applied, or the first setting that is outside its limits.
-    pub fn with(self, change: &SettingsChange) -> Result<Settings, Error> {
-        Ok(Settings {
+    pub fn with(self, change: &SettingsChange) -> Result<CameraSettings, SettingsError> {
+        Ok(CameraSettings {
             width: pick("width", change.width, self.width, &WIDTHS, " pixels")?,
             height: pick("height", change.height, self.height, &HEIGHTS, " pixels")?,
             quality: pick("quality", change.quality, self.quality, &QUALITIES, "")?,
@@ -97,7 +97,7 @@ impl Settings {
     }
 
     /// Checks the limits of settings that were built field by field.
-    pub fn check(self) -> Result<(), Error> {
+    pub fn check(self) -> Result<(), SettingsError> {
         let change = SettingsChange {
             width: Some(self.width.into()),
             height: Some(self.height.into()),
@@ -109,7 +109,7 @@ impl Settings {
 }
 
 impl Format {
-    /// The name by which settings call it.
+    /// Its name in settings.
     pub fn name(self) -> &'static str {
         match self {
             Format::Jpeg => "jpeg",
@@ -126,11 +126,11 @@ impl Format {
     }
 
     /// The format of a name; `jpg` and upper case are understood.
-    fn from_name(name: &str) -> Result<Format, Error> {
+    fn from_name(name: &str) -> Result<Format, SettingsError> {
         match name.to_ascii_lowercase().as_str() {
             "jpeg" | "jpg" => Ok(Format::Jpeg),
             "png" => Ok(Format::Png),
-            _ => Err(Error::Setting {
+            _ => Err(SettingsError::Setting {
                 setting: "format",
                 value: format!("{name:?}"),
                 limits: "jpeg or png".to_owned(),
@@ -139,22 +139,22 @@ impl Format {
     }
 }
 
-impl TryFrom<SettingsChange> for Settings {
-    type Error = Error;
+impl TryFrom<SettingsChange> for CameraSettings {
+    type Error = SettingsError;
 
-    fn try_from(change: SettingsChange) -> Result<Self, Error> {
-        Settings::default().with(&change)
+    fn try_from(change: SettingsChange) -> Result<Self, SettingsError> {
+        CameraSettings::default().with(&change)
     }
 }
 
-/// The wished value if there is one and it is within the limits.
+/// The requested value if there is one and it is within the limits.
 fn pick<T>(
     setting: &'static str,
     wish: Option<i64>,
     now: T,
     limits: &RangeInclusive<T>,
     unit: &str,
-) -> Result<T, Error>
+) -> Result<T, SettingsError>
 where
     T: Copy + PartialOrd + fmt::Display + TryFrom<i64>,
 {
@@ -162,7 +162,7 @@ where
     T::try_from(wish)
         .ok()
         .filter(|value| limits.contains(value))
-        .ok_or_else(|| Error::Setting {
+        .ok_or_else(|| SettingsError::Setting {
             setting,
             value: wish.to_string(),
             limits: format!("{} to {}{unit}", limits.start(), limits.end()),
@@ -174,7 +174,7 @@ mod tests {
     use super::*;
 
     fn check(json: &str, expected: Result<(u32, u32, u8, Format), &str>) {
-        let got = serde_json::from_str::<Settings>(json)
+        let got = serde_json::from_str::<CameraSettings>(json)
             .map(|s| (s.width, s.height, s.quality, s.format))
             .map_err(|error| error.to_string());
         match (got, expected) {
@@ -227,7 +227,7 @@ mod tests {
 
     #[test]
     fn a_change_keeps_what_it_does_not_name() {
-        let small = Settings {
+        let small = CameraSettings {
             width: 320,
             height: 240,
             quality: 30,
@@ -237,20 +237,20 @@ mod tests {
             quality: Some(90),
             ..SettingsChange::default()
         };
-        assert_eq!(small.with(&change), Ok(Settings { quality: 90, ..small }));
-        assert!(Settings { width: 1, ..small }.check().is_err());
+        assert_eq!(small.with(&change), Ok(CameraSettings { quality: 90, ..small }));
+        assert!(CameraSettings { width: 1, ..small }.check().is_err());
         assert_eq!(small.check(), Ok(()));
     }
 
     #[test]
     fn settings_go_out_and_in_again() {
-        let settings = Settings {
+        let settings = CameraSettings {
             width: 320,
             height: 240,
             quality: 30,
             format: Format::Png,
         };
         let json = serde_json::to_string(&settings).unwrap();
-        assert_eq!(serde_json::from_str::<Settings>(&json).unwrap(), settings);
+        assert_eq!(serde_json::from_str::<CameraSettings>(&json).unwrap(), settings);
     }
 }

@@ -1,4 +1,4 @@
-//! One picture to be taken, and the picture: what goes to the thread that draws, and what comes back.
+//! A shot and its picture: the input and output of the drawing thread.
 
 use std::sync::Arc;
 
@@ -6,7 +6,7 @@ use mom_client::{Map, Time, Value};
 
 use crate::{Image, Renderer, Scene};
 
-/// A picture to be taken: everything that drawing needs, and who waits for it.
+/// A picture to be drawn: the input of drawing, and the receivers.
 #[derive(Debug, Clone)]
 pub struct Shot {
     pub(crate) renderer: Arc<Renderer>,
@@ -17,23 +17,23 @@ pub struct Shot {
     pub(crate) purpose: Purpose,
 }
 
-/// Who gets a picture.
+/// The receivers of a picture.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Purpose {
     /// All members of the channel.
     pub(crate) broadcast: bool,
     /// Peers that asked, with the ids of their requests.
-    pub(crate) requests: Vec<Request>,
+    pub(crate) requests: Vec<PictureRequest>,
 }
 
 /// A peer that asked for a picture.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Request {
+pub(crate) struct PictureRequest {
     pub(crate) peer: Arc<str>,
     pub(crate) id: Option<u64>,
 }
 
-/// A picture that was taken.
+/// A finished picture.
 #[derive(Debug, Clone)]
 pub struct Picture {
     pub(crate) content: Map,

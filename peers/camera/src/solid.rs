@@ -1,6 +1,6 @@
 //! Convex solids, of which the whole scene is built, and the order in which they hide each other.
 
-use crate::geometry::{Camera, Point, Vector};
+use crate::geometry::{Camera, Direction, Point};
 use crate::scene::Colour;
 
 /// Solids that touch count as apart when they overlap by less than this, mm.
@@ -20,7 +20,7 @@ pub(crate) struct Solid {
 #[derive(Debug, Clone)]
 pub(crate) struct Face {
     pub(crate) corners: Vec<usize>,
-    pub(crate) normal: Vector,
+    pub(crate) normal: Direction,
     /// Whether it closes a ring rather than joining the two.
     pub(crate) cap: bool,
 }
@@ -45,8 +45,8 @@ impl Solid {
     }
 
     /// A box: `middle` and three half edges that form a right-handed frame.
-    pub(crate) fn cuboid(middle: Point, half: [Vector; 3], colour: Colour) -> Solid {
-        let ring = |end: Vector| {
+    pub(crate) fn cuboid(middle: Point, half: [Direction; 3], colour: Colour) -> Solid {
+        let ring = |end: Direction| {
             [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]
                 .map(|(a, b)| middle + end + half[0] * a + half[1] * b)
         };
@@ -58,10 +58,10 @@ impl Solid {
     pub(crate) fn beam(
         from: (Point, [f64; 2]),
         to: (Point, [f64; 2]),
-        across: Vector,
+        across: Direction,
         colour: Colour,
     ) -> Solid {
-        let axis = (to.0 - from.0).try_normalize(1e-9).unwrap_or(Vector::z());
+        let axis = (to.0 - from.0).try_normalize(1e-9).unwrap_or(Direction::z());
         let up = axis.cross(&across);
         let ring = |(middle, [width, height]): (Point, [f64; 2])| {
             [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]
@@ -73,11 +73,11 @@ impl Solid {
     /// A cylinder or the stump of a cone, from one middle and radius to the other, mm.
     pub(crate) fn cylinder(from: (Point, f64), to: (Point, f64), colour: Colour) -> Solid {
         const SIDES: u32 = 20;
-        let axis = (to.0 - from.0).try_normalize(1e-9).unwrap_or(Vector::z());
+        let axis = (to.0 - from.0).try_normalize(1e-9).unwrap_or(Direction::z());
         let helper = if axis.z.abs() < 0.9 {
-            Vector::z()
+            Direction::z()
         } else {
-            Vector::x()
+            Direction::x()
         };
         let p = helper.cross(&axis).normalize();
         let q = axis.cross(&p);
@@ -109,8 +109,8 @@ impl Solid {
         self.outside(face, eye) > 0.0
     }
 
-    /// Looks for one of this solid's planes with all of `other` beyond it, and tells which of the two can hide the
-    /// other: what lies on the eye's side of the plane is in front.
+    /// Looks for one of this solid's planes with all of `other` beyond it, and gives which of the two can hide the
+    /// other: the one on the eye's side of the plane is in front.
     fn is_in_front(&self, other: &Solid, eye: &Point) -> Option<bool> {
         let apart = |face: &&Face| other.corners.iter().all(|p| self.outside(face, p) > -TOUCH);
         self.faces
@@ -151,7 +151,7 @@ pub(crate) fn painting_order(solids: &[Solid], camera: &Camera) -> Vec<usize> {
             .fold(f64::INFINITY, f64::min)
     };
     let depths: Vec<f64> = solids.iter().map(nearest).collect();
-    let frames: Vec<Frame> = solids.iter().map(|s| Frame::new(s, camera)).collect();
+    let frames: Vec<ImageRect> = solids.iter().map(|s| ImageRect::new(s, camera)).collect();
     let mut waits_for = vec![0_usize; solids.len()];
     let mut releases: Vec<Vec<usize>> = vec![Vec::new(); solids.len()];
     for i in 0..solids.len() {
@@ -186,24 +186,24 @@ pub(crate) fn painting_order(solids: &[Solid], camera: &Camera) -> Vec<usize> {
 }
 
 /// The rectangle around a solid in the image; unbounded if part of it is behind the camera.
-struct Frame {
+struct ImageRect {
     low: [f64; 2],
     high: [f64; 2],
 }
 
-impl Frame {
-    fn new(solid: &Solid, camera: &Camera) -> Frame {
-        let empty = Frame {
+impl ImageRect {
+    fn new(solid: &Solid, camera: &Camera) -> ImageRect {
+        let empty = ImageRect {
             low: [f64::INFINITY; 2],
             high: [f64::NEG_INFINITY; 2],
         };
-        let all = Frame {
+        let all = ImageRect {
             low: [f64::NEG_INFINITY; 2],
             high: [f64::INFINITY; 2],
         };
         let grown = solid.corners.iter().try_fold(empty, |frame, corner| {
             let [u, v] = camera.project((*corner).into())?;
-            Some(Frame {
+            Some(ImageRect {
                 low: [frame.low[0].min(u), frame.low[1].min(v)],
                 high: [frame.high[0].max(u), frame.high[1].max(v)],
             })
@@ -211,7 +211,7 @@ impl Frame {
         grown.unwrap_or(all)
     }
 
-    fn meets(&self, other: &Frame) -> bool {
+    fn meets(&self, other: &ImageRect) -> bool {
         (0..2).all(|i| self.low[i] <= other.high[i] && other.low[i] <= self.high[i])
     }
 }
@@ -221,7 +221,11 @@ mod tests {
     use super::*;
 
     fn block(x: f64, y: f64, z: f64, half: f64) -> Solid {
-        let edges = [Vector::x() * half, Vector::y() * half, Vector::z() * half];
+        let edges = [
+            Direction::x() * half,
+            Direction::y() * half,
+            Direction::z() * half,
+        ];
         Solid::cuboid(Point::new(x, y, z), edges, Colour::default())
     }
 
@@ -235,12 +239,12 @@ mod tests {
             Solid::beam(
                 (Point::origin(), [20.0, 30.0]),
                 (Point::new(100.0, 0.0, 20.0), [10.0, 15.0]),
-                Vector::y(),
+                Direction::y(),
                 Colour::default(),
             ),
         ];
         for solid in &solids {
-            let sum: Vector = solid.corners.iter().map(|p| p.coords).sum();
+            let sum: Direction = solid.corners.iter().map(|p| p.coords).sum();
             let middle = Point::from(sum / solid.corners.len() as f64);
             for face in &solid.faces {
                 assert!(solid.outside(face, &middle) < -1.0, "{face:?} of {solid:?}");
@@ -264,7 +268,7 @@ mod tests {
         let camera = Camera::look(
             Point::new(0.0, -1000.0, 400.0),
             Point::origin(),
-            Vector::z(),
+            Direction::z(),
             500.0,
             (640, 480),
         );
@@ -280,7 +284,11 @@ mod tests {
         // The long block is nearer by its corner and by its middle, yet it lies under the small one.
         let long = Solid::cuboid(
             Point::new(0.0, -100.0, 20.0),
-            [Vector::x() * 20.0, Vector::y() * 300.0, Vector::z() * 20.0],
+            [
+                Direction::x() * 20.0,
+                Direction::y() * 300.0,
+                Direction::z() * 20.0,
+            ],
             Colour::default(),
         );
         check(&[block(0.0, 100.0, 50.0, 10.0), long], &[1, 0]);

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use crate::Pose;
+use crate::DrawnPose;
 
 /// mm that the gripper moves between two poses of the trail, so that slow motion does not shorten it.
 const APART: f64 = 5.0;
@@ -10,7 +10,7 @@ const APART: f64 = 5.0;
 /// The last poses, oldest first, at most so many.
 #[derive(Debug, Clone)]
 pub(crate) struct Trail {
-    poses: VecDeque<Pose>,
+    poses: VecDeque<DrawnPose>,
     most: usize,
 }
 
@@ -23,7 +23,7 @@ impl Trail {
     }
 
     /// Takes the pose of a new state.
-    pub(crate) fn push(&mut self, pose: Pose) {
+    pub(crate) fn push(&mut self, pose: DrawnPose) {
         if self
             .poses
             .back()
@@ -38,7 +38,7 @@ impl Trail {
     }
 
     /// The path that ends at the gripper.
-    pub(crate) fn up_to(&self, now: Pose) -> Vec<Pose> {
+    pub(crate) fn up_to(&self, now: DrawnPose) -> Vec<DrawnPose> {
         if self.most == 0 {
             return Vec::new();
         }
@@ -48,7 +48,7 @@ impl Trail {
     }
 }
 
-fn distance(a: &Pose, b: &Pose) -> f64 {
+fn distance(a: &DrawnPose, b: &DrawnPose) -> f64 {
     (a.x - b.x).hypot(a.y - b.y).hypot(a.z - b.z)
 }
 
@@ -56,8 +56,11 @@ fn distance(a: &Pose, b: &Pose) -> f64 {
 mod tests {
     use super::*;
 
-    fn at(x: f64) -> Pose {
-        Pose { x, ..Pose::default() }
+    fn at(x: f64) -> DrawnPose {
+        DrawnPose {
+            x,
+            ..DrawnPose::default()
+        }
     }
 
     fn check(most: usize, pushed: &[f64], now: f64, expected: &[f64]) {

@@ -5,9 +5,9 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use crate::geometry::{Point, Vector};
+use crate::geometry::{Direction, Point};
 use crate::robot::ToolFrame;
-use crate::{Camera, Error, Pose};
+use crate::{Camera, DrawnPose, SettingsError};
 
 /// Which of the four cameras (M54).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -43,11 +43,11 @@ impl View {
     }
 
     /// The camera for an image of this size in pixels; only [`View::Wrist`] depends on the pose.
-    pub fn camera(self, pose: &Pose, width: u32, height: u32) -> Camera {
+    pub fn camera(self, pose: &DrawnPose, width: u32, height: u32) -> Camera {
         let size = (width, height);
         // An image of any shape shows at least what one of 4:3 shows.
         let across = f64::from(width).min(f64::from(height) * 4.0 / 3.0);
-        let fixed = |position: [f64; 3], target: [f64; 3], up: Vector, focal: f64| {
+        let fixed = |position: [f64; 3], target: [f64; 3], up: Direction, focal: f64| {
             Camera::look(
                 Point::from(position),
                 Point::from(target),
@@ -57,9 +57,9 @@ impl View {
             )
         };
         match self {
-            View::X => fixed([1600.0, 0.0, 760.0], [0.0, 0.0, 225.0], Vector::z(), 1.3),
-            View::Y => fixed([0.0, -1600.0, 760.0], [0.0, 0.0, 225.0], Vector::z(), 1.3),
-            View::Top => fixed([0.0, 0.0, 3000.0], [0.0, 0.0, 0.0], Vector::y(), 2.65),
+            View::X => fixed([1600.0, 0.0, 760.0], [0.0, 0.0, 225.0], Direction::z(), 1.3),
+            View::Y => fixed([0.0, -1600.0, 760.0], [0.0, 0.0, 225.0], Direction::z(), 1.3),
+            View::Top => fixed([0.0, 0.0, 3000.0], [0.0, 0.0, 0.0], Direction::y(), 2.65),
             View::Wrist => {
                 let tool = ToolFrame::new(&pose.drawable());
                 let target = tool.at([0.0, -10.0, -60.0]);
@@ -79,10 +79,10 @@ impl fmt::Display for View {
 }
 
 impl FromStr for View {
-    type Err = Error;
+    type Err = SettingsError;
 
-    fn from_str(name: &str) -> Result<Self, Error> {
+    fn from_str(name: &str) -> Result<Self, SettingsError> {
         let found = View::ALL.into_iter().find(|view| view.name() == name);
-        found.ok_or_else(|| Error::View(name.to_owned()))
+        found.ok_or_else(|| SettingsError::View(name.to_owned()))
     }
 }

@@ -1,19 +1,21 @@
 //! Pictures of known scenes: what is where, whether it moves, and that nothing can break the camera.
 
 use image::{DynamicImage, ImageFormat, Rgb};
-use mom_camera::{Block, Camera, Colour, Format, Gripper, Image, Pose, Renderer, Scene, Settings, View};
+use mom_camera::{
+    Camera, CameraSettings, Colour, DrawnBlock, DrawnGripper, DrawnPose, Format, Image, Renderer, Scene, View,
+};
 use proptest::collection::vec;
 use proptest::num::f64;
 use proptest::prelude::*;
 
-const PNG: Settings = Settings {
+const PNG: CameraSettings = CameraSettings {
     width: 640,
     height: 480,
     quality: 80,
     format: Format::Png,
 };
 
-fn render(view: View, settings: Settings, scene: &Scene) -> Image {
+fn render(view: View, settings: CameraSettings, scene: &Scene) -> Image {
     Renderer::new(view, settings)
         .expect("the tests' settings are within the limits")
         .render(scene)
@@ -40,18 +42,18 @@ fn colour_at(image: &Image, point: [f64; 3]) -> Rgb<u8> {
 
 /// The arm is at the far corner, out of the way of what is looked at.
 fn with_block(x: f64, y: f64, colour: Colour) -> Scene {
-    let block = Block {
+    let block = DrawnBlock {
         x,
         y,
         z: 20.0,
         size: [40.0; 3],
         colour,
-        ..Block::default()
+        ..DrawnBlock::default()
     };
-    let pose = Pose {
+    let pose = DrawnPose {
         x: -290.0,
         y: 290.0,
-        ..Pose::default()
+        ..DrawnPose::default()
     };
     Scene {
         pose,
@@ -141,10 +143,10 @@ fn shadows_lie_straight_below() {
         u32::from(r) + u32::from(g) + u32::from(b)
     };
     let gripper = |x, y| Scene {
-        pose: Pose {
+        pose: DrawnPose {
             x,
             y,
-            ..Pose::default()
+            ..DrawnPose::default()
         },
         ..Scene::default()
     };
@@ -167,7 +169,7 @@ fn shadows_lie_straight_below() {
 
 #[test]
 fn a_jpeg_has_the_colours_of_the_scene() {
-    let settings = Settings {
+    let settings = CameraSettings {
         format: Format::Jpeg,
         ..PNG
     };
@@ -184,7 +186,7 @@ fn a_jpeg_has_the_colours_of_the_scene() {
 fn a_block_in_front_hides_the_one_behind() {
     let mut scene = with_block(100.0, 0.0, RED);
     let blue = Colour([20, 60, 220]);
-    scene.blocks.push(Block {
+    scene.blocks.push(DrawnBlock {
         x: -60.0,
         size: [40.0; 3],
         colour: blue,
@@ -207,14 +209,14 @@ fn a_block_in_front_hides_the_one_behind() {
 #[test]
 fn the_gripper_is_seen_at_its_pose_and_opens() {
     let scene = |opening| Scene {
-        pose: Pose {
+        pose: DrawnPose {
             x: 60.0,
             y: 0.0,
             z: 250.0,
             spin: 0.0,
             tilt: 0.0,
         },
-        gripper: Gripper { opening },
+        gripper: DrawnGripper { opening },
         ..Scene::default()
     };
     let dark = |opening, x: f64| {
@@ -235,7 +237,7 @@ fn the_gripper_is_seen_at_its_pose_and_opens() {
 
 #[test]
 fn every_degree_of_freedom_is_seen() {
-    let at = Pose {
+    let at = DrawnPose {
         x: 20.0,
         y: 10.0,
         z: 150.0,
@@ -243,11 +245,11 @@ fn every_degree_of_freedom_is_seen() {
         tilt: 5.0,
     };
     let poses = [
-        Pose { x: 60.0, ..at },
-        Pose { y: 60.0, ..at },
-        Pose { z: 220.0, ..at },
-        Pose { spin: 50.0, ..at },
-        Pose { tilt: -25.0, ..at },
+        DrawnPose { x: 60.0, ..at },
+        DrawnPose { y: 60.0, ..at },
+        DrawnPose { z: 220.0, ..at },
+        DrawnPose { spin: 50.0, ..at },
+        DrawnPose { tilt: -25.0, ..at },
     ];
     for view in View::ALL {
         let plain = Scene {
@@ -279,7 +281,7 @@ fn every_degree_of_freedom_is_seen() {
 
 #[test]
 fn the_views_look_as_they_are_called() {
-    let pose = Pose::default();
+    let pose = DrawnPose::default();
     let check = |view: View, point: [f64; 3], right: f64, down: f64| {
         let camera: Camera = view.camera(&pose, 640, 480);
         let [u0, v0] = camera.project([0.0, 0.0, 0.0]).unwrap();
@@ -314,7 +316,7 @@ fn the_views_look_as_they_are_called() {
 fn the_fixed_cameras_see_the_workspace() {
     for (width, height) in [(640, 480), (64, 48), (1920, 1080), (64, 1080), (1920, 48)] {
         for view in [View::X, View::Y, View::Top] {
-            let camera = view.camera(&Pose::default(), width, height);
+            let camera = view.camera(&DrawnPose::default(), width, height);
             for corner in 0..8 {
                 let side = |bit: i32| if corner >> bit & 1 == 1 { 300.0 } else { -300.0 };
                 let point = [side(0), side(1), if corner & 4 == 4 { 450.0 } else { 0.0 }];
@@ -338,7 +340,7 @@ fn files_decode_to_the_stated_size() {
     ] {
         for format in [Format::Jpeg, Format::Png] {
             for view in [View::X, View::Wrist] {
-                let settings = Settings {
+                let settings = CameraSettings {
                     width,
                     height,
                     format,
@@ -360,7 +362,7 @@ fn files_decode_to_the_stated_size() {
 #[test]
 fn quality_is_paid_in_bytes() {
     let size = |quality| {
-        let settings = Settings {
+        let settings = CameraSettings {
             quality,
             format: Format::Jpeg,
             ..PNG
@@ -369,26 +371,26 @@ fn quality_is_paid_in_bytes() {
     };
     let sizes = [1, 30, 80, 100].map(size);
     assert!(sizes.is_sorted() && sizes[3] > 3 * sizes[0], "{sizes:?}");
-    assert!(Renderer::new(View::X, Settings { quality: 0, ..PNG }).is_err());
+    assert!(Renderer::new(View::X, CameraSettings { quality: 0, ..PNG }).is_err());
 }
 
 #[test]
 fn a_long_scene_costs_no_more_than_its_limits() {
     let mut scene = with_block(0.0, 0.0, RED);
     scene.blocks = (0..100_000)
-        .map(|i| Block {
+        .map(|i| DrawnBlock {
             x: f64::from(i % 600 - 300),
-            ..Block::default()
+            ..DrawnBlock::default()
         })
         .collect();
     let newest = vec![scene.pose; 200];
-    scene.trail = [vec![Pose::default(); 100_000], newest.clone()].concat();
+    scene.trail = [vec![DrawnPose::default(); 100_000], newest.clone()].concat();
     let short = Scene {
         trail: newest,
         blocks: scene.blocks[..64].to_vec(),
         ..scene.clone()
     };
-    let small = Settings {
+    let small = CameraSettings {
         width: 64,
         height: 48,
         ..PNG
@@ -396,9 +398,9 @@ fn a_long_scene_costs_no_more_than_its_limits() {
     assert_eq!(render(View::X, small, &scene), render(View::X, small, &short));
 }
 
-fn any_pose() -> impl Strategy<Value = Pose> {
+fn any_pose() -> impl Strategy<Value = DrawnPose> {
     let number = || prop_oneof![3 => -700.0..700.0, 1 => f64::ANY];
-    (number(), number(), number(), number(), number()).prop_map(|(x, y, z, spin, tilt)| Pose {
+    (number(), number(), number(), number(), number()).prop_map(|(x, y, z, spin, tilt)| DrawnPose {
         x,
         y,
         z,
@@ -407,11 +409,11 @@ fn any_pose() -> impl Strategy<Value = Pose> {
     })
 }
 
-fn any_block() -> impl Strategy<Value = Block> {
+fn any_block() -> impl Strategy<Value = DrawnBlock> {
     let edge = prop_oneof![3 => 0.0..3000.0, 1 => f64::ANY];
     (any_pose(), [edge.clone(), edge.clone(), edge], any::<[u8; 3]>()).prop_map(|(pose, size, colour)| {
-        let Pose { x, y, z, spin, tilt } = pose;
-        Block {
+        let DrawnPose { x, y, z, spin, tilt } = pose;
+        DrawnBlock {
             x,
             y,
             z,
@@ -431,8 +433,8 @@ proptest! {
         pose in any_pose(), opening in f64::ANY, blocks in vec(any_block(), 0..6), trail in vec(any_pose(), 0..6),
         view in prop::sample::select(&View::ALL[..]), width in 64_u32..200, height in 48_u32..200,
     ) {
-        let scene = Scene { pose, gripper: Gripper { opening }, blocks, trail };
-        let settings = Settings { width, height, ..PNG };
+        let scene = Scene { pose, gripper: DrawnGripper { opening }, blocks, trail };
+        let settings = CameraSettings { width, height, ..PNG };
         let image = render(view, settings, &scene);
         prop_assert!(image.matrix.iter().all(|v| v.is_finite()), "{:?}", image.matrix);
         let decoded = decode(&image);

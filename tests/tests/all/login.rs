@@ -4,7 +4,7 @@ use std::fs;
 use std::time::Duration;
 
 use mom_broker::{Broker, Clock, Config};
-use mom_client::{Builder, Client, Event, Key, Link, Proof};
+use mom_client::{Builder, Client, Event, Key, LinkState, Proof};
 use mom_proto::codec::Form;
 use mom_proto::{Family, Map, Time, Value};
 use mom_tests::lab;
@@ -212,9 +212,12 @@ async fn the_client_renews_a_token() {
         assert_eq!(heard.await.expect("in time"), Value::from("still here"));
         clock.advance(Duration::from_secs(1));
         let mut state = client.state();
-        let closed = timeout(PATIENCE, state.wait_for(|link| matches!(link, Link::Closed(_))));
+        let closed = timeout(
+            PATIENCE,
+            state.wait_for(|link| matches!(link, LinkState::Closed(_))),
+        );
         match &*closed.await.expect("in time").expect("a state") {
-            Link::Closed(Some(error)) => assert_eq!(error.code.word(), "revoked"),
+            LinkState::Closed(Some(error)) => assert_eq!(error.code.word(), "revoked"),
             other => panic!("{other:?}"),
         }
         clock.advance(Duration::from_secs(1000 - 120));

@@ -1,4 +1,4 @@
-//! A reserved word of the glossary is the name of one thing: a type of that name may be defined only in the rooms that
+//! A reserved word of the glossary is the name of one thing: a type of that name may be defined only in the folders that
 //! its row names, and once in each. A second meaning under the same name misleads every reader who knows the first.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -18,42 +18,20 @@ const NOT_SHIPPED: &[&str] = &["", "tests", "benches", "xtask"];
 
 /// Types that have a reserved name and mean something else, to be renamed; the list only shrinks.
 const EXCEPTIONS: &[(&str, &str)] = &[
-    ("managers/src/schedule.rs", "Slot"),
-    ("mom-broker/src/audit/writer.rs", "Line"),
-    ("mom-broker/src/config/locate.rs", "Place"),
-    ("mom-broker/src/figures/mod.rs", "Figures"),
-    ("mom-broker/src/gather.rs", "Gatherer"),
-    ("mom-broker/src/login/book.rs", "Origin"),
-    ("mom-broker/src/outbox/queue.rs", "Queue"),
-    ("mom-broker/src/outbox/queue/line.rs", "Line"),
-    ("mom-broker/src/outbox/queue/turns.rs", "Turn"),
-    ("mom-broker/src/outbox/room.rs", "Place"),
-    ("mom-broker/src/program/check.rs", "Line"),
-    ("mom-broker/src/record/line.rs", "Line"),
-    ("mom-broker/src/room.rs", "Room"),
-    ("mom-broker/src/session.rs", "Context"),
-    ("mom-broker/src/session.rs", "Session"),
-    ("mom-broker/src/store/queue.rs", "Lane"),
-    ("mom-broker/src/store/queue.rs", "Queue"),
-    ("mom-broker/src/witness.rs", "Origin"),
-    ("mom-broker/src/witness.rs", "Witness"),
-    ("mom-client/src/handover.rs", "Turn"),
+    ("mom-broker/src/connection/mod.rs", "Context"),
+    ("mom-broker/src/connection/mod.rs", "Session"),
+    ("mom-broker/src/traffic/gather.rs", "Gatherer"),
+    ("mom-broker/src/traffic/outbox/queue/line.rs", "Line"),
+    ("mom-broker/src/traffic/outbox/queue/mod.rs", "Queue"),
+    ("mom-broker/src/traffic/outbox/queue/turns.rs", "Turn"),
+    ("mom-broker/src/traffic/outbox/room.rs", "Place"),
+    ("mom-broker/store/src/queue.rs", "Lane"),
+    ("mom-broker/store/src/queue.rs", "Queue"),
     ("mom-client/src/outbox.rs", "Room"),
-    ("mom-client/src/pending.rs", "Waiter"),
-    ("mom-client/src/places.rs", "Place"),
-    ("mom-client/src/reconnect.rs", "Link"),
     ("mom-client/src/sending.rs", "Turn"),
-    ("mom-client/src/subscribe.rs", "Queue"),
     ("mom-hub/src/judge.rs", "Place"),
     ("mom-hub/src/token.rs", "Waiter"),
     ("mom-net/src/link.rs", "Link"),
-    ("mom-proto/src/binary/plain.rs", "Run"),
-    ("mom-proto/src/xml/text.rs", "Place"),
-    ("mom-proto/src/xml/token.rs", "Token"),
-    ("mom/src/cli.rs", "Run"),
-    ("mom/src/cli/control.rs", "Token"),
-    ("mom/src/commands/grab.rs", "Queue"),
-    ("mom/src/output/record.rs", "Record"),
 ];
 
 /// One reserved word.
@@ -63,7 +41,7 @@ struct Row<'a> {
     /// The word as the name of a type.
     name: String,
     /// Where a type of that name may be defined; empty = nowhere.
-    rooms: Vec<&'a str>,
+    folders: Vec<&'a str>,
 }
 
 /// A type that has the name of a reserved word.
@@ -80,15 +58,15 @@ pub(crate) fn check(tree: &Tree, report: &mut Report<'_>) -> Result<()> {
 fn check_but(tree: &Tree, exceptions: &[(&str, &str)], report: &mut Report<'_>) -> Result<()> {
     let rows = rows(tree.text(GLOSSARY).unwrap_or_default());
     if rows.is_empty() {
-        let text = "no row `| word | meaning | rooms |` is found here";
+        let text = "no row `| word | meaning | folders |` is found here";
         report(GLOSSARY, 1, text.to_owned());
         return Ok(());
     }
     let mut defined = definitions(tree, &rows);
     let mut needed = BTreeSet::new();
     for row in &rows {
-        for room in row.rooms.iter().filter(|room| !tree.exists(room)) {
-            let text = format!("`{room}`, where `{}` may be, is not here", row.name);
+        for folder in row.folders.iter().filter(|folder| !tree.exists(folder)) {
+            let text = format!("`{folder}`, where `{}` may be, is not here", row.name);
             report(GLOSSARY, row.line, text);
         }
         let is_excepted = |definition: &Definition| {
@@ -98,9 +76,10 @@ fn check_but(tree: &Tree, exceptions: &[(&str, &str)], report: &mut Report<'_>) 
         let all = defined.remove(&row.name).unwrap_or_default();
         let (excepted, others): (Vec<_>, Vec<_>) = all.into_iter().partition(is_excepted);
         let taken = row.check(&others, report);
-        // What is alone in a room of the row is what the row means.
+        // What is alone in a folder of the row is what the row means.
         let excepted = excepted.into_iter().map(|definition| definition.path);
-        let clashing = excepted.filter(|path| row.room_of(path).is_none_or(|room| taken.contains(room)));
+        let clashing =
+            excepted.filter(|path| row.folder_of(path).is_none_or(|folder| taken.contains(folder)));
         needed.extend(clashing.map(|path| (path, row.name.clone())));
     }
     for (path, name) in exceptions {
@@ -115,29 +94,29 @@ fn check_but(tree: &Tree, exceptions: &[(&str, &str)], report: &mut Report<'_>) 
 }
 
 impl Row<'_> {
-    /// Reports the definitions that are in no room of this word, or not the first in one; gives the rooms that have one.
+    /// Reports the definitions that are in no folder of this word, or not the first in one; gives the folders that have one.
     fn check(&self, definitions: &[Definition], report: &mut Report<'_>) -> BTreeSet<&str> {
         let mut first: BTreeMap<&str, &str> = BTreeMap::new();
         for Definition { path, line } in definitions {
-            let Some(room) = self.room_of(path) else {
+            let Some(folder) = self.folder_of(path) else {
                 report(path, *line, self.foreign());
                 continue;
             };
-            if let Some(first) = first.get(room) {
+            if let Some(first) = first.get(folder) {
                 let name = &self.name;
                 let text = format!("`{name}` is defined in {first} too: one of them needs another name");
                 report(path, *line, text);
             }
-            first.entry(room).or_insert(path);
+            first.entry(folder).or_insert(path);
         }
         first.into_keys().collect()
     }
 
-    fn room_of(&self, path: &str) -> Option<&str> {
-        let mut rooms = self.rooms.iter();
-        rooms
-            .find(|room| {
-                path.strip_prefix(**room)
+    fn folder_of(&self, path: &str) -> Option<&str> {
+        let mut folders = self.folders.iter();
+        folders
+            .find(|folder| {
+                path.strip_prefix(**folder)
                     .is_some_and(|rest| rest.starts_with('/'))
             })
             .copied()
@@ -145,19 +124,19 @@ impl Row<'_> {
 
     fn foreign(&self) -> String {
         let name = &self.name;
-        match self.rooms.is_empty() {
+        match self.folders.is_empty() {
             true => format!(
                 "`{name}` is the name of no type: {GLOSSARY} says what the word means, or what to say instead"
             ),
             false => format!(
                 "`{name}` may be defined only in {}: give this another name, or {GLOSSARY} another row",
-                self.rooms.join(", ")
+                self.folders.join(", ")
             ),
         }
     }
 }
 
-/// The rows of all tables: the word first, its rooms last.
+/// The rows of all tables: the word first, its folders last.
 fn rows(document: &str) -> Vec<Row<'_>> {
     let mut found = Vec::new();
     for (number, line) in document.lines().enumerate() {
@@ -177,7 +156,7 @@ fn rows(document: &str) -> Vec<Row<'_>> {
             found.push(Row {
                 line: number + 1,
                 name: type_name(word),
-                rooms: last
+                folders: last
                     .split('`')
                     .skip(1)
                     .step_by(2)
@@ -335,10 +314,10 @@ mod tests {
         );
         assert_eq!(
             found,
-            ["docs/glossary.md:1: no row `| word | meaning | rooms |` is found here"]
+            ["docs/glossary.md:1: no row `| word | meaning | folders |` is found here"]
         );
-        let rooms = TABLE.replace("cli/src", "gone/src");
-        let files = [(GLOSSARY, rooms.as_str()), ("hub/src/lib.rs", "")];
+        let folders = TABLE.replace("cli/src", "gone/src");
+        let files = [(GLOSSARY, folders.as_str()), ("hub/src/lib.rs", "")];
         let found = super::super::found(|tree, report| check_but(tree, &[], report), &files);
         assert_eq!(
             found,

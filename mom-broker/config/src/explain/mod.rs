@@ -1,4 +1,4 @@
-//! Who may, and why: what a hub of this configuration would say to a request that nobody makes.
+//! Explains a configuration: how its hub would answer a hypothetical request.
 
 mod words;
 
@@ -10,35 +10,35 @@ use mom_proto::{ContextKind, Family, Map, Path, Pattern, Time, Value, Verb, Wire
 use mom_system::Clock;
 use serde::Serialize;
 
-use super::{Config, ConfigError, Place};
+use super::{Config, ConfigError, Location};
 
 use words::{later, needs, stands};
 
 /// Stands for every message that no rule names.
 const ANY_OTHER: &str = "*";
 
-/// Who is supposed to ask where.
+/// A hypothetical request.
 #[derive(Clone, Debug)]
 pub struct Supposed {
     /// The user.
     pub user: String,
-    /// Its level and groups, for one whom the users file does not know, or does not know so.
+    /// Its level and groups, instead of those in the users file.
     pub level: Option<i32>,
     /// As `level`.
     pub groups: Option<Vec<String>>,
-    /// Where; for `create` the path to be made.
+    /// The context; for `create` the new path.
     pub context: Path,
-    /// The kind to be made, for `create`.
+    /// The new context's kind, for `create`.
     pub kind: Option<ContextKind>,
     /// The user who owns the token meanwhile, if it is one.
     pub owner: Option<String>,
     /// Whether a member has invited the user there.
     pub invited: bool,
-    /// When; none = now.
+    /// The time; none = now.
     pub at: Option<Time>,
 }
 
-/// What would be said, and by which rule.
+/// The answer, and the rule that decides.
 #[derive(Clone, Debug, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub struct Explanation {
@@ -54,35 +54,35 @@ pub struct Explanation {
     pub message: Option<String>,
     /// Where.
     pub context: String,
-    /// What is there; none = nothing.
+    /// The context's kind; none = no such context.
     pub kind: Option<&'static str>,
     /// `allow`, `deny`, `ask` (peers have to be asked first) or `wait` (there is a queue).
     pub answer: &'static str,
-    /// The rule that decided; none = the manager as a whole, or the hub itself where `place` is none too.
+    /// The rule that decided; none = the manager as a whole, or the hub itself if `place` is none, too.
     pub rule: Option<String>,
-    /// Whether it is no rule but the manager's answer where none covers the request.
+    /// Whether no rule covers the request, so that the manager's default decided.
     pub uncovered: bool,
-    /// Where that stands.
-    pub place: Option<Place>,
-    /// How the manager that was asked is named.
+    /// Its location.
+    pub place: Option<Location>,
+    /// The name of the manager.
     pub manager: String,
     /// The context that it manages.
     pub managed_at: String,
     /// The error that the peer would get: its name, and all its content.
     pub error: Option<Map>,
-    /// Whom it would ask first.
+    /// The peers that it would ask first.
     pub asks: Option<Asked>,
-    /// Whether the owner loses the token by it.
+    /// Whether the owner loses the token.
     pub displaces: bool,
     /// When the ownership would end, whatever the lease.
     pub until: Option<Time>,
-    /// For how long the answer stands.
+    /// How long the answer stands.
     pub stands: String,
-    /// What the hub wants besides, whoever it is.
+    /// The hub's further conditions for any peer.
     pub needs: Vec<String>,
 }
 
-/// Whom a manager would ask.
+/// The peers that a manager would ask.
 #[derive(Clone, Debug, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub struct Asked {
@@ -95,7 +95,7 @@ pub struct Asked {
 }
 
 impl Config {
-    /// What a hub of this configuration would say to a request.
+    /// How a hub of this configuration would answer a request.
     ///
     /// # Errors
     /// A user that is not known, a verb that no manager is asked about, a configuration that is wrong.
@@ -116,7 +116,7 @@ impl Config {
         }
     }
 
-    /// The same for everything that can be asked of a context: each verb, and each message that a rule names.
+    /// The same for all requests to a context: each verb, and each message that a rule names.
     ///
     /// # Errors
     /// As [`Config::explain`].
@@ -188,7 +188,7 @@ impl Config {
             .transpose()?;
         let message = match verb {
             Verb::Send => Some(message.unwrap_or(ANY_OTHER)),
-            // A message whose name is its verb.
+            // Messages with a verb of their own.
             Verb::Stop | Verb::Unstop => Some(verb.word()),
             _ => message,
         };
@@ -241,7 +241,7 @@ impl Config {
             Answer::Allow(grant) => Some(grant),
             _ => None,
         };
-        // What the manager allowed and the hub refuses all the same is no matter of the configuration.
+        // A refusal by the hub after the manager has allowed does not come from the configuration.
         let by_hub = answer == "deny" && verdict.is_allow();
         let rule = match refusal.as_ref().and_then(|error| error.get("rule")?.as_str()) {
             Some(rule) => Some(rule.to_owned()),
@@ -286,7 +286,7 @@ impl Config {
         }
     }
 
-    /// The messages that rules tell apart on a channel, and one for all others.
+    /// The messages that rules distinguish on a channel, and one for all others.
     fn message_names(&self, channel: &Path, managed_at: &Path) -> Vec<String> {
         let mut specs = self.contexts.iter();
         let spec = specs.find(|spec| spec.path.as_deref() == Some(channel.as_str()));
@@ -360,7 +360,7 @@ impl Config {
     }
 }
 
-/// Collects the members of every list `messages`, but of rules that are about other places.
+/// Collects the members of every list `messages`, except of rules for other contexts.
 fn collect_messages(map: &Map, channel: &Path, names: &mut Vec<String>) {
     let strings = |key: &str| {
         let list = map.get(key).and_then(Value::as_list).unwrap_or_default();

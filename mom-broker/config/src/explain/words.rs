@@ -1,4 +1,4 @@
-//! An answer's parts in words.
+//! The parts of an answer as text.
 
 use mom_hub::Judgement;
 use mom_managers::{Bucket, Standing};
@@ -39,7 +39,7 @@ pub(super) fn stands(standing: Standing) -> String {
     words
 }
 
-/// What the hub wants of any peer before its manager's word counts.
+/// The hub's conditions for any peer before the manager decides.
 pub(super) fn needs(context: &Path, verb: Verb, judgement: &Judgement) -> Vec<String> {
     let above = context.parent().map(|above| format!("membership of {above}"));
     let mut needs = match verb {

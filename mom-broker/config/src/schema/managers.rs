@@ -158,7 +158,7 @@ fn quota() -> Value {
     json!({ "limits": list("The first that is about the peer and the verb counts.", table("A limit.", &limit, &[])) })
 }
 
-/// The keys that stand for peers wherever something is about some.
+/// The keys that select peers.
 fn peers() -> Value {
     json!({
         "users": names("The user is among these …"),
@@ -167,7 +167,7 @@ fn peers() -> Value {
     })
 }
 
-/// How a token may be had.
+/// The terms of a token.
 fn terms() -> Value {
     json!({
         "expiry": expiry(),

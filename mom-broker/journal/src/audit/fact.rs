@@ -6,32 +6,32 @@ use mom_hub::Audit;
 use mom_proto::Time;
 use serde_json::{Map, Value as Json};
 
-/// No line is longer, its end included.
+/// The longest line, with its line end.
 pub(super) const LONGEST: usize = 4096;
 
-/// The keys that every reader finds in the same order; others come after them.
+/// The keys in their fixed order; others follow them.
 const ORDER: [&str; 13] = [
     "what", "peer", "user", "level", "verb", "context", "message", "rule", "code", "fence", "reason", "by",
     "text",
 ];
 
-/// What happened, when, and what only the broker knows of it.
+/// What happened, when, and details that only the broker knows.
 #[derive(Clone, Debug)]
 pub struct Fact {
     /// When.
     pub at: Time,
-    /// What, in the hub's words; the broker has some of its own (`started`, `stopped`, `audit-lost`).
+    /// The kind of fact, in the hub's words; the broker adds `started`, `stopped` and `audit-lost`.
     pub audit: Audit,
     /// Where a login comes from.
     pub from: Option<IpAddr>,
-    /// How many alike this line stands for; none = one.
+    /// How many identical facts this line stands for; none = one.
     pub count: Option<u64>,
     /// Further keys.
     pub more: Vec<(&'static str, String)>,
 }
 
 impl Fact {
-    /// A fact with nothing but what the hub says.
+    /// A fact with only the hub's details.
     pub fn new(at: Time, audit: Audit) -> Fact {
         Fact {
             at,
@@ -42,7 +42,7 @@ impl Fact {
         }
     }
 
-    /// A fact of the broker's own.
+    /// A fact that the broker adds.
     pub fn of(at: Time, what: &'static str) -> Fact {
         let audit = Audit {
             what,
@@ -55,7 +55,7 @@ impl Fact {
     pub(super) fn line(&self, seq: u64) -> Vec<u8> {
         let mut line = self.to_json(seq);
         let mut bytes = line_of(&line);
-        // Everything in a line has a bound but for the words that peers choose: those are cut, the longest first.
+        // Only texts that peers choose are unbounded: they are cut, the longest first.
         for most in [1024, 256, 64, 16] {
             if bytes.len() <= LONGEST {
                 break;
@@ -95,13 +95,13 @@ impl Fact {
 }
 
 fn line_of(line: &Map<String, Json>) -> Vec<u8> {
-    // Keys are texts and values are texts and numbers, so there is nothing that JSON could not say.
+    // Keys are texts, values are texts and numbers: JSON can represent all of them.
     let mut bytes = serde_json::to_vec(line).unwrap_or_default();
     bytes.push(b'\n');
     bytes
 }
 
-/// Cuts a text to at most so many bytes, and shows that it did.
+/// Cuts a text to at most so many bytes and marks the cut.
 fn cut(value: &mut Json, most: usize) {
     if let Json::String(text) = value
         && text.len() > most

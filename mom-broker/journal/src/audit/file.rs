@@ -1,4 +1,4 @@
-//! The audit log's file: appended to, and begun anew when it is long enough.
+//! The audit log's file: lines are appended, and a new file is begun when it is full.
 
 use std::fs::{self, File};
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 use mom_system::{numbered, open_own};
 
 use super::fact::LONGEST;
-use super::sink::Sink;
+use super::sink::LineSink;
 
-/// A file of at most so many bytes, and those before it.
+/// A file of bounded size, and its predecessors.
 #[derive(Debug)]
 pub(super) struct RotatingFile {
     path: PathBuf,
@@ -21,13 +21,13 @@ pub(super) struct RotatingFile {
 }
 
 impl RotatingFile {
-    /// Opens the file to go on where it ends; gives the number of its last line too, 0 for none.
+    /// Opens the file for appending; also gives the number of its last line, 0 for none.
     pub(super) fn open(path: &Path, size: u64, keep: u32) -> io::Result<(RotatingFile, u64)> {
         let mut file = open_own(path)?;
         let mut length = file.metadata()?.len();
         let tail = tail(&mut file, length)?;
         if tail.last().is_some_and(|byte| *byte != b'\n') {
-            // The last line was cut off by a crash: what comes stands on lines of its own.
+            // A crash cut off the last line: new lines must not continue it.
             file.write_all(b"\n")?;
             length += 1;
         }
@@ -42,10 +42,10 @@ impl RotatingFile {
         Ok((opened, last_seq(&tail)))
     }
 
-    /// Begins a new file; the present one becomes the youngest of those before.
+    /// Begins a new file; the present one becomes the youngest of the old ones.
     fn rotate(&mut self) -> io::Result<()> {
         self.file.sync_data()?;
-        // Before anything is moved: where there is no room for a new file the old ones stay as they are.
+        // Before anything is moved: if there is no space for a new file, the old ones stay as they are.
         let new = numbered(&self.path, "new");
         match fs::remove_file(&new) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
@@ -67,7 +67,7 @@ impl RotatingFile {
         }
         fs::rename(&new, &self.path)?;
         if let Some(folder) = self.path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
-            // The names are durable too, where folders can be synced at all.
+            // Makes the names durable, too, where folders can be synced at all.
             let _ = File::open(folder).and_then(|folder| folder.sync_all());
         }
         (self.file, self.length) = (file, 0);
@@ -101,12 +101,12 @@ impl RotatingFile {
         (count, result)
     }
 
-    /// Takes the beginning of a line back, so that the next stands on a line of its own.
+    /// Removes a partly written line, so that the next begins on a line of its own.
     fn cut(&mut self, bytes: u64) {
         let end = self.length.saturating_sub(bytes);
         match self.file.set_len(end) {
             Ok(()) => self.length = end,
-            // Then the next line shares one with it, and nothing better can be done here.
+            // If this fails, the next line continues the broken one; nothing better can be done here.
             Err(error) => tracing::error!(%error, "the audit log has a broken line"),
         }
     }
@@ -126,13 +126,13 @@ fn whole_lines(lines: &[Vec<u8>], bytes: usize) -> (usize, usize) {
 
 impl Drop for RotatingFile {
     fn drop(&mut self) {
-        // Closing would do, but for a process that is just being made and has all files of this one until it becomes
-        // its own program. What fails here is closed all the same.
+        // Closing alone would not unlock it while a forked child, which has inherited the file, has not called `exec`
+        // yet. If unlocking fails, the file is closed all the same.
         let _ = self.file.unlock();
     }
 }
 
-impl Sink for RotatingFile {
+impl LineSink for RotatingFile {
     fn append(&mut self, lines: &[Vec<u8>]) -> (usize, io::Result<()>) {
         let mut done = 0;
         while done < lines.len() {
@@ -141,7 +141,7 @@ impl Sink for RotatingFile {
             if fit == 0 && self.length > 0 {
                 match self.rotate() {
                     Ok(()) => continue,
-                    // A file that is too long is better than a line that is lost.
+                    // An oversized file is better than a lost line.
                     Err(error) => {
                         tracing::error!(%error, "the audit log could not be rotated and grows on");
                         fit = lines.len() - done;
@@ -205,7 +205,7 @@ mod tests {
     fn old_files_are_kept_as_far_as_wished() {
         let folder = TempDir::new().unwrap();
         let path = folder.path().join("audit.jsonl");
-        // Three lines of ten bytes each have room.
+        // Three lines of ten bytes each fit.
         let (mut file, last) = RotatingFile::open(&path, 35, 2).unwrap();
         assert_eq!(last, 0);
         let (written, result) = file.append(&lines(10, 20));

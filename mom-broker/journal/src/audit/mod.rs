@@ -1,7 +1,7 @@
-//! Who was given what, refused what, lost what, by which rule: one line of JSON each, for whoever asks later.
+//! The audit log: who was granted or refused what, or lost it, by which rule. Each fact is one line of JSON.
 //!
-//! A fact goes into a bounded queue that a thread of its own empties into a file or the log, so that nobody who
-//! decides ever waits for a disk. What the queue or the disk does not take is counted, and the log says so.
+//! Facts go into a bounded queue. A thread of its own writes them to a file or the log, so that no decision ever
+//! waits for a disk. Facts that queue or disk do not take are counted, and the log says so.
 
 mod fact;
 mod file;
@@ -28,18 +28,18 @@ pub use settings::AuditConfig;
 
 use file::RotatingFile;
 use mom_system::Clock;
-use sink::{Log, Sink};
-use writer::{Note, Shared, Writer};
+use sink::{LineSink, TracingSink};
+use writer::{AuditNote, AuditShared, AuditWriter};
 
 /// Facts that wait for the writer.
 const QUEUE: usize = 16 * 1024;
 
-/// What was told may take so long to be durable before a stopping broker gives up.
+/// How long a stopping broker waits for its facts to be durable.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// What is known of a connection that facts about it do not say themselves.
+/// Details of a connection that its facts do not carry.
 #[derive(Debug, Default)]
-struct Connection {
+struct AuditedPeer {
     from: Option<IpAddr>,
     user: Option<Arc<str>>,
 }
@@ -47,14 +47,14 @@ struct Connection {
 /// The audit log of a broker.
 #[derive(Debug)]
 pub struct AuditLog {
-    queue: SyncSender<Note>,
-    shared: Arc<Shared>,
-    connections: DashMap<PeerId, Connection>,
+    queue: SyncSender<AuditNote>,
+    shared: Arc<AuditShared>,
+    connections: DashMap<PeerId, AuditedPeer>,
     dead: AtomicBool,
 }
 
 impl AuditLog {
-    /// Opens the log and starts its writer, which ends with the last of those who can tell it something.
+    /// Opens the log and starts its writer, which ends when the last sender of facts is dropped.
     ///
     /// # Errors
     /// What the system says about the file, or that another broker writes it.
@@ -64,14 +64,14 @@ impl AuditLog {
                 let (file, seq) = RotatingFile::open(path, config.size, config.keep)?;
                 AuditLog::write_to(file, clock, seq)
             }
-            None => AuditLog::write_to(Log, clock, 0),
+            None => AuditLog::write_to(TracingSink, clock, 0),
         }
     }
 
-    fn write_to(sink: impl Sink + 'static, clock: Clock, seq: u64) -> io::Result<AuditLog> {
-        let shared = Arc::new(Shared::default());
+    fn write_to(sink: impl LineSink + 'static, clock: Clock, seq: u64) -> io::Result<AuditLog> {
+        let shared = Arc::new(AuditShared::default());
         let (queue, notes) = sync_channel(QUEUE);
-        let writer = Writer::new(sink, clock, Arc::clone(&shared), seq);
+        let writer = AuditWriter::new(sink, clock, Arc::clone(&shared), seq);
         std::thread::Builder::new()
             .name("audit".to_owned())
             .spawn(move || writer.run(&notes))?;
@@ -83,18 +83,19 @@ impl AuditLog {
         })
     }
 
-    /// Writes a fact down, or folds it with others alike; never waits for the disk.
+    /// Writes a fact, or folds it with identical ones; never waits for the disk.
     pub fn note(&self, fact: Fact) {
-        // Held until all is in the queue: the writer takes what was folded under it, and must not come in between.
+        // Held until all facts are in the queue: the writer takes folded facts under the same lock and must not
+        // interleave.
         let mut successes = self.shared.successes.lock();
         successes.take(fact).into_iter().for_each(|fact| self.queue(fact));
     }
 
     fn queue(&self, fact: Fact) {
         let count = fact.count.unwrap_or(1);
-        match self.queue.try_send(Note::Fact(Box::new(fact))) {
+        match self.queue.try_send(AuditNote::Fact(Box::new(fact))) {
             Ok(()) => {}
-            // The writer tells how many, as soon as it can.
+            // The writer reports their number as soon as it can.
             Err(TrySendError::Full(_)) => drop(self.shared.lost.fetch_add(count, Ordering::Relaxed)),
             Err(TrySendError::Disconnected(_)) => {
                 if !self.dead.swap(true, Ordering::Relaxed) {
@@ -104,7 +105,7 @@ impl AuditLog {
         }
     }
 
-    /// Writes a refusal down: the first of its kind at once, more of them once a second with their count.
+    /// Writes a refusal: the first of its kind at once, later ones once a second with their count.
     pub fn refused(&self, fact: Fact) {
         let first = self.shared.refusals.lock().take(fact);
         if let Some(fact) = first {
@@ -128,11 +129,11 @@ impl AuditLog {
         }
     }
 
-    /// Writes down what became of a login on this connection.
+    /// Writes the outcome of a login on this connection.
     pub fn login(&self, peer: PeerId, mut fact: Fact) {
         if let Some(known) = self.connections.get(&peer) {
             fact.from = known.from;
-            // Whom the hub does not let in has proven who it is all the same.
+            // A peer that the hub does not let in has authenticated all the same.
             fact.audit.user = fact.audit.user.or_else(|| known.user.clone());
         }
         match fact.audit.what {
@@ -141,13 +142,13 @@ impl AuditLog {
         }
     }
 
-    /// A connection from somewhere has come.
+    /// A connection was opened from this address.
     pub fn arrived(&self, peer: PeerId, from: Option<IpAddr>) {
-        let connection = Connection { from, user: None };
+        let connection = AuditedPeer { from, user: None };
         self.connections.insert(peer, connection);
     }
 
-    /// Somebody has logged in on it.
+    /// A user has logged in on it.
     pub fn is_user(&self, peer: PeerId, user: &str) {
         if let Some(mut known) = self.connections.get_mut(&peer) {
             known.user = Some(user.into());
@@ -159,19 +160,19 @@ impl AuditLog {
         self.connections.get(&peer)?.user.clone()
     }
 
-    /// It is no more.
+    /// The connection has ended.
     pub fn left(&self, peer: PeerId) {
         self.connections.remove(&peer);
     }
 
-    /// Waits until all that was told is written and durable, for a while at most.
+    /// Waits, for a bounded time, until all facts are written and durable.
     pub async fn flush(&self) {
         let (done, written) = oneshot::channel();
         let queue = self.queue.clone();
         // The queue may be full. A thread of its own, because a disk that hangs must not hold up the program's end.
         let sent = std::thread::Builder::new()
             .name("audit-flush".to_owned())
-            .spawn(move || queue.send(Note::Flush(done)).is_ok());
+            .spawn(move || queue.send(AuditNote::Flush(done)).is_ok());
         if sent.is_err() || tokio::time::timeout(PATIENCE, written).await.is_err() {
             tracing::error!("the audit log could not be written to its end");
         }

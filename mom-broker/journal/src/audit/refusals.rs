@@ -1,7 +1,8 @@
-//! Refusals that come by the hundred thousand a second: the first at once, then one line a second with a count.
+//! Folds refusals, which may come by the hundred thousand per second: the first is written at once, then one line a
+//! second with a count.
 //!
-//! Whoever is refused decides how often, and may vary the message and the place: so there is a bound to what is told
-//! apart, of one peer and of all. What goes beyond is still counted.
+//! A peer decides how often it is refused, and may vary message and context. So the number of kinds that are
+//! distinguished is bounded, per peer and in all; others are only counted.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -11,22 +12,22 @@ use mom_proto::{Code, Path, Verb};
 
 use super::Fact;
 
-/// Refusals of one peer that are told apart.
+/// Kinds of refusals distinguished per peer.
 const OF_ONE: usize = 8;
 
-/// Refusals that are told apart.
+/// Kinds of refusals distinguished in all.
 const OF_ALL: usize = 1024;
 
-/// Said of refusals that are not told apart any more.
+/// The text of refusals beyond these bounds.
 const MANY: &str = "more than can be told apart";
 
 /// Who was refused: a peer, or an address where there is none yet.
-type Who = Arc<str>;
+type Refused = Arc<str>;
 
-/// What makes two refusals alike.
+/// Refusals with the same key are identical.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-struct Key {
-    who: Who,
+struct RefusalKey {
+    who: Refused,
     user: Option<Arc<str>>,
     verb: Option<Verb>,
     context: Option<Path>,
@@ -38,22 +39,22 @@ struct Key {
 /// Refusals of the present and the last second.
 #[derive(Debug, Default)]
 pub(super) struct Refusals {
-    alike: HashMap<Key, Alike>,
+    alike: HashMap<RefusalKey, FoldedRefusals>,
     /// How many keys one peer has.
-    keys: HashMap<Who, usize>,
-    /// One of those beyond all bounds, and how many they are.
+    keys: HashMap<Refused, usize>,
+    /// One refusal beyond all bounds, and the count of all such.
     others: Option<(Fact, u64)>,
 }
 
 #[derive(Debug)]
-struct Alike {
+struct FoldedRefusals {
     last: Fact,
-    /// Those that no line was written for yet.
+    /// Refusals not written yet.
     count: u64,
 }
 
 impl Refusals {
-    /// Takes a refusal in; gives it back if it is the first of its kind and wants a line at once.
+    /// Counts a refusal; gives it back if it is the first of its kind, to be written at once.
     pub(super) fn take(&mut self, mut fact: Fact) -> Option<Fact> {
         let mut key = key_of(&fact);
         if self.count(&key, &fact) {
@@ -74,11 +75,11 @@ impl Refusals {
         }
         *self.keys.entry(Arc::clone(&key.who)).or_default() += 1;
         let last = fact.clone();
-        self.alike.insert(key, Alike { last, count: 0 });
+        self.alike.insert(key, FoldedRefusals { last, count: 0 });
         Some(fact)
     }
 
-    fn count(&mut self, key: &Key, fact: &Fact) -> bool {
+    fn count(&mut self, key: &RefusalKey, fact: &Fact) -> bool {
         let Some(alike) = self.alike.get_mut(key) else {
             return false;
         };
@@ -87,7 +88,7 @@ impl Refusals {
         true
     }
 
-    /// What was counted since the last call; what has come to rest since then is forgotten. To be called each second.
+    /// Refusals counted since the last call; kinds without new ones are forgotten. To be called each second.
     pub(super) fn drain(&mut self) -> Vec<Fact> {
         let mut counted = Vec::new();
         let keys = &mut self.keys;
@@ -119,7 +120,7 @@ impl Refusals {
     }
 }
 
-fn key_of(fact: &Fact) -> Key {
+fn key_of(fact: &Fact) -> RefusalKey {
     let Audit {
         peer,
         user,
@@ -131,7 +132,7 @@ fn key_of(fact: &Fact) -> Key {
         ..
     } = fact.audit.clone();
     let address = || fact.from.map(|from| from.to_string().into());
-    Key {
+    RefusalKey {
         who: peer.or_else(address).unwrap_or_else(|| "".into()),
         user,
         verb,
@@ -142,8 +143,8 @@ fn key_of(fact: &Fact) -> Key {
     }
 }
 
-fn reduced(key: Key) -> Key {
-    Key {
+fn reduced(key: RefusalKey) -> RefusalKey {
+    RefusalKey {
         user: None,
         verb: None,
         context: None,

@@ -1,10 +1,10 @@
-//! Where lines end up.
+//! Destinations of audit lines.
 
 use std::io;
 
-/// Takes lines for good.
-pub(super) trait Sink: Send {
-    /// Appends whole lines; gives how many are in, and why the others are not.
+/// A destination of lines.
+pub(super) trait LineSink: Send {
+    /// Appends whole lines; gives how many were written, and why the others were not.
     fn append(&mut self, lines: &[Vec<u8>]) -> (usize, io::Result<()>);
 
     /// Makes durable what was appended.
@@ -14,11 +14,11 @@ pub(super) trait Sink: Send {
     fn sync(&mut self) -> io::Result<()>;
 }
 
-/// The log, for who has configured no file.
+/// The ordinary log, used if no file is configured.
 #[derive(Debug)]
-pub(super) struct Log;
+pub(super) struct TracingSink;
 
-impl Sink for Log {
+impl LineSink for TracingSink {
     fn append(&mut self, lines: &[Vec<u8>]) -> (usize, io::Result<()>) {
         for line in lines {
             tracing::info!(target: "audit", "{}", String::from_utf8_lossy(line).trim_end());

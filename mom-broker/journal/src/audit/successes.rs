@@ -1,8 +1,9 @@
-//! Ownerships that begin and end by the thousand a second: the first ones of a second one by one, then a line with a
-//! count, so that nobody can push older lines out of the files by taking and releasing a token again and again.
+//! Folds grants and losses, which may come by the thousand per second: the first ones of a second are written one by
+//! one, then a line with a count. So nobody can push older lines out of the files by grabbing and releasing a token
+//! in a loop.
 //!
-//! Nothing is left out of the end of the tale: the last of what is folded is the line that is written, and it is
-//! written before any other line about its context.
+//! The last state is never lost: the line of folded facts is that of the last one, and it is written before any other
+//! line about its context.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -13,7 +14,7 @@ use mom_proto::event::Reason;
 
 use super::Fact;
 
-/// What folds: a peer can bring it about as often as it likes, and each takes back the one before.
+/// The facts that are folded: a peer can repeat them at will, and each reverses the one before.
 const FOLDING: [&str; 6] = [
     "granted",
     "lost",
@@ -23,15 +24,15 @@ const FOLDING: [&str; 6] = [
     "expelled",
 ];
 
-/// Alike facts of one second that have lines of their own.
+/// Identical facts of one second that get lines of their own.
 const OWN_LINES: u32 = 8;
 
-/// Facts that are told apart; what is beyond has lines of its own.
+/// Kinds of facts that are distinguished; facts beyond get lines of their own.
 const OF_ALL: usize = 1024;
 
-/// What makes two facts alike.
+/// Facts with the same key are identical.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-struct Key {
+struct FactKey {
     what: &'static str,
     peer: Option<Arc<str>>,
     user: Option<Arc<str>>,
@@ -42,23 +43,23 @@ struct Key {
 }
 
 #[derive(Debug, Default)]
-struct Alike {
+struct FoldedFacts {
     /// Lines of the present second.
     own: u32,
-    /// The last of those that no line was written for yet, how many they are, and its place in the order of all.
+    /// The last fact not written yet, the number of such facts, and its position in the order of all.
     folded: Option<(Fact, u64, u64)>,
 }
 
 /// Facts of the present and the last second.
 #[derive(Debug, Default)]
 pub(super) struct Successes {
-    alike: HashMap<Key, Alike>,
+    alike: HashMap<FactKey, FoldedFacts>,
     /// Facts that were folded so far.
     order: u64,
 }
 
 impl Successes {
-    /// Takes a fact in; gives back what wants a line now, in order.
+    /// Takes a fact; gives the facts to be written now, in order.
     pub(super) fn take(&mut self, fact: Fact) -> Vec<Fact> {
         if !FOLDING.contains(&fact.audit.what) {
             return vec![fact];
@@ -73,26 +74,26 @@ impl Successes {
             }
             Some(alike) => alike.own += 1,
             None if room => {
-                let first = Alike { own: 1, folded: None };
+                let first = FoldedFacts { own: 1, folded: None };
                 self.alike.insert(key, first);
             }
             None => {}
         }
-        // What was folded about the same context happened before.
+        // Folded facts about the same context happened before.
         let context = fact.audit.context.clone();
         let mut lines = self.unfold(|key| key.context == context);
         lines.push(fact);
         lines
     }
 
-    /// What was folded since the last call; what has come to rest since then is forgotten. To be called each second.
+    /// Facts folded since the last call; kinds without new ones are forgotten. To be called each second.
     pub(super) fn drain(&mut self) -> Vec<Fact> {
         let lines = self.unfold(|_| true);
         self.alike.retain(|_, alike| std::mem::take(&mut alike.own) > 0);
         lines
     }
 
-    fn unfold(&mut self, of: impl Fn(&Key) -> bool) -> Vec<Fact> {
+    fn unfold(&mut self, of: impl Fn(&FactKey) -> bool) -> Vec<Fact> {
         let about = self.alike.iter_mut().filter(|(key, _)| of(key));
         let mut folded: Vec<_> = about.filter_map(|(_, alike)| alike.folded.take()).collect();
         folded.sort_by_key(|(_, _, order)| *order);
@@ -105,8 +106,8 @@ impl Successes {
     }
 }
 
-fn key_of(audit: &Audit) -> Key {
-    Key {
+fn key_of(audit: &Audit) -> FactKey {
+    FactKey {
         what: audit.what,
         peer: audit.peer.clone(),
         user: audit.user.clone(),

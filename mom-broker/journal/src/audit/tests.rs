@@ -15,7 +15,7 @@ struct Hanging {
     lines: Sender<String>,
 }
 
-impl Sink for Hanging {
+impl LineSink for Hanging {
     fn append(&mut self, lines: &[Vec<u8>]) -> (usize, io::Result<()>) {
         // Released for good once the sender is gone.
         let _ = self.released.recv();

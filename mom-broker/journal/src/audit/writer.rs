@@ -11,55 +11,55 @@ use tokio::sync::oneshot;
 
 use super::Fact;
 use super::refusals::Refusals;
-use super::sink::Sink;
+use super::sink::LineSink;
 use super::successes::Successes;
 
-/// What was written is durable after so long, and refusals and what is folded are counted up this often.
+/// How often lines are made durable, and folded facts and refusals are written.
 const TICK: Duration = Duration::from_secs(1);
 
-/// Facts that are written at once.
+/// Facts written in one batch.
 const BATCH: usize = 256;
 
-/// What the writer is told.
+/// Messages to the writer.
 #[derive(Debug)]
-pub(super) enum Note {
+pub(super) enum AuditNote {
     /// A fact to write.
     Fact(Box<Fact>),
-    /// All before this is to be written and durable before the answer.
+    /// Answered when everything before it is written and durable.
     Flush(oneshot::Sender<()>),
 }
 
-/// What the writer shares with those who tell it.
+/// State shared by the writer and the senders of facts.
 #[derive(Debug, Default)]
-pub(super) struct Shared {
+pub(super) struct AuditShared {
     pub(super) refusals: Mutex<Refusals>,
     pub(super) successes: Mutex<Successes>,
-    /// Facts that found no place in the queue and that no line tells of yet.
+    /// Facts that the full queue did not take and that no line reports yet.
     pub(super) lost: AtomicU64,
 }
 
 /// Writes lines into a sink.
-pub(super) struct Writer<S> {
+pub(super) struct AuditWriter<S> {
     sink: S,
     clock: Clock,
-    shared: Arc<Shared>,
+    shared: Arc<AuditShared>,
     seq: u64,
-    lines: Vec<Line>,
+    lines: Vec<LogLine>,
     flushes: Vec<oneshot::Sender<()>>,
     /// What went wrong since it was last logged.
     failure: Option<std::io::Error>,
 }
 
-struct Line {
+struct LogLine {
     bytes: Vec<u8>,
-    /// How many facts are lost if it is.
+    /// The facts that are lost with this line.
     facts: u64,
 }
 
-impl<S: Sink> Writer<S> {
+impl<S: LineSink> AuditWriter<S> {
     /// A writer whose first line has the number after `seq`.
-    pub(super) fn new(sink: S, clock: Clock, shared: Arc<Shared>, seq: u64) -> Writer<S> {
-        Writer {
+    pub(super) fn new(sink: S, clock: Clock, shared: Arc<AuditShared>, seq: u64) -> AuditWriter<S> {
+        AuditWriter {
             sink,
             clock,
             shared,
@@ -70,8 +70,8 @@ impl<S: Sink> Writer<S> {
         }
     }
 
-    /// Writes until nobody can tell it anything any more.
-    pub(super) fn run(mut self, notes: &Receiver<Note>) {
+    /// Writes until all senders are gone.
+    pub(super) fn run(mut self, notes: &Receiver<AuditNote>) {
         let mut next = Instant::now() + TICK;
         loop {
             match notes.recv_timeout(next.saturating_duration_since(Instant::now())) {
@@ -95,15 +95,15 @@ impl<S: Sink> Writer<S> {
         }
     }
 
-    fn take(&mut self, note: Note) {
+    fn take(&mut self, note: AuditNote) {
         match note {
-            Note::Fact(fact) => self.push(&fact, 1),
-            Note::Flush(done) => self.flushes.push(done),
+            AuditNote::Fact(fact) => self.push(&fact, 1),
+            AuditNote::Flush(done) => self.flushes.push(done),
         }
     }
 
-    /// Writes down what was folded, after all that was told before it.
-    fn unfold(&mut self, notes: &Receiver<Note>) {
+    /// Writes folded facts, after all facts sent before them.
+    fn unfold(&mut self, notes: &Receiver<AuditNote>) {
         let shared = Arc::clone(&self.shared);
         let mut successes = shared.successes.lock();
         notes.try_iter().for_each(|note| self.take(note));
@@ -116,7 +116,7 @@ impl<S: Sink> Writer<S> {
     fn push(&mut self, fact: &Fact, facts: u64) {
         self.seq += 1;
         let bytes = fact.line(self.seq);
-        self.lines.push(Line { bytes, facts });
+        self.lines.push(LogLine { bytes, facts });
     }
 
     /// What is due each second.
@@ -132,13 +132,13 @@ impl<S: Sink> Writer<S> {
             tracing::error!(%error, lost, "the audit log cannot be written");
         }
         for done in self.flushes.drain(..) {
-            // Whoever does not wait any more need not know.
+            // The receiver may have stopped waiting.
             let _ = done.send(());
         }
     }
 
     fn write(&mut self) {
-        // They found no place because of those that are written now.
+        // They did not fit because of the facts that are written now.
         let lost = self.shared.lost.swap(0, Ordering::Relaxed);
         if lost > 0 {
             let mut fact = Fact::of(self.clock.wall(), "audit-lost");
@@ -172,7 +172,7 @@ mod tests {
     use mom_proto::Time;
     use serde_json::Value as Json;
 
-    /// A disk with room for so many lines more.
+    /// A disk with space for so many more lines.
     #[derive(Debug, Default)]
     struct Disk {
         room: usize,
@@ -180,7 +180,7 @@ mod tests {
         syncs: u32,
     }
 
-    impl Sink for &mut Disk {
+    impl LineSink for &mut Disk {
         fn append(&mut self, lines: &[Vec<u8>]) -> (usize, io::Result<()>) {
             let written = lines.len().min(self.room);
             self.room -= written;
@@ -200,12 +200,12 @@ mod tests {
         }
     }
 
-    fn writer<'a>(disk: &'a mut Disk, shared: &Arc<Shared>) -> Writer<&'a mut Disk> {
-        Writer::new(disk, Clock::manual(Time::default()), Arc::clone(shared), 10)
+    fn writer<'a>(disk: &'a mut Disk, shared: &Arc<AuditShared>) -> AuditWriter<&'a mut Disk> {
+        AuditWriter::new(disk, Clock::manual(Time::default()), Arc::clone(shared), 10)
     }
 
-    fn fact(what: &'static str) -> Note {
-        Note::Fact(Box::new(Fact::new(Time::default(), Audit::new(what))))
+    fn fact(what: &'static str) -> AuditNote {
+        AuditNote::Fact(Box::new(Fact::new(Time::default(), Audit::new(what))))
     }
 
     fn told(disk: &Disk) -> Vec<String> {
@@ -221,7 +221,7 @@ mod tests {
 
     #[test]
     fn what_a_full_disk_did_not_take_is_counted() {
-        let shared = Arc::new(Shared::default());
+        let shared = Arc::new(AuditShared::default());
         let mut disk = Disk {
             room: 2,
             ..Disk::default()
@@ -239,7 +239,7 @@ mod tests {
         writer.tick();
         writer.tick();
         assert_eq!(shared.lost.load(Ordering::Relaxed), 0);
-        // The numbers show the gap too: 13 and 14, and what was tried in between.
+        // The numbers show the gap, too: 13 and 14, and the failed attempts.
         let told = told(&disk);
         assert_eq!(told[..2], ["11 granted", "12 granted"]);
         assert_eq!(told[2..], ["17 login", "18 audit-lost 3"]);
@@ -247,7 +247,7 @@ mod tests {
 
     #[test]
     fn what_found_no_place_is_told_next() {
-        let shared = Arc::new(Shared::default());
+        let shared = Arc::new(AuditShared::default());
         let mut disk = Disk {
             room: 10,
             ..Disk::default()
@@ -261,7 +261,7 @@ mod tests {
 
     #[test]
     fn the_end_writes_all_and_counts_up() {
-        let shared = Arc::new(Shared::default());
+        let shared = Arc::new(AuditShared::default());
         let mut disk = Disk {
             room: 1000,
             ..Disk::default()

@@ -10,12 +10,12 @@ use serde_json::{Map, Value as Json, json};
 use super::Outcome;
 use super::line::Told;
 
-/// An input on which something else is decided now.
+/// An input whose decision differs now.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Difference {
     /// When it came.
     pub at: Time,
-    /// Its line in the recording; where time alone did it, the line of the input after it.
+    /// Its line in the recording; for a deadline the line of the next input.
     pub line: u64,
     /// The peer that it came from.
     pub peer: Option<String>,
@@ -27,13 +27,13 @@ pub struct Difference {
     pub message: Option<String>,
     /// Where.
     pub context: Option<String>,
-    /// What was decided then and is not now.
+    /// Decisions then that are missing now.
     pub was: Vec<Decision>,
-    /// What is decided now and was not then.
+    /// Decisions now that were missing then.
     pub is: Vec<Decision>,
 }
 
-/// One thing that was decided, with names for numbers.
+/// One decision, with names instead of numbers.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Decision {
     /// What.
@@ -44,12 +44,12 @@ pub struct Decision {
     pub place: Option<String>,
 }
 
-/// The names of peers, also of those that are gone.
+/// The names of peers, including those that are gone.
 #[derive(Debug, Default)]
 pub(super) struct Names(BTreeMap<u64, (String, Option<String>)>);
 
 impl Names {
-    /// Looks up what a peer is called now.
+    /// Looks up a peer's present name.
     pub(super) fn note(&mut self, hub: &Hub, peer: Option<u64>, user: Option<String>) {
         let Some(peer) = peer else { return };
         if let Some(name) = hub.peer_name(PeerId(peer)) {
@@ -102,7 +102,7 @@ impl Difference {
         }
     }
 
-    /// Asks for each rule that decides now where it stands; the context is that of the decision.
+    /// Looks up where each deciding rule is in the file; the context is the decision's.
     pub fn locate(&mut self, mut place: impl FnMut(&str, &Path) -> Option<String>) {
         let asked = self.context.as_deref();
         for decision in &mut self.is {

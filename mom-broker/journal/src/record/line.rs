@@ -1,4 +1,4 @@
-//! The lines of a recording: its head, inputs with what was decided on them, its end.
+//! The lines of a recording: its head, inputs with their decisions, its end.
 
 use mom_hub::{Holder, Hub, Input, PeerClock, Record, Settings, Ticket, User};
 use mom_proto::{ClockOffset, Content, ContextNumber, Family, Limits, Parcel, Path, Time};
@@ -14,19 +14,19 @@ pub(super) const VERSION: u32 = 1;
 /// One line of a recording.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub(super) enum Line {
+pub(super) enum RecordedLine {
     /// The first.
-    Head(Box<Head>),
+    Head(Box<RecordingHead>),
     /// One input of the hub.
-    Step(Box<Step>),
-    /// The last of a recording that was ended, and why.
+    Step(Box<RecordedStep>),
+    /// The last line of a recording that was ended early, with the reason.
     End(String),
 }
 
-/// What a replay has to know before the first input.
+/// What a replay needs before the first input.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub(super) struct Head {
+pub(super) struct RecordingHead {
     /// The form of the lines.
     pub(super) form: u32,
     /// The broker's version.
@@ -46,11 +46,11 @@ pub(super) struct Head {
     /// What was durable before the start.
     #[serde(default)]
     pub(super) records: Vec<OldRecord>,
-    /// The limits, for who reads the file; a replay goes by those of its own configuration.
+    /// The limits, for readers of the file; a replay uses those of its own configuration.
     pub(super) limits: Limits,
 }
 
-/// What was kept of a token.
+/// The stored record of a token.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) struct OldRecord {
@@ -61,22 +61,22 @@ pub(super) struct OldRecord {
     lease: Option<u64>,
 }
 
-/// An input and what was decided on it.
+/// An input and its decision.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub(super) struct Step {
+pub(super) struct RecordedStep {
     /// Monotonic µs.
     pub(super) now: u64,
-    /// What came.
+    /// The input.
     pub(super) input: Told,
-    /// What was decided.
+    /// The decision.
     pub(super) decided: Vec<Outcome>,
-    /// When the hub wanted to be called next.
+    /// The hub's next deadline.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) deadline: Option<u64>,
 }
 
-/// An input as it is told: no secrets, and of messages no content.
+/// An input as recorded: without secrets and without the content of messages.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum Told {
@@ -108,10 +108,10 @@ pub(super) struct RequestTold {
     pub(super) peer: u64,
     pub(super) family: String,
     pub(super) name: String,
-    /// Where; a number that the peer used is told as the path that it stood for.
+    /// The context; a number that the peer used is recorded as its path.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) context: Option<String>,
-    /// A number that stood for nothing.
+    /// A number of no context.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) number: Option<u64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -125,19 +125,19 @@ pub(super) struct RequestTold {
     pub(super) timestamp: Option<i64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) expires: Option<u64>,
-    /// What was known of that clock: offset and error in µs, and how far ahead a stamp may be.
+    /// The estimate of that clock: offset and error in µs, and how far ahead a stamp may be.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) clock: Option<(i64, u64, u64)>,
-    /// The size of content that is not told.
+    /// The size of content that is left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) size: Option<usize>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) content: Option<Recorded>,
 }
 
-impl Head {
-    pub(super) fn new(settings: &Settings, config: &ConfigFile) -> Head {
-        Head {
+impl RecordingHead {
+    pub(super) fn new(settings: &Settings, config: &ConfigFile) -> RecordingHead {
+        RecordingHead {
             form: VERSION,
             version: env!("CARGO_PKG_VERSION").to_owned(),
             anchor: settings.anchor,
@@ -192,7 +192,7 @@ impl OldRecord {
 }
 
 impl Told {
-    /// What is told of an input; `hub` as it is before.
+    /// The recorded form of an input; `hub` is in the state before it.
     pub(super) fn of(input: &Input, hub: &Hub) -> Told {
         match input {
             Input::Login {
@@ -250,7 +250,7 @@ impl RequestTold {
         let named = || hub.path(parcel.number?);
         let context = parcel.context.as_ref().or_else(named).map(Path::to_string);
         let content = parcel.content.as_ref();
-        // What control is asked for is what a replay has to know; anything else is nobody's business here.
+        // A replay needs the content of requests for control only; anything else is private.
         let control = matches!(parcel.family, Family::Context | Family::Token | Family::Manager);
         let message = parcel.family == Family::Message;
         let address = parcel.address.as_ref();
@@ -276,7 +276,7 @@ impl RequestTold {
         }
     }
 
-    /// What was known of the sender's clock.
+    /// The estimate of the sender's clock.
     pub(super) fn peer_clock(&self) -> Option<PeerClock> {
         self.clock.map(|(micros, error, future)| PeerClock {
             offset: ClockOffset { micros, error },

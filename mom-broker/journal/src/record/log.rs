@@ -4,9 +4,9 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
-use super::line::{Head, Line, VERSION};
+use super::line::{RecordedLine, RecordingHead, VERSION};
 
-/// A parcel's content in base64, and what stands around it.
+/// The longest line: a parcel's content in base64, and the rest of the line.
 const LONGEST: u64 = 64 * 1024 * 1024;
 
 /// A recording that cannot be replayed.
@@ -30,14 +30,14 @@ pub enum RecordError {
         /// What is wrong with it.
         text: String,
     },
-    /// The configuration that it shall be replayed through is wrong.
+    /// The configuration for the replay is wrong.
     #[error("{0}")]
     Config(String),
 }
 
 /// A recording that is being read.
 #[derive(Debug)]
-pub(super) struct Log {
+pub(super) struct RecordingReader {
     name: String,
     reader: BufReader<File>,
     next: Option<Vec<u8>>,
@@ -47,9 +47,9 @@ pub(super) struct Log {
     torn: bool,
 }
 
-impl Log {
+impl RecordingReader {
     /// Opens a recording and reads its head.
-    pub(super) fn open(path: &Path) -> Result<(Log, Head), RecordError> {
+    pub(super) fn open(path: &Path) -> Result<(RecordingReader, RecordingHead), RecordError> {
         let name = path.display().to_string();
         let failed = |error| RecordError::Read {
             file: name.clone(),
@@ -57,7 +57,7 @@ impl Log {
         };
         let file = File::open(path).map_err(failed)?;
         let length = file.metadata().map_err(failed)?.len();
-        let mut log = Log {
+        let mut log = RecordingReader {
             name,
             reader: BufReader::new(file),
             next: None,
@@ -68,8 +68,8 @@ impl Log {
         };
         log.next = log.read_line()?;
         match log.next()? {
-            Some(Line::Head(head)) if head.form == VERSION => Ok((log, *head)),
-            Some(Line::Head(head)) => Err(log.error(format!(
+            Some(RecordedLine::Head(head)) if head.form == VERSION => Ok((log, *head)),
+            Some(RecordedLine::Head(head)) => Err(log.error(format!(
                 "a recording of form {}; this program reads form {VERSION}",
                 head.form
             ))),
@@ -77,8 +77,8 @@ impl Log {
         }
     }
 
-    /// The next line. A last one that was cut off is as if it were not there, see [`Log::is_torn`].
-    pub(super) fn next(&mut self) -> Result<Option<Line>, RecordError> {
+    /// The next line. A truncated last line is skipped, see [`RecordingReader::is_torn`].
+    pub(super) fn next(&mut self) -> Result<Option<RecordedLine>, RecordError> {
         let Some(bytes) = self.next.take() else {
             return Ok(None);
         };
@@ -86,7 +86,7 @@ impl Log {
         self.next = self.read_line()?;
         match serde_json::from_slice(&bytes) {
             Ok(line) => Ok(Some(line)),
-            // Whatever was written when the power went is no reason to throw away what came before.
+            // A line that was cut off by a power failure does not invalidate the lines before it.
             Err(_) if self.next.is_none() && self.line > 1 => {
                 self.torn = true;
                 Ok(None)
@@ -130,7 +130,7 @@ impl Log {
         self.torn
     }
 
-    /// Bytes read, and all of them.
+    /// Bytes read, and bytes in all.
     pub(super) fn progress(&self) -> (u64, u64) {
         (self.read, self.length)
     }
@@ -149,7 +149,7 @@ mod tests {
         let folder = TempDir::new().unwrap();
         let path = folder.path().join("control.jsonl");
         fs::write(&path, text).unwrap();
-        let (mut log, _) = match Log::open(&path) {
+        let (mut log, _) = match RecordingReader::open(&path) {
             Ok(opened) => opened,
             Err(error) => return (Err(error.to_string()), false),
         };

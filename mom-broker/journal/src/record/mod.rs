@@ -1,8 +1,8 @@
-//! What the hub was told and what it decided, written down so that it can be decided again under other rules.
+//! Recordings of the hub's inputs and decisions, so that they can be decided again under other rules.
 //!
-//! The hub is deterministic: the same inputs at the same times give the same effects. So a recording holds the inputs
-//! alone, with their times, and beside each what was decided, to compare. Messages that pass by a standing verdict
-//! never come to the hub; they are not in it.
+//! The hub is deterministic: the same inputs at the same times give the same effects. So a recording has the inputs
+//! with their times, and beside each its decision, for comparison. Messages that pass by a standing verdict never
+//! reach the hub and are not recorded.
 
 mod difference;
 mod line;

@@ -1,11 +1,11 @@
-//! What was decided, in the form in which two decisions can be compared.
+//! Decisions in a form that can be compared.
 
 use mom_hub::{Audit, Effect};
 use mom_proto::event::Reason;
 use mom_proto::{Family, Parcel, Value, Verb};
 use serde::{Deserialize, Serialize};
 
-/// One thing that came of an input.
+/// One outcome of an input.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Outcome {
@@ -80,14 +80,14 @@ pub enum Outcome {
         /// The peer.
         peer: String,
     },
-    /// A peer does so no longer.
+    /// A peer has left a shared hold.
     Uninhibited {
         /// The token.
         context: String,
         /// The peer.
         peer: String,
     },
-    /// A peer was put out of a context.
+    /// A peer was expelled from a context.
     Expelled {
         /// The context.
         context: String,
@@ -118,7 +118,7 @@ pub enum Outcome {
     },
 }
 
-/// What came of an input, from the effects that the hub wanted.
+/// The outcomes of an input, from the hub's effects.
 ///
 /// `asked` is the peer whose request the input was, with its verb.
 pub(super) fn outcomes(effects: &[Effect], asked: Option<(u64, Option<Verb>)>) -> Vec<Outcome> {
@@ -168,7 +168,7 @@ fn answer(to: u64, parcel: &Parcel, asked: Option<(u64, Option<Verb>)>) -> Outco
             rule: text("rule"),
         };
     }
-    // Only a grant tells all of them; who asks for information hears the fence too, but is granted nothing.
+    // Only a grant has all of them; `info` reports the fence, too, but grants nothing.
     let info = asked.is_some_and(|(peer, verb)| peer == to && verb == Some(Verb::Info));
     let grant = !info && content.get("fence").is_some() && content.get("lease").is_some();
     let int = |key: &str| content.get(key).and_then(Value::as_int).filter(|_| grant);
@@ -189,7 +189,7 @@ fn question(parcel: &Parcel) -> Option<Outcome> {
     })
 }
 
-/// What a fact says about control. The facts and not the events: whether there is an event depends on who listens.
+/// What a fact says about control. Facts are used because events depend on who is listening.
 fn told(fact: &Audit) -> Option<Outcome> {
     let context = fact.context.as_ref()?.to_string();
     let peer = fact.peer.as_deref().unwrap_or_default().to_owned();
@@ -208,7 +208,7 @@ fn told(fact: &Audit) -> Option<Outcome> {
         "inhibited" => Outcome::Inhibited { context, peer },
         "uninhibited" => Outcome::Uninhibited { context, peer },
         "expelled" => Outcome::Expelled { context, peer },
-        // What else there is has an answer that says the same.
+        // All other facts have a reply that says the same.
         _ => return None,
     })
 }
@@ -222,7 +222,7 @@ impl Outcome {
         }
     }
 
-    /// The number of the peer that it is about, where it is not told by name.
+    /// The number of the peer concerned, where it is not given by name.
     pub(super) fn peer(&self) -> Option<u64> {
         match self {
             Outcome::Ok { to: peer, .. }
@@ -234,7 +234,7 @@ impl Outcome {
         }
     }
 
-    /// The context that it is about, where it is not that of the request.
+    /// The context concerned, where it is not the request's.
     pub(super) fn context(&self) -> Option<&str> {
         match self {
             Outcome::Passed { context, .. }
@@ -257,8 +257,8 @@ impl Outcome {
         }
     }
 
-    /// The outcome without what is no decision: numbers that count up, and by which rule unless that matters. None
-    /// for what is no decision at all.
+    /// The outcome without running numbers, and without the rule unless rules are compared. None for outcomes that
+    /// are no decision.
     pub(super) fn decision(&self, rules: bool) -> Option<Outcome> {
         let mut outcome = self.clone();
         match &mut outcome {

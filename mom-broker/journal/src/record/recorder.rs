@@ -15,7 +15,7 @@ use mom_system::{numbered, open_own};
 use tokio::sync::oneshot;
 
 use super::RecordConfig;
-use super::line::{Head, Line, Step, Told};
+use super::line::{RecordedLine, RecordedStep, RecordingHead, Told};
 use super::outcome::outcomes;
 use crate::ConfigFile;
 
@@ -41,20 +41,20 @@ const PATIENCE: Duration = Duration::from_secs(5);
 /// so in its last line and in the log.
 #[derive(Debug)]
 pub(crate) struct Recorder {
-    queue: SyncSender<Note>,
-    shared: Arc<Shared>,
+    queue: SyncSender<RecordNote>,
+    shared: Arc<RecordShared>,
 }
 
 #[derive(Debug, Default)]
-struct Shared {
+struct RecordShared {
     stopped: AtomicBool,
     overflow: AtomicBool,
     waiting: AtomicUsize,
 }
 
 #[derive(Debug)]
-enum Note {
-    Step(Box<Step>, usize),
+enum RecordNote {
+    Step(Box<RecordedStep>, usize),
     End(oneshot::Sender<()>),
 }
 
@@ -79,13 +79,15 @@ impl Recorder {
         let Some(path) = &record.path else {
             return Ok(None);
         };
-        let mut writer = Writer {
+        let mut writer = RecordWriter {
             file: BufWriter::new(begin(path)?),
             length: 0,
             size: record.size,
             shared: Arc::default(),
         };
-        writer.write(&Line::Head(Box::new(Head::new(settings, config))))?;
+        writer.write(&RecordedLine::Head(Box::new(RecordingHead::new(
+            settings, config,
+        ))))?;
         writer.file.flush()?;
         let shared = Arc::clone(&writer.shared);
         let (queue, notes) = sync_channel(QUEUE);
@@ -119,7 +121,7 @@ impl Recorder {
 
     /// Writes down what was decided on it.
     pub(crate) fn decided(&self, now: Micros, noted: Noted, effects: &[Effect], deadline: Option<Micros>) {
-        let step = Step {
+        let step = RecordedStep {
             now,
             input: noted.told,
             decided: outcomes(effects, noted.asked),
@@ -130,7 +132,7 @@ impl Recorder {
         if full
             || self
                 .queue
-                .try_send(Note::Step(Box::new(step), noted.cost))
+                .try_send(RecordNote::Step(Box::new(step), noted.cost))
                 .is_err()
         {
             self.shared.overflow.store(true, Ordering::Relaxed);
@@ -160,7 +162,7 @@ impl Recorder {
         // The queue may be full, and a disk that hangs must not hold up the program's end.
         let sent = std::thread::Builder::new()
             .name("record-end".to_owned())
-            .spawn(move || queue.send(Note::End(done)).is_ok());
+            .spawn(move || queue.send(RecordNote::End(done)).is_ok());
         if sent.is_err() || tokio::time::timeout(PATIENCE, written).await.is_err() {
             tracing::error!("the recording could not be written to its end");
         }
@@ -178,40 +180,40 @@ fn begin(path: &Path) -> io::Result<File> {
     open_own(path)
 }
 
-struct Writer {
+struct RecordWriter {
     file: BufWriter<File>,
     length: u64,
     size: u64,
-    shared: Arc<Shared>,
+    shared: Arc<RecordShared>,
 }
 
-impl Drop for Writer {
+impl Drop for RecordWriter {
     fn drop(&mut self) {
         // As for the audit log: whoever starts next shall find the file free.
         let _ = self.file.get_ref().unlock();
     }
 }
 
-impl Writer {
-    fn run(mut self, notes: &Receiver<Note>) {
+impl RecordWriter {
+    fn run(mut self, notes: &Receiver<RecordNote>) {
         if let Err(error) = self.take_all(notes) {
             tracing::error!(%error, "the recording stops: it cannot be written");
         }
         self.shared.stopped.store(true, Ordering::Relaxed);
     }
 
-    fn take_all(&mut self, notes: &Receiver<Note>) -> io::Result<()> {
+    fn take_all(&mut self, notes: &Receiver<RecordNote>) -> io::Result<()> {
         loop {
             let mut next = notes.recv_timeout(TICK);
             loop {
                 match next {
-                    Ok(Note::Step(step, cost)) => {
+                    Ok(RecordNote::Step(step, cost)) => {
                         self.shared.waiting.fetch_sub(cost, Ordering::Relaxed);
-                        if self.write(&Line::Step(step))? {
+                        if self.write(&RecordedLine::Step(step))? {
                             return self.end("it has reached its size", true);
                         }
                     }
-                    Ok(Note::End(done)) => {
+                    Ok(RecordNote::End(done)) => {
                         let ended = self.end(STOPPED, false);
                         // Whoever does not wait any more need not know.
                         let _ = done.send(());
@@ -230,11 +232,11 @@ impl Writer {
     }
 
     /// True if there is no room for it.
-    fn write(&mut self, line: &Line) -> io::Result<bool> {
+    fn write(&mut self, line: &RecordedLine) -> io::Result<bool> {
         let mut bytes = serde_json::to_vec(line)?;
         bytes.push(b'\n');
         let length = self.length + bytes.len() as u64;
-        if length > self.size && matches!(line, Line::Step(_)) {
+        if length > self.size && matches!(line, RecordedLine::Step(_)) {
             return Ok(true);
         }
         self.length = length;
@@ -245,7 +247,7 @@ impl Writer {
         if early {
             tracing::warn!(why, "the recording stops");
         }
-        self.write(&Line::End(why.to_owned()))?;
+        self.write(&RecordedLine::End(why.to_owned()))?;
         self.file.flush()
     }
 }

@@ -9,8 +9,8 @@ use mom_managers::Micros;
 use mom_proto::{Content, ContextNumber, Family, Limits, Parcel, Time, Verb};
 
 use super::difference::{Difference, Names};
-use super::line::{Head, Line, LoginTold, RequestTold, Step, Told, path};
-use super::log::{Log, RecordError};
+use super::line::{LoginTold, RecordedLine, RecordedStep, RecordingHead, RequestTold, Told, path};
+use super::log::{RecordError, RecordingReader};
 use super::outcome::{Outcome, outcomes};
 use super::translations::Translations;
 
@@ -19,8 +19,8 @@ use super::translations::Translations;
 pub struct Replay {
     /// The users of the new configuration.
     users: Vec<User>,
-    log: Log,
-    head: Head,
+    log: RecordingReader,
+    head: RecordingHead,
     hub: Hub,
     rules: bool,
     names: Names,
@@ -62,7 +62,7 @@ impl Replay {
         users: Vec<User>,
         make: impl FnOnce(Settings) -> Result<Hub, E>,
     ) -> Result<Replay, RecordError> {
-        let (log, head) = Log::open(log)?;
+        let (log, head) = RecordingReader::open(log)?;
         let settings = head.settings(limits).map_err(|text| log.error(text))?;
         let hub = make(settings).map_err(|error| RecordError::Config(error.to_string()))?;
         let mut translations = Translations::default();
@@ -92,17 +92,19 @@ impl Replay {
     /// A damaged line that is not the last.
     pub fn step(&mut self) -> Result<Option<Vec<Difference>>, RecordError> {
         match self.log.next()? {
-            Some(Line::Step(step)) => {
+            Some(RecordedLine::Step(step)) => {
                 self.summary.inputs += 1;
                 let differences = self.replay(&step).map_err(|text| self.log.error(text))?;
                 self.summary.differ += differences.len() as u64;
                 Ok(Some(differences))
             }
-            Some(Line::End(why)) => {
+            Some(RecordedLine::End(why)) => {
                 self.summary.end = Some(why);
                 Ok(Some(Vec::new()))
             }
-            Some(Line::Head(_)) => Err(self.log.error("a second head: this is two recordings".to_owned())),
+            Some(RecordedLine::Head(_)) => {
+                Err(self.log.error("a second head: this is two recordings".to_owned()))
+            }
             None => {
                 self.summary.torn = self.log.is_torn();
                 Ok(None)
@@ -125,7 +127,7 @@ impl Replay {
         self.log.progress()
     }
 
-    fn replay(&mut self, step: &Step) -> Result<Vec<Difference>, String> {
+    fn replay(&mut self, step: &RecordedStep) -> Result<Vec<Difference>, String> {
         let mut differences = Vec::new();
         while let Some(at) = self.own_deadline(step.now) {
             let decided = self.handle(at, Input::Tick, None, &[]);

@@ -7,7 +7,7 @@ use mom_proto::{Content, Family, Limits, Map, Parcel, Path, Value, Verb, WireErr
 use serde::Deserialize;
 use tempfile::TempDir;
 
-use super::line::{Head, Line, Step, Told};
+use super::line::{RecordedLine, RecordedStep, RecordingHead, Told};
 use super::outcome::outcomes;
 use super::{Outcome, Replay, Summary};
 use crate::ConfigFile;
@@ -30,7 +30,7 @@ struct Recording {
     folder: TempDir,
     hub: Hub,
     now: u64,
-    lines: Vec<Line>,
+    lines: Vec<RecordedLine>,
 }
 
 impl Recording {
@@ -41,12 +41,12 @@ impl Recording {
             epoch: 1,
             ..Settings::default()
         };
-        let head = Head::new(&settings, &ConfigFile::default());
+        let head = RecordingHead::new(&settings, &ConfigFile::default());
         Recording {
             folder,
             hub: hub(rules, settings).expect("right"),
             now: 0,
-            lines: vec![Line::Head(Box::new(head))],
+            lines: vec![RecordedLine::Head(Box::new(head))],
         }
     }
 
@@ -60,7 +60,7 @@ impl Recording {
         let mut effects = Vec::new();
         self.hub.handle(self.now, input, &mut effects);
         let decided = outcomes(&effects, asked);
-        self.lines.push(Line::Step(Box::new(Step {
+        self.lines.push(RecordedLine::Step(Box::new(RecordedStep {
             now: self.now,
             input: told,
             decided: decided.clone(),
@@ -275,10 +275,10 @@ fn lines_come_back() {
     for line in &recording.lines {
         let text = serde_json::to_string(line).expect("JSON");
         assert!(!text.contains("a secret"), "{text}");
-        let back: Line = serde_json::from_str(&text).expect("a line");
+        let back: RecordedLine = serde_json::from_str(&text).expect("a line");
         match (line, back) {
-            (Line::Head(line), Line::Head(back)) => assert_eq!(*line, back),
-            (Line::Step(line), Line::Step(back)) => assert_eq!(*line, back),
+            (RecordedLine::Head(line), RecordedLine::Head(back)) => assert_eq!(*line, back),
+            (RecordedLine::Step(line), RecordedLine::Step(back)) => assert_eq!(*line, back),
             other => panic!("{other:?}"),
         }
     }

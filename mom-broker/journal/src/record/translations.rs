@@ -1,4 +1,4 @@
-//! What the recorded hub's numbers are in the hub that decides again.
+//! Translates numbers of the recorded hub into those of the replaying hub.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use mom_proto::{MAX_ID, Parcel, Path, Value};
 
 use super::outcome::{Outcome, outcomes};
 
-/// Numbers of the recorded hub and what they are in this one. Where both decide alike they are the same.
+/// Numbers of the recorded hub with their counterparts here. Where both hubs decide alike they are equal.
 #[derive(Debug, Default)]
 pub(super) struct Translations {
     /// By token and number.
@@ -19,7 +19,7 @@ pub(super) struct Translations {
 }
 
 impl Translations {
-    /// Takes a route of this hub in.
+    /// Notes a route of this hub.
     pub(super) fn route(&mut self, route: &mom_hub::Route) {
         match &route.guard {
             Some(guard) => self.guards.insert(route.path.clone(), guard.token.to_string()),
@@ -27,7 +27,7 @@ impl Translations {
         };
     }
 
-    /// Learns from what was decided here and there on the same input; gives the tickets that only this hub waits for.
+    /// Learns from both decisions on the same input; gives the tickets for which only this hub waits.
     pub(super) fn note(&mut self, effects: &[Effect], left: &mut Vec<&Outcome>) -> Vec<Ticket> {
         let mut own = Vec::new();
         for effect in effects {
@@ -70,14 +70,14 @@ impl Translations {
         own
     }
 
-    /// What a fence that was named on this channel is here.
+    /// Translates a fence that was named on this channel.
     pub(super) fn fence(&self, channel: Option<&Path>, fence: u64) -> u64 {
         let token = channel.and_then(|channel| self.guards.get(channel));
         let here = token.and_then(|token| self.fences.get(&(token.clone(), fence)));
         here.copied().unwrap_or(fence)
     }
 
-    /// What a ticket is here; none if nothing was stored.
+    /// Translates a ticket; none if nothing was stored.
     pub(super) fn ticket(&mut self, there: u64) -> Option<Ticket> {
         self.tickets.remove(&there).map(Ticket)
     }
@@ -92,7 +92,7 @@ impl Translations {
         let here = u64::try_from(there)
             .ok()
             .and_then(|there| self.questions.get(&there));
-        // What was not asked here is answered too late, whatever else has that number.
+        // An answer to a question that this hub did not ask is too late, even if another question has its number.
         let here = here.copied().unwrap_or(MAX_ID);
         map.set("consult", i64::try_from(here).unwrap_or(i64::MAX));
         parcel.content = Some(value.into());
@@ -132,7 +132,7 @@ mod tests {
         }
     }
 
-    /// A verdict answers the question that was asked about the same, whatever its number is here.
+    /// A verdict answers the question about the same request, whatever its number is here.
     #[test]
     fn questions_are_those_of_the_replay() {
         let asked = |question, context: &str| Outcome::Asked {

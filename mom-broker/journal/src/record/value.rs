@@ -1,4 +1,4 @@
-//! Values as JSON, without loss: what JSON has no word for stands in a map of one key that begins with `$`.
+//! Values as JSON, without loss: a value without a JSON type becomes a map with one key that begins with `$`.
 //!
 //! | value | JSON |
 //! |---|---|
@@ -8,8 +8,7 @@
 //! | binary | `{"$binary": "base64"}` |
 //! | map | a map; a key that begins with `$` gets one more |
 //!
-//! Content that is still encoded and is no value, or nests deeper than JSON's readers go, stands as
-//! `{"$msgpack": "base64"}`.
+//! Encoded content that is not a value, or nests deeper than JSON readers allow, becomes `{"$msgpack": "base64"}`.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;

@@ -7,10 +7,10 @@ use serde::Deserialize;
 
 use crate::{JwtConfig, JwtUsers, SettingError};
 
-/// Bytes that a shared secret and the modulus of an RSA key have at least (RFC 7518, 3.2 and 3.3).
+/// Least bytes of a shared secret and of an RSA modulus (RFC 7518, 3.2 and 3.3).
 const SECRET: usize = 32;
 const MODULUS: usize = 256;
-/// Bytes of a key of Ed25519, the one curve that is taken.
+/// Bytes of an Ed25519 key, the only curve that is accepted.
 const ED25519: usize = 32;
 /// Groups that a token may name.
 const GROUPS: usize = 64;
@@ -25,19 +25,19 @@ pub struct Verifier {
     validation: Validation,
 }
 
-/// What a token says of its bearer.
+/// The claims of a token about its bearer.
 #[derive(Debug, PartialEq)]
 pub(super) struct Proven {
     pub(super) name: String,
-    /// Level and groups, where the claims and not the users file have the say.
+    /// Level and groups, if they come from the claims and not from the users file.
     pub(super) claims: Option<(i32, Vec<String>)>,
-    /// When it must be proven again.
+    /// When the bearer must authenticate again.
     pub(super) until: Time,
 }
 
 #[derive(Deserialize)]
 struct Claims {
-    // Those without which no token is taken are missed by name further down.
+    // Missing required claims are reported by name below.
     #[serde(default)]
     sub: Option<String>,
     #[serde(default)]
@@ -62,7 +62,7 @@ impl Seconds {
     fn micros(self) -> i64 {
         match self {
             Seconds::Whole(seconds) => seconds.saturating_mul(1_000_000),
-            // Saturates, and what is no number is long ago.
+            // Saturates; a value that is not a number counts as long ago.
             Seconds::Parts(seconds) => (seconds * 1e6) as i64,
         }
     }
@@ -83,7 +83,7 @@ impl Verifier {
         }
         let key = read_key(algorithms[0].family(), config.key.text()).map_err(wrong("key"))?;
         for algorithm in &algorithms {
-            // Only whether the key is one for it, of the right curve.
+            // Only checks that the key fits the algorithm and curve.
             crypto::verify("", b"", &key, *algorithm)
                 .map_err(|_| wrong("key")(format!("this is no key for {algorithm:?}")))?;
         }
@@ -109,7 +109,7 @@ impl Verifier {
     pub(super) fn verify(&self, token: &str, now: Time) -> Result<Proven, WireError> {
         let refused = |text: &str| WireError::new(Code::BAD_LOGIN, text);
         let untrusted = || refused("this is no token of the issuer that this hub trusts");
-        // What must be understood (RFC 7515, 4.1.11) is not understood here.
+        // Critical extensions (RFC 7515, 4.1.11) are not supported.
         let header = decode_header(token).map_err(|_| untrusted())?;
         if header.crit.is_some() {
             return Err(untrusted());
@@ -180,7 +180,7 @@ fn algorithms(words: &[String]) -> Result<Vec<Algorithm>, String> {
     }
     match algorithms.first() {
         None => Err(format!("at least one of {KNOWN}")),
-        // A public key that is taken for a shared secret is one that everybody has.
+        // A public key used as a shared secret would be a secret that everybody knows.
         Some(first) if algorithms.iter().any(|other| other.family() != first.family()) => {
             Err("these are algorithms for different kinds of key; there is one key".to_owned())
         }

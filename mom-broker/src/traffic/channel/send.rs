@@ -6,7 +6,7 @@ use mom_hub::{Admission, Alike, Ingress, PeerClock, PeerId, Receivers, Route, Us
 use mom_managers::{Micros, Rate};
 use mom_net::Lane;
 use mom_net::Reader;
-use mom_proto::binary::{Plain, Run};
+use mom_proto::binary::{ParcelRun, Plain};
 use mom_proto::{ContextNumber, Delivery, Overflow, Parcel, WireError};
 use mom_system::Clock;
 
@@ -234,9 +234,9 @@ impl State {
         let mut budget = rate.map(|rate| used.budget(&rate, ingress.now));
         let position = self.route.position(peer);
         let reserve = (reader.waiting() * 3 / 2).min(most) + 256;
-        let mut run: Option<Run> = None;
+        let mut run: Option<ParcelRun> = None;
         while let Some(plain) = reader.plain().filter(is_small) {
-            let run = run.get_or_insert_with(|| Run::begin(&plain, &first, reserve));
+            let run = run.get_or_insert_with(|| ParcelRun::begin(&plain, &first, reserve));
             let length = plain.length();
             if !run.takes(&plain) || run.length() >= RUN || run.length() + length > most {
                 break;

@@ -1,14 +1,14 @@
-//! Runs a test in many orders of its threads' steps.
+//! Runs a test in many interleavings of its threads.
 
 use shuttle::scheduler::{PctScheduler, RandomScheduler, Scheduler};
 
-/// Orders tried of each test in either way, unless `MOM_ORDERS` says otherwise.
+/// Interleavings tried of each test with either scheduler, unless `MOM_ORDERS` says otherwise.
 const ORDERS: usize = 400;
 
-/// Switches at places that matter; more than that few faults need.
+/// Preemptions at chosen points; few faults need more.
 const SWITCHES: usize = 4;
 
-/// Runs a test in many orders: such that switch all the time, and such that switch seldom.
+/// Runs a test in many interleavings: some switch threads all the time, others seldom.
 ///
 /// They are the same ones each time, unless `MOM_SEED` says otherwise.
 pub fn explore(test: fn()) {
@@ -21,7 +21,7 @@ pub fn explore(test: fn()) {
 
 fn run(scheduler: impl Scheduler + 'static, test: fn()) {
     let mut config = shuttle::Config::new();
-    // The hub decides with more of it than shuttle's threads have by themselves.
+    // The hub needs more stack than shuttle's threads have by default.
     config.stack_size = 1 << 19;
     config.silence_warnings = true;
     shuttle::Runner::new(scheduler, config).run(test);

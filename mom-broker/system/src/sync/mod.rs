@@ -1,9 +1,9 @@
 //! Locks, atomics, wake-ups and threads, in one place.
 //!
-//! They are parking_lot's, std's and tokio's own, and nothing is added to them. Only with the feature `shuttle`, which
-//! `cargo xtask shuttle` sets, are they shuttle's: it runs all threads of a test in turns and tries one order of steps
-//! after the other. Whatever threads of the broker share is taken from here; what is taken from elsewhere is one step
-//! to those tests.
+//! They are parking_lot's, std's and tokio's own, and nothing is added to them. Only with the feature `shuttle`,
+//! which `cargo xtask shuttle` sets, are they shuttle's: it runs the threads of a test one at a time and tries one
+//! interleaving after the other. Everything that the broker's threads share must come from here; primitives from
+//! elsewhere are a single step to those tests.
 
 #[cfg(not(feature = "shuttle"))]
 pub use parking_lot::{Condvar, Mutex, MutexGuard};

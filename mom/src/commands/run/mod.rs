@@ -1,4 +1,4 @@
-//! `mom run`: a script, carried out by the robot under its token.
+//! `mom run`: runs a script on the robot under its token.
 
 mod progress;
 mod script;
@@ -10,21 +10,21 @@ use mom_client::{Client, Event, Events, Family, Lost, Parcel, Path, Value, from_
 use serde_json::json;
 use tokio::time::{Instant, timeout_at};
 
-use self::progress::{Change, Progress};
-use self::script::Command;
-use crate::cli::{self, Global};
+use self::progress::{ProgressDisplay, StatusChange};
+use self::script::ScriptLine;
+use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::input;
 use crate::interrupt::Interrupt;
 use crate::output::event::lost_words;
-use crate::output::style::{Ink, ink};
+use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
 
-/// How long a robot may take to say what it thinks of a command.
+/// How long a robot may take for its first status of a command.
 const ANSWER: Duration = Duration::from_secs(10);
 
-pub(crate) async fn run(args: &cli::Run, global: &Global, output: Output) -> Result<(), Failure> {
+pub(crate) async fn run(args: &cli::RunArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let commands = read(args)?;
     let client = connect(global, Stay::Once).await?;
     let mut interrupt = Interrupt::install()?;
@@ -40,13 +40,13 @@ pub(crate) async fn run(args: &cli::Run, global: &Global, output: Output) -> Res
     let mut guard = token.grab().await.doing(format!("grab {}", args.token))?;
     output.remark(ink(
         format_args!("holding {} (fence {})", args.token, words::fence(guard.fence())),
-        Ink::Faint,
+        Tone::Faint,
     ));
     let mut job = Job {
         client: client.clone(),
         channel: channel.path().clone(),
         events,
-        progress: Progress::new(output, commands.len()),
+        progress: ProgressDisplay::new(output, commands.len()),
         robot: None,
         keep_going: args.keep_going,
     };
@@ -66,7 +66,7 @@ pub(crate) async fn run(args: &cli::Run, global: &Global, output: Output) -> Res
     outcome.tell(commands.len(), &args.channel, output)
 }
 
-fn read(args: &cli::Run) -> Result<Vec<Command>, Failure> {
+fn read(args: &cli::RunArgs) -> Result<Vec<ScriptLine>, Failure> {
     let file = args.script.to_string_lossy();
     let text = input::text(&file).map_err(|error| {
         Failure::usage(
@@ -88,18 +88,18 @@ fn read(args: &cli::Run) -> Result<Vec<Command>, Failure> {
     Ok(commands)
 }
 
-/// What came of the commands.
+/// The outcome of the commands.
 #[derive(Clone, Copy, Debug, Default)]
-struct Outcome {
+struct RunOutcome {
     done: usize,
     failed: usize,
-    /// Whether the robot takes no command because somebody stopped it.
+    /// Whether the robot refuses commands because it was stopped.
     stopped: bool,
 }
 
-impl Outcome {
+impl RunOutcome {
     fn tell(self, total: usize, channel: &str, output: Output) -> Result<(), Failure> {
-        let Outcome {
+        let RunOutcome {
             done,
             failed,
             stopped,
@@ -108,7 +108,7 @@ impl Outcome {
         if output.is_json() || failed == 0 {
             output.tell(
                 || json!({"done": done, "failed": failed, "of": total}),
-                || ink(format_args!("{commands} done, token released"), Ink::Good),
+                || ink(format_args!("{commands} done, token released"), Tone::Good),
             )?;
         }
         if stopped {
@@ -130,21 +130,21 @@ impl Outcome {
     }
 }
 
-/// The commands on their way, one after the other: what comes after a failed one may rely on it.
+/// Runs the commands one after the other, because a later one may rely on an earlier one.
 struct Job {
     client: Client,
     channel: Path,
     events: Events,
-    progress: Progress,
-    /// The peer that answers, once it has.
+    progress: ProgressDisplay,
+    /// The robot's peer, once it has answered.
     robot: Option<String>,
     keep_going: bool,
 }
 
 impl Job {
     /// All of them, up to the first that fails, unless it is to go on.
-    async fn carry_out(&mut self, commands: &[Command]) -> Result<Outcome, Failure> {
-        let mut outcome = Outcome::default();
+    async fn carry_out(&mut self, commands: &[ScriptLine]) -> Result<RunOutcome, Failure> {
+        let mut outcome = RunOutcome::default();
         for (index, command) in commands.iter().enumerate() {
             let number = index + 1;
             self.progress.begin(number, command);
@@ -164,9 +164,9 @@ impl Job {
     }
 
     /// One command, to its end.
-    async fn one(&mut self, number: usize, command: &Command) -> Result<Change, Failure> {
+    async fn one(&mut self, number: usize, command: &ScriptLine) -> Result<StatusChange, Failure> {
         self.progress
-            .change(number, command, &Change::to(CommandState::Sending))?;
+            .change(number, command, &StatusChange::to(CommandState::Sending))?;
         let id = self.send(command).await?;
         let mut deadline = Some(Instant::now() + ANSWER);
         loop {
@@ -190,7 +190,7 @@ impl Job {
     }
 
     /// Sends a command and gives its id.
-    async fn send(&self, command: &Command) -> Result<u64, Failure> {
+    async fn send(&self, command: &ScriptLine) -> Result<u64, Failure> {
         let mut parcel = Parcel::new(Family::Message, "command")
             .context(self.channel.clone())
             .content(command.text.as_str());
@@ -207,8 +207,8 @@ impl Job {
         }
     }
 
-    /// What an event says about the command `id`, and who says it.
-    fn read(&self, event: &Event, id: u64) -> Result<Option<(Change, Option<String>)>, Failure> {
+    /// The status in an event about the command `id`, and its sender.
+    fn read(&self, event: &Event, id: u64) -> Result<Option<(StatusChange, Option<String>)>, Failure> {
         match event {
             Event::Message(parcel) if parcel.name() == "status" => {
                 let Ok(status) = from_value::<Status>(parcel.value()) else {
@@ -217,7 +217,7 @@ impl Job {
                 if status.id != Some(id) || status.peer != self.client.name() {
                     return Ok(None);
                 }
-                let change = Change {
+                let change = StatusChange {
                     state: status.state,
                     statement: status.statement,
                     of: status.of,

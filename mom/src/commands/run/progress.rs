@@ -1,4 +1,4 @@
-//! How far the commands have come (M42): a moving line at a terminal, one line per change elsewhere.
+//! The progress of the commands (M42): a moving line at a terminal, one line per change elsewhere.
 
 use std::io::{self, IsTerminal as _};
 use std::time::{Duration, Instant};
@@ -8,15 +8,15 @@ use mom_arm::CommandState;
 use mom_client::Value;
 use serde_json::{Value as Json, json};
 
-use super::script::Command;
-use crate::output::style::{Ink, ink};
+use super::script::ScriptLine;
+use crate::output::style::{Tone, ink};
 use crate::output::{Output, to_json, words};
 
 const TICK: Duration = Duration::from_millis(100);
 
-/// One change of one command.
+/// A change of status of one command.
 #[derive(Clone, Debug)]
-pub(super) struct Change {
+pub(super) struct StatusChange {
     pub(super) state: CommandState,
     /// The statement being executed, 0 before the first.
     pub(super) statement: u32,
@@ -26,10 +26,10 @@ pub(super) struct Change {
     pub(super) error: Option<Value>,
 }
 
-impl Change {
-    /// A state without anything known beside it.
-    pub(super) fn to(state: CommandState) -> Change {
-        Change {
+impl StatusChange {
+    /// A state without details.
+    pub(super) fn to(state: CommandState) -> StatusChange {
+        StatusChange {
             state,
             statement: 0,
             of: 0,
@@ -43,7 +43,7 @@ impl Change {
 }
 
 /// Shows the commands of one run.
-pub(super) struct Progress {
+pub(super) struct ProgressDisplay {
     output: Output,
     total: usize,
     /// The moving line, at a terminal.
@@ -51,10 +51,10 @@ pub(super) struct Progress {
     begun: Instant,
 }
 
-impl Progress {
-    pub(super) fn new(output: Output, total: usize) -> Progress {
+impl ProgressDisplay {
+    pub(super) fn new(output: Output, total: usize) -> ProgressDisplay {
         let terminal = !output.is_json() && io::stdout().is_terminal() && io::stderr().is_terminal();
-        Progress {
+        ProgressDisplay {
             output,
             total,
             bar: terminal.then(make_bar),
@@ -63,7 +63,7 @@ impl Progress {
     }
 
     /// A command begins its way; `number` counts from 1.
-    pub(super) fn begin(&mut self, number: usize, command: &Command) {
+    pub(super) fn begin(&mut self, number: usize, command: &ScriptLine) {
         self.begun = Instant::now();
         if let Some(bar) = &self.bar {
             bar.set_prefix(format!("{number}/{}", self.total));
@@ -75,7 +75,12 @@ impl Progress {
     }
 
     /// A command has come further.
-    pub(super) fn change(&self, number: usize, command: &Command, change: &Change) -> io::Result<()> {
+    pub(super) fn change(
+        &self,
+        number: usize,
+        command: &ScriptLine,
+        change: &StatusChange,
+    ) -> io::Result<()> {
         let took = self.begun.elapsed();
         match &self.bar {
             None => self.output.tell(
@@ -103,7 +108,7 @@ impl Progress {
         }
     }
 
-    /// Takes the moving line away.
+    /// Removes the moving line.
     pub(super) fn end(&self) {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();
@@ -120,7 +125,13 @@ fn make_bar() -> ProgressBar {
 }
 
 /// `[1/3] executing 1 of 2: move 100 50 200 0 0; grip close`
-fn change_line(number: usize, total: usize, command: &Command, change: &Change, took: Duration) -> String {
+fn change_line(
+    number: usize,
+    total: usize,
+    command: &ScriptLine,
+    change: &StatusChange,
+    took: Duration,
+) -> String {
     let step = match (change.state, change.of) {
         (CommandState::Executing, of) if of > 1 => format!(" {} of {of}", change.statement),
         (CommandState::Finished, _) => format!(" in {}", words::duration(took)),
@@ -133,29 +144,29 @@ fn change_line(number: usize, total: usize, command: &Command, change: &Change, 
     };
     format!(
         "{} {state}: {text}",
-        ink(format_args!("[{number}/{total}]"), Ink::Faint)
+        ink(format_args!("[{number}/{total}]"), Tone::Faint)
     )
 }
 
 /// The line that stays at a terminal.
-fn end_line(number: usize, command: &Command, change: &Change, took: Duration) -> String {
+fn end_line(number: usize, command: &ScriptLine, change: &StatusChange, took: Duration) -> String {
     let text = words::visible(&command.text);
     match &change.error {
         None => {
-            let took = ink(words::duration(took), Ink::Faint);
-            format!("{} {number:>2}  {text}  {took}", ink("ok   ", Ink::Good))
+            let took = ink(words::duration(took), Tone::Faint);
+            format!("{} {number:>2}  {text}  {took}", ink("ok   ", Tone::Good))
         }
         Some(error) => {
             format!(
                 "{} {number:>2}  {text}\n          {}",
-                ink("error", Ink::Bad),
+                ink("error", Tone::Bad),
                 error_words(error)
             )
         }
     }
 }
 
-fn change_json(number: usize, command: &Command, change: &Change, took: Duration) -> Json {
+fn change_json(number: usize, command: &ScriptLine, change: &StatusChange, took: Duration) -> Json {
     let mut json = json!({
         "command": number,
         "line": command.line,
@@ -210,12 +221,12 @@ fn word(state: CommandState) -> &'static str {
     }
 }
 
-fn colour(state: CommandState) -> Ink {
+fn colour(state: CommandState) -> Tone {
     match state {
-        CommandState::Waiting | CommandState::Sending => Ink::Faint,
-        CommandState::Executing => Ink::Notice,
-        CommandState::Finished => Ink::Good,
-        CommandState::Error => Ink::Bad,
+        CommandState::Waiting | CommandState::Sending => Tone::Faint,
+        CommandState::Executing => Tone::Notice,
+        CommandState::Finished => Tone::Good,
+        CommandState::Error => Tone::Bad,
     }
 }
 
@@ -225,8 +236,8 @@ mod tests {
 
     use super::*;
 
-    fn check(change: &Change, line: &str, end: Option<&str>, json: &str) {
-        let command = Command {
+    fn check(change: &StatusChange, line: &str, end: Option<&str>, json: &str) {
+        let command = ScriptLine {
             line: 7,
             text: "home; grip close".to_owned(),
         };
@@ -243,26 +254,26 @@ mod tests {
     #[test]
     fn every_state_of_a_command() {
         check(
-            &Change::to(CommandState::Sending),
+            &StatusChange::to(CommandState::Sending),
             "[2/3] sending: home; grip close",
             None,
             r#"{"command":2,"line":7,"text":"home; grip close","state":"sending"}"#,
         );
         check(
-            &Change {
+            &StatusChange {
                 statement: 1,
                 of: 2,
-                ..Change::to(CommandState::Executing)
+                ..StatusChange::to(CommandState::Executing)
             },
             "[2/3] executing 1 of 2: home; grip close",
             None,
             r#"{"command":2,"line":7,"text":"home; grip close","state":"executing","statement":1,"of":2}"#,
         );
         check(
-            &Change {
+            &StatusChange {
                 statement: 2,
                 of: 2,
-                ..Change::to(CommandState::Finished)
+                ..StatusChange::to(CommandState::Finished)
             },
             "[2/3] finished in 5 s: home; grip close",
             Some("ok     2  home; grip close  5 s"),
@@ -274,9 +285,9 @@ mod tests {
             .with("text", "too far")
             .with("statement", 2);
         check(
-            &Change {
+            &StatusChange {
                 error: Some(error.into()),
-                ..Change::to(CommandState::Error)
+                ..StatusChange::to(CommandState::Error)
             },
             "[2/3] error: statement 2: too far [joint-limit 5005] (home; grip close)",
             Some("error  2  home; grip close\n          statement 2: too far [joint-limit 5005]"),

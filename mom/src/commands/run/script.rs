@@ -6,7 +6,7 @@ use crate::failure::Failure;
 
 /// One command: a line of the file without its comment.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Command {
+pub(super) struct ScriptLine {
     /// The line in the file, 1 for the first.
     pub(super) line: usize,
     /// The script text that is sent.
@@ -14,13 +14,13 @@ pub(super) struct Command {
 }
 
 /// The commands of a file's text; lines with nothing but blanks and comments are none.
-pub(super) fn commands(text: &str) -> Vec<Command> {
+pub(super) fn commands(text: &str) -> Vec<ScriptLine> {
     let numbered = text.lines().enumerate();
     numbered
         .filter_map(|(index, line)| {
             let code = line.split_once('#').map_or(line, |(code, _comment)| code).trim();
             let nothing = code.trim_matches([';', ' ', '\t']).is_empty();
-            (!nothing).then(|| Command {
+            (!nothing).then(|| ScriptLine {
                 line: index + 1,
                 text: code.to_owned(),
             })
@@ -29,7 +29,7 @@ pub(super) fn commands(text: &str) -> Vec<Command> {
 }
 
 /// Checks that the arm can read every command, before the first of them moves anything.
-pub(super) fn check(file: &str, commands: &[Command]) -> Result<(), Failure> {
+pub(super) fn check(file: &str, commands: &[ScriptLine]) -> Result<(), Failure> {
     let wrong: Vec<String> = commands
         .iter()
         .filter_map(|command| {

@@ -1,4 +1,4 @@
-//! What holds of the arm whatever is asked of it and whenever its driver looks.
+//! Properties of the arm for any commands and any timing of its driver.
 
 use proptest::prelude::*;
 
@@ -34,7 +34,7 @@ enum Act {
     Halt,
     Stop,
     Unstop,
-    Pass(Micros),
+    Pass(ArmTime),
     Finish,
 }
 
@@ -49,8 +49,8 @@ fn act() -> impl Strategy<Value = Act> {
     ]
 }
 
-/// What must hold between any two looks at the arm.
-fn check_step(before: &(Micros, ArmState), after: &(Micros, ArmState)) -> Result<(), TestCaseError> {
+/// Must hold between any two observations of the arm.
+fn check_step(before: &(ArmTime, ArmState), after: &(ArmTime, ArmState)) -> Result<(), TestCaseError> {
     let seconds = (after.0 - before.0) as f64 / 1e6;
     let (old, new) = (&before.1, &after.1);
     prop_assert_eq!(WORKSPACE.check(&new.pose), Ok(()));
@@ -166,7 +166,7 @@ proptest! {
                 arm.advance(time, &mut events);
                 let pose = arm.state().pose;
                 let (level, turned) = (before.horizontal_distance(&pose), before.turn(&pose));
-                // Between two looks it can turn from one leg into the other, but only at the top.
+                // Between two observations it can turn from one leg into the other, but only at the top.
                 prop_assert!(level + turned == 0.0 || before.z == top || pose.z == top);
                 prop_assert!(level + turned == 0.0 || pose.z == top || z < HOME.z);
                 before = pose;

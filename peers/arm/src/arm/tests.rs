@@ -29,7 +29,7 @@ pub(super) fn told(events: &[ArmEvent]) -> Vec<String> {
         ArmEvent::Command {
             id,
             state,
-            progress: Progress { statement, of },
+            progress: ScriptProgress { statement, of },
             error,
         } => {
             let state = format!("{state:?}").to_lowercase();
@@ -104,7 +104,7 @@ fn poses_are_told_at_20_hz_and_once_at_rest() {
             .count();
         times.extend(std::iter::repeat_n(due - 1_000, states));
     }
-    let want: Vec<Micros> = (1..=18).map(|tick| tick * STATE_PERIOD).collect();
+    let want: Vec<ArmTime> = (1..=18).map(|tick| tick * STATE_PERIOD).collect();
     assert_eq!(times, want);
 }
 
@@ -427,7 +427,7 @@ fn a_link_is_not_missed_while_nothing_moves() {
     assert_eq!(arm.next_wake(), Some(60_000_000));
     arm.advance(60_000_000, &mut events);
     assert_eq!(told(&events).last().unwrap(), "1 finished 2/2");
-    arm.advance(Micros::MAX, &mut events);
+    arm.advance(ArmTime::MAX, &mut events);
     assert_eq!(last_error(&events), None);
 }
 

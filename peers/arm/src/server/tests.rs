@@ -10,7 +10,7 @@ use crate::state::ArmState;
 /// The server with a clock and a gate that a dialogue moves.
 struct Stage {
     server: RobotServer,
-    now: Micros,
+    now: ArmTime,
     gate: FenceGate,
     out: Vec<Parcel>,
     /// The ids of the states that were told, in order.
@@ -47,7 +47,7 @@ impl Stage {
     }
 
     /// Lets ms pass as a punctual driver does.
-    fn pass(&mut self, ms: Micros) {
+    fn pass(&mut self, ms: ArmTime) {
         let until = self.now + ms * 1000;
         while let Some(due) = self.server.next_wake().filter(|due| *due <= until) {
             self.server.advance(due, &mut self.out);

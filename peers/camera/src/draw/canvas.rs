@@ -1,4 +1,4 @@
-//! A picture in the making: polygons, lines and dots in the world, through the camera, onto the pixels.
+//! A picture being drawn: polygons, lines and dots in the world, through the camera, onto the pixels.
 
 use tiny_skia::{FillRule, LineCap, LineJoin, Paint, Path, PathBuilder, Pixmap, Stroke, Transform};
 

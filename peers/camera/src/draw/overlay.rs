@@ -5,7 +5,7 @@ use tiny_skia::Rect;
 use super::canvas::{Canvas, Ink, solid};
 use super::text::{text_height, text_width};
 use crate::geometry::Point;
-use crate::scene::{Gripper, Pose};
+use crate::scene::{DrawnGripper, DrawnPose};
 use crate::{Scene, View};
 
 const PATH: Ink = solid(0, 128, 140);
@@ -16,7 +16,7 @@ const LETTERS: Ink = solid(236, 240, 246);
 const READABLE: f32 = 4.5;
 
 /// Draws the path over everything, fading towards its beginning, with a dot at each pose.
-pub(crate) fn trail(canvas: &mut Canvas<'_>, trail: &[Pose]) {
+pub(crate) fn trail(canvas: &mut Canvas<'_>, trail: &[DrawnPose]) {
     let points: Vec<Point> = trail
         .iter()
         .map(|pose| Point::new(pose.x, pose.y, pose.z))
@@ -54,7 +54,7 @@ pub(crate) fn caption(canvas: &mut Canvas<'_>, view: View, scene: &Scene) {
     canvas.text(&right, (start, top), step, LETTERS);
 }
 
-fn numbers(pose: &Pose, gripper: &Gripper) -> String {
+fn numbers(pose: &DrawnPose, gripper: &DrawnGripper) -> String {
     format!(
         "x {:.0}  y {:.0}  z {:.0} mm  spin {:.0}°  tilt {:.0}°  grip {:.0}",
         // Adding 0 turns the -0 that rounding leaves into 0.
@@ -73,14 +73,14 @@ mod tests {
 
     #[test]
     fn the_numbers_are_those_of_the_pose() {
-        let pose = Pose {
+        let pose = DrawnPose {
             x: 120.4,
             y: -40.6,
             z: -0.2,
             spin: 30.0,
             tilt: 0.0,
         };
-        let text = numbers(&pose, &Gripper { opening: 40.0 });
+        let text = numbers(&pose, &DrawnGripper { opening: 40.0 });
         assert_eq!(text, "x 120  y -41  z 0 mm  spin 30°  tilt 0°  grip 40");
     }
 }

@@ -3,8 +3,8 @@
 
 use super::canvas::{Canvas, Ink, solid};
 use super::table::{INK, TABLE};
-use crate::geometry::{Point, Vector};
-use crate::scene::{Block, Pose};
+use crate::geometry::{Direction, Point};
+use crate::scene::{DrawnBlock, DrawnPose};
 use crate::solid::Solid;
 
 /// How far the shadow of a block reaches beyond it, mm: without it a block would seem to float.
@@ -14,10 +14,10 @@ const SHADE: Ink = solid(30, 40, 60);
 /// Draws the shadows of the blocks, of the gripper and, fainter, of the arm, and marks the spot under the tip.
 pub(crate) fn shadows(
     canvas: &mut Canvas<'_>,
-    blocks: &[Block],
+    blocks: &[DrawnBlock],
     gripper: &[Solid],
     arm: &[Solid],
-    pose: &Pose,
+    pose: &DrawnPose,
 ) {
     let below = |solids: &[Solid]| -> Vec<Vec<Point>> {
         solids
@@ -30,12 +30,12 @@ pub(crate) fn shadows(
     canvas.fill_all(&contact, SHADE.at(0.22));
     canvas.fill_all(&below(gripper), SHADE.at(0.30));
     let tip = Point::new(pose.x, pose.y, 0.0);
-    let arm = |direction: Vector| (tip - direction * 14.0, tip + direction * 14.0);
-    canvas.lines(&[arm(Vector::x()), arm(Vector::y())], INK.at(0.8), 1.3);
+    let arm = |direction: Direction| (tip - direction * 14.0, tip + direction * 14.0);
+    canvas.lines(&[arm(Direction::x()), arm(Direction::y())], INK.at(0.8), 1.3);
 }
 
 /// What the block covers, with a rim.
-fn footprint(block: &Block) -> Vec<[f64; 2]> {
+fn footprint(block: &DrawnBlock) -> Vec<[f64; 2]> {
     let (sin, cos) = block.yaw.to_radians().sin_cos();
     let half = [block.size[0] / 2.0 + RIM, block.size[1] / 2.0 + RIM];
     [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]

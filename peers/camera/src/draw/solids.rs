@@ -1,7 +1,7 @@
 //! Solids in flat shades, the farthest first.
 
 use super::canvas::{Canvas, Ink};
-use crate::geometry::Vector;
+use crate::geometry::Direction;
 use crate::solid::{Solid, painting_order};
 
 /// The direction of the light; its height leaves the colour of a top as it is and gives each side its own shade.
@@ -36,8 +36,8 @@ fn paint(canvas: &mut Canvas<'_>, solid: &Solid) {
 }
 
 /// How bright a face is: 1 for a top, less for what is turned away from the light.
-fn light_on(normal: &Vector) -> f64 {
-    let towards = normal.dot(&Vector::from(LIGHT));
+fn light_on(normal: &Direction) -> f64 {
+    let towards = normal.dot(&Direction::from(LIGHT));
     0.62 + 0.38 * ((towards + 0.5) / 1.5).clamp(0.0, 1.0)
 }
 
@@ -48,11 +48,11 @@ mod tests {
     #[test]
     fn the_sides_of_a_box_have_three_shades() {
         let (top, right, front) = (
-            light_on(&Vector::z()),
-            light_on(&Vector::x()),
-            light_on(&-Vector::y()),
+            light_on(&Direction::z()),
+            light_on(&Direction::x()),
+            light_on(&-Direction::y()),
         );
         assert_eq!(top, 1.0);
-        assert!(top > right + 0.06 && right > front + 0.06 && front > light_on(&-Vector::z()) + 0.06);
+        assert!(top > right + 0.06 && right > front + 0.06 && front > light_on(&-Direction::z()) + 0.06);
     }
 }

@@ -1,4 +1,4 @@
-//! What never moves: the room, the arm's foot, the table with its grid and its scales.
+//! The static background: the room, the arm's foot, the table with its grid and its scales.
 
 use tiny_skia::{
     Color, GradientStop, LinearGradient, Paint, Point as SkiaPoint, Rect, SpreadMode, Transform,
@@ -8,7 +8,7 @@ use super::canvas::{Canvas, Ink, solid};
 use super::solids::solids;
 use super::text::text_height;
 use crate::View;
-use crate::geometry::{Point, Vector};
+use crate::geometry::{Direction, Point};
 use crate::robot;
 use crate::scene::Colour;
 use crate::solid::Solid;
@@ -40,8 +40,8 @@ pub(crate) fn backdrop(canvas: &mut Canvas<'_>, view: View) {
     axes(canvas);
     scales(canvas);
     match view {
-        View::X => ruler(canvas, -WORKSPACE, WORKSPACE, Vector::y()),
-        View::Y => ruler(canvas, WORKSPACE, WORKSPACE, Vector::x()),
+        View::X => ruler(canvas, -WORKSPACE, WORKSPACE, Direction::y()),
+        View::Y => ruler(canvas, WORKSPACE, WORKSPACE, Direction::x()),
         View::Top | View::Wrist => {}
     }
 }
@@ -67,7 +67,7 @@ fn room(canvas: &mut Canvas<'_>) {
 
 /// The table's top and legs.
 fn furniture() -> Vec<Solid> {
-    let half = |x: f64, y: f64, z: f64| [Vector::x() * x, Vector::y() * y, Vector::z() * z];
+    let half = |x: f64, y: f64, z: f64| [Direction::x() * x, Direction::y() * y, Direction::z() * z];
     let wood = Colour([196, 203, 213]);
     let leg_height = (-36.0 - robot::FLOOR) / 2.0;
     let corners = [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)];
@@ -107,8 +107,8 @@ fn grid(canvas: &mut Canvas<'_>) {
 fn axes(canvas: &mut Canvas<'_>) {
     let origin = Point::origin();
     for (name, along, across, ink) in [
-        ("x", Vector::x(), Vector::y(), X_AXIS),
-        ("y", Vector::y(), Vector::x(), Y_AXIS),
+        ("x", Direction::x(), Direction::y(), X_AXIS),
+        ("y", Direction::y(), Direction::x(), Y_AXIS),
     ] {
         let tip = origin + along * 100.0;
         canvas.lines(&[(origin, tip - along * 16.0)], ink, 2.4);
@@ -139,7 +139,7 @@ fn scales(canvas: &mut Canvas<'_>) {
 }
 
 /// The millimetres above the table at one corner of the workspace, with the ticks pointing `outwards`.
-fn ruler(canvas: &mut Canvas<'_>, x: f64, y: f64, outwards: Vector) {
+fn ruler(canvas: &mut Canvas<'_>, x: f64, y: f64, outwards: Direction) {
     let at = |z: f64| Point::new(x, y, z);
     let mut lines = vec![(at(0.0), at(CEILING))];
     for z in (0..=450).step_by(50).map(f64::from) {

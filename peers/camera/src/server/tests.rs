@@ -2,12 +2,12 @@
 
 use super::*;
 
-const MS: Micros = 1000;
+const MS: CameraTime = 1000;
 
 /// The server with a clock and a thread that draws when it is told to.
 struct Stage {
     server: ImageServer,
-    now: Micros,
+    now: CameraTime,
     shot: Option<Shot>,
     out: Vec<Parcel>,
 }
@@ -35,7 +35,7 @@ impl Stage {
         let (line, settings) = line.split_once(": ").unwrap_or((line, ""));
         let words: Vec<&str> = line.split(' ').collect();
         match words[..] {
-            ["after", ms] => self.now += ms.parse::<Micros>().unwrap() * MS,
+            ["after", ms] => self.now += ms.parse::<CameraTime>().unwrap() * MS,
             ["drawn"] => {
                 let picture = self.shot.take().expect("something is being drawn").take();
                 self.server.handle_picture(picture, &mut self.out);
@@ -89,11 +89,11 @@ impl Stage {
     }
 }
 
-fn small() -> Settings {
-    Settings {
+fn small() -> CameraSettings {
+    CameraSettings {
         width: 64,
         height: 48,
-        ..Settings::default()
+        ..CameraSettings::default()
     }
 }
 

@@ -1,4 +1,4 @@
-//! The image server (M37): what it does with each event of its channels, and what it says.
+//! The image server (M37): reacts to the events of its channels.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -6,9 +6,9 @@ use std::sync::Arc;
 use mom_client::{Code, Content, Delivery, Event, Family, Map, Parcel, Path, Time, Value, WireError};
 
 use crate::owner::Owner;
-use crate::shot::{Picture, Purpose, Request, Shot};
+use crate::shot::{Picture, PictureRequest, Purpose, Shot};
 use crate::trail::Trail;
-use crate::{Error, Renderer, Scene, Settings, SettingsChange, View};
+use crate::{CameraSettings, Renderer, Scene, SettingsChange, SettingsError, View};
 
 #[cfg(test)]
 mod tests;
@@ -31,21 +31,21 @@ const STATE: &str = "state";
 const MOST_REQUESTS: usize = 64;
 
 /// µs since the server began.
-pub type Micros = i64;
+pub type CameraTime = i64;
 
-/// What an image server is and how it works.
+/// The options of an image server.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ServerOptions {
-    /// Where the camera stands.
+    /// The view of the camera.
     pub view: View,
     /// The channel of its images.
     pub channel: Path,
     /// The token whose owner may change the settings.
     pub token: Path,
     /// The settings to begin with.
-    pub settings: Settings,
+    pub settings: CameraSettings,
     /// µs between the starts of two broadcast images, at least.
-    pub period: Micros,
+    pub period: CameraTime,
     /// How many past poses the path in the image has (M44).
     pub trail: usize,
 }
@@ -54,7 +54,7 @@ pub struct ServerOptions {
 ///
 /// `handle_robot`, `handle_token` and `handle_camera` take the events of the three contexts that it joins. After
 /// each of them, and whenever [`ImageServer::next_wake`] is due, the driver calls `advance`, which may give a
-/// [`Shot`]; its [`Picture`] is handed back by `handle_picture`. At most one shot is under way. What is to be sent
+/// [`Shot`]; its [`Picture`] is returned by `handle_picture`. At most one shot is under way. What is to be sent
 /// is pushed to `out`.
 ///
 /// - Every new state of the robot is followed by a broadcast image (M38), at most one per period; while an image
@@ -74,9 +74,9 @@ pub struct ImageServer {
     /// The revision that was broadcast last, or is about to be.
     shown: u64,
     /// When the next broadcast may begin.
-    next: Micros,
+    next: CameraTime,
     drawing: bool,
-    requests: VecDeque<Request>,
+    requests: VecDeque<PictureRequest>,
     newest: Option<Picture>,
 }
 
@@ -85,8 +85,8 @@ impl ImageServer {
     ///
     /// # Errors
     ///
-    /// [`Error::Setting`] for a setting outside its limits.
-    pub fn new(options: ServerOptions) -> Result<ImageServer, Error> {
+    /// [`SettingsError::Setting`] for a setting outside its limits.
+    pub fn new(options: ServerOptions) -> Result<ImageServer, SettingsError> {
         Ok(ImageServer {
             renderer: Arc::new(Renderer::new(options.view, options.settings)?),
             owner: Owner::default(),
@@ -119,7 +119,7 @@ impl ImageServer {
         self.owner.handle(event);
     }
 
-    /// Takes what the hub says about the token when it is joined or asked about.
+    /// Handles the hub's answer about the token when it is joined or queried.
     pub fn handle_token_info(&mut self, info: &Map) {
         self.owner.handle_info(info);
     }
@@ -143,21 +143,21 @@ impl ImageServer {
         }
     }
 
-    /// Takes a picture that was taken.
+    /// Takes a finished picture.
     pub fn handle_picture(&mut self, picture: Picture, out: &mut Vec<Parcel>) {
         self.drawing = false;
         self.send(&picture.content, &picture.purpose, out);
         self.newest = Some(picture);
     }
 
-    /// Takes it that a picture was not taken: its revision is given up.
+    /// Notes that drawing a picture failed: its revision is skipped.
     pub fn handle_failure(&mut self) {
         self.drawing = false;
     }
 
-    /// Sends what need not be drawn again, and gives the next picture to take if there is one.
+    /// Sends the newest picture where it need not be drawn again, and gives the next shot if there is one.
     /// `wall` is the time of day.
-    pub fn advance(&mut self, now: Micros, wall: Time, out: &mut Vec<Parcel>) -> Option<Shot> {
+    pub fn advance(&mut self, now: CameraTime, wall: Time, out: &mut Vec<Parcel>) -> Option<Shot> {
         if self.drawing {
             return None;
         }
@@ -173,7 +173,7 @@ impl ImageServer {
             self.next = now.saturating_add(self.options.period);
         }
         match &self.newest {
-            // The camera looks again, and what it sees is the same.
+            // The scene is unchanged, so the picture is reused.
             Some(newest) if newest.revision == self.revision => {
                 self.send(&newest.content.clone().with("taken", wall), &purpose, out);
                 None
@@ -186,14 +186,14 @@ impl ImageServer {
     }
 
     /// When [`ImageServer::advance`] is to be called next; `None` while there is nothing to wait for.
-    pub fn next_wake(&self) -> Option<Micros> {
+    pub fn next_wake(&self) -> Option<CameraTime> {
         (!self.drawing && self.shown != self.revision).then_some(self.next)
     }
 
     fn take_state(&mut self, content: &Content) -> Result<(), WireError> {
         let state = content.to_value()?;
         let seq = state.get("seq").and_then(Value::as_int);
-        // An arm that begins anew counts from 0, so a lower number is news as well.
+        // A restarted arm counts from 0, so a lower number is news as well.
         if seq.is_some() && seq == self.state_seq {
             return Ok(());
         }
@@ -215,9 +215,9 @@ impl ImageServer {
         out.push(self.answer(REQUEST_REFUSED, error.to_map(), &request));
     }
 
-    fn change_settings(&mut self, parcel: &Parcel) -> Result<Settings, WireError> {
+    fn change_settings(&mut self, parcel: &Parcel) -> Result<CameraSettings, WireError> {
         self.owner.check(parcel.sender.as_deref(), &self.options.token)?;
-        let bad_content = |error: Error| WireError::new(Code::BAD_CONTENT, error.to_string());
+        let bad_content = |error: SettingsError| WireError::new(Code::BAD_CONTENT, error.to_string());
         let change: SettingsChange = match &parcel.content {
             Some(content) => content.read()?,
             None => SettingsChange::default(),
@@ -257,14 +257,14 @@ impl ImageServer {
     }
 
     /// A message to one peer.
-    fn answer(&self, name: &str, content: Map, to: &Request) -> Parcel {
+    fn answer(&self, name: &str, content: Map, to: &PictureRequest) -> Parcel {
         let mut parcel = self.message(name, content);
         parcel.address = Some(vec![Arc::clone(&to.peer)]);
         parcel.reference = to.id;
         parcel
     }
 
-    /// A message to all that does not come back.
+    /// A message to all without echo.
     fn message(&self, name: &str, content: Map) -> Parcel {
         let mut parcel = Parcel::new(Family::Message, name)
             .context(self.options.channel.clone())
@@ -275,14 +275,14 @@ impl ImageServer {
     }
 }
 
-fn request_of(parcel: &Parcel) -> Request {
-    Request {
+fn request_of(parcel: &Parcel) -> PictureRequest {
+    PictureRequest {
         peer: parcel.sender.clone().unwrap_or_default(),
         id: parcel.id,
     }
 }
 
-fn settings_map(settings: &Settings) -> Map {
+fn settings_map(settings: &CameraSettings) -> Map {
     Map::new()
         .with("width", settings.width)
         .with("height", settings.height)

@@ -1,13 +1,12 @@
 //! A kind of manager that another crate makes, with nothing but what this one shows (the example of the guide).
 
-#[path = "external/small_only.rs"]
 mod small_only;
 
 use mom_managers::{Answer, Manager, PeerFacts, Question, Registry, Verdict};
 use mom_proto::{Code, ContextKind, Map, Path, Time, Value, Verb};
 
-const GUIDE: &str = include_str!("../../docs/managers.md");
-const EXAMPLE: &str = include_str!("external/small_only.rs");
+const GUIDE: &str = include_str!("../../../docs/managers.md");
+const EXAMPLE: &str = include_str!("small_only.rs");
 
 fn registry() -> Registry {
     let mut registry = small_only::registry();

@@ -1,4 +1,4 @@
-//! What can be typed.
+//! The command line.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -15,10 +15,10 @@ use self::control::{ACCEPT, BREAK, DECLINE, EXPEL, GIVE, GRAB, INHIBIT, INVITE, 
 #[derive(Debug, Parser)]
 #[command(name = "mom", version, arg_required_else_help = true, after_help = EXAMPLES)]
 pub(crate) struct Cli {
-    /// What holds for all commands.
+    /// Options of all commands.
     #[command(flatten)]
-    pub(crate) global: Global,
-    /// What to do.
+    pub(crate) global: GlobalArgs,
+    /// The command.
     #[command(subcommand)]
     pub(crate) command: Command,
 }
@@ -38,7 +38,7 @@ Exit codes: 0 done, 1 failed or refused, 2 a command line that makes no sense.";
 /// Options of every command.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Options of every command")]
-pub(crate) struct Global {
+pub(crate) struct GlobalArgs {
     /// The hub: bin://HOST:PORT (binary) or tcp://HOST:PORT (XML)
     #[arg(
         long,
@@ -57,7 +57,7 @@ pub(crate) struct Global {
     /// Prove it with the token (JWT) in this file, which names you
     #[arg(long, global = true, value_name = "FILE", conflicts_with = "guest")]
     pub(crate) jwt: Option<PathBuf>,
-    /// Come as a guest, where the hub lets them in
+    /// Log in as a guest, where the hub lets guests in
     #[arg(long, global = true)]
     pub(crate) guest: bool,
     /// Write JSON, one object per line
@@ -70,69 +70,69 @@ pub(crate) struct Global {
 pub(crate) enum Command {
     /// Run a hub with a robot arm and a camera in one process, to try
     #[command(after_help = LAB)]
-    Lab(Lab),
+    Lab(LabArgs),
     /// Show the tree of contexts: kinds, members, owners
     #[command(after_help = TREE)]
-    Tree(Tree),
-    /// Show what channels have counted: sent, delivered, dropped, ages
+    Tree(TreeArgs),
+    /// Show statistics of channels: sent, delivered, dropped, ages
     #[command(after_help = STATS)]
-    Stats(Stats),
+    Stats(StatsArgs),
     /// Show what happens in contexts, one line per parcel, until Ctrl-C
     #[command(after_help = WATCH)]
-    Watch(Watch),
+    Watch(WatchArgs),
     /// Send one message
     #[command(after_help = SEND)]
-    Send(Send),
+    Send(SendArgs),
     /// Grab a token, waiting for it if need be, and hold it until Ctrl-C
     #[command(after_help = GRAB)]
-    Grab(Grab),
+    Grab(GrabArgs),
     /// Ask a token's owner to hand it over, and hold it until Ctrl-C
     #[command(after_help = REQUEST)]
-    Request(Request),
+    Request(RequestArgs),
     /// Grab a token and give it to another peer, for good or for a while
     #[command(after_help = GIVE)]
-    Give(Give),
-    /// Take a token that is offered to you, and hold it until Ctrl-C
+    Give(GiveArgs),
+    /// Accept a token that is offered to you, and hold it until Ctrl-C
     #[command(after_help = ACCEPT)]
-    Accept(Accept),
-    /// Say no to a token that is offered to you
+    Accept(AcceptArgs),
+    /// Decline a token that is offered to you
     #[command(after_help = DECLINE)]
-    Decline(Decline),
+    Decline(DeclineArgs),
     /// Take a token away from its owner; needs the right to it
     #[command(after_help = BREAK)]
-    Break(Break),
+    Break(BreakArgs),
     /// Keep everybody from a token until Ctrl-C
     #[command(after_help = INHIBIT)]
-    Inhibit(Inhibit),
+    Inhibit(InhibitArgs),
     /// Show a token: its owner, lease, queue, offers
     #[command(after_help = TOKEN)]
-    Token(Token),
-    /// Tell a peer of a context
+    Token(TokenArgs),
+    /// Invite a peer to a context
     #[command(after_help = INVITE)]
-    Invite(Invite),
-    /// Put a peer out of a context
+    Invite(InviteArgs),
+    /// Expel a peer from a context
     #[command(after_help = EXPEL)]
-    Expel(Expel),
+    Expel(ExpelArgs),
     /// Answer the hub's questions where you have the chair
     #[command(after_help = MANAGE)]
-    Manage(Manage),
-    /// Drive the robot by a script: grab its token, carry out the commands, release
+    Manage(ManageArgs),
+    /// Drive the robot by a script: grab its token, run the commands, release it
     #[command(after_help = RUN)]
-    Run(Run),
-    /// Talk: lines of the input are sent, those of others shown
+    Run(RunArgs),
+    /// Chat: sends input lines and shows the lines of others
     #[command(after_help = CHAT)]
-    Chat(Chat),
+    Chat(ChatArgs),
     /// Make a key pair, so that a device needs no password
     #[command(after_help = KEYGEN)]
-    Keygen(Keygen),
+    Keygen(KeygenArgs),
     /// Ask a camera for an image and save it
     #[command(after_help = SNAP)]
-    Snap(Snap),
+    Snap(SnapArgs),
 }
 
 /// `mom lab`
 #[derive(Args, Debug)]
-pub(crate) struct Lab {
+pub(crate) struct LabArgs {
     /// Where to listen; passwords are accepted on loopback only. Port 0 takes a free one
     #[arg(long, value_name = "ADDRESS")]
     pub(crate) listen: Option<SocketAddr>,
@@ -149,11 +149,11 @@ Examples:
 
 /// `mom tree`
 #[derive(Args, Debug)]
-pub(crate) struct Tree {
+pub(crate) struct TreeArgs {
     /// Where to begin
     #[arg(default_value = "/")]
     pub(crate) path: String,
-    /// Only so many levels below the beginning
+    /// The number of levels to show
     #[arg(long, short = 'L', value_name = "LEVELS")]
     pub(crate) depth: Option<usize>,
 }
@@ -166,11 +166,11 @@ Examples:
 
 /// `mom stats`
 #[derive(Args, Debug)]
-pub(crate) struct Stats {
-    /// A channel, for the figures of each member, or a session, for its channels
+pub(crate) struct StatsArgs {
+    /// A channel, for the statistics of each member, or a session, for its channels
     #[arg(default_value = "/")]
     pub(crate) path: String,
-    /// Again every so many seconds, until Ctrl-C
+    /// Repeat every so many seconds, until Ctrl-C
     #[arg(long, short, value_name = "SECONDS", num_args = 0..=1, default_missing_value = "2", value_parser = clap::value_parser!(u64).range(1..))]
     pub(crate) watch: Option<u64>,
 }
@@ -186,7 +186,7 @@ Examples:
 
 /// `mom watch`
 #[derive(Args, Debug)]
-pub(crate) struct Watch {
+pub(crate) struct WatchArgs {
     /// Sessions, channels and tokens
     #[arg(required = true, value_name = "PATH")]
     pub(crate) paths: Vec<String>,
@@ -199,10 +199,10 @@ pub(crate) struct Watch {
     /// Only messages, no events
     #[arg(long, short)]
     pub(crate) messages: bool,
-    /// Of each sender and name only the newest, where messages come faster than the link takes them
+    /// Only the newest of each sender and name, if messages come faster than the link takes them
     #[arg(long)]
     pub(crate) newest: bool,
-    /// Of each sender and name at most so many: 5/s, 12/min. The hub drops the others and tells how many
+    /// The most messages of each sender and name: 5/s, 12/min. The hub drops the others and tells how many
     #[arg(long, value_name = "RATE", value_parser = rate)]
     pub(crate) rate: Option<MessageRate>,
 }
@@ -218,7 +218,7 @@ Examples:
 
 /// `mom send`
 #[derive(Args, Debug)]
-pub(crate) struct Send {
+pub(crate) struct SendArgs {
     /// The channel
     pub(crate) path: String,
     /// The message's name
@@ -255,12 +255,13 @@ Examples:
   uptime | mom send /chat chat -";
 
 pub(crate) use control::{
-    Accept, Break, Decline, Expel, Give, Grab, Hold, Inhibit, Invite, Manage, Request, Token, Wait,
+    AcceptArgs, BreakArgs, DeclineArgs, ExpelArgs, GiveArgs, GrabArgs, HoldArgs, InhibitArgs, InviteArgs,
+    ManageArgs, RequestArgs, TokenArgs, WaitArg,
 };
 
 /// `mom run`
 #[derive(Args, Debug)]
-pub(crate) struct Run {
+pub(crate) struct RunArgs {
     /// The file; - is standard input. Each line is one command of one or more statements
     pub(crate) script: PathBuf,
     /// The robot's channel
@@ -290,7 +291,7 @@ Ctrl-C releases the token; the hub then halts the robot.";
 
 /// `mom chat`
 #[derive(Args, Debug)]
-pub(crate) struct Chat {
+pub(crate) struct ChatArgs {
     /// The channel
     #[arg(default_value = "/chat")]
     pub(crate) path: String,
@@ -303,7 +304,7 @@ Examples:
 
 /// `mom snap`
 #[derive(Args, Debug)]
-pub(crate) struct Snap {
+pub(crate) struct SnapArgs {
     /// The camera, by its channel's name
     #[arg(default_value = "x")]
     pub(crate) view: String,
@@ -326,7 +327,7 @@ Examples:
 
 /// `mom keygen`
 #[derive(Args, Debug)]
-pub(crate) struct Keygen {
+pub(crate) struct KeygenArgs {
     /// The file for the private key
     #[arg(long, short, value_name = "FILE", default_value = "mom.key")]
     pub(crate) out: PathBuf,
@@ -391,7 +392,7 @@ mod tests {
         }
     }
 
-    /// What holds for all commands must not take a name that one of them has for something else.
+    /// An option of all commands must not have the name of an option of one command.
     #[test]
     fn every_way_to_log_in_goes_with_every_command() {
         let login: [&[&str]; 4] = [&[], &["--key", "f"], &["--jwt", "f"], &["--guest"]];
@@ -418,7 +419,8 @@ mod tests {
             ] {
                 let line = [&["mom"], command, login].concat();
                 let cli = Cli::try_parse_from(&line).unwrap_or_else(|error| panic!("{line:?}: {error}"));
-                if let Command::Grab(Grab { path: token, .. }) | Command::Run(Run { token, .. }) = cli.command
+                if let Command::Grab(GrabArgs { path: token, .. }) | Command::Run(RunArgs { token, .. }) =
+                    cli.command
                 {
                     assert_eq!(token, "/token");
                 }

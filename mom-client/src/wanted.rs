@@ -1,4 +1,4 @@
-//! The contexts that this client is in, counted by who wants them.
+//! The contexts that this client is in, with the number of their users.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -12,25 +12,25 @@ pub(crate) type Joined = Result<Arc<Map>, ClientError>;
 
 /// The contexts by path, so that parents come before what is in them.
 #[derive(Debug, Default)]
-pub(crate) struct Places {
-    places: BTreeMap<Path, Place>,
+pub(crate) struct WantedContexts {
+    places: BTreeMap<Path, WantedContext>,
     serial: u64,
 }
 
 /// One context that a proxy wants.
 #[derive(Debug)]
-pub(crate) struct Place {
-    /// Tells it from later places at the same path.
+pub(crate) struct WantedContext {
+    /// Distinguishes it from later ones at the same path.
     pub(crate) serial: u64,
-    pub(crate) phase: Phase,
+    pub(crate) phase: JoinPhase,
     pub(crate) gate: FenceGate,
-    /// What this client is to be spared there, also after a lost link.
+    /// The thinning there, restored after a lost link.
     pub(crate) thinning: Thinning,
     wanted: usize,
 }
 
 #[derive(Debug)]
-pub(crate) enum Phase {
+pub(crate) enum JoinPhase {
     /// Asked for; again, after a lost link, or for the first time.
     Joining {
         again: bool,
@@ -42,7 +42,7 @@ pub(crate) enum Phase {
     Away,
 }
 
-/// What somebody who wants a context has to do.
+/// The next step for a caller that wants a context.
 #[derive(Debug)]
 pub(crate) enum Want {
     /// Send the join.
@@ -53,15 +53,15 @@ pub(crate) enum Want {
     Have(Arc<Map>),
 }
 
-impl Places {
-    /// Counts one more who wants a context.
+impl WantedContexts {
+    /// Counts another user of a context.
     pub(crate) fn want(&mut self, path: &Path) -> (u64, Want) {
         let serial = &mut self.serial;
         let place = self.places.entry(path.clone()).or_insert_with(|| {
             *serial += 1;
-            Place {
+            WantedContext {
                 serial: *serial,
-                phase: Phase::Away,
+                phase: JoinPhase::Away,
                 gate: FenceGate::new(),
                 thinning: Thinning::default(),
                 wanted: 0,
@@ -69,15 +69,15 @@ impl Places {
         });
         place.wanted += 1;
         let want = match &mut place.phase {
-            Phase::Joined(info) => Want::Have(Arc::clone(info)),
-            Phase::Joining { waiters, .. } => {
+            JoinPhase::Joined(info) => Want::Have(Arc::clone(info)),
+            JoinPhase::Joining { waiters, .. } => {
                 let (sender, receiver) = oneshot::channel();
                 waiters.push(sender);
                 Want::Wait(receiver)
             }
-            Phase::Away => {
+            JoinPhase::Away => {
                 let (sender, receiver) = oneshot::channel();
-                place.phase = Phase::Joining {
+                place.phase = JoinPhase::Joining {
                     again: false,
                     waiters: vec![sender],
                 };
@@ -87,7 +87,7 @@ impl Places {
         (place.serial, want)
     }
 
-    /// Counts one less; whether nobody wants the context any more.
+    /// Counts one user less; returns whether there are none left.
     pub(crate) fn unwant(&mut self, path: &Path, serial: u64) -> bool {
         let Some(place) = self.get(path, serial) else {
             return false;
@@ -100,12 +100,12 @@ impl Places {
         true
     }
 
-    /// The place of this serial, unless it is gone.
-    pub(crate) fn get(&mut self, path: &Path, serial: u64) -> Option<&mut Place> {
+    /// The context of this serial, unless it is gone.
+    pub(crate) fn get(&mut self, path: &Path, serial: u64) -> Option<&mut WantedContext> {
         self.places.get_mut(path).filter(|place| place.serial == serial)
     }
 
-    /// Remembers what this client is to be spared, for the next link.
+    /// Remembers the thinning for the next link.
     pub(crate) fn note_thinning(&mut self, path: &Path, thinning: Thinning) {
         if let Some(place) = self.places.get_mut(path) {
             place.thinning = thinning;
@@ -123,7 +123,7 @@ impl Places {
     /// Whether the answer to a join is awaited.
     pub(crate) fn is_joining(&self, path: &Path) -> bool {
         let phase = self.places.get(path).map(|place| &place.phase);
-        matches!(phase, Some(Phase::Joining { .. }))
+        matches!(phase, Some(JoinPhase::Joining { .. }))
     }
 
     /// The channels which this token guards, with their gates.
@@ -131,7 +131,7 @@ impl Places {
         &'a self,
         token: &'a Path,
     ) -> impl Iterator<Item = (&'a Path, &'a FenceGate)> {
-        let guarded = move |place: &&Place| place.gate.token().as_ref() == Some(token);
+        let guarded = move |place: &&WantedContext| place.gate.token().as_ref() == Some(token);
         self.places
             .iter()
             .filter(move |(_, place)| guarded(place))
@@ -148,22 +148,22 @@ impl Places {
         self.places.retain(|path, _| !path.is_within(top));
     }
 
-    /// The link is gone; gives those who waited.
+    /// The link is gone; returns the waiting callers.
     pub(crate) fn lose_link(&mut self) -> Vec<oneshot::Sender<Joined>> {
         let mut waiting = Vec::new();
         for place in self.places.values_mut() {
             place.gate.forget_owner();
-            if let Phase::Joining { waiters, .. } = std::mem::replace(&mut place.phase, Phase::Away) {
+            if let JoinPhase::Joining { waiters, .. } = std::mem::replace(&mut place.phase, JoinPhase::Away) {
                 waiting.extend(waiters);
             }
         }
         waiting
     }
 
-    /// The link is back: all places, parents first, are to be joined again.
+    /// The link is back: returns all contexts, parents first, to be joined again.
     pub(crate) fn rejoin(&mut self) -> Vec<(Path, u64, Thinning)> {
-        let again = |(path, place): (&Path, &mut Place)| {
-            place.phase = Phase::Joining {
+        let again = |(path, place): (&Path, &mut WantedContext)| {
+            place.phase = JoinPhase::Joining {
                 again: true,
                 waiters: Vec::new(),
             };

@@ -1,4 +1,4 @@
-//! What a subscription gives.
+//! The events of a subscription.
 
 use std::time::Duration;
 
@@ -21,13 +21,13 @@ mod tests;
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Event {
-    /// A message, as the hub passed it on.
+    /// A message, as the hub forwarded it.
     Message(Parcel),
     /// A peer joined the context (M30).
     Joined(Member),
     /// A peer left it.
     Left(Member),
-    /// So many are in it: what large contexts say instead of `Joined` and `Left`.
+    /// The number of members: large contexts report it instead of `Joined` and `Left`.
     Count(u64),
     /// A context was made in this session.
     Created(ContextInfo),
@@ -44,7 +44,7 @@ pub enum Event {
         level: i32,
         /// The fence of this grant, higher than any before.
         fence: u64,
-        /// How long it lasts without renewal; none = without end.
+        /// How long it lasts without renewal; none = unlimited.
         lease: Option<Duration>,
         /// The token.
         path: Path,
@@ -53,11 +53,11 @@ pub enum Event {
     Released {
         /// The peer that owned it.
         owner: String,
-        /// Why, in one of the words of [`Reason`](crate::event::Reason).
+        /// The reason, one of the words of [`Reason`](crate::event::Reason).
         reason: String,
         /// The peer that caused it, if one did.
         by: Option<String>,
-        /// The fence that is no more.
+        /// The fence that has ended.
         fence: u64,
         /// The token.
         path: Path,
@@ -75,7 +75,7 @@ pub enum Event {
         /// The token.
         path: Path,
     },
-    /// A token's owner offers it to a peer: that one answers with [`Token::accept`](crate::Token::accept) or
+    /// A token's owner offers it to a peer, which answers with [`Token::accept`](crate::Token::accept) or
     /// [`Token::decline`](crate::Token::decline).
     Offer {
         /// The owner.
@@ -88,9 +88,9 @@ pub enum Event {
         within: Duration,
         /// The fence of the owner.
         fence: u64,
-        /// It goes back by itself after this time.
+        /// It returns by itself after this time.
         time: Option<Duration>,
-        /// It goes back by itself after so many messages that need it.
+        /// It returns by itself after so many guarded messages.
         commands: Option<u64>,
         /// The token.
         path: Path,
@@ -117,7 +117,7 @@ pub enum Event {
         /// The token.
         path: Path,
     },
-    /// Several peers hold a token together, this one anew, and nobody owns it.
+    /// A peer has joined the shared hold of a token, which nobody owns.
     Inhibited {
         /// The peer that takes part now.
         peer: String,
@@ -126,7 +126,7 @@ pub enum Event {
         /// The token.
         path: Path,
     },
-    /// A peer takes part in the shared hold of a token no more.
+    /// A peer has left the shared hold of a token.
     Uninhibited {
         /// The peer that took part.
         peer: String,
@@ -141,12 +141,12 @@ pub enum Event {
     Invited {
         /// By whom.
         by: String,
-        /// What it is, where the hub says so.
+        /// Its kind, if the hub says so.
         kind: Option<ContextKind>,
         /// Where it is.
         path: Path,
     },
-    /// A peer was put out of a context; if it is this one, its proxies there are of no use any more.
+    /// A peer was expelled from a context; if it is this one, its proxies there are unusable.
     Expelled {
         /// The peer.
         peer: String,
@@ -157,7 +157,7 @@ pub enum Event {
         /// The context.
         path: Path,
     },
-    /// What this peer sent was dropped on its way.
+    /// Parcels of this peer were dropped on their way.
     Dropped {
         /// Why.
         reason: String,
@@ -166,9 +166,9 @@ pub enum Event {
         /// The event with all details.
         parcel: Parcel,
     },
-    /// What this peer sent without waiting for an answer was refused; with the id of what was sent.
+    /// A parcel that this peer sent without awaiting an answer was refused; with its id.
     Refused(WireError, Option<u64>),
-    /// So many events were lost here because they were not taken in time.
+    /// The number of events that were dropped here because they were not taken in time.
     Lagged(u64),
     /// The link to the hub is lost; tokens are lost with it.
     LinkDown,
@@ -179,7 +179,7 @@ pub enum Event {
 }
 
 impl Event {
-    /// Reads an event or message parcel; what is not understood stays a parcel.
+    /// Reads an event or message parcel; an unknown one stays a parcel.
     pub(crate) fn from_parcel(parcel: Parcel) -> Event {
         match parcel.family {
             Family::Message => Event::Message(parcel),

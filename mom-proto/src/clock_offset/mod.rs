@@ -1,21 +1,21 @@
-//! How far another clock is from one's own, and how wrong that may be (M34): four stamps per exchange.
+//! The offset of another clock from one's own, with its error (M34): four stamps per exchange.
 //!
-//! Of each exchange only what is certain is used: what was sent left before it came. With `t1` sent and `t4` heard
-//! by one's own clock, `t2` received and `t3` replied by the other, the offset of the other clock lies between
-//! `t3 − t4` and `t2 − t1`, however unequal the two ways were. The middle is the offset of NTP, and half the width its
-//! error, at most half the round trip.
+//! Each exchange is used only for what is certain: a parcel is sent before it arrives. With `t1` sent and `t4`
+//! received by one's own clock, `t2` received and `t3` replied by the other, the offset of the other clock lies
+//! between `t3 − t4` and `t2 − t1`, however unequal the two delays were. The middle is the offset of NTP, and half the
+//! width its error, at most half the round trip.
 
 use std::collections::VecDeque;
 
 use crate::{Parcel, Time, Value};
 
-/// The exchanges that are kept; what they say is forgotten after so many others.
+/// The number of exchanges that are kept; older ones are forgotten.
 const WINDOW: usize = 16;
 
-/// How fast two clocks may part, in millionths: two quartz clocks of ±50.
+/// The greatest drift between two clocks, in millionths: two quartz clocks of ±50.
 const DRIFT: u64 = 100;
 
-/// Stamps are whole µs, cut off: each may be up to that much behind what it stands for.
+/// Stamps are truncated to whole µs: each may be up to 1 µs too early.
 const RESOLUTION: i64 = 1;
 
 /// The four stamps of one question and its answer.
@@ -38,17 +38,17 @@ pub struct Exchange {
 pub struct ClockOffset {
     /// The other clock's time minus one's own, µs.
     pub micros: i64,
-    /// How wrong that may be, µs.
+    /// The error bound, µs.
     pub error: u64,
 }
 
 /// The offset of one other clock, from the exchanges with it.
 ///
 /// It reads no clock: `at` and `now` are µs of a monotonic clock of one's own. The error grows with the time since an
-/// exchange, by 100 µs a second, and shrinks with each exchange that says more. An exchange that cannot be true together
-/// with what those before it say shows that one of the clocks was set anew: only it is believed then. A step that hides
-/// within the error of the estimate is not seen at once; the estimate is then wrong by at most the round trip of the
-/// last exchange, and only until 16 exchanges have passed.
+/// exchange, by 100 µs a second, and shrinks with each exchange that says more. An exchange that contradicts earlier
+/// ones shows that one of the clocks was set: from then on it counts alone. A step that hides within the error of the
+/// estimate is not seen at once; the estimate is then wrong by at most the round trip of the last exchange, and only
+/// until 16 exchanges have passed.
 ///
 /// ```
 /// use mom_proto::{Exchange, OffsetEstimator, Time};
@@ -63,22 +63,22 @@ pub struct ClockOffset {
 /// ```
 #[derive(Clone, Debug, Default)]
 pub struct OffsetEstimator {
-    window: VecDeque<Bounds>,
+    window: VecDeque<OffsetBounds>,
     /// Where all of the window agree.
-    agreed: Option<Bounds>,
+    agreed: Option<OffsetBounds>,
 }
 
 /// The offset lies between `low` and `high` at monotonic time `at`.
 #[derive(Clone, Copy, Debug)]
-struct Bounds {
+struct OffsetBounds {
     low: i64,
     high: i64,
     at: u64,
 }
 
 impl Exchange {
-    /// What a pong tells that answers a ping of `sent`: the stamps `received` and `sent` of its content. None if it has
-    /// none, as pongs of peers that only say that they live.
+    /// The exchange of a ping sent at `sent` and its pong, with the stamps `received` and `sent` of its content. None
+    /// if it has no stamps, as pongs of simple peers.
     pub fn of(sent: Time, pong: &Parcel, heard: Time) -> Option<Exchange> {
         let content = pong.value();
         let stamp = |key| content.get(key).and_then(Value::as_time);
@@ -90,28 +90,28 @@ impl Exchange {
         })
     }
 
-    /// The least and the greatest offset that it allows; none where a clock was set in the midst of it.
-    fn bounds(&self, at: u64) -> Option<Bounds> {
+    /// The least and the greatest offset that it allows; none if a clock was set during the exchange.
+    fn bounds(&self, at: u64) -> Option<OffsetBounds> {
         let difference = |one: Time, other: Time| one.micros() - other.micros();
-        // The clocks part during the exchange too.
+        // The clocks drift during the exchange, too.
         let took = u64::try_from(difference(self.heard, self.sent)).unwrap_or_default();
         let doubt = RESOLUTION + parted(took);
         let low = difference(self.replied, self.heard) - doubt;
         let high = difference(self.received, self.sent) + doubt;
         let in_order = self.sent <= self.heard && self.received <= self.replied;
-        (in_order && low <= high).then_some(Bounds { low, high, at })
+        (in_order && low <= high).then_some(OffsetBounds { low, high, at })
     }
 }
 
-impl Bounds {
-    /// The same later: the clocks may have parted meanwhile.
-    fn at(self, now: u64) -> Bounds {
+impl OffsetBounds {
+    /// The bounds at a later time, widened by the drift.
+    fn at(self, now: u64) -> OffsetBounds {
         let parted = now
             .saturating_sub(self.at)
             .saturating_mul(DRIFT)
             .div_ceil(1_000_000);
         let parted = i64::try_from(parted).unwrap_or(i64::MAX);
-        Bounds {
+        OffsetBounds {
             low: self.low.saturating_sub(parted),
             high: self.high.saturating_add(parted),
             at: self.at.max(now),
@@ -119,15 +119,15 @@ impl Bounds {
     }
 
     /// Where both hold.
-    fn and(self, other: Bounds) -> Option<Bounds> {
+    fn and(self, other: OffsetBounds) -> Option<OffsetBounds> {
         let at = self.at.max(other.at);
         let (one, other) = (self.at(at), other.at(at));
         let (low, high) = (one.low.max(other.low), one.high.min(other.high));
-        (low <= high).then_some(Bounds { low, high, at })
+        (low <= high).then_some(OffsetBounds { low, high, at })
     }
 }
 
-/// How far two clocks may part in so many µs, µs.
+/// The greatest drift in so many µs, µs.
 fn parted(micros: u64) -> i64 {
     let parted = micros.saturating_mul(DRIFT).div_ceil(1_000_000);
     i64::try_from(parted).unwrap_or(i64::MAX)
@@ -151,7 +151,7 @@ impl OffsetEstimator {
             self.window.pop_front();
         }
         self.window.push_back(bounds);
-        // They agree: each that did not has emptied the window.
+        // They agree: an exchange that contradicted the others has emptied the window.
         self.agreed = self
             .window
             .iter()
@@ -162,7 +162,7 @@ impl OffsetEstimator {
 
     /// The offset at monotonic time `now`; none before the first exchange.
     pub fn at(&self, now: u64) -> Option<ClockOffset> {
-        let Bounds { low, high, .. } = self.agreed?.at(now);
+        let OffsetBounds { low, high, .. } = self.agreed?.at(now);
         let width = high.saturating_sub(low);
         Some(ClockOffset {
             micros: low.saturating_add(width / 2),
@@ -182,7 +182,7 @@ impl ClockOffset {
         other.micros().saturating_sub(self.micros)
     }
 
-    /// The same so many µs later: the clocks may have parted meanwhile.
+    /// The offset so many µs later, with the drift added to its error.
     #[must_use]
     pub fn later(self, micros: u64) -> ClockOffset {
         let parted = u64::try_from(parted(micros)).unwrap_or_default();

@@ -1,58 +1,58 @@
-//! The arm: a state machine that takes commands and the time, and tells events.
+//! The arm: a state machine that takes commands and the time, and emits events.
 
 use std::collections::VecDeque;
 
 use crate::blocks::{Block, Blocks};
 use crate::contact;
 use crate::error::{ArmError, ErrorName};
-use crate::motion::{Leg, MAX_OPENING, Micros, Posture};
+use crate::motion::{ArmTime, Leg, MAX_OPENING, Posture};
 use crate::path;
 use crate::pose::Pose;
 use crate::script::{Grip, Script, Statement};
-use crate::state::{ArmEvent, ArmState, CommandState, Executing, Gripper, Progress};
+use crate::state::{ArmEvent, ArmState, CommandState, Executing, Gripper, ScriptProgress};
 
 #[cfg(test)]
 mod promises;
 #[cfg(test)]
 mod tests;
 
-/// Where the hand is at the beginning, and where `home` moves it.
+/// The initial pose of the hand, and the target of `home`.
 pub const HOME: Pose = Pose::new(0.0, 0.0, 300.0, 0.0, 0.0);
 /// µs between two states while the arm moves: 20 Hz.
-pub const STATE_PERIOD: Micros = 50_000;
+pub const STATE_PERIOD: ArmTime = 50_000;
 /// The most commands that wait behind the one being carried out.
 pub const MAX_WAITING: usize = 64;
-/// µs by which the driver may miss a wake before the controller takes the link to it for broken.
-pub const LINK_TIMEOUT: Micros = 3_000_000;
+/// µs by which the driver may miss a wake before the controller treats its link as broken.
+pub const LINK_TIMEOUT: ArmTime = 3_000_000;
 
 /// The arm.
 ///
 /// A driver calls [`Arm::advance`] whenever [`Arm::next_wake`] is due, and the other methods when
 /// somebody asks for what they do. Every method that takes `now` first advances to it; a time before
 /// the latest one counts as the latest. `submit`, `halt`, `stop` and `unstop` act; `advance` lets
-/// time pass; `state` and `next_wake` only look. All that happens is told in `events`, in order, and
+/// time pass; `state` and `next_wake` only read. Everything that happens is reported in `events`, in order, and
 /// every accepted command ends in exactly one `finished` or `error`.
 ///
 /// If a driver falls silent while a command is carried out, the arm goes on for [`LINK_TIMEOUT`]
 /// after the missed wake and stops there with a `link` error (M53).
 #[derive(Debug, Clone)]
 pub struct Arm {
-    now: Micros,
+    now: ArmTime,
     seq: u64,
     posture: Posture,
     grip: Grip,
     blocks: Blocks,
     stopped: bool,
     active: Option<Active>,
-    waiting: VecDeque<Command>,
+    waiting: VecDeque<QueuedScript>,
     /// Where the hand will be after the last waiting command; the next one is checked from there.
     planned: Pose,
     /// When the next state is due, while the arm moves.
-    publish: Micros,
+    publish: ArmTime,
 }
 
 #[derive(Debug, Clone)]
-struct Command {
+struct QueuedScript {
     id: u64,
     script: Script,
 }
@@ -60,25 +60,25 @@ struct Command {
 /// The command being carried out.
 #[derive(Debug, Clone)]
 struct Active {
-    command: Command,
+    command: QueuedScript,
     /// How many statements have begun.
     begun: usize,
     /// The ends of the legs of this statement that have not begun.
     legs: VecDeque<Pose>,
-    step: Option<Step>,
+    step: Option<MotionStep>,
 }
 
 /// One motion or one wait.
 #[derive(Debug, Clone)]
-struct Step {
+struct MotionStep {
     /// None for a wait.
     leg: Option<Leg>,
-    begins: Micros,
-    ends: Micros,
+    begins: ArmTime,
+    ends: ArmTime,
     then: Then,
 }
 
-/// What becomes of a step at its end.
+/// The effect of a step at its end.
 #[derive(Debug, Clone)]
 enum Then {
     Next,
@@ -89,13 +89,13 @@ enum Then {
 impl Arm {
     /// An arm at home, at rest, with open jaws and the blocks of the lab.
     #[must_use]
-    pub fn new(now: Micros) -> Self {
+    pub fn new(now: ArmTime) -> Self {
         Self::with_blocks(now, Block::lab())
     }
 
     /// An arm at home, at rest, with open jaws and blocks put down as by [`Blocks::new`].
     #[must_use]
-    pub fn with_blocks(now: Micros, blocks: impl IntoIterator<Item = Block>) -> Self {
+    pub fn with_blocks(now: ArmTime, blocks: impl IntoIterator<Item = Block>) -> Self {
         Self {
             now,
             seq: 0,
@@ -119,12 +119,12 @@ impl Arm {
     /// # Errors
     ///
     /// `stopped`, `queue-full`, `duplicate-id`, `syntax`, `workspace-boundary`, `joint-limit` or
-    /// `singularity`. Then the command is not taken, nothing of it moves, and no event tells of it.
+    /// `singularity`. Then the command is not accepted, nothing moves, and there is no event.
     pub fn submit(
         &mut self,
         id: u64,
         script: &str,
-        now: Micros,
+        now: ArmTime,
         events: &mut Vec<ArmEvent>,
     ) -> Result<(), ArmError> {
         self.advance(now, events);
@@ -138,7 +138,7 @@ impl Arm {
             }
         }
         self.planned = planned;
-        let command = Command { id, script };
+        let command = QueuedScript { id, script };
         events.push(command.event(CommandState::Waiting, 0, None));
         self.waiting.push_back(command);
         self.seq += 1;
@@ -147,7 +147,7 @@ impl Arm {
     }
 
     /// Lets time pass until `now`.
-    pub fn advance(&mut self, now: Micros, events: &mut Vec<ArmEvent>) {
+    pub fn advance(&mut self, now: ArmTime, events: &mut Vec<ArmEvent>) {
         let now = now.max(self.now);
         if let Some(due) = self.next_wake()
             && now.saturating_sub(due) > LINK_TIMEOUT
@@ -165,7 +165,7 @@ impl Arm {
 
     /// When [`Arm::advance`] is to be called next; `None` while there is nothing to do.
     #[must_use]
-    pub fn next_wake(&self) -> Option<Micros> {
+    pub fn next_wake(&self) -> Option<ArmTime> {
         let step = self.active.as_ref()?.step.as_ref()?;
         Some(if step.leg.is_some() {
             step.ends.min(self.publish)
@@ -182,7 +182,7 @@ impl Arm {
 
     /// Stops the hand and the jaws where they are and drops every command with the error `halted`.
     /// Not latched: the next command is taken. A block in the jaws stays there.
-    pub fn halt(&mut self, now: Micros, reason: &str, events: &mut Vec<ArmEvent>) {
+    pub fn halt(&mut self, now: ArmTime, reason: &str, events: &mut Vec<ArmEvent>) {
         self.advance(now, events);
         if self.active.is_some() {
             let error = ArmError::new(ErrorName::Halted, format!("the arm was halted: {reason}"));
@@ -191,7 +191,7 @@ impl Arm {
     }
 
     /// Halts the arm, every command ending with the error `stopped`, and takes none until [`Arm::unstop`].
-    pub fn stop(&mut self, now: Micros, reason: &str, events: &mut Vec<ArmEvent>) {
+    pub fn stop(&mut self, now: ArmTime, reason: &str, events: &mut Vec<ArmEvent>) {
         self.advance(now, events);
         if !self.stopped {
             self.stopped = true;
@@ -201,7 +201,7 @@ impl Arm {
     }
 
     /// Lets the arm take commands again. Nothing moves by itself: the old commands are gone.
-    pub fn unstop(&mut self, now: Micros, events: &mut Vec<ArmEvent>) {
+    pub fn unstop(&mut self, now: ArmTime, events: &mut Vec<ArmEvent>) {
         self.advance(now, events);
         if self.stopped {
             self.stopped = false;
@@ -225,7 +225,7 @@ impl Arm {
             moving: step.is_some_and(|step| step.leg.is_some()),
             stopped: self.stopped,
             executing: self.active.as_ref().map(|active| {
-                let Progress { statement, of } = active.command.progress(active.begun);
+                let ScriptProgress { statement, of } = active.command.progress(active.begun);
                 Executing {
                     id: active.command.id,
                     statement,
@@ -258,7 +258,7 @@ impl Arm {
     }
 
     /// Ends and begins all steps that are due until then, and moves to that time.
-    fn run_until(&mut self, until: Micros, events: &mut Vec<ArmEvent>) {
+    fn run_until(&mut self, until: ArmTime, events: &mut Vec<ArmEvent>) {
         while self.active.is_some() || !self.waiting.is_empty() {
             match self.active.as_ref().and_then(|active| active.step.as_ref()) {
                 None => self.begin(events),
@@ -295,8 +295,8 @@ impl Arm {
         events.push(active.command.event(CommandState::Executing, active.begun, None));
         match statement {
             Statement::Wait(ms) => {
-                let ends = self.now.saturating_add(Micros::from(ms) * 1000);
-                active.step = Some(Step {
+                let ends = self.now.saturating_add(ArmTime::from(ms) * 1000);
+                active.step = Some(MotionStep {
                     leg: None,
                     begins: self.now,
                     ends,
@@ -351,7 +351,7 @@ impl Arm {
         };
         let leg = Leg::new(self.posture, to);
         let ends = self.now.saturating_add(leg.duration());
-        active.step = Some(Step {
+        active.step = Some(MotionStep {
             leg: Some(leg),
             begins: self.now,
             ends,
@@ -363,7 +363,7 @@ impl Arm {
     }
 
     /// Takes the posture of this time, which lies within the step, and tells it if that is due.
-    fn move_to(&mut self, now: Micros, events: &mut Vec<ArmEvent>) {
+    fn move_to(&mut self, now: ArmTime, events: &mut Vec<ArmEvent>) {
         let passed = now > self.now;
         self.now = now;
         let step = self.active.as_ref().and_then(|active| active.step.as_ref());
@@ -438,10 +438,10 @@ impl Arm {
     }
 }
 
-impl Command {
-    fn progress(&self, begun: usize) -> Progress {
+impl QueuedScript {
+    fn progress(&self, begun: usize) -> ScriptProgress {
         let count = |count: usize| u32::try_from(count).expect("a script has at most 1000 statements");
-        Progress {
+        ScriptProgress {
             statement: count(begun),
             of: count(self.script.statements().len()),
         }

@@ -1,4 +1,4 @@
-//! The robot's server (M36): what it does with each event of its channel, and what it says.
+//! The robot's server (M36): reacts to the events of its channel.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -10,10 +10,10 @@ use mom_client::{
 
 use crate::arm::Arm;
 use crate::error::{ArmError, ErrorName};
-use crate::motion::Micros;
+use crate::motion::ArmTime;
 use crate::pose::Pose;
-use crate::state::{ArmEvent, ArmState, CommandState, Executing, Progress};
-use crate::status::{Refusal, Status};
+use crate::state::{ArmEvent, ArmState, CommandState, Executing, ScriptProgress};
+use crate::status::{CommandRefusal, Status};
 
 #[cfg(test)]
 mod tests;
@@ -36,27 +36,27 @@ const HUB: &str = "hub";
 /// - A command is obeyed if the fence gate lets it pass, if the state that it was based on (where it names one)
 ///   still holds (M35), and if the arm takes its script. Otherwise, and at every later change, a `status` is
 ///   broadcast (M42).
-/// - A command of a newer fence, or the event that the token changed hands, ends all that an older owner ordered.
+/// - A command of a newer fence, or the event that the token changed hands, ends all commands of an older owner.
 ///   Where owners hand over by agreement, only such a command does, or the hub's `halt` if the token asks for it.
-/// - `halt` of the hub ends all commands; `stop` of anyone does, and latches until `unstop`. A gap in the events
-///   latches too, because a `stop` may have been in it.
-/// - A lost link ends all commands; after it, the state is told again.
-/// - Who joins the channel is told the state.
+/// - The hub's `halt` ends all commands; anybody's `stop` does, and latches until `unstop`. A gap in the events
+///   latches too, because it may have contained a `stop`.
+/// - A lost link ends all commands; after it, the state is sent again.
+/// - A peer that joins the channel gets the state.
 #[derive(Debug)]
 pub struct RobotServer {
     arm: Arm,
     channel: Path,
-    /// What the arm has accepted and not ended, by the arm's own ids: those of senders may coincide.
+    /// Commands that the arm has accepted and not ended, by the arm's own ids, because senders' ids may coincide.
     orders: BTreeMap<u64, Order>,
     last_id: u64,
     states: StateGate,
-    /// How the arm was in the state told last.
+    /// The arm's posture in the last reported state.
     told: Option<Position>,
     /// Whether the owner is about to change by agreement.
     handing_over: bool,
 }
 
-/// What a motion changes, and what commands are based on: the hand, the jaws, and what they hold.
+/// The part of the state that motions change and commands are based on: the hand, the jaws, and the held block.
 #[derive(Debug, Clone, PartialEq)]
 struct Position {
     pose: Pose,
@@ -94,8 +94,8 @@ impl RobotServer {
         self
     }
 
-    /// Does what an event asks for. `gate` is that of the channel: it knows the fence of the present owner.
-    pub fn handle(&mut self, event: &Event, gate: &FenceGate, now: Micros, out: &mut Vec<Parcel>) {
+    /// Handles an event. `gate` is the channel's: it knows the fence of the present owner.
+    pub fn handle(&mut self, event: &Event, gate: &FenceGate, now: ArmTime, out: &mut Vec<Parcel>) {
         self.advance(now, out);
         match event {
             Event::Message(parcel) => self.handle_message(parcel, gate, now, out),
@@ -124,18 +124,18 @@ impl RobotServer {
     }
 
     /// Lets time pass until `now`.
-    pub fn advance(&mut self, now: Micros, out: &mut Vec<Parcel>) {
+    pub fn advance(&mut self, now: ArmTime, out: &mut Vec<Parcel>) {
         self.act(out, |arm, events| arm.advance(now, events));
     }
 
     /// When [`RobotServer::advance`] is to be called next; `None` while the arm has nothing to do.
     #[must_use]
-    pub fn next_wake(&self) -> Option<Micros> {
+    pub fn next_wake(&self) -> Option<ArmTime> {
         self.arm.next_wake()
     }
 
     /// Ends every command, for a reason in plain words.
-    pub fn halt(&mut self, reason: &str, now: Micros, out: &mut Vec<Parcel>) {
+    pub fn halt(&mut self, reason: &str, now: ArmTime, out: &mut Vec<Parcel>) {
         self.act(out, |arm, events| arm.halt(now, reason, events));
     }
 
@@ -144,7 +144,7 @@ impl RobotServer {
         out.extend(self.state_message());
     }
 
-    fn handle_message(&mut self, parcel: &Parcel, gate: &FenceGate, now: Micros, out: &mut Vec<Parcel>) {
+    fn handle_message(&mut self, parcel: &Parcel, gate: &FenceGate, now: ArmTime, out: &mut Vec<Parcel>) {
         let sender = parcel.sender.as_deref().unwrap_or_default();
         match parcel.name() {
             COMMAND => {
@@ -155,7 +155,7 @@ impl RobotServer {
                 };
                 let obeyed = gate
                     .check(parcel)
-                    .map_err(Refusal::from)
+                    .map_err(CommandRefusal::from)
                     .and_then(|()| self.obey(order.clone(), parcel, now, out));
                 if let Err(refusal) = obeyed {
                     let status = order.status().because(Some(&refusal));
@@ -167,7 +167,7 @@ impl RobotServer {
                 self.act(out, |arm, events| arm.stop(now, &reason, events));
             }
             event::UNSTOP => self.act(out, |arm, events| arm.unstop(now, events)),
-            // Only the hub may say it; a peer that wants the arm to stop has `stop`.
+            // Only the hub may send it; a peer that wants the arm to stop has `stop`.
             event::HALT if sender == HUB => {
                 self.halt(
                     "the hub ordered the safe state, because the token's owner lost it or gave it up",
@@ -183,10 +183,10 @@ impl RobotServer {
         &mut self,
         order: Order,
         command: &Parcel,
-        now: Micros,
+        now: ArmTime,
         out: &mut Vec<Parcel>,
-    ) -> Result<(), Refusal> {
-        // The events of the token may be on their way still; the fence of the command tells as much.
+    ) -> Result<(), CommandRefusal> {
+        // The token's events may still be under way; the command's fence has the same information.
         self.drop_below(order.fence.unwrap_or(0), now, out);
         self.states.set_moving(self.arm.is_busy());
         self.states.check(command)?;
@@ -218,21 +218,21 @@ impl RobotServer {
     }
 
     /// The token changes hands. Where both sides agree, the hub halts the arm if the token asks for it.
-    fn change_owner(&mut self, agreed: bool, fence: u64, now: Micros, out: &mut Vec<Parcel>) {
+    fn change_owner(&mut self, agreed: bool, fence: u64, now: ArmTime, out: &mut Vec<Parcel>) {
         if !agreed {
             self.drop_below(fence, now, out);
         }
     }
 
-    /// Ends all commands if one of them carries a lower fence: its sender owns the token no more.
-    fn drop_below(&mut self, fence: u64, now: Micros, out: &mut Vec<Parcel>) {
+    /// Ends all commands if one of them carries a lower fence: its sender no longer owns the token.
+    fn drop_below(&mut self, fence: u64, now: ArmTime, out: &mut Vec<Parcel>) {
         let mut fences = self.orders.values().filter_map(|order| order.fence);
         if fences.any(|old| old < fence) {
             self.halt("the token changed hands", now, out);
         }
     }
 
-    /// Lets the arm act, and says what came of it.
+    /// Lets the arm act, and reports the outcome.
     fn act(&mut self, out: &mut Vec<Parcel>, action: impl FnOnce(&mut Arm, &mut Vec<ArmEvent>)) {
         let mut events = Vec::new();
         action(&mut self.arm, &mut events);
@@ -253,12 +253,12 @@ impl RobotServer {
         &mut self,
         id: u64,
         state: CommandState,
-        progress: Progress,
+        progress: ScriptProgress,
         error: Option<ArmError>,
         out: &mut Vec<Parcel>,
     ) {
         let Some(order) = self.orders.get(&id) else { return };
-        let error = error.map(Refusal::from);
+        let error = error.map(CommandRefusal::from);
         let status = order.status().at(state, progress).because(error.as_ref());
         out.extend(self.status_message(&status));
         if matches!(state, CommandState::Finished | CommandState::Error) {
@@ -309,7 +309,7 @@ impl RobotServer {
             .with("of", executing.of)
     }
 
-    /// A broadcast that does not come back.
+    /// A broadcast without echo.
     fn message(&self, name: &str, content: Result<Value, WireError>) -> Option<Parcel> {
         let content = content.inspect_err(|error| tracing::error!(%error, name, "a message was not sent"));
         let mut parcel = Parcel::new(Family::Message, name)
@@ -321,7 +321,7 @@ impl RobotServer {
 }
 
 impl Order {
-    /// The status of a command that has not begun and never will.
+    /// The status of a command that was not accepted.
     fn status(&self) -> Status {
         Status {
             id: self.id,
