@@ -37,7 +37,7 @@ mod world;
 pub use contexts::make::SetupError;
 pub use hub::Hub;
 pub use hub::input::{Configuration, Input};
-pub use hub::judge::{Case, Judgement, Place};
+pub use hub::judge::{Case, ContextOutline, Judgement};
 pub use messages::admit::{Admission, Alike, Ingress, Receivers, admit, admit_with, receivers};
 pub use messages::rate::{Budget, Usage};
 pub use messages::route::{Guard, GuardOwner, Route};

@@ -7,7 +7,7 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use crate::{Link, Writer};
+use crate::{TcpState, Writer};
 
 /// What may wait in the network beyond what fills it: enough to bridge a turn of the timer and keep a saturated
 /// link busy.
@@ -61,11 +61,11 @@ impl Flow {
 
     /// How many bytes the link may be given now. `look` asks for its state ([`Writer::link`]) and is called
     /// only where that is needed.
-    fn room(&mut self, look: impl FnOnce() -> Option<Link>) -> usize {
+    fn room(&mut self, look: impl FnOnce() -> Option<TcpState>) -> usize {
         self.room_at(look, Instant::now)
     }
 
-    fn room_at(&mut self, look: impl FnOnce() -> Option<Link>, now: impl FnOnce() -> Instant) -> usize {
+    fn room_at(&mut self, look: impl FnOnce() -> Option<TcpState>, now: impl FnOnce() -> Instant) -> usize {
         if self.blind {
             return usize::MAX;
         }
@@ -110,7 +110,7 @@ impl Flow {
         self.since = None;
     }
 
-    fn observe(&mut self, link: &Link, now: Instant) {
+    fn observe(&mut self, link: &TcpState, now: Instant) {
         // Some kernels count the handshake.
         self.acknowledged = link.acknowledged.clamp(self.acknowledged, self.written);
         let round_trip = match link.least_round_trip {
@@ -244,7 +244,7 @@ mod tests {
                 {
                     self.acknowledged = self.left.pop_front().map_or(0, |(_, end)| end);
                 }
-                let link = Link {
+                let link = TcpState {
                     acknowledged: self.acknowledged,
                     segment: 1448,
                     window: 10,

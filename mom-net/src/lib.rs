@@ -33,7 +33,7 @@ mod writer;
 pub use address::{Address, DEFAULT_PORT};
 pub use error::NetError;
 pub use flow::{Allowance, Flow, Pause};
-pub use link::Link;
+pub use link::TcpState;
 pub use local::pair;
 pub use outgoing::Outgoing;
 pub use part::Part;

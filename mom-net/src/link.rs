@@ -2,7 +2,7 @@
 
 /// The state of a TCP connection, as its kernel tells it (`TCP_INFO`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Link {
+pub struct TcpState {
     /// Bytes that the other side has acknowledged since the connection began.
     pub acknowledged: u64,
     /// The largest segment, in bytes.

@@ -10,7 +10,7 @@ use std::os::fd::AsRawFd;
 use socket2::{SockRef, TcpKeepalive};
 use tokio::net::TcpStream;
 
-use crate::Link;
+use crate::TcpState;
 
 /// Bytes that may wait in the kernel unsent: small, so that the queue is ours, where priority works
 /// (design §7), yet enough to keep a fast link busy between two turns of the writer.
@@ -52,7 +52,7 @@ fn set_unsent_limit(_stream: &TcpStream) -> io::Result<()> {
 
 /// What the kernel knows of the link. None where it cannot be asked.
 #[cfg(target_os = "linux")]
-pub(crate) fn link(stream: &TcpStream) -> Option<Link> {
+pub(crate) fn link(stream: &TcpStream) -> Option<TcpState> {
     // `struct tcp_info` of linux/tcp.h up to `tcpi_min_rtt` as plain words: the one of the libc crate ends before.
     // The kernel writes as much as it knows and says how much that was.
     let mut words = [0_u32; 38];
@@ -83,7 +83,7 @@ pub(crate) fn link(stream: &TcpStream) -> Option<Link> {
             |at| if at < 4 { one[at] } else { two[at - 4] },
         ))
     };
-    Some(Link {
+    Some(TcpState {
         acknowledged: long(30),
         segment: words[4],
         window: words[20],
@@ -92,6 +92,6 @@ pub(crate) fn link(stream: &TcpStream) -> Option<Link> {
 }
 
 #[cfg(not(target_os = "linux"))]
-pub(crate) fn link(_stream: &TcpStream) -> Option<Link> {
+pub(crate) fn link(_stream: &TcpStream) -> Option<TcpState> {
     None
 }

@@ -12,7 +12,7 @@ use tokio::net::tcp::OwnedWriteHalf;
 use tokio::sync::mpsc;
 use tokio::sync::mpsc::error::TrySendError;
 
-use crate::{Link, NetError, Outgoing, options};
+use crate::{NetError, Outgoing, TcpState, options};
 
 /// Pieces gathered into one system call; half of what Linux takes, two to a parcel.
 pub const GATHER: usize = 512;
@@ -119,7 +119,7 @@ impl Writer {
     }
 
     /// The state of the network below, none inside a process or where the system does not tell.
-    pub fn link(&self) -> Option<Link> {
+    pub fn link(&self) -> Option<TcpState> {
         match &self.sink {
             Sink::Stream { stream, .. } => options::link(stream.as_ref()),
             Sink::Local(_) => None,

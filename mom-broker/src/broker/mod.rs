@@ -16,15 +16,12 @@ use tokio::sync::{Semaphore, mpsc, watch};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, timeout_at};
 
-use crate::connection::{Listener, Services, Serving, listen, login_time};
+use crate::connection::{DRAIN, Listener, Services, Serving, listen, login_time};
 use crate::traffic::encodings::Bounds;
 use crate::traffic::switchboard::{Switchboard, Touched, flush};
 
 /// What is dropped is told to senders and receivers this often at most.
 const REPORTS: Duration = Duration::from_millis(250);
-
-/// A stop lets what waits go out for at most so long.
-pub(crate) const DRAIN: Duration = Duration::from_secs(10);
 
 /// Part of `DRAIN` reserved for store writes caused by disconnects.
 const LAST_RECORDS: Duration = Duration::from_secs(1);

@@ -30,7 +30,7 @@ use crate::traffic::switchboard::{Handled, Switchboard, Touched, flush};
 use measure::{Measure, Pings};
 
 pub(crate) use listen::{Listener, listen, login_time};
-pub(crate) use serving::Serving;
+pub(crate) use serving::{DRAIN, Serving};
 
 /// Frames after which a reader flushes and yields: a peer inside this process may never pause, and whoever adds
 /// something that is not urgent to an outbox that somebody has touched leaves the flush to that one.

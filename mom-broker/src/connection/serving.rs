@@ -14,6 +14,9 @@ use super::measure::{Measure, Pings};
 use super::{Connection, Services, requests};
 use crate::traffic::outbox::Outbox;
 
+/// A stop lets what waits go out for at most so long.
+pub(crate) const DRAIN: Duration = Duration::from_secs(10);
+
 /// How long an ending connection may take to hear why.
 const FAREWELL: Duration = Duration::from_secs(1);
 
@@ -92,7 +95,7 @@ impl Serving {
         // The error gets a second to go out, and when the broker stops all that waits gets its time; a link that does
         // not take it is cut.
         let patience = match board.is_stopping() {
-            true => crate::broker::DRAIN,
+            true => DRAIN,
             false => FAREWELL,
         };
         let written = poll_fn(|task| writer.poll(task));

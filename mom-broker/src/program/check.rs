@@ -58,7 +58,7 @@ fn tree(config: &Config) -> Result<Vec<TreeLine>, ConfigError> {
     // Children come before the next sibling, whatever characters their names contain.
     paths.sort_by(|one, other| one.segments().cmp(other.segments()));
     let places = paths.iter().filter_map(|path| hub.place(path));
-    let line = |place: mom_hub::Place| {
+    let line = |place: mom_hub::ContextOutline| {
         let mut specs = config.contexts.iter();
         let spec = specs.find(|spec| path_of(spec).as_ref() == Some(&place.path));
         let guard = spec.and_then(|spec| spec.guard.as_ref());

@@ -18,9 +18,6 @@ const WAIT: Duration = Duration::from_micros(200);
 /// From so many receivers on; with fewer the calls are not what costs.
 pub(crate) const RECEIVERS: usize = 8;
 
-/// Of what is written together, in bytes: more fills a call by itself.
-pub(crate) const SMALL: usize = 4096;
-
 /// A channel in which nothing was said for so long (µs) does not expect the next message at once.
 const LIVELY: u64 = 1000;
 

@@ -42,7 +42,7 @@ pub struct Judgement {
     /// it would be done, or if the manager has to ask.
     pub refusal: Option<WireError>,
     /// The context at the path; none = there is none.
-    pub place: Option<Place>,
+    pub place: Option<ContextOutline>,
     /// The context whose manager was asked.
     pub managed_at: Path,
     /// How that manager was named; empty where nobody manages.
@@ -53,7 +53,7 @@ pub struct Judgement {
 
 /// The parts of a context that do not depend on the peers in it.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Place {
+pub struct ContextOutline {
     /// Its path.
     pub path: Path,
     /// Its kind.
@@ -68,13 +68,13 @@ pub struct Place {
 
 impl Hub {
     /// The context at a path.
-    pub fn place(&self, path: &Path) -> Option<Place> {
+    pub fn place(&self, path: &Path) -> Option<ContextOutline> {
         self.world.tree.find(path).map(|context| self.place_of(context))
     }
 
-    fn place_of(&self, context: &Context) -> Place {
+    fn place_of(&self, context: &Context) -> ContextOutline {
         let (managed_at, manager) = manager_of(self.world.tree.managing(context.number));
-        Place {
+        ContextOutline {
             path: context.path.clone(),
             kind: context.kind(),
             managed_at,

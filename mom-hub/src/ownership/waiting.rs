@@ -5,7 +5,7 @@ use mom_proto::event::{self, Reason};
 use mom_proto::{Code, ContextNumber, Map, Verb, WireError};
 
 use crate::asking::wish::Wish;
-use crate::token::state::{Change, Waiter};
+use crate::token::state::{Change, QueuedGrab};
 use crate::values::{count, millis};
 use crate::world::{Timer, World};
 use crate::{Effect, PeerId};
@@ -18,7 +18,7 @@ impl World {
     pub(crate) fn wait(
         &mut self,
         number: ContextNumber,
-        waiter: Waiter,
+        waiter: QueuedGrab,
         out: &mut Vec<Effect>,
     ) -> Result<(), WireError> {
         let (peer, ticket, until) = (waiter.peer, waiter.ticket, waiter.until);
@@ -38,7 +38,7 @@ impl World {
     }
 
     /// Takes a waiting grab out of the queue, without an answer.
-    pub(crate) fn take_waiter(&mut self, number: ContextNumber, ticket: u64) -> Option<Waiter> {
+    pub(crate) fn take_waiter(&mut self, number: ContextNumber, ticket: u64) -> Option<QueuedGrab> {
         let waiter = self.token_mut(number)?.dequeue(ticket)?;
         if let Some(until) = waiter.until {
             self.timers.remove(&(until, Timer::Wait(number, ticket)));
@@ -126,7 +126,7 @@ impl World {
         }
     }
 
-    fn next_waiter(&self, number: ContextNumber) -> Option<Waiter> {
+    fn next_waiter(&self, number: ContextNumber) -> Option<QueuedGrab> {
         let token = self.token(number)?;
         token.next_waiter(|peer| self.holder(peer), self.now).cloned()
     }

@@ -3,7 +3,7 @@
 use mom_proto::{Code, Micros, WireError};
 
 use super::record::Holder;
-use super::state::{Token, Waiter};
+use super::state::{QueuedGrab, Token};
 use crate::PeerId;
 use crate::values::count;
 
@@ -51,7 +51,7 @@ impl Token {
         if !self.terms.by_level {
             return self.queue.len();
         }
-        let before = |waiter: &&Waiter| waiter.level >= level;
+        let before = |waiter: &&QueuedGrab| waiter.level >= level;
         self.queue.iter().take_while(before).count()
     }
 
@@ -64,7 +64,7 @@ impl Token {
     ///
     /// # Errors
     /// `full`, or `held` if the peer waits already.
-    pub(crate) fn enqueue(&mut self, waiter: Waiter) -> Result<(), WireError> {
+    pub(crate) fn enqueue(&mut self, waiter: QueuedGrab) -> Result<(), WireError> {
         if let Some(place) = self.place_of(waiter.peer) {
             let text = "this peer waits for it already; release takes that back";
             return Err(WireError::new(Code::HELD, text).detail("place", count(place + 1)));
@@ -78,7 +78,7 @@ impl Token {
     }
 
     /// Takes a waiting grab out of the queue.
-    pub(crate) fn dequeue(&mut self, ticket: u64) -> Option<Waiter> {
+    pub(crate) fn dequeue(&mut self, ticket: u64) -> Option<QueuedGrab> {
         let place = self.queue.iter().position(|waiter| waiter.ticket == ticket)?;
         Some(self.queue.remove(place))
     }
@@ -89,8 +89,8 @@ impl Token {
         &self,
         holder: impl Fn(PeerId) -> Option<Holder>,
         now: Micros,
-    ) -> Option<&Waiter> {
-        let kept = |waiter: &Waiter| self.kept_by_restart(holder(waiter.peer).as_ref(), now).is_some();
+    ) -> Option<&QueuedGrab> {
+        let kept = |waiter: &QueuedGrab| self.kept_by_restart(holder(waiter.peer).as_ref(), now).is_some();
         let mut queue = self.queue.iter().filter(|_| self.is_free());
         queue.find(|waiter| !kept(waiter))
     }

@@ -26,7 +26,7 @@ pub(crate) struct Token {
     /// The channels that it guards.
     pub(crate) guarded: BTreeSet<ContextNumber>,
     /// Waiting grabs in the order in which they are granted.
-    pub(crate) queue: Vec<Waiter>,
+    pub(crate) queue: Vec<QueuedGrab>,
     /// The owner's offer.
     pub(crate) offer: Option<Offer>,
     /// Requests to the owner that have no answer yet.
@@ -131,7 +131,7 @@ pub(crate) struct Granting {
 
 /// A grab that waits.
 #[derive(Clone, Debug)]
-pub(crate) struct Waiter {
+pub(crate) struct QueuedGrab {
     pub(crate) peer: PeerId,
     /// Unique over all waiters of the hub.
     pub(crate) ticket: u64,

@@ -6,7 +6,7 @@ use mom_proto::{Code, Fence, Path, Verb};
 
 use super::grant::{Grantee, Overtaken};
 use super::record::{Holder, Record};
-use super::state::{Change, Granting, Token, Waiter};
+use super::state::{Change, Granting, QueuedGrab, Token};
 use crate::PeerId;
 
 const SECOND: u64 = 1_000_000;
@@ -35,8 +35,8 @@ fn owned_by(peer: PeerId, now: u64) -> Token {
     token
 }
 
-fn waiter(peer: PeerId, level: i32, since: u64) -> Waiter {
-    Waiter {
+fn waiter(peer: PeerId, level: i32, since: u64) -> QueuedGrab {
+    QueuedGrab {
         peer,
         ticket: peer.0,
         id: None,

@@ -11,7 +11,7 @@ use crate::asking::refusal::Refusal;
 use crate::asking::wish::Wish;
 use crate::content;
 use crate::ownership::granted;
-use crate::token::state::{Change, Waiter};
+use crate::token::state::{Change, QueuedGrab};
 use crate::world::World;
 
 #[derive(Default, Deserialize)]
@@ -127,7 +127,7 @@ fn wait_or(
         Patience::Ever => None,
     };
     let ticket = world.last_waiter + 1;
-    let waiter = Waiter {
+    let waiter = QueuedGrab {
         peer: request.peer,
         ticket,
         id: request.parcel.id,

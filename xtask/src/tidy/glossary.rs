@@ -18,20 +18,8 @@ const NOT_SHIPPED: &[&str] = &["", "tests", "benches", "xtask"];
 
 /// Types that have a reserved name and mean something else, to be renamed; the list only shrinks.
 const EXCEPTIONS: &[(&str, &str)] = &[
-    ("mom-broker/src/connection/mod.rs", "Context"),
-    ("mom-broker/src/connection/mod.rs", "Session"),
-    ("mom-broker/src/traffic/gather.rs", "Gatherer"),
-    ("mom-broker/src/traffic/outbox/queue/line.rs", "Line"),
-    ("mom-broker/src/traffic/outbox/queue/mod.rs", "Queue"),
-    ("mom-broker/src/traffic/outbox/queue/turns.rs", "Turn"),
-    ("mom-broker/src/traffic/outbox/room.rs", "Place"),
     ("mom-broker/store/src/queue.rs", "Lane"),
     ("mom-broker/store/src/queue.rs", "Queue"),
-    ("mom-client/src/outbox.rs", "Room"),
-    ("mom-client/src/sending.rs", "Turn"),
-    ("mom-hub/src/judge.rs", "Place"),
-    ("mom-hub/src/token.rs", "Waiter"),
-    ("mom-net/src/link.rs", "Link"),
 ];
 
 /// One reserved word.

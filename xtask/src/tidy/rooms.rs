@@ -12,24 +12,30 @@ use super::tree::{Tree, join, line_at};
 
 /// The rooms of a package from the top down. The files that cargo starts from, such as `lib.rs`, are no rooms and may
 /// use all; what only tests compile is free.
-const ROOMS: &[(&str, &[&str])] = &[(
-    "mom-hub",
-    &[
-        "hub",
-        "verbs",
-        "contexts",
-        "ownership",
-        "asking",
-        "world",
-        "messages",
-        "tree",
-        "token",
-        "heard",
-        "content",
-        "values",
-        "peer_id",
-    ],
-)];
+const ROOMS: &[(&str, &[&str])] = &[
+    (
+        "mom-hub",
+        &[
+            "hub",
+            "verbs",
+            "contexts",
+            "ownership",
+            "asking",
+            "world",
+            "messages",
+            "tree",
+            "token",
+            "heard",
+            "content",
+            "values",
+            "peer_id",
+        ],
+    ),
+    (
+        "mom-broker",
+        &["program", "reload", "broker", "connection", "traffic"],
+    ),
+];
 
 pub(crate) fn check(tree: &Tree, report: &mut Report<'_>) -> Result<()> {
     check_rooms(ROOMS, tree, report)

@@ -9,8 +9,10 @@ use mom_proto::codec::{Encoded, Form};
 use mom_proto::{ContextNumber, Delivery, Parcel, event};
 use mom_system::sync::atomic::{AtomicU64, Ordering};
 
-use crate::traffic::batch;
 use crate::traffic::encodings::Encodings;
+
+/// Of what is written together, in bytes: more fills a call by itself.
+const SMALL: usize = 4096;
 
 /// The fence that lets guarded parcels of a channel pass now; 0 while nobody owns the token.
 pub(crate) type Gate = Arc<AtomicU64>;
@@ -79,7 +81,7 @@ impl Packet {
 
     /// Whether it may leave a moment later if that saves work: small, and no more urgent than usual.
     pub(crate) fn can_wait(&self) -> bool {
-        let small = |form| self.length(form) <= batch::SMALL;
+        let small = |form| self.length(form) <= SMALL;
         !self.lane.is_urgent() && [Some(Form::Binary), Some(Form::Xml), None].into_iter().all(small)
     }
 

@@ -1,7 +1,6 @@
 //! What a channel counts: sent, delivered, dropped, and how old what was sent was (design §4).
 
 mod histogram;
-mod reply;
 
 use std::collections::BTreeMap;
 

@@ -19,6 +19,7 @@ use crate::traffic::encodings::{Bounds, Encodings};
 use crate::traffic::outbox::{Dropped, Outbox, Packet};
 
 mod sending;
+mod statistics;
 #[cfg(test)]
 mod tests;
 
