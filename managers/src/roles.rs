@@ -93,7 +93,7 @@ fn make_rule(setup: &Setup<'_>, index: usize, params: RuleParams) -> Result<Rule
     };
     let max_age = params.max_age.map(|millis| setup.micros(&key("max-age"), millis));
     if max_age.is_some() && !allow {
-        let text = "only what is allowed can be allowed up to an age: write an allow rule with max-age";
+        let text = "max-age needs allow: only allowed messages can have a greatest age";
         return Err(setup.error(&key("max-age"), text));
     }
     Ok(Rule {
@@ -165,7 +165,7 @@ impl Rule {
             }
             None => {
                 let found =
-                    "the age of this one is not known: stamp it, and answer the hub's pings with stamps";
+                    "the age of this one is unknown: add a timestamp, and answer the hub's pings with stamps";
                 (Code::TRY_LATER, found.to_owned())
             }
         };

@@ -61,7 +61,7 @@ pub enum Ask {
 }
 
 impl Ask {
-    /// Whether a peer of these facts is one of the chairs; the creator is none by its facts.
+    /// Whether a peer with these facts is one of the chairs; the creator cannot be told by its facts.
     pub fn is_chair(&self, peer: &PeerFacts) -> bool {
         match self {
             Ask::Creator => false,

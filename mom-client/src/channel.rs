@@ -5,7 +5,7 @@ use mom_proto::{Content, Path, Thinning};
 use crate::membership::Membership;
 use crate::{ClientError, Events, FenceGate, GuardState, Message};
 
-/// A channel that this peer has joined, until the last of its clones and its events goes.
+/// A channel that this peer has joined, until the last of its clones and its events is dropped.
 ///
 /// ```no_run
 /// # async fn example(client: mom_client::Client) -> Result<(), mom_client::ClientError> {

@@ -42,7 +42,7 @@ pub struct Consults {
 pub struct Consult {
     /// The hub's number of it.
     pub number: u64,
-    /// What is asked for, by the word of its verb: `join`, `grab`, `send`.
+    /// The requested verb: `join`, `grab`, `send`.
     pub verb: String,
     /// The context that it is about.
     pub context: Path,
@@ -177,7 +177,7 @@ impl Consult {
         for (key, value) in content {
             verdict.set(&key, value);
         }
-        // By its number the hub knows what it is about.
+        // The number identifies the question, so no context is needed.
         let parcel = Parcel::new(Family::Manager, "verdict").content(verdict);
         self.client.request(parcel).await.map(drop)
     }

@@ -107,7 +107,7 @@ impl From<NetError> for ClientError {
     }
 }
 
-/// A reply of the hub that lacks what it must have.
+/// A reply of the hub without a required part.
 pub(crate) fn bad_reply(what: &str) -> ClientError {
     ClientError::Local(WireError::new(
         Code::BAD_CONTENT,

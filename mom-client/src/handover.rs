@@ -106,7 +106,7 @@ impl Handovers {
         });
     }
 
-    /// Nobody waits any more for the token to come back.
+    /// Nobody waits any more for the token's return.
     pub(crate) fn unwant(&mut self, handover: &Arc<Handover>) {
         let entries = self.entries.iter_mut();
         entries

@@ -12,7 +12,7 @@ use crate::error::bad_reply;
 pub struct ContextInfo {
     /// Where it is.
     pub path: Path,
-    /// What it is for.
+    /// Its kind.
     pub kind: ContextKind,
     /// The hub's number of it, never reused.
     pub number: u64,
@@ -69,7 +69,7 @@ impl Member {
     }
 }
 
-/// The content as a map; empty if it is none.
+/// The content as a map; empty if it is not a map.
 pub(crate) fn map_of(parcel: &Parcel) -> Map {
     match parcel.value() {
         Value::Map(map) => map,

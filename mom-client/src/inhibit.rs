@@ -49,7 +49,7 @@ impl InhibitGuard {
         self.holding.lost().await
     }
 
-    /// Ends the part and waits for the hub to say so. What is lost already needs no end.
+    /// Ends the part and waits for the hub to say so. Does nothing if it is lost already.
     ///
     /// # Errors
     /// The hub's refusal, a lost link, a time-out.

@@ -66,7 +66,7 @@ impl Key {
         })
     }
 
-    /// The private key in PEM. Whoever reads it is this user: keep it in a file of mode 0600.
+    /// The private key in PEM. Anybody who reads it can log in as this user: keep it in a file of mode 0600.
     pub fn to_pem(&self) -> String {
         // Without the public half, which older programs do not expect there.
         let bytes = KeypairBytes {

@@ -29,7 +29,7 @@ pub(crate) async fn run(shared: &Arc<Shared>, transceiver: Transceiver) -> Strin
     tasks.spawn(sending::write(Arc::clone(shared), transceiver.writer, link));
     let first = tokio::select! {
         ended = tasks.join_next_with_id() => ended,
-        () = keep(shared, &heard) => return "the hub says nothing any more".to_owned(),
+        () = keep(shared, &heard) => return "the hub has been silent for too long".to_owned(),
     };
     match first {
         Some(Ok((id, ended))) if id != reading => {

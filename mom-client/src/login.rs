@@ -58,7 +58,7 @@ impl Connector {
         }
     }
 
-    /// Connects and logs in; what it says takes its ids from `ids`.
+    /// Connects and logs in; its parcels take their ids from `ids`.
     pub(crate) async fn connect(
         &self,
         credentials: &Credentials,

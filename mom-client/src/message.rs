@@ -124,7 +124,7 @@ impl Message {
     /// channel.
     ///
     /// # Errors
-    /// As [`Client::send`](crate::Client::send); `Local` with `bad-name` for a name that is none.
+    /// As [`Client::send`](crate::Client::send); `Local` with `bad-name` for an invalid name.
     pub async fn send(self) -> Result<(), ClientError> {
         check_message_name(self.parcel.name())?;
         self.client.send(self.parcel).await

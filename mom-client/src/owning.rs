@@ -121,7 +121,7 @@ impl Shared {
         self.outgoing.notify_one();
     }
 
-    /// Nobody waits any more for a token to come back.
+    /// Nobody waits any more for a token's return.
     pub(crate) fn forget(&self, handover: &Arc<Handover>) {
         self.lock().handovers.unwant(handover);
         if let HandoverPhase::Back(hold) = handover.phase() {
@@ -201,7 +201,7 @@ impl Shared {
         let mut state = self.lock();
         let withdrawn = id.is_some_and(|id| state.waits.answered(&path, id));
         let hold = match granted {
-            // What it brought is given back already: the hub was told while the grant was on its way.
+            // The grant is released already: the hub was told while it was on its way.
             Ok(_) if withdrawn => Err(ClientError::Connection("the grab was taken back".to_owned())),
             Ok(grant) => Ok(state.guards.hold(&path, grant, Instant::now())),
             Err(error) => Err(error),

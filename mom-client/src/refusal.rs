@@ -73,7 +73,7 @@ impl<'a> Refusal<'a> {
         }
     }
 
-    /// Who has it, and for how long still; nothing if the refusal does not say who.
+    /// The owner, and the remaining time; empty if the refusal names nobody.
     fn held(&self) -> Option<String> {
         if let Some((last, others)) = self.holders.split_last() {
             return Some(match others {

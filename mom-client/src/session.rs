@@ -5,7 +5,7 @@ use mom_proto::{Map, Path};
 use crate::membership::Membership;
 use crate::{ClientError, ContextInfo, Events};
 
-/// A session that this peer has joined, until the last of its clones, its events and what is below it goes.
+/// A session that this peer has joined, until the last of its clones, its events and the proxies below it is dropped.
 ///
 /// ```no_run
 /// # async fn example(client: mom_client::Client) -> Result<(), mom_client::ClientError> {

@@ -9,7 +9,7 @@ use crate::pending::AnswerTo;
 use crate::shared::verb;
 use crate::{AskOwner, ClientError, Events, Grab, InhibitGuard, TokenGuard, TokenInfo};
 
-/// A token that this peer has joined, until the last of its clones, its events and its guards goes.
+/// A token that this peer has joined, until the last of its clones, its events and its guards is dropped.
 ///
 /// ```no_run
 /// # async fn example(client: mom_client::Client) -> Result<(), mom_client::ClientError> {
@@ -54,7 +54,7 @@ impl Token {
         self.member.client().info(self.path().as_str()).await
     }
 
-    /// Who owns it, who waits for it, and what is offered and asked about it (M33).
+    /// Its owner, queue, offers and requests (M33).
     ///
     /// # Errors
     /// As [`Client::info`](crate::Client::info).
@@ -81,7 +81,7 @@ impl Token {
         AskOwner::new(&self.member)
     }
 
-    /// Takes it from its owner, who has offered it ([`Event::Offer`](crate::Event::Offer)).
+    /// Accepts the owner's offer ([`Event::Offer`](crate::Event::Offer)).
     ///
     /// # Errors
     /// `Refused` with `no-offer` or `denied`, a lost link, a time-out.

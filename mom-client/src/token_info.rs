@@ -7,7 +7,7 @@ use mom_proto::{Map, Value};
 use crate::Member;
 use crate::info::{level, millis_of, name_list, number, owned};
 
-/// Who owns a token, who waits for it, and what is offered and asked about it (M33).
+/// A token's owner, queue, offers and requests (M33).
 ///
 /// ```
 /// use mom_client::{Map, TokenInfo};
@@ -106,7 +106,7 @@ pub struct Reserved {
 }
 
 impl TokenInfo {
-    /// Reads what [`Client::info`](crate::Client::info) gives; what is not there is empty.
+    /// Reads what [`Client::info`](crate::Client::info) gives; absent keys are empty.
     pub fn read(info: &Map) -> TokenInfo {
         TokenInfo {
             owner: owned(info, "owner"),

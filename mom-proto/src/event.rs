@@ -20,7 +20,7 @@ pub const OFFER: &str = "offer";
 pub const LAPSED: &str = "lapsed";
 /// A grab waits, and at which place.
 pub const QUEUED: &str = "queued";
-/// An owner's turn ends, because others wait.
+/// An owner's time ends, because others wait.
 pub const NOTICE: &str = "notice";
 /// Several peers hold a token together, and nobody owns it.
 pub const INHIBITED: &str = "inhibited";
@@ -28,7 +28,7 @@ pub const INHIBITED: &str = "inhibited";
 pub const UNINHIBITED: &str = "uninhibited";
 /// A peer was told of a context by one of its members.
 pub const INVITED: &str = "invited";
-/// A peer was put out of a context.
+/// A peer was expelled from a context.
 pub const EXPELLED: &str = "expelled";
 /// Parcels were dropped on their way.
 pub const DROPPED: &str = "dropped";
@@ -47,19 +47,19 @@ pub enum Reason {
     Released,
     /// Its lease was over.
     Expired,
-    /// Somebody of a strictly higher level took it (M29).
+    /// A peer of a strictly higher level took it (M29).
     Preempted,
     /// Its connection ended, or it left.
     Disconnected,
     /// The token was deleted.
     Deleted,
-    /// Somebody with the right to it took it away.
+    /// A peer with the right `break` took it away.
     Broken,
     /// Its rights ended: its user was changed or removed, or it was expelled.
     Revoked,
     /// It gave the token to another peer (M41).
     Given,
-    /// What was given for a time or a number of commands went back to the giver.
+    /// A token given for a time or a number of commands returned to the giver.
     Returned,
 }
 

@@ -1,4 +1,4 @@
-//! What is said: the values, parcels, paths, verbs, codes, limits and codecs of MOM.
+//! The vocabulary of MOM: the values, parcels, paths, verbs, codes, limits and codecs.
 //!
 //! Everything that peers and the hub exchange is a [`Parcel`] (M2, M3): a list of slots, some of them
 //! known and typed, any other passed through unchanged. This crate does no IO, reads no clock and knows

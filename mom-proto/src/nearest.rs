@@ -1,6 +1,6 @@
 //! Suggestions for errors about unknown names.
 
-/// The candidate that looks most like `word`, if one is near enough to be what was meant.
+/// The candidate most similar to `word`, if it is similar enough to be meant.
 ///
 /// ```
 /// use mom_proto::nearest::nearest;

@@ -34,7 +34,7 @@ impl Path {
     /// Reads the canonical form.
     ///
     /// # Errors
-    /// `bad-path`, with the position of what is wrong.
+    /// `bad-path`, with the position of the fault.
     pub fn parse(text: &str) -> Result<Path, WireError> {
         check(text)?;
         Ok(Path(Arc::from(text)))
@@ -43,7 +43,7 @@ impl Path {
     /// The path of a child.
     ///
     /// # Errors
-    /// `bad-path` if the segment is none or the path grows too long.
+    /// `bad-path` if the segment is invalid or the path becomes too long.
     pub fn child(&self, segment: &str) -> Result<Path, WireError> {
         match self.is_root() {
             true => Path::parse(&format!("/{segment}")),

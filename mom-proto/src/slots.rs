@@ -85,7 +85,7 @@ impl ReadSlots {
     ///
     /// # Errors
     /// `bad-slot` naming the slot: twice, of another type than a known slot has, or outside its range;
-    /// `bad-path` for a context that is none.
+    /// `bad-path` for an invalid context.
     pub fn insert(&mut self, key: String, value: Value) -> Result<(), WireError> {
         let Some(position) = SLOTS.iter().position(|slot| slot.key == key) else {
             return self
@@ -122,7 +122,7 @@ impl ReadSlots {
     /// The parcel of all slots taken.
     ///
     /// # Errors
-    /// `bad-slot` if family or name are missing, `bad-name` for a name that is none.
+    /// `bad-slot` if family or name are missing, `bad-name` for an invalid name.
     pub fn finish(self) -> Result<Parcel, WireError> {
         if !self.family {
             return Err(bad("family", "a parcel needs the slot family".to_owned()));
@@ -169,7 +169,7 @@ fn bad(slot: &str, text: String) -> WireError {
 }
 
 fn twice(key: &str) -> WireError {
-    bad(key, format!("the slot {key} stands there twice"))
+    bad(key, format!("the slot {key} occurs twice"))
 }
 
 fn id_value(number: Option<u64>) -> Option<Value> {

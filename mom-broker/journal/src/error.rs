@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 #[error("cannot write the {what} {}: {error}", path.display())]
 pub struct WriteError {
-    /// What it is for.
+    /// Its purpose.
     pub what: &'static str,
     /// The file.
     pub path: PathBuf,

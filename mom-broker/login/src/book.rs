@@ -147,7 +147,7 @@ impl Book {
         let entry = self.users.get(&name);
         let standing = match (entry, claims) {
             (Some(entry), None) => Identity::of_file(entry, ShownProof::Token(Arc::clone(verifier))),
-            (None, None) => return Err(refused("the token's user is none here")),
+            (None, None) => return Err(refused("the token's user does not exist here")),
             (None, Some((level, groups))) if !self.is_guest(&name) => Identity {
                 user: Arc::new(User {
                     name,

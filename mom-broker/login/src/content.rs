@@ -56,7 +56,7 @@ impl LoginRequest {
             (None, None, false, Some(token), false) => ClaimedProof::Token(token),
             (None, None, false, None, true) => ClaimedProof::Guest,
             (Some(_), None, false, None, false) => {
-                let text = "it is missing; who has a key says key, true, instead";
+                let text = "it is missing; to log in with a key, send key = true instead";
                 return Err(wrong("password", text));
             }
             (None, _, false, None, false) | (None, _, true, None, false) => {

@@ -107,7 +107,7 @@ pub(crate) fn parse_key(text: &str) -> Result<VerifyingKey, String> {
     let bytes = words.next().and_then(|word| STANDARD.decode(word).ok());
     let bytes = bytes.ok_or_else(|| format!("that is no base64; {WANTED}"))?;
     let bytes = <[u8; 32]>::try_from(bytes)
-        .map_err(|bytes| format!("that are {} bytes, a public key has 32; {WANTED}", bytes.len()))?;
+        .map_err(|bytes| format!("this has {} bytes, a public key has 32; {WANTED}", bytes.len()))?;
     VerifyingKey::from_bytes(&bytes)
         .ok()
         .filter(|key| !key.is_weak())

@@ -164,8 +164,7 @@ impl Logins {
         let challenge = challenge.filter(|challenge| challenge.is_open(self.clock.now()));
         let Some(challenge) = challenge else {
             attempt.fail();
-            let text =
-                "there is no challenge to answer, any more or at all: ask for one with login {name, key}";
+            let text = "there is no open challenge to answer: ask for one with login {name, key}";
             return Err(WireError::new(Code::BAD_LOGIN, text));
         };
         // Unknown users and those without keys get a challenge too, and fail only here.
@@ -187,7 +186,7 @@ impl Logins {
     /// Admits an authenticated user: `decide` tells the hub. No reload can happen in between.
     ///
     /// # Errors
-    /// `bad-login` if the configuration has changed meanwhile and the user is none any more.
+    /// `bad-login` if the configuration has changed meanwhile and the user no longer exists.
     pub fn admit(
         &self,
         peer: PeerId,
@@ -205,7 +204,7 @@ impl Logins {
             let gone = || {
                 WireError::new(
                     Code::BAD_LOGIN,
-                    "this user is none any more, or proves itself by something else",
+                    "this user no longer exists, or its credentials have changed",
                 )
             };
             standing.user = standing.as_of(&now).ok_or_else(gone)?;

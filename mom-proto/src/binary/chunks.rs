@@ -111,7 +111,7 @@ impl Assembly {
         let stream = read(reader.varint())?;
         let flags = reader.byte().map_err(|error| broken(&error.text))?;
         if flags & !(FIRST | LAST | ABORT) != 0 {
-            return Err(broken("a chunk with flags that nobody here knows"));
+            return Err(broken("a chunk with unknown flags"));
         }
         if flags & ABORT != 0 {
             return match self.close(stream) {

@@ -81,9 +81,7 @@ impl BinaryDecoder {
                 }
                 Some(&kind) if kind >= FIRST_SKIPPABLE_KIND => {}
                 Some(kind) => {
-                    return Err(broken(&format!(
-                        "a frame of kind {kind}, which nobody here knows"
-                    )));
+                    return Err(broken(&format!("a frame of unknown kind {kind}")));
                 }
                 None => return Err(broken("a frame without a kind")),
             }
@@ -117,7 +115,7 @@ impl BinaryDecoder {
         let (major, minor) = (input[4], input[5]);
         if major != PROTOCOL_VERSION.0 {
             let (ours, _) = PROTOCOL_VERSION;
-            let text = format!("version {major}.{minor} is not spoken here, {ours}.x is");
+            let text = format!("version {major}.{minor} is not supported, {ours}.x is");
             return Err(WireError::new(Code::BAD_VERSION, text));
         }
         input.advance(PREFACE_MAGIC.len() + 2);

@@ -191,7 +191,7 @@ fn fill_rare(
     match bit {
         FAMILY => {
             let family = Family::from_number(reader.byte()?);
-            parcel.family = family.ok_or_else(|| bad(start, "the number of no family").slot("family"))?;
+            parcel.family = family.ok_or_else(|| bad(start, "a number of no family").slot("family"))?;
         }
         REFERENCE => parcel.reference = Some(number(reader, "reference")?),
         PRIORITY => {

@@ -119,7 +119,7 @@ impl de::Error for SerdeError {
     }
 
     fn duplicate_field(field: &'static str) -> SerdeError {
-        SerdeError::bad_content("it stands there twice").inside(field)
+        SerdeError::bad_content("it occurs twice").inside(field)
     }
 }
 

@@ -75,7 +75,7 @@ impl Serialize for Map {
 }
 
 impl<'de> Deserialize<'de> for Map {
-    /// In the format's order; a key that stands there twice is refused.
+    /// In the format's order; a key that occurs twice is refused.
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Map, D::Error> {
         deserializer.deserialize_map(MapVisitor)
     }
@@ -238,7 +238,7 @@ impl<'de> Visitor<'de> for MapVisitor {
 fn read_members<'de, A: MapAccess<'de>>(mut map: Map, mut members: A) -> Result<Map, A::Error> {
     while let Some(key) = members.next_key()? {
         map.insert_new(checked(key)?, members.next_value()?)
-            .map_err(|key| de::Error::custom(format_args!("the key {key:?} stands there twice")))?;
+            .map_err(|key| de::Error::custom(format_args!("the key {key:?} occurs twice")))?;
     }
     Ok(map)
 }

@@ -340,7 +340,7 @@ impl MapSerializer {
         check_text(&key).map_err(|error| in_place(error, self.variant))?;
         match object.serialize(ValueSerializer::at(self.depth)) {
             Ok(value) => self.map.insert_new(key, value).map_err(|key| {
-                let twice = SerdeError::not_encodable("it stands there twice");
+                let twice = SerdeError::not_encodable("it occurs twice");
                 in_place(twice.inside(key), self.variant)
             }),
             Err(error) => Err(in_place(error.inside(key), self.variant)),

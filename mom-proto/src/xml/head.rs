@@ -120,7 +120,7 @@ pub(super) fn check_encoding(name: &str, value: &str) -> Result<(), WireError> {
 /// Reads the type of an entity.
 pub(super) fn media(value: &str) -> Result<Media, WireError> {
     let refused = |why: &str| {
-        let text = format!("{why}; the type {:?} is not spoken here", brief(value));
+        let text = format!("{why}; the type {:?} is not supported", brief(value));
         WireError::new(Code::BAD_MIME, text)
     };
     let mime: Mime = value.parse().map_err(|_| refused("no media type"))?;
@@ -133,7 +133,7 @@ pub(super) fn media(value: &str) -> Result<Media, WireError> {
     let mut seen: Vec<mime::Name<'_>> = Vec::new();
     for (name, _) in mime.params() {
         if seen.contains(&name) || !known.contains(&name.as_str()) {
-            return Err(refused("a parameter is unknown or stands there twice"));
+            return Err(refused("a parameter is unknown or occurs twice"));
         }
         seen.push(name);
     }
@@ -194,10 +194,7 @@ fn length(value: &str, limits: &Limits) -> Result<usize, WireError> {
 fn put_once<T>(place: &mut Option<T>, value: T, name: &str) -> Result<(), WireError> {
     match place.replace(value) {
         None => Ok(()),
-        Some(_) => Err(WireError::new(
-            Code::BAD_FRAME,
-            format!("{name} stands there twice"),
-        )),
+        Some(_) => Err(WireError::new(Code::BAD_FRAME, format!("{name} occurs twice"))),
     }
 }
 

@@ -83,7 +83,7 @@ impl XmlDecoder {
     /// Takes the next entity from the front of `input`, or `None` if it is not complete.
     ///
     /// # Errors
-    /// `bad-frame` for what is no header of an entity, `too-large` as soon as a length above the limit is
+    /// `bad-frame` for bytes that are not an entity's header, `too-large` as soon as a length above the limit is
     /// announced, `restricted-xml` for a document type, a declaration or a processing instruction. The
     /// decoder is of no use after an error.
     pub fn decode(&mut self, input: &mut BytesMut) -> Result<Option<Frame>, WireError> {

@@ -209,10 +209,7 @@ impl PartHead {
         let value = value.trim_matches(['<', '>']).to_owned();
         match place.replace(value) {
             None => Ok(()),
-            Some(_) => Err(WireError::new(
-                Code::BAD_MIME,
-                format!("{name} stands there twice"),
-            )),
+            Some(_) => Err(WireError::new(Code::BAD_MIME, format!("{name} occurs twice"))),
         }
     }
 }

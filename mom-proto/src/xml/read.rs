@@ -171,7 +171,7 @@ impl<'a> ParcelReader<'a, '_> {
                 .value(&tag, tag.kind.unwrap_or(ValueKind::String), depth)
                 .map_err(|error| within(error, &key))?;
             members.insert_new(key.into_owned(), value).map_err(|key| {
-                let twice = format!("the member {:?} stands there twice", brief(&key));
+                let twice = format!("the member {:?} occurs twice", brief(&key));
                 within(WireError::new(Code::BAD_SLOT, twice).position(tag.position), &key)
             })?;
         }

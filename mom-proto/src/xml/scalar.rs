@@ -25,7 +25,8 @@ pub(super) fn parse(kind: ValueKind, text: &str, position: usize) -> Result<Valu
     };
     value.ok_or_else(|| {
         let form = form(kind);
-        let text = format!("a {} is {form}, not {:?}", kind.word(), brief(text));
+        let article = if kind == ValueKind::Int { "an" } else { "a" };
+        let text = format!("{article} {} is {form}, not {:?}", kind.word(), brief(text));
         WireError::new(Code::BAD_SLOT, text).position(position)
     })
 }

@@ -16,7 +16,7 @@ pub(super) enum TextKind {
     Attribute,
 }
 
-/// The text of an XML document, or its good beginning and what is wrong after it.
+/// The text of an XML document, or its valid beginning and the error after it.
 pub(super) fn decode(bytes: &[u8], base: usize) -> Result<&str, (&str, WireError)> {
     let bad =
         |position: usize, why: String| WireError::new(Code::BAD_ENCODING, why).position(base + position);

@@ -210,7 +210,7 @@ impl<'a> Tag<'a> {
         };
         match before {
             false => Ok(()),
-            true => Err(bad(position, format!("the attribute {name} stands there twice"))),
+            true => Err(bad(position, format!("the attribute {name} occurs twice"))),
         }
     }
 }

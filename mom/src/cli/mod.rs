@@ -11,7 +11,7 @@ mod control;
 
 use self::control::{ACCEPT, BREAK, DECLINE, EXPEL, GIVE, GRAB, INHIBIT, INVITE, MANAGE, REQUEST, TOKEN};
 
-/// Look at a hub, talk through it, and drive what is connected to it.
+/// Look at a hub, talk through it, and drive the devices connected to it.
 #[derive(Debug, Parser)]
 #[command(name = "mom", version, arg_required_else_help = true, after_help = EXAMPLES)]
 pub(crate) struct Cli {

@@ -21,7 +21,7 @@ pub(crate) async fn run(args: &cli::ExpelArgs, global: &GlobalArgs, output: Outp
         || json!({"state": "expelled", "path": path, "peer": peer}),
         || {
             let peer = words::visible(peer);
-            ink(format_args!("{peer} is out of {path}"), Tone::Good)
+            ink(format_args!("{peer} is expelled from {path}"), Tone::Good)
         },
     )?;
     Ok(())

@@ -82,7 +82,7 @@ async fn wait_for_return(
     output: Output,
 ) -> Result<(), Failure> {
     output.remark(ink(
-        "it comes back by itself; after Ctrl-C it goes to nobody then",
+        "it returns by itself; after Ctrl-C it becomes free then",
         Tone::Faint,
     ));
     let returned = tokio::select! {

@@ -19,7 +19,7 @@ pub(crate) async fn run(args: &cli::InhibitArgs, global: &GlobalArgs, output: Ou
     let mut part = token.inhibit().await.doing(format!("inhibit {path}"))?;
     output.tell(
         || json!({"state": "inhibited", "path": path}),
-        || ink(format_args!("nobody can have {path}"), Tone::Good),
+        || ink(format_args!("nobody can own {path}"), Tone::Good),
     )?;
     output.remark(ink("Ctrl-C ends it", Tone::Faint));
     let until = args.time.map(|time| Instant::now() + time);
@@ -34,7 +34,7 @@ pub(crate) async fn run(args: &cli::InhibitArgs, global: &GlobalArgs, output: Ou
             part.release().await.doing(format!("uninhibit {path}"))?;
             output.tell(
                 || json!({"state": "uninhibited", "path": path}),
-                || format!("{path} can be had again, if nobody else inhibits it"),
+                || format!("{path} can be grabbed again, if nobody else inhibits it"),
             )?;
             Ok(())
         }

@@ -94,7 +94,7 @@ fn start_failure(error: BrokerError) -> Failure {
     }
 }
 
-/// An address that a program on this machine can connect to: "any" is none.
+/// An address that a program on this machine can connect to: the unspecified address becomes loopback.
 fn within_reach(mut address: SocketAddr) -> SocketAddr {
     match address.ip() {
         IpAddr::V4(ip) if ip.is_unspecified() => address.set_ip(Ipv4Addr::LOCALHOST.into()),
@@ -144,7 +144,7 @@ async fn ready(device: &Client, place: &str) -> Result<(), Failure> {
             return Ok(());
         }
         if begin.elapsed() > READY {
-            return Err(Failure::plain(format!("the {me} does not come into {place}")));
+            return Err(Failure::plain(format!("the {me} cannot join {place}")));
         }
         sleep(LOOK).await;
     }

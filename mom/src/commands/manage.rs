@@ -150,7 +150,7 @@ impl Desk {
         if let Some((consult, _)) = self.waiting.pop_front() {
             self.tell(
                 consult.number,
-                "not answered in time, so the hub says no",
+                "not answered in time, so the hub refuses",
                 Tone::Bad,
             )?;
             self.next();
@@ -166,7 +166,7 @@ impl Desk {
                 Ok(())
             }
             open => Err(Failure::plain(format!(
-                "the answers ended with {} open; the hub says no to them",
+                "the answers ended with {} open; the hub refuses them",
                 words::count(open as u64, "question")
             ))),
         }

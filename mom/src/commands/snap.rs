@@ -118,7 +118,7 @@ fn image(content: &Value) -> Option<Bytes> {
     content.get("image").and_then(Value::as_binary).cloned()
 }
 
-/// `x-20261121T100000Z.jpg`: the camera, when the image was taken, what it is.
+/// `x-20261121T100000Z.jpg`: camera, time and format.
 fn file_name(view: &str, content: &Value) -> String {
     let taken = match content.get("taken") {
         Some(Value::Time(time)) => time.to_string(),

@@ -27,7 +27,7 @@ const HEADINGS: [&str; 7] = [
 
 pub(crate) async fn run(args: &cli::StatsArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Once).await?;
-    let asking = || format!("ask for the figures of {}", args.path);
+    let asking = || format!("ask for the statistics of {}", args.path);
     let kind = client.lookup(&args.path).await.doing(asking())?.kind;
     let tell = |stats: &Stats| output.tell(|| to_json(stats, kind), || table(stats, kind));
     let Some(seconds) = args.watch else {

@@ -106,10 +106,10 @@ fn owner(path: &str, info: &TokenInfo) -> String {
         let left = words::duration(reserved.time);
         return match &reserved.peer {
             Some(peer) => format!(
-                "nobody; kept for {}, who had it before the hub was started anew, for {left}",
+                "nobody; reserved for {}, its owner before the hub's restart, for {left}",
                 words::visible(peer)
             ),
-            None => format!("nobody; kept for {left}, as it is not known who had it before"),
+            None => format!("nobody; reserved for {left}, because its last owner is unknown"),
         };
     }
     format!("{}; grab it with: mom grab {path}", ink("nobody", Tone::Good))
@@ -252,7 +252,7 @@ mod tests {
             &free().with("reserved", Map::new().with("peer", "bob").with("for", 29_000)),
             &[
                 "/t  fence 0",
-                "  owner     nobody; kept for bob, who had it before the hub was started anew, for 29 s",
+                "  owner     nobody; reserved for bob, its owner before the hub's restart, for 29 s",
             ],
         );
     }

@@ -143,6 +143,6 @@ fn ended(client: &Client) -> Failure {
             error: error.clone(),
         },
         LinkState::Closed(None) => Failure::plain("the connection to the hub is closed"),
-        _ => Failure::plain("what was watched is no more"),
+        _ => Failure::plain("the watched contexts are gone"),
     }
 }

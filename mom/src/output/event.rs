@@ -86,7 +86,7 @@ fn door_words(event: &Event) -> String {
             let by = by.as_deref().map(|by| format!(" by {}", name(by)));
             let text = text.as_deref().map(|text| format!(": {}", name(text)));
             format!(
-                "{} was put out of {path}{}{}",
+                "{} was expelled from {path}{}{}",
                 name(peer),
                 by.unwrap_or_default(),
                 text.unwrap_or_default()
@@ -115,9 +115,9 @@ pub(crate) fn lost_words(lost: &Lost) -> String {
         ("disconnected", _) => "the connection to the hub is lost".to_owned(),
         ("deleted", _) => "it was deleted".to_owned(),
         ("given", Some(by)) => format!("{by} has it now"),
-        ("returned", _) => "it went back to who gave it".to_owned(),
+        ("returned", _) => "it returned to its giver".to_owned(),
         ("broken", Some(by)) => format!("{by} took it away"),
-        ("revoked", _) => "you may be here no more".to_owned(),
+        ("revoked", _) => "you may no longer be here".to_owned(),
         (reason, Some(by)) => format!("{} by {by}", words::visible(reason)),
         (reason, None) => words::visible(reason),
     }
@@ -315,7 +315,7 @@ mod tests {
             ),
             (
                 expelled,
-                "bob was put out of /lab by carol: lun\\nch",
+                "bob was expelled from /lab by carol: lun\\nch",
                 "expelled",
                 Map::new()
                     .with("path", "/lab")
@@ -338,8 +338,8 @@ mod tests {
             ("disconnected", None, "the connection to the hub is lost"),
             ("broken", Some("carol"), "carol took it away"),
             ("given", Some("bob"), "bob has it now"),
-            ("returned", Some("bob"), "it went back to who gave it"),
-            ("revoked", Some("carol"), "you may be here no more"),
+            ("returned", Some("bob"), "it returned to its giver"),
+            ("revoked", Some("carol"), "you may no longer be here"),
             ("denied", Some("carol"), "denied by carol"),
             ("denied", None, "denied"),
         ] {

@@ -69,9 +69,9 @@ pub(super) fn words_of(event: &Event) -> String {
         Event::Uninhibited {
             peer, reason, path, ..
         } => match reason.as_str() {
-            "" | "released" => format!("{} inhibits {path} no more", words::visible(peer)),
+            "" | "released" => format!("{} no longer inhibits {path}", words::visible(peer)),
             reason => format!(
-                "{} inhibits {path} no more: {}",
+                "{} no longer inhibits {path}: {}",
                 words::visible(peer),
                 words::visible(reason)
             ),
@@ -275,8 +275,8 @@ mod tests {
             &content(),
         );
         for (reason, words) in [
-            ("released", "ally inhibits /t no more"),
-            ("broken", "ally inhibits /t no more: broken"),
+            ("released", "ally no longer inhibits /t"),
+            ("broken", "ally no longer inhibits /t: broken"),
         ] {
             let event = Event::Uninhibited {
                 peer: "ally".to_owned(),

@@ -192,7 +192,7 @@ impl Reader<'_> {
             };
             let value = self.value()?;
             map.insert_new(key, value)
-                .map_err(|key| format!("{key} stands there twice"))?;
+                .map_err(|key| format!("{key} occurs twice"))?;
         }
     }
 

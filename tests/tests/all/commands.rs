@@ -281,8 +281,8 @@ async fn peers_are_invited_and_expelled() {
     check(&invited, 0, &["bob is invited to /desk"]);
     let expel = ["expel", "bob", "/desk", "--text", "lunch", "--for", "1m"];
     let expelled = desk.run_as("carol", &expel, "").await;
-    check(&expelled, 0, &["bob is out of /desk"]);
-    bob.line_with("lost /desk/token: you may be here no more");
+    check(&expelled, 0, &["bob is expelled from /desk"]);
+    bob.line_with("lost /desk/token: you may no longer be here");
     assert_eq!(ended(bob).await, Some(1));
     let out = desk.run_as("bob", &["grab", TOKEN], "").await;
     check(&out, 1, &["expelled", "denied (200)"]);

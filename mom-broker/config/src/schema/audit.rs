@@ -12,7 +12,8 @@ pub(super) fn audit() -> Value {
         "size": with_default(at_least("Bytes after which a new file is begun.", AuditConfig::LEAST), default.size),
         "keep": with_default(at_least("Files that are kept beside the present one.", 0), default.keep),
     });
-    let description = "Who was given, refused and lost what, by which rule, as JSON lines.";
+    let description =
+        "The audit log: who was granted or refused what, or lost it, by which rule, as JSON lines.";
     table(description, &properties, &[])
 }
 
@@ -22,7 +23,7 @@ pub(super) fn record() -> Value {
         "path": text("The file, relative to this one; absent = nothing is recorded."),
         "size": with_default(at_least("Bytes after which recording stops.", RecordConfig::LEAST), default.size),
     });
-    let description = "All that is asked of the hub and what it decides, for mom-broker what-if.";
+    let description = "The recording of the hub's inputs and decisions, for mom-broker what-if.";
     table(description, &properties, &[])
 }
 

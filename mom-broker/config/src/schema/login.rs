@@ -12,7 +12,7 @@ pub(super) fn login() -> Value {
         "waiting": with_default(positive("Logins that may wait for that; more are told try-later."), default.waiting),
         "attempts": with_default(positive("Failed logins after which a connection is closed."), default.attempts),
         "hub": with_default(text("This hub's name in what keys sign; give each hub its own."), &default.hub),
-        "challenge-time": with_default(millis("How long a key has to answer, in ms."), default.challenge_time),
+        "challenge-time": with_default(millis("The time for answering a challenge, in ms."), default.challenge_time),
         "guests": with_default(flag("Whether anybody may log in as guest, level 0, group guest."), default.guests),
         "throttle": throttle(&default),
         "jwt": jwt(),
@@ -24,17 +24,17 @@ fn throttle(default: &LoginConfig) -> Value {
     let rate = |description: &str, default: FailureRate| {
         let properties = json!({
             "per-minute": positive("Failures a minute in the long run."),
-            "burst": positive("Failures at once before that counts."),
+            "burst": positive("Failures at once before the rate applies."),
         });
         let default = json!({ "per-minute": default.per_minute, "burst": default.burst });
         with_default(table(description, &properties, &["per-minute", "burst"]), default)
     };
     let properties = json!({
         "per-address": rate("From one address.", default.throttle.per_address),
-        "per-account": rate("At one password, but from where its user has logged in before.", default.throttle.per_account),
+        "per-account": rate("At one account by password, except from addresses where its user has logged in before.", default.throttle.per_account),
     });
     table(
-        "How often logins may fail before more are told try-later.",
+        "How often logins may fail before more are refused with try-later.",
         &properties,
         &[],
     )
@@ -54,7 +54,7 @@ fn jwt() -> Value {
     });
     let required = ["issuer", "audience", "algorithms", "key"];
     table(
-        "Whose tokens (JWT) are taken; absent = nobody's.",
+        "The issuer of accepted tokens (JWT); absent = no tokens.",
         &properties,
         &required,
     )

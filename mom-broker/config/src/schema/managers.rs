@@ -47,12 +47,12 @@ fn parameters(kind: &str) -> Option<(&'static str, Value, &'static [&'static str
         "open" => ("Everybody may do everything.", json!({}), &[]),
         "closed" => ("Nobody may do anything.", json!({}), &[]),
         "roles" => (
-            "Rules, asked in order: the first that covers a request decides, and no rule is a refusal.",
+            "Rules in order: the first that covers a request decides; a request that none covers is denied.",
             json!({ "rules": list("The rules, in order.", rule()) }),
             &["rules"],
         ),
         "first-come" => (
-            "Whoever grabs a free token keeps it until giving it back.",
+            "The peer that grabs a free token keeps it until it releases it.",
             json!({ "lease": lease(), "expiry": expiry() }),
             &[],
         ),
@@ -62,17 +62,17 @@ fn parameters(kind: &str) -> Option<(&'static str, Value, &'static [&'static str
             &[],
         ),
         "queue" => (
-            "A token goes from one to the next, in the order of asking.",
+            "A token goes from one peer to the next, in the order of asking.",
             queue(),
             &[],
         ),
         "moderated" => ("A chair has to approve.", moderated(), &["chairs"]),
         "schedule" => ("Reserved slots of the calendar.", schedule(), &["slots"]),
-        "quota" => ("How often, and how much, by peer.", quota(), &["limits"]),
+        "quota" => ("Limits how often and how much, by peer.", quota(), &["limits"]),
         "self" => (
-            "The peer that made the context decides.",
+            "The peer that created the context decides.",
             json!({
-                "verbs": verbs_for("About what it is asked; absent = everything."),
+                "verbs": verbs_for("The verbs that it is asked about; absent = all."),
                 "within": with_default(within("Its silence"), 5_000),
             }),
             &[],
@@ -88,13 +88,13 @@ fn parameters(kind: &str) -> Option<(&'static str, Value, &'static [&'static str
 
 fn rule() -> Value {
     let mut properties = json!({
-        "name": text("What answers call the rule; absent = its number."),
+        "name": text("The rule's name in answers; absent = its number."),
         "allow": verbs_for("The verbs that it allows; * stands for all. Either this or deny."),
         "deny": verbs_for("The verbs that it refuses; * stands for all. Either this or allow."),
-        "where": names("Patterns of paths: /robot/arm, /camera/* (one level), /robot/** (the place and all below); absent = everywhere."),
+        "where": names("Patterns of paths: /robot/arm, /camera/* (one level), /robot/** (the context and all below); absent = everywhere."),
         "messages": names("Names of messages, for send; absent = all."),
-        "invited": flag("Only peers that a member has invited lately, or only those that nobody has; absent = both."),
-        "max-age": millis("Messages that are, or with the error of their age may be, older are refused, in ms; with allow only; absent = any age."),
+        "invited": flag("Only peers that a member has invited lately, or only the others; absent = both."),
+        "max-age": millis("Messages whose age plus error is greater are refused, in ms; with allow only; absent = any age."),
     });
     add(&mut properties, peers());
     table("A rule.", &properties, &[])
@@ -107,7 +107,7 @@ fn level_or_lease() -> Value {
         json!({
             "lease": with_default(lease(), 180_000),
             "equal": with_default(flag("Whether an equal level takes the token, too."), false),
-            "queue": flag("Whether a refused grab may stand in line; absent = if there is hold."),
+            "queue": flag("Whether a refused grab may be queued; absent = if there is hold."),
         }),
     );
     properties
@@ -121,9 +121,9 @@ fn queue() -> Value {
 
 fn moderated() -> Value {
     json!({
-        "chairs": table("Who is asked; at least one key. Chairs need no approval themselves.", &peers(), &[]),
-        "verbs": verbs_for("What is moderated; absent = grab, accept, inhibit."),
-        "messages": names("Of sends, only these names; absent = all."),
+        "chairs": table("The chairs; at least one key. They need no approval themselves.", &peers(), &[]),
+        "verbs": verbs_for("The moderated verbs; absent = grab, accept, inhibit."),
+        "messages": names("For send, only messages of these names; absent = all."),
         "within": with_default(within("Nobody's answer"), 30_000),
         "displace": with_default(flag("Whether an approved grab takes the token from its owner, whatever its lease."), false),
     })
@@ -132,30 +132,30 @@ fn moderated() -> Value {
 fn schedule() -> Value {
     let day = json!({ "type": "string", "enum": ["mon", "tue", "wed", "thu", "fri", "sat", "sun"] });
     let mut slot = json!({
-        "name": text("What answers call the slot; absent = its number."),
+        "name": text("The slot's name in answers; absent = its number."),
         "from": text("A time of the day such as 09:00, or an instant such as 2026-11-23T09:00:00Z; UTC."),
-        "to": text("The same; no part of the slot. Of times of the day, one before from is on the next day."),
+        "to": text("The end, exclusive, in the same form as from. A time of the day before from is on the next day."),
         "days": list("The days on which a daily slot begins; absent = every day.", day),
     });
     add(&mut slot, peers());
     json!({
         "slots": list("The slots.", table("A slot.", &slot, &["from", "to"])),
         "free": with_default(words("What holds where no slot is.", &["allow", "deny"]), "allow"),
-        "verbs": verbs_for("What is kept for the slots; absent = grab, accept, inhibit."),
+        "verbs": verbs_for("The reserved verbs; absent = grab, accept, inhibit."),
     })
 }
 
 fn quota() -> Value {
     let mut limit = json!({
-        "name": text("What answers call the limit; absent = its number."),
-        "verbs": verbs_for("What is counted, all listed verbs together; absent = send."),
-        "parcels": number("So many a second; absent = as many as one likes."),
-        "burst": number("So many at once; absent = those of one second."),
-        "bytes": number("So many bytes of content a second; absent = as many as one likes."),
-        "bytes-burst": number("So many bytes at once, and nothing larger passes; absent = those of one second."),
+        "name": text("The limit's name in answers; absent = its number."),
+        "verbs": verbs_for("The counted verbs, all together; absent = send."),
+        "parcels": number("Parcels per second; absent = unlimited."),
+        "burst": number("Parcels at once; absent = those of one second."),
+        "bytes": number("Bytes of content per second; absent = unlimited."),
+        "bytes-burst": number("Bytes at once, and nothing larger passes; absent = those of one second."),
     });
     add(&mut limit, peers());
-    json!({ "limits": list("The first that is about the peer and the verb counts.", table("A limit.", &limit, &[])) })
+    json!({ "limits": list("The first limit that covers the peer and the verb applies.", table("A limit.", &limit, &[])) })
 }
 
 /// The keys that select peers.
@@ -174,18 +174,19 @@ fn terms() -> Value {
         "deadman": millis("The owner loses the token when it neither renews nor grabs for so long, in ms."),
         "hold": millis("The longest ownership while others wait, in ms."),
         "notice": with_default(
-            number("How long an owner keeps the token at least once the first begins to wait, in ms."),
+            number("The least time that an owner keeps the token after another peer has begun to wait, in ms."),
             10_000
         ),
     })
 }
 
 fn lease() -> Value {
-    millis("How long ownership lasts without renewal, in ms; absent = without end.")
+    millis("How long ownership lasts without renewal, in ms; absent = unlimited.")
 }
 
 fn expiry() -> Value {
-    let description = "At the end of the lease lost at once (eager), or at the next grab (lazy).";
+    let description =
+        "At the end of the lease the token is lost at once (eager), or at the next grab (lazy).";
     with_default(words(description, &["lazy", "eager"]), "lazy")
 }
 

@@ -34,24 +34,24 @@ pub fn config_schema() -> Value {
         ),
         "users": text("The users file, relative to this one. Without it there are no users."),
         "root": {
-            "description": "The manager of the root: who may do what where no other manager is nearer.",
+            "description": "The manager of the root, which also decides wherever no other manager is nearer.",
             "$ref": "#/definitions/manager"
         },
         "limits": limits(),
         "login": login::login(),
         "store": table(
-            "What outlives the broker: who owns which token, and the fences.",
+            "The store of token owners and fences, which outlives the broker.",
             &json!({ "path": text("A directory of this broker's own, relative to this file; absent = nothing outlives it.") }),
             &[]
         ),
         "audit": audit::audit(),
         "record": audit::record(),
         "managers": {
-            "description": "Managers that have a name, for the root, for contexts and for each other.",
+            "description": "Named managers, for the root, for contexts and for each other.",
             "type": "object", "additionalProperties": { "$ref": "#/definitions/manager" }
         },
         "contexts": {
-            "description": "Contexts that are always there, parents first.",
+            "description": "Permanent contexts, parents first.",
             "type": "array", "items": { "$ref": "#/definitions/context" }
         },
     });
@@ -70,8 +70,8 @@ pub fn users_schema() -> Value {
         "keys": names("Public keys, as mom keygen writes them: ed25519 BASE64 and a comment."),
         "level": with_default(number("The authority level; higher is more."), 0),
         "groups": names("The groups that the user is in."),
-        "preferences": any("What the user likes; given back at login."),
-        "personal": any("What is known of the user; given back at login."),
+        "preferences": any("The user's preferences; returned at login."),
+        "personal": any("Personal information; returned at login."),
     });
     let users = json!({
         "users": {
@@ -114,22 +114,19 @@ fn limits() -> Value {
         ("parts", "Parts of one multipart entity."),
         ("before-login", "One parcel before login, in bytes."),
         ("login-time", "From connection to login, in ms."),
-        ("outbox", "What waits for one peer, in bytes."),
+        ("outbox", "The parcels that wait for one peer, in bytes."),
         (
             "send-wait",
-            "How long a sender waits for a receiver without room, in channels with overflow = wait, in ms.",
+            "How long a sender waits for a receiver without capacity, in channels with overflow = wait, in ms.",
         ),
         (
             "stalled",
-            "A receiver that makes no room for so long while senders wait for it is closed, in ms.",
+            "A receiver that frees no capacity for so long while senders wait for it is closed, in ms.",
         ),
-        (
-            "heartbeat",
-            "A peer with nothing to say says time ping this often, in ms.",
-        ),
+        ("heartbeat", "How often an idle peer sends time ping, in ms."),
         (
             "gone",
-            "A peer that says nothing for so long is gone, in ms; longer than heartbeat.",
+            "A peer that sends nothing for so long is closed as silent, in ms; longer than heartbeat.",
         ),
         (
             "future",
@@ -139,7 +136,7 @@ fn limits() -> Value {
         ("joined", "Contexts that one peer may have joined, or unlimited."),
         (
             "requests",
-            "Requests about contexts and tokens that one connection may make in a second, or unlimited.",
+            "Requests about contexts and tokens per second and connection, or unlimited.",
         ),
     ] {
         let shape = match key {
@@ -152,7 +149,7 @@ fn limits() -> Value {
         let default = defaults.get(key).and_then(mom_proto::Value::as_int);
         properties.insert(key.to_owned(), with_default(shape, default));
     }
-    let description = "What the hub takes; sizes in bytes, times in ms.";
+    let description = "The hub's limits; sizes in bytes, times in ms.";
     table(description, &properties.into(), &[])
 }
 

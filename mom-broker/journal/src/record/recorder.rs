@@ -19,26 +19,26 @@ use super::line::{RecordedLine, RecordedStep, RecordingHead, Told};
 use super::outcome::outcomes;
 use crate::ConfigFile;
 
-/// The last line of a recording that nothing has cut short.
+/// The reason in the last line of a complete recording.
 pub(super) const STOPPED: &str = "the broker stopped";
 
-/// Inputs that wait for the writer, and their bytes, about.
+/// The most inputs that wait for the writer, and about how many bytes.
 const QUEUE: usize = 16 * 1024;
 const WAITING: usize = 64 * 1024 * 1024;
 
-/// What an input takes beside its content, about.
+/// About the size of an input without its content.
 const INPUT: usize = 512;
 
-/// What was told stands in the file after so long.
+/// How soon inputs are in the file.
 const TICK: Duration = Duration::from_secs(1);
 
-/// A stopping broker waits so long for the end of the file.
+/// How long a stopping broker waits for the end of the file.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// Records what the hub is told and what it decides.
+/// Records the hub's inputs and decisions.
 ///
-/// A recording with a gap would replay into nonsense: so where the disk does not keep up it stops for good, and says
-/// so in its last line and in the log.
+/// A recording with a gap could not be replayed: if the disk does not keep up, it stops for good, and reports that in
+/// its last line and in the log.
 #[derive(Debug)]
 pub(crate) struct Recorder {
     queue: SyncSender<RecordNote>,
@@ -67,7 +67,7 @@ pub(crate) struct Noted {
 }
 
 impl Recorder {
-    /// Begins a recording of a hub with these settings, if one is wished.
+    /// Begins a recording of a hub with these settings, if one is configured.
     ///
     /// # Errors
     /// What the system says about the file, or that another broker writes it.
@@ -105,7 +105,7 @@ impl Recorder {
         let (asked, content) = match input {
             Input::Request { peer, parcel, .. } => {
                 let verb = Verb::of(parcel.family, &parcel.name).ok();
-                // Nobody waits for the answer to a message: it has one only if it is refused.
+                // A message has an answer only if it is refused.
                 let size = parcel.content.as_ref().map_or(0, |content| content.size());
                 let kept = if parcel.family == Family::Message { 0 } else { size };
                 (Some((peer.0, verb)), kept)
@@ -119,7 +119,7 @@ impl Recorder {
         })
     }
 
-    /// Writes down what was decided on it.
+    /// Writes the decision on it.
     pub(crate) fn decided(&self, now: Micros, noted: Noted, effects: &[Effect], deadline: Option<Micros>) {
         let step = RecordedStep {
             now,
@@ -151,7 +151,7 @@ impl Recorder {
         }
     }
 
-    /// Ends the recording; returns when it stands in the file, or after a while.
+    /// Ends the recording; returns when it is in the file, or after a bounded time.
     pub(crate) async fn end(&self) {
         if self.shared.stopped.swap(true, Ordering::Relaxed) && !self.shared.overflow.load(Ordering::Relaxed)
         {
@@ -169,7 +169,7 @@ impl Recorder {
     }
 }
 
-/// An empty file; one that was there before has `.1` behind its name then.
+/// An empty file; an existing one is renamed to `.1`.
 fn begin(path: &Path) -> io::Result<File> {
     let file = open_own(path)?;
     let known = file.metadata()?;
@@ -189,7 +189,7 @@ struct RecordWriter {
 
 impl Drop for RecordWriter {
     fn drop(&mut self) {
-        // As for the audit log: whoever starts next shall find the file free.
+        // As for the audit log: unlocked, so that the next broker finds the file free.
         let _ = self.file.get_ref().unlock();
     }
 }
@@ -215,7 +215,7 @@ impl RecordWriter {
                     }
                     Ok(RecordNote::End(done)) => {
                         let ended = self.end(STOPPED, false);
-                        // Whoever does not wait any more need not know.
+                        // The receiver may have stopped waiting.
                         let _ = done.send(());
                         return ended;
                     }
@@ -231,7 +231,7 @@ impl RecordWriter {
         }
     }
 
-    /// True if there is no room for it.
+    /// True if it does not fit.
     fn write(&mut self, line: &RecordedLine) -> io::Result<bool> {
         let mut bytes = serde_json::to_vec(line)?;
         bytes.push(b'\n');

@@ -1,4 +1,4 @@
-//! Decides a recording again, by another configuration.
+//! Decides a recording again with another configuration.
 
 use std::path::Path as FilePath;
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use super::log::{RecordError, RecordingReader};
 use super::outcome::{Outcome, outcomes};
 use super::translations::Translations;
 
-/// A recording on its way through another configuration, one input at a time.
+/// A replay of a recording with another configuration, one input at a time.
 #[derive(Debug)]
 pub struct Replay {
     /// The users of the new configuration.
@@ -25,22 +25,22 @@ pub struct Replay {
     rules: bool,
     names: Names,
     translations: Translations,
-    /// When the recorded hub wanted to be called next; none before its first input, when nobody has noted it.
+    /// The recorded hub's next deadline; none before its first input, where it is not recorded.
     deadline: Option<Option<Micros>>,
     zeros: Bytes,
     summary: Summary,
 }
 
-/// What a replay has come to.
+/// The result of a replay.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Summary {
     /// Inputs.
     pub inputs: u64,
-    /// Inputs on which something else was decided.
+    /// Inputs whose decision differs.
     pub differ: u64,
-    /// How often the configuration was changed while it was recorded; the replay goes by the new one throughout.
+    /// How often the configuration was changed during the recording; the replay uses the new one throughout.
     pub configured: u64,
-    /// Users that the new configuration does not know, taken as they were.
+    /// Users that the new configuration does not know; they keep their recorded level and groups.
     pub unknown_users: Vec<String>,
     /// Why the recording ends, if it says so.
     pub end: Option<String>,
@@ -49,13 +49,13 @@ pub struct Summary {
 }
 
 impl Replay {
-    /// How [`Summary::end`] says that the recording goes on until its broker stopped.
+    /// The value of [`Summary::end`] for a recording that ends with its broker.
     pub const WHOLE: &str = super::recorder::STOPPED;
 
-    /// Opens a recording, to be replayed by the hub that `make` makes of a configuration with these limits and users.
+    /// Opens a recording, to be replayed by the hub that `make` builds with these limits and users.
     ///
     /// # Errors
-    /// A file that is no recording, or a configuration of which no hub can be made.
+    /// A file that is not a recording, or a configuration from which no hub can be built.
     pub fn open<E: std::fmt::Display>(
         log: &FilePath,
         limits: Limits,
@@ -81,12 +81,12 @@ impl Replay {
         })
     }
 
-    /// Takes a decision for another one too if it is the same by another rule.
+    /// Also counts a decision as different if it is the same by another rule.
     pub fn compare_rules(&mut self) {
         self.rules = true;
     }
 
-    /// Replays one input; gives what was decided otherwise, nothing mostly. None at the recording's end.
+    /// Replays one input; returns the differences, usually none. None at the recording's end.
     ///
     /// # Errors
     /// A damaged line that is not the last.
@@ -112,7 +112,7 @@ impl Replay {
         }
     }
 
-    /// What it has come to so far.
+    /// The result so far.
     pub fn summary(&self) -> &Summary {
         &self.summary
     }
@@ -138,7 +138,7 @@ impl Replay {
             Told::Request(request) => Some((request.peer, verb(request))),
             _ => None,
         };
-        // Before it is decided: afterwards a peer that goes has no name any more.
+        // Before the decision: a peer that leaves has no name afterwards.
         self.names.note(&self.hub, step.input.peer(), None);
         let decided = self.handle(step.now, input, asked, &step.decided);
         let user = match &step.input {
@@ -151,7 +151,7 @@ impl Replay {
         Ok(differences)
     }
 
-    /// A time at which this hub wants to be called and the recorded one did not: nothing in the recording calls it.
+    /// A deadline that only this hub has: no input in the recording triggers it.
     fn own_deadline(&self, before: Micros) -> Option<Micros> {
         let recorded = self.deadline?;
         let own = self.hub.deadline().filter(|own| *own <= before)?;
@@ -168,9 +168,9 @@ impl Replay {
         let mut effects = Vec::new();
         self.hub.handle(now, input, &mut effects);
         let mut from = 0;
-        // Of each kind and place the first here is the first there.
+        // The first of each kind and context here corresponds to the first there.
         let mut left: Vec<&Outcome> = recorded.iter().collect();
-        // What waits for a disk here and did not there would wait forever.
+        // A change that waits for the disk only here would wait forever.
         loop {
             let own = self.translations.note(&effects[from..], &mut left);
             from = effects.len();
@@ -199,7 +199,7 @@ impl Replay {
         ))
     }
 
-    /// What is decided in one list and not in the other.
+    /// Decisions in one list that are missing in the other.
     fn only(&self, these: &[Outcome], those: &[Outcome]) -> Vec<Outcome> {
         let decision = |outcome: &Outcome| outcome.decision(self.rules);
         let mut left: Vec<Outcome> = those.iter().filter_map(decision).collect();
@@ -267,7 +267,7 @@ impl Replay {
         let family = family.ok_or_else(|| format!("there is no family {:?}", told.family))?;
         let mut parcel = Parcel::new(family, told.name.as_str());
         parcel.context = told.context.as_deref().map(path).transpose()?;
-        // It stood for nothing then, so it may not stand for something now.
+        // It named no context then, so it must not name one now.
         parcel.number = told.number.map(|_| ContextNumber(u64::MAX));
         parcel.id = told.id;
         parcel.address = told
@@ -290,7 +290,7 @@ impl Replay {
         Ok(parcel)
     }
 
-    /// As many bytes as a message had; the hub looks at no others.
+    /// Content of the message's size; the hub looks at nothing else of it.
     fn zeros(&mut self, size: usize) -> Bytes {
         if self.zeros.len() < size {
             self.zeros = vec![0; size].into();

@@ -116,7 +116,7 @@ impl Verifier {
         }
         let claims: Claims = decode(token, &self.key, &self.validation)
             .map_err(|error| match error.kind() {
-                ErrorKind::InvalidAudience => refused("the token is for somebody else than this hub"),
+                ErrorKind::InvalidAudience => refused("the token is for another audience than this hub"),
                 ErrorKind::InvalidIssuer => refused("the token is of another issuer"),
                 ErrorKind::MissingRequiredClaim(claim) => {
                     refused(&format!("the token has no proper {claim}"))
@@ -212,10 +212,10 @@ fn read_key(family: AlgorithmFamily, text: &str) -> Result<DecodingKey, String> 
         AlgorithmFamily::Ec => ("ECDSA", DecodingKey::from_ec_pem(text.as_bytes())),
         _ => ("RSA", DecodingKey::from_rsa_pem(text.as_bytes())),
     };
-    let key = key.map_err(|_| format!("this is no public key of {kind}, as the algorithms ask for"))?;
+    let key = key.map_err(|_| format!("this is no public key of {kind}, which the algorithms require"))?;
     let bytes = key.try_get_as_bytes().unwrap_or_default();
     if family == AlgorithmFamily::Ed && bytes.len() != ED25519 {
-        return Err("of the keys for EdDSA only those of Ed25519 are taken".to_owned());
+        return Err("for EdDSA only keys of Ed25519 are accepted".to_owned());
     }
     if family == AlgorithmFamily::Rsa {
         let parts = (crypto::rust_crypto::DEFAULT_PROVIDER
