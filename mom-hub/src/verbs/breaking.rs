@@ -27,6 +27,6 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         world.uninhibit(number, holder, Reason::Broken.word(), out);
     }
     world.end_reservation(number, out);
-    world.push_ok(request.peer, request.parcel.id, &request.path, Some(content), out);
+    request.push_ok(world, Some(content), out);
     Ok(())
 }

@@ -3,15 +3,15 @@
 use std::time::Duration;
 
 use mom_managers::Answer;
-use mom_proto::{Code, ContextKind, ContextNumber, Parcel, Path, Verb, WireError};
+use mom_proto::{Code, ContextKind, ContextNumber, Map, Parcel, Path, Verb, WireError};
 
-use crate::PeerId;
 use crate::asking::consult::Allowed;
 use crate::asking::refusal::Refusal;
 use crate::asking::wish::Wish;
 use crate::heard::Heard;
 use crate::tree::context::Context;
 use crate::world::World;
+use crate::{Effect, PeerId};
 
 /// A request with its context's path resolved.
 pub(crate) struct Request {
@@ -21,6 +21,13 @@ pub(crate) struct Request {
     pub(crate) parcel: Parcel,
     /// What managing peers and chairs have answered about it.
     pub(crate) answers: Vec<Heard>,
+}
+
+impl Request {
+    /// Answers it with `ok`.
+    pub(super) fn push_ok(&self, world: &World, content: Option<Map>, out: &mut Vec<Effect>) {
+        world.push_ok(self.peer, self.parcel.id, &self.path, content, out);
+    }
 }
 
 impl World {

@@ -55,6 +55,6 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     world.audit_context("created", &request.path, Some(request.peer), out);
     world.push_created(number, Some(request.peer), out);
     let content = world.tree.get(number).map(|context| context.summary());
-    world.push_ok(request.peer, request.parcel.id, &request.path, content, out);
+    request.push_ok(world, content, out);
     Ok(())
 }

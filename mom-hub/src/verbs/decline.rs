@@ -24,6 +24,6 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         offered(world, request)?;
         world.end_offer(number, "declined", out);
     }
-    world.push_ok(request.peer, request.parcel.id, &request.path, None, out);
+    request.push_ok(world, None, out);
     Ok(())
 }

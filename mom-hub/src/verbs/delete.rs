@@ -19,6 +19,6 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         return Err(WireError::new(Code::PERMANENT, text).slot("context").into());
     }
     world.delete(number, Some(request.peer), out);
-    world.push_ok(request.peer, request.parcel.id, &request.path, None, out);
+    request.push_ok(world, None, out);
     Ok(())
 }

@@ -60,7 +60,7 @@ pub(crate) fn on(
     let by = Some(request.peer);
     put_out(world, questions, (number, peer, by), args.text.as_deref(), out);
     if world.peers.get(request.peer).is_some() {
-        world.push_ok(request.peer, request.parcel.id, &request.path, None, out);
+        request.push_ok(world, None, out);
     }
     Ok(())
 }

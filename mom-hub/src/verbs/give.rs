@@ -57,7 +57,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     };
     world.push_offer(number, offer, out);
     let content = Map::new().with("within", millis(within));
-    world.push_ok(peer, request.parcel.id, &request.path, Some(content), out);
+    request.push_ok(world, Some(content), out);
     Ok(())
 }
 

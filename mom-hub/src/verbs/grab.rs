@@ -90,7 +90,7 @@ fn grab(
             }
             world.renew_lease(number);
             let content = granted(world, number);
-            world.push_ok(peer, request.parcel.id, &request.path, Some(content), out);
+            request.push_ok(world, Some(content), out);
             return Ok(());
         }
         Some(_) if lapsed => Some(Reason::Expired),

@@ -25,6 +25,6 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     }
     let holders = world.token(number).map(|token| world.holders_value(token));
     let content = Map::new().with("holders", holders.unwrap_or_default());
-    world.push_ok(request.peer, request.parcel.id, &request.path, Some(content), out);
+    request.push_ok(world, Some(content), out);
     Ok(())
 }

@@ -63,6 +63,6 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         ..world.fact("invited", request.peer)
     };
     world.audit(fact, out);
-    world.push_ok(request.peer, request.parcel.id, &request.path, None, out);
+    request.push_ok(world, None, out);
     Ok(())
 }

@@ -83,7 +83,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
             }
         }
     }
-    world.push_ok(request.peer, request.parcel.id, &request.path, Some(content), out);
+    request.push_ok(world, Some(content), out);
     Ok(())
 }
 

@@ -37,12 +37,6 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
             ));
         }
     }
-    world.push_ok(
-        request.peer,
-        request.parcel.id,
-        &request.path,
-        Some(Map::new().with("children", list)),
-        out,
-    );
+    request.push_ok(world, Some(Map::new().with("children", list)), out);
     Ok(())
 }

@@ -8,6 +8,6 @@ use crate::world::World;
 pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
     let number = world.allowed(request)?;
     let content = world.tree.get(number).map(|context| context.summary());
-    world.push_ok(request.peer, request.parcel.id, &request.path, content, out);
+    request.push_ok(world, content, out);
     Ok(())
 }

@@ -22,12 +22,6 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
             Value::Map(map)
         })
         .collect();
-    world.push_ok(
-        request.peer,
-        request.parcel.id,
-        &request.path,
-        Some(Map::new().with("members", list)),
-        out,
-    );
+    request.push_ok(world, Some(Map::new().with("members", list)), out);
     Ok(())
 }

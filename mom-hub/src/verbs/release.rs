@@ -19,6 +19,6 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
             world.check_owner(request, number)?;
         }
     }
-    world.push_ok(peer, request.parcel.id, &request.path, None, out);
+    request.push_ok(world, None, out);
     Ok(())
 }

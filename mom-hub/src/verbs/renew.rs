@@ -11,6 +11,6 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     world.check_owner(request, number)?;
     world.renew_lease(number);
     let content = granted(world, number);
-    world.push_ok(request.peer, request.parcel.id, &request.path, Some(content), out);
+    request.push_ok(world, Some(content), out);
     Ok(())
 }

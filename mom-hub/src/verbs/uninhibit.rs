@@ -16,6 +16,6 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         let text = format!("this peer has no part in a shared hold of {}", request.path);
         return Err(WireError::new(Code::NOT_OWNER, text).into());
     }
-    world.push_ok(request.peer, request.parcel.id, &request.path, None, out);
+    request.push_ok(world, None, out);
     Ok(())
 }

@@ -55,6 +55,6 @@ pub(crate) fn on(
             .into());
     };
     super::run_all(world, questions, due, out);
-    world.push_ok(request.peer, request.parcel.id, &request.path, None, out);
+    request.push_ok(world, None, out);
     Ok(())
 }
