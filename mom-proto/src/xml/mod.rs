@@ -14,12 +14,12 @@
 //! - A multipart body has no preamble and no epilogue but one CR LF; delimiters end in CR LF.
 
 mod head;
+mod lexeme;
 mod multipart;
 mod name;
 mod read;
 mod scalar;
 mod text;
-mod token;
 mod write;
 
 #[cfg(test)]

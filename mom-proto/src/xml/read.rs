@@ -4,11 +4,11 @@ use std::borrow::Cow;
 
 use crate::{Code, HARD_DEPTH, Limits, Map, Parcel, ReadSlots, Value, ValueKind, WireError};
 
+use super::lexeme::{Lexeme, Lexemes, Tag};
 use super::multipart::Parts;
 use super::name::{brief, is_reserved, within};
 use super::scalar;
 use super::text::{self, TextKind, bad, first_ink, unescape};
-use super::token::{Lexeme, Tag, Tokens};
 
 /// Why a document is no parcel, and its id if that was read before.
 #[derive(Debug)]
@@ -57,7 +57,7 @@ fn document_slots(
     slots: &mut ReadSlots,
 ) -> Result<(), WireError> {
     let mut reader = ParcelReader {
-        tokens: Tokens::new(text, base, limits)?,
+        tokens: Lexemes::new(text, base, limits)?,
         parts,
     };
     let root = reader.root()?;
@@ -78,7 +78,7 @@ fn document_slots(
 }
 
 struct ParcelReader<'a, 'p> {
-    tokens: Tokens<'a>,
+    tokens: Lexemes<'a>,
     parts: &'p mut Parts,
 }
 

@@ -169,7 +169,7 @@ Examples:
   mom inhibit /robot/token                 nobody drives while you are at the table
   mom inhibit --for 10m /robot/token
 
-Several may do so at a time; the token can be had again when the last of them ends it.";
+Several may do so at a time; the token can be grabbed again when the last of them ends it.";
 
 /// `mom token`
 #[derive(Args, Debug)]

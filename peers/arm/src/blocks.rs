@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::motion::Posture;
 use crate::pose::{Pose, along, dot, minus};
-use crate::solid::{GIVE, UprightBox};
+use crate::upright_box::{GIVE, UprightBox};
 
 /// mm of a standard block's edges.
 pub const BLOCK_SIZE: f64 = 40.0;

@@ -10,7 +10,7 @@ use crate::blocks::Blocks;
 use crate::error::{ArmError, ErrorName};
 use crate::motion::Posture;
 use crate::pose::along;
-use crate::solid::{GIVE, UprightBox};
+use crate::upright_box::{GIVE, UprightBox};
 
 /// mm from the fingertips back to the palm.
 pub const FINGER_LENGTH: f64 = 60.0;

@@ -11,7 +11,7 @@
 //!    and [`reach`] check every leg of the whole script before anything moves;
 //! 3. [`arm`] queues the command, and executes one statement after the other;
 //! 4. [`motion`] gives the hand's posture at a time (150 mm/s, M49), [`contact`] its first collision, and [`blocks`]
-//!   the blocks on the table and in the hand.
+//!    the blocks on the table and in the hand.
 //!
 //! [`RobotServer`] decides how the arm reacts to the parcels and events of its channel; [`peer::run`] connects it to
 //! the hub, in a program of its own (`mom-arm`) or in another one.
@@ -50,9 +50,9 @@ pub mod pose;
 pub mod reach;
 pub mod script;
 pub mod server;
-mod solid;
 pub mod state;
 pub mod status;
+mod upright_box;
 pub mod workspace;
 
 pub use arm::Arm;

@@ -253,7 +253,7 @@ async fn owned_by(client: &Client, owner: &str) {
 async fn a_token_is_inhibited_and_broken() {
     let desk = Desk::start("open").await;
     let alice = desk.start_as("alice", &["inhibit", TOKEN]);
-    alice.line_with("nobody can have /desk/token");
+    alice.line_with("nobody can own /desk/token");
     let refused = desk.run_as("bob", &["grab", TOKEN], "").await;
     check(&refused, 1, &["holders  alice", "held (101)"]);
     let shown = desk.run_as("bob", &["token", TOKEN], "").await;
@@ -265,7 +265,7 @@ async fn a_token_is_inhibited_and_broken() {
     let short = desk
         .run_as("alice", &["inhibit", "--for", "20ms", TOKEN], "")
         .await;
-    check(&short, 0, &["/desk/token can be had again"]);
+    check(&short, 0, &["/desk/token can be grabbed again"]);
     let nothing = desk.run_as("carol", &["break", TOKEN], "").await;
     check(&nothing, 0, &["nobody had /desk/token"]);
     desk.end().await;

@@ -109,12 +109,12 @@ fn misplaced(issuer: &Issuer) -> Vec<(&'static str, String, &'static str)> {
         (
             "another audience",
             changed("aud", json!("other")),
-            "somebody else",
+            "another audience",
         ),
         (
             "other audiences",
             changed("aud", json!(["a", "b"])),
-            "somebody else",
+            "another audience",
         ),
         ("no audience", changed("aud", Json::Null), "aud"),
         (
@@ -133,7 +133,11 @@ fn misplaced(issuer: &Issuer) -> Vec<(&'static str, String, &'static str)> {
         ("a beginning in words", changed("nbf", json!("yesterday")), ""),
         ("nobody", changed("sub", Json::Null), "sub"),
         ("a number", changed("sub", json!(7)), ""),
-        ("an unknown user", changed("sub", json!("mallory")), "none here"),
+        (
+            "an unknown user",
+            changed("sub", json!("mallory")),
+            "does not exist here",
+        ),
         ("the hub", changed("sub", json!("hub")), "no name"),
         ("a pattern", changed("sub", json!("*")), "no name"),
     ]

@@ -45,7 +45,7 @@ impl Tag<'_> {
 }
 
 /// The lexemes of one document.
-pub(super) struct Tokens<'a> {
+pub(super) struct Lexemes<'a> {
     text: &'a str,
     reader: Reader<&'a [u8]>,
     // The position in the body of what the reader was given.
@@ -54,9 +54,9 @@ pub(super) struct Tokens<'a> {
     limits: &'a Limits,
 }
 
-impl<'a> Tokens<'a> {
+impl<'a> Lexemes<'a> {
     /// The tokens of `text`, which lies at `base` in the body; an XML declaration is read already.
-    pub(super) fn new(text: &'a str, base: usize, limits: &'a Limits) -> Result<Tokens<'a>, WireError> {
+    pub(super) fn new(text: &'a str, base: usize, limits: &'a Limits) -> Result<Lexemes<'a>, WireError> {
         let start = declaration(text, base, limits)?;
         // The tokenizer would swallow it.
         if text[start..].starts_with('\u{FEFF}') {
@@ -65,7 +65,7 @@ impl<'a> Tokens<'a> {
         let mut reader = Reader::from_str(&text[start..]);
         // The grammar compares names itself, with what it has opened.
         reader.config_mut().check_end_names = false;
-        Ok(Tokens {
+        Ok(Lexemes {
             text,
             reader,
             reader_base: start,
