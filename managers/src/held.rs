@@ -1,8 +1,8 @@
 //! An owner in the way of a grab, for the kinds that deny or queue it.
 
-use mom_proto::Code;
+use mom_proto::{Code, Micros};
 
-use crate::{Micros, Owner, Question, Terms, Verdict};
+use crate::{Owner, Question, Terms, Verdict};
 
 /// The other peer that owns the token, whatever its lease.
 pub(crate) fn other_owner<'a>(question: &Question<'a>) -> Option<Owner<'a>> {

@@ -37,7 +37,6 @@ mod tests;
 mod verdict;
 mod who;
 
-pub use mom_proto::Micros;
 pub use question::{Owner, PeerFacts, Question, TokenFacts};
 pub use registry::{Factory, Registry, Setup};
 pub use verdict::{

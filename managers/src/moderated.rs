@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
-use mom_proto::{Verb, WireError};
+use mom_proto::{Micros, Verb, WireError};
 use serde::Deserialize;
 
 use crate::held::{held, lasting_owner, other_owner};
 use crate::params::Verbs;
 use crate::who::{Who, WhoParams};
-use crate::{Manager, Micros, Question, Scope, Setup, Verdict};
+use crate::{Manager, Question, Scope, Setup, Verdict};
 
 /// ms
 const DEFAULT_WITHIN: u64 = 30_000;

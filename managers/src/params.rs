@@ -1,9 +1,9 @@
 //! Parameters that several kinds share: durations, the terms of tokens, lists of verbs.
 
 use mom_proto::nearest::nearest;
-use mom_proto::{Verb, WireError};
+use mom_proto::{Micros, Verb, WireError};
 
-use crate::{Expiry, Micros, Setup, Terms};
+use crate::{Expiry, Setup, Terms};
 
 /// Longer durations make no sense, and sums of them would overflow.
 const LONGEST: Micros = 1 << 53;

@@ -2,12 +2,12 @@
 
 use std::sync::Arc;
 
-use mom_proto::{Code, Pattern, Verb, WireError};
+use mom_proto::{Code, Micros, Pattern, Verb, WireError};
 use serde::Deserialize;
 
 use crate::params::Verbs;
 use crate::who::Who;
-use crate::{Manager, Micros, Question, Scope, Setup, Standing, Verdict};
+use crate::{Manager, Question, Scope, Setup, Standing, Verdict};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]

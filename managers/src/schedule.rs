@@ -2,14 +2,14 @@
 
 use std::sync::Arc;
 
-use mom_proto::{Code, Verb, WireError};
+use mom_proto::{Code, Micros, Verb, WireError};
 use serde::Deserialize;
 
 use crate::calendar::{self, Span};
 use crate::held::other_owner;
 use crate::params::Verbs;
 use crate::who::{Who, WhoParams};
-use crate::{Manager, Micros, Question, Scope, Setup, Verdict};
+use crate::{Manager, Question, Scope, Setup, Verdict};
 
 /// The most slots of one schedule: each question checks all of them.
 const MOST: usize = 1024;

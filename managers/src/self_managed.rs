@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use mom_proto::WireError;
+use mom_proto::{Micros, WireError};
 use serde::Deserialize;
 
 use crate::params::Verbs;
-use crate::{Ask, Manager, Micros, Question, Setup, Verdict};
+use crate::{Ask, Manager, Question, Setup, Verdict};
 
 /// ms
 const DEFAULT_WITHIN: u64 = 5_000;

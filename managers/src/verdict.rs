@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use mom_proto::{Code, Pace};
+use mom_proto::{Code, Micros, Pace};
 use serde::Deserialize;
 
+use crate::PeerFacts;
 use crate::who::fits;
-use crate::{Micros, PeerFacts};
 
 /// An answer, and for how long it stands.
 #[derive(Clone, Debug, PartialEq)]

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use mom_hub::{Configuration, ContextSpec, Effect, Hub, Input, PeerId, Settings, Ticket, User};
-use mom_managers::{Micros, Registry};
-use mom_proto::{Family, Map, Parcel, Path, Value, from_value};
+use mom_managers::Registry;
+use mom_proto::{Family, Map, Micros, Parcel, Path, Value, from_value};
 
 const ALICE: u64 = 1;
 const BOB: u64 = 2;

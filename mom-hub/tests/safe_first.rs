@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use mom_hub::{Admission, Effect, Hub, Ingress, Input, PeerId, Route, Settings, User, admit};
-use mom_managers::{Micros, Registry};
-use mom_proto::{Code, Content, Family, Map, Parcel, Path, Time};
+use mom_managers::Registry;
+use mom_proto::{Code, Content, Family, Map, Micros, Parcel, Path, Time};
 
 const OWNER: PeerId = PeerId(1);
 const DEVICE: PeerId = PeerId(2);

@@ -1,7 +1,6 @@
 //! The rule of M29, and first come, first served.
 
 use mom_proto::Verb;
-
 use proptest::prelude::*;
 
 use super::{Ask, GRAB, ask, build, of, short, text};

@@ -12,11 +12,11 @@ mod schedule;
 mod self_managed;
 mod unknown;
 
-use mom_proto::{Code, ContextKind, Map, Path, Time, Value, Verb};
+use mom_proto::{Code, ContextKind, Map, Micros, Path, Time, Value, Verb};
 
 use crate::{
-    Answer, Bucket, GivenAnswer, Manager, Micros, Owner, PeerFacts, Question, Rate, Registry, Scope,
-    Standing, TokenFacts, Verdict,
+    Answer, Bucket, GivenAnswer, Manager, Owner, PeerFacts, Question, Rate, Registry, Scope, Standing,
+    TokenFacts, Verdict,
 };
 
 /// A question with all that can matter.

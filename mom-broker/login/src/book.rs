@@ -5,8 +5,7 @@ use std::sync::Arc;
 
 use ed25519_dalek::VerifyingKey;
 use mom_hub::User;
-use mom_managers::Micros;
-use mom_proto::{Code, Map, Time, WireError, looks_of};
+use mom_proto::{Code, Map, Micros, Time, WireError, looks_of};
 
 use super::jwt::{Proven, Verifier};
 use super::key::parse_key;

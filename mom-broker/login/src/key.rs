@@ -6,8 +6,7 @@ use std::time::Duration;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use ed25519_dalek::{Signature, VerifyingKey};
-use mom_managers::Micros;
-use mom_proto::{Code, LOGIN_CONTEXT, Map, NONCE_BYTES, Value, WireError, login_challenge};
+use mom_proto::{Code, LOGIN_CONTEXT, Map, Micros, NONCE_BYTES, Value, WireError, login_challenge};
 
 /// RFC 8032, 7.1, test 1: checked in place of keys that a user does not have. The result is discarded.
 const DUMMY: [u8; 32] = [

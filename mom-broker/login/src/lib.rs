@@ -15,8 +15,7 @@ use std::sync::Arc;
 
 use dashmap::DashMap;
 use mom_hub::{PeerId, User};
-use mom_managers::Micros;
-use mom_proto::{Code, Parcel, Time, WireError};
+use mom_proto::{Code, Micros, Parcel, Time, WireError};
 use mom_system::Clock;
 use parking_lot::RwLock;
 

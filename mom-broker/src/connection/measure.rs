@@ -1,7 +1,6 @@
 //! The clock of a peer, measured by the hub's own pings (M34, design §7).
 
-use mom_managers::Micros;
-use mom_proto::{ClockOffset, Exchange, Family, Map, OffsetEstimator, Parcel, Path, Time, Value};
+use mom_proto::{ClockOffset, Exchange, Family, Map, Micros, OffsetEstimator, Parcel, Path, Time, Value};
 use mom_system::Clock;
 use parking_lot::Mutex;
 

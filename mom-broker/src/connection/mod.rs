@@ -15,10 +15,9 @@ use std::time::Duration;
 
 use mom_hub::{Input, PeerClock, PeerId};
 use mom_login::{Challenge, Logins};
-use mom_managers::Micros;
 use mom_net::{NetError, Reader};
 use mom_proto::codec::Frame;
-use mom_proto::{Code, Family, Limits, Parcel, Verb, WireError};
+use mom_proto::{Code, Family, Limits, Micros, Parcel, Verb, WireError};
 use parking_lot::RwLock;
 use tokio::time::{Instant, timeout_at};
 

@@ -7,8 +7,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_managers::Micros;
-use mom_proto::{Code, Parcel, Path, Value, WireError};
+use mom_proto::{Code, Micros, Parcel, Path, Value, WireError};
 use mom_system::Clock;
 
 use crate::traffic::outbox::WaiterHandle;

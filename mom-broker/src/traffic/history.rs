@@ -4,8 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 use mom_hub::{Keep, PeerId};
-use mom_managers::Micros;
-use mom_proto::{Content, HISTORY, Parcel, Time};
+use mom_proto::{Content, HISTORY, Micros, Parcel, Time};
 
 /// What a parcel counts beside its content: its slots, and its place here.
 const OVERHEAD: usize = 256;

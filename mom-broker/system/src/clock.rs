@@ -3,8 +3,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use mom_managers::Micros;
-use mom_proto::Time;
+use mom_proto::{Micros, Time};
 use tokio::sync::watch;
 
 /// Monotonic µs since the broker's start, and the wall time of that start.

@@ -3,10 +3,10 @@
 use std::sync::Arc;
 
 use mom_managers::{
-    Answer, Ask, Bucket, Denial, Grant, Manager, Micros, Question, Rate, Registry, Scope, Standing, Terms,
-    Verdict, Wait,
+    Answer, Ask, Bucket, Denial, Grant, Manager, Question, Rate, Registry, Scope, Standing, Terms, Verdict,
+    Wait,
 };
-use mom_proto::{Code, Verb, WireError};
+use mom_proto::{Code, Micros, Verb, WireError};
 
 /// µs
 pub(crate) const HOLD: Micros = 3_000_000;

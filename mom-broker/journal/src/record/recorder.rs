@@ -9,8 +9,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Duration;
 
 use mom_hub::{Effect, Hub, Input, Settings};
-use mom_managers::Micros;
-use mom_proto::{Family, Verb};
+use mom_proto::{Family, Micros, Verb};
 use mom_system::{numbered, open_own};
 use tokio::sync::oneshot;
 

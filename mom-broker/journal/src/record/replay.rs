@@ -5,8 +5,7 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use mom_hub::{Hub, Input, PeerId, Settings, User};
-use mom_managers::Micros;
-use mom_proto::{Content, ContextNumber, Family, Limits, Parcel, Time, Verb};
+use mom_proto::{Content, ContextNumber, Family, Limits, Micros, Parcel, Time, Verb};
 
 use super::difference::{Difference, Names};
 use super::line::{LoginTold, RecordedLine, RecordedStep, RecordingHead, RequestTold, Told, path};

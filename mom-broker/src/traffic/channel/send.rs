@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use mom_hub::{Admission, Alike, Ingress, PeerClock, PeerId, Receivers, Route, Usage, admit};
-use mom_managers::{Micros, Rate};
+use mom_managers::Rate;
 use mom_net::Lane;
 use mom_net::Reader;
 use mom_proto::binary::{ParcelRun, Plain};
-use mom_proto::{ContextNumber, Delivery, Overflow, Parcel, WireError};
+use mom_proto::{ContextNumber, Delivery, Micros, Overflow, Parcel, WireError};
 use mom_system::Clock;
 
 use super::{Channel, Delivered, State, expires_at, lane_of};

@@ -12,10 +12,9 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use mom_hub::PeerId;
-use mom_managers::Micros;
 use mom_net::{Flow, NetError, Pause, Piece, Taken, Writer, write_batch};
 use mom_proto::codec::Form;
-use mom_proto::{ContextNumber, Limit, WireError};
+use mom_proto::{ContextNumber, Limit, Micros, WireError};
 
 pub(crate) use packet::{Dropped, Gate, Origin, Packet};
 pub(crate) use queue::PeerQueue;

@@ -3,10 +3,9 @@
 use std::sync::Arc;
 
 use mom_hub::PeerId;
-use mom_managers::Micros;
 use mom_net::{DropReason, Item, Lane};
 use mom_proto::codec::{Encoded, Form};
-use mom_proto::{ContextNumber, Delivery, Parcel, event};
+use mom_proto::{ContextNumber, Delivery, Micros, Parcel, event};
 use mom_system::sync::atomic::{AtomicU64, Ordering};
 
 use crate::traffic::encodings::Encodings;

@@ -4,7 +4,7 @@ use std::future::poll_fn;
 use std::sync::Arc;
 use std::task::{Poll, Waker};
 
-use mom_managers::Micros;
+use mom_proto::Micros;
 use mom_system::sync::atomic::Ordering;
 
 use super::{Outbox, PeerQueue};

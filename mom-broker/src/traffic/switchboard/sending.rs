@@ -4,9 +4,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use mom_hub::{Input, PeerId, Route};
-use mom_managers::Micros;
 use mom_net::Reader;
-use mom_proto::{Code, Limits, Parcel, Path, WireError};
+use mom_proto::{Code, Limits, Micros, Parcel, Path, WireError};
 
 use super::{Switchboard, Touched};
 use crate::traffic::capacity::{NoCapacity, WaitingMessage, no_capacity};

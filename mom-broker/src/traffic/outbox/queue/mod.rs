@@ -8,10 +8,9 @@ mod waiters;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-use mom_managers::Micros;
 use mom_net::{Allowance, DropPolicy, DropReason, Piece, SendQueue, Taken};
-use mom_proto::Limit;
 use mom_proto::codec::Form;
+use mom_proto::{Limit, Micros};
 
 use super::packet::{Dropped, Packet};
 

@@ -4,10 +4,9 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use mom_hub::PeerId;
-use mom_managers::Micros;
 use mom_net::{Lane, Piece};
 use mom_proto::codec::Encoded;
-use mom_proto::{ContextNumber, Delivery};
+use mom_proto::{ContextNumber, Delivery, Micros};
 use mom_system::sync::atomic::{AtomicU64, Ordering};
 
 use super::*;

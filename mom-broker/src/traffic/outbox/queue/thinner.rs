@@ -4,8 +4,7 @@ use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
 
 use mom_hub::PeerId;
-use mom_managers::Micros;
-use mom_proto::ContextNumber;
+use mom_proto::{ContextNumber, Micros};
 
 use crate::traffic::outbox::packet::{Origin, Packet};
 

@@ -2,9 +2,8 @@
 
 use std::sync::Arc;
 
-use mom_managers::Micros;
 use mom_net::{DropReason, Taken};
-use mom_proto::ContextNumber;
+use mom_proto::{ContextNumber, Micros};
 
 use super::PeerQueue;
 use super::thinner::Thinned;

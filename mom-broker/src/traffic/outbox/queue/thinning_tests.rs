@@ -3,9 +3,8 @@
 use std::sync::Arc;
 
 use mom_hub::PeerId;
-use mom_managers::Micros;
 use mom_net::Lane;
-use mom_proto::{ContextNumber, Delivery};
+use mom_proto::{ContextNumber, Delivery, Micros};
 
 use super::tests::{data, name, pop, queue};
 use super::{DropReason, Packet, PeerQueue, Taken};

@@ -6,7 +6,7 @@
 use std::collections::VecDeque;
 use std::task::Waker;
 
-use mom_managers::Micros;
+use mom_proto::Micros;
 
 use super::PeerQueue;
 
