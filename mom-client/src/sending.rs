@@ -90,7 +90,7 @@ impl LinkWriter {
                 state.outbox.put_back(&mut self.batch, self.taken);
                 state.outbox.take_dropped()
             };
-            self.shared.tell_dropped(dropped);
+            self.shared.tell_dropped(&dropped);
         }
         Ok(if written? { Written::Some } else { Written::Blocked })
     }
@@ -111,7 +111,7 @@ impl LinkWriter {
         let (finished, expired) = (outbox.is_finished(), outbox.take_dropped());
         state.tell_replaced();
         drop(state);
-        self.shared.tell_dropped(expired);
+        self.shared.tell_dropped(&expired);
         match (all, finished) {
             (false, _) => Written::Paced,
             (true, true) => Written::End,

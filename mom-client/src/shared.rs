@@ -231,7 +231,7 @@ impl Shared {
         let dropped = state.outbox.push_message(&parcel, message);
         drop(state);
         self.outgoing.notify_one();
-        self.tell_dropped(dropped);
+        self.tell_dropped(&dropped);
         Ok(())
     }
 
@@ -261,14 +261,14 @@ impl Shared {
     }
 
     /// Tells of messages that will not be sent: whoever waits for an answer by that, all others where the context is heard.
-    pub(crate) fn tell_dropped(&self, dropped: Dropped) {
+    pub(crate) fn tell_dropped(&self, dropped: &Dropped) {
         if dropped.is_empty() {
             return;
         }
         let mut failed = Vec::new();
         let mut state = self.lock();
-        let capacity = state.lose(&dropped);
-        for (entry, reason) in &dropped {
+        let capacity = state.lose(dropped);
+        for (entry, reason) in dropped {
             let Some(error) = unsent(*reason) else { continue };
             let waiter = entry.id.and_then(|id| state.pending.take(id));
             failed.extend(waiter.map(|waiter| (waiter, error)));

@@ -9,7 +9,7 @@ use super::value::Recorded;
 use crate::ConfigFile;
 
 /// The form of recordings that this program writes and reads.
-pub(super) const VERSION: u32 = 1;
+pub(super) const VERSION: u32 = 2;
 
 /// One line of a recording.
 #[derive(Clone, Debug, Serialize, Deserialize)]

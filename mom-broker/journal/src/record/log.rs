@@ -142,7 +142,7 @@ mod tests {
     use std::fs;
     use tempfile::TempDir;
 
-    const HEAD: &str = r#"{"head":{"form":1,"version":"0.1.0","anchor":"2026-11-21T10:00:00Z","epoch":1,"durable":false,"limits":{}}}"#;
+    const HEAD: &str = r#"{"head":{"form":2,"version":"0.1.0","anchor":"2026-11-21T10:00:00Z","epoch":1,"durable":false,"limits":{}}}"#;
     const TICK: &str = r#"{"step":{"now":1,"input":"tick","decided":[]}}"#;
 
     fn read(text: &str) -> (Result<usize, String>, bool) {
@@ -180,7 +180,11 @@ mod tests {
             (String::new(), "head is missing"),
             ("[listen]\n".to_owned(), ":1: this is no recording"),
             (format!("{TICK}\n"), ":1: this is no recording: its head"),
-            (HEAD.replace("\"form\":1", "\"form\":9"), "form 9"),
+            (HEAD.replace("\"form\":2", "\"form\":9"), "form 9"),
+            (
+                HEAD.replace("\"form\":2", "\"form\":1"),
+                "form 1; this program reads form 2",
+            ),
         ] {
             let (read, _) = read(&text);
             let said = read.unwrap_err();
