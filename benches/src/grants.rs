@@ -13,6 +13,7 @@ use mom_proto::{Path, Time};
 use mom_store::Store;
 use tokio::runtime::Builder;
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
+use tokio::time::timeout_at;
 
 use crate::{Delays, Error};
 
@@ -70,7 +71,7 @@ pub struct DurableGrants {
 pub struct GrantLoad {
     /// So many at once.
     pub tokens: usize,
-    /// For so long, after a tenth of it to warm up.
+    /// For so long, and until there is a figure, after a tenth of it to warm up.
     pub time: Duration,
     /// From an answer to the next put of the same token, on average; each is drawn anew, from none to twice as much.
     pub pause: Duration,
@@ -109,7 +110,7 @@ async fn grant_all(
     let mut delays = Vec::new();
     loop {
         let now = Instant::now();
-        if now >= start + load.time {
+        if now >= start + load.time && !delays.is_empty() {
             let per_second = delays.len() as f64 / (now - start).as_secs_f64();
             let delays = Delays::of(delays);
             return Ok(DurableGrants { per_second, delays });
@@ -118,8 +119,11 @@ async fn grant_all(
             due.pop_first();
             begun[token] = put(token)?;
         }
-        let next = due.first().map_or(start + load.time, |(at, _)| *at);
-        let Ok(answer) = tokio::time::timeout_at(next.into(), answers.recv()).await else {
+        let answer = match due.first() {
+            Some((at, _)) => timeout_at((*at).into(), answers.recv()).await,
+            None => Ok(answers.recv().await),
+        };
+        let Ok(answer) = answer else {
             continue;
         };
         let now = Instant::now();
