@@ -13,6 +13,7 @@ pub mod control;
 pub mod decisions;
 mod driver;
 mod error;
+pub mod grants;
 pub mod hot_path;
 mod hub;
 mod listen;

@@ -188,6 +188,13 @@ impl Delays {
         self.nanos.extend_from_slice(&more.nanos);
     }
 
+    /// Those of several measurements.
+    pub fn together(parts: &[Delays]) -> Delays {
+        let mut all = Delays::default();
+        parts.iter().for_each(|part| all.extend(part));
+        all
+    }
+
     /// Those that were taken elsewhere.
     pub(crate) fn of(delays: Vec<Duration>) -> Delays {
         let mut all = Delays::default();

@@ -9,7 +9,7 @@ use mom_hub::{Input, Settings};
 use mom_journal::{Tap, WriteError};
 use mom_login::{LoginStats, Logins};
 use mom_net::Transceiver;
-use mom_store::{Answer, StoreError};
+use mom_store::{StoreAnswer, StoreError};
 use mom_system::Clock;
 use parking_lot::Mutex;
 use tokio::sync::{Semaphore, mpsc, watch};
@@ -242,7 +242,7 @@ async fn keep_deadlines(board: Arc<Switchboard>, mut stop: watch::Receiver<bool>
 }
 
 /// Tells the hub which of its records are durable; ends with the store.
-async fn take_answers(board: Arc<Switchboard>, mut answers: mpsc::UnboundedReceiver<Answer>) {
+async fn take_answers(board: Arc<Switchboard>, mut answers: mpsc::UnboundedReceiver<StoreAnswer>) {
     while let Some((ticket, ok)) = answers.recv().await {
         let mut touched = Touched::new();
         board.decide(Input::Stored { ticket, ok }, &mut touched);

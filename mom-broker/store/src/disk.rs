@@ -12,7 +12,7 @@ use redb::{Builder, Database, DatabaseError, ReadableDatabase, ReadableTable, Ta
 
 use super::StoreError;
 use super::queue::Numbered;
-use super::row::{self, Meta};
+use super::row::{self, LaneMeta};
 
 /// The latest record of each token, by path.
 const TOKENS: TableDefinition<'_, &str, &[u8]> = TableDefinition::new("tokens");
@@ -31,14 +31,14 @@ pub(super) trait Disk: Send {
     ///
     /// # Errors
     /// What the system says.
-    fn write(&mut self, meta: &Meta, records: &[Numbered], gone: &[Path]) -> io::Result<()>;
+    fn write(&mut self, meta: &LaneMeta, records: &[Numbered], gone: &[Path]) -> io::Result<()>;
 }
 
 /// All that a lane holds.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Image {
+pub(super) struct LaneImage {
     /// None in a lane that was never written to.
-    pub(super) meta: Option<Meta>,
+    pub(super) meta: Option<LaneMeta>,
     pub(super) rows: BTreeMap<Path, (u64, Record)>,
 }
 
@@ -64,13 +64,13 @@ impl LaneFile {
     }
 
     /// Opens a file and looks at every page of it.
-    pub(super) fn open(file: &FilePath) -> Result<(LaneFile, Image), StoreError> {
+    pub(super) fn open(file: &FilePath) -> Result<(LaneFile, LaneImage), StoreError> {
         // The database asserts what it expects of its pages in debug builds; that too is only damage.
         let opened = std::panic::catch_unwind(|| LaneFile::open_checked(file));
         opened.unwrap_or_else(|_| Err(damaged(file, "its pages contradict each other")))
     }
 
-    fn open_checked(file: &FilePath) -> Result<(LaneFile, Image), StoreError> {
+    fn open_checked(file: &FilePath) -> Result<(LaneFile, LaneImage), StoreError> {
         let judge = |error: redb::Error| match error {
             redb::Error::DatabaseAlreadyOpen => StoreError::InUse {
                 path: file.to_owned(),
@@ -98,13 +98,13 @@ impl LaneFile {
         Ok((lane, image))
     }
 
-    fn read(&self) -> Result<Image, Unread> {
-        let mut image = Image::default();
+    fn read(&self) -> Result<LaneImage, Unread> {
+        let mut image = LaneImage::default();
         let read = self.database.begin_read()?;
         match read.open_table(LANE) {
             Ok(table) => {
                 let meta = table.get(META)?;
-                let meta = meta.map(|row| Meta::decode(META, row.value())).transpose();
+                let meta = meta.map(|row| LaneMeta::decode(META, row.value())).transpose();
                 image.meta = meta.map_err(Unread::Row)?;
             }
             Err(TableError::TableDoesNotExist(_)) => {}
@@ -124,7 +124,7 @@ impl LaneFile {
         Ok(image)
     }
 
-    fn change(&self, meta: &Meta, records: &[Numbered], gone: &[Path]) -> Result<(), Unread> {
+    fn change(&self, meta: &LaneMeta, records: &[Numbered], gone: &[Path]) -> Result<(), Unread> {
         let mut write = self.database.begin_write()?;
         // With one phase a damaged last commit looks like one that a crash tore, and the one before it would
         // silently be taken for the last. With two the database reports it.
@@ -150,7 +150,7 @@ impl LaneFile {
 }
 
 impl Disk for LaneFile {
-    fn write(&mut self, meta: &Meta, records: &[Numbered], gone: &[Path]) -> io::Result<()> {
+    fn write(&mut self, meta: &LaneMeta, records: &[Numbered], gone: &[Path]) -> io::Result<()> {
         self.change(meta, records, gone).map_err(|error| match error {
             Unread::Database(error) => match *error {
                 redb::Error::Io(error) => error,

@@ -27,11 +27,12 @@ use mom_system::sync::{Condvar, Mutex, thread};
 use tokio::sync::mpsc;
 
 pub use error::StoreError;
-pub use queue::Answer;
+// The broker knows it by its shorter name.
+pub use queue::StoreAnswer;
 pub use settings::StoreConfig;
 
 use disk::{Disk, lane_file};
-use queue::Queue;
+use queue::StoreQueue;
 use start::{Begun, Lock};
 
 /// The files of a store. Beyond a few, a disk only does one after the other what it is asked at once.
@@ -40,7 +41,7 @@ const LANES: usize = 4;
 /// A store that is open.
 #[derive(Debug)]
 pub struct Store {
-    shared: Arc<Shared>,
+    shared: Arc<StoreShared>,
     /// Closed when the last lane has ended.
     ended: Mutex<mpsc::Receiver<()>>,
 }
@@ -54,28 +55,28 @@ pub struct Opened {
     /// The latest record of each token.
     pub records: Vec<Record>,
     /// The awaited records that are durable, or will never be. One per ticket.
-    pub answers: mpsc::UnboundedReceiver<Answer>,
+    pub answers: mpsc::UnboundedReceiver<StoreAnswer>,
 }
 
 #[derive(Debug)]
-struct Shared {
-    inner: Mutex<Inner>,
+struct StoreShared {
+    inner: Mutex<StoreInner>,
     changed: Condvar,
-    answers: mpsc::UnboundedSender<Answer>,
+    answers: mpsc::UnboundedSender<StoreAnswer>,
 }
 
 #[derive(Debug)]
-struct Inner {
-    queue: Queue,
+struct StoreInner {
+    queue: StoreQueue,
     closing: bool,
 }
 
 /// The thread of one lane.
-struct Worker {
+struct LaneWriter {
     lane: usize,
     name: String,
     disk: Box<dyn Disk>,
-    shared: Arc<Shared>,
+    shared: Arc<StoreShared>,
     /// The directory is free for another broker when the last one has ended.
     lock: Option<Arc<Lock>>,
     ended: mpsc::Sender<()>,
@@ -106,7 +107,7 @@ impl Store {
         let Begun { lock, lanes, found } = start::begin(directory, LANES, wall)?;
         let names = (0..).map(|lane| lane_file(directory, lane).display().to_string());
         let disks = names.zip(lanes.into_iter().map(|lane| Box::new(lane) as Box<dyn Disk>));
-        let queue = Queue::new(found.epoch, found.seen);
+        let queue = StoreQueue::new(found.epoch, found.seen);
         let (store, answers) = Store::run(disks.collect(), queue, Some(lock))
             .map_err(|error| disk::unwritable(directory, &error))?;
         Ok(Opened {
@@ -120,18 +121,18 @@ impl Store {
     /// Begins a thread for each disk.
     fn run(
         disks: Vec<(String, Box<dyn Disk>)>,
-        queue: Queue,
+        queue: StoreQueue,
         lock: Option<Lock>,
-    ) -> std::io::Result<(Store, mpsc::UnboundedReceiver<Answer>)> {
+    ) -> std::io::Result<(Store, mpsc::UnboundedReceiver<StoreAnswer>)> {
         // Not bounded here: the hub awaits one ticket per token at most.
         let (answers, received) = mpsc::unbounded_channel();
         let (ending, ended) = mpsc::channel(1);
         let lock = lock.map(Arc::new);
-        let inner = Inner {
+        let inner = StoreInner {
             queue,
             closing: false,
         };
-        let shared = Arc::new(Shared {
+        let shared = Arc::new(StoreShared {
             inner: Mutex::new(inner),
             changed: Condvar::new(),
             answers,
@@ -142,7 +143,7 @@ impl Store {
             ended: Mutex::new(ended),
         };
         for (lane, (name, disk)) in disks.into_iter().enumerate() {
-            let worker = Worker {
+            let worker = LaneWriter {
                 lane,
                 name,
                 disk,
@@ -188,9 +189,9 @@ impl Drop for Store {
     }
 }
 
-impl Shared {
+impl StoreShared {
     /// What a lane does next; none = it ends. Waits.
-    fn next(&self, lane: usize) -> Option<queue::Batch> {
+    fn next(&self, lane: usize) -> Option<queue::StoreBatch> {
         let mut inner = self.inner.lock();
         loop {
             if let Some(batch) = inner.queue.take(lane) {
@@ -204,7 +205,7 @@ impl Shared {
         }
     }
 
-    fn answer(&self, answers: Vec<Answer>) {
+    fn answer(&self, answers: Vec<StoreAnswer>) {
         for answer in answers {
             // Nobody listens any more when the broker has ended.
             let _ = self.answers.send(answer);
@@ -212,7 +213,7 @@ impl Shared {
     }
 }
 
-impl Worker {
+impl LaneWriter {
     fn run(mut self) {
         while let Some(batch) = self.shared.next(self.lane) {
             let write = || self.disk.write(&batch.meta, &batch.records, &[]);

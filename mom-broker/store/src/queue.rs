@@ -6,7 +6,7 @@ use std::sync::Arc;
 use mom_hub::{Record, Ticket};
 use mom_proto::Path;
 
-use super::row::Meta;
+use super::row::LaneMeta;
 
 /// A record and its place in the order of all.
 pub(super) type Numbered = (u64, Arc<Record>);
@@ -16,12 +16,12 @@ pub(super) type Numbered = (u64, Arc<Record>);
 /// Per token only the newest record waits: it is the one that would win. There is no bound of its own: the hub
 /// awaits one ticket per token, and has as many tokens as its limits allow.
 #[derive(Debug)]
-pub(super) struct Queue {
+pub(super) struct StoreQueue {
     epoch: u64,
     sequence: u64,
     awaited: BTreeMap<Path, Awaited>,
     loose: BTreeMap<Path, Numbered>,
-    lanes: Vec<Lane>,
+    lanes: Vec<StoreLane>,
     /// Per lane the highest sequence that is durable.
     seen: Vec<u64>,
 }
@@ -36,14 +36,14 @@ struct Awaited {
 }
 
 #[derive(Debug)]
-struct Lane {
-    state: State,
+struct StoreLane {
+    state: LaneState,
     /// Whether its latest batch was one that nobody awaits: then the other kind has precedence.
     was_loose: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum State {
+enum LaneState {
     Idle,
     Busy {
         loose: bool,
@@ -54,24 +54,24 @@ enum State {
 
 /// What one lane makes durable at once.
 #[derive(Debug)]
-pub(super) struct Batch {
-    pub(super) meta: Meta,
+pub(super) struct StoreBatch {
+    pub(super) meta: LaneMeta,
     pub(super) records: Vec<Numbered>,
     tickets: Vec<Ticket>,
     loose: Vec<Numbered>,
 }
 
 /// A ticket and whether its record is durable.
-pub type Answer = (Ticket, bool);
+pub type StoreAnswer = (Ticket, bool);
 
-impl Queue {
+impl StoreQueue {
     /// A queue that goes on after what the lanes hold: `seen` is their last sequences.
-    pub(super) fn new(epoch: u64, seen: Vec<u64>) -> Queue {
-        let lane = || Lane {
-            state: State::Idle,
+    pub(super) fn new(epoch: u64, seen: Vec<u64>) -> StoreQueue {
+        let lane = || StoreLane {
+            state: LaneState::Idle,
             was_loose: true,
         };
-        Queue {
+        StoreQueue {
             epoch,
             sequence: seen.iter().copied().max().unwrap_or_default(),
             awaited: BTreeMap::new(),
@@ -115,22 +115,22 @@ impl Queue {
     ///
     /// All that is awaited goes together. What nobody awaits is in one lane at a time, so that many releases
     /// at once never keep a grant waiting; a lane that has both before it takes them by turns.
-    pub(super) fn take(&mut self, lane: usize) -> Option<Batch> {
-        debug_assert_eq!(self.lanes[lane].state, State::Idle);
+    pub(super) fn take(&mut self, lane: usize) -> Option<StoreBatch> {
+        debug_assert_eq!(self.lanes[lane].state, LaneState::Idle);
         let free = !self
             .lanes
             .iter()
-            .any(|lane| lane.state == State::Busy { loose: true });
+            .any(|lane| lane.state == LaneState::Busy { loose: true });
         let loose =
             free && !self.loose.is_empty() && (self.awaited.is_empty() || !self.lanes[lane].was_loose);
         if !loose && self.awaited.is_empty() {
             return None;
         }
-        self.lanes[lane] = Lane {
-            state: State::Busy { loose },
+        self.lanes[lane] = StoreLane {
+            state: LaneState::Busy { loose },
             was_loose: loose,
         };
-        let mut batch = Batch {
+        let mut batch = StoreBatch {
             meta: self.meta(lane),
             records: Vec::new(),
             tickets: Vec::new(),
@@ -152,14 +152,14 @@ impl Queue {
     }
 
     /// Notes how a batch ended. A lane that failed is not used again: what its file holds since is not known.
-    pub(super) fn finish(&mut self, lane: usize, batch: Batch, ok: bool) -> Vec<Answer> {
-        let mut answers: Vec<Answer> = batch.tickets.into_iter().map(|ticket| (ticket, ok)).collect();
+    pub(super) fn finish(&mut self, lane: usize, batch: StoreBatch, ok: bool) -> Vec<StoreAnswer> {
+        let mut answers: Vec<StoreAnswer> = batch.tickets.into_iter().map(|ticket| (ticket, ok)).collect();
         if ok {
-            self.lanes[lane].state = State::Idle;
+            self.lanes[lane].state = LaneState::Idle;
             self.seen[lane] = batch.meta.last();
             return answers;
         }
-        self.lanes[lane].state = State::Gone;
+        self.lanes[lane].state = LaneState::Gone;
         batch.loose.into_iter().for_each(|record| self.put_back(record));
         if self.is_dead() {
             self.loose.clear();
@@ -185,22 +185,22 @@ impl Queue {
 
     /// A lane takes nothing more.
     pub(super) fn leave(&mut self, lane: usize) {
-        self.lanes[lane].state = State::Gone;
+        self.lanes[lane].state = LaneState::Gone;
     }
 
     /// Whether nothing waits and nothing is being written.
     pub(super) fn is_quiet(&self) -> bool {
-        let busy = |lane: &Lane| matches!(lane.state, State::Busy { .. });
+        let busy = |lane: &StoreLane| matches!(lane.state, LaneState::Busy { .. });
         self.awaited.is_empty() && self.loose.is_empty() && !self.lanes.iter().any(busy)
     }
 
     /// Whether no lane is left.
     pub(super) fn is_dead(&self) -> bool {
-        self.lanes.iter().all(|lane| lane.state == State::Gone)
+        self.lanes.iter().all(|lane| lane.state == LaneState::Gone)
     }
 
-    fn meta(&self, lane: usize) -> Meta {
-        Meta {
+    fn meta(&self, lane: usize) -> LaneMeta {
+        LaneMeta {
             lane,
             epoch: self.epoch,
             seen: self.seen.clone(),

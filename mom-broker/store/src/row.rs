@@ -11,7 +11,7 @@ const FORMAT: u8 = 1;
 
 /// What a lane knows of itself and of the others; written with every commit.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Meta {
+pub(super) struct LaneMeta {
     /// Which lane this is, from 0.
     pub(super) lane: usize,
     /// The epoch of the broker that wrote it.
@@ -21,7 +21,7 @@ pub(super) struct Meta {
     pub(super) seen: Vec<u64>,
 }
 
-impl Meta {
+impl LaneMeta {
     /// The sequence of the lane's latest commit.
     pub(super) fn last(&self) -> u64 {
         self.seen.get(self.lane).copied().unwrap_or_default()
@@ -36,14 +36,14 @@ impl Meta {
         sealed(key, &body)
     }
 
-    pub(super) fn decode(key: &str, row: &[u8]) -> Result<Meta, String> {
+    pub(super) fn decode(key: &str, row: &[u8]) -> Result<LaneMeta, String> {
         let mut body = opened(key, row)?;
-        let mut read = || -> Result<Meta, TryGetError> {
+        let mut read = || -> Result<LaneMeta, TryGetError> {
             let lane = body.try_get_u32()? as usize;
             let epoch = body.try_get_u64()?;
             let lanes = body.try_get_u32()?;
             let seen = (0..lanes).map(|_| body.try_get_u64()).collect::<Result<_, _>>()?;
-            Ok(Meta { lane, epoch, seen })
+            Ok(LaneMeta { lane, epoch, seen })
         };
         let meta = read().map_err(|error| format!("the row {key:?} is cut: {error}"))?;
         whole(key, body, meta)

@@ -10,8 +10,8 @@ use mom_hub::Record;
 use mom_proto::{Fence, Path, Time};
 
 use super::StoreError;
-use super::disk::{Disk, Image, LaneFile, damaged, lane_file, unwritable};
-use super::row::Meta;
+use super::disk::{Disk, LaneFile, LaneImage, damaged, lane_file, unwritable};
+use super::row::LaneMeta;
 
 /// A directory that no other broker uses, for as long as this lives.
 #[derive(Debug)]
@@ -91,7 +91,7 @@ pub(super) fn begin(directory: &FilePath, lanes: usize, wall: Time) -> Result<Be
 impl Found {
     /// Takes the images of all lanes together: per token the record of the highest sequence holds. The epoch is
     /// the least that is above all that was ever given out.
-    pub(super) fn of(images: &[Image]) -> Result<Found, Wrong> {
+    pub(super) fn of(images: &[LaneImage]) -> Result<Found, Wrong> {
         check(images)?;
         let mut latest: BTreeMap<&Path, (usize, u64, &Record)> = BTreeMap::new();
         let mut old = vec![Vec::new(); images.len()];
@@ -142,7 +142,7 @@ impl Found {
         for gone in [&self.old, &self.free] {
             for (lane, disk) in lanes.iter_mut().enumerate() {
                 sequence += 1;
-                let mut meta = Meta {
+                let mut meta = LaneMeta {
                     lane,
                     epoch: self.epoch,
                     seen: self.seen.clone(),
@@ -158,7 +158,7 @@ impl Found {
 }
 
 /// Whether the lanes belong together, and none of them ends before what another has seen of it.
-fn check(images: &[Image]) -> Result<(), Wrong> {
+fn check(images: &[LaneImage]) -> Result<(), Wrong> {
     let wrong = |lane, reason| Err(Wrong { lane, reason });
     for (lane, image) in images.iter().enumerate() {
         let highest = image.rows.values().map(|(sequence, _)| *sequence).max();
@@ -192,8 +192,8 @@ fn check(images: &[Image]) -> Result<(), Wrong> {
     Ok(())
 }
 
-fn last(image: &Image) -> u64 {
-    image.meta.as_ref().map(Meta::last).unwrap_or_default()
+fn last(image: &LaneImage) -> u64 {
+    image.meta.as_ref().map(LaneMeta::last).unwrap_or_default()
 }
 
 fn seconds(wall: Time) -> u64 {

@@ -10,8 +10,8 @@ use mom_hub::{Record, Ticket};
 use tempfile::TempDir;
 
 use super::{at, free, holder, owned};
-use crate::disk::{Disk, Image, LaneFile, lane_file};
-use crate::row::Meta;
+use crate::disk::{Disk, LaneFile, LaneImage, lane_file};
+use crate::row::LaneMeta;
 use crate::{Opened, Store, StoreError};
 
 const NOW: i64 = 1_795_000_000;
@@ -243,7 +243,7 @@ fn an_older_record_does_not_replace_a_newer() {
     LaneFile::make(&file).expect("made");
     let (mut lane, _) = LaneFile::open(&file).expect("it opens");
     for sequence in [5, 3, 6, 4] {
-        let meta = Meta {
+        let meta = LaneMeta {
             lane: 0,
             epoch: 1,
             seen: vec![6],
@@ -269,7 +269,7 @@ fn flipped_bits_are_not_believed() {
     for round in 1..4 {
         let record = |token| (round, Arc::new(owned(&format!("/token/{token}"), round)));
         let records: Vec<_> = (0..200).map(record).collect();
-        let meta = Meta {
+        let meta = LaneMeta {
             lane: 0,
             epoch: round,
             seen: vec![round],
@@ -279,7 +279,7 @@ fn flipped_bits_are_not_believed() {
     fs::copy(&file, &crashed).expect("copied");
     drop(lane);
 
-    let look = |bytes: &[u8]| -> Result<Image, StoreError> {
+    let look = |bytes: &[u8]| -> Result<LaneImage, StoreError> {
         fs::write(&flipped, bytes).expect("written");
         LaneFile::open(&flipped).map(|(_, image)| image)
     };

@@ -12,8 +12,8 @@ use shuttle::sync::{Arc, Mutex};
 use super::{free, owned};
 use crate::Store;
 use crate::disk::Disk;
-use crate::queue::{Numbered, Queue};
-use crate::row::Meta;
+use crate::queue::{Numbered, StoreQueue};
+use crate::row::LaneMeta;
 
 /// What is durable: of each token the fence with the highest number, over all lanes.
 type Durable = Arc<Mutex<BTreeMap<Path, (u64, u64)>>>;
@@ -25,7 +25,7 @@ struct Memory {
 }
 
 impl Disk for Memory {
-    fn write(&mut self, _: &Meta, records: &[Numbered], _: &[Path]) -> io::Result<()> {
+    fn write(&mut self, _: &LaneMeta, records: &[Numbered], _: &[Path]) -> io::Result<()> {
         if self.may_fail && shuttle::rand::thread_rng().gen_ratio(1, 4) {
             return Err(io::Error::other("no room"));
         }
@@ -55,7 +55,7 @@ fn open(
         (format!("memory {lane}"), disk)
     };
     let disks = (0..2).map(disk).collect();
-    let (store, answers) = Store::run(disks, Queue::new(1, vec![0; 2]), None).expect("threads");
+    let (store, answers) = Store::run(disks, StoreQueue::new(1, vec![0; 2]), None).expect("threads");
     (Arc::new(store), durable, answers)
 }
 

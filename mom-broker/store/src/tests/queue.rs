@@ -3,18 +3,18 @@
 use mom_hub::{Record, Ticket};
 
 use super::{free, owned};
-use crate::queue::{Batch, Queue};
+use crate::queue::{StoreBatch, StoreQueue};
 
-fn queue() -> Queue {
-    Queue::new(100, vec![0; 4])
+fn queue() -> StoreQueue {
+    StoreQueue::new(100, vec![0; 4])
 }
 
-fn put(queue: &mut Queue, record: Record, ticket: impl Into<Option<u64>>) {
+fn put(queue: &mut StoreQueue, record: Record, ticket: impl Into<Option<u64>>) {
     assert!(queue.put(record, ticket.into().map(Ticket)), "a lane is left");
 }
 
 /// Path and fence of what a lane is to write.
-fn shown(batch: &Batch) -> Vec<(&str, u64)> {
+fn shown(batch: &StoreBatch) -> Vec<(&str, u64)> {
     batch
         .records
         .iter()
@@ -22,7 +22,7 @@ fn shown(batch: &Batch) -> Vec<(&str, u64)> {
         .collect()
 }
 
-fn take(queue: &mut Queue, lane: usize) -> Batch {
+fn take(queue: &mut StoreQueue, lane: usize) -> StoreBatch {
     queue.take(lane).expect("there is something to write")
 }
 
@@ -92,7 +92,7 @@ fn what_nobody_awaits_is_in_one_lane_at_a_time() {
 
 #[test]
 fn the_last_lane_takes_both_kinds_by_turns() {
-    let mut queue = Queue::new(100, vec![0]);
+    let mut queue = StoreQueue::new(100, vec![0]);
     put(&mut queue, free("/free", 1), None);
     put(&mut queue, owned("/a", 1), 1);
     for turn in 0..6 {
@@ -107,7 +107,7 @@ fn the_last_lane_takes_both_kinds_by_turns() {
 
 #[test]
 fn commits_tell_what_the_other_lanes_have() {
-    let mut queue = Queue::new(100, vec![5, 6, 7, 8]);
+    let mut queue = StoreQueue::new(100, vec![5, 6, 7, 8]);
     put(&mut queue, owned("/a", 1), 1);
     let batch = take(&mut queue, 2);
     assert_eq!(batch.meta.seen, [5, 6, 9, 8]);

@@ -8,9 +8,9 @@ use mom_proto::Path;
 use proptest::prelude::*;
 
 use super::{free, owned};
-use crate::disk::{Disk, Image};
-use crate::queue::{Batch, Numbered, Queue};
-use crate::row::Meta;
+use crate::disk::{Disk, LaneImage};
+use crate::queue::{Numbered, StoreBatch, StoreQueue};
+use crate::row::LaneMeta;
 use crate::start::Found;
 
 const LANES: usize = 3;
@@ -58,8 +58,8 @@ fn step() -> impl Strategy<Value = Step> {
 }
 
 /// A disk in memory.
-impl Disk for Image {
-    fn write(&mut self, meta: &Meta, records: &[Numbered], gone: &[Path]) -> io::Result<()> {
+impl Disk for LaneImage {
+    fn write(&mut self, meta: &LaneMeta, records: &[Numbered], gone: &[Path]) -> io::Result<()> {
         for (sequence, record) in records {
             let known = self.rows.get(&record.path).map(|(known, _)| *known);
             if known.is_none_or(|known| known < *sequence) {
@@ -75,12 +75,12 @@ impl Disk for Image {
 
 /// A disk that lets so many writes through before the power is cut.
 struct Cut<'a> {
-    image: &'a mut Image,
+    image: &'a mut LaneImage,
     left: &'a std::sync::atomic::AtomicUsize,
 }
 
 impl Disk for Cut<'_> {
-    fn write(&mut self, meta: &Meta, records: &[Numbered], gone: &[Path]) -> io::Result<()> {
+    fn write(&mut self, meta: &LaneMeta, records: &[Numbered], gone: &[Path]) -> io::Result<()> {
         use std::sync::atomic::Ordering::Relaxed;
         let through = self
             .left
@@ -91,9 +91,9 @@ impl Disk for Cut<'_> {
 }
 
 struct Model {
-    images: Vec<Image>,
-    queue: Queue,
-    flying: Vec<Option<Batch>>,
+    images: Vec<LaneImage>,
+    queue: StoreQueue,
+    flying: Vec<Option<StoreBatch>>,
     broken: [bool; LANES],
     epoch: u64,
     /// The last part of the last fence.
@@ -106,8 +106,8 @@ struct Model {
 impl Model {
     fn new() -> Model {
         let mut model = Model {
-            images: vec![Image::default(); LANES],
-            queue: Queue::new(0, vec![0; LANES]),
+            images: vec![LaneImage::default(); LANES],
+            queue: StoreQueue::new(0, vec![0; LANES]),
             flying: (0..LANES).map(|_| None).collect(),
             broken: [false; LANES],
             epoch: 0,
@@ -180,7 +180,7 @@ impl Model {
         }
     }
 
-    fn land(&mut self, lane: usize, batch: &Batch) {
+    fn land(&mut self, lane: usize, batch: &StoreBatch) {
         let written = self.images[lane].write(&batch.meta, &batch.records, &[]);
         written.expect("memory has room");
     }
@@ -212,7 +212,7 @@ impl Model {
         assert_eq!(settled.is_ok(), writes >= LANES * 2);
         if settled.is_ok() {
             self.epoch = found.epoch;
-            self.queue = Queue::new(found.epoch, found.seen);
+            self.queue = StoreQueue::new(found.epoch, found.seen);
             self.broken = [false; LANES];
             self.tickets.clear();
         }

@@ -3,7 +3,7 @@
 use mom_hub::Record;
 
 use super::{holder, owned, path};
-use crate::row::{self, Meta};
+use crate::row::{self, LaneMeta};
 
 fn records() -> Vec<Record> {
     let plain = owned("/robot/token", (1_795_000_000 << 20) + 7);
@@ -30,12 +30,12 @@ fn rows_come_back_as_they_were() {
         let row = row::encode(42, &record);
         assert_eq!(row::decode(record.path.as_str(), &row), Ok((42, record)));
     }
-    let meta = Meta {
+    let meta = LaneMeta {
         lane: 2,
         epoch: 1_795_000_000,
         seen: vec![1, 0, u64::MAX, 9],
     };
-    assert_eq!(Meta::decode("meta", &meta.encode("meta")), Ok(meta.clone()));
+    assert_eq!(LaneMeta::decode("meta", &meta.encode("meta")), Ok(meta.clone()));
     assert_eq!(meta.last(), u64::MAX);
 }
 

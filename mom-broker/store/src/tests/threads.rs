@@ -11,8 +11,8 @@ use tokio::sync::mpsc::{UnboundedReceiver, error::TryRecvError};
 
 use super::{free, owned};
 use crate::disk::Disk;
-use crate::queue::{Answer, Numbered, Queue};
-use crate::row::Meta;
+use crate::queue::{Numbered, StoreAnswer, StoreQueue};
+use crate::row::LaneMeta;
 use crate::{LANES, Store};
 
 /// What does not happen in this time never does.
@@ -32,7 +32,7 @@ struct Slow {
 }
 
 impl Disk for Slow {
-    fn write(&mut self, _: &Meta, records: &[Numbered], _: &[Path]) -> io::Result<()> {
+    fn write(&mut self, _: &LaneMeta, records: &[Numbered], _: &[Path]) -> io::Result<()> {
         let tokens = records
             .iter()
             .map(|(_, record)| record.path.to_string())
@@ -48,7 +48,7 @@ impl Disk for Slow {
 
 struct Slowly {
     store: Store,
-    answers: UnboundedReceiver<Answer>,
+    answers: UnboundedReceiver<StoreAnswer>,
     begun: Receiver<(usize, Vec<String>)>,
     ends: Vec<Sender<End>>,
 }
@@ -64,7 +64,7 @@ fn slowly() -> Slowly {
         (format!("slow {lane}"), disk)
     };
     let disks = (0..LANES).map(disk).collect();
-    let (store, answers) = Store::run(disks, Queue::new(1, vec![0; LANES]), None).expect("threads");
+    let (store, answers) = Store::run(disks, StoreQueue::new(1, vec![0; LANES]), None).expect("threads");
     Slowly {
         store,
         answers,
