@@ -19,7 +19,7 @@ const YEAR: i64 = 365 * DAY;
 /// The wall clock of one process, to be moved.
 struct Wall {
     /// What `faketime` puts into the environment of a program, but for the time.
-    library: Vec<(String, String)>,
+    preload: Vec<(String, String)>,
     file: PathBuf,
 }
 
@@ -39,12 +39,12 @@ impl Wall {
         let new = told
             .filter(|(key, value)| std::env::var(key).ok().as_deref() != Some(*value))
             .filter(|(key, _)| !key.starts_with("FAKETIME") && *key != "_");
-        let library: Vec<_> = new
+        let preload: Vec<_> = new
             .map(|(key, value)| (key.to_owned(), value.to_owned()))
             .collect();
-        assert!(!library.is_empty(), "faketime says where its library is");
+        assert!(!preload.is_empty(), "faketime says where its library is");
         let file = folder.join("wall");
-        Some(Wall { library, file })
+        Some(Wall { preload, file })
     }
 
     /// Steps it to this many seconds off.
@@ -62,7 +62,7 @@ impl Wall {
             ("FAKETIME_NO_CACHE", "1"),
             ("FAKETIME_DONT_FAKE_MONOTONIC", "1"),
         ];
-        environment.extend(self.library.iter().map(|(key, value)| (&**key, &**value)));
+        environment.extend(self.preload.iter().map(|(key, value)| (&**key, &**value)));
         home.start_in(&environment).await
     }
 }
