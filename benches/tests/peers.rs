@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use mom_benches::peers::{
-    Canary, Crowd, Hindrance, Metric, Place, Programs, SaturatedStop, SlowLink, idle, plan, raise_files,
+    Canary, Crowd, Hindrance, Metric, Network, Programs, SaturatedStop, SlowLink, idle, plan, raise_files,
     table,
 };
 use mom_benches::peers::{Kind, run};
@@ -58,7 +58,7 @@ const CROWD: Crowd = Crowd {
 fn a_crowd_hears_everybody_in_order() {
     let programs = programs();
     let relay = programs
-        .start(Kind::Relay, &Place::Loopback, true)
+        .start(Kind::Relay, &Network::Loopback, true)
         .expect("cargo has built the relay");
     for hub in [&bench(Form::Binary).hub, &bench(Form::Xml).hub, &relay] {
         let sample = CROWD.run(hub).unwrap();
@@ -72,7 +72,7 @@ fn a_crowd_hears_everybody_in_order() {
 fn idle_peers_all_hear_the_one_parcel() {
     raise_files();
     let programs = programs();
-    let relay = programs.start(Kind::Relay, &Place::Loopback, false).unwrap();
+    let relay = programs.start(Kind::Relay, &Network::Loopback, false).unwrap();
     let sample = idle(&relay, 40).unwrap();
     assert!(sample.contains_key(&Metric::Memory), "{sample:?}");
     idle(&bench(Form::Binary).hub, 40).unwrap();
@@ -124,7 +124,7 @@ fn every_row_that_the_relay_takes_has_figures_of_it() {
 
 #[test]
 fn a_program_that_is_not_there_is_told() {
-    let started = programs().start(Kind::Mom, &Place::Loopback, false);
+    let started = programs().start(Kind::Mom, &Network::Loopback, false);
     assert!(matches!(started, Err(Error::Io { .. })));
 }
 

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use mom_proto::codec::Form;
 use tempfile::TempDir;
 
-use super::place::Place;
+use super::network::Network;
 use crate::driver::{HOST, ROOMS};
 use crate::{
     Driver, Error, Hub, MqttDriver, NatsDriver, Process, RedisDriver, RelayDriver, XmppDriver, ZenohDriver,
@@ -180,20 +180,20 @@ impl Programs {
     ///
     /// # Errors
     /// A program that is not there or does not start.
-    pub fn start(&self, kind: Kind, place: &Place, echo: bool) -> Result<Hub, Error> {
-        let port = place.within(|| {
-            let listener = TcpListener::bind((place.host(), 0))?;
+    pub fn start(&self, kind: Kind, network: &Network, echo: bool) -> Result<Hub, Error> {
+        let port = network.within(|| {
+            let listener = TcpListener::bind((network.host(), 0))?;
             listener.local_addr()
         });
         let port = port?.map_err(Error::io("a free port"))?.port();
-        let address = format!("{}:{port}", place.host());
-        let mut command = self.command(kind, place, port)?;
+        let address = format!("{}:{port}", network.host());
+        let mut command = self.command(kind, network, port)?;
         if echo && matches!(kind, Kind::Relay | Kind::RawRelay) {
             command.arg("--echo");
         }
         let log = self.scratch.path().join(format!("{}.log", kind.name()));
         let connects = |address: &str| {
-            place
+            network
                 .within(|| TcpStream::connect(address).is_ok())
                 .unwrap_or(false)
         };
@@ -206,7 +206,7 @@ impl Programs {
                 } else {
                     Form::Xml
                 };
-                place.within(|| Hub::broker(&address, form))??.driver
+                network.within(|| Hub::broker(&address, form))??.driver
             }
             Kind::Nats => Box::new(NatsDriver::new(&address)),
             Kind::Redis => Box::new(RedisDriver::new(&address)),
@@ -221,8 +221,8 @@ impl Programs {
         })
     }
 
-    fn command(&self, kind: Kind, place: &Place, port: u16) -> Result<Command, Error> {
-        let host = place.host();
+    fn command(&self, kind: Kind, network: &Network, port: u16) -> Result<Command, Error> {
+        let host = network.host();
         let listen = format!("{host}:{port}");
         let absent = || Error::Unexpected(format!("{} is not there", kind.name()));
         let program = match kind {
@@ -230,7 +230,7 @@ impl Programs {
             Kind::Mom | Kind::MomXml => &self.broker,
             _ => self.peers.get(&kind).ok_or_else(absent)?,
         };
-        let mut command = place.command(program);
+        let mut command = network.command(program);
         match kind {
             Kind::Relay => command.args(["--listen", &listen]),
             Kind::RawRelay => command.args(["--listen", &listen, "--raw"]),

@@ -6,7 +6,7 @@ use std::time::Duration;
 use super::brokers::{Kind, Programs};
 use super::idle::idle;
 use super::metric::{Metric, Sample};
-use super::place::{Place, SlowLink};
+use super::network::{Network, SlowLink};
 use super::plan::{Effort, Load, Row};
 use crate::driver::Topic;
 use crate::pace::median;
@@ -130,7 +130,7 @@ fn stop(
     effort: &Effort,
 ) -> Result<(Sample, Option<String>), Error> {
     if let Load::Canary(hindrance) = load {
-        let hub = programs.start(kind, &Place::Loopback, false)?;
+        let hub = programs.start(kind, &Network::Loopback, false)?;
         return effort.canary.run(&hub, hindrance);
     }
     let link = SlowLink::new()?;
@@ -139,7 +139,7 @@ fn stop(
 }
 
 fn sample(row: &Row, kind: Kind, programs: &Programs, effort: &Effort) -> Result<Sample, Error> {
-    let hub = programs.start(kind, &Place::Loopback, row.load == Load::Crowd)?;
+    let hub = programs.start(kind, &Network::Loopback, row.load == Load::Crowd)?;
     match row.load {
         Load::Stream(receivers) => {
             let streamed = stream(row, &hub, receivers, Topic::Forth, effort)?;
@@ -213,7 +213,7 @@ fn ping_pong(
 ) -> Vec<(Kind, Result<Sample, Error>)> {
     let mut hubs = Vec::new();
     for kind in kinds {
-        match programs.start(*kind, &Place::Loopback, false) {
+        match programs.start(*kind, &Network::Loopback, false) {
             Ok(hub) => hubs.push(hub),
             Err(error) => return vec![(*kind, Err(error))],
         }

@@ -7,7 +7,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use super::metric::{Metric, Sample};
-use super::place::{LINK_RATE, SlowLink};
+use super::network::{LINK_RATE, SlowLink};
 use crate::driver::Topic;
 use crate::listen::{Listener, Listening, Sink, join};
 use crate::{Delays, Error, Hub, Link, Message, Template};

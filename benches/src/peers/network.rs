@@ -1,4 +1,4 @@
-//! Where a hub runs and its peers connect from: loopback, or two network namespaces with a slow link between them.
+//! The networks in which hubs run and from which peers connect: loopback, or two namespaces with a slow link between them.
 #![expect(
     unsafe_code,
     reason = "entering a namespace has no safe wrapper among our libraries"
@@ -19,29 +19,29 @@ const SHAPE: [&str; 7] = ["tbf", "rate", "20mbit", "burst", "32kbit", "latency",
 /// Its rate in bits per second, with all headers.
 pub(crate) const LINK_RATE: f64 = 20e6;
 
-/// One side of something.
+/// A network of this machine that programs run in and sockets belong to.
 #[derive(Debug)]
-pub enum Place {
+pub enum Network {
     /// This machine's loopback.
     Loopback,
     /// A network namespace of this name, with this address.
     Namespace(String, String),
 }
 
-impl Place {
+impl Network {
     /// The address to listen at here.
     pub fn host(&self) -> &str {
         match self {
-            Place::Loopback => "127.0.0.1",
-            Place::Namespace(_, address) => address,
+            Network::Loopback => "127.0.0.1",
+            Network::Namespace(_, address) => address,
         }
     }
 
     /// A program that will run here.
     pub fn command(&self, program: &Path) -> Command {
         match self {
-            Place::Loopback => Command::new(program),
-            Place::Namespace(name, _) => {
+            Network::Loopback => Command::new(program),
+            Network::Namespace(name, _) => {
                 let mut command = Command::new("ip");
                 command.args(["netns", "exec", name]).arg(program);
                 command
@@ -54,7 +54,7 @@ impl Place {
     /// # Errors
     /// A namespace that cannot be entered.
     pub fn within<T: Send>(&self, what: impl FnOnce() -> T + Send) -> Result<T, Error> {
-        let Place::Namespace(name, _) = self else {
+        let Network::Namespace(name, _) = self else {
             return Ok(what());
         };
         let entered = || -> io::Result<()> {
@@ -79,9 +79,9 @@ impl Place {
 #[derive(Debug)]
 pub struct SlowLink {
     /// Where the hub and the senders are.
-    pub hub: Place,
+    pub hub: Network,
     /// Where the subscriber is.
-    pub far: Place,
+    pub far: Network,
 }
 
 impl SlowLink {
@@ -93,20 +93,20 @@ impl SlowLink {
         let id = std::process::id();
         let names = [format!("mom-hub-{id}"), format!("mom-far-{id}")];
         let [hub, far] = &names;
-        let places = [(hub, "10.66.0.1"), (far, "10.66.0.2")];
-        let [hub_place, far_place] =
-            places.map(|(name, address)| Place::Namespace(name.clone(), address.to_owned()));
+        let addresses = [(hub, "10.66.0.1"), (far, "10.66.0.2")];
+        let [hub_network, far_network] =
+            addresses.map(|(name, address)| Network::Namespace(name.clone(), address.to_owned()));
         // From here on whatever was made is taken away again.
         let link = SlowLink {
-            hub: hub_place,
-            far: far_place,
+            hub: hub_network,
+            far: far_network,
         };
         ip(&["netns", "add", hub])?;
         ip(&["netns", "add", far])?;
         ip(&[
             "link", "add", "near", "netns", hub, "type", "veth", "peer", "name", "near", "netns", far,
         ])?;
-        for (name, address) in places {
+        for (name, address) in addresses {
             ip(&["-n", name, "addr", "add", &format!("{address}/24"), "dev", "near"])?;
             ip(&["-n", name, "link", "set", "near", "up"])?;
             ip(&["-n", name, "link", "set", "lo", "up"])?;
@@ -123,8 +123,8 @@ impl SlowLink {
 
 impl Drop for SlowLink {
     fn drop(&mut self) {
-        for place in [&self.hub, &self.far] {
-            if let Place::Namespace(name, _) = place {
+        for network in [&self.hub, &self.far] {
+            if let Network::Namespace(name, _) = network {
                 // One that was never made cannot be taken away.
                 let _ = ip(&["netns", "del", name]);
             }
