@@ -1,12 +1,10 @@
 //! What reaches another peer cannot be sent to it again and again, and what costs the hub is bounded.
 
-mod stage;
-
 use mom_hub::{ContextSpec, Hub, Settings};
 use mom_managers::Registry;
 use mom_proto::{Code, Map, Value, from_value};
 
-use stage::{Stage, context, lab, level_or_lease, of};
+use crate::stage::{Stage, context, lab, level_or_lease, of};
 
 /// alice owns the token of the lab; bob and carol are there.
 fn stage() -> Stage {

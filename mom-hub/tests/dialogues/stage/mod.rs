@@ -2,7 +2,6 @@
 //!
 //! `say("alice", "token grab /lab/key wait=1000")` gives `["alice< queued place=1"]`. Of what is heard only what tells
 //! the tale is shown: the word, and some of the content. Fences are shown without their epoch.
-#![allow(dead_code, reason = "each test program uses a part of it")]
 
 use std::collections::BTreeMap;
 

@@ -1,11 +1,9 @@
 //! What a member asks to be spared of, at join and after.
 
-mod stage;
-
 use mom_hub::{Effect, Route};
 use mom_proto::{Map, Thinning, Value};
 
-use stage::{Stage, lab, user};
+use crate::stage::{Stage, lab, user};
 
 fn stage() -> Stage {
     let mut stage = Stage::new(lab(Map::new()));

@@ -1,12 +1,10 @@
 //! Handing over by agreement, in the cases where it is easily told wrongly.
 
-mod stage;
-
 use mom_hub::Settings;
 use mom_managers::{Manager, Question, Registry, Verdict};
 use mom_proto::Map;
 
-use stage::{Stage, lab, level_or_lease, of};
+use crate::stage::{Stage, lab, level_or_lease, of};
 
 fn stage() -> Stage {
     let mut stage = Stage::new(lab(level_or_lease(60_000, "lazy")));

@@ -1,12 +1,10 @@
 //! Another user on the same connection is another peer: it inherits nothing, wherever the first one was known.
 
-mod stage;
-
 use mom_hub::{PeerId, Settings, User};
 use mom_managers::{Ask, Manager, Question, Registry, Verdict};
 use mom_proto::{Map, Verb};
 
-use stage::{Stage, context, lab, level_or_lease, of, user};
+use crate::stage::{Stage, context, lab, level_or_lease, of, user};
 
 /// Asks who made the context about sends, and lets nobody in who is not invited.
 #[derive(Debug)]

@@ -1,12 +1,10 @@
 //! Where a token, or the way to a device, goes in ways that are easily forgotten.
 
-mod stage;
-
 use mom_hub::{Holder, Record, Settings};
 use mom_managers::{Answer, Grant, Manager, Question, Registry, Verdict};
 use mom_proto::{Map, Verb};
 
-use stage::{EPOCH, Stage, context, lab, level_or_lease, of};
+use crate::stage::{EPOCH, Stage, context, lab, level_or_lease, of};
 
 #[test]
 fn for_whom_a_restart_keeps_a_token_passes_those_for_whom_it_does_not() {

@@ -1,12 +1,10 @@
 //! What is stored of tokens, and what a start makes of it (threat 30, the hub's part).
 
-mod stage;
-
 use mom_hub::{Holder, PeerId, Record, Settings};
 use mom_managers::{Ask, Manager, Question, Registry, Verdict};
 use mom_proto::{Map, Path, Verb};
 
-use stage::{EPOCH, Stage, lab, level_or_lease, of, user};
+use crate::stage::{EPOCH, Stage, lab, level_or_lease, of, user};
 
 fn record(owner: Option<&str>, before: Option<&str>, lease: Option<u64>, fence: u64) -> Record {
     let holder = |name: &str| Holder {

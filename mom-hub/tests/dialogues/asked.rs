@@ -1,10 +1,8 @@
 //! Who is asked before a request is answered: nobody in vain, nobody twice, and the manager before anything is told.
 
-mod stage;
-
 use mom_proto::{Map, Value};
 
-use stage::{Stage, context, lab, of};
+use crate::stage::{Stage, context, lab, of};
 
 /// A channel that alice has made and answers for; bob is in it.
 fn managed_by_alice() -> Stage {

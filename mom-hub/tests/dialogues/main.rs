@@ -1,0 +1,14 @@
+//! Dialogues with the hub: what peers say, and what each of them hears.
+
+mod again;
+mod asked;
+mod durable;
+mod handed_back;
+mod handover;
+mod identity;
+mod judge;
+mod review;
+mod safe_first;
+mod stage;
+mod thinning;
+mod threat_19;
