@@ -61,7 +61,6 @@ async fn start() -> Broker {
     let broker = lab::start_with(|config| {
         // Nobody is put out for being slow on a busy machine: order is what is looked at.
         config.limits.outbox = 256 << 20;
-        config.limits.gone = 600_000;
     })
     .await;
     let mut carol = Raw::login(broker.local_addr(), Form::Binary, "carol").await;

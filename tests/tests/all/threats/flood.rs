@@ -192,12 +192,7 @@ async fn threat_27_what_may_be_dropped_is() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn threat_27_a_broadcast_is_amplified() {
     const RECEIVERS: usize = 100;
-    let mut world = World::start_with(|config| {
-        bulk(config, "close", Delivery::Reliable);
-        // Nobody answers pings while the others log in one after the other.
-        config.limits.gone = 600_000;
-    })
-    .await;
+    let mut world = world("close", Delivery::Reliable).await;
     let mut sender = Raw::login(world.address(), Form::Binary, "bob").await;
     sender.join(&[BULK]).await;
     let mut slow = listener(world.address(), Form::Binary, "camera").await;
