@@ -48,7 +48,7 @@ pub enum Error {
 
 impl Error {
     /// For `map_err`: a failed operation of the system.
-    pub(crate) fn io(what: impl Into<String>) -> impl FnOnce(io::Error) -> Error {
+    pub fn io(what: impl Into<String>) -> impl FnOnce(io::Error) -> Error {
         let what = what.into();
         move |error| Error::Io { what, error }
     }

@@ -6,7 +6,7 @@
 //! of outstanding parcels, and every parcel numbered, so that a loss or a changed order is an [`Error`] and
 //! never a better figure. [`scenario`] puts hubs beside each other in one run, [`report`] makes the table.
 //!
-//! Another broker is measured by one more driver and the function that starts it.
+//! Other brokers are measured by the package `mom-rivals`, which has their drivers and starts their programs.
 
 pub mod codecs;
 pub mod control;
@@ -16,11 +16,10 @@ mod error;
 pub mod grants;
 pub mod hot_path;
 mod hub;
-mod listen;
+pub mod listen;
 pub mod machine;
 mod one_core;
 mod pace;
-pub mod peers;
 mod process;
 pub mod report;
 mod round_trip;
@@ -29,12 +28,12 @@ mod stream;
 mod window;
 
 pub use driver::{
-    Driver, Link, Message, MomDriver, MqttDriver, NatsDriver, RedisDriver, RelayDriver, Scan, Scanner,
-    Template, Topic, XmppDriver, ZenohDriver,
+    Batching, Driver, Link, Message, MomDriver, NUMBER, PATIENCE, RelayDriver, Scan, Scanner, Template,
+    Topic, decimal,
 };
 pub use error::Error;
 pub use hub::{Hub, USER, broker_folder, start_broker, start_relay};
-pub use pace::{Pace, Rate, measure};
+pub use pace::{Pace, Rate, measure, median};
 pub use process::Process;
 pub use round_trip::{Delays, RoundTrips};
-pub use stream::{Stream, Streamed};
+pub use stream::{Stream, Streamed, connect_all};

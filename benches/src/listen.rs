@@ -15,7 +15,7 @@ const MOST: usize = 256 * 1024;
 const LEAST: usize = 16 * 1024;
 
 /// Takes what one receiver finds.
-pub(crate) trait Sink: Send + 'static {
+pub trait Sink: Send + 'static {
     /// Something has been read and is about to be looked through.
     fn begin(&mut self) {}
 
@@ -41,20 +41,27 @@ pub(crate) trait Sink: Send + 'static {
 }
 
 /// One receiver.
-pub(crate) struct Listener<S> {
-    pub(crate) link: Link,
-    pub(crate) scanner: Box<dyn Scanner>,
-    pub(crate) sink: S,
+pub struct Listener<S> {
+    /// Where it hears.
+    pub link: Link,
+    /// Finds parcels in what it hears.
+    pub scanner: Box<dyn Scanner>,
+    /// Takes them.
+    pub sink: S,
 }
 
 /// The thread in which all receivers are polled.
-pub(crate) struct Listening {
+pub struct Listening {
     stop: watch::Sender<bool>,
     thread: JoinHandle<()>,
 }
 
 impl Listening {
-    pub(crate) fn start<S: Sink>(listeners: Vec<Listener<S>>) -> Result<Listening, Error> {
+    /// Starts it.
+    ///
+    /// # Errors
+    /// A runtime that cannot be had.
+    pub fn start<S: Sink>(listeners: Vec<Listener<S>>) -> Result<Listening, Error> {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_io()
             .build()
@@ -74,7 +81,11 @@ impl Listening {
         Ok(Listening { stop, thread })
     }
 
-    pub(crate) fn end(self) -> Result<(), Error> {
+    /// Ends it, wherever the receivers are.
+    ///
+    /// # Errors
+    /// A panic in it.
+    pub fn end(self) -> Result<(), Error> {
         let _ = self.stop.send(true);
         join(self.thread)
     }
@@ -171,7 +182,11 @@ impl Drain {
     }
 }
 
-pub(crate) fn join<T>(thread: JoinHandle<T>) -> Result<T, Error> {
+/// Waits for the end of a thread of the measurement; gives what it came to.
+///
+/// # Errors
+/// A panic in it.
+pub fn join<T>(thread: JoinHandle<T>) -> Result<T, Error> {
     thread.join().map_err(|_| panicked())
 }
 

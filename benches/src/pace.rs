@@ -99,7 +99,7 @@ fn for_about(time: Duration, turn: &mut impl FnMut() -> u64) -> Rate {
 }
 
 /// The middle value; the lower of two.
-pub(crate) fn median(mut values: Vec<f64>) -> Option<f64> {
+pub fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     values.get(values.len().checked_sub(1)? / 2).copied()
 }

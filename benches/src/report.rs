@@ -217,7 +217,7 @@ fn bytes_of(size: usize) -> String {
 }
 
 /// A ratio or a few seconds.
-pub(crate) fn short(number: f64) -> String {
+pub fn short(number: f64) -> String {
     match number {
         small if small < 0.0995 => format!("{small:.3}"),
         other => format!("{other:.2}"),
@@ -225,7 +225,7 @@ pub(crate) fn short(number: f64) -> String {
 }
 
 /// A number to three digits.
-pub(crate) fn amount(number: f64) -> String {
+pub fn amount(number: f64) -> String {
     let (number, unit) = match number {
         large if large >= 999.5e3 => (large / 1e6, " M"),
         middle if middle >= 999.5 => (middle / 1e3, " k"),

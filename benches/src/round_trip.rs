@@ -196,7 +196,7 @@ impl Delays {
     }
 
     /// Those that were taken elsewhere.
-    pub(crate) fn of(delays: Vec<Duration>) -> Delays {
+    pub fn of(delays: Vec<Duration>) -> Delays {
         let mut all = Delays::default();
         delays.into_iter().for_each(|delay| all.add(delay));
         all

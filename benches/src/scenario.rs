@@ -209,14 +209,14 @@ impl Scenario {
 }
 
 /// What one hub's round trips took, and the processor time of the hub.
-pub(crate) type Trips = (Delays, Option<Duration>);
+pub type Trips = (Delays, Option<Duration>);
 
 /// Round trips in alternating blocks, so that whatever else the machine does meets all hubs alike; and over many
 /// connections, because where the system puts their threads doubles or halves the delay for as long as they last.
 ///
 /// # Errors
 /// The place of the hub that failed, and why.
-pub(crate) fn interleaved(
+pub fn interleaved(
     hubs: &[&Hub],
     size: Size,
     rounds: usize,
@@ -278,7 +278,7 @@ impl Size {
 }
 
 /// Processor seconds per million deliveries.
-pub(crate) fn per_million(cpu: Option<Duration>, deliveries: u64) -> Option<f64> {
+pub fn per_million(cpu: Option<Duration>, deliveries: u64) -> Option<f64> {
     cpu.filter(|_| deliveries > 0)
         .map(|cpu| cpu.as_secs_f64() / (deliveries as f64 / 1e6))
 }

@@ -109,8 +109,11 @@ impl Stream {
     }
 }
 
-/// Connects many at once: a hub that has much to do for one may do it on several cores.
-pub(crate) fn connect_all(hub: &Hub, topic: Topic, count: usize) -> Result<Vec<Link>, Error> {
+/// Connects so many that hear a topic, two at once: a hub that has much to do for one may do it on several cores.
+///
+/// # Errors
+/// As [`Driver::connect`](crate::Driver::connect).
+pub fn connect_all(hub: &Hub, topic: Topic, count: usize) -> Result<Vec<Link>, Error> {
     let one = |_| hub.driver.connect(&[topic], &[]);
     thread::scope(|scope| {
         let half = scope.spawn(|| (0..count / 2).map(one).collect::<Result<Vec<_>, _>>());

@@ -25,7 +25,8 @@ pub(crate) fn run(root: &Path, no_install: bool, args: &[String]) -> Result<bool
         root,
         &[
             ("mom-broker", &["mom-broker"]),
-            ("mom-benches", &["relay", "bench-peers"]),
+            ("mom-benches", &["relay"]),
+            ("mom-rivals", &["bench-peers"]),
         ],
     )?;
     let mut measure = Command::new(built.join("bench-peers"));

@@ -2,34 +2,22 @@
 
 mod mom;
 mod mom_scan;
-mod mqtt;
-mod nats;
-mod redis;
 mod relay;
-mod xmpp;
-mod zenoh;
 
+use std::fmt::Debug;
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::ops::Range;
 use std::sync::Arc;
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, SystemTime};
 
 pub use mom::MomDriver;
-pub use mqtt::MqttDriver;
-pub use nats::NatsDriver;
-pub use redis::RedisDriver;
 pub use relay::RelayDriver;
-pub use xmpp::XmppDriver;
-pub(crate) use xmpp::{HOST, ROOMS};
-pub use zenoh::ZenohDriver;
-
-use zenoh::Batching;
 
 use crate::Error;
 
-/// A wait for the hub under measurement ends here: then something is lost.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(5);
+/// How long a measurement waits for its hub; what has not come by then is lost.
+pub const PATIENCE: Duration = Duration::from_secs(5);
 
 /// What peers of a measurement talk about. A protocol without subjects has one for all, and every peer hears it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,7 +37,8 @@ pub enum Topic {
 }
 
 impl Topic {
-    pub(crate) const ALL: [Topic; 6] = [
+    /// All of them.
+    pub const ALL: [Topic; 6] = [
         Topic::Forth,
         Topic::Back,
         Topic::Image,
@@ -59,7 +48,7 @@ impl Topic {
     ];
 
     /// A word for it, good as a subject in any protocol; all have the same length.
-    pub(crate) fn word(self) -> &'static str {
+    pub fn word(self) -> &'static str {
         match self {
             Topic::Forth => "forth",
             Topic::Back => "backs",
@@ -132,7 +121,11 @@ pub struct Link {
 }
 
 impl Link {
-    pub(crate) fn connect(address: &str) -> Result<Link, Error> {
+    /// Connects to this address; a read or a write gives up after [`PATIENCE`].
+    ///
+    /// # Errors
+    /// Nobody who listens there.
+    pub fn connect(address: &str) -> Result<Link, Error> {
         let stream = TcpStream::connect(address).map_err(Error::io(format!("connect to {address}")))?;
         let set = || {
             stream.set_nodelay(true)?;
@@ -147,7 +140,10 @@ impl Link {
     }
 
     /// The same connection once more.
-    pub(crate) fn second(&self) -> Result<Link, Error> {
+    ///
+    /// # Errors
+    /// A socket that cannot be shared.
+    pub fn second(&self) -> Result<Link, Error> {
         let stream = self.stream.try_clone().map_err(Error::io("a second handle"))?;
         Ok(Link {
             stream,
@@ -155,28 +151,19 @@ impl Link {
         })
     }
 
-    pub(crate) fn write(&mut self, bytes: &[u8]) -> Result<(), Error> {
+    /// Writes all of this.
+    ///
+    /// # Errors
+    /// A connection that is closed, or a hub that takes nothing for as long as [`PATIENCE`].
+    pub fn write(&mut self, bytes: &[u8]) -> Result<(), Error> {
         self.stream.write_all(bytes).map_err(Error::io("write"))
     }
 
-    /// Reads until what was received holds `mark`; takes away everything up to its end, and gives it.
-    pub(crate) fn until(&mut self, mark: &[u8]) -> Result<Vec<u8>, Error> {
-        let start = Instant::now();
-        while start.elapsed() < PATIENCE {
-            let found = memchr::memmem::find(&self.received, mark);
-            if let Some(at) = found {
-                return Ok(self.received.drain(..at + mark.len()).collect());
-            }
-            self.receive()?;
-        }
-        Err(Error::Stalled {
-            what: format!("{:?}", String::from_utf8_lossy(mark)),
-            after: PATIENCE,
-        })
-    }
-
-    /// Reads something more from the socket.
-    pub(crate) fn receive(&mut self) -> Result<&[u8], Error> {
+    /// Reads something more from the socket; gives what is new.
+    ///
+    /// # Errors
+    /// A connection that is closed, or a hub that says nothing for as long as [`PATIENCE`].
+    pub fn receive(&mut self) -> Result<&[u8], Error> {
         let mut chunk = [0; 4096];
         let length = self.stream.read(&mut chunk).map_err(Error::io("read"))?;
         if length == 0 {
@@ -229,11 +216,17 @@ pub struct Template {
     /// Where the time of sending goes, µs since 1970 in eight bytes, if it is not the template's own.
     stamp_at: Option<usize>,
     /// What goes around many frames, in a protocol that has that.
-    batching: Option<Arc<Batching>>,
+    batching: Option<Arc<dyn Batching>>,
 }
 
-/// The bytes that a number takes.
-pub(crate) const NUMBER: usize = 8;
+/// What a protocol puts around many frames that are sent at once.
+pub trait Batching: Debug + Send + Sync {
+    /// Appends the frames of a template with all these numbers, and what goes around them.
+    fn append_all(&self, template: &Template, numbers: Range<u32>, out: &mut Vec<u8>);
+}
+
+/// The bytes that a parcel's number takes.
+pub const NUMBER: usize = 8;
 
 impl Template {
     /// A frame with room for a number at this place.
@@ -255,7 +248,7 @@ impl Template {
 
     /// The frame of a payload of so many bytes between what comes before and after it; the number ends the payload,
     /// so that who has read it has read all.
-    pub(crate) fn around(before: &[u8], payload: usize, after: &[u8]) -> Template {
+    pub fn around(before: &[u8], payload: usize, after: &[u8]) -> Template {
         let payload = payload.max(NUMBER);
         let mut frame = before.to_vec();
         frame.resize(before.len() + payload, b'.');
@@ -267,6 +260,13 @@ impl Template {
     pub(crate) fn stamped(mut self, at: usize) -> Template {
         assert!(at + 8 <= self.number_at, "a stamp stands before the payload");
         self.stamp_at = Some(at);
+        self
+    }
+
+    /// With what the protocol puts around many frames at once.
+    #[must_use]
+    pub fn batched(mut self, batching: impl Batching + 'static) -> Template {
+        self.batching = Some(Arc::new(batching));
         self
     }
 
@@ -296,7 +296,10 @@ impl Template {
     }
 
     /// The number at the end of a payload.
-    pub(crate) fn last_number(payload: &[u8]) -> Result<u32, Error> {
+    ///
+    /// # Errors
+    /// A payload that does not end with a number.
+    pub fn last_number(payload: &[u8]) -> Result<u32, Error> {
         let number = payload
             .last_chunk::<NUMBER>()
             .and_then(|last| Template::number(last));
@@ -317,8 +320,8 @@ impl Template {
     }
 }
 
-/// A number in decimal digits and nothing else.
-pub(crate) fn decimal(digits: &[u8]) -> Option<usize> {
+/// Reads a number in decimal digits; none if there is anything else, or nothing.
+pub fn decimal(digits: &[u8]) -> Option<usize> {
     let known = !digits.is_empty() && digits.len() < 18 && digits.iter().all(u8::is_ascii_digit);
     let value = |sum, digit: &u8| 10 * sum + usize::from(digit - b'0');
     known.then(|| digits.iter().fold(0, value))

@@ -66,6 +66,7 @@ const ARROWS: &[(&str, May)] = &[
     ),
     ("mom-tests", May::UseAll),
     ("mom-benches", May::UseAll),
+    ("mom-rivals", May::Use(&["mom-proto", "mom-benches"])),
     ("xtask", May::Use(&[])),
 ];
 

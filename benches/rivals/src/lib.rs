@@ -1,11 +1,12 @@
 //! MOM beside other brokers: the same load generator, each hub in a process of its own, one table.
 //!
 //! [`plan::ROWS`] has all scenarios with what ours should reach; another broker is one more [`Kind`] and one more
-//! [`crate::Driver`].
+//! [`mom_benches::Driver`].
 
 mod brokers;
 mod canary;
 mod crowd;
+mod driver;
 mod files;
 mod idle;
 mod metric;
@@ -19,6 +20,7 @@ pub mod table;
 pub use brokers::{Kind, Programs};
 pub use canary::{Canary, Hindrance};
 pub use crowd::Crowd;
+pub use driver::{MqttDriver, NatsDriver, RedisDriver, XmppDriver, ZenohDriver};
 pub use idle::{idle, raise_files};
 pub use metric::{Metric, Sample};
 pub use network::{Network, SlowLink};

@@ -6,11 +6,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use super::metric::{Metric, Sample};
-use super::network::{LINK_RATE, SlowLink};
-use crate::driver::Topic;
-use crate::listen::{Listener, Listening, Sink, join};
-use crate::{Delays, Error, Hub, Link, Message, Template};
+use mom_benches::listen::{Listener, Listening, Sink, join};
+use mom_benches::{Delays, Error, Hub, Link, Message, Template, Topic};
+
+use crate::metric::{Metric, Sample};
+use crate::network::{LINK_RATE, SlowLink};
 
 /// The load.
 #[derive(Clone, Copy, Debug)]
@@ -201,7 +201,7 @@ impl SaturatedStop {
     }
 }
 
-pub(super) fn template(hub: &Hub, topic: Topic, payload: usize) -> Result<Template, Error> {
+pub(crate) fn template(hub: &Hub, topic: Topic, payload: usize) -> Result<Template, Error> {
     hub.driver.template(Message {
         topic,
         payload,

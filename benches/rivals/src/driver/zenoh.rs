@@ -3,12 +3,10 @@
 
 use std::collections::BTreeMap;
 use std::ops::Range;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::time::Instant;
 
-use super::{Driver, Link, Message, NUMBER, PATIENCE, Scan, Scanner, Template, Topic};
-use crate::Error;
+use mom_benches::{Batching, Driver, Error, Link, Message, NUMBER, PATIENCE, Scan, Scanner, Template, Topic};
 
 const VERSION: u8 = 0x09;
 /// What a message is, in the low five bits of its first byte.
@@ -196,7 +194,7 @@ impl Driver for ZenohDriver {
         before.extend_from_slice(&[0x21, quality, PUT]);
         put(&mut before, message.payload.max(NUMBER) as u64);
         let template = Template::around(&before, message.payload, &[]);
-        Ok(template.batched(Batching {
+        Ok(template.batched(ZenohBatching {
             next: AtomicU32::new(FIRST),
             priority: quality & 0x07,
         }))
@@ -213,14 +211,14 @@ impl Driver for ZenohDriver {
 
 /// Puts messages into frames and those into batches, as many as fit, as its own library does.
 #[derive(Debug)]
-pub(super) struct Batching {
+struct ZenohBatching {
     /// The number of the next frame; gaps are allowed, so that connections may share it.
     next: AtomicU32,
     priority: u8,
 }
 
-impl Batching {
-    pub(super) fn append_all(&self, template: &Template, numbers: Range<u32>, out: &mut Vec<u8>) {
+impl Batching for ZenohBatching {
+    fn append_all(&self, template: &Template, numbers: Range<u32>, out: &mut Vec<u8>) {
         let size = template.size();
         let room = BATCH - 16;
         if size > room {
@@ -248,7 +246,9 @@ impl Batching {
             first = after;
         }
     }
+}
 
+impl ZenohBatching {
     /// The head of a batch with one frame or fragment; gives where the batch begins.
     fn begin(&self, kind: u8, out: &mut Vec<u8>) -> usize {
         let start = out.len();
@@ -456,14 +456,6 @@ impl Scanner for ZenohScanner {
         // What is left of a batch stays in its place until all of it is scanned.
         self.left = length;
         Ok(Scan::Other(2))
-    }
-}
-
-impl Template {
-    /// With what the protocol puts around many frames at once.
-    fn batched(mut self, batching: Batching) -> Template {
-        self.batching = Some(Arc::new(batching));
-        self
     }
 }
 

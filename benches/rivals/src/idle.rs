@@ -2,10 +2,9 @@
 
 use std::io::Read;
 
-use super::metric::{Metric, Sample};
-use crate::driver::Topic;
-use crate::stream::connect_all;
-use crate::{Error, Hub, Link, Message, Scan, Scanner};
+use mom_benches::{Error, Hub, Link, Message, Scan, Scanner, Topic, connect_all};
+
+use crate::metric::{Metric, Sample};
 
 /// Connected before the memory is first read, so that what a program needs once is not counted.
 const FIRST: usize = 20;
@@ -64,5 +63,5 @@ fn hear_one(link: &mut Link, scanner: &mut dyn Scanner) -> Result<(), Error> {
 
 /// Lets this process and its children open as many files as the system allows; gives how many that is.
 pub fn raise_files() -> u64 {
-    super::files::raise()
+    crate::files::raise()
 }

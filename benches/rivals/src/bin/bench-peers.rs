@@ -8,9 +8,9 @@ use std::{env, fs, io};
 
 use anyhow::{Context, Result, bail};
 use clap::Parser;
-use mom_benches::peers::plan::{Effort, Load, ROWS, Row};
-use mom_benches::peers::{self, Kind, Metric, Outcome, Programs, table};
 use mom_benches::{machine, report};
+use mom_rivals::plan::{Effort, Load, ROWS, Row};
+use mom_rivals::{Kind, Metric, Outcome, Programs, table};
 
 const EXAMPLES: &str = "Examples:
   cargo xtask bench-peers                               all, into docs/: some 25 minutes
@@ -86,7 +86,7 @@ fn run(cli: &Cli) -> Result<()> {
     };
     effort.runs = cli.runs.unwrap_or(effort.runs).max(1);
     let earlier = cli.against.as_deref().map(read).transpose()?;
-    peers::raise_files();
+    mom_rivals::raise_files();
     let programs = Programs::find(
         program(cli.broker.as_deref(), "mom-broker")?,
         program(cli.relay.as_deref(), "relay")?,
@@ -103,7 +103,7 @@ fn run(cli: &Cli) -> Result<()> {
         }
     }
     let (rows, began, load) = (without_namespaces(rows), now(), machine::load());
-    let outcomes = peers::run(&rows, &programs, wanted, &effort, say);
+    let outcomes = mom_rivals::run(&rows, &programs, wanted, &effort, say);
     let markdown = table::markdown(&outcomes, &programs, effort.runs, load);
     writeln!(io::stdout(), "{markdown}")?;
     if let Some(earlier) = &earlier {
@@ -165,7 +165,7 @@ fn unknown(name: &str) -> String {
 /// Leaves out what needs network namespaces where they cannot be made, and says so.
 fn without_namespaces(mut rows: Vec<Row>) -> Vec<Row> {
     if rows.iter().any(|row| row.load == Load::Stop)
-        && let Err(error) = peers::SlowLink::new()
+        && let Err(error) = mom_rivals::SlowLink::new()
     {
         say(&format!(
             "the saturated stop is left out: no network namespaces here: {error}"
@@ -207,7 +207,7 @@ fn write(docs: &Path, markdown: &str, outcomes: &[Outcome]) -> Result<()> {
     ];
     let mut text = markdown.to_owned();
     for (name, title, outcomes, metric) in plots {
-        if let Some(plot) = peers::bars(title, outcomes, metric) {
+        if let Some(plot) = mom_rivals::bars(title, outcomes, metric) {
             let file = format!("bench-{name}.svg");
             fs::write(images.join(&file), plot).with_context(failed)?;
             text += &format!("\n![{title}](images/{file})\n");
@@ -240,7 +240,7 @@ fn program(named: Option<&Path>, name: &str) -> Result<PathBuf> {
 }
 
 fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
 
 /// Now, in UTC, as every clock of this project writes it.

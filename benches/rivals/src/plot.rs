@@ -2,9 +2,9 @@
 
 use std::fmt::Write as _;
 
-use super::brokers::Kind;
-use super::metric::Metric;
-use super::run::Outcome;
+use crate::brokers::Kind;
+use crate::metric::Metric;
+use crate::run::Outcome;
 
 const WIDTH: f64 = 900.0;
 const TOP: f64 = 60.0;
@@ -152,9 +152,9 @@ impl Decades {
 mod tests {
     use std::collections::BTreeMap;
 
-    use super::super::metric::Sample;
-    use super::super::plan::ROWS;
     use super::*;
+    use crate::metric::Sample;
+    use crate::plan::ROWS;
 
     #[test]
     fn bars_end_where_their_figures_are() {

@@ -1,7 +1,6 @@
 //! MQTT 3.1.1, quality of service 0: at most once, as all here.
 
-use super::{Driver, Link, Message, Scan, Scanner, Template, Topic};
-use crate::Error;
+use mom_benches::{Driver, Error, Link, Message, Scan, Scanner, Template, Topic};
 
 const CONNACK: u8 = 0x20;
 const PUBLISH: u8 = 0x30;

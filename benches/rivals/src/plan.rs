@@ -2,12 +2,13 @@
 
 use std::time::Duration;
 
-use super::brokers::Kind;
-use super::canary::{Canary, Hindrance};
-use super::crowd::Crowd;
-use super::metric::Metric;
-use super::stop::SaturatedStop;
-use crate::scenario::Size;
+use mom_benches::scenario::Size;
+
+use crate::brokers::Kind;
+use crate::canary::{Canary, Hindrance};
+use crate::crowd::Crowd;
+use crate::metric::Metric;
+use crate::stop::SaturatedStop;
 
 /// One scenario.
 #[derive(Clone, Copy, Debug)]

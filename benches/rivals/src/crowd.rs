@@ -6,10 +6,10 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use super::metric::{Metric, Sample};
-use crate::driver::Topic;
-use crate::listen::{Listener, Listening, Sink, join};
-use crate::{Delays, Error, Hub, Link, Message, Template};
+use mom_benches::listen::{Listener, Listening, Sink, join};
+use mom_benches::{Delays, Error, Hub, Link, Message, Template, Topic};
+
+use crate::metric::{Metric, Sample};
 
 /// Peers that all talk and all listen.
 #[derive(Clone, Copy, Debug)]

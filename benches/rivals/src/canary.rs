@@ -8,13 +8,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
+use mom_benches::listen::join;
+use mom_benches::{Delays, Error, Hub, Link, Scan, Scanner, Topic};
 use socket2::SockRef;
 
-use super::metric::{Metric, Sample};
-use super::stop::template;
-use crate::driver::Topic;
-use crate::listen::join;
-use crate::{Delays, Error, Hub, Link, Scan, Scanner};
+use crate::metric::{Metric, Sample};
+use crate::stop::template;
 
 /// The load.
 #[derive(Clone, Copy, Debug)]

@@ -1,7 +1,8 @@
 //! Redis: its third protocol (RESP3), where one connection may subscribe and publish.
 
-use super::{Driver, Link, Message, Scan, Scanner, Template, Topic};
-use crate::Error;
+use mom_benches::{Driver, Error, Link, Message, Scan, Scanner, Template, Topic, decimal};
+
+use super::until;
 
 const END: &[u8] = b"\r\n";
 
@@ -35,11 +36,11 @@ impl Driver for RedisDriver {
         let mut link = Link::connect(&self.address)?;
         link.write(&command(&["HELLO", "3"]))?;
         link.write(&command(&["PING"]))?;
-        link.until(b"+PONG\r\n")?;
+        until(&mut link, b"+PONG\r\n")?;
         for topic in hears {
             link.write(&command(&["SUBSCRIBE", topic.word()]))?;
-            link.until(b":")?;
-            link.until(END)?;
+            until(&mut link, b":")?;
+            until(&mut link, END)?;
         }
         if !says.is_empty() {
             link.write(&command(&["CLIENT", "REPLY", "OFF"]))?;
@@ -82,7 +83,7 @@ impl Scanner for RedisScanner {
         let (line, rest) = rest.split_at(end + 1);
         let digits = line.strip_prefix(b"$").map(<[u8]>::trim_ascii_end);
         let payload = digits
-            .and_then(super::decimal)
+            .and_then(decimal)
             .ok_or_else(|| Error::Unexpected(String::from_utf8_lossy(line).into_owned()))?;
         match rest.get(..payload + END.len()) {
             None => Ok(Scan::Incomplete),

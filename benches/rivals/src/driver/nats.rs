@@ -1,7 +1,8 @@
 //! NATS: lines of text, payloads by length.
 
-use super::{Driver, Link, Message, Scan, Scanner, Template, Topic};
-use crate::Error;
+use mom_benches::{Driver, Error, Link, Message, Scan, Scanner, Template, Topic, decimal};
+
+use super::until;
 
 const END: &[u8] = b"\r\n";
 
@@ -23,7 +24,7 @@ impl NatsDriver {
 impl Driver for NatsDriver {
     fn connect(&self, hears: &[Topic], _says: &[Topic]) -> Result<Link, Error> {
         let mut link = Link::connect(&self.address)?;
-        link.until(END)?;
+        until(&mut link, END)?;
         let mut hello = "CONNECT {\"verbose\":false,\"pedantic\":false,\"tls_required\":false,\
                          \"name\":\"bench\",\"lang\":\"raw\",\"version\":\"1\",\"protocol\":1}\r\n"
             .to_owned();
@@ -32,7 +33,7 @@ impl Driver for NatsDriver {
         }
         link.write((hello + "PING\r\n").as_bytes())?;
         loop {
-            let line = link.until(END)?;
+            let line = until(&mut link, END)?;
             match &*line {
                 b"PONG\r\n" => return Ok(link),
                 b"PING\r\n" => link.write(b"PONG\r\n")?,
@@ -67,7 +68,7 @@ impl Scanner for NatsScanner {
             };
         }
         let digits = line.trim_ascii_end().rsplit(|byte| *byte == b' ').next();
-        let payload = digits.and_then(super::decimal).ok_or_else(|| told(line))?;
+        let payload = digits.and_then(decimal).ok_or_else(|| told(line))?;
         match rest.get(..payload + END.len()) {
             None => Ok(Scan::Incomplete),
             Some(found) => {

@@ -12,7 +12,7 @@ use std::path::Path;
 use std::process::Command;
 use std::thread;
 
-use crate::Error;
+use mom_benches::Error;
 
 /// The link of the saturated stop, as `tc` reads it; on the hub's side, towards the subscriber.
 const SHAPE: [&str; 7] = ["tbf", "rate", "20mbit", "burst", "32kbit", "latency", "50ms"];

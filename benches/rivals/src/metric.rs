@@ -124,7 +124,7 @@ impl Metric {
     /// The value as it stands in a table.
     pub fn show(self, value: f64) -> String {
         match self {
-            Metric::Rate => crate::report::amount(value),
+            Metric::Rate => mom_benches::report::amount(value),
             Metric::Share | Metric::Link | Metric::Guarded => format!("{value:.3}"),
             Metric::P50 | Metric::P99 | Metric::IdleP50 | Metric::IdleP99 if value >= 1e6 => {
                 format!("{:.1} s", value / 1e6)
@@ -134,7 +134,7 @@ impl Metric {
             }
             Metric::P50 | Metric::P99 | Metric::IdleP50 | Metric::IdleP99 => format!("{value:.0}"),
             Metric::Arrived | Metric::Frames | Metric::Told => format!("{value:.0}"),
-            Metric::Cpu | Metric::Cores => crate::report::short(value),
+            Metric::Cpu | Metric::Cores => mom_benches::report::short(value),
             Metric::Memory | Metric::Grown => format!("{value:.1}"),
         }
     }

@@ -3,9 +3,9 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use memchr::memmem;
+use mom_benches::{Driver, Error, Link, Message, Scan, Scanner, Template, Topic};
 
-use super::{Driver, Link, Message, Scan, Scanner, Template, Topic};
-use crate::Error;
+use super::until;
 
 /// The host of the configuration under measurement.
 pub(crate) const HOST: &str = "localhost";
@@ -36,7 +36,7 @@ fn open_stream(link: &mut Link) -> Result<(), Error> {
          xmlns:stream='http://etherx.jabber.org/streams'>"
     );
     link.write(head.as_bytes())?;
-    link.until(b"</stream:features>").map(drop)
+    until(link, b"</stream:features>").map(drop)
 }
 
 impl Driver for XmppDriver {
@@ -44,12 +44,12 @@ impl Driver for XmppDriver {
         let mut link = Link::connect(&self.address)?;
         open_stream(&mut link)?;
         link.write(b"<auth xmlns='urn:ietf:params:xml:ns:xmpp-sasl' mechanism='ANONYMOUS'/>")?;
-        link.until(b"<success")?;
-        link.until(b">")?;
+        until(&mut link, b"<success")?;
+        until(&mut link, b">")?;
         open_stream(&mut link)?;
         link.write(b"<iq type='set' id='b1'><bind xmlns='urn:ietf:params:xml:ns:xmpp-bind'/></iq>")?;
-        link.until(b"</bind>")?;
-        link.until(b"</iq>")?;
+        until(&mut link, b"</bind>")?;
+        until(&mut link, b"</iq>")?;
         for topic in hears.iter().chain(says) {
             let number = self.occupants.fetch_add(1, Ordering::Relaxed);
             let room = format!(
@@ -59,8 +59,8 @@ impl Driver for XmppDriver {
             );
             link.write(room.as_bytes())?;
             // After one's own presence comes the room's subject, and then what is said.
-            link.until(b"<subject")?;
-            link.until(b"</message>")?;
+            until(&mut link, b"<subject")?;
+            until(&mut link, b"</message>")?;
         }
         Ok(link)
     }

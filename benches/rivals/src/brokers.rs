@@ -8,15 +8,12 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
 
+use mom_benches::{Driver, Error, Hub, Process, RelayDriver, broker_folder};
 use mom_proto::codec::Form;
 use tempfile::TempDir;
 
-use super::network::Network;
-use crate::driver::{HOST, ROOMS};
-use crate::{
-    Driver, Error, Hub, MqttDriver, NatsDriver, Process, RedisDriver, RelayDriver, XmppDriver, ZenohDriver,
-    broker_folder,
-};
+use crate::driver::{HOST, MqttDriver, NatsDriver, ROOMS, RedisDriver, XmppDriver, ZenohDriver};
+use crate::network::Network;
 
 /// A kind of hub.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

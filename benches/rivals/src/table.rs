@@ -3,14 +3,14 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
+use mom_benches::machine;
 use serde_json::{Map, Value, json};
 
-use super::brokers::{Kind, Programs};
-use super::canary::Hindrance;
-use super::metric::Metric;
-use super::plan::{Goal, Load, ROWS, Row, Rule};
-use super::run::Outcome;
-use crate::machine;
+use crate::brokers::{Kind, Programs};
+use crate::canary::Hindrance;
+use crate::metric::Metric;
+use crate::plan::{Goal, Load, ROWS, Row, Rule};
+use crate::run::Outcome;
 
 /// What stands before the tables in a document.
 pub const BEGIN: &str = "<!-- bench-peers: begin -->";
@@ -338,7 +338,7 @@ pub fn beside(outcomes: &[Outcome], earlier: &Value) -> String {
                 .into_iter()
                 .flatten()
                 .filter_map(|run| run.get(metric.key())?.as_f64());
-            let then = crate::pace::median(then.collect());
+            let then = mom_benches::median(then.collect());
             if let Some((now, then)) = outcome.value(own, metric).zip(then) {
                 let _ = writeln!(
                     out,
@@ -357,8 +357,8 @@ pub fn beside(outcomes: &[Outcome], earlier: &Value) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::metric::Sample;
     use super::*;
+    use crate::metric::Sample;
 
     fn outcome(rates: &[(Kind, f64)]) -> Outcome {
         let sample = |rate: f64| vec![Sample::from([(Metric::Rate, rate), (Metric::Cpu, 1e6 / rate)])];

@@ -3,15 +3,14 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use super::brokers::{Kind, Programs};
-use super::idle::idle;
-use super::metric::{Metric, Sample};
-use super::network::{Network, SlowLink};
-use super::plan::{Effort, Load, Row};
-use crate::driver::Topic;
-use crate::pace::median;
-use crate::scenario::{Trips, interleaved, per_million};
-use crate::{Error, Hub, Stream, Streamed};
+use mom_benches::scenario::{Trips, interleaved, per_million};
+use mom_benches::{Error, Hub, Stream, Streamed, Topic, median};
+
+use crate::brokers::{Kind, Programs};
+use crate::idle::idle;
+use crate::metric::{Metric, Sample};
+use crate::network::{Network, SlowLink};
+use crate::plan::{Effort, Load, Row};
 
 /// What all runs of one scenario came to.
 #[derive(Clone, Debug)]
