@@ -1,5 +1,5 @@
 //! The project tasks of MOM: `cargo xtask ci`, `cargo xtask test`, `cargo xtask shuttle`, `cargo xtask tidy`, `cargo xtask
-//! instructions`, `cargo xtask bench-peers`.
+//! mutants`, `cargo xtask instructions`, `cargo xtask bench-peers`.
 //!
 //! Everything that CI demands can be run here by the same commands, so that nothing is found only after a push.
 #![allow(
@@ -11,6 +11,7 @@
 mod ci;
 mod command;
 mod instructions;
+mod mutants;
 mod needs;
 mod peers;
 mod shuttle;
@@ -36,6 +37,7 @@ const EXAMPLES: &str = "Examples:
   cargo xtask test -- -p mom-hub grab         the tests of one package whose name contains `grab`
   cargo xtask test -- -p mom-hub -- --nocapture
   cargo xtask shuttle --orders 20000 --seed 7 the broker's threads in more orders, and in other ones
+  cargo xtask mutants --package mom-hub       whether the hub's own tests notice faults; takes an hour
   cargo xtask tidy                            the checks that the compiler does not make
   cargo xtask bench-peers                     MOM beside other brokers, into docs/benchmarks.md
   cargo xtask bench-peers --quick --peers nats,redis
@@ -49,6 +51,9 @@ enum Task {
     Test(TestArgs),
     /// Try the broker's threads in many orders of their steps.
     Shuttle(ShuttleArgs),
+    /// Change the code of packages in many ways, and see whether their own tests notice.
+    #[command(after_help = EXAMPLES)]
+    Mutants(MutantsArgs),
     /// Check what the compiler does not: sizes, orphans, codes, imports, leftovers, links, names.
     Tidy,
     /// Measure MOM beside nats, redis, mosquitto, zenoh and prosody; gets them first. See `-- --help` for more.
@@ -84,6 +89,24 @@ struct ShuttleArgs {
     /// Another choice of orders; without it they are the same ones each time.
     #[arg(long)]
     seed: Option<u64>,
+}
+
+#[derive(Args)]
+struct MutantsArgs {
+    #[command(flatten)]
+    install: InstallArgs,
+    /// A package to try; may be repeated.
+    #[arg(long = "package", short, value_name = "PACKAGE", default_values = mutants::PACKAGES)]
+    packages: Vec<String>,
+    /// How many mutants of each package; those of struct fields come on top.
+    #[arg(long, default_value_t = 220)]
+    count: usize,
+    /// Another sample; the list of those that may live is complete for the default.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Mutants built and tested at once.
+    #[arg(long, default_value_t = 2)]
+    jobs: usize,
 }
 
 #[derive(Args)]
@@ -124,6 +147,16 @@ fn run(task: Task) -> Result<ExitCode> {
             Ok(exit_code(counts.is_success()))
         }
         Task::Shuttle(args) => Ok(exit_code(shuttle::run(&root, args.orders, args.seed)?)),
+        Task::Mutants(args) => {
+            needs::ensure(needs::FOR_MUTANTS, args.install.install, "cargo xtask mutants")?;
+            let sample = mutants::Sample {
+                packages: &args.packages,
+                count: args.count,
+                seed: args.seed,
+                jobs: args.jobs,
+            };
+            Ok(exit_code(mutants::run(&root, &sample)?))
+        }
         Task::BenchPeers(args) => Ok(exit_code(peers::run(&root, args.no_install, &args.measure)?)),
         Task::Instructions { install, write } => {
             needs::ensure(

@@ -24,6 +24,8 @@ pub(crate) struct Need {
 enum Source {
     /// A package of Debian and its relatives.
     Debian(&'static str),
+    /// A program of crates.io.
+    Crate(&'static str),
     /// A component of the installed Rust toolchain.
     Rustup(&'static str),
     /// Nothing that should be installed behind one's back; the text says how to get it.
@@ -92,6 +94,14 @@ pub(crate) const FOR_INSTRUCTIONS: &[Need] = &[Need {
     why: "counts the instructions of the hot path",
 }];
 
+/// What `cargo xtask mutants` needs.
+pub(crate) const FOR_MUTANTS: &[Need] = &[Need {
+    what: "cargo-mutants",
+    detect: ("cargo", &["mutants", "--version"]),
+    source: Source::Crate("cargo-mutants"),
+    why: "changes the code and runs the tests",
+}];
+
 /// What the other steps of `cargo xtask ci` need.
 pub(crate) const FOR_CI: &[Need] = &[
     CARGO,
@@ -148,7 +158,7 @@ pub(crate) fn ensure(needs: &[Need], install: bool, task: &str) -> Result<()> {
     if let Some(need) = missing(&absent).first() {
         match need.source {
             Source::ByHand(how) => bail!("{} is missing: {how}, then run `{task}` again", need.what),
-            Source::Debian(_) | Source::Rustup(_) => bail!(
+            Source::Debian(_) | Source::Crate(_) | Source::Rustup(_) => bail!(
                 "{} was installed, but `{} {}` still fails: run it by hand to see why",
                 need.what,
                 need.detect.0,
@@ -199,6 +209,7 @@ fn commands(needs: &[Need], prefix: &[String]) -> Vec<Vec<String>> {
                 }
                 all.push(words(prefix, &["apt-get", "install", "-y", package]));
             }
+            Source::Crate(name) => all.push(words(&[], &["cargo", "install", "--locked", name])),
             Source::Rustup(component) => all.push(words(&[], &["rustup", "component", "add", component])),
             Source::ByHand(_) => {}
         }
@@ -274,6 +285,7 @@ mod tests {
             absent("a", Source::Debian("pkg-a")),
             absent("c", Source::Rustup("clippy")),
             absent("b", Source::Debian("pkg-b")),
+            absent("d", Source::Crate("cargo-d")),
         ];
         let typed: Vec<_> = commands(&needs, &["sudo".to_owned()])
             .iter()
@@ -286,6 +298,7 @@ mod tests {
                 "sudo apt-get install -y pkg-a",
                 "rustup component add clippy",
                 "sudo apt-get install -y pkg-b",
+                "cargo install --locked cargo-d",
             ]
         );
     }

@@ -11,13 +11,9 @@ use super::rust_text::{RustText, words};
 use super::tree::{Tree, line_at};
 
 const GLOSSARY: &str = "docs/glossary.md";
-const THIS: &str = "xtask/src/tidy/glossary.rs";
 
 /// Packages that are not shipped: in a test `Peer` may be whoever speaks.
 const NOT_SHIPPED: &[&str] = &["", "tests", "benches", "xtask"];
-
-/// Types that have a reserved name and mean something else, to be renamed; the list only shrinks.
-const EXCEPTIONS: &[(&str, &str)] = &[];
 
 /// One reserved word.
 #[derive(Debug, PartialEq, Eq)]
@@ -37,10 +33,6 @@ struct Definition {
 }
 
 pub(crate) fn check(tree: &Tree, report: &mut Report<'_>) -> Result<()> {
-    check_but(tree, EXCEPTIONS, report)
-}
-
-fn check_but(tree: &Tree, exceptions: &[(&str, &str)], report: &mut Report<'_>) -> Result<()> {
     let rows = rows(tree.text(GLOSSARY).unwrap_or_default());
     if rows.is_empty() {
         let text = "no row `| word | meaning | folders |` is found here";
@@ -48,39 +40,19 @@ fn check_but(tree: &Tree, exceptions: &[(&str, &str)], report: &mut Report<'_>) 
         return Ok(());
     }
     let mut defined = definitions(tree, &rows);
-    let mut needed = BTreeSet::new();
     for row in &rows {
         for folder in row.folders.iter().filter(|folder| !tree.exists(folder)) {
             let text = format!("`{folder}`, where `{}` may be, is not here", row.name);
             report(GLOSSARY, row.line, text);
         }
-        let is_excepted = |definition: &Definition| {
-            let exception = (definition.path.as_str(), row.name.as_str());
-            exceptions.contains(&exception)
-        };
-        let all = defined.remove(&row.name).unwrap_or_default();
-        let (excepted, others): (Vec<_>, Vec<_>) = all.into_iter().partition(is_excepted);
-        let taken = row.check(&others, report);
-        // What is alone in a folder of the row is what the row means.
-        let excepted = excepted.into_iter().map(|definition| definition.path);
-        let clashing =
-            excepted.filter(|path| row.folder_of(path).is_none_or(|folder| taken.contains(folder)));
-        needed.extend(clashing.map(|path| (path, row.name.clone())));
-    }
-    for (path, name) in exceptions {
-        if !needed.contains(&((*path).to_owned(), (*name).to_owned())) {
-            let source = tree.text(THIS).unwrap_or_default();
-            let entry = source.find(&format!("(\"{path}\", \"{name}\")"));
-            let text = format!("`{name}` of {path} is no exception any more: take it out of EXCEPTIONS");
-            report(THIS, entry.map_or(1, |at| line_at(source, at)), text);
-        }
+        row.check(&defined.remove(&row.name).unwrap_or_default(), report);
     }
     Ok(())
 }
 
 impl Row<'_> {
-    /// Reports the definitions that are in no folder of this word, or not the first in one; gives the folders that have one.
-    fn check(&self, definitions: &[Definition], report: &mut Report<'_>) -> BTreeSet<&str> {
+    /// Reports the definitions that are in no folder of this word, or not the first in one.
+    fn check(&self, definitions: &[Definition], report: &mut Report<'_>) {
         let mut first: BTreeMap<&str, &str> = BTreeMap::new();
         for Definition { path, line } in definitions {
             let Some(folder) = self.folder_of(path) else {
@@ -94,7 +66,6 @@ impl Row<'_> {
             }
             first.entry(folder).or_insert(path);
         }
-        first.into_keys().collect()
     }
 
     fn folder_of(&self, path: &str) -> Option<&str> {
@@ -221,7 +192,7 @@ mod tests {
         | parcel run | Messages. | `hub/src` |\n\
         | fence | A number. | none |\n";
 
-    fn faults(exceptions: &[(&str, &str)], hub: &str, cli: &str) -> Vec<String> {
+    fn faults(hub: &str, cli: &str) -> Vec<String> {
         let files = [
             (GLOSSARY, TABLE),
             ("hub/Cargo.toml", ""),
@@ -232,7 +203,7 @@ mod tests {
             ("tests/src/lib.rs", "struct Fence;"),
         ];
         let mut found = Vec::new();
-        check_but(&Tree::of(&files), exceptions, &mut |file: &str, line, message| {
+        check(&Tree::of(&files), &mut |file: &str, line, message| {
             found.push(format!("{file}:{line}: {message}"));
         })
         .unwrap();
@@ -246,19 +217,19 @@ mod tests {
         let hub = "pub(crate) struct Token { a: u8 }\nenum ParcelRun {}\nstruct Tokens;\n// struct Fence;\n";
         let cli = "pub struct Token<'a>(&'a str);\nimpl Iterator for X { type Fence = u8; }\n\
             #[cfg(test)]\nmod tests { struct Fence; }";
-        assert_eq!(faults(&[], hub, cli), NONE);
+        assert_eq!(faults(hub, cli), NONE);
     }
 
     #[test]
     fn a_word_in_another_room_is_found() {
         assert_eq!(
-            faults(&[], "", "\npub trait ParcelRun {}"),
+            faults("", "\npub trait ParcelRun {}"),
             [
                 "cli/src/lib.rs:2: `ParcelRun` may be defined only in hub/src: give this another name, or docs/glossary.md another row"
             ]
         );
         assert_eq!(
-            faults(&[], "type Fence = u64;", ""),
+            faults("type Fence = u64;", ""),
             [
                 "hub/src/lib.rs:1: `Fence` is the name of no type: docs/glossary.md says what the word means, or what to say instead"
             ]
@@ -268,42 +239,21 @@ mod tests {
     #[test]
     fn a_word_is_defined_once_in_a_room() {
         assert_eq!(
-            faults(&[], "struct Token;\nmod a { enum Token {} }", ""),
+            faults("struct Token;\nmod a { enum Token {} }", ""),
             ["hub/src/lib.rs:2: `Token` is defined in hub/src/lib.rs too: one of them needs another name"]
         );
     }
 
     #[test]
-    fn an_exception_is_taken_out_when_it_is_not_needed() {
-        let fence = [("hub/src/lib.rs", "Fence")];
-        assert_eq!(faults(&fence, "struct Fence;", ""), NONE);
-        for (exception, hub) in [
-            (fence[0], "struct Hedge;"),
-            (("hub/src/lib.rs", "Token"), "struct Token;"),
-        ] {
-            let (path, name) = exception;
-            assert_eq!(
-                faults(&[exception], hub, ""),
-                [format!(
-                    "{THIS}:1: `{name}` of {path} is no exception any more: take it out of EXCEPTIONS"
-                )]
-            );
-        }
-    }
-
-    #[test]
     fn a_table_of_another_shape_is_no_success() {
-        let found = found(
-            |tree, report| check_but(tree, &[], report),
-            &[(GLOSSARY, "| a |\n|---|\n| b |")],
-        );
+        let found = found(check, &[(GLOSSARY, "| a |\n|---|\n| b |")]);
         assert_eq!(
             found,
             ["docs/glossary.md:1: no row `| word | meaning | folders |` is found here"]
         );
         let folders = TABLE.replace("cli/src", "gone/src");
         let files = [(GLOSSARY, folders.as_str()), ("hub/src/lib.rs", "")];
-        let found = super::super::found(|tree, report| check_but(tree, &[], report), &files);
+        let found = super::super::found(check, &files);
         assert_eq!(
             found,
             ["docs/glossary.md:5: `gone/src`, where `Token` may be, is not here"]
