@@ -4,3 +4,6 @@ pub(crate) mod admit;
 pub(crate) mod age;
 pub(crate) mod rate;
 pub(crate) mod route;
+
+#[cfg(test)]
+mod tests;
