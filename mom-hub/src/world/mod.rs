@@ -170,6 +170,21 @@ mod tests {
     }
 
     #[test]
+    fn a_fault_is_a_fact_with_its_words() {
+        let mut world = world();
+        world.faults.borrow_mut().push("the sky has fallen");
+        let mut out = Vec::new();
+        world.push_faults(&mut out);
+        let [Effect::Audit(fact)] = &out[..] else {
+            panic!("{out:?}")
+        };
+        assert_eq!(
+            (fact.what, fact.text.as_deref()),
+            ("fault", Some("the sky has fallen"))
+        );
+    }
+
+    #[test]
     #[cfg_attr(debug_assertions, should_panic(expected = "the sky has fallen"))]
     fn a_fault_stops_a_debug_build_and_is_told_by_a_release() {
         let mut world = world();

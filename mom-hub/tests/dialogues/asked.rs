@@ -1,6 +1,8 @@
 //! Who is asked before a request is answered: nobody in vain, nobody twice, and the manager before anything is told.
 
-use mom_proto::{Map, Value};
+use mom_hub::Settings;
+use mom_managers::{Answer, Denial, Manager, Question, Registry, Verdict, Wait};
+use mom_proto::{Code, Map, Value, Verb};
 
 use crate::stage::{Stage, context, lab, of};
 
@@ -150,4 +152,103 @@ fn a_chairs_answer_is_kept_while_a_change_of_owner_is_stored() {
             .any(|line| line.starts_with("bob< held")),
         "{heard:?}"
     );
+}
+
+#[test]
+fn chairs_are_asked_and_nobody_else() {
+    let mut stage = Stage::new(lab(moderated(&["grab"])));
+    for name in ["bob", "carol", "dave"] {
+        stage.enter(name, 1);
+    }
+    let heard = stage.say("bob", "token grab /lab/key");
+    assert_eq!(heard.len(), 1, "{heard:?}");
+    assert!(heard[0].starts_with("carol< consult"), "{heard:?}");
+    let heard = stage.say("dave", "manager verdict / consult=1 allow=true");
+    assert_eq!(heard, ["dave< too-late"], "dave was not asked");
+}
+
+#[test]
+fn so_many_requests_of_one_peer_wait_and_no_more() {
+    let mut stage = Stage::new(lab(moderated(&["grab"])));
+    for name in ["bob", "carol", "dave"] {
+        stage.enter(name, 1);
+    }
+    for _ in 0..16 {
+        let heard = stage.say("bob", "token grab /lab/key");
+        assert_eq!(of(&heard, &["bob"]), [""; 0]);
+    }
+    let refused = stage.say("bob", "token grab /lab/key");
+    assert!(refused[0].starts_with("bob< try-later"), "{refused:?}");
+    let heard = stage.say("dave", "token grab /lab/key");
+    assert_eq!(of(&heard, &["dave"]), [""; 0], "another one waits all the same");
+}
+
+/// bob says something of so many bytes; whether it waits.
+fn waits(stage: &mut Stage, bytes: usize) -> bool {
+    let mut say = stage.request("bob", "message say /lab/own");
+    if let mom_hub::Input::Request { parcel, .. } = &mut say {
+        **parcel = (**parcel)
+            .clone()
+            .content(Map::new().with("text", "x".repeat(bytes)));
+    }
+    let heard = stage.give(say);
+    let refused = heard.iter().any(|line| line.starts_with("bob< try-later"));
+    assert_eq!(of(&heard, &["bob"]).len(), usize::from(refused), "{heard:?}");
+    !refused
+}
+
+#[test]
+fn so_many_messages_wait_behind_one_and_no_more() {
+    let mut stage = managed_by_alice();
+    for _ in 0..17 {
+        assert!(waits(&mut stage, 1), "one, and sixteen behind it");
+    }
+    assert!(!waits(&mut stage, 1));
+    let mut stage = managed_by_alice();
+    assert!(waits(&mut stage, 1));
+    assert!(waits(&mut stage, 1 << 20), "an empty place takes one of any size");
+    assert!(!waits(&mut stage, 1));
+}
+
+/// Says how many wait, as far as managers are told.
+#[derive(Debug)]
+struct Counting;
+
+impl Manager for Counting {
+    fn decide(&mut self, question: &Question<'_>) -> Verdict {
+        let token = question.token.unwrap_or_default();
+        let owned = token.owner.is_some_and(|owner| !owner.asks);
+        match question.verb {
+            Verb::Grab if owned => Verdict {
+                answer: Answer::Queue(Wait {
+                    denial: Denial {
+                        code: Code::HELD,
+                        text: "it is taken".to_owned(),
+                        rule: "counting".to_owned(),
+                        earliest: None,
+                    },
+                    expected: None,
+                }),
+                ..Verdict::allow()
+            },
+            Verb::Inhibit => Verdict::deny(Code::DENIED, &format!("{} wait", token.waiting), "no"),
+            _ => Verdict::allow(),
+        }
+    }
+}
+
+#[test]
+fn managers_are_told_how_many_others_wait() {
+    let mut registry = Registry::builtin();
+    registry.add_kind("counting", |_| Ok(Box::new(Counting)));
+    let contexts = lab(Map::new().with("manager", "counting"));
+    let mut stage = Stage::with(contexts, registry, Settings::default());
+    for name in ["alice", "bob", "carol"] {
+        stage.enter(name, 1);
+        stage.say(name, "token grab /lab/key wait=unlimited");
+    }
+    for (name, count) in [("alice", 2), ("bob", 1), ("carol", 1)] {
+        let told = stage.say(name, "token inhibit /lab/key");
+        assert_eq!(told, [format!("{name}< denied rule={count} wait")]);
+    }
 }

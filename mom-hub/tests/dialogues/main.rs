@@ -7,6 +7,8 @@ mod handed_back;
 mod handover;
 mod identity;
 mod judge;
+mod made;
+mod presence;
 mod review;
 mod safe_first;
 mod stage;

@@ -115,10 +115,15 @@ impl Stage {
 
     /// Somebody comes, and goes to the lab and its arm as far as they are there.
     pub(crate) fn enter(&mut self, name: &str, level: i32) {
-        self.last_peer += 1;
-        self.login(PeerId(self.last_peer), user(name, level));
+        self.arrive(name, level);
         self.say(name, "context join /lab");
         self.say(name, "context join /lab/arm");
+    }
+
+    /// Somebody logs in, on a new connection.
+    pub(crate) fn arrive(&mut self, name: &str, level: i32) {
+        self.last_peer += 1;
+        self.login(PeerId(self.last_peer), user(name, level));
     }
 
     /// A login on a connection, which may be somebody else's so far.

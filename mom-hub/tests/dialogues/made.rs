@@ -1,0 +1,152 @@
+//! Contexts that are made and go: which paths may be made, what ends by itself, and what is shown after it.
+
+use mom_hub::{Effect, Input, Settings};
+use mom_managers::Registry;
+use mom_proto::{Limits, Map, Path};
+
+use crate::stage::{Stage, context, lab, of};
+
+fn with_limits(limits: Limits) -> Stage {
+    let settings = Settings {
+        limits,
+        ..Settings::default()
+    };
+    let mut stage = Stage::with(
+        vec![context("/lab", "session").with("presence", "none")],
+        Registry::builtin(),
+        settings,
+    );
+    stage.enter("alice", 1);
+    stage
+}
+
+/// The answer to a line of alice.
+fn answer(stage: &mut Stage, line: &str) -> String {
+    let heard = stage.say("alice", line);
+    of(&heard, &["alice"]).pop().unwrap_or_default()
+}
+
+#[test]
+fn a_path_may_be_as_long_and_as_deep_as_the_limits_say() {
+    let mut stage = with_limits(Limits {
+        path: 8,
+        ..Limits::default()
+    });
+    assert_eq!(
+        answer(&mut stage, "context create /lab/abc kind=channel"),
+        "alice< ok"
+    );
+    assert_eq!(
+        answer(&mut stage, "context create /lab/abcd kind=channel"),
+        "alice< bad-path"
+    );
+
+    let mut stage = with_limits(Limits {
+        path_levels: 2,
+        ..Limits::default()
+    });
+    assert_eq!(
+        answer(&mut stage, "context create /lab/abc kind=session"),
+        "alice< ok"
+    );
+    stage.say("alice", "context join /lab/abc");
+    assert_eq!(
+        answer(&mut stage, "context create /lab/abc/d kind=channel"),
+        "alice< bad-path"
+    );
+}
+
+#[test]
+fn a_transient_context_goes_with_its_last_member() {
+    let mut contexts = lab(Map::new());
+    contexts.push(context("/lab/stays", "channel").with("transient", true));
+    let mut stage = Stage::new(contexts);
+    for name in ["alice", "bob"] {
+        stage.enter(name, 1);
+    }
+    stage.say("alice", "context create /lab/goes kind=channel transient=true");
+    stage.say("alice", "context create /lab/made kind=channel");
+    for path in ["/lab/goes", "/lab/made", "/lab/stays"] {
+        for name in ["alice", "bob"] {
+            stage.say(name, &format!("context join {path}"));
+        }
+        stage.say("alice", &format!("context leave {path}"));
+        let is_there = |stage: &mut Stage| answer(stage, &format!("context lookup {path}")) == "alice< ok";
+        assert!(is_there(&mut stage), "{path}: bob is still in it");
+        stage.say("bob", &format!("context leave {path}"));
+        assert_eq!(is_there(&mut stage), path != "/lab/goes", "{path}");
+    }
+}
+
+#[test]
+fn a_token_that_is_given_away_halts_its_device_where_it_says_so() {
+    for safe_on_give in [false, true] {
+        let mut stage = Stage::new(lab(Map::new().with("safe-on-give", safe_on_give)));
+        for name in ["alice", "bob", "arm"] {
+            stage.enter(name, 1);
+        }
+        stage.say("alice", "token grab /lab/key");
+        stage.say("alice", "token give /lab/key to=bob");
+        let heard = of(&stage.say("bob", "token accept /lab/key"), &["arm"]);
+        let halted = heard.first().is_some_and(|line| line == "arm< halt of hub");
+        assert_eq!(halted, safe_on_give, "{heard:?}");
+    }
+}
+
+/// The fence of the guard in the newest route of the arm that the last input gave.
+fn shown_fence(stage: &Stage) -> Option<u64> {
+    let routes = stage.effects.iter().filter_map(|effect| match effect {
+        Effect::Route(route) if route.path.as_str() == "/lab/arm" => route.guard.as_ref(),
+        _ => None,
+    });
+    routes.last().map(|guard| guard.fence & ((1 << 20) - 1))
+}
+
+#[test]
+fn a_channel_whose_token_is_gone_shows_the_fence_above_which_a_new_one_begins() {
+    let mut stage = with_limits(Limits::default());
+    for key in ["/lab/one", "/lab/two"] {
+        stage.say("alice", &format!("context create {key} kind=token"));
+    }
+    let mut create = stage.request("alice", "context create /lab/arm");
+    if let Input::Request { parcel, .. } = &mut create {
+        let guard = Map::new()
+            .with("token", "/lab/one")
+            .with("names", vec!["command".into()]);
+        **parcel = (**parcel)
+            .clone()
+            .content(Map::new().with("kind", "channel").with("guard", guard));
+    }
+    stage.give(create);
+    stage.say("alice", "token grab /lab/one");
+    assert_eq!(shown_fence(&stage), Some(1));
+    stage.say("alice", "context delete /lab/one");
+    for _ in 0..3 {
+        stage.say("alice", "token grab /lab/two");
+        stage.say("alice", "token release /lab/two");
+    }
+    stage.say("alice", "context delete /lab/two");
+    assert_eq!(
+        shown_fence(&stage),
+        Some(4),
+        "2 to 4 were /lab/two's; a token made at /lab/one begins above it"
+    );
+    stage.say("alice", "context create /lab/one kind=token");
+    stage.say("alice", "token grab /lab/one");
+    assert_eq!(shown_fence(&stage), Some(5));
+}
+
+#[test]
+fn a_number_leads_to_its_path() {
+    let mut stage = with_limits(Limits::default());
+    stage.say("alice", "context create /lab/arm kind=channel");
+    stage.say("alice", "context join /lab/arm");
+    let number = stage.effects.iter().find_map(|effect| match effect {
+        Effect::Route(route) => Some(route.number),
+        _ => None,
+    });
+    let number = number.expect("a channel that is joined has a route");
+    assert_eq!(stage.hub.path(number).map(Path::as_str), Some("/lab/arm"));
+    stage.say("alice", "context delete /lab/arm");
+    assert_eq!(stage.hub.path(number), None);
+}
