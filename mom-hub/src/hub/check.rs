@@ -213,3 +213,83 @@ impl Hub {
         );
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use mom_managers::Registry;
+    use mom_proto::{Family, Map, Parcel, Path, from_value};
+
+    use super::*;
+    use crate::{ContextSpec, Input, Settings, User};
+
+    const KEY: &str = "/lab/key";
+
+    /// Peer 1 owns the token, peer 2 waits for it.
+    fn hub() -> Hub {
+        let context = |path: &str, kind: &str| Map::new().with("path", path).with("kind", kind);
+        let contexts = [
+            context("/lab", "session"),
+            context(KEY, "token").with("manager", "queue"),
+        ];
+        let contexts: Vec<ContextSpec> = contexts
+            .into_iter()
+            .map(|spec| from_value(spec.into()).unwrap())
+            .collect();
+        let mut hub = Hub::new(
+            Settings::default(),
+            Registry::builtin(),
+            &"open".into(),
+            &contexts,
+        )
+        .unwrap();
+        for peer in [PeerId(1), PeerId(2)] {
+            let user = User {
+                name: format!("user-{}", peer.0),
+                level: 1,
+                groups: Vec::new(),
+                details: Map::new(),
+            };
+            let (nickname, id) = (None, Some(1));
+            let login = Input::Login {
+                peer,
+                user,
+                nickname,
+                id,
+            };
+            let join = Parcel::new(Family::Context, "join").context(Path::parse("/lab").unwrap());
+            let grab = Parcel::new(Family::Token, "grab").context(Path::parse(KEY).unwrap());
+            let grab = grab.content(Map::new().with("wait", "unlimited"));
+            let request = |parcel: Parcel| Input::Request {
+                peer,
+                parcel: Box::new(parcel.id(1)),
+                clock: None,
+            };
+            for input in [login, request(join), request(grab)] {
+                hub.handle(0, input, &mut Vec::new());
+            }
+        }
+        hub.check();
+        hub
+    }
+
+    fn number(hub: &Hub) -> ContextNumber {
+        hub.world.tree.find(&Path::parse(KEY).unwrap()).unwrap().number
+    }
+
+    #[test]
+    #[should_panic(expected = "the timer of /lab/key is its deadline")]
+    fn a_timer_that_is_no_deadline_is_found() {
+        let mut hub = hub();
+        let number = number(&hub);
+        hub.world.tree.token_mut(number).unwrap().timer = Some(7);
+        hub.check();
+    }
+
+    #[test]
+    #[should_panic(expected = "user-2 knows that it waits for /lab/key")]
+    fn a_peer_that_does_not_know_that_it_waits_is_found() {
+        let mut hub = hub();
+        hub.world.peers.get_mut(PeerId(2)).unwrap().involved.clear();
+        hub.check();
+    }
+}

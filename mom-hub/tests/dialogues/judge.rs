@@ -4,6 +4,8 @@ use mom_hub::{Case, ContextSpec, Effect, Hub, Input, Judgement, PeerId, Settings
 use mom_managers::{Answer, Ask, Denial, Manager, Question, Registry, Setup, Terms, Verdict, Wait};
 use mom_proto::{Code, ContextKind, Map, Parcel, Path, Value, Verb, WireError, from_value};
 
+use crate::stage::{Stage, context};
+
 /// Asks chairs before a `join`, lets a `grab` of a held token wait, denies `delete` and allows the rest.
 #[derive(Debug)]
 struct Careful;
@@ -195,4 +197,91 @@ fn places_say_who_manages_them() {
         ("open", "/open")
     );
     assert_eq!(place("/nowhere"), None);
+}
+
+/// Denies all but `join` by a rule that says what it was asked.
+#[derive(Debug)]
+struct Telling;
+
+impl Manager for Telling {
+    fn decide(&mut self, question: &Question<'_>) -> Verdict {
+        let Question {
+            verb,
+            context,
+            kind,
+            message,
+            size,
+            age,
+            ..
+        } = question;
+        let asked = format!("{verb} {context} {kind} {message:?} {size} {age:?}");
+        match question.verb {
+            Verb::Join => Verdict::allow(),
+            _ => Verdict::deny(Code::DENIED, asked, "no"),
+        }
+    }
+}
+
+#[test]
+fn a_manager_is_asked_about_what_is_wished() {
+    let told = || {
+        let mut registry = Registry::builtin();
+        registry.add_kind("telling", |_| Ok(Box::new(Telling)));
+        let contexts = vec![
+            context("/lab", "session")
+                .with("manager", "telling")
+                .with("presence", "none"),
+            context("/lab/key", "token"),
+            context("/lab/arm", "channel").with("presence", "none"),
+        ];
+        let mut stage = Stage::with(contexts, registry, Settings::default());
+        stage.enter("alice", 1);
+        stage
+    };
+    let mut stage = told();
+    for (line, verb, path, kind, message, size) in [
+        (
+            "context create /lab/new kind=token",
+            Verb::Create,
+            "/lab/new",
+            Some(ContextKind::Token),
+            None,
+            0,
+        ),
+        ("context delete /lab/arm", Verb::Delete, "/lab/arm", None, None, 0),
+        ("token grab /lab/key", Verb::Grab, "/lab/key", None, None, 0),
+        (
+            "message say /lab/arm",
+            Verb::Send,
+            "/lab/arm",
+            None,
+            Some("say"),
+            0,
+        ),
+    ] {
+        let heard = stage.say("alice", line);
+        let path = Path::parse(path).expect("a path");
+        let alice = user("alice", 1);
+        let judged = told().hub.judge(&Case {
+            user: &alice,
+            verb,
+            path: &path,
+            kind,
+            message,
+            owner: None,
+            invited: false,
+        });
+        let shown = match verb {
+            Verb::Create => ContextKind::Token,
+            _ => judged.place.as_ref().expect("it is there").kind,
+        };
+        let asked = |age: &str| format!("{verb} {path} {shown} {message:?} {size} {age}");
+        assert_eq!(heard, [format!("alice< denied rule={}", asked("None"))], "{line}");
+        // Where a message is supposed, it is supposed to be new.
+        let age = if message.is_some() { "Some((0, 0))" } else { "None" };
+        assert_eq!(
+            judged.refusal.and_then(|error| error.get("rule").cloned()),
+            Some(asked(age).into())
+        );
+    }
 }

@@ -2,7 +2,7 @@
 
 use mom_hub::{Effect, Input, Settings};
 use mom_managers::Registry;
-use mom_proto::{Limits, Map, Path};
+use mom_proto::{Code, Limits, Map, Path};
 
 use crate::stage::{Stage, context, lab, of};
 
@@ -149,4 +149,22 @@ fn a_number_leads_to_its_path() {
     assert_eq!(stage.hub.path(number).map(Path::as_str), Some("/lab/arm"));
     stage.say("alice", "context delete /lab/arm");
     assert_eq!(stage.hub.path(number), None);
+}
+
+#[test]
+fn what_a_new_configuration_cannot_make_is_a_fact() {
+    let mut stage = with_limits(Limits::default());
+    stage.say("alice", "context create /lab/way kind=channel");
+    let lab = context("/lab", "session").with("presence", "none");
+    stage.configure(vec![lab, context("/lab/way/end", "channel")], Vec::new());
+    let facts = stage.effects.iter().filter_map(|effect| match effect {
+        Effect::Audit(fact) if fact.what == "refused" => Some(fact),
+        _ => None,
+    });
+    let facts: Vec<_> = facts.collect();
+    let [fact] = &facts[..] else { panic!("{facts:?}") };
+    assert_eq!(fact.context.as_ref().map(Path::as_str), Some("/lab/way/end"));
+    assert_eq!(fact.code, Some(Code::WRONG_KIND));
+    let text = fact.text.as_deref().unwrap_or_default();
+    assert!(text.contains("/lab/way"), "{text}");
 }
