@@ -127,7 +127,6 @@ impl World {
         let mut trial = Parcel {
             address: parcel.address.clone(),
             fence: parcel.fence,
-            echo: parcel.echo,
             timestamp: parcel.timestamp,
             expires: parcel.expires,
             ..Parcel::new(parcel.family, Arc::clone(&parcel.name))

@@ -1,8 +1,8 @@
 //! Who is asked before a request is answered: nobody in vain, nobody twice, and the manager before anything is told.
 
-use mom_hub::Settings;
+use mom_hub::{Input, PeerClock, Settings};
 use mom_managers::{Answer, Denial, Manager, Question, Registry, Verdict, Wait};
-use mom_proto::{Code, Map, Value, Verb};
+use mom_proto::{ClockOffset, Code, Map, Parcel, Time, Value, Verb};
 
 use crate::stage::{Stage, context, lab, of};
 
@@ -113,7 +113,7 @@ fn a_request_about_which_somebody_is_asked_elsewhere_is_counted_once() {
         stage.enter(name, 1);
     }
     let mut create = stage.request("bob", "context create /lab/own");
-    if let mom_hub::Input::Request { parcel, .. } = &mut create {
+    if let Input::Request { parcel, .. } = &mut create {
         let guard = Map::new()
             .with("token", "/lab/key")
             .with("names", vec!["command".into()]);
@@ -186,7 +186,7 @@ fn so_many_requests_of_one_peer_wait_and_no_more() {
 /// bob says something of so many bytes; whether it waits.
 fn waits(stage: &mut Stage, bytes: usize) -> bool {
     let mut say = stage.request("bob", "message say /lab/own");
-    if let mom_hub::Input::Request { parcel, .. } = &mut say {
+    if let Input::Request { parcel, .. } = &mut say {
         **parcel = (**parcel)
             .clone()
             .content(Map::new().with("text", "x".repeat(bytes)));
@@ -251,4 +251,28 @@ fn managers_are_told_how_many_others_wait() {
         let told = stage.say(name, "token inhibit /lab/key");
         assert_eq!(told, [format!("{name}< denied rule={count} wait")]);
     }
+}
+
+#[test]
+fn nobody_is_asked_about_a_message_that_is_refused_in_any_case() {
+    let said = |change: &dyn Fn(&mut Parcel)| {
+        let mut stage = managed_by_alice();
+        let mut say = stage.request("bob", "message say /lab/own");
+        if let Input::Request { parcel, clock, .. } = &mut say {
+            change(parcel);
+            *clock = Some(PeerClock {
+                offset: ClockOffset { micros: 0, error: 0 },
+                future: 0,
+            });
+        }
+        stage.give(say)
+    };
+    let consulted = said(&|_| {});
+    assert!(consulted[0].starts_with("alice< consult"), "{consulted:?}");
+    let to_nobody = said(&|parcel| parcel.address = Some(vec!["dave".into()]));
+    assert_eq!(to_nobody, ["bob< unknown-peer"]);
+    let to_come = said(&|parcel| parcel.timestamp = Time::from_micros(1));
+    assert_eq!(to_come, ["bob< bad-slot"]);
+    let over = said(&|parcel| (parcel.timestamp, parcel.expires) = (Time::from_micros(-5000), Some(5)));
+    assert_eq!(over, ["bob< expired"]);
 }

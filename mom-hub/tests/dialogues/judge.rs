@@ -168,6 +168,13 @@ fn what_is_not_refused_is_told_apart() {
         matches!(asks.verdict.answer, Answer::Defer(_)) && asks.refusal.is_none(),
         "{asks:?}"
     );
+    for path in ["/c", "/t"] {
+        assert_eq!(
+            judge(Verb::Lookup, path, None, None).refusal,
+            None,
+            "{path} need be no session"
+        );
+    }
     let guarded = judge(Verb::Send, "/c", Some("go"), None);
     assert_eq!(guarded.guard, Some(Path::parse("/t").expect("a path")));
     assert_eq!(judge(Verb::Send, "/c", Some("chat"), None).guard, None);

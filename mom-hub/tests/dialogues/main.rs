@@ -3,6 +3,7 @@
 mod again;
 mod asked;
 mod durable;
+mod facts;
 mod handed_back;
 mod handover;
 mod identity;
@@ -12,5 +13,6 @@ mod presence;
 mod review;
 mod safe_first;
 mod stage;
+mod terms;
 mod thinning;
 mod threat_19;

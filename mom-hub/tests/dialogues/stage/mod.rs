@@ -268,6 +268,23 @@ impl Stage {
         heard
     }
 
+    /// What the last input leaves in the audit log, a line for each fact; fences without their epoch.
+    pub(crate) fn facts(&self) -> Vec<String> {
+        let facts = self.effects.iter().filter_map(|effect| match effect {
+            Effect::Audit(fact) => Some(fact.to_map()),
+            _ => None,
+        });
+        let pair = |(key, value): (&str, &Value)| match value {
+            Value::Int(fence) if key == "fence" => format!("fence={}", fence & ((1 << 20) - 1)),
+            Value::Int(number) => format!("{key}={number}"),
+            Value::String(text) => format!("{key}={text}"),
+            other => format!("{key}={other:?}"),
+        };
+        facts
+            .map(|fact| fact.iter().map(pair).collect::<Vec<_>>().join(" "))
+            .collect()
+    }
+
     fn name(&self, peer: PeerId) -> &str {
         let known = self.peers.iter().find(|(_, known)| **known == peer);
         known.map_or("somebody", |(name, _)| name)
