@@ -2,9 +2,10 @@
 
 use mom_managers::{Expiry, Terms};
 use mom_proto::event::Reason;
-use mom_proto::{Code, Fence, Path, Verb};
+use mom_proto::{Code, Fence, Path, Value, Verb};
 
 use super::grant::{Grantee, Overtaken};
+use super::queue::MOST;
 use super::record::{Holder, Record};
 use super::state::{Change, Granting, QueuedGrab, Token};
 use crate::PeerId;
@@ -159,6 +160,7 @@ fn the_queue_is_by_arrival_or_by_level_and_tells_each_place_once() {
     token.enqueue(waiter(BOB, 1, 0)).unwrap();
     token.enqueue(waiter(CAROL, 5, 0)).unwrap();
     let error = token.enqueue(waiter(BOB, 9, 0)).unwrap_err();
+    assert_eq!(error.get("place"), Some(&Value::Int(2)), "from 1");
     assert_eq!((error.code, token.place_of(BOB)), (Code::HELD, Some(1)));
     let told = |token: &mut Token| {
         let news = token.take_place_news(20 * SECOND);
@@ -179,6 +181,78 @@ fn the_queue_is_by_arrival_or_by_level_and_tells_each_place_once() {
     );
     token.dequeue(CAROL.0).unwrap();
     assert_eq!(told(&mut token), [(BOB, 1, None)]);
+}
+
+#[test]
+fn a_queue_is_full_at_its_bound() {
+    let mut token = owned_by(ALICE, 0);
+    for number in 0..MOST {
+        token.enqueue(waiter(PeerId(100 + number as u64), 0, 0)).unwrap();
+    }
+    assert_eq!(token.enqueue(waiter(BOB, 9, 0)).unwrap_err().code, Code::FULL);
+    token.dequeue(100).unwrap();
+    token.enqueue(waiter(BOB, 9, 0)).unwrap();
+}
+
+#[test]
+fn far_back_in_the_queue_only_some_steps_are_told() {
+    let mut token = owned_by(ALICE, 0);
+    for number in 0..30 {
+        token.enqueue(waiter(PeerId(100 + number), 0, 0)).unwrap();
+    }
+    let places = |token: &mut Token| {
+        let news = token.take_place_news(0).into_iter();
+        news.map(|news| news.place).collect::<Vec<_>>()
+    };
+    assert_eq!(places(&mut token), (1..=30).collect::<Vec<_>>(), "everybody once");
+    token.dequeue(100).unwrap();
+    assert_eq!(places(&mut token), [1, 2, 3, 4, 5, 6, 7, 8, 16, 24]);
+    assert_eq!(places(&mut token), [0; 0]);
+}
+
+#[test]
+fn a_turn_ends_when_others_have_waited_long_enough() {
+    let mut token = owned_by(ALICE, 5 * SECOND);
+    token.terms.hold = Some(30 * SECOND);
+    token.terms.notice = 10 * SECOND;
+    assert_eq!(token.hold_end(), None, "nobody waits");
+    let news = |token: &mut Token| {
+        let news = token.take_turn_news();
+        news.map(|news| (news.owner, news.end, news.waiting))
+    };
+    assert_eq!(news(&mut token), None);
+    token.enqueue(waiter(BOB, 0, 7 * SECOND)).unwrap();
+    assert_eq!(token.hold_end(), Some(35 * SECOND));
+    assert_eq!(news(&mut token), Some((ALICE, Some(35 * SECOND), 1)));
+    assert_eq!(news(&mut token), None, "it is told once");
+    // Who comes when the turn is nearly over leaves the owner the notice.
+    token.dequeue(BOB.0).unwrap();
+    token.enqueue(waiter(CAROL, 0, 34 * SECOND)).unwrap();
+    assert_eq!(news(&mut token), Some((ALICE, Some(44 * SECOND), 1)));
+    token.dequeue(CAROL.0).unwrap();
+    assert_eq!(news(&mut token), Some((ALICE, None, 0)), "nobody waits any more");
+}
+
+#[test]
+fn what_is_given_and_returned_is_one_turn() {
+    let token = given(owned_by(ALICE, 5 * SECOND), BOB, SECOND, 7 * SECOND);
+    assert_eq!(token.owner.as_ref().unwrap().turn, 5 * SECOND);
+    let back = |turn| Change {
+        turn,
+        until: Some(9 * SECOND),
+        ..Change::to(ALICE, Reason::Returned)
+    };
+    let grantee = token.grantee(&back(Some(3 * SECOND)), 8 * SECOND);
+    assert_eq!(
+        (grantee.turn, grantee.until),
+        (Some(3 * SECOND), Some(9 * SECOND))
+    );
+    for (turn, since) in [(Some(3 * SECOND), 3 * SECOND), (None, 8 * SECOND)] {
+        let mut token = given(owned_by(ALICE, 5 * SECOND), BOB, SECOND, 7 * SECOND);
+        let grantee = token.grantee(&back(turn), 8 * SECOND);
+        token.change_owner(Some(grantee), 8 * SECOND, FLOOR);
+        assert_eq!(token.owner.as_ref().unwrap().turn, since);
+    }
 }
 
 #[test]

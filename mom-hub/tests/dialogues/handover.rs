@@ -200,3 +200,50 @@ fn an_agreement_ends_with_the_ownership() {
     assert_eq!(stage.answer(true), [""; 0]);
     assert_eq!(stage.say("bob", "token info /lab/key"), ["bob< ok fence=1"]);
 }
+
+#[test]
+fn who_lost_the_token_by_level_may_offer_it_again() {
+    for preempted in [false, true] {
+        let mut stage = stage();
+        for _ in 0..4 {
+            stage.say("alice", "token give /lab/key to=bob");
+        }
+        match preempted {
+            true => {
+                stage.say("carol", "token grab /lab/key");
+                stage.say("carol", "token release /lab/key");
+            }
+            false => drop(stage.say("alice", "token release /lab/key")),
+        }
+        stage.say("alice", "token grab /lab/key");
+        let heard = stage.say("alice", "token give /lab/key to=bob");
+        let refused = heard.iter().any(|line| line.starts_with("alice< try-later"));
+        assert_eq!(refused, !preempted, "{heard:?}");
+    }
+}
+
+#[test]
+fn what_returns_continues_the_turn_that_it_was_given_in() {
+    let manager = Map::new()
+        .with("kind", "level-or-lease")
+        .with("lease", 600_000)
+        .with("queue", true)
+        .with("hold", 10_000)
+        .with("notice", 1_000);
+    let mut stage = Stage::new(lab(Map::new().with("manager", manager)));
+    for name in ["alice", "bob", "carol"] {
+        stage.enter(name, 1);
+    }
+    stage.say("alice", "token grab /lab/key");
+    stage.at(2_000);
+    stage.say("alice", "token give /lab/key to=bob for=1000");
+    stage.say("bob", "token accept /lab/key");
+    stage.at(3_000);
+    stage.say("carol", "token grab /lab/key wait=unlimited");
+    assert_eq!(stage.at(9_999), [""; 0]);
+    let heard = stage.at(10_000);
+    assert!(
+        heard.iter().any(|line| line.starts_with("carol< ok")),
+        "ten seconds since alice had it: {heard:?}"
+    );
+}
