@@ -146,7 +146,7 @@ fn patience(args: &Args) -> Result<Patience, WireError> {
     match &args.wait {
         None | Some(Value::Int(0)) => Ok(Patience::Not),
         Some(Value::String(word)) if word == "unlimited" => Ok(Patience::Ever),
-        Some(Value::Int(millis)) if *millis > 0 => {
+        Some(Value::Int(millis)) => {
             let millis = u64::try_from(*millis).unwrap_or_default();
             content::micros(millis, "wait").map(Patience::For)
         }

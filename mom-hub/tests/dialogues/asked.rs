@@ -1,7 +1,7 @@
 //! Who is asked before a request is answered: nobody in vain, nobody twice, and the manager before anything is told.
 
-use mom_hub::{Input, PeerClock, Settings};
-use mom_managers::{Answer, Denial, Manager, Question, Registry, Verdict, Wait};
+use mom_hub::{Effect, Input, PeerClock, Settings};
+use mom_managers::{Answer, Ask, Denial, Manager, Question, Registry, Scope, Verdict, Wait};
 use mom_proto::{ClockOffset, Code, Map, Parcel, Time, Value, Verb};
 
 use crate::stage::{Stage, context, lab, of};
@@ -275,4 +275,82 @@ fn nobody_is_asked_about_a_message_that_is_refused_in_any_case() {
     assert_eq!(to_come, ["bob< bad-slot"]);
     let over = said(&|parcel| (parcel.timestamp, parcel.expires) = (Time::from_micros(-5000), Some(5)));
     assert_eq!(over, ["bob< expired"]);
+}
+
+/// Asks who made the channel about `other` messages, and allows the rest once for all.
+#[derive(Debug)]
+struct AskingSome;
+
+impl Manager for AskingSome {
+    fn decide(&mut self, question: &Question<'_>) -> Verdict {
+        let asked = question.message == Some("other") && question.answers.is_empty();
+        match (question.verb, asked) {
+            (Verb::Send, true) => Verdict::defer("asking-some", Ask::Creator, 5_000_000),
+            (Verb::Send, false) => Verdict::allow().stands(Scope::ThisName),
+            _ => Verdict::allow(),
+        }
+    }
+}
+
+#[test]
+fn what_stands_does_not_overtake_a_message_that_waits() {
+    let mut registry = Registry::builtin();
+    registry.add_kind("asking-some", |_| Ok(Box::new(AskingSome)));
+    let contexts = vec![context("/lab", "session").with("presence", "none")];
+    let mut stage = Stage::with(contexts, registry, Settings::default());
+    for name in ["alice", "bob"] {
+        stage.enter(name, 1);
+    }
+    stage.say(
+        "alice",
+        "context create /lab/own kind=channel manager=asking-some presence=none",
+    );
+    for name in ["alice", "bob"] {
+        stage.say(name, "context join /lab/own");
+    }
+    let bob = stage.peer("bob");
+    let stands = |stage: &Stage| {
+        let routes = stage.effects.iter().filter_map(|effect| match effect {
+            Effect::Route(route) => route
+                .member(bob)
+                .map(|member| member.standing("say", 0).is_some()),
+            _ => None,
+        });
+        routes.last()
+    };
+    stage.say("bob", "message say /lab/own");
+    assert_eq!(stands(&stage), Some(true));
+    let heard = stage.say("bob", "message other /lab/own");
+    assert!(heard[0].starts_with("alice< consult"), "{heard:?}");
+    assert_eq!(stands(&stage), Some(false), "the next one has to wait behind it");
+    stage.say("alice", "manager verdict / consult=1 allow=true");
+    assert_eq!(stands(&stage), Some(true));
+}
+
+#[test]
+fn who_waits_says_for_how_long() {
+    let mut stage = Stage::new(lab(Map::new().with("manager", "queue")));
+    for name in ["alice", "bob"] {
+        stage.enter(name, 1);
+    }
+    stage.say("alice", "token grab /lab/key");
+    for wait in ["-1", "true", "sometimes"] {
+        let heard = stage.say("bob", &format!("token grab /lab/key wait={wait}"));
+        assert_eq!(heard, ["bob< bad-content"], "{wait}");
+    }
+    for wait in ["", " wait=0"] {
+        let heard = stage.say("bob", &format!("token grab /lab/key{wait}"));
+        assert!(heard[0].starts_with("bob< held"), "{wait}: {heard:?}");
+    }
+    let heard = stage.say("bob", "token grab /lab/key wait=5");
+    assert!(
+        heard.iter().any(|line| line.starts_with("bob< queued place=1")),
+        "{heard:?}"
+    );
+    assert_eq!(of(&stage.at(4), &["bob"]), [""; 0]);
+    let heard = of(&stage.at(5), &["bob"]);
+    assert!(
+        heard.iter().any(|line| line.starts_with("bob< timed-out")),
+        "{heard:?}"
+    );
 }

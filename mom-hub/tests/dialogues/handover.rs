@@ -247,3 +247,19 @@ fn what_returns_continues_the_turn_that_it_was_given_in() {
         "ten seconds since alice had it: {heard:?}"
     );
 }
+
+#[test]
+fn a_number_of_commands_is_one_at_least() {
+    let mut stage = stage();
+    for (commands, code) in [
+        ("0", "bad-content"),
+        ("9007199254740992", "bad-content"),
+        ("1", "ok"),
+    ] {
+        let heard = stage.say(
+            "alice",
+            &format!("token give /lab/key to=bob commands={commands}"),
+        );
+        assert_eq!(heard.last(), Some(&format!("alice< {code}")), "{commands}");
+    }
+}

@@ -292,3 +292,27 @@ fn a_manager_is_asked_about_what_is_wished() {
         );
     }
 }
+
+#[test]
+fn a_manager_is_asked_about_every_verb_of_tokens() {
+    let mut registry = Registry::builtin();
+    registry.add_kind("telling", |_| Ok(Box::new(Telling)));
+    let contexts = vec![
+        context("/lab", "session").with("presence", "none"),
+        context("/lab/key", "token").with("manager", "telling"),
+    ];
+    let mut stage = Stage::with(contexts, registry, Settings::default());
+    stage.enter("alice", 1);
+    // A request is for what its sender would gain.
+    for (verb, asked) in [
+        ("grab", "grab"),
+        ("give", "give"),
+        ("request", "grab"),
+        ("inhibit", "inhibit"),
+        ("break", "break"),
+    ] {
+        let heard = stage.say("alice", &format!("token {verb} /lab/key"));
+        let asked = format!("{asked} /lab/key token None 0 None");
+        assert_eq!(heard, [format!("alice< denied rule={asked}")], "{verb}");
+    }
+}

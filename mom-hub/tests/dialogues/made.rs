@@ -2,7 +2,7 @@
 
 use mom_hub::{Effect, Input, Settings};
 use mom_managers::Registry;
-use mom_proto::{Code, Limits, Map, Path};
+use mom_proto::{Code, Limits, Map, Path, Value};
 
 use crate::stage::{Stage, context, lab, of};
 
@@ -167,4 +167,41 @@ fn what_a_new_configuration_cannot_make_is_a_fact() {
     assert_eq!(fact.code, Some(Code::WRONG_KIND));
     let text = fact.text.as_deref().unwrap_or_default();
     assert!(text.contains("/lab/way"), "{text}");
+}
+
+#[test]
+fn a_channel_says_what_it_keeps_and_who_waits() {
+    let keep = Map::new()
+        .with("latest", true)
+        .with("parcels", 5)
+        .with("bytes", 1000)
+        .with("age", 2000);
+    let arm = context("/lab/arm", "channel")
+        .with("keep", keep.clone())
+        .with("overflow", "wait");
+    let mut stage = Stage::new(vec![
+        context("/lab", "session"),
+        arm,
+        context("/lab/chat", "channel"),
+    ]);
+    stage.arrive("alice", 1);
+    stage.say("alice", "context join /lab");
+    for line in ["context join", "context info"] {
+        for (path, wanted) in [("/lab/arm", Some(&keep)), ("/lab/chat", None)] {
+            stage.say("alice", &format!("{line} {path}"));
+            let replies = stage.effects.iter().filter_map(|effect| match effect {
+                Effect::Reply { parcel, .. } => Some(parcel.value()),
+                _ => None,
+            });
+            let reply = replies.last().expect("an answer");
+            let kept = reply.get("keep").and_then(Value::as_map);
+            assert_eq!(kept, wanted, "{line} {path}");
+            let overflow = reply.get("overflow").and_then(Value::as_str);
+            assert_eq!(
+                overflow == Some("wait"),
+                wanted.is_some(),
+                "{line} {path}: {overflow:?}"
+            );
+        }
+    }
 }
