@@ -4,7 +4,7 @@ use mom_hub::{Effect, Input, PeerClock, Settings};
 use mom_managers::{Answer, Ask, Denial, Manager, Question, Registry, Scope, Verdict, Wait};
 use mom_proto::{ClockOffset, Code, Map, Parcel, Time, Value, Verb};
 
-use crate::stage::{Stage, context, lab, of};
+use crate::stage::{EPOCH, MS, Stage, context, lab, of};
 
 /// A channel that alice has made and answers for; bob is in it.
 fn managed_by_alice() -> Stage {
@@ -320,11 +320,31 @@ fn what_stands_does_not_overtake_a_message_that_waits() {
     };
     stage.say("bob", "message say /lab/own");
     assert_eq!(stands(&stage), Some(true));
-    let heard = stage.say("bob", "message other /lab/own");
+    let exact = ClockOffset { micros: 0, error: 0 };
+    let by_its_clock = |stage: &mut Stage, line: &str| {
+        let mut input = stage.request("bob", line);
+        if let Input::Request { parcel, clock, .. } = &mut input {
+            parcel.timestamp = Time::from_micros(0);
+            let offset = exact;
+            *clock = Some(PeerClock { offset, future: 0 });
+        }
+        stage.give(input)
+    };
+    let heard = by_its_clock(&mut stage, "message other /lab/own");
     assert!(heard[0].starts_with("alice< consult"), "{heard:?}");
     assert_eq!(stands(&stage), Some(false), "the next one has to wait behind it");
+    let heard = by_its_clock(&mut stage, "message stop /lab/own");
+    assert_eq!(of(&heard, &["alice"]), ["alice< stop of bob"], "but never a stop");
+    stage.at(400);
     stage.say("alice", "manager verdict / consult=1 allow=true");
     assert_eq!(stands(&stage), Some(true));
+    let sent = stage.effects.iter().find_map(|effect| match effect {
+        Effect::Send { parcel, .. } => Some((parcel.age, parcel.age_error)),
+        _ => None,
+    });
+    let error = exact.later(400 * MS).error;
+    assert!(error > 0, "clocks drift apart");
+    assert_eq!(sent, Some((Some(400_000), Some(error))));
 }
 
 #[test]
@@ -353,4 +373,42 @@ fn who_waits_says_for_how_long() {
         heard.iter().any(|line| line.starts_with("bob< timed-out")),
         "{heard:?}"
     );
+}
+
+#[test]
+fn a_fence_that_was_never_given_out_is_refused_before_anybody_is_asked() {
+    let mut contexts = lab(Map::new());
+    let chairs = Map::new().with("users", vec!["alice".into()]);
+    let manager = Map::new()
+        .with("kind", "moderated")
+        .with("chairs", chairs)
+        .with("verbs", vec!["send".into()]);
+    contexts[2].set("manager", manager);
+    for (fence, wanted) in [(1, "alice< consult"), (2, "bob< bad-fence")] {
+        let mut stage = Stage::new(contexts.clone());
+        for name in ["alice", "bob"] {
+            stage.enter(name, 1);
+        }
+        stage.say("bob", "token grab /lab/key");
+        let heard = stage.say("bob", &format!("message command /lab/arm @fence={fence}"));
+        assert!(
+            heard[0].starts_with(wanted),
+            "{fence} of epoch {EPOCH}: {heard:?}"
+        );
+    }
+}
+
+#[test]
+fn an_owner_may_hold_together_with_others_and_nobody_else_may() {
+    let mut stage = Stage::new(lab(Map::new().with("manager", "first-come")));
+    for name in ["alice", "bob"] {
+        stage.enter(name, 1);
+    }
+    stage.say("alice", "token grab /lab/key");
+    let heard = stage.say("bob", "token inhibit /lab/key");
+    assert!(heard[0].starts_with("bob< held"), "{heard:?}");
+    let heard = stage.say("alice", "token inhibit /lab/key");
+    assert!(heard.contains(&"alice< ok".to_owned()), "{heard:?}");
+    let heard = stage.say("bob", "token inhibit /lab/key");
+    assert!(heard.contains(&"bob< ok".to_owned()), "{heard:?}");
 }

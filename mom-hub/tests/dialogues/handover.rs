@@ -263,3 +263,27 @@ fn a_number_of_commands_is_one_at_least() {
         assert_eq!(heard.last(), Some(&format!("alice< {code}")), "{commands}");
     }
 }
+
+#[test]
+fn a_stop_is_none_of_the_commands_that_are_counted() {
+    let mut contexts = lab(level_or_lease(60_000, "lazy"));
+    let guard = Map::new()
+        .with("token", "/lab/key")
+        .with("names", vec!["*".into()]);
+    contexts[2].set("guard", guard);
+    let mut stage = Stage::new(contexts);
+    for name in ["alice", "bob"] {
+        stage.enter(name, 1);
+    }
+    stage.say("alice", "token grab /lab/key");
+    stage.say("alice", "token give /lab/key to=bob commands=1");
+    stage.say("bob", "token accept /lab/key");
+    for (line, passes) in [("stop", true), ("stop", true), ("move", true), ("move", false)] {
+        let heard = stage.say("bob", &format!("message {line} /lab/arm"));
+        assert_eq!(
+            of(&heard, &["alice"]).len(),
+            usize::from(passes),
+            "{line}: {heard:?}"
+        );
+    }
+}

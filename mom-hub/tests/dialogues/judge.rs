@@ -1,8 +1,10 @@
 //! What would be said is what is said: a judgement against the reply to the same request.
 
-use mom_hub::{Case, ContextSpec, Effect, Hub, Input, Judgement, PeerId, Settings, User};
+use mom_hub::{Case, ContextSpec, Effect, Hub, Input, Judgement, PeerClock, PeerId, Settings, User};
 use mom_managers::{Answer, Ask, Denial, Manager, Question, Registry, Setup, Terms, Verdict, Wait};
-use mom_proto::{Code, ContextKind, Map, Parcel, Path, Value, Verb, WireError, from_value};
+use mom_proto::{
+    ClockOffset, Code, Content, ContextKind, Map, Parcel, Path, Time, Value, Verb, WireError, from_value,
+};
 
 use crate::stage::{Stage, context};
 
@@ -315,4 +317,30 @@ fn a_manager_is_asked_about_every_verb_of_tokens() {
         let asked = format!("{asked} /lab/key token None 0 None");
         assert_eq!(heard, [format!("alice< denied rule={asked}")], "{verb}");
     }
+}
+
+#[test]
+fn a_manager_is_told_how_large_and_how_old_a_message_is() {
+    let mut registry = Registry::builtin();
+    registry.add_kind("telling", |_| Ok(Box::new(Telling)));
+    let contexts = vec![
+        context("/lab", "session").with("presence", "none"),
+        context("/lab/arm", "channel")
+            .with("manager", "telling")
+            .with("presence", "none"),
+    ];
+    let mut stage = Stage::with(contexts, registry, Settings::default());
+    stage.enter("alice", 1);
+    stage.at(70);
+    let mut say = stage.request("alice", "message say /lab/arm text=hello");
+    let mut size = 0;
+    if let Input::Request { parcel, clock, .. } = &mut say {
+        parcel.timestamp = Time::from_micros(50_000);
+        size = parcel.content.as_ref().map_or(0, Content::size);
+        let offset = ClockOffset { micros: 0, error: 9 };
+        *clock = Some(PeerClock { offset, future: 0 });
+    }
+    assert!(size > 5, "{size}");
+    let asked = format!("send /lab/arm channel Some(\"say\") {size} Some((20000, 9))");
+    assert_eq!(stage.give(say), [format!("alice< denied rule={asked}")]);
 }

@@ -2,7 +2,7 @@
 
 use mom_hub::{Effect, Input, Settings};
 use mom_managers::Registry;
-use mom_proto::{Code, Limits, Map, Path, Value};
+use mom_proto::{Code, Limit, Limits, Map, Path, Value};
 
 use crate::stage::{Stage, context, lab, of};
 
@@ -204,4 +204,29 @@ fn a_channel_says_what_it_keeps_and_who_waits() {
             );
         }
     }
+}
+
+#[test]
+fn a_peer_joins_as_many_contexts_as_the_limits_say() {
+    let mut stage = with_limits(Limits {
+        // The root, the lab, and one more.
+        joined: Limit::At(3),
+        ..Limits::default()
+    });
+    for name in ["a", "b"] {
+        stage.say("alice", &format!("context create /lab/{name} kind=channel"));
+    }
+    assert_eq!(
+        answer(&mut stage, "context join /lab/a"),
+        "alice< ok",
+        "the second one"
+    );
+    assert_eq!(answer(&mut stage, "context join /lab/b"), "alice< full");
+    assert_eq!(
+        answer(&mut stage, "context join /lab/a"),
+        "alice< ok",
+        "it has joined that"
+    );
+    stage.say("alice", "context leave /lab/a");
+    assert_eq!(answer(&mut stage, "context join /lab/b"), "alice< ok");
 }
