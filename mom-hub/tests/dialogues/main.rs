@@ -13,6 +13,7 @@ mod presence;
 mod review;
 mod safe_first;
 mod stage;
+mod stats;
 mod terms;
 mod thinning;
 mod threat_19;
