@@ -231,7 +231,7 @@ impl Manager for Counting {
                 }),
                 ..Verdict::allow()
             },
-            Verb::Inhibit => Verdict::deny(Code::DENIED, &format!("{} wait", token.waiting), "no"),
+            Verb::Inhibit => Verdict::deny(Code::DENIED, format!("{} wait", token.waiting), "no"),
             _ => Verdict::allow(),
         }
     }
@@ -310,13 +310,13 @@ fn what_stands_does_not_overtake_a_message_that_waits() {
     }
     let bob = stage.peer("bob");
     let stands = |stage: &Stage| {
-        let routes = stage.effects.iter().filter_map(|effect| match effect {
+        let mut routes = stage.effects.iter().filter_map(|effect| match effect {
             Effect::Route(route) => route
                 .member(bob)
                 .map(|member| member.standing("say", 0).is_some()),
             _ => None,
         });
-        routes.last()
+        routes.next_back()
     };
     stage.say("bob", "message say /lab/own");
     assert_eq!(stands(&stage), Some(true));

@@ -95,11 +95,11 @@ fn a_token_that_is_given_away_halts_its_device_where_it_says_so() {
 
 /// The fence of the guard in the newest route of the arm that the last input gave.
 fn shown_fence(stage: &Stage) -> Option<u64> {
-    let routes = stage.effects.iter().filter_map(|effect| match effect {
+    let mut routes = stage.effects.iter().filter_map(|effect| match effect {
         Effect::Route(route) if route.path.as_str() == "/lab/arm" => route.guard.as_ref(),
         _ => None,
     });
-    routes.last().map(|guard| guard.fence & ((1 << 20) - 1))
+    routes.next_back().map(|guard| guard.fence & ((1 << 20) - 1))
 }
 
 #[test]
@@ -189,11 +189,11 @@ fn a_channel_says_what_it_keeps_and_who_waits() {
     for line in ["context join", "context info"] {
         for (path, wanted) in [("/lab/arm", Some(&keep)), ("/lab/chat", None)] {
             stage.say("alice", &format!("{line} {path}"));
-            let replies = stage.effects.iter().filter_map(|effect| match effect {
+            let mut replies = stage.effects.iter().filter_map(|effect| match effect {
                 Effect::Reply { parcel, .. } => Some(parcel.value()),
                 _ => None,
             });
-            let reply = replies.last().expect("an answer");
+            let reply = replies.next_back().expect("an answer");
             let kept = reply.get("keep").and_then(Value::as_map);
             assert_eq!(kept, wanted, "{line} {path}");
             let overflow = reply.get("overflow").and_then(Value::as_str);
