@@ -114,3 +114,34 @@ fn over(peeked: Result<(), Wait>) -> Result<Micros, Over> {
         Err(Wait::Never) => Err(Over::Never),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Bucket;
+
+    #[test]
+    fn who_has_paid_everything_back_makes_room_for_another() {
+        let rate = Rate {
+            parcels: Bucket {
+                per_second: 1,
+                burst: 1,
+            },
+            bytes: Bucket::UNLIMITED,
+        };
+        let mut counts = RateCounts::new(rate, 2);
+        let [alice, bob, carol] = ["alice", "bob", "carol"].map(Arc::<str>::from);
+        let second = 1_000_000;
+        assert_eq!(counts.take(&alice, 0, 0), Ok(()));
+        assert_eq!(counts.take(&bob, 0, second / 2), Ok(()));
+        assert_eq!(counts.take(&carol, 0, second / 2), Err(Over::Crowded(second)));
+        assert_eq!(
+            counts.take(&alice, 0, second / 2),
+            Err(Over::Until(second)),
+            "she is counted"
+        );
+        assert_eq!(counts.take(&carol, 0, second - 1), Err(Over::Crowded(second)));
+        assert_eq!(counts.take(&carol, 0, second), Ok(()), "in alice's place");
+        assert_eq!(counts.take(&alice, 0, second), Err(Over::Crowded(3 * second / 2)));
+    }
+}

@@ -332,3 +332,14 @@ fn the_terms_are_those_of_the_first_link_that_names_them() {
         assert_eq!(build(chain(links.clone())).terms(), expected, "{links:?}");
     }
 }
+
+#[test]
+fn a_chain_has_sixteen_links_at_most() {
+    let of = |links| Registry::builtin().build(&chain(vec!["open".into(); links]).into());
+    assert!(of(16).is_ok());
+    for links in [17, 18] {
+        let error = of(links).expect_err("too many");
+        assert!(error.text.contains("at most 16 managers"), "{error}");
+    }
+    assert!(of(0).expect_err("none").text.contains("at least one"));
+}

@@ -4,7 +4,7 @@ use mom_proto::Verb;
 use proptest::prelude::*;
 
 use super::{Ask, GRAB, ask, build, of, short, text};
-use crate::{Answer, Expiry, Terms};
+use crate::{Answer, Expiry, Standing, Terms};
 
 const LEASE: u64 = 180_000_000;
 
@@ -195,5 +195,34 @@ fn terms_are_those_of_the_file() {
         ),
     ] {
         assert_eq!(build(spec.clone()).terms(), expected, "{spec:?}");
+    }
+}
+
+#[test]
+fn a_grab_is_asked_about_each_time() {
+    for kind in ["level-or-lease", "first-come"] {
+        let mut manager = build(of(kind).with("lease", 180_000));
+        for verb in [Verb::Grab, Verb::Inhibit] {
+            let verdict = ask(&mut *manager, &Ask { verb, ..GRAB });
+            assert_eq!(verdict.standing, Standing::Once, "{kind}: {verb} of a free token");
+        }
+        let verdict = ask(
+            &mut *manager,
+            &Ask {
+                verb: Verb::Renew,
+                ..GRAB
+            },
+        );
+        assert_ne!(verdict.standing, Standing::Once, "{kind}: a renewal");
+    }
+}
+
+#[test]
+fn a_lease_ends_as_the_file_says() {
+    for kind in ["level-or-lease", "first-come"] {
+        for (word, expiry) in [("lazy", Expiry::Lazy), ("eager", Expiry::Eager)] {
+            let terms = build(of(kind).with("lease", 180_000).with("expiry", word)).terms();
+            assert_eq!((terms.lease, terms.expiry), (Some(LEASE), expiry), "{kind}");
+        }
     }
 }

@@ -247,3 +247,13 @@ fn the_hub_is_told_whom_to_ask() {
         assert!(!managers::Ask::Creator.is_chair(&facts));
     }
 }
+
+#[test]
+fn a_chair_has_half_a_minute_unless_the_file_says_otherwise() {
+    for (file, within) in [(moderated(), 30_000_000), (moderated().with("within", 7), 7_000)] {
+        let Answer::Defer(defer) = ask(&mut *build(file), &GRAB).answer else {
+            panic!("a grab is asked about")
+        };
+        assert_eq!(defer.within, within);
+    }
+}

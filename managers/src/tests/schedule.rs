@@ -425,3 +425,19 @@ proptest! {
         }
     }
 }
+
+#[test]
+#[rustfmt::skip]
+fn a_slot_begins_and_ends_at_any_minute() {
+    let until = |time: u64| format!("allow until {}", 10 * HOUR + time);
+    let minute = HOUR / 60;
+    let bob = |wall| by("bob", at(wall));
+    check(
+        schedule(vec![slot("07:35", "18:09", &["alice"])]),
+        &[
+            ("before it", bob("2026-11-23T07:34:00Z"), &until(minute)),
+            ("at its begin", bob("2026-11-23T07:35:00Z"), &format!("schedule/slot 1: denied at {}", 10 * HOUR + 634 * minute)),
+            ("its user", at("2026-11-23T18:08:00Z"), &until(minute)),
+        ],
+    );
+}
