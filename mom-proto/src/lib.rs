@@ -68,3 +68,6 @@ pub use stamp::{Micros, Time};
 pub use thinning::{MessageRate, Thinning};
 pub use value::{Value, ValueKind};
 pub use verb::Verb;
+
+#[cfg(test)]
+mod tests;

@@ -286,7 +286,7 @@ mod tests {
     use super::*;
     use crate::binary::{BinaryDecoder, PREFACE};
     use crate::codec::{Form, Frame};
-    use crate::{Delivery, Family, Limits, Value};
+    use crate::{Delivery, Family, Limit, Limits, Value};
 
     fn decoder() -> (BinaryDecoder, BytesMut) {
         (
@@ -461,5 +461,64 @@ mod tests {
             decoder.plain(&first[..first.len() - 1]).is_none(),
             "not all of it is here"
         );
+    }
+    fn numbered(parcel: Parcel) -> Vec<u8> {
+        let number = Some(ContextNumber(3));
+        Form::Binary
+            .encode(&Parcel { number, ..parcel })
+            .unwrap()
+            .to_vec()
+    }
+
+    #[test]
+    fn a_plain_message_is_within_the_limits_and_its_id_too() {
+        let message = |id| numbered(Parcel::new(Family::Message, "state").id(id).content("x"));
+        let is_plain = |frame: &[u8], parcel: u64| {
+            let mut decoder = BinaryDecoder::new(&Limits {
+                parcel: Limit::At(parcel),
+                ..Limits::default()
+            });
+            decoder.decode(&mut BytesMut::from(&PREFACE[..])).unwrap();
+            decoder.plain(frame).is_some()
+        };
+        let frame = message(7);
+        let length = frame.len() as u64 - 4;
+        assert!(is_plain(&frame, length) && !is_plain(&frame, length - 1));
+        assert!(is_plain(&message(MAX_ID), 100));
+        assert!(!is_plain(&message(MAX_ID + 1), 100));
+        let decoder = BinaryDecoder::new(&Limits::default());
+        assert!(decoder.plain(&frame).is_none(), "the preface comes first");
+    }
+
+    #[test]
+    fn the_head_of_a_plain_message_has_no_content() {
+        let (mut decoder, mut greeting) = decoder();
+        decoder.decode(&mut greeting).unwrap();
+        let frame = numbered(Parcel::new(Family::Message, "state").id(7).content("x"));
+        let plain = decoder.plain(&frame).unwrap();
+        let head = decoder.head(&plain).unwrap();
+        assert_eq!(
+            (head.content.is_none(), head.id, &*head.name),
+            (true, Some(7), "state")
+        );
+    }
+
+    #[test]
+    fn a_run_is_cut_between_frames() {
+        let frame = |length: u32| [&length.to_be_bytes()[..], &vec![7; length as usize]].concat();
+        let run = [frame(1), frame(6), frame(11)].concat();
+        for (least, length, count) in [
+            (0, 0, 0),
+            (1, 5, 1),
+            (5, 5, 1),
+            (6, 15, 2),
+            (15, 15, 2),
+            (16, 30, 3),
+            (30, 30, 3),
+            (1000, 30, 3),
+        ] {
+            assert_eq!(cut(&run, least), (length, count), "{least}");
+        }
+        assert_eq!(cut(&[], 1), (0, 0));
     }
 }

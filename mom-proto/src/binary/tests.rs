@@ -281,3 +281,30 @@ fn a_peer_learns_the_numbers_of_contexts() {
         other => panic!("{other:?}"),
     }
 }
+
+#[test]
+fn the_hub_takes_chunks_after_login_and_a_peer_at_once() {
+    let parcel = Parcel::new(Family::Event, "joined").content("x".repeat(50));
+    let encoded = encode(&Parcel {
+        number: Some(ContextNumber(3)),
+        context: Some(Path::parse("/chat").unwrap()),
+        ..parcel
+    });
+    let mut input = BytesMut::from(&PREFACE[..]);
+    for chunk in chunks(&encoded.unwrap(), 77, 10) {
+        input.extend_from_slice(&chunk);
+    }
+    let limits = Limits::default();
+    let mut peer = BinaryDecoder::for_peer(&limits);
+    let mut after_login = BinaryDecoder::new(&limits);
+    after_login.set_limits(&limits);
+    for decoder in [&mut peer, &mut after_login] {
+        assert!(matches!(
+            decoder.decode(&mut input.clone()),
+            Ok(Some(Frame::Parcel(_)))
+        ));
+    }
+    let error = BinaryDecoder::new(&limits).decode(&mut input).unwrap_err();
+    assert_eq!(error.code, Code::BAD_FRAME);
+    assert!(error.text.contains("until the login is over"), "{error}");
+}
