@@ -366,6 +366,10 @@ impl Serialize for EndlessNewtype {
     }
 }
 
+/// A key that nests itself without end.
+#[derive(Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+struct KeyChain(Option<Box<KeyChain>>);
+
 #[derive(Debug, Deserialize)]
 struct Chain(#[expect(dead_code, reason = "never comes to an end")] Option<Box<Chain>>);
 
@@ -389,6 +393,12 @@ fn nesting_ends_at_the_limit() {
     refused(to_value(&Endless), deep, &deepest, "128");
     refused(to_value(&EndlessNewtype), deep, "content", "nests itself");
     refused(from_value::<Chain>(1.into()), deep, "content", "nests itself");
+    refused(
+        from_value::<BTreeMap<KeyChain, i32>>(one("7", 1)),
+        deep,
+        "content/7",
+        "nests itself",
+    );
     refused(
         from_value::<BTreeMap<i32, Chain>>(one("7", 1)),
         deep,
