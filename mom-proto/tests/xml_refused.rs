@@ -199,6 +199,12 @@ fn too_much() {
     let levels = |count: usize| format!("<parcel>{}", "<a type=\"map\">".repeat(count));
     check(levels(limits.depth + 1), &limits, "too-deep", "a/a/a/");
     check(levels(500_000), &limits, "too-deep", "a/a/a/");
+    let lists = |count: usize| {
+        let items = "<item type=\"list\">".repeat(count - 1);
+        format!("<parcel><a type=\"list\">{items}")
+    };
+    check(lists(limits.depth + 1), &limits, "too-deep", "a/0/0/");
+    check(lists(400_000), &limits, "too-deep", "a/0/0/");
     let endless = Limits {
         depth: usize::MAX,
         ..Limits::default()
