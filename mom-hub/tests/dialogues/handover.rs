@@ -249,6 +249,29 @@ fn what_returns_continues_the_turn_that_it_was_given_in() {
 }
 
 #[test]
+fn an_owners_yes_to_a_request_ends_with_the_ownership_too() {
+    let mut stage = Stage::durable(lab(level_or_lease(60_000, "lazy")));
+    for (name, level) in [("alice", 1), ("bob", 1), ("carol", 5)] {
+        stage.enter(name, level);
+    }
+    stage.say("alice", "token grab /lab/key");
+    stage.answer(true);
+    stage.say("bob", "token request /lab/key");
+    stage.say("alice", "token accept /lab/key peer=bob");
+    let heard = stage.say("alice", "context leave /lab");
+    assert!(
+        of(&heard, &["bob"]).contains(&"bob< no-offer".to_owned()),
+        "{heard:?}"
+    );
+    stage.answer(true);
+    assert_eq!(
+        stage.say("bob", "token info /lab/key"),
+        ["bob< ok fence=1"],
+        "nobody has it"
+    );
+}
+
+#[test]
 fn a_number_of_commands_is_one_at_least() {
     let mut stage = stage();
     for (commands, code) in [

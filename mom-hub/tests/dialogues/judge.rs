@@ -305,6 +305,12 @@ fn a_manager_is_asked_about_every_verb_of_tokens() {
     ];
     let mut stage = Stage::with(contexts, registry, Settings::default());
     stage.enter("alice", 1);
+    let heard = stage.say("alice", "token grab /lab/other");
+    assert_eq!(
+        heard,
+        ["alice< unknown-path"],
+        "the lab's own manager allows to know"
+    );
     // A request is for what its sender would gain.
     for (verb, asked) in [
         ("grab", "grab"),
@@ -343,4 +349,21 @@ fn a_manager_is_told_how_large_and_how_old_a_message_is() {
     assert!(size > 5, "{size}");
     let asked = format!("send /lab/arm channel Some(\"say\") {size} Some((20000, 9))");
     assert_eq!(stage.give(say), [format!("alice< denied rule={asked}")]);
+}
+
+#[test]
+fn a_manager_is_asked_about_the_path_that_is_named_also_where_nothing_is() {
+    let mut registry = Registry::builtin();
+    registry.add_kind("telling", |_| Ok(Box::new(Telling)));
+    let lab = context("/lab", "session").with("manager", "telling");
+    let mut stage = Stage::with(vec![lab], registry, Settings::default());
+    stage.arrive("alice", 1);
+    for path in ["/lab/none", "/lab/none/deeper"] {
+        let heard = stage.say("alice", &format!("context lookup {path}"));
+        let [line] = &heard[..] else { panic!("{heard:?}") };
+        assert!(
+            line.starts_with(&format!("alice< denied rule=lookup {path} ")),
+            "{line}"
+        );
+    }
 }
