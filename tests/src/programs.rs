@@ -22,11 +22,16 @@ pub fn project() -> PathBuf {
 /// If it cannot be built.
 pub fn program(name: &str) -> PathBuf {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
-    FOLDER.get_or_init(build).join(name)
+    let packages = ["mom", "mom-broker", "mom-arm", "mom-camera"];
+    FOLDER.get_or_init(|| build(&packages)).join(name)
 }
 
-// `cargo test` builds the programs of a package only for that package's own tests.
-fn build() -> PathBuf {
+/// Builds the programs of these packages with the tests' own settings: `cargo test` builds those of a package only for
+/// that package's own tests. Gives the folder that they are in.
+///
+/// # Panics
+/// If they cannot be built.
+pub fn build(packages: &[&str]) -> PathBuf {
     let test = std::env::current_exe().expect("a test knows its own program");
     let folder = test
         .ancestors()
@@ -35,19 +40,11 @@ fn build() -> PathBuf {
         .to_path_buf();
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let mut command = Command::new(cargo);
-    command.args([
-        "build",
-        "--quiet",
-        "--locked",
-        "--bins",
-        "-p",
-        "mom",
-        "-p",
-        "mom-broker",
-    ]);
-    command
-        .args(["-p", "mom-arm", "-p", "mom-camera"])
-        .current_dir(project());
+    command.args(["build", "--quiet", "--locked", "--bins"]);
+    for package in packages {
+        command.args(["-p", package]);
+    }
+    command.current_dir(project());
     if folder.ends_with("release") {
         command.arg("--release");
     }

@@ -1,7 +1,6 @@
 //! The comparison with other brokers, small, with ours and the relay alone: figures mean nothing here, loss and order do.
 
-use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::path::PathBuf;
 use std::sync::OnceLock;
 use std::time::Duration;
 
@@ -12,6 +11,7 @@ use mom_rivals::{
     Canary, Crowd, Hindrance, Kind, Metric, Network, Programs, SaturatedStop, SlowLink, idle, plan,
     raise_files, run, table,
 };
+use mom_tests::programs::build;
 use tempfile::TempDir;
 use tokio::runtime::Runtime;
 
@@ -39,41 +39,10 @@ fn bench(form: Form) -> Bench {
     }
 }
 
-/// The relay's program, built with the tests' own settings.
+/// The relay's program.
 fn relay() -> PathBuf {
-    static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
-    PROGRAM.get_or_init(build_relay).clone()
-}
-
-// `cargo test` builds the programs of a package only for that package's own tests.
-fn build_relay() -> PathBuf {
-    let test = std::env::current_exe().expect("a test knows its own program");
-    let folder = test
-        .ancestors()
-        .nth(2)
-        .expect("tests lie in deps below the programs");
-    let target = folder
-        .parent()
-        .expect("the programs lie in a folder of their profile");
-    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let mut build = Command::new(cargo);
-    build.args([
-        "build",
-        "--quiet",
-        "--locked",
-        "-p",
-        "mom-benches",
-        "--bin",
-        "relay",
-    ]);
-    build.arg("--target-dir").arg(target);
-    if folder.ends_with("release") {
-        build.arg("--release");
-    }
-    build.current_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("../.."));
-    let status = build.status().expect("cargo can be run");
-    assert!(status.success(), "the relay is built");
-    folder.join("relay")
+    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
+    FOLDER.get_or_init(|| build(&["mom-benches"])).join("relay")
 }
 
 /// Programs of which only the relay is there.

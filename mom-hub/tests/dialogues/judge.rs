@@ -231,11 +231,16 @@ impl Manager for Telling {
     }
 }
 
+/// A hub that knows this kind of manager.
+fn telling(contexts: Vec<Map>) -> Stage {
+    let mut registry = Registry::builtin();
+    registry.add_kind("telling", |_| Ok(Box::new(Telling)));
+    Stage::with(contexts, registry, Settings::default())
+}
+
 #[test]
 fn a_manager_is_asked_about_what_is_wished() {
     let told = || {
-        let mut registry = Registry::builtin();
-        registry.add_kind("telling", |_| Ok(Box::new(Telling)));
         let contexts = vec![
             context("/lab", "session")
                 .with("manager", "telling")
@@ -243,7 +248,7 @@ fn a_manager_is_asked_about_what_is_wished() {
             context("/lab/key", "token"),
             context("/lab/arm", "channel").with("presence", "none"),
         ];
-        let mut stage = Stage::with(contexts, registry, Settings::default());
+        let mut stage = telling(contexts);
         stage.enter("alice", 1);
         stage
     };
@@ -297,13 +302,11 @@ fn a_manager_is_asked_about_what_is_wished() {
 
 #[test]
 fn a_manager_is_asked_about_every_verb_of_tokens() {
-    let mut registry = Registry::builtin();
-    registry.add_kind("telling", |_| Ok(Box::new(Telling)));
     let contexts = vec![
         context("/lab", "session").with("presence", "none"),
         context("/lab/key", "token").with("manager", "telling"),
     ];
-    let mut stage = Stage::with(contexts, registry, Settings::default());
+    let mut stage = telling(contexts);
     stage.enter("alice", 1);
     let heard = stage.say("alice", "token grab /lab/other");
     assert_eq!(
@@ -327,15 +330,13 @@ fn a_manager_is_asked_about_every_verb_of_tokens() {
 
 #[test]
 fn a_manager_is_told_how_large_and_how_old_a_message_is() {
-    let mut registry = Registry::builtin();
-    registry.add_kind("telling", |_| Ok(Box::new(Telling)));
     let contexts = vec![
         context("/lab", "session").with("presence", "none"),
         context("/lab/arm", "channel")
             .with("manager", "telling")
             .with("presence", "none"),
     ];
-    let mut stage = Stage::with(contexts, registry, Settings::default());
+    let mut stage = telling(contexts);
     stage.enter("alice", 1);
     stage.at(70);
     let mut say = stage.request("alice", "message say /lab/arm text=hello");
@@ -353,10 +354,8 @@ fn a_manager_is_told_how_large_and_how_old_a_message_is() {
 
 #[test]
 fn a_manager_is_asked_about_the_path_that_is_named_also_where_nothing_is() {
-    let mut registry = Registry::builtin();
-    registry.add_kind("telling", |_| Ok(Box::new(Telling)));
     let lab = context("/lab", "session").with("manager", "telling");
-    let mut stage = Stage::with(vec![lab], registry, Settings::default());
+    let mut stage = telling(vec![lab]);
     stage.arrive("alice", 1);
     for path in ["/lab/none", "/lab/none/deeper"] {
         let heard = stage.say("alice", &format!("context lookup {path}"));
