@@ -1,5 +1,6 @@
 //! All tests of the whole system, in one binary.
 
+mod attacks;
 mod commands;
 mod control;
 mod device_keys;
