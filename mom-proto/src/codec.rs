@@ -3,7 +3,7 @@
 use bytes::{Bytes, BytesMut};
 
 use crate::binary::BinaryDecoder;
-use crate::xml::XmlDecoder;
+use crate::xml::{DeferredEntity, XmlDecoder};
 use crate::{Limits, Parcel, WireError, binary, xml};
 
 /// A wire form.
@@ -151,6 +151,22 @@ impl Decoder {
         match self {
             Decoder::Xml(decoder) => decoder.set_limits(limits),
             Decoder::Binary(decoder) => decoder.set_limits(limits),
+        }
+    }
+
+    /// From now on, leaves entities of more bytes unread, for [`Decoder::take_deferred`]: reading them takes time in
+    /// proportion to their size. Frames of the binary form do not need it, because their content stays closed.
+    pub fn defer_above(&mut self, bytes: usize) {
+        if let Decoder::Xml(decoder) = self {
+            decoder.defer_above(bytes);
+        }
+    }
+
+    /// The whole entity, left unread, in front of which [`Decoder::decode`] has stopped.
+    pub fn take_deferred(&mut self) -> Option<Box<DeferredEntity>> {
+        match self {
+            Decoder::Xml(decoder) => decoder.take_deferred(),
+            Decoder::Binary(_) => None,
         }
     }
 

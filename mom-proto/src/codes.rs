@@ -94,6 +94,8 @@ impl Code {
     pub const TOO_DEEP: Code = Code::new(228, "too-deep");
     /// A value that has no form on the wire.
     pub const NOT_ENCODABLE: Code = Code::new(229, "not-encodable");
+    /// The slots of a parcel, or the content of one that is no message, are larger than their limit.
+    pub const TOO_LONG: Code = Code::new(230, "too-long");
 
     /// The hub is shutting down.
     pub const SHUTDOWN: Code = Code::new(300, "shutdown");
@@ -161,6 +163,7 @@ impl Code {
         Code::BAD_CID,
         Code::TOO_DEEP,
         Code::NOT_ENCODABLE,
+        Code::TOO_LONG,
         Code::SHUTDOWN,
         Code::SLOW_RECEIVER,
         Code::SILENT,

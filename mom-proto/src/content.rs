@@ -4,7 +4,7 @@ use bytes::Bytes;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use crate::{HARD_DEPTH, Value, WireError, from_value, msgpack, to_value};
+use crate::{HARD_DEPTH, Map, Value, WireError, from_value, msgpack, to_value};
 
 /// What a parcel carries: a value, or a value still encoded as MessagePack.
 ///
@@ -85,14 +85,14 @@ fn size(value: &Value) -> usize {
         Value::String(text) => 5 + text.len(),
         Value::Binary(bytes) => 5 + bytes.len(),
         Value::List(list) => 5 + list.iter().map(size).sum::<usize>(),
-        Value::Map(map) => {
-            5 + map
-                .iter()
-                .map(|(key, item)| 5 + key.len() + size(item))
-                .sum::<usize>()
-        }
+        Value::Map(map) => map_size(map),
         _ => 9,
     }
+}
+
+pub(crate) fn map_size(map: &Map) -> usize {
+    let member = |(key, item): (&str, &Value)| 5 + key.len() + size(item);
+    5 + map.iter().map(member).sum::<usize>()
 }
 
 impl<T: Into<Value>> From<T> for Content {

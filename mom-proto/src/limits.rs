@@ -8,7 +8,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use crate::{Map, Value};
 
 /// The version of the protocol that this crate speaks: major, minor. A higher minor only adds.
-pub const PROTOCOL_VERSION: (u8, u8) = (1, 0);
+pub const PROTOCOL_VERSION: (u8, u8) = (1, 1);
 
 /// The deepest nesting that any configuration allows: reading recurses, and stacks are finite.
 pub const HARD_DEPTH: usize = 128;
@@ -102,6 +102,10 @@ impl<'de> Deserialize<'de> for Limit {
 pub struct Limits {
     /// One parcel with its headers and parts.
     pub parcel: Limit,
+    /// All slots of one parcel but its content.
+    pub slots: usize,
+    /// The content of a parcel that is no message.
+    pub control: usize,
     /// Lists and maps inside each other.
     pub depth: usize,
     /// Attributes of one XML element.
@@ -134,6 +138,8 @@ pub struct Limits {
     pub future: u64,
     /// Contexts in the whole tree.
     pub contexts: Limit,
+    /// Contexts of the tree that peers of one user have made.
+    pub user_contexts: Limit,
     /// Contexts that one peer may have joined.
     pub joined: Limit,
     /// Requests about contexts and tokens per second and connection; as many more at once after a pause.
@@ -144,6 +150,8 @@ impl Default for Limits {
     fn default() -> Limits {
         Limits {
             parcel: Limit::At(8 * 1024 * 1024),
+            slots: 64 * 1024,
+            control: 64 * 1024,
             depth: 32,
             attributes: 64,
             attribute_size: 8 * 1024,
@@ -160,6 +168,7 @@ impl Default for Limits {
             gone: 30_000,
             future: 1_000,
             contexts: Limit::At(100_000),
+            user_contexts: Limit::At(10_000),
             joined: Limit::At(1024),
             requests: Limit::At(2000),
         }
@@ -187,6 +196,8 @@ impl Limits {
         let time = |time: u64| Value::Int(i64::try_from(time).unwrap_or(i64::MAX));
         Map::new()
             .with("parcel", limit(self.parcel))
+            .with("slots", size(self.slots))
+            .with("control", size(self.control))
             .with("depth", size(self.depth))
             .with("attributes", size(self.attributes))
             .with("attribute-size", size(self.attribute_size))

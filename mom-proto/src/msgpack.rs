@@ -47,12 +47,9 @@ pub fn encode(value: &Value, out: &mut Vec<u8>) -> Result<(), WireError> {
 /// # Errors
 /// `bad-content`, `bad-encoding` or `too-deep`, with the byte's position in `bytes`.
 pub fn decode(bytes: &Bytes, depth: usize) -> Result<Value, WireError> {
-    let mut reader = ValueReader { bytes, position: 0 };
+    let mut reader = TokenReader::new(bytes);
     let value = reader.value(depth)?;
-    match reader.position == bytes.len() {
-        true => Ok(value),
-        false => Err(reader.bad("bytes after the value")),
-    }
+    reader.end().map(|()| value)
 }
 
 // The receiver would refuse it; here its author still learns of it.
@@ -87,53 +84,108 @@ fn too_long() -> WireError {
     )
 }
 
-struct ValueReader<'a> {
+/// A value without what is inside it.
+pub(crate) enum Token<'a> {
+    Null,
+    Bool(bool),
+    Int(i64),
+    Double(f64),
+    Text(&'a str),
+    Time(Time),
+    Binary(Bytes),
+    /// So many values follow.
+    List(usize),
+    /// So many keys follow, each with its value.
+    Map(usize),
+}
+
+/// Reads values token by token, so that whoever passes them on needs no memory for all of them.
+pub(crate) struct TokenReader<'a> {
     bytes: &'a Bytes,
     position: usize,
 }
 
-impl ValueReader<'_> {
-    fn value(&mut self, depth: usize) -> Result<Value, WireError> {
+impl<'a> TokenReader<'a> {
+    pub(crate) fn new(bytes: &'a Bytes) -> TokenReader<'a> {
+        TokenReader { bytes, position: 0 }
+    }
+
+    /// The position of the next token.
+    pub(crate) fn position(&self) -> usize {
+        self.position
+    }
+
+    /// Checks that nothing follows.
+    pub(crate) fn end(&self) -> Result<(), WireError> {
+        match self.position == self.bytes.len() {
+            true => Ok(()),
+            false => Err(bad_at(self.position, "bytes after the value")),
+        }
+    }
+
+    pub(crate) fn token(&mut self) -> Result<Token<'a>, WireError> {
         let start = self.position;
         let marker = Marker::from_u8(self.byte()?);
-        let value = match marker {
-            Marker::Null => Value::Null,
-            Marker::True => Value::Bool(true),
-            Marker::False => Value::Bool(false),
-            Marker::FixPos(number) => Value::Int(number.into()),
-            Marker::FixNeg(number) => Value::Int(number.into()),
-            Marker::U8 => Value::Int(self.array::<1>()?[0].into()),
-            Marker::U16 => Value::Int(u16::from_be_bytes(self.array()?).into()),
-            Marker::U32 => Value::Int(u32::from_be_bytes(self.array()?).into()),
+        let token = match marker {
+            Marker::Null => Token::Null,
+            Marker::True => Token::Bool(true),
+            Marker::False => Token::Bool(false),
+            Marker::FixPos(number) => Token::Int(number.into()),
+            Marker::FixNeg(number) => Token::Int(number.into()),
+            Marker::U8 => Token::Int(self.array::<1>()?[0].into()),
+            Marker::U16 => Token::Int(u16::from_be_bytes(self.array()?).into()),
+            Marker::U32 => Token::Int(u32::from_be_bytes(self.array()?).into()),
             Marker::U64 => match i64::try_from(u64::from_be_bytes(self.array()?)) {
-                Ok(number) => Value::Int(number),
+                Ok(number) => Token::Int(number),
                 Err(_) => return Err(bad_at(start, "a whole number above 2^63-1")),
             },
-            Marker::I8 => Value::Int(i8::from_be_bytes(self.array()?).into()),
-            Marker::I16 => Value::Int(i16::from_be_bytes(self.array()?).into()),
-            Marker::I32 => Value::Int(i32::from_be_bytes(self.array()?).into()),
-            Marker::I64 => Value::Int(i64::from_be_bytes(self.array()?)),
+            Marker::I8 => Token::Int(i8::from_be_bytes(self.array()?).into()),
+            Marker::I16 => Token::Int(i16::from_be_bytes(self.array()?).into()),
+            Marker::I32 => Token::Int(i32::from_be_bytes(self.array()?).into()),
+            Marker::I64 => Token::Int(i64::from_be_bytes(self.array()?)),
             Marker::F32 => finite(f32::from_be_bytes(self.array()?).into(), start)?,
             Marker::F64 => finite(f64::from_be_bytes(self.array()?), start)?,
             Marker::Bin8 | Marker::Bin16 | Marker::Bin32 => {
                 let length = self.length(marker)?;
-                Value::Binary(self.take(length)?)
+                Token::Binary(self.take(length)?)
             }
-            Marker::FixArray(_) | Marker::Array16 | Marker::Array32 => self.list(marker, start, depth)?,
-            Marker::FixMap(_) | Marker::Map16 | Marker::Map32 => self.map(marker, start, depth)?,
+            Marker::FixArray(_) | Marker::Array16 | Marker::Array32 => Token::List(self.length(marker)?),
+            Marker::FixMap(_) | Marker::Map16 | Marker::Map32 => Token::Map(self.length(marker)?),
             Marker::FixStr(_) | Marker::Str8 | Marker::Str16 | Marker::Str32 => {
                 let length = self.length(marker)?;
-                Value::String(self.text(length)?)
+                Token::Text(self.text(length)?)
             }
             Marker::FixExt4 | Marker::FixExt8 | Marker::Ext8 => self.time(marker, start)?,
             _ => return Err(bad_at(start, "a type that values do not have")),
         };
-        Ok(value)
+        Ok(token)
     }
 
-    fn list(&mut self, marker: Marker, start: usize, depth: usize) -> Result<Value, WireError> {
-        let length = self.length(marker)?;
-        let depth = deeper(depth, start)?;
+    /// The key of a map's next member.
+    pub(crate) fn key(&mut self) -> Result<&'a str, WireError> {
+        let at = self.position;
+        match self.token()? {
+            Token::Text(key) => Ok(key),
+            _ => Err(bad_at(at, "a key that is no string")),
+        }
+    }
+
+    fn value(&mut self, depth: usize) -> Result<Value, WireError> {
+        let start = self.position;
+        Ok(match self.token()? {
+            Token::Null => Value::Null,
+            Token::Bool(flag) => Value::Bool(flag),
+            Token::Int(number) => Value::Int(number),
+            Token::Double(number) => Value::Double(number),
+            Token::Text(text) => Value::String(text.to_owned()),
+            Token::Time(time) => Value::Time(time),
+            Token::Binary(bytes) => Value::Binary(bytes),
+            Token::List(length) => self.list(length, deeper(depth, start)?)?,
+            Token::Map(length) => self.map(length, deeper(depth, start)?)?,
+        })
+    }
+
+    fn list(&mut self, length: usize, depth: usize) -> Result<Value, WireError> {
         // The announced length is not trusted: memory grows with the bytes that are there, at least one per item.
         let mut list = Vec::with_capacity(length.min(self.rest()).min(1024));
         for _ in 0..length {
@@ -142,29 +194,19 @@ impl ValueReader<'_> {
         Ok(Value::List(list))
     }
 
-    fn map(&mut self, marker: Marker, start: usize, depth: usize) -> Result<Value, WireError> {
-        let length = self.length(marker)?;
-        let depth = deeper(depth, start)?;
+    fn map(&mut self, length: usize, depth: usize) -> Result<Value, WireError> {
         let mut map = Map::new();
         for _ in 0..length {
             let at = self.position;
-            let marker = Marker::from_u8(self.byte()?);
-            if !matches!(
-                marker,
-                Marker::FixStr(_) | Marker::Str8 | Marker::Str16 | Marker::Str32
-            ) {
-                return Err(bad_at(at, "a key that is no string"));
-            }
-            let length = self.length(marker)?;
-            let key = self.text(length)?;
+            let key = self.key()?;
             let value = self.value(depth)?;
-            map.insert_new(key, value)
-                .map_err(|key| bad_at(at, &format!("the key {key:?} twice in one map")))?;
+            map.insert_new(key.to_owned(), value)
+                .map_err(|key| key_twice(&key, at))?;
         }
         Ok(Value::Map(map))
     }
 
-    fn time(&mut self, marker: Marker, start: usize) -> Result<Value, WireError> {
+    fn time(&mut self, marker: Marker, start: usize) -> Result<Token<'a>, WireError> {
         let length = match marker {
             Marker::FixExt4 => 4,
             Marker::FixExt8 => 8,
@@ -192,7 +234,7 @@ impl ValueReader<'_> {
             .filter(|_| nanos < 1_000_000_000);
         micros
             .and_then(Time::from_micros)
-            .map(Value::Time)
+            .map(Token::Time)
             .ok_or_else(|| bad_at(start, "a time outside the years 0 to 9999"))
     }
 
@@ -207,12 +249,12 @@ impl ValueReader<'_> {
         })
     }
 
-    fn text(&mut self, length: usize) -> Result<String, WireError> {
+    fn text(&mut self, length: usize) -> Result<&'a str, WireError> {
         let start = self.position;
         let bytes = self.take_slice(length)?;
         let text = std::str::from_utf8(bytes).map_err(|error| encoding(start + error.valid_up_to()))?;
         match xml_violation(text) {
-            None => Ok(text.to_owned()),
+            None => Ok(text),
             Some(at) => Err(encoding(start + at)),
         }
     }
@@ -223,7 +265,7 @@ impl ValueReader<'_> {
         Ok(self.bytes.slice(start..start + length))
     }
 
-    fn take_slice(&mut self, length: usize) -> Result<&[u8], WireError> {
+    fn take_slice(&mut self, length: usize) -> Result<&'a [u8], WireError> {
         if length > self.rest() {
             return Err(bad_at(self.bytes.len(), "the value ends too early"));
         }
@@ -244,20 +286,22 @@ impl ValueReader<'_> {
     fn rest(&self) -> usize {
         self.bytes.len() - self.position
     }
-
-    fn bad(&self, what: &str) -> WireError {
-        bad_at(self.position, what)
-    }
 }
 
-fn finite(number: f64, position: usize) -> Result<Value, WireError> {
+fn finite<'a>(number: f64, position: usize) -> Result<Token<'a>, WireError> {
     match number.is_finite() {
-        true => Ok(Value::Double(number)),
+        true => Ok(Token::Double(number)),
         false => Err(bad_at(position, "a double that is not finite")),
     }
 }
 
-fn deeper(depth: usize, position: usize) -> Result<usize, WireError> {
+/// The error for a key that stands twice in a map; `position` is where its member begins.
+pub(crate) fn key_twice(key: &str, position: usize) -> WireError {
+    bad_at(position, &format!("the key {key:?} twice in one map"))
+}
+
+/// So many levels more may open inside a list or map at this position.
+pub(crate) fn deeper(depth: usize, position: usize) -> Result<usize, WireError> {
     match depth {
         0 => Err(WireError::new(Code::TOO_DEEP, "lists and maps are nested too deep").position(position)),
         _ => Ok(depth - 1),

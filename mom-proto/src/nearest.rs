@@ -8,14 +8,17 @@
 /// assert_eq!(nearest("xyzzy", ["grab", "give"]), None);
 /// ```
 pub fn nearest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
-    // The cost grows with the square of the length, so long words get no suggestion.
-    const LONGEST: usize = 128;
+    // The cost grows with the square of the length and with the number of candidates, and it is paid where others
+    // wait: long words get no suggestion, and only so many candidates are looked at.
+    const LONGEST: usize = 64;
+    const CANDIDATES: usize = 128;
     if word.len() > LONGEST {
         return None;
     }
     let allowed = (word.chars().count() / 3).max(1);
     candidates
         .into_iter()
+        .take(CANDIDATES)
         .filter(|candidate| candidate.len() <= LONGEST)
         .map(|candidate| (strsim::osa_distance(word, candidate), candidate))
         .filter(|&(distance, _)| distance <= allowed)

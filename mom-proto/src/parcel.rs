@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use crate::content::map_size;
 use crate::{Content, Delivery, Family, Map, Path, Time, Value};
 
 /// Ids, references and fences are below 2⁵³, so that every language holds them.
@@ -118,6 +119,22 @@ impl Parcel {
     /// Whether this is `family name`.
     pub fn is(&self, family: Family, name: &str) -> bool {
         self.family == family && &*self.name == name
+    }
+
+    /// About how many bytes it brings: content, name, addressees, and the slots that applications agree on. Whatever is
+    /// counted in bytes counts this.
+    pub fn size(&self) -> usize {
+        let addressees = self
+            .address
+            .iter()
+            .flatten()
+            .map(|name| name.len())
+            .sum::<usize>();
+        let slots = match self.extra.is_empty() {
+            true => 0,
+            false => map_size(&self.extra),
+        };
+        self.content.as_ref().map_or(0, Content::size) + self.name.len() + addressees + slots
     }
 
     /// Opens the content; absent content and content that cannot be opened are null.

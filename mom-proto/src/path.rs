@@ -1,5 +1,6 @@
 //! Paths of contexts in the tree (M21).
 
+use std::borrow::Borrow;
 use std::fmt;
 use std::sync::Arc;
 
@@ -94,6 +95,13 @@ impl Path {
     /// The shared text, for tables that hold many.
     pub fn shared(&self) -> Arc<str> {
         Arc::clone(&self.0)
+    }
+}
+
+/// Paths are ordered as their texts are.
+impl Borrow<str> for Path {
+    fn borrow(&self) -> &str {
+        &self.0
     }
 }
 

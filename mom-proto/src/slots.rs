@@ -8,6 +8,13 @@ use crate::{
     check_message_name,
 };
 
+/// The error for a parcel whose slots have more bytes than they may have.
+pub(crate) fn too_long(most: usize) -> WireError {
+    let text =
+        format!("the slots of a parcel have at most {most} bytes; what is larger goes into its content");
+    WireError::new(Code::TOO_LONG, text)
+}
+
 /// One known slot: its key, type, and the way in and out of a parcel.
 struct Slot {
     key: &'static str,

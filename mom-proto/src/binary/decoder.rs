@@ -5,6 +5,7 @@ use std::collections::HashMap;
 use bytes::{Buf, Bytes, BytesMut};
 
 use super::chunks::Assembly;
+use super::header::HeaderBounds;
 use super::plain::Plain;
 use super::words::NameCache;
 use super::{FIRST_SKIPPABLE_KIND, KIND_CHUNK, KIND_PARCEL, PREFACE_MAGIC, header};
@@ -16,6 +17,7 @@ use crate::{Code, Limit, Limits, PROTOCOL_VERSION, Parcel, Path, WireError};
 pub struct BinaryDecoder {
     parcel: Limit,
     depth: usize,
+    slots: usize,
     greeted: bool,
     names: NameCache,
     contexts: HashMap<u64, Path>,
@@ -32,6 +34,7 @@ impl BinaryDecoder {
         BinaryDecoder {
             parcel: limits.parcel,
             depth: limits.depth,
+            slots: limits.slots,
             greeted: false,
             names: NameCache::default(),
             contexts: HashMap::new(),
@@ -55,6 +58,7 @@ impl BinaryDecoder {
         self.chunks = true;
         self.parcel = limits.parcel;
         self.depth = limits.depth;
+        self.slots = limits.slots;
     }
 
     /// Takes the next frame from the front of `input`, or `None` if it is not complete.
@@ -97,7 +101,11 @@ impl BinaryDecoder {
 
     /// A plain message as a parcel without its content.
     pub fn head(&mut self, plain: &Plain<'_>) -> Option<Box<Parcel>> {
-        let parcel = header::read(&plain.header(), self.depth, &mut self.names).ok()?;
+        let bounds = HeaderBounds {
+            depth: self.depth,
+            slots: self.slots,
+        };
+        let parcel = header::read(&plain.header(), bounds, &mut self.names).ok()?;
         Some(Box::new(Parcel {
             content: None,
             ..parcel
@@ -151,7 +159,11 @@ impl BinaryDecoder {
     }
 
     fn parcel(&mut self, frame: &Bytes) -> Result<Frame, WireError> {
-        let mut parcel = match header::read(frame, self.depth, &mut self.names) {
+        let bounds = HeaderBounds {
+            depth: self.depth,
+            slots: self.slots,
+        };
+        let mut parcel = match header::read(frame, bounds, &mut self.names) {
             Ok(parcel) => parcel,
             Err((reference, error)) => return Ok(Frame::Malformed { reference, error }),
         };

@@ -7,7 +7,7 @@ use bytes::Bytes;
 use super::wire::{FieldReader, bad, put_name, put_varint, put_zigzag};
 use super::words::NameCache;
 use crate::parcel::ContextNumber;
-use crate::slots::check_extra;
+use crate::slots::{check_extra, too_long};
 use crate::{
     Code, Content, Delivery, Family, MAX_ID, Map, Parcel, Path, Time, Value, WireError, check_message_name,
     msgpack,
@@ -124,25 +124,34 @@ pub(super) fn presence(parcel: &Parcel) -> u64 {
         | bit(EXTRA, !parcel.extra.is_empty())
 }
 
+/// What a header may hold.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct HeaderBounds {
+    /// Lists and maps inside each other.
+    pub(super) depth: usize,
+    /// Bytes of all slots.
+    pub(super) slots: usize,
+}
+
 /// Reads the parcel in `frame`, whose first byte is the kind.
 ///
 /// # Errors
 /// The error of the parcel, and its id if that was read before.
 pub(super) fn read(
     frame: &Bytes,
-    depth: usize,
+    bounds: HeaderBounds,
     names: &mut NameCache,
 ) -> Result<Parcel, (Option<u64>, WireError)> {
     let mut parcel = Parcel::new(Family::Message, "");
     let mut reader = FieldReader::at(frame, 1);
-    fill(&mut parcel, &mut reader, depth, names).map_err(|error| (parcel.id, error))?;
+    fill(&mut parcel, &mut reader, bounds, names).map_err(|error| (parcel.id, error))?;
     Ok(parcel)
 }
 
 fn fill(
     parcel: &mut Parcel,
     reader: &mut FieldReader<'_>,
-    depth: usize,
+    bounds: HeaderBounds,
     names: &mut NameCache,
 ) -> Result<(), WireError> {
     let bits = reader.varint()?;
@@ -168,8 +177,9 @@ fn fill(
             RECEIVED => parcel.received = Some(time(reader)?),
             AGE => parcel.age = Some(reader.zigzag()?),
             AGE_ERROR => parcel.age_error = Some(number(reader, "age-error")?),
-            _ => fill_rare(parcel, reader, bit, depth, names)?,
+            _ => fill_rare(parcel, reader, bit, bounds, names)?,
         }
+        bounds.check(reader.position())?;
     }
     if bits & (1 << CONTENT) != 0 {
         parcel.content = Some(Content::Encoded(reader.rest()));
@@ -184,7 +194,7 @@ fn fill_rare(
     parcel: &mut Parcel,
     reader: &mut FieldReader<'_>,
     bit: u32,
-    depth: usize,
+    bounds: HeaderBounds,
     names: &mut NameCache,
 ) -> Result<(), WireError> {
     let start = reader.position();
@@ -198,7 +208,7 @@ fn fill_rare(
             let priority = i32::try_from(reader.zigzag()?);
             parcel.priority = Some(priority.map_err(|_| bad(start, "more than 32 bits").slot("priority"))?);
         }
-        ADDRESS => parcel.address = Some(address(reader, names)?),
+        ADDRESS => parcel.address = Some(address(reader, bounds, names)?),
         EXPIRES => parcel.expires = Some(number(reader, "expires")?),
         DELIVERY => {
             let delivery = Delivery::ALL.get(usize::from(reader.byte()?)).copied();
@@ -210,11 +220,21 @@ fn fill_rare(
             let path = Path::parse(reader.text()?);
             parcel.context = Some(path.map_err(|error| error.slot("context").position(start))?);
         }
-        EXTRA => parcel.extra = extra(reader, depth)?,
+        EXTRA => parcel.extra = extra(reader, bounds)?,
         FIRST_UNKNOWN.. => drop(reader.block()?),
         _ => {}
     }
     Ok(())
+}
+
+impl HeaderBounds {
+    /// Checks how far the slots reach.
+    fn check(self, position: usize) -> Result<(), WireError> {
+        match position <= self.slots {
+            true => Ok(()),
+            false => Err(too_long(self.slots)),
+        }
+    }
 }
 
 fn number(reader: &mut FieldReader<'_>, slot: &str) -> Result<u64, WireError> {
@@ -240,7 +260,11 @@ fn time(reader: &mut FieldReader<'_>) -> Result<Time, WireError> {
     Time::from_micros(reader.long()?).ok_or_else(|| bad(start, "a time outside the years 0 to 9999"))
 }
 
-fn address(reader: &mut FieldReader<'_>, names: &mut NameCache) -> Result<Vec<Arc<str>>, WireError> {
+fn address(
+    reader: &mut FieldReader<'_>,
+    bounds: HeaderBounds,
+    names: &mut NameCache,
+) -> Result<Vec<Arc<str>>, WireError> {
     let start = reader.position();
     let count = reader.varint()?;
     if count == 0 {
@@ -253,19 +277,22 @@ fn address(reader: &mut FieldReader<'_>, names: &mut NameCache) -> Result<Vec<Ar
     let mut address = Vec::new();
     for _ in 0..count {
         address.push(reader.name(names)?);
+        bounds.check(reader.position())?;
     }
     Ok(address)
 }
 
-fn extra(reader: &mut FieldReader<'_>, depth: usize) -> Result<Map, WireError> {
+fn extra(reader: &mut FieldReader<'_>, bounds: HeaderBounds) -> Result<Map, WireError> {
     let start = reader.position();
     let block = reader.block()?;
+    // Before it is opened: what is refused costs nothing.
+    bounds.check(reader.position())?;
     let within = reader.position() - block.len();
     let shifted = |error: WireError| match error.get("position").and_then(Value::as_int) {
         Some(position) => error.position(within + usize::try_from(position).unwrap_or_default()),
         None => error,
     };
-    match msgpack::decode(&block, depth + 1).map_err(shifted)? {
+    match msgpack::decode(&block, bounds.depth + 1).map_err(shifted)? {
         Value::Map(map) => check_extra(&map).map(|()| map),
         _ => Err(bad(start, "the other slots are a map")),
     }

@@ -229,6 +229,32 @@ fn a_broken_frame_ends_the_stream() {
 }
 
 #[test]
+fn slots_have_a_bound_of_their_own() {
+    let mut narrow = decoder();
+    narrow.set_limits(&Limits {
+        slots: 1000,
+        ..Limits::default()
+    });
+    let mut read = |parcel: &Parcel| {
+        let frame = narrow.decode(&mut BytesMut::from(&encode(parcel).expect("a form").to_vec()[..]));
+        frame.expect("healthy").expect("whole")
+    };
+    let base = Parcel::new(Family::Message, "x").id(7).content("x".repeat(5000));
+    let mut coloured = base.clone();
+    coloured.extra.set("colour", "y".repeat(900));
+    assert!(matches!(read(&coloured), Frame::Parcel(_)), "content is apart");
+    coloured.extra.set("colour", "y".repeat(1000));
+    let mut addressed = base;
+    addressed.address = Some((0..200).map(|number| format!("peer{number}").into()).collect());
+    for parcel in [coloured, addressed] {
+        let Frame::Malformed { reference, error } = read(&parcel) else {
+            panic!("too long");
+        };
+        assert_eq!((reference, error.code), (Some(7), Code::TOO_LONG));
+    }
+}
+
+#[test]
 fn broken_chunks_end_the_stream() {
     let encoded = Encoded {
         head: frame(0, &[2, 1]).into(),

@@ -12,7 +12,7 @@ const OWN_TYPE: &[u8] = b"Content-Type: application/xml; charset=utf-8";
 const BOUNDARY_BYTES: usize = 70;
 
 /// What an entity's body is.
-#[derive(Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) enum Media {
     /// One XML document.
     Xml,

@@ -25,7 +25,7 @@ mod write;
 #[cfg(test)]
 mod tests;
 
-use bytes::{Buf, BytesMut};
+use bytes::{Buf, Bytes, BytesMut};
 
 use crate::codec::Frame;
 use crate::{Code, Limits, WireError};
@@ -33,7 +33,7 @@ use crate::{Code, Limits, WireError};
 use head::{Body, EntityHead, Media};
 use multipart::Parts;
 
-pub use write::encode;
+pub use write::{encode, encode_within};
 
 const FIRST: &[u8] = b"content-";
 
@@ -61,6 +61,32 @@ pub struct XmlDecoder {
     // Bytes at the front of the input that are known to hold no line end.
     scanned: usize,
     body: Option<Body>,
+    // Bodies of more bytes are left unread.
+    defer_above: usize,
+    deferred: Option<Box<DeferredEntity>>,
+}
+
+/// An entity whose body is here and not read yet.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DeferredEntity {
+    bytes: Bytes,
+    media: Media,
+    limits: Limits,
+}
+
+impl DeferredEntity {
+    /// The bytes of its body.
+    pub fn size(&self) -> usize {
+        self.bytes.len()
+    }
+
+    /// Reads it.
+    ///
+    /// # Errors
+    /// `restricted-xml`, after which the connection ends, as from [`XmlDecoder::decode`].
+    pub fn open(&self) -> Result<Frame, WireError> {
+        open(&self.bytes, &self.media, &self.limits)
+    }
 }
 
 impl XmlDecoder {
@@ -72,12 +98,24 @@ impl XmlDecoder {
             head_bytes: 0,
             scanned: 0,
             body: None,
+            defer_above: usize::MAX,
+            deferred: None,
         }
     }
 
     /// Changes the limits for all that is not yet announced, as after login.
     pub fn set_limits(&mut self, limits: &Limits) {
         self.limits = limits.clone();
+    }
+
+    /// From now on, stops in front of bodies of more bytes, for [`XmlDecoder::take_deferred`].
+    pub fn defer_above(&mut self, bytes: usize) {
+        self.defer_above = bytes;
+    }
+
+    /// The entity before which [`XmlDecoder::decode`] has stopped; it goes on behind it.
+    pub fn take_deferred(&mut self) -> Option<Box<DeferredEntity>> {
+        self.deferred.take()
     }
 
     /// Takes the next entity from the front of `input`, or `None` if it is not complete.
@@ -87,10 +125,24 @@ impl XmlDecoder {
     /// announced, `restricted-xml` for a document type, a declaration or a processing instruction. The
     /// decoder is of no use after an error.
     pub fn decode(&mut self, input: &mut BytesMut) -> Result<Option<Frame>, WireError> {
+        if self.deferred.is_some() {
+            return Ok(None);
+        }
         if self.body.is_none() {
             self.body = self.read_head(input)?;
         }
         match self.body.take() {
+            Some(Body {
+                media: Ok(media),
+                length,
+            }) if length > self.defer_above && input.len() >= length => {
+                self.deferred = Some(Box::new(DeferredEntity {
+                    bytes: input.split_to(length).freeze(),
+                    media,
+                    limits: self.limits.clone(),
+                }));
+                Ok(None)
+            }
             Some(body) if input.len() >= body.length => self.read_body(body, input).map(Some),
             waiting => {
                 self.body = waiting;
@@ -151,18 +203,7 @@ impl XmlDecoder {
                 input.advance(body.length);
                 frame
             }
-            Ok(Media::Related { boundary }) => {
-                let bytes = input.split_to(body.length).freeze();
-                let (xml, parts) = multipart::split(&bytes, &boundary, &self.limits);
-                let (xml, base) = (&bytes[xml.clone()], xml.start);
-                match parts {
-                    Ok(mut parts) => frame(xml, base, &self.limits, &mut parts),
-                    Err(error) => Ok(Frame::Malformed {
-                        reference: read::reference(xml, base, &self.limits),
-                        error,
-                    }),
-                }
-            }
+            Ok(media) => open(&input.split_to(body.length).freeze(), &media, &self.limits),
             Err(error) => {
                 input.advance(body.length);
                 Ok(Frame::Malformed {
@@ -171,6 +212,23 @@ impl XmlDecoder {
                 })
             }
         }
+    }
+}
+
+/// Reads a whole body.
+fn open(bytes: &Bytes, media: &Media, limits: &Limits) -> Result<Frame, WireError> {
+    let boundary = match media {
+        Media::Xml => return frame(bytes, 0, limits, &mut Parts::default()),
+        Media::Related { boundary } => boundary,
+    };
+    let (xml, parts) = multipart::split(bytes, boundary, limits);
+    let (xml, base) = (&bytes[xml.clone()], xml.start);
+    match parts {
+        Ok(mut parts) => frame(xml, base, limits, &mut parts),
+        Err(error) => Ok(Frame::Malformed {
+            reference: read::reference(xml, base, limits),
+            error,
+        }),
     }
 }
 

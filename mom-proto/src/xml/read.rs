@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 
+use crate::slots::too_long;
 use crate::{Code, HARD_DEPTH, Limits, Map, Parcel, ReadSlots, Value, ValueKind, WireError};
 
 use super::lexeme::{Lexeme, Lexemes, Tag};
@@ -61,6 +62,7 @@ fn document_slots(
         parts,
     };
     let root = reader.root()?;
+    let mut slot_bytes = 0;
     while let Some(tag) = reader.child(&root)? {
         let position = tag.position;
         let key = member_key(&tag)?;
@@ -69,6 +71,12 @@ fn document_slots(
         let value = reader
             .value(&tag, tag.kind.unwrap_or(kind), depth)
             .map_err(|error| within(error, &key))?;
+        if key != "content" {
+            slot_bytes += reader.tokens.position().saturating_sub(position);
+            if slot_bytes > limits.slots {
+                return Err(too_long(limits.slots).slot(brief(&key)).position(position));
+            }
+        }
         slots
             .insert(key.into_owned(), value)
             .map_err(|error| placed(error, position))?;

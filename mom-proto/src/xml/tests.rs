@@ -4,10 +4,10 @@ use bytes::BytesMut;
 use proptest::collection::vec;
 use proptest::prelude::*;
 
-use super::{XmlDecoder, encode, sniff};
+use super::{XmlDecoder, encode, encode_within, sniff};
 use crate::arbitrary;
 use crate::codec::Frame;
-use crate::{Code, Content, Family, HARD_DEPTH, Limits, Map, Parcel, Value, WireError, msgpack};
+use crate::{Code, Content, Family, HARD_DEPTH, Limit, Limits, Map, Parcel, Value, WireError, msgpack};
 
 /// All frames of `input` when it arrives in these pieces, and the error that ends them.
 fn decode<'a>(pieces: impl IntoIterator<Item = &'a [u8]>) -> (Vec<Frame>, Option<WireError>) {
@@ -277,5 +277,94 @@ fn the_first_bytes() {
                 .is_none_or(|error| error.code == Code::BAD_FRAME)
         );
         assert_eq!(sure.ok(), expected, "{first:?}");
+    }
+}
+
+/// A list of nothing costs one byte for each item in MessagePack and nineteen in XML.
+#[test]
+fn bounds_hold_while_content_is_written() {
+    let nils = |count: u32| {
+        let mut bytes = vec![0xdd];
+        bytes.extend_from_slice(&count.to_be_bytes());
+        bytes.resize(bytes.len() + count as usize, 0xc0);
+        holding(Content::Encoded(bytes.into()))
+    };
+    let within = |parcel: &Parcel| encode_within(parcel, 32, Limit::At(64 * 1024));
+    let written = within(&nils(1000)).expect("it fits");
+    assert!((18_000..64 * 1024).contains(&written.len()), "{}", written.len());
+    let error = within(&nils(4_000_000)).expect_err("it would have 76 MB");
+    assert_eq!(error.code, Code::NOT_ENCODABLE);
+    assert!(error.text.contains("more than 65536 bytes"), "{error}");
+    let quotes = holding("\"".repeat(60_000));
+    assert_eq!(within(&quotes).expect_err("360 kB").code, Code::NOT_ENCODABLE);
+    let parts = holding(vec![Value::Binary(bytes::Bytes::from(vec![1; 40_000])); 2]);
+    assert_eq!(
+        within(&parts).expect_err("80 kB in parts").code,
+        Code::NOT_ENCODABLE
+    );
+    let deep = holding(Content::Encoded([&[0x91; 33][..], &[0xc0]].concat().into()));
+    assert_eq!(within(&deep).expect_err("33 levels").code, Code::TOO_DEEP);
+}
+
+#[test]
+fn a_large_entity_is_left_for_whoever_has_the_time() {
+    let large = holding("x".repeat(5000));
+    let picture = holding(bytes::Bytes::from(vec![7; 5000]));
+    let all = [encoded(&large), encoded(&holding("small")), encoded(&picture)].concat();
+    let mut decoder = XmlDecoder::new(&Limits::default());
+    decoder.defer_above(4096);
+    let mut buffer = BytesMut::from(&all[..]);
+    assert_eq!(decoder.decode(&mut buffer), Ok(None));
+    assert_eq!(decoder.decode(&mut buffer), Ok(None), "nothing goes past it");
+    let deferred = decoder.take_deferred().expect("the large one");
+    assert!(deferred.size() > 5000);
+    assert_eq!(deferred.open(), Ok(Frame::Parcel(Box::new(large))));
+    assert_eq!(
+        decoder.decode(&mut buffer),
+        Ok(Some(Frame::Parcel(Box::new(holding("small")))))
+    );
+    assert_eq!(decoder.decode(&mut buffer), Ok(None));
+    let deferred = decoder.take_deferred().expect("the one with a part");
+    assert_eq!(deferred.open(), Ok(Frame::Parcel(Box::new(picture))));
+    assert_eq!(
+        (decoder.decode(&mut buffer), decoder.take_deferred()),
+        (Ok(None), None)
+    );
+}
+
+#[test]
+fn slots_have_a_bound_of_their_own() {
+    let limits = Limits {
+        slots: 1000,
+        ..Limits::default()
+    };
+    let read = |parcel: &Parcel| {
+        let mut decoder = XmlDecoder::new(&limits);
+        let frame = decoder.decode(&mut BytesMut::from(&encoded(parcel)[..]));
+        frame.expect("healthy").expect("whole")
+    };
+    let mut parcel = holding("x".repeat(5000)).id(7);
+    parcel.extra.set("colour", "y".repeat(500));
+    assert_eq!(
+        read(&parcel),
+        Frame::Parcel(Box::new(parcel.clone())),
+        "content is apart"
+    );
+    parcel.extra.set("colour", "y".repeat(1000));
+    let Frame::Malformed { reference, error } = read(&parcel) else {
+        panic!("too long");
+    };
+    assert_eq!((reference, &error.code), (Some(7), &Code::TOO_LONG), "{error}");
+    assert_eq!(error.get("slot"), Some(&"colour".into()));
+}
+
+proptest! {
+    /// What is passed on token by token is what is opened and written.
+    #[test]
+    fn encoded_content_is_written_like_the_value(value in arbitrary::value(4)) {
+        let mut bytes = Vec::new();
+        msgpack::encode(&value, &mut bytes).expect("a form");
+        let packed = holding(Content::Encoded(bytes.into()));
+        prop_assert_eq!(encoded(&packed), encoded(&holding(value)));
     }
 }

@@ -1,5 +1,6 @@
 //! Writes parcels: compact XML after its header lines, large binary values in parts (M14, M15).
 
+use std::collections::HashSet;
 use std::io::Write as _;
 
 use base64::Engine;
@@ -7,8 +8,9 @@ use base64::engine::general_purpose::STANDARD;
 use bytes::Bytes;
 
 use crate::codec::Encoded;
+use crate::msgpack::{self, Token, TokenReader, key_twice};
 use crate::slots::check_extra;
-use crate::{Code, Content, HARD_DEPTH, Parcel, Value, ValueKind, WireError, write_slots};
+use crate::{Code, Content, HARD_DEPTH, Limit, Parcel, Value, ValueKind, WireError, write_slots};
 
 use super::name::{is_element_key, within};
 
@@ -36,28 +38,45 @@ const XML: &str = "Content-Type: application/xml; charset=utf-8\r\n";
 /// `too-deep` beyond [`HARD_DEPTH`], `bad-slot` for a known slot among the other ones, and what
 /// [`Content::to_value`] says about encoded content.
 pub fn encode(parcel: &Parcel) -> Result<Encoded, WireError> {
+    encode_within(parcel, HARD_DEPTH, Limit::Unlimited)
+}
+
+/// As [`encode`], for content of so many levels at most and an entity of so many bytes. The bounds hold while it is
+/// written: what is refused needs no more memory than what is not.
+///
+/// # Errors
+/// As [`encode`]; `too-deep` for encoded content beyond `depth`, `not-encodable` beyond `most`.
+pub fn encode_within(parcel: &Parcel, depth: usize, most: Limit) -> Result<Encoded, WireError> {
     check_extra(&parcel.extra)?;
     let mut out = Vec::with_capacity(HEAD_BYTES + 512);
     out.resize(HEAD_BYTES, 0);
     let mut writer = XmlWriter {
         out,
         parts: Vec::new(),
+        part_bytes: 0,
+        most: most.get(),
     };
-    writer.parcel(parcel)?;
-    Ok(Encoded {
-        head: writer.finish(),
-        body: Bytes::new(),
-    })
+    writer.parcel(parcel, depth)?;
+    let head = writer.finish();
+    match most.allows(head.len()) {
+        true => Ok(Encoded {
+            head,
+            body: Bytes::new(),
+        }),
+        false => Err(too_large(most.get())),
+    }
 }
 
 struct XmlWriter {
     // HEAD_BYTES of nothing yet, then the XML.
     out: Vec<u8>,
     parts: Vec<Bytes>,
+    part_bytes: usize,
+    most: usize,
 }
 
 impl XmlWriter {
-    fn parcel(&mut self, parcel: &Parcel) -> Result<(), WireError> {
+    fn parcel(&mut self, parcel: &Parcel, depth: usize) -> Result<(), WireError> {
         self.out.extend_from_slice(b"<parcel>");
         let mut written = Ok(());
         write_slots(parcel, |key, _, value| {
@@ -69,19 +88,20 @@ impl XmlWriter {
         match &parcel.content {
             None => {}
             Some(Content::Value(value)) => self.member("content", value, HARD_DEPTH)?,
-            Some(encoded) => self.member("content", &encoded.to_value()?, HARD_DEPTH)?,
+            Some(Content::Encoded(bytes)) => {
+                let mut tokens = TokenReader::new(bytes);
+                self.encoded("content", None, &mut tokens, depth)?;
+                tokens.end()?;
+            }
         }
         self.out.extend_from_slice(b"</parcel>");
         Ok(())
     }
 
     fn member(&mut self, key: &str, value: &Value, depth: usize) -> Result<(), WireError> {
-        let written = if is_element_key(key) {
-            self.element(key, None, value, depth)
-        } else {
-            self.element("slot", Some(key), value, depth)
-        };
-        written.map_err(|error| within(error, key))
+        let (name, attribute) = element_of(key);
+        self.element(name, attribute, value, depth)
+            .map_err(|error| within(error, key))
     }
 
     fn element(
@@ -91,72 +111,164 @@ impl XmlWriter {
         value: &Value,
         depth: usize,
     ) -> Result<(), WireError> {
-        self.out.push(b'<');
-        self.out.extend_from_slice(name.as_bytes());
-        if let Some(key) = key {
-            self.out.extend_from_slice(b" key=\"");
-            escape(key, true, &mut self.out)?;
-            self.out.push(b'"');
-        }
-        if value.kind() != ValueKind::String {
-            self.out.extend_from_slice(b" type=\"");
-            self.out.extend_from_slice(value.kind().word().as_bytes());
-            self.out.push(b'"');
-        }
-        if is_hollow(value) {
-            if matches!(value, Value::List(_) | Value::Map(_)) {
-                deeper(depth)?;
-            }
-            self.out.extend_from_slice(b"/>");
-            return Ok(());
-        }
-        if !matches!(value, Value::Binary(_)) {
-            self.out.push(b'>');
-        }
-        self.inside(value, depth)?;
-        self.out.extend_from_slice(b"</");
-        self.out.extend_from_slice(name.as_bytes());
-        self.out.push(b'>');
-        Ok(())
-    }
-
-    fn inside(&mut self, value: &Value, depth: usize) -> Result<(), WireError> {
         match value {
-            Value::Null => Ok(()),
-            Value::Bool(flag) => self.put(if *flag { b"true" } else { b"false" }),
-            Value::Int(number) => self.put(itoa::Buffer::new().format(*number).as_bytes()),
-            // The Debug form is the shortest that reads back equal, with an exponent where it is long.
-            Value::Double(number) if number.is_finite() => {
-                write!(self.out, "{number:?}").map_err(|error| not_encodable(error.to_string()))
-            }
-            Value::Double(number) => Err(not_encodable(format!("a double has to be finite, not {number}"))),
-            Value::String(text) => escape(text, false, &mut self.out),
-            Value::Time(time) => {
-                time.write(&mut self.out);
-                Ok(())
-            }
-            Value::Binary(bytes) => self.binary(bytes),
             Value::List(list) => {
                 let depth = deeper(depth)?;
+                if !self.open(name, key, ValueKind::List, list.len())? {
+                    return Ok(());
+                }
                 list.iter().enumerate().try_for_each(|(index, item)| {
                     self.element("item", None, item, depth)
                         .map_err(|error| within(error, &index.to_string()))
-                })
+                })?;
             }
             Value::Map(map) => {
                 let depth = deeper(depth)?;
+                if !self.open(name, key, ValueKind::Map, map.len())? {
+                    return Ok(());
+                }
                 map.iter()
-                    .try_for_each(|(key, item)| self.member(key, item, depth))
+                    .try_for_each(|(key, item)| self.member(key, item, depth))?;
             }
+            Value::Null => return self.leaf(name, key, Token::Null),
+            Value::Bool(flag) => return self.leaf(name, key, Token::Bool(*flag)),
+            Value::Int(number) => return self.leaf(name, key, Token::Int(*number)),
+            Value::Double(number) => return self.leaf(name, key, Token::Double(*number)),
+            Value::String(text) => return self.leaf(name, key, Token::Text(text)),
+            Value::Time(time) => return self.leaf(name, key, Token::Time(*time)),
+            Value::Binary(bytes) => return self.leaf(name, key, Token::Binary(bytes.clone())),
         }
+        self.close(name)
+    }
+
+    /// An element of the next value of encoded content, in which so many levels more may open.
+    fn encoded(
+        &mut self,
+        name: &str,
+        key: Option<&str>,
+        tokens: &mut TokenReader<'_>,
+        depth: usize,
+    ) -> Result<(), WireError> {
+        let start = tokens.position();
+        match tokens.token()? {
+            Token::List(length) => {
+                let depth = msgpack::deeper(depth, start)?;
+                if !self.open(name, key, ValueKind::List, length)? {
+                    return Ok(());
+                }
+                (0..length).try_for_each(|_| self.encoded("item", None, tokens, depth))?;
+            }
+            Token::Map(length) => {
+                let depth = msgpack::deeper(depth, start)?;
+                if !self.open(name, key, ValueKind::Map, length)? {
+                    return Ok(());
+                }
+                let mut keys = HashSet::new();
+                for _ in 0..length {
+                    let at = tokens.position();
+                    let key = tokens.key()?;
+                    if !keys.insert(key) {
+                        return Err(key_twice(key, at));
+                    }
+                    let (name, attribute) = element_of(key);
+                    self.encoded(name, attribute, tokens, depth)?;
+                }
+            }
+            leaf => return self.leaf(name, key, leaf),
+        }
+        self.close(name)
+    }
+
+    /// An element with nothing but text in it.
+    fn leaf(&mut self, name: &str, key: Option<&str>, value: Token<'_>) -> Result<(), WireError> {
+        match value {
+            Token::Null => {
+                self.open(name, key, ValueKind::Null, 0)?;
+                return Ok(());
+            }
+            Token::Bool(flag) => {
+                self.open(name, key, ValueKind::Bool, 1)?;
+                self.put(if flag { b"true" } else { b"false" });
+            }
+            Token::Int(number) => {
+                self.open(name, key, ValueKind::Int, 1)?;
+                self.put(itoa::Buffer::new().format(number).as_bytes());
+            }
+            Token::Double(number) if number.is_finite() => {
+                self.open(name, key, ValueKind::Double, 1)?;
+                // The Debug form is the shortest that reads back equal, with an exponent where it is long.
+                write!(self.out, "{number:?}").map_err(|error| not_encodable(error.to_string()))?;
+            }
+            Token::Double(number) => {
+                return Err(not_encodable(format!("a double has to be finite, not {number}")));
+            }
+            Token::Text(text) => {
+                if !self.open(name, key, ValueKind::String, text.len())? {
+                    return Ok(());
+                }
+                escape(text, false, &mut self.out, self.most)?;
+            }
+            Token::Time(time) => {
+                self.open(name, key, ValueKind::Time, 1)?;
+                time.write(&mut self.out);
+            }
+            Token::Binary(bytes) => {
+                self.begin(name, key, ValueKind::Binary)?;
+                self.binary(&bytes)?;
+            }
+            Token::List(_) | Token::Map(_) => {}
+        }
+        self.close(name)
+    }
+
+    /// Begins an element of something with so many members; false if it has none and ends here.
+    fn open(
+        &mut self,
+        name: &str,
+        key: Option<&str>,
+        kind: ValueKind,
+        members: usize,
+    ) -> Result<bool, WireError> {
+        self.begin(name, key, kind)?;
+        self.put(if members > 0 { b">" } else { b"/>" });
+        Ok(members > 0)
+    }
+
+    /// Begins a tag, which has to be ended.
+    fn begin(&mut self, name: &str, key: Option<&str>, kind: ValueKind) -> Result<(), WireError> {
+        if self.out.len() + self.part_bytes > self.most.saturating_add(HEAD_BYTES) {
+            return Err(too_large(self.most));
+        }
+        self.out.push(b'<');
+        self.put(name.as_bytes());
+        if let Some(key) = key {
+            self.put(b" key=\"");
+            escape(key, true, &mut self.out, self.most)?;
+            self.out.push(b'"');
+        }
+        if kind != ValueKind::String {
+            self.put(b" type=\"");
+            self.put(kind.word().as_bytes());
+            self.out.push(b'"');
+        }
+        Ok(())
+    }
+
+    fn close(&mut self, name: &str) -> Result<(), WireError> {
+        self.put(b"</");
+        self.put(name.as_bytes());
+        self.out.push(b'>');
+        Ok(())
     }
 
     fn binary(&mut self, bytes: &Bytes) -> Result<(), WireError> {
         if bytes.len() > INLINE_BYTES && self.parts.len() < PARTS {
             self.parts.push(bytes.clone());
-            self.out.extend_from_slice(b"><cid>part-");
-            self.put(itoa::Buffer::new().format(self.parts.len()).as_bytes())?;
-            return self.put(b"</cid>");
+            self.part_bytes += bytes.len();
+            self.put(b"><cid>part-");
+            self.put(itoa::Buffer::new().format(self.parts.len()).as_bytes());
+            self.put(b"</cid>");
+            return Ok(());
         }
         self.out.extend_from_slice(b" encoding=\"base64\">");
         let start = self.out.len();
@@ -167,9 +279,8 @@ impl XmlWriter {
             .map_err(|error| not_encodable(error.to_string()))
     }
 
-    fn put(&mut self, bytes: &[u8]) -> Result<(), WireError> {
+    fn put(&mut self, bytes: &[u8]) {
         self.out.extend_from_slice(bytes);
-        Ok(())
     }
 
     fn finish(mut self) -> Bytes {
@@ -203,14 +314,11 @@ impl XmlWriter {
     }
 }
 
-/// Whether an element of this value has nothing inside.
-fn is_hollow(value: &Value) -> bool {
-    match value {
-        Value::Null => true,
-        Value::String(text) => text.is_empty(),
-        Value::List(list) => list.is_empty(),
-        Value::Map(map) => map.is_empty(),
-        _ => false,
+/// The name of the element for a member of this key, and the key as its attribute where that is no name.
+fn element_of(key: &str) -> (&str, Option<&str>) {
+    match is_element_key(key) {
+        true => (key, None),
+        false => ("slot", Some(key)),
     }
 }
 
@@ -257,7 +365,7 @@ static SPECIAL: [bool; 256] = {
     special
 };
 
-fn escape(text: &str, attribute: bool, out: &mut Vec<u8>) -> Result<(), WireError> {
+fn escape(text: &str, attribute: bool, out: &mut Vec<u8>, most: usize) -> Result<(), WireError> {
     let bytes = text.as_bytes();
     let mut copied = 0;
     for (at, &byte) in bytes.iter().enumerate() {
@@ -282,6 +390,9 @@ fn escape(text: &str, attribute: bool, out: &mut Vec<u8>) -> Result<(), WireErro
         out.extend_from_slice(&bytes[copied..at]);
         out.extend_from_slice(escaped);
         copied = at + 1;
+        if out.len() > most.saturating_add(HEAD_BYTES) {
+            return Err(too_large(most));
+        }
     }
     out.extend_from_slice(&bytes[copied..]);
     Ok(())
@@ -294,6 +405,12 @@ fn deeper(depth: usize) -> Result<usize, WireError> {
             format!("lists and maps are nested deeper than {HARD_DEPTH}"),
         )
     })
+}
+
+fn too_large(most: usize) -> WireError {
+    not_encodable(format!(
+        "in XML this parcel has more than {most} bytes, the limit"
+    ))
 }
 
 fn not_encodable(text: String) -> WireError {
