@@ -37,7 +37,7 @@ pub use link::TcpState;
 pub use local::pair;
 pub use outgoing::Outgoing;
 pub use part::Part;
-pub use queue::{DropPolicy, DropReason, Item, Lane, Piece, SendQueue, Taken, write_batch};
+pub use queue::{DropPolicy, DropReason, Item, Lane, Piece, Rest, SendQueue, Taken, write_batch};
 pub use reader::Reader;
 pub use tcp::{accept, connect};
 pub use writer::{GATHER, Progress, Writer};

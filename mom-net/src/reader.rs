@@ -11,6 +11,7 @@ use mom_proto::Limits;
 use mom_proto::Parcel;
 use mom_proto::binary::Plain;
 use mom_proto::codec::{Decoder, Form, Frame};
+use mom_proto::xml::DeferredEntity;
 use tokio::io::AsyncReadExt;
 use tokio::net::tcp::OwnedReadHalf;
 use tokio::sync::mpsc;
@@ -56,6 +57,21 @@ impl Reader {
     pub fn set_limits(&mut self, limits: &Limits) {
         if let Source::Stream { decoder, .. } = &mut self.source {
             decoder.set_limits(limits);
+        }
+    }
+
+    /// From now on, leaves large documents unread, for [`Reader::take_deferred`].
+    pub fn defer_above(&mut self, bytes: usize) {
+        if let Source::Stream { decoder, .. } = &mut self.source {
+            decoder.defer_above(bytes);
+        }
+    }
+
+    /// The whole document in front of which [`Reader::try_next`] has stopped; it goes on behind it.
+    pub fn take_deferred(&mut self) -> Option<Box<DeferredEntity>> {
+        match &mut self.source {
+            Source::Stream { decoder, .. } => decoder.take_deferred(),
+            Source::Local { .. } => None,
         }
     }
 

@@ -45,6 +45,16 @@ pub trait Item: Debug {
     /// Its frames in this form; none for a peer in the same process.
     fn frames(&self, form: Option<Form>) -> Option<&Encoded>;
 
+    /// Whether it can leave in this form; what is more urgent goes before it meanwhile, and nothing else.
+    fn is_ready(&self, _form: Option<Form>) -> bool {
+        true
+    }
+
+    /// Why it cannot leave in this form at all.
+    fn fault(&self, _form: Option<Form>) -> Option<DropReason> {
+        None
+    }
+
     /// What a peer in the same process gets.
     fn parcel(&self) -> Option<&Arc<Parcel>>;
 
@@ -91,6 +101,8 @@ pub enum DropReason {
     Fence,
     /// The receiver wants fewer, and a newer one came before its time.
     Rate,
+    /// It has no form that the receiver could read.
+    BadContent,
     /// A stop came after this `unstop`, before it had left.
     Overruled,
 }
@@ -106,6 +118,7 @@ impl DropReason {
             DropReason::Expired => "expired",
             DropReason::Fence => "older-fence",
             DropReason::Rate => "rate",
+            DropReason::BadContent => "bad-content",
         }
     }
 }

@@ -40,6 +40,17 @@ pub enum Taken {
     Overflow,
 }
 
+/// What is left in a queue of which nothing may be written now.
+#[derive(Debug)]
+pub enum Rest<I> {
+    /// Nothing, or something may be written.
+    None,
+    /// The network has no room for more.
+    NoRoom,
+    /// What goes next is not ready: this.
+    Unready(Arc<I>),
+}
+
 /// The queue of one connection.
 #[derive(Debug)]
 pub struct SendQueue<I: Item, P> {

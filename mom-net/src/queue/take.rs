@@ -10,56 +10,117 @@ use mom_proto::codec::Form;
 
 use super::data_lane::DataLane;
 use super::piece::{Entry, Piece, Progress};
-use super::{DropPolicy, DropReason, Item, Lane, SendQueue, reliable};
+use super::{DropPolicy, DropReason, Item, Lane, Rest, SendQueue, reliable};
 use crate::{Allowance, Part};
 
 /// Taken at once: more than a system call gathers is no faster, and what is taken cannot be overtaken any more.
 const BATCH_PIECES: usize = 256;
 const BATCH_BYTES: usize = 256 * 1024;
 
+/// What goes next.
+enum Next<T, I> {
+    Ready(T),
+    /// This would, and is not ready.
+    Unready(Arc<I>),
+    None,
+}
+
 /// The number of the last word.
 const LAST: u64 = u64::MAX;
 
 impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
     /// Adds to a batch what may be written now: what the link has begun to take, and as much more as the network has room
-    /// for. False if something waits and there is no room for it.
-    pub fn take(&mut self, now: u64, allowance: Allowance, batch: &mut VecDeque<Piece<I>>) -> bool {
+    /// for. Says what the rest waits for, if nothing may be written.
+    pub fn take(&mut self, now: u64, allowance: Allowance, batch: &mut VecDeque<Piece<I>>) -> Rest<I> {
         batch.extend(self.begun.take().map(|piece| *piece));
         let bytes = allowance.bytes.min(BATCH_BYTES);
         let mut taken = 0;
+        let mut unready = None;
         while batch.len() < BATCH_PIECES {
             let next = match bytes.checked_sub(taken) {
                 // Pieces rather a little too large than very small ones.
-                Some(left) if left > 0 => self.pop(now, allowance.piece.min(left.max(allowance.piece / 2))),
-                _ => self.pop_unpaced(),
+                Some(left) if left > 0 => {
+                    self.pop_next(now, allowance.piece.min(left.max(allowance.piece / 2)))
+                }
+                _ => self.pop_unpaced().map_or(Next::None, Next::Ready),
             };
-            let Some(next) = next else { break };
-            taken += next.left();
-            batch.push_back(next);
+            match next {
+                Next::Ready(piece) => {
+                    taken += piece.left();
+                    batch.push_back(piece);
+                }
+                Next::Unready(item) => {
+                    unready = Some(item);
+                    break;
+                }
+                Next::None => break,
+            }
         }
-        !batch.is_empty() || self.is_empty()
+        match unready {
+            _ if !batch.is_empty() => Rest::None,
+            Some(item) => Rest::Unready(item),
+            None if self.is_empty() => Rest::None,
+            None => Rest::NoRoom,
+        }
+    }
+
+    /// Puts others into the place of an item that is not ready and goes next of its lane; false if it is not there any
+    /// more.
+    pub fn replace_front(&mut self, item: &Arc<I>, others: Vec<Arc<I>>) -> bool {
+        let Lane::Data(priority) = item.lane() else {
+            return false;
+        };
+        let front = self.data.get_mut(&Reverse(priority)).and_then(DataLane::front);
+        if front.is_none_or(|front| !Arc::ptr_eq(&front.item, item)) {
+            return false;
+        }
+        let Some(entry) = self.pop_data(Reverse(priority)) else {
+            return false;
+        };
+        self.leave(&entry.item);
+        for other in others.into_iter().rev() {
+            let size = self.charge(&other);
+            self.data_bytes += size;
+            self.reliable_bytes += reliable(&*other, size);
+            let lane = other.lane();
+            if let Lane::Data(priority) = lane {
+                self.put_back_data(Entry::new(other, entry.number), Reverse(priority));
+            }
+        }
+        true
     }
 
     /// The next piece for the link, of about `most` bytes if there is a way to cut it; what became stale on the
     /// way is dropped.
     pub fn pop(&mut self, now: u64, most: usize) -> Option<Piece<I>> {
+        match self.pop_next(now, most) {
+            Next::Ready(piece) => Some(piece),
+            Next::Unready(_) | Next::None => None,
+        }
+    }
+
+    fn pop_next(&mut self, now: u64, most: usize) -> Next<Piece<I>, I> {
         if let Some(unpaced) = self.pop_unpaced() {
-            return Some(unpaced);
+            return Next::Ready(unpaced);
         }
         if let Some(stream) = self.aborts.pop_front() {
-            return Some(Piece::abort(stream));
+            return Next::Ready(Piece::abort(stream));
         }
         loop {
-            let Some(entry) = self.next(most) else {
-                return self.pop_last();
+            let entry = match self.next(now, most) {
+                Next::Ready(entry) => entry,
+                // The last word waits for it, too.
+                Next::Unready(item) => return Next::Unready(item),
+                Next::None => return self.pop_last().map_or(Next::None, Next::Ready),
             };
-            let Some(reason) = self.policy.stale(&entry.item, now) else {
-                return Some(self.cut(entry, most));
+            let stale = self.policy.stale(&entry.item, now);
+            let Some(reason) = stale.or_else(|| entry.item.fault(self.form)) else {
+                return Next::Ready(self.cut(entry, most));
             };
             self.note(&entry, reason);
             self.leave(&entry.item);
             if entry.progress.stream > 0 {
-                return Some(Piece::abort(entry.progress.stream));
+                return Next::Ready(Piece::abort(entry.progress.stream));
             }
         }
     }
@@ -172,8 +233,8 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         }
     }
 
-    /// The most urgent entry, taken out of its lane.
-    fn next(&mut self, most: usize) -> Option<Entry<I>> {
+    /// The most urgent entry, taken out of its lane if it is ready.
+    fn next(&mut self, now: u64, most: usize) -> Next<Entry<I>, I> {
         let open = (0..self.open.len()).max_by_key(|at| self.open[*at].item.lane());
         let waiting = self.front();
         match (open, waiting) {
@@ -182,11 +243,16 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
                 if Some(self.open[open].item.lane()) >= waiting
                     || waiting.is_some_and(|lane| !self.may_begin(lane, most)) =>
             {
-                Some(self.open.remove(open))
+                Next::Ready(self.open.remove(open))
             }
-            (_, Some(Lane::Data(priority))) => self.pop_data(Reverse(priority)),
-            (_, Some(_)) => self.pop_control(),
-            (_, None) => None,
+            (_, Some(Lane::Data(priority))) => {
+                if let Some(item) = self.unready_front(Reverse(priority), now) {
+                    return Next::Unready(item);
+                }
+                self.pop_data(Reverse(priority)).map_or(Next::None, Next::Ready)
+            }
+            (_, Some(_)) => self.pop_control().map_or(Next::None, Next::Ready),
+            (_, None) => Next::None,
         }
     }
 
@@ -211,6 +277,13 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
                     .open
                     .iter()
                     .any(|open| matches!(open.item.lane(), Lane::Data(_)) && is_early(open)))
+    }
+
+    /// The item in front of a lane, if it is not ready. What may not leave any more need not be.
+    fn unready_front(&mut self, priority: Reverse<i32>, now: u64) -> Option<Arc<I>> {
+        let front = self.data.get_mut(&priority)?.front()?;
+        let waits = !front.item.is_ready(self.form) && self.policy.stale(&front.item, now).is_none();
+        waits.then(|| Arc::clone(&front.item))
     }
 
     fn pop_control(&mut self) -> Option<Entry<I>> {
