@@ -6,6 +6,8 @@
 mod clock;
 mod own_file;
 pub mod sync;
+mod workers;
 
 pub use clock::Clock;
 pub use own_file::{numbered, open_own};
+pub use workers::{Workers, give_way};

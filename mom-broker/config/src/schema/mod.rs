@@ -102,6 +102,8 @@ fn limits() -> Value {
             "parcel",
             "One parcel with its headers and parts, in bytes, or unlimited.",
         ),
+        ("slots", "All slots of one parcel but its content, in bytes."),
+        ("control", "The content of a parcel that is no message, in bytes."),
         ("depth", "Lists and maps inside each other."),
         ("attributes", "Attributes of one XML element."),
         ("attribute-size", "One XML attribute, in bytes."),
@@ -133,6 +135,10 @@ fn limits() -> Value {
             "How far ahead the timestamp of a message may be, beyond the error of its sender's clock, in ms.",
         ),
         ("contexts", "Contexts in the whole tree, or unlimited."),
+        (
+            "user-contexts",
+            "Contexts of the tree that peers of one user have made, or unlimited.",
+        ),
         ("joined", "Contexts that one peer may have joined, or unlimited."),
         (
             "requests",
@@ -140,7 +146,7 @@ fn limits() -> Value {
         ),
     ] {
         let shape = match key {
-            "parcel" | "contexts" | "joined" | "requests" => json!({
+            "parcel" | "contexts" | "user-contexts" | "joined" | "requests" => json!({
                 "description": description,
                 "anyOf": [{ "type": "integer", "minimum": 1 }, { "enum": ["unlimited"] }]
             }),
