@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use mom_managers::{Ask, GivenAnswer};
-use mom_proto::{Code, Content, ContextNumber, Family, Map, Micros, Parcel, Value, Verb, WireError};
+use mom_proto::{Code, ContextNumber, Family, Map, Micros, Parcel, Value, Verb, WireError};
 
 use super::refusal::Deferred;
 use crate::heard::Heard;
@@ -128,7 +128,8 @@ impl Questions {
 
     /// How many requests of a peer wait, and with how many bytes.
     fn waiting_of(&self, peer: PeerId) -> (usize, usize) {
-        let size = |parcel: &Parcel| parcel.content.as_ref().map_or(0, Content::size);
+        let path = |parcel: &Parcel| parcel.context.as_ref().map_or(0, |path| path.as_str().len());
+        let size = |parcel: &Parcel| parcel.size() + path(parcel);
         let own = self
             .pending
             .values()

@@ -3,35 +3,152 @@
 use std::collections::BTreeSet;
 
 use mom_proto::event::{self, Reason};
-use mom_proto::{Code, ContextNumber, Map, WireError};
+use mom_proto::{Code, ContextNumber, Fence, Map, Micros, Path, WireError};
 
 use crate::token::state::Granting;
-use crate::world::World;
-use crate::{Effect, PeerId};
+use crate::tree::context::Role;
+use crate::world::deletion::{Deleter, Deletion, Phase};
+use crate::world::{Timer, World};
+use crate::{Audit, Effect, PeerId};
+
+/// Contexts that one step of a deletion ends or removes, and peers that it tells.
+const STEP: usize = 64;
+const TOLD: usize = 1024;
+
+/// The time between two steps, in which others have their turns.
+const PAUSE: Micros = 1_000;
 
 impl World {
-    /// Deletes a context with all below it, deepest first. All tokens are lost before: first everything is
-    /// safe, while the channels that lead to the devices are still there.
-    pub(crate) fn delete(&mut self, number: ContextNumber, by: Option<PeerId>, out: &mut Vec<Effect>) {
-        let all = self.tree.subtree(number);
-        all.iter().for_each(|below| self.end_token(*below, by, out));
-        for below in all {
-            self.delete_one(below, by, out);
+    /// Deletes a context with all below it. All tokens are lost before: first everything is safe, while the channels
+    /// that lead to the devices are still there. Much is deleted in steps, between which others have their turns;
+    /// whoever asked for it is answered at the end.
+    pub(crate) fn delete(
+        &mut self,
+        number: ContextNumber,
+        by: Option<PeerId>,
+        answer: Option<(PeerId, Option<u64>)>,
+        out: &mut Vec<Effect>,
+    ) {
+        let Some(mut deletion) = self.begin_deletion(number, by, answer) else {
+            return;
+        };
+        if self.delete_step(&mut deletion, out) {
+            return;
+        }
+        self.doomed.insert(deletion.path.clone());
+        if self.deletions.is_empty() {
+            self.timers.insert((self.after(PAUSE), Timer::Delete));
+        }
+        self.deletions.push_back(deletion);
+    }
+
+    /// Deletes a context with all below it at once, for a new configuration that has something else there.
+    pub(crate) fn delete_at_once(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
+        if let Some(mut deletion) = self.begin_deletion(number, None, None) {
+            while !self.delete_step(&mut deletion, out) {}
         }
     }
 
+    /// Goes on with what is being deleted.
+    pub(crate) fn go_on_deleting(&mut self, out: &mut Vec<Effect>) {
+        let Some(mut deletion) = self.deletions.pop_front() else {
+            return self.fault("nothing is being deleted");
+        };
+        match self.delete_step(&mut deletion, out) {
+            true => {
+                self.doomed.remove(&deletion.path);
+            }
+            // Others that are being deleted have their turns, too.
+            false => self.deletions.push_back(deletion),
+        }
+        if !self.deletions.is_empty() {
+            self.timers.insert((self.after(PAUSE), Timer::Delete));
+        }
+    }
+
+    /// Whether a path is being deleted, with what is above it.
+    pub(crate) fn is_doomed(&self, path: &Path) -> bool {
+        !self.doomed.is_empty() && self.doomed.iter().any(|doomed| path.is_within(doomed))
+    }
+
+    fn begin_deletion(
+        &self,
+        number: ContextNumber,
+        by: Option<PeerId>,
+        answer: Option<(PeerId, Option<u64>)>,
+    ) -> Option<Deletion> {
+        let Some(context) = self.tree.get(number) else {
+            return self.fault("a context is deleted that is not there");
+        };
+        // Within something that is being deleted it goes with that.
+        let free = !self.is_doomed(&context.path);
+        free.then(|| Deletion {
+            top: number,
+            path: context.path.clone(),
+            by: Deleter {
+                peer: by,
+                fact: by.map_or_else(|| Audit::new("deleted"), |by| self.fact("deleted", by)),
+            },
+            phase: Phase::Tokens(None),
+            answer,
+        })
+    }
+
+    /// One step; true with the last.
+    fn delete_step(&mut self, deletion: &mut Deletion, out: &mut Vec<Effect>) -> bool {
+        let start = out.len();
+        let mut left = STEP;
+        let told = |out: &[Effect]| out[start..].iter().map(receivers).sum::<usize>();
+        if let Phase::Tokens(after) = &deletion.phase {
+            let below = self.tree.below(&deletion.path, after.as_ref()).take(left);
+            let below: Vec<ContextNumber> = below.collect();
+            let mut reached = after.clone();
+            for number in &below {
+                if told(out) >= TOLD {
+                    deletion.phase = Phase::Tokens(reached);
+                    return false;
+                }
+                reached = self.tree.get(*number).map(|context| context.path.clone());
+                self.end_token(*number, deletion.by.peer, out);
+                left -= 1;
+            }
+            if left == 0 {
+                deletion.phase = Phase::Tokens(reached);
+                return false;
+            }
+            self.end_token(deletion.top, deletion.by.peer, out);
+            deletion.phase = Phase::Contexts;
+        }
+        while let Some(last) = self.tree.last_below(&deletion.path) {
+            if left == 0 || told(out) >= TOLD {
+                return false;
+            }
+            self.delete_one(last, &deletion.by, out);
+            left -= 1;
+        }
+        self.delete_one(deletion.top, &deletion.by, out);
+        if let Some((peer, reference)) = deletion.answer {
+            self.push_ok(peer, reference, &deletion.path, None, out);
+        }
+        true
+    }
+
     /// Deletes a context that has nothing below it any more.
-    fn delete_one(&mut self, number: ContextNumber, by: Option<PeerId>, out: &mut Vec<Effect>) {
+    fn delete_one(&mut self, number: ContextNumber, by: &Deleter, out: &mut Vec<Effect>) {
         let Some(context) = self.tree.get(number) else {
             return self.fault("a context is deleted that is not there");
         };
         let (path, parent, kind) = (context.path.clone(), context.parent, context.kind());
         let members: BTreeSet<PeerId> = context.members.keys().copied().collect();
         let mut content = Map::new().with("path", path.as_str()).with("kind", kind.word());
-        if let Some(by) = by {
-            content.set("by", self.name_of(by));
+        if let Some(by) = &by.fact.peer {
+            content.set("by", &**by);
         }
-        self.audit_context("deleted", &path, by, out);
+        let fact = Audit {
+            context: Some(path.clone()),
+            ..by.fact.clone()
+        };
+        self.audit(fact, out);
         for peer in &members {
             if let Some(known) = self.peers.get_mut(*peer) {
                 known.joined.remove(&number);
@@ -47,19 +164,22 @@ impl World {
         if let Some(token) = removed.as_ref().and_then(|context| context.token()) {
             // So that a token made anew at this path starts above all fences of this one.
             self.deleted_fence = self.deleted_fence.max(token.fence);
-            self.changed.extend(&token.guarded);
-            self.change_orphaned_routes();
+            let (fence, guarded) = (token.fence, token.guarded.clone());
+            self.changed.extend(&guarded);
+            for channel in guarded {
+                self.note_lost_fence(channel, fence);
+            }
         }
     }
 
-    /// Notes that the routes of all channels have changed whose token is no more: they show the fence of today.
-    fn change_orphaned_routes(&mut self) {
-        let orphaned = self.tree.iter().filter(|context| {
-            let guard = context.channel().and_then(|channel| channel.guard.as_ref());
-            guard.is_some_and(|guard| self.tree.find(&guard.token).is_none())
-        });
-        let orphaned: Vec<ContextNumber> = orphaned.map(|context| context.number).collect();
-        self.changed.extend(orphaned);
+    /// Lets a channel keep the fence of its token, which is no more.
+    fn note_lost_fence(&mut self, channel: ContextNumber, fence: Fence) {
+        let role = self.tree.get_mut(channel).map(|context| &mut context.role);
+        if let Some(Role::Channel(channel)) = role
+            && let Some(guard) = &mut channel.guard
+        {
+            guard.lost_fence = fence;
+        }
     }
 
     /// Ends all ownership of a token that is about to go, and all waiting for it. Other contexts have none.
@@ -98,12 +218,21 @@ impl World {
             .tree
             .get(channel)
             .and_then(|context| context.channel()?.guard.as_ref());
-        let token = guard.and_then(|guard| self.tree.token_at(&guard.token));
-        if let Some(token) = token
-            .map(|(number, _)| number)
-            .and_then(|token| self.token_mut(token))
-        {
+        let Some(path) = guard.map(|guard| guard.token.clone()) else {
+            return;
+        };
+        self.tree.remove_guard(&path, channel);
+        let token = self.tree.token_at(&path).map(|(number, _)| number);
+        if let Some(token) = token.and_then(|token| self.token_mut(token)) {
             token.guarded.remove(&channel);
         }
+    }
+}
+
+/// How many are told by an effect.
+fn receivers(effect: &Effect) -> usize {
+    match effect {
+        Effect::Deliver { to, .. } => to.len(),
+        _ => 0,
     }
 }

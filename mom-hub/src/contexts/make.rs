@@ -6,7 +6,7 @@ use std::sync::Arc;
 use mom_managers::{Manager, Terms};
 use mom_proto::event;
 use mom_proto::nearest::nearest;
-use mom_proto::{Code, Content, ContextKind, ContextNumber, Path, Value, WireError};
+use mom_proto::{Code, Content, ContextKind, ContextNumber, Fence, Path, Value, WireError};
 
 use crate::content::{bad, micros, path as read_path};
 use crate::token::state::{SafeState, Token};
@@ -51,6 +51,19 @@ impl World {
                 WireError::new(Code::EXISTS, format!("there is a context {path} already")).slot("context"),
             );
         }
+        let user = creator.and_then(|creator| self.peers.get(creator));
+        let user = user.map(|peer| Arc::clone(&peer.facts.user));
+        if let Some(user) = &user
+            && !self
+                .settings
+                .limits
+                .user_contexts
+                .allows(self.tree.made_by(user) + 1)
+        {
+            let most = self.settings.limits.user_contexts;
+            let text = format!("{user} has made {most} contexts, as many as one user may; delete some first");
+            return Err(WireError::new(Code::FULL, text).rule("user-contexts"));
+        }
         if !self.settings.limits.contexts.allows(self.tree.len() + 1) {
             let text = format!("the hub holds {} contexts, its limit", self.tree.len());
             return Err(WireError::new(Code::FULL, text));
@@ -81,6 +94,7 @@ impl World {
             manager_word: spec.manager.as_ref().map(manager_word),
             manager_spec: spec.manager.clone(),
             creator,
+            made_by: user,
             invited: BTreeMap::new(),
             expelled: BTreeMap::new(),
             presence: spec.presence.unwrap_or_default(),
@@ -89,6 +103,7 @@ impl World {
             transient: spec.transient,
             // Of the configuration, which nobody made and nobody deletes.
             permanent: creator.is_none(),
+            permanent_below: 0,
             role,
         });
         self.link_guards(number);
@@ -108,27 +123,24 @@ impl World {
         let Some(made) = self.tree.get(number) else {
             return self.fault("a context that is not there guards or is guarded");
         };
-        let guards = |channel: &Context| {
-            channel
-                .channel()
-                .and_then(|channel| channel.guard.as_ref())
-                .map(|guard| guard.token.clone())
-        };
         let (token, guarded): (Option<ContextNumber>, Vec<ContextNumber>) = match &made.role {
             Role::Session => return,
-            Role::Channel(_) => {
-                let token = guards(made).and_then(|token| self.tree.token_at(&token));
-                (token.map(|(number, _)| number), vec![number])
+            Role::Channel(channel) => {
+                let Some(guard) = channel.guard.as_ref().map(|guard| guard.token.clone()) else {
+                    return;
+                };
+                let token = self.tree.token_at(&guard).map(|(number, _)| number);
+                self.tree.add_guard(guard, number);
+                (token, vec![number])
             }
             Role::Token(_) => {
-                let waiting = self
-                    .tree
-                    .iter()
-                    .filter(|context| guards(context).as_ref() == Some(&made.path));
-                (Some(number), waiting.map(|channel| channel.number).collect())
+                let waiting: Vec<ContextNumber> = self.tree.guarded_by(&made.path).collect();
+                // Their routes show this token's fence from now on.
+                self.changed.extend(&waiting);
+                (Some(number), waiting)
             }
         };
-        // A channel may have no guard, or one whose token was deleted.
+        // The token of a channel may have been deleted.
         if let Some(token) = token.and_then(|token| self.token_mut(token)) {
             token.guarded.extend(guarded);
         }
@@ -210,6 +222,7 @@ impl World {
         }
         Ok(Some(GuardSpec {
             token,
+            lost_fence: Fence::default(),
             names: Arc::from(guard.names.as_slice()),
         }))
     }
@@ -258,6 +271,7 @@ pub(crate) fn make_root(number: ContextNumber, manager: Box<dyn Manager>, word: 
         manager_word: Some(word),
         manager_spec: None,
         creator: None,
+        made_by: None,
         invited: BTreeMap::new(),
         expelled: BTreeMap::new(),
         presence: Presence::None,
@@ -265,6 +279,7 @@ pub(crate) fn make_root(number: ContextNumber, manager: Box<dyn Manager>, word: 
         count_due: false,
         transient: false,
         permanent: true,
+        permanent_below: 0,
         role: Role::Session,
     }
 }

@@ -90,7 +90,7 @@ impl World {
         self.changed.insert(number);
         self.push_presence(number, event::LEFT, peer_map(&member.facts), out);
         if dissolves {
-            self.delete(number, None, out);
+            self.delete(number, None, None, out);
         }
     }
 }

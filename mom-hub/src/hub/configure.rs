@@ -77,7 +77,7 @@ fn take_contexts(world: &mut World, contexts: &[ContextSpec], out: &mut Vec<Effe
             Some((number, true)) => change_context(world, number, spec, out),
             // A peer has made something else at this path meanwhile; the file goes first.
             Some((number, false)) => {
-                world.delete(number, None, out);
+                world.delete_at_once(number, out);
                 make_and_tell(world, spec, out)
             }
             None => make_and_tell(world, spec, out),
@@ -110,7 +110,7 @@ fn delete_unnamed(world: &mut World, named: &[(Path, &ContextSpec)], out: &mut V
     for number in gone.into_iter().rev() {
         // A child may have gone with its parent.
         if world.tree.get(number).is_some() {
-            world.delete(number, None, out);
+            world.delete_at_once(number, out);
         }
     }
 }
@@ -150,9 +150,12 @@ fn change_context(
     context.manager_spec.clone_from(&spec.manager);
     context.presence = spec.presence.unwrap_or_default();
     context.transient = spec.transient;
-    context.permanent = true;
     // The file manages it now, and not its creator.
     context.creator = None;
+    world.tree.make_permanent(number);
+    let Some(context) = world.tree.get_mut(number) else {
+        return Err(world.faulted("a context is changed that is not there"));
+    };
     let mut changed = None;
     match (&mut context.role, role) {
         (Role::Token(token), Role::Token(new)) => changed = Some(token.take_terms(*new, world.now)),

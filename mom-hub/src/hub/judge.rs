@@ -98,6 +98,7 @@ impl Hub {
             path: Some(case.path),
             kind: case.kind,
             message: case.message,
+            size: case.message.map_or(0, str::len),
             // Created just now.
             age: case.message.map(|_| (0, 0)),
             ..Wish::new(case.verb, at)
@@ -168,10 +169,7 @@ impl Hub {
                 Some(WireError::new(Code::EXISTS, text).slot("context"))
             }
             (_, None) => Some(self.world.unknown_to(ASKER, case.path, &[])),
-            (Verb::Delete, Some(context)) if context.permanent => {
-                let text = format!("{} belongs to the configuration and stays", context.path);
-                Some(WireError::new(Code::PERMANENT, text).slot("context"))
-            }
+            (Verb::Delete, Some(context)) => self.world.tree.check_not_permanent(context.number).err(),
             (verb, Some(context)) => kind_for(verb).and_then(|kind| of_kind(context, kind, verb).err()),
         }
     }

@@ -34,7 +34,6 @@ pub(super) fn log_in(
             // Another user on the same connection is another peer: it inherits nothing.
             if known.is_some() {
                 depart(world, questions, peer, out);
-                world.tree.forget(peer);
             }
             let name = nickname.unwrap_or_else(|| user.name.clone());
             world.peers.add(peer, user, &name, world.now);

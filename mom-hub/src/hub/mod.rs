@@ -130,6 +130,7 @@ impl Hub {
                 let due = questions.unanswered(world, question, out);
                 verbs::run_all(world, questions, due, out);
             }
+            Timer::Delete => world.go_on_deleting(out),
             Timer::Reserved(token) => world.end_reservation(token, out),
         }
     }

@@ -1,6 +1,6 @@
 //! Whether a message may pass, and to whom: one truth for the hub and for the broker's fast path.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -289,24 +289,43 @@ pub fn receivers(route: &Route, peer: PeerId, parcel: &Parcel) -> Result<Receive
     }
 }
 
+/// Addressees that are looked for one by one.
+const FEW_NAMES: usize = 4;
+
+fn places_by_name(route: &Route) -> HashMap<&str, usize> {
+    let members = route.members.iter().enumerate();
+    members
+        .map(|(place, member)| (&*member.facts.name, place))
+        .collect()
+}
+
 fn addressed(route: &Route, address: &[Arc<str>]) -> Result<Receivers, WireError> {
     let mut places = Vec::new();
-    // A parcel may hold millions of names, and this runs in the channel's critical section: each is looked up once.
+    // A parcel may hold thousands of names, and this runs in the channel's critical section: each is looked up once,
+    // and where there are many the members are walked over once.
     let mut seen = HashSet::new();
+    let all = match address.len() > FEW_NAMES {
+        true => places_by_name(route),
+        false => HashMap::new(),
+    };
     for name in address.iter().filter(|name| seen.insert(&***name)) {
-        let place = route
-            .members
-            .iter()
-            .position(|member| member.facts.name == *name)
-            .ok_or_else(|| {
-                let names = route.members.iter().map(|member| &*member.facts.name);
-                WireError::new(
-                    Code::UNKNOWN_PEER,
-                    format!("there is no member {name:?} in {}", route.path),
-                )
-                .slot("address")
-                .nearest_opt(nearest(name, names))
-            })?;
+        let one_by_one = || {
+            let mut members = route.members.iter();
+            members.position(|member| member.facts.name == *name)
+        };
+        let place = match all.is_empty() {
+            true => one_by_one(),
+            false => all.get(&**name).copied(),
+        };
+        let place = place.ok_or_else(|| {
+            let names = route.members.iter().map(|member| &*member.facts.name);
+            WireError::new(
+                Code::UNKNOWN_PEER,
+                format!("there is no member {name:?} in {}", route.path),
+            )
+            .slot("address")
+            .nearest_opt(nearest(name, names))
+        })?;
         places.push(place);
     }
     Ok(Receivers::These(places))

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use mom_managers::Manager;
-use mom_proto::{ContextKind, ContextNumber, Delivery, Map, Micros, Overflow, Path, Value};
+use mom_proto::{ContextKind, ContextNumber, Delivery, Fence, Map, Micros, Overflow, Path, Value};
 use serde::Deserialize;
 
 use super::keep::Keep;
@@ -40,8 +40,10 @@ pub(crate) struct Context {
     pub(crate) manager_word: Option<String>,
     /// The specification of its manager, from which a new configuration makes it anew.
     pub(crate) manager_spec: Option<Value>,
-    /// The peer that made it.
+    /// The peer that made it, while it is there.
     pub(crate) creator: Option<PeerId>,
+    /// The user of that peer, who is charged with it as long as it exists.
+    pub(crate) made_by: Option<Arc<str>>,
     /// Peers that were invited, and until when it counts.
     pub(crate) invited: BTreeMap<PeerId, Micros>,
     /// Users that were put out, and until when they may not join again.
@@ -53,6 +55,8 @@ pub(crate) struct Context {
     pub(crate) transient: bool,
     /// Of the configuration file: never deleted.
     pub(crate) permanent: bool,
+    /// How many of those there are below it.
+    pub(crate) permanent_below: usize,
     pub(crate) role: Role,
 }
 
@@ -75,6 +79,8 @@ pub(crate) struct Channel {
 #[derive(Clone, Debug)]
 pub(crate) struct GuardSpec {
     pub(crate) token: Path,
+    /// The fence of the last token that was deleted there, for as long as there is no other.
+    pub(crate) lost_fence: Fence,
     pub(crate) names: Arc<[String]>,
 }
 

@@ -9,7 +9,9 @@ pub(crate) mod member;
 pub(crate) mod peers;
 pub(crate) mod spec;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Bound;
+use std::sync::Arc;
 
 use mom_proto::nearest::nearest;
 use mom_proto::{Code, ContextKind, ContextNumber, Path, WireError};
@@ -23,6 +25,12 @@ use context::Context;
 pub(crate) struct Tree {
     contexts: BTreeMap<ContextNumber, Context>,
     by_path: BTreeMap<Path, ContextNumber>,
+    /// Channels by the path of the token that guards them, whether that is there or not.
+    guards: BTreeMap<Path, BTreeSet<ContextNumber>>,
+    /// Contexts that name a peer as their creator or as one who was invited.
+    naming: BTreeMap<PeerId, BTreeSet<ContextNumber>>,
+    /// How many contexts peers of a user have made.
+    made: BTreeMap<Arc<str>, usize>,
     last: u64,
 }
 
@@ -38,7 +46,17 @@ impl Tree {
             parent.children.insert(context.path.name().into(), context.number);
         }
         self.by_path.insert(context.path.clone(), context.number);
+        if let Some(user) = &context.made_by {
+            *self.made.entry(Arc::clone(user)).or_default() += 1;
+        }
+        if let Some(creator) = context.creator {
+            self.name_peer(creator, context.number);
+        }
+        let (parent, permanent) = (context.parent, context.permanent);
         self.contexts.insert(context.number, context);
+        if permanent {
+            self.count_permanent(parent, 1);
+        }
     }
 
     /// Removes a context without children.
@@ -47,6 +65,25 @@ impl Tree {
         self.by_path.remove(&context.path);
         if let Some(parent) = context.parent.and_then(|parent| self.contexts.get_mut(&parent)) {
             parent.children.remove(context.path.name());
+        }
+        if context.permanent {
+            self.count_permanent(context.parent, -1);
+        }
+        if let Some(user) = &context.made_by
+            && let Some(count) = self.made.get_mut(user)
+        {
+            *count -= 1;
+            if *count == 0 {
+                self.made.remove(user);
+            }
+        }
+        for peer in context.creator.iter().chain(context.invited.keys()) {
+            if let Some(naming) = self.naming.get_mut(peer) {
+                naming.remove(&number);
+                if naming.is_empty() {
+                    self.naming.remove(peer);
+                }
+            }
         }
         Some(context)
     }
@@ -144,17 +181,13 @@ impl Tree {
 
     /// The path that was probably meant: one segment of this one mistyped.
     ///
-    /// Looks only at children of the nearest context above, and at the first thousand of them: a typo must not
-    /// cost a walk over the tree.
+    /// Looks only at children of the nearest context above, and at the first of them: a typo must not cost a walk over
+    /// the tree.
     pub(crate) fn nearest_path(&self, path: &Path) -> Option<Path> {
-        const CHILDREN: usize = 1000;
         let above = self.find_or_above(path)?;
         let mut missing = path.segments().skip(above.path.segments().count());
         let mistyped = missing.next()?;
-        let child = nearest(
-            mistyped,
-            above.children.keys().take(CHILDREN).map(|child| &**child),
-        )?;
+        let child = nearest(mistyped, above.children.keys().map(|child| &**child))?;
         let found = above.path.child(child).ok()?;
         let full = missing.try_fold(found.clone(), |path, segment| path.child(segment));
         Some(
@@ -172,11 +205,80 @@ impl Tree {
         self.contexts.values_mut()
     }
 
-    /// Forgets the creator and the invitations of a connection that another user takes over.
+    /// Notes that a context names a peer, as its creator or as one who was invited.
+    pub(crate) fn name_peer(&mut self, peer: PeerId, number: ContextNumber) {
+        self.naming.entry(peer).or_default().insert(number);
+    }
+
+    /// Forgets the contexts that a peer has made, and its invitations: it has gone, or another user takes over its
+    /// connection.
     pub(crate) fn forget(&mut self, peer: PeerId) {
-        for context in self.contexts.values_mut() {
-            context.creator = context.creator.filter(|creator| *creator != peer);
-            context.invited.remove(&peer);
+        for number in self.naming.remove(&peer).unwrap_or_default() {
+            if let Some(context) = self.contexts.get_mut(&number) {
+                context.creator = context.creator.filter(|creator| *creator != peer);
+                context.invited.remove(&peer);
+            }
+        }
+    }
+
+    /// Channels that name a token of this path as their guard.
+    pub(crate) fn guarded_by(&self, token: &Path) -> impl Iterator<Item = ContextNumber> {
+        self.guards.get(token).into_iter().flatten().copied()
+    }
+
+    /// Notes that a channel names a token as its guard.
+    pub(crate) fn add_guard(&mut self, token: Path, channel: ContextNumber) {
+        self.guards.entry(token).or_default().insert(channel);
+    }
+
+    /// Takes that back.
+    pub(crate) fn remove_guard(&mut self, token: &Path, channel: ContextNumber) {
+        if let Some(channels) = self.guards.get_mut(token) {
+            channels.remove(&channel);
+            if channels.is_empty() {
+                self.guards.remove(token);
+            }
+        }
+    }
+
+    /// How many contexts there are that peers of this user have made.
+    pub(crate) fn made_by(&self, user: &str) -> usize {
+        self.made.get(user).copied().unwrap_or_default()
+    }
+
+    /// Checks that neither a context nor one below it belongs to the configuration.
+    ///
+    /// # Errors
+    /// `permanent`.
+    pub(crate) fn check_not_permanent(&self, number: ContextNumber) -> Result<(), WireError> {
+        let Some(context) = self.get(number) else {
+            return Ok(());
+        };
+        let what = match (context.permanent, context.permanent_below) {
+            (false, 0) => return Ok(()),
+            (true, _) => context.path.to_string(),
+            (false, _) => format!("something below {}", context.path),
+        };
+        let text = format!("{what} belongs to the configuration and stays");
+        Err(WireError::new(Code::PERMANENT, text).slot("context"))
+    }
+
+    /// Says that a context belongs to the configuration from now on.
+    pub(crate) fn make_permanent(&mut self, number: ContextNumber) {
+        let Some(context) = self.contexts.get_mut(&number) else {
+            return;
+        };
+        if !context.permanent {
+            context.permanent = true;
+            let parent = context.parent;
+            self.count_permanent(parent, 1);
+        }
+    }
+
+    fn count_permanent(&mut self, mut above: Option<ContextNumber>, by: isize) {
+        while let Some(context) = above.and_then(|number| self.contexts.get_mut(&number)) {
+            context.permanent_below = context.permanent_below.saturating_add_signed(by);
+            above = context.parent;
         }
     }
 
@@ -184,15 +286,28 @@ impl Tree {
         self.contexts.len()
     }
 
-    /// A context and all below it, deepest first.
-    pub(crate) fn subtree(&self, number: ContextNumber) -> Vec<ContextNumber> {
-        let mut order = vec![number];
-        let mut next = 0;
-        while let Some(context) = order.get(next).and_then(|number| self.contexts.get(number)) {
-            order.extend(context.children.values());
-            next += 1;
-        }
-        order.reverse();
-        order
+    /// The contexts below a path in the order of their paths, from the one after `after` on.
+    pub(crate) fn below(&self, path: &Path, after: Option<&Path>) -> impl Iterator<Item = ContextNumber> {
+        let (first, end) = bounds_below(path);
+        let start = after.map_or(first, |after| after.as_str().to_owned());
+        let range = (Bound::Excluded(start.as_str()), Bound::Excluded(end.as_str()));
+        self.by_path.range::<str, _>(range).map(|(_, number)| *number)
     }
+
+    /// The last context below a path, which has none below it.
+    pub(crate) fn last_below(&self, path: &Path) -> Option<ContextNumber> {
+        let (start, end) = bounds_below(path);
+        let range = (Bound::Excluded(start.as_str()), Bound::Excluded(end.as_str()));
+        self.by_path
+            .range::<str, _>(range)
+            .next_back()
+            .map(|(_, number)| *number)
+    }
+}
+
+/// Texts before and after the paths of all that lies below a path.
+fn bounds_below(path: &Path) -> (String, String) {
+    let above = path.as_str().trim_end_matches('/');
+    // The character after the slash.
+    (format!("{above}/"), format!("{above}0"))
 }

@@ -52,6 +52,12 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         );
     }
     context.invited.insert(peer, until);
+    world.tree.name_peer(peer, number);
+    let Some(context) = world.tree.get(number) else {
+        return Err(world
+            .faulted("a context is gone to which a peer was invited")
+            .into());
+    };
     let content = context
         .summary()
         .with("by", world.name_of(request.peer))

@@ -32,6 +32,7 @@ pub(crate) fn depart(world: &mut World, questions: &mut Questions, peer: PeerId,
     world.audit(fact, out);
     let rest = world.after(world.settings.name_rest);
     world.peers.remove(peer, rest);
+    world.tree.forget(peer);
     for question in questions.left_by(peer) {
         let due = questions.unanswered(world, question, out);
         super::run_all(world, questions, due, out);

@@ -114,7 +114,12 @@ fn read(world: &World, peer: PeerId, parcel: &Parcel) -> Result<(Verb, Path), Wi
         return Err(WireError::new(Code::NOT_LOGGED_IN, text));
     }
     let verb = Verb::of(parcel.family, &parcel.name)?;
-    Ok((verb, world.path_of(parcel, verb)?))
+    let path = world.path_of(parcel, verb)?;
+    if world.is_doomed(&path) {
+        let text = format!("there is no context {path}: it is being deleted");
+        return Err(WireError::new(Code::UNKNOWN_PATH, text).slot("context"));
+    }
+    Ok((verb, path))
 }
 
 /// Carries out a request once. A refusal has changed nothing and has had no effect.

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use mom_managers::{Answer, Grant, Scope, Standing, Verdict};
-use mom_proto::{Content, ContextKind, ContextNumber, Micros, Parcel, Verb, WireError};
+use mom_proto::{ContextKind, ContextNumber, Micros, Parcel, Verb, WireError};
 
 use super::checks::{Request, of_kind};
 use crate::asking::questions::{Questions, take_parcel};
@@ -35,7 +35,7 @@ pub(crate) fn on(
     }
     let wish = Wish {
         message: Some(&request.parcel.name),
-        size: request.parcel.content.as_ref().map_or(0, Content::size),
+        size: request.parcel.size(),
         age: age_of(&request.parcel, world.wall(), world.clock_of(peer).as_ref()),
         ..Wish::new(request.verb, number)
     };

@@ -16,7 +16,7 @@ use crate::world::World;
 const MOST: usize = 256;
 
 /// Contexts below a session at which it looks at most: each is a question to its manager.
-const LOOKS: usize = 4096;
+const LOOKS: usize = 1024;
 
 pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
     let number = world.allowed(request)?;
@@ -30,7 +30,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     let channels = match kind {
         ContextKind::Channel => vec![number],
         ContextKind::Session => {
-            let (channels, more) = channels_below(world, request, number);
+            let (channels, more) = channels_below(world, request);
             if more {
                 content.set("more", true);
             }
@@ -54,26 +54,16 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
 }
 
 /// The channels below a session whose figures the peer may see, and whether there may be more.
-fn channels_below(
-    world: &mut World,
-    request: &Request,
-    session: ContextNumber,
-) -> (Vec<ContextNumber>, bool) {
-    let below = world.tree.subtree(session);
-    let is_channel = |number: &ContextNumber| {
-        let context = world.tree.get(*number);
-        context.is_some_and(|context| context.kind() == ContextKind::Channel)
-    };
-    let mut candidates: Vec<ContextNumber> = below.into_iter().filter(is_channel).collect();
-    candidates.sort_by_cached_key(|number| {
-        world
-            .tree
-            .get(*number)
-            .map(|context| context.path.as_str().to_owned())
-    });
-    let mut more = candidates.len() > LOOKS;
+fn channels_below(world: &mut World, request: &Request) -> (Vec<ContextNumber>, bool) {
+    let below = world.tree.below(&request.path, None);
+    let below: Vec<ContextNumber> = below.take(LOOKS + 1).collect();
+    let mut more = below.len() > LOOKS;
     let mut channels = Vec::new();
-    for channel in candidates.into_iter().take(LOOKS) {
+    for channel in below.into_iter().take(LOOKS) {
+        let context = world.tree.get(channel);
+        if context.is_none_or(|context| context.kind() != ContextKind::Channel) {
+            continue;
+        }
         if channels.len() == MOST {
             more = true;
             break;

@@ -3,6 +3,7 @@
 //! The rooms above work on a `&mut World`: they look things up, change them, and append [`Effect`]s.
 
 pub(crate) mod audit;
+pub(crate) mod deletion;
 pub(crate) mod effect;
 pub(crate) mod events;
 mod facts;
@@ -11,7 +12,7 @@ mod routes;
 pub(crate) mod settings;
 
 use std::cell::RefCell;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use mom_managers::Registry;
 use mom_proto::{Code, ContextNumber, Fence, Micros, Path, Time, WireError};
@@ -20,6 +21,7 @@ use crate::token::state::Token;
 use crate::tree::Tree;
 use crate::tree::peers::Peers;
 use crate::{Audit, Effect, Record, Settings, Ticket};
+use deletion::Deletion;
 
 /// All that the hub knows, but for the questions that it has asked.
 #[derive(Debug)]
@@ -36,6 +38,9 @@ pub(crate) struct World {
     pub(crate) changed: BTreeSet<ContextNumber>,
     /// Channels to whose routes it has only added.
     pub(crate) grown: BTreeSet<ContextNumber>,
+    /// What is being deleted in steps, and the paths of it.
+    pub(crate) deletions: VecDeque<Deletion>,
+    pub(crate) doomed: BTreeSet<Path>,
     /// Changes of owner that wait for their record, by the ticket of the store.
     pub(crate) storing: BTreeMap<Ticket, ContextNumber>,
     pub(crate) last_ticket: u64,
@@ -61,6 +66,8 @@ pub(crate) enum Timer {
     Request(ContextNumber, u64),
     /// Ends the waiting for a verdict.
     Answer(u64),
+    /// Goes on with what is being deleted.
+    Delete,
     /// Ends the time for which only the owner of before a restart may have a token.
     Reserved(ContextNumber),
 }
@@ -79,6 +86,8 @@ impl World {
             deleted_fence: Fence::default(),
             changed: BTreeSet::new(),
             grown: BTreeSet::new(),
+            deletions: VecDeque::new(),
+            doomed: BTreeSet::new(),
             storing: BTreeMap::new(),
             last_ticket: 0,
             records: records

@@ -43,7 +43,7 @@ impl World {
             token: spec.token.clone(),
             names: Arc::clone(&spec.names),
             owner,
-            fence: token.map_or(self.deleted_fence, |token| token.fence).into(),
+            fence: token.map_or(spec.lost_fence, |token| token.fence).into(),
         }
     }
 

@@ -3,7 +3,7 @@
 use mom_hub::{Case, ContextSpec, Effect, Hub, Input, Judgement, PeerClock, PeerId, Settings, User};
 use mom_managers::{Answer, Ask, Denial, Manager, Question, Registry, Setup, Terms, Verdict, Wait};
 use mom_proto::{
-    ClockOffset, Code, Content, ContextKind, Map, Parcel, Path, Time, Value, Verb, WireError, from_value,
+    ClockOffset, Code, ContextKind, Map, Parcel, Path, Time, Value, Verb, WireError, from_value,
 };
 
 use crate::stage::{Stage, context};
@@ -270,7 +270,7 @@ fn a_manager_is_asked_about_what_is_wished() {
             "/lab/arm",
             None,
             Some("say"),
-            0,
+            "say".len(),
         ),
     ] {
         let heard = stage.say("alice", line);
@@ -343,7 +343,7 @@ fn a_manager_is_told_how_large_and_how_old_a_message_is() {
     let mut size = 0;
     if let Input::Request { parcel, clock, .. } = &mut say {
         parcel.timestamp = Time::from_micros(50_000);
-        size = parcel.content.as_ref().map_or(0, Content::size);
+        size = parcel.size();
         let offset = ClockOffset { micros: 0, error: 9 };
         *clock = Some(PeerClock { offset, future: 0 });
     }

@@ -8,6 +8,7 @@ mod handed_back;
 mod handover;
 mod identity;
 mod judge;
+mod large;
 mod made;
 mod presence;
 mod review;

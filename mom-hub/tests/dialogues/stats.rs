@@ -66,10 +66,10 @@ fn a_session_tells_of_256_channels_at_most() {
 }
 
 #[test]
-fn a_session_looks_at_4096_channels_at_most() {
+fn a_session_looks_at_1024_contexts_at_most() {
     assert_eq!(told("discreet", 3), (0, false));
-    assert_eq!(told("discreet", 4096), (0, false));
-    assert_eq!(told("discreet", 4097), (0, true));
+    assert_eq!(told("discreet", 1023), (0, false));
+    assert_eq!(told("discreet", 1024), (0, true));
 }
 
 #[test]

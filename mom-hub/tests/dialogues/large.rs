@@ -1,0 +1,179 @@
+//! What is large is done in steps, and what one user has made is counted.
+
+use mom_hub::{Effect, Input, Settings};
+use mom_managers::Registry;
+use mom_proto::{Family, Limit, Limits, Map, Parcel, Path, Value};
+
+use crate::stage::{Stage, context, of};
+
+/// What one input may cost, in contexts touched and peers told.
+const MOST: usize = 3_000;
+
+fn lab(limits: Limits) -> Stage {
+    let settings = Settings {
+        limits,
+        ..Settings::default()
+    };
+    let contexts = vec![context("/lab", "session").with("presence", "none")];
+    let mut stage = Stage::with(contexts, Registry::builtin(), settings);
+    stage.enter("alice", 1);
+    stage.enter("bob", 1);
+    stage
+}
+
+/// Sessions of tokens, of which alice owns some.
+fn yard(stage: &mut Stage, sessions: usize, tokens: usize) {
+    stage.say("alice", "context create /lab/yard kind=session");
+    stage.say("alice", "context join /lab/yard");
+    stage.say("bob", "context join /lab/yard");
+    for session in 0..sessions {
+        stage.say(
+            "alice",
+            &format!("context create /lab/yard/s{session} kind=session"),
+        );
+        stage.say("alice", &format!("context join /lab/yard/s{session}"));
+        for token in 0..tokens {
+            let path = format!("/lab/yard/s{session}/t{token}");
+            stage.say("alice", &format!("context create {path} kind=token"));
+            if token % 10 == 0 {
+                stage.say("alice", &format!("token grab {path}"));
+            }
+        }
+    }
+}
+
+/// Peers told, members routed, and other effects of the last input.
+fn cost(stage: &Stage) -> usize {
+    let one = |effect: &Effect| match effect {
+        Effect::Deliver { to, .. } => to.len(),
+        Effect::Route(route) => route.members.len(),
+        _ => 1,
+    };
+    stage.effects.iter().map(one).sum()
+}
+
+#[test]
+fn much_is_deleted_in_steps_and_closed_meanwhile() {
+    let mut stage = lab(Limits::default());
+    yard(&mut stage, 10, 100);
+    let mut heard = of(&stage.say("alice", "context delete /lab/yard"), &["alice"]);
+    assert!(!heard.contains(&"alice< ok".to_owned()), "not at once");
+    assert_eq!(
+        stage.say("bob", "context lookup /lab/yard"),
+        ["bob< unknown-path"]
+    );
+    assert_eq!(
+        stage.say("bob", "token grab /lab/yard/s9/t9"),
+        ["bob< unknown-path"]
+    );
+    let create = "context create /lab/yard/new kind=channel";
+    assert_eq!(stage.say("bob", create), ["bob< unknown-path"]);
+    let mut steps = 0;
+    while !heard.contains(&"alice< ok".to_owned()) {
+        let deadline = stage.hub.deadline().expect("it goes on");
+        heard.extend(of(&stage.at_micros(deadline), &["alice"]));
+        steps += 1;
+        assert!(cost(&stage) <= MOST, "step {steps} costs {}", cost(&stage));
+        assert!(steps < 500);
+    }
+    assert!(steps >= 10, "{steps} steps");
+    let place = |word: &str| heard.iter().position(|line| line.starts_with(word));
+    let count = |word: &str| heard.iter().filter(|line| line.starts_with(word)).count();
+    assert_eq!((count("alice< released"), count("alice< deleted")), (100, 1_011));
+    let last = heard.iter().rposition(|line| line.contains("released"));
+    assert!(
+        last < place("alice< deleted"),
+        "all tokens are lost before the first context goes"
+    );
+}
+
+#[test]
+fn a_long_list_comes_in_pages() {
+    let mut stage = lab(Limits::default());
+    for number in 0..600 {
+        stage.say("alice", &format!("context create /lab/c{number:03} kind=channel"));
+    }
+    let mut names = Vec::new();
+    let mut after: Option<Value> = None;
+    for _ in 0..4 {
+        let mut list = Parcel::new(Family::Context, "list").context(Path::parse("/lab").expect("a path"));
+        if let Some(after) = &after {
+            list = list.content(Map::new().with("after", after.clone()));
+        }
+        let content = ask(&mut stage, list);
+        let children = content
+            .get("children")
+            .and_then(Value::as_list)
+            .expect("children");
+        assert!(children.len() <= 256);
+        names.extend(
+            children
+                .iter()
+                .filter_map(|child| child.get("name")?.as_str().map(str::to_owned)),
+        );
+        after = content.get("next").cloned();
+        assert_eq!(content.get("more"), after.as_ref().map(|_| &Value::Bool(true)));
+        if after.is_none() {
+            break;
+        }
+    }
+    let all: Vec<String> = (0..600).map(|number| format!("c{number:03}")).collect();
+    assert_eq!(names, all);
+}
+
+#[test]
+fn many_members_come_in_pages() {
+    let mut stage = lab(Limits::default());
+    for number in 0..300 {
+        stage.enter(&format!("peer{number}"), 1);
+    }
+    let members = |content: &Value| {
+        content
+            .get("members")
+            .and_then(Value::as_list)
+            .map(<[Value]>::len)
+    };
+    let list = || Parcel::new(Family::Context, "members").context(Path::parse("/lab").expect("a path"));
+    let first = ask(&mut stage, list());
+    assert_eq!(members(&first), Some(256));
+    let next = first.get("next").cloned().expect("there are more");
+    let second = ask(&mut stage, list().content(Map::new().with("after", next)));
+    assert_eq!((members(&second), second.get("more")), (Some(46), None));
+}
+
+/// The content of the answer to a request of alice.
+fn ask(stage: &mut Stage, parcel: Parcel) -> Value {
+    let mut request = stage.request("alice", "context list /lab");
+    if let Input::Request { parcel: asked, .. } = &mut request {
+        **asked = parcel;
+    }
+    stage.give(request);
+    let answer = stage.effects.iter().find_map(|effect| match effect {
+        Effect::Reply { parcel, .. } => Some(parcel.value()),
+        _ => None,
+    });
+    answer.expect("an answer")
+}
+
+#[test]
+fn one_user_makes_so_many_contexts_and_others_may_go_on() {
+    let mut stage = lab(Limits {
+        user_contexts: Limit::At(3),
+        ..Limits::default()
+    });
+    for number in 0..3 {
+        stage.say("alice", &format!("context create /lab/c{number} kind=channel"));
+    }
+    assert_eq!(
+        stage.say("alice", "context create /lab/more kind=channel"),
+        ["alice< full rule=user-contexts"]
+    );
+    let heard = stage.say("bob", "context create /lab/more kind=channel");
+    assert_eq!(of(&heard, &["bob"]).last().map(String::as_str), Some("bob< ok"));
+    stage.say("alice", "context delete /lab/c0");
+    let heard = stage.say("alice", "context create /lab/again kind=channel");
+    assert_eq!(
+        of(&heard, &["alice"]).last().map(String::as_str),
+        Some("alice< ok")
+    );
+}
