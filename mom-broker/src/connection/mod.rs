@@ -17,8 +17,10 @@ use mom_hub::{Input, PeerClock, PeerId};
 use mom_login::{Challenge, Logins};
 use mom_net::{NetError, Reader};
 use mom_proto::codec::Frame;
-use mom_proto::{Code, Family, Limits, Micros, Parcel, Verb, WireError};
+use mom_proto::xml::DeferredEntity;
+use mom_proto::{Code, Content, Family, Limits, Micros, Parcel, Verb, WireError};
 use parking_lot::RwLock;
+use tokio::sync::oneshot;
 use tokio::time::{Instant, timeout_at};
 
 use crate::traffic::capacity::WaitingMessage;
@@ -191,7 +193,13 @@ impl Connection {
             }
             if !self.run(reader, &mut touched) {
                 let frame = match reader.try_next() {
-                    Ok(None) => break Ok(()),
+                    Ok(None) => match reader.take_deferred() {
+                        None => break Ok(()),
+                        Some(entity) => match Box::pin(self.open(entity, &mut touched)).await {
+                            Ok(frame) => frame,
+                            Err(end) => break Err(end),
+                        },
+                    },
                     Ok(Some(frame)) => frame,
                     Err(error) => break Err(self.failed(error)),
                 };
@@ -235,6 +243,26 @@ impl Connection {
             clock: &clock,
         };
         self.logged_in && self.services.board.run(&sender, reader, touched)
+    }
+
+    /// Has a large document read by a thread that gives way to this one, and waits for that; gives the error to say if
+    /// the connection ends meanwhile.
+    async fn open(
+        &mut self,
+        entity: Box<DeferredEntity>,
+        touched: &mut Touched,
+    ) -> Result<Frame, Option<WireError>> {
+        flush(touched);
+        let (answer, answered) = oneshot::channel();
+        self.services.board.workers.run(move || {
+            let frame = entity.open().map(closed);
+            // Nobody listens if the connection has ended.
+            let _ = answer.send(frame);
+        });
+        match answered.await {
+            Ok(frame) => frame.map_err(Some),
+            Err(_) => Err(None),
+        }
     }
 
     /// Waits until a message can go, or is refused; gives the error to say if the connection ends meanwhile.
@@ -314,20 +342,30 @@ impl Connection {
             Family::Time => self.time(&parcel, touched),
             Family::Login if login::concerns(&parcel) => return Next::Login(parcel),
             _ if self.logged_in => {
+                let most = self.services.limits.control;
+                if parcel
+                    .content
+                    .as_ref()
+                    .is_some_and(|content| content.size() > most)
+                {
+                    let text = format!("the content of a parcel that is no message has at most {most} bytes");
+                    let error = WireError::new(Code::TOO_LONG, text).slot("content");
+                    self.refuse(&error, parcel.id, touched);
+                    return Next::Frame;
+                }
                 let now = self.services.board.clock.now();
                 if let Err(error) = self.requests.take(&parcel, self.services.limits.requests, now) {
                     self.refuse(&error, parcel.id, touched);
                     return Next::Frame;
                 }
-                self.services.board.decide(
-                    Input::Request {
-                        peer: self.peer,
-                        parcel,
-                        // Only messages have an age.
-                        clock: None,
-                    },
-                    touched,
-                );
+                let request = Input::Request {
+                    peer: self.peer,
+                    parcel,
+                    // Only messages have an age.
+                    clock: None,
+                };
+                let work = self.services.board.decide(request, touched);
+                self.requests.charge(work, self.services.limits.requests, now);
             }
             _ => {
                 let text = "log in first: family login, name login, content {name, password}";
@@ -393,6 +431,17 @@ impl Connection {
         self.services.board.close(&self.outbox, error);
         flush(&mut touched);
     }
+}
+
+/// Content that took so long to read stays closed from here on: it is measured, counted and passed on at no cost.
+fn closed(frame: Frame) -> Frame {
+    let Frame::Parcel(mut parcel) = frame else {
+        return frame;
+    };
+    if let Some(Ok(bytes)) = parcel.content.as_ref().map(Content::to_msgpack) {
+        parcel.content = Some(Content::Encoded(bytes));
+    }
+    Frame::Parcel(parcel)
 }
 
 fn silent(gone: Duration) -> WireError {

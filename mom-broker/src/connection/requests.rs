@@ -2,9 +2,17 @@
 
 use std::time::Duration;
 
+use crate::traffic::switchboard::Work;
 use mom_proto::{Code, Gcra, Limit, Micros, Pace, Parcel, Verb, Wait, WireError};
 
 const SECOND: Micros = 1_000_000;
+
+/// Peers told and members routed that a request includes, and how many more count as another request.
+const INCLUDED: u64 = 32;
+const PER_REQUEST: u64 = 4;
+
+/// The most that a request leaves to be paid back: the next one is taken a second later at the latest.
+const DEBT: Micros = 2 * SECOND;
 
 /// The requests of one connection, as one time, up to which they are paid back: an idle connection is small.
 #[derive(Debug, Default)]
@@ -22,7 +30,7 @@ impl Requests {
         if !counts(parcel) {
             return Ok(());
         }
-        let pace = Pace::every_within((SECOND / most).max(1), SECOND);
+        let pace = pace(most);
         let mut used = Gcra::paid_at(self.paid_at);
         used.take(&pace, 1, now).map_err(|wait| {
             let text = format!("more than {most} requests in a second");
@@ -35,6 +43,23 @@ impl Requests {
         self.paid_at = used.next(&pace);
         Ok(())
     }
+
+    /// Charges what a request has cost others. What costs much, as joining a channel of a thousand members does, may be
+    /// asked for less often.
+    pub(super) fn charge(&mut self, work: Work, most: Limit, now: Micros) {
+        let Limit::At(most) = most else { return };
+        let more = work.0.saturating_sub(INCLUDED) / PER_REQUEST;
+        if more > 0 {
+            let pace = pace(most);
+            let mut used = Gcra::paid_at(self.paid_at);
+            used.charge(&pace, more, now);
+            self.paid_at = used.next(&pace).min(now.saturating_add(DEBT));
+        }
+    }
+}
+
+fn pace(most: u64) -> Pace {
+    Pace::every_within((SECOND / most).max(1), SECOND)
 }
 
 /// Whether a request is one of those that are limited. Keeping what one has, giving it up, and answering the hub is not.

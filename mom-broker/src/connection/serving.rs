@@ -17,6 +17,9 @@ use crate::traffic::outbox::Outbox;
 /// A stop lets what waits go out for at most so long.
 pub(crate) const DRAIN: Duration = Duration::from_secs(10);
 
+/// A larger document is read by a thread that gives way to those that serve connections.
+const LARGE: usize = 16 * 1024;
+
 /// How long an ending connection may take to hear why.
 const FAREWELL: Duration = Duration::from_secs(1);
 
@@ -35,7 +38,8 @@ impl Serving {
         from: Option<IpAddr>,
         login_by: Instant,
     ) -> Serving {
-        let Transceiver { reader, writer } = transceiver;
+        let Transceiver { mut reader, writer } = transceiver;
+        reader.defer_above(LARGE);
         let peer = services.board.next_peer();
         let outbox = Arc::new(Outbox::new(
             peer,

@@ -3,7 +3,14 @@
 use std::sync::Arc;
 
 use mom_proto::codec::{Encoded, Form, Scratch};
-use mom_proto::{Code, Content, HARD_DEPTH, Limit, Parcel, WireError, msgpack};
+use mom_proto::{HARD_DEPTH, Limit, Parcel, WireError, xml};
+use mom_system::Workers;
+
+use crate::traffic::later_xml::LaterXml;
+use crate::traffic::replay::Replay;
+
+/// A larger parcel is written in XML outside the channel's critical section, when its first receiver comes to it.
+const INLINE: usize = 4 * 1024;
 
 /// What a parcel may become for a receiver of another form.
 #[derive(Clone, Copy, Debug)]
@@ -14,12 +21,100 @@ pub(crate) struct Bounds {
     pub(crate) parcel: Limit,
 }
 
+/// What encodes the parcels of one channel.
+#[derive(Debug)]
+pub(crate) struct Encoder {
+    bounds: Bounds,
+    workers: Arc<Workers>,
+    scratch: Scratch,
+}
+
 /// A parcel encoded once for each form among its receivers.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Encodings {
-    xml: Option<Encoded>,
+    xml: Xml,
     binary: Option<Encoded>,
     local: Option<Arc<Parcel>>,
+    replay: Option<Arc<Replay>>,
+}
+
+/// The XML form of a parcel.
+#[derive(Clone, Debug, Default)]
+enum Xml {
+    /// Nobody needs it.
+    #[default]
+    None,
+    Written(Encoded),
+    /// Its content is no value, or too large as XML.
+    Bad,
+    Later(Arc<LaterXml>),
+}
+
+/// What has to be done before a packet can leave.
+#[derive(Debug)]
+pub(crate) enum Unready {
+    /// It has to be written in XML.
+    Xml(Arc<LaterXml>),
+    /// It stands for others, the next of which have to take its place.
+    Replay(Arc<Replay>),
+}
+
+impl Encoder {
+    pub(crate) fn new(bounds: Bounds, workers: Arc<Workers>) -> Encoder {
+        Encoder {
+            bounds,
+            workers,
+            scratch: Scratch::pooled(),
+        }
+    }
+
+    /// One for another thread, with memory of its own.
+    pub(crate) fn another(&self) -> Encoder {
+        Encoder {
+            bounds: self.bounds,
+            workers: Arc::clone(&self.workers),
+            scratch: Scratch::default(),
+        }
+    }
+
+    /// Encodes what a peer says. Content that cannot be written in XML fails for receivers of that form alone.
+    pub(crate) fn encode(
+        &mut self,
+        parcel: Parcel,
+        forms: impl Iterator<Item = Option<Form>>,
+    ) -> Result<Encodings, WireError> {
+        let mut encodings = Encodings::default();
+        let mut local = false;
+        for form in forms {
+            match form {
+                None => local = true,
+                Some(Form::Xml) if matches!(encodings.xml, Xml::None) => encodings.xml = self.xml(&parcel),
+                Some(Form::Binary) if encodings.binary.is_none() => {
+                    encodings.binary = Some(Form::Binary.encode_with(&parcel, &mut self.scratch)?);
+                }
+                Some(_) => {}
+            }
+        }
+        encodings.local = local.then(|| Arc::new(parcel));
+        Ok(encodings)
+    }
+
+    fn xml(&self, parcel: &Parcel) -> Xml {
+        let size = parcel.size();
+        if size > INLINE {
+            let workers = Arc::clone(&self.workers);
+            return Xml::Later(Arc::new(LaterXml::new(
+                parcel.clone(),
+                size,
+                self.bounds,
+                workers,
+            )));
+        }
+        match xml::encode_within(parcel, self.bounds.depth, self.bounds.parcel) {
+            Ok(written) => Xml::Written(written),
+            Err(_) => Xml::Bad,
+        }
+    }
 }
 
 impl Encodings {
@@ -28,30 +123,17 @@ impl Encodings {
         parcel: Parcel,
         forms: impl Iterator<Item = Option<Form>>,
     ) -> Result<Encodings, WireError> {
-        let bounds = Bounds {
-            depth: HARD_DEPTH,
-            parcel: Limit::Unlimited,
-        };
-        Encodings::with(parcel, forms, bounds, &mut Scratch::default())
-    }
-
-    /// Encodes what a peer says, within the bounds of what receivers take.
-    pub(crate) fn with(
-        parcel: Parcel,
-        forms: impl Iterator<Item = Option<Form>>,
-        bounds: Bounds,
-        scratch: &mut Scratch,
-    ) -> Result<Encodings, WireError> {
         let mut encodings = Encodings::default();
         let mut local = false;
         for form in forms {
             match form {
                 None => local = true,
-                Some(Form::Xml) if encodings.xml.is_none() => {
-                    encodings.xml = Some(encode_xml(&parcel, bounds)?);
+                Some(Form::Xml) if matches!(encodings.xml, Xml::None) => {
+                    let written = xml::encode_within(&parcel, HARD_DEPTH, Limit::Unlimited)?;
+                    encodings.xml = Xml::Written(written);
                 }
                 Some(Form::Binary) if encodings.binary.is_none() => {
-                    encodings.binary = Some(Form::Binary.encode_with(&parcel, scratch)?);
+                    encodings.binary = Some(Form::Binary.encode(&parcel)?);
                 }
                 Some(_) => {}
             }
@@ -68,12 +150,43 @@ impl Encodings {
         }
     }
 
-    /// The frames for a receiver of this form, none inside this process.
-    pub(crate) fn frames(&self, form: Option<Form>) -> Option<&Encoded> {
-        match form? {
-            Form::Xml => self.xml.as_ref(),
-            Form::Binary => self.binary.as_ref(),
+    /// What stands for messages that are kept.
+    pub(crate) fn of_replay(replay: Replay) -> Encodings {
+        Encodings {
+            replay: Some(Arc::new(replay)),
+            ..Encodings::default()
         }
+    }
+
+    /// The frames for a receiver of this form, none inside this process or while they are not ready.
+    pub(crate) fn frames(&self, form: Option<Form>) -> Option<&Encoded> {
+        match (form?, &self.xml) {
+            (Form::Binary, _) => self.binary.as_ref(),
+            (Form::Xml, Xml::Written(written)) => Some(written),
+            (Form::Xml, Xml::Later(later)) => later.written()?,
+            (Form::Xml, Xml::None | Xml::Bad) => None,
+        }
+    }
+
+    /// What has to be done before it can leave in this form.
+    pub(crate) fn unready(&self, form: Option<Form>) -> Option<Unready> {
+        match (&self.replay, form, &self.xml) {
+            (Some(replay), ..) => Some(Unready::Replay(Arc::clone(replay))),
+            (None, Some(Form::Xml), Xml::Later(later)) if later.written().is_none() => {
+                Some(Unready::Xml(Arc::clone(later)))
+            }
+            _ => None,
+        }
+    }
+
+    /// Whether it can never leave in this form.
+    pub(crate) fn is_bad(&self, form: Option<Form>) -> bool {
+        form == Some(Form::Xml)
+            && match &self.xml {
+                Xml::Bad => true,
+                Xml::Later(later) => matches!(later.written(), Some(None)),
+                Xml::None | Xml::Written(_) => false,
+            }
     }
 
     /// The parcel for a receiver inside this process.
@@ -81,32 +194,17 @@ impl Encodings {
         self.local.as_ref()
     }
 
-    /// What a receiver inside this process is charged: shared with all others, but the bound has to be a bound.
-    pub(crate) fn local_size(&self) -> usize {
-        let content = self.local.as_ref().and_then(|parcel| parcel.content.as_ref());
-        256 + content.map_or(0, mom_proto::Content::size)
-    }
-}
-
-/// Content that is encoded already was looked at by nobody so far.
-fn encode_xml(parcel: &Parcel, bounds: Bounds) -> Result<Encoded, WireError> {
-    let encoded = match &parcel.content {
-        Some(Content::Encoded(bytes)) => {
-            let content = Some(Content::Value(msgpack::decode(bytes, bounds.depth)?));
-            Form::Xml.encode(&Parcel {
-                content,
-                ..parcel.clone()
-            })
+    /// What a receiver of this form is charged, the same from the first moment to the last. Inside this process parcels
+    /// are shared with all others, but the bound has to be a bound.
+    pub(crate) fn charge(&self, form: Option<Form>) -> usize {
+        const SLOTS: usize = 256;
+        match (form, &self.xml, &self.replay) {
+            (_, _, Some(replay)) => replay.charge(),
+            (Some(Form::Xml), Xml::Later(later), _) => SLOTS + later.size(),
+            (Some(Form::Xml), Xml::Written(written), _) => written.len(),
+            (Some(Form::Binary), ..) => self.binary.as_ref().map_or(0, Encoded::len),
+            (None, ..) => SLOTS + self.local.as_ref().map_or(0, |parcel| parcel.size()),
+            (Some(Form::Xml), Xml::None | Xml::Bad, _) => 0,
         }
-        _ => Form::Xml.encode(parcel),
-    }?;
-    if bounds.parcel.allows(encoded.len()) {
-        return Ok(encoded);
     }
-    let text = format!(
-        "in XML, which a receiver here speaks, this parcel has {} bytes; the limit is {}",
-        encoded.len(),
-        bounds.parcel
-    );
-    Err(WireError::new(Code::NOT_ENCODABLE, text))
 }

@@ -4,28 +4,54 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 use mom_hub::{Keep, PeerId};
-use mom_proto::{Content, HISTORY, Micros, Parcel, Time};
+use mom_proto::{HISTORY, Micros, Parcel, Time};
 
-/// What a parcel counts beside its content: its slots, and its place here.
+/// What a parcel counts beside its size: the slots of its head, and its place here.
 const OVERHEAD: usize = 256;
 
 /// The parcels that one channel keeps, by the order in which they came.
 #[derive(Debug)]
 pub(crate) struct History {
     keep: Keep,
-    kept: BTreeMap<u64, Kept>,
+    kept: BTreeMap<u64, Arc<Kept>>,
     /// Where the newest of a sender and name is, if only that is kept.
     newest: HashMap<(PeerId, Arc<str>), u64>,
     bytes: usize,
     next: u64,
 }
 
+/// One of them.
 #[derive(Debug)]
-struct Kept {
+pub(crate) struct Kept {
     parcel: Parcel,
     sender: PeerId,
     came: Micros,
     size: usize,
+}
+
+impl Kept {
+    /// The bytes that it counts.
+    pub(crate) fn size(&self) -> usize {
+        self.size
+    }
+
+    /// What a joiner gets at this moment, marked, and stamped anew, so that its age is its age now; none if its time is
+    /// over.
+    pub(crate) fn at(&self, now: Micros, wall: Time) -> Option<Parcel> {
+        let since = i64::try_from(now.saturating_sub(self.came)).unwrap_or(i64::MAX);
+        let age = self.parcel.age.unwrap_or_default().saturating_add(since);
+        let life = self.parcel.expires.map(|expires| expires.saturating_mul(1000));
+        let over = life.is_some_and(|life| u64::try_from(age).is_ok_and(|age| age >= life));
+        if over {
+            return None;
+        }
+        let mut parcel = self.parcel.clone();
+        parcel.received = Some(wall);
+        parcel.age = Some(age);
+        parcel.receipt = None;
+        parcel.extra.set(HISTORY, true);
+        Some(parcel)
+    }
 }
 
 impl History {
@@ -56,7 +82,7 @@ impl History {
         {
             self.forget(old);
         }
-        let size = OVERHEAD + parcel.content.as_ref().map_or(0, Content::size);
+        let size = OVERHEAD + parcel.size();
         if size > self.keep.bytes {
             return;
         }
@@ -76,7 +102,7 @@ impl History {
             came: now,
             size,
         };
-        self.kept.insert(self.next, kept);
+        self.kept.insert(self.next, Arc::new(kept));
         self.next += 1;
     }
 
@@ -85,13 +111,13 @@ impl History {
         if !self.keep.latest {
             return;
         }
-        let of_peer = |(place, kept): (&u64, &Kept)| (kept.sender == peer).then_some(*place);
+        let of_peer = |(place, kept): (&u64, &Arc<Kept>)| (kept.sender == peer).then_some(*place);
         let gone: Vec<u64> = self.kept.iter().filter_map(of_peer).collect();
         gone.into_iter().for_each(|place| self.forget(place));
     }
 
-    /// What a joiner gets at this moment, oldest first: marked, and stamped anew, so that its age is its age now.
-    pub(crate) fn give(&mut self, now: Micros, wall: Time) -> Vec<Parcel> {
+    /// What is kept at this moment and passes `covers`, oldest first.
+    pub(crate) fn snapshot(&mut self, now: Micros, covers: impl Fn(&Parcel) -> bool) -> Arc<[Arc<Kept>]> {
         if let Some(most) = self.keep.age {
             let old = |kept: &Kept| now.saturating_sub(kept.came) > most;
             // In the order in which they came, so the old ones are in front.
@@ -100,22 +126,8 @@ impl History {
                 self.forget(place);
             }
         }
-        let given = self.kept.values().filter_map(|kept| {
-            let since = i64::try_from(now.saturating_sub(kept.came)).unwrap_or(i64::MAX);
-            let age = kept.parcel.age.unwrap_or_default().saturating_add(since);
-            let life = kept.parcel.expires.map(|expires| expires.saturating_mul(1000));
-            let over = life.is_some_and(|life| u64::try_from(age).is_ok_and(|age| age >= life));
-            if over {
-                return None;
-            }
-            let mut parcel = kept.parcel.clone();
-            parcel.received = Some(wall);
-            parcel.age = Some(age);
-            parcel.receipt = None;
-            parcel.extra.set(HISTORY, true);
-            Some(parcel)
-        });
-        given.collect()
+        let kept = self.kept.values().filter(|kept| covers(&kept.parcel));
+        kept.cloned().collect()
     }
 
     fn forget(&mut self, place: u64) {
@@ -156,8 +168,8 @@ mod tests {
     /// Contents and ages of what is given.
     fn given(history: &mut History, now: Micros) -> Vec<(String, i64)> {
         let wall = Time::from_micros(77).expect("a time");
-        let given = history.give(now, wall);
-        let told = given.iter().map(|parcel| {
+        let given = history.snapshot(now, |_| true);
+        let told = given.iter().filter_map(|kept| kept.at(now, wall)).map(|parcel| {
             assert_eq!(parcel.received, Some(wall));
             assert_eq!(parcel.extra.get(HISTORY), Some(&true.into()));
             let content = parcel.value();

@@ -8,6 +8,8 @@ mod history;
 #[cfg(all(test, feature = "shuttle"))]
 #[path = "../../tests/interleaved/mod.rs"]
 mod interleaved;
+mod later_xml;
 pub(crate) mod outbox;
+mod replay;
 mod statistics;
 pub(crate) mod switchboard;

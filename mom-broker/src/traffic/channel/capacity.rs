@@ -6,7 +6,7 @@ use std::time::Duration;
 use mom_hub::{PeerId, Receivers, receivers};
 use mom_net::{Item, Lane};
 use mom_proto::codec::Form;
-use mom_proto::{Content, Delivery, Overflow, Parcel, Path, WireError};
+use mom_proto::{Delivery, Overflow, Parcel, Path, WireError};
 
 use super::send::Why;
 use super::{Positions, State, lane_of};
@@ -112,7 +112,7 @@ impl State {
         let Ok(receivers) = receivers(&self.route, sender, &parcel) else {
             return Ok(parcel);
         };
-        let size = SLOTS + parcel.content.as_ref().map_or(0, Content::size);
+        let size = SLOTS + parcel.size();
         let guard = self.route.guard.as_ref();
         let demand = Demand {
             positions: &self.positions(&receivers),

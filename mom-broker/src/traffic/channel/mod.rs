@@ -10,14 +10,14 @@ use std::sync::Arc;
 
 use mom_hub::{PeerId, Receivers, Route, Usage};
 use mom_net::{DropReason, Lane, Taken};
-use mom_proto::codec::{Form, Scratch};
+use mom_proto::codec::Form;
 use mom_proto::{ContextNumber, Delivery, Parcel, Path, Time, Verb};
 use mom_system::Clock;
 use mom_system::sync::Mutex;
-use mom_system::sync::atomic::{AtomicU64, Ordering};
+use mom_system::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use crate::traffic::batch::BatchPace;
-use crate::traffic::encodings::{Bounds, Encodings};
+use crate::traffic::encodings::{Encoder, Encodings};
 use crate::traffic::history::History;
 use crate::traffic::outbox::{Dropped, Gate, Origin, Outbox, Packet};
 use crate::traffic::statistics::Statistics;
@@ -30,6 +30,8 @@ pub(crate) use snapshot::{MemberSnapshot, Snapshot};
 #[derive(Debug)]
 pub(crate) struct Channel {
     state: Mutex<State>,
+    /// Whether it keeps messages, as far as that matters before its lock is taken.
+    keeps: AtomicBool,
 }
 
 /// What the critical section guards.
@@ -44,8 +46,7 @@ struct State {
     /// At least one member asked for thinning.
     thins: bool,
     pace: BatchPace,
-    bounds: Bounds,
-    scratch: Scratch,
+    encoder: Encoder,
     statistics: Statistics,
     history: Option<History>,
     /// What members, and connections that were some, have used of the rates that their manager set.
@@ -68,7 +69,7 @@ pub(crate) struct Delivered {
 impl Channel {
     pub(crate) fn new(
         route: Arc<Route>,
-        bounds: Bounds,
+        encoder: Encoder,
         outbox: impl Fn(PeerId) -> Option<Arc<Outbox>>,
     ) -> Channel {
         let outboxes: Vec<_> = route.members.iter().map(|member| outbox(member.peer)).collect();
@@ -76,6 +77,7 @@ impl Channel {
         let statistics = Statistics::new(&route);
         let history = route.keep.map(History::new);
         Channel {
+            keeps: AtomicBool::new(history.is_some()),
             state: Mutex::new(State {
                 thins: thins(&route),
                 route,
@@ -83,8 +85,7 @@ impl Channel {
                 pace: BatchPace::default(),
                 outboxes,
                 gate,
-                bounds,
-                scratch: Scratch::pooled(),
+                encoder,
                 statistics,
                 history,
                 used: HashMap::new(),
@@ -131,6 +132,7 @@ impl Channel {
             .retain(|peer, _| route.member(*peer).is_some() || outbox(*peer).is_some());
         let state = &mut *state;
         state.statistics.follow(&state.route, &route);
+        self.keeps.store(route.keep.is_some(), Ordering::Relaxed);
         let old = std::mem::replace(&mut state.route, route);
         state.follow_history(&old, clock)
     }
@@ -278,7 +280,7 @@ impl Positions<'_> {
 }
 
 /// When a parcel is over: `expires` counts from its creation, of which `age` has passed at ingress.
-fn expires_at(parcel: &Parcel, now: u64) -> Option<u64> {
+pub(crate) fn expires_at(parcel: &Parcel, now: u64) -> Option<u64> {
     let life = parcel.expires?.saturating_mul(1000);
     let age = parcel
         .age
@@ -328,6 +330,7 @@ pub(crate) fn stamped(mut parcel: Parcel, wall: Time) -> Parcel {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+    use crate::traffic::encodings::Bounds;
     use mom_hub::Member;
     use mom_managers::PeerFacts;
 
@@ -358,10 +361,13 @@ pub(crate) mod tests {
     fn receivers_are_who_they_were() {
         let channel = Channel::new(
             Arc::new(route(&[1, 3, 4])),
-            Bounds {
-                depth: 32,
-                parcel: mom_proto::Limit::At(1 << 20),
-            },
+            Encoder::new(
+                Bounds {
+                    depth: 32,
+                    parcel: mom_proto::Limit::At(1 << 20),
+                },
+                Arc::default(),
+            ),
             |_| None,
         );
         let then = route(&[1, 2, 3, 4]);

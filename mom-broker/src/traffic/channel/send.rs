@@ -1,13 +1,15 @@
 //! The one way into a channel: admit, charge, encode once for each form, put into the outboxes.
 
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
+use bytes::Bytes;
 use mom_hub::{Admission, Alike, Ingress, PeerClock, PeerId, Receivers, Route, Usage, admit};
 use mom_managers::Rate;
 use mom_net::Lane;
 use mom_net::Reader;
 use mom_proto::binary::{ParcelRun, Plain};
-use mom_proto::{ContextNumber, Delivery, Micros, Overflow, Parcel, WireError};
+use mom_proto::{Content, ContextNumber, Delivery, Micros, Overflow, Parcel, WireError};
 use mom_system::Clock;
 
 use super::{Channel, Delivered, State, expires_at, lane_of};
@@ -94,6 +96,7 @@ impl Channel {
     /// and put into the outboxes of its receivers. In a run the first is admitted so; the others differ from it only in
     /// stamps and content, and what [`admit`] makes of these is what [`Alike`] says.
     pub(crate) fn send(&self, sender: &Sender<'_>, message: Message<'_>, clock: &Clock) -> Outcome {
+        let message = self.prepared(message);
         let mut state = self.state.lock();
         match message {
             Message::One(parcel, waited) => state.send_one(sender, parcel, waited, clock),
@@ -110,6 +113,29 @@ impl Channel {
                 state.deliver(sender.peer, admitted)
             }
             Message::Run(reader) => state.send_run(sender, reader, clock),
+        }
+    }
+
+    /// Does before the critical section what takes time in proportion to the size of a message.
+    fn prepared<'a>(&self, message: Message<'a>) -> Message<'a> {
+        let own = |parcel: &mut Parcel| {
+            // Or little that is kept would hold much that was read with it and is not.
+            if let Some(Content::Encoded(bytes)) = &mut parcel.content
+                && self.keeps.load(Ordering::Relaxed)
+            {
+                *bytes = Bytes::copy_from_slice(bytes);
+            }
+        };
+        match message {
+            Message::One(mut parcel, waited) => {
+                own(&mut parcel);
+                Message::One(parcel, waited)
+            }
+            Message::Admitted(mut parcel, route, receivers, rate) => {
+                own(&mut parcel);
+                Message::Admitted(parcel, route, receivers, rate)
+            }
+            run @ Message::Run(_) => run,
         }
     }
 }
@@ -183,7 +209,7 @@ impl State {
         let outboxes = &self.outboxes;
         let form = |at: usize| outboxes[at].as_ref().map(|outbox| outbox.form());
         let forms = positions.iter().filter_map(form);
-        let encodings = Encodings::with(parcel, forms, self.bounds, &mut self.scratch)?;
+        let encodings = self.encoder.encode(parcel, forms)?;
         let packet = Arc::new(Packet {
             encodings,
             lane,
@@ -244,7 +270,7 @@ impl State {
             let Some(age) = alike.age(plain.timestamp()) else {
                 break;
             };
-            let size = plain.content_length();
+            let size = plain.content_length() + first.name.len();
             if budget.as_mut().is_some_and(|budget| !budget.take(size)) {
                 break;
             }

@@ -12,7 +12,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use mom_hub::PeerId;
-use mom_net::{Flow, NetError, Pause, Piece, Taken, Writer, write_batch};
+use mom_net::{Flow, NetError, Pause, Piece, Rest, Taken, Writer, write_batch};
 use mom_proto::codec::Form;
 use mom_proto::{ContextNumber, Limit, Micros, WireError};
 
@@ -20,6 +20,7 @@ pub(crate) use packet::{Dropped, Gate, Origin, Packet};
 pub(crate) use queue::PeerQueue;
 pub(crate) use waiter::WaiterHandle;
 
+use crate::traffic::encodings::Unready;
 use mom_system::Clock;
 use mom_system::sync::atomic::{AtomicBool, Ordering, fence};
 use mom_system::sync::{Mutex, MutexGuard, Notify};
@@ -54,10 +55,12 @@ thread_local! {
 }
 
 /// How far a flush came.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Debug)]
 enum Flushed {
     /// All is written.
     Done,
+    /// What goes next is not ready.
+    Unready(Arc<Packet>),
     /// The link takes no more now.
     Blocked,
     /// The network holds as much as it may.
@@ -154,7 +157,7 @@ impl Outbox {
     pub(crate) fn flush(&self) {
         match self.try_flush() {
             Ok(Flushed::Done) => {}
-            Ok(Flushed::Blocked | Flushed::Paced) => self.wake.notify_one(),
+            Ok(Flushed::Blocked | Flushed::Paced | Flushed::Unready(_)) => self.wake.notify_one(),
             Err(error) => self.broken(&error),
         }
     }
@@ -251,8 +254,28 @@ impl Outbox {
                     tokio::time::sleep(pause.time()).await;
                     pause.look(&self.flow.lock());
                 }
+                Flushed::Unready(packet) => self.make_ready(&packet).await,
             }
             flushed = self.flush_after_others()?;
+        }
+    }
+
+    /// Has a packet made ready that goes next, or looks again when something else is to be written.
+    async fn make_ready(&self, packet: &Arc<Packet>) {
+        match packet.encodings.unready(self.form()) {
+            None => {}
+            Some(Unready::Xml(later)) => {
+                tokio::select! {
+                    () = later.write() => {}
+                    () = self.wake.notified() => {}
+                }
+            }
+            Some(Unready::Replay(replay)) => {
+                let next = replay.step(self.form(), &self.clock);
+                self.queue.lock().replace_front(packet, next);
+                // The same task reads what this peer says.
+                tokio::task::yield_now().await;
+            }
         }
     }
 
@@ -299,7 +322,7 @@ impl Outbox {
         drop(flow);
         self.call_next();
         fence(Ordering::SeqCst);
-        let settled = flushed != Flushed::Done || !self.touched.load(Ordering::Acquire);
+        let settled = !matches!(flushed, Flushed::Done) || !self.touched.load(Ordering::Acquire);
         Ok(settled.then_some(flushed))
     }
 
@@ -323,8 +346,11 @@ impl Outbox {
             // All that was taken has left, so its capacity is real.
             self.call_next();
             let (allowance, now) = (flow.allowance(&self.writer), self.clock.now());
-            if !self.queue.lock().take(now, allowance, batch) {
-                return Ok(Flushed::Paced);
+            let rest = self.queue.lock().take(now, allowance, batch);
+            match rest {
+                Rest::None => {}
+                Rest::NoRoom => return Ok(Flushed::Paced),
+                Rest::Unready(packet) => return Ok(Flushed::Unready(packet)),
             }
             if batch.is_empty() {
                 flow.rest();

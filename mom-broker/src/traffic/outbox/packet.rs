@@ -80,16 +80,8 @@ impl Packet {
 
     /// Whether it may leave a moment later if that saves work: small, and no more urgent than usual.
     pub(crate) fn can_wait(&self) -> bool {
-        let small = |form| self.length(form) <= SMALL;
+        let small = |form| self.encodings.charge(form) <= SMALL;
         !self.lane.is_urgent() && [Some(Form::Binary), Some(Form::Xml), None].into_iter().all(small)
-    }
-
-    /// The bytes on the wire; inside this process a fixed charge that keeps the bound a bound.
-    fn length(&self, form: Option<Form>) -> usize {
-        match self.frames(form) {
-            Some(frames) => frames.len(),
-            None => self.encodings.local_size(),
-        }
     }
 }
 
@@ -116,8 +108,16 @@ impl Item for Packet {
         self.encodings.local()
     }
 
+    fn is_ready(&self, form: Option<Form>) -> bool {
+        self.encodings.unready(form).is_none()
+    }
+
+    fn fault(&self, form: Option<Form>) -> Option<DropReason> {
+        self.encodings.is_bad(form).then_some(DropReason::BadContent)
+    }
+
     fn charge(&self, form: Option<Form>) -> usize {
-        self.length(form) + PLACE
+        self.encodings.charge(form) + PLACE
     }
 
     fn count(&self) -> u32 {

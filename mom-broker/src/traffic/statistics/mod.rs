@@ -5,7 +5,7 @@ mod histogram;
 use std::collections::BTreeMap;
 
 use mom_hub::Route;
-use mom_proto::{Content, Delivery, Map, Parcel, Value};
+use mom_proto::{Delivery, Map, Parcel, Value};
 
 pub(crate) use histogram::Histogram;
 
@@ -139,8 +139,7 @@ fn age_map(ages: &Histogram) -> Map {
 
 /// The size of a message, and its age where it is known.
 pub(crate) fn measures(parcel: &Parcel) -> (usize, Option<i64>) {
-    let size = parcel.content.as_ref().map_or(0, Content::size);
-    (size, parcel.age.filter(|_| parcel.age_error.is_some()))
+    (parcel.size(), parcel.age.filter(|_| parcel.age_error.is_some()))
 }
 
 fn int(number: u64) -> Value {

@@ -3,39 +3,46 @@
 use std::sync::Arc;
 
 use dashmap::DashMap;
-use mom_hub::{Effect, Hub, Input, PeerId, Record, Ticket};
+use mom_hub::{Hub, PeerId, Record, Ticket};
 use mom_journal::Tap;
 use mom_net::Taken;
 use mom_proto::{Code, ContextNumber, Family, Map, Micros, Parcel, Path, Value, WireError, event};
 use mom_store::Store;
-use mom_system::Clock;
 use mom_system::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use mom_system::sync::{Mutex, Notify};
+use mom_system::{Clock, Workers};
 
 use crate::traffic::batch::{self, BatchWriter};
-use crate::traffic::channel::{Channel, Message, Sent, control, hub_origin, stamped};
-use crate::traffic::encodings::{Bounds, Encodings};
+use crate::traffic::channel::{Channel, Sent, control, hub_origin, stamped};
+use crate::traffic::encodings::{Bounds, Encoder, Encodings};
 use crate::traffic::outbox::{Dropped, Outbox, Packet};
 
+mod effects;
 mod sending;
 mod statistics;
 #[cfg(test)]
 mod tests;
 
+use effects::Decisions;
+pub(crate) use effects::Work;
 pub(crate) use sending::Handled;
 
 /// The switchboard of one broker.
 ///
-/// Locks are taken in the order hub, channel, outbox, and none is held over an await. The store's is taken under
-/// the hub's and takes no other.
+/// Locks are taken in the order turn (of [`Decisions`]), channel, outbox, and none is held over an await. The hub's is
+/// held only while it decides, and takes no other; effects are carried out after it is given back.
 #[derive(Debug)]
 pub(crate) struct Switchboard {
     pub(crate) clock: Clock,
     hub: Mutex<Hub>,
+    /// What the hub has decided and nobody has carried out yet.
+    decisions: Decisions,
     pub(crate) tap: Tap,
     channels: DashMap<ContextNumber, Arc<Channel>>,
     by_path: DashMap<Path, ContextNumber>,
     bounds: Bounds,
+    /// For what grows with the size of what one peer sends.
+    pub(crate) workers: Arc<Workers>,
     /// None where nothing outlives the broker; the hub knows, and stores nothing.
     pub(crate) store: Option<Store>,
     pub(crate) outboxes: DashMap<PeerId, Arc<Outbox>>,
@@ -57,10 +64,12 @@ impl Switchboard {
         let board = Switchboard {
             clock,
             hub: Mutex::new(hub),
+            decisions: Decisions::default(),
             tap,
             channels: DashMap::new(),
             by_path: DashMap::new(),
             bounds,
+            workers: Arc::default(),
             store,
             outboxes: DashMap::new(),
             batch_writer: BatchWriter::default(),
@@ -94,19 +103,6 @@ impl Switchboard {
     /// The name of a peer, for logs.
     pub(crate) fn peer_name(&self, peer: PeerId) -> Option<Arc<str>> {
         self.hub.lock().peer_name(peer)
-    }
-
-    /// Gives the hub an input and carries out what it wants.
-    pub(crate) fn decide(&self, input: Input, touched: &mut Touched) {
-        let mut effects = Vec::new();
-        let mut hub = self.hub.lock();
-        let before = hub.deadline();
-        self.tap.handle(&mut hub, input, &mut effects);
-        if hub.deadline() != before {
-            self.deadline_changed.notify_one();
-        }
-        // Under the hub's lock, so that replies and events leave in the order of decisions.
-        self.carry_out(effects, touched);
     }
 
     /// Says something of the broker's own to a peer.
@@ -238,9 +234,10 @@ impl Switchboard {
             Some(channel) => channel.swap(route, &self.clock, |peer| self.outbox(peer)),
             None => {
                 self.by_path.insert(route.path.clone(), number);
+                let encoder = Encoder::new(self.bounds, Arc::clone(&self.workers));
                 self.channels.insert(
                     number,
-                    Arc::new(Channel::new(route, self.bounds, |peer| self.outbox(peer))),
+                    Arc::new(Channel::new(route, encoder, |peer| self.outbox(peer))),
                 );
                 Touched::new()
             }
@@ -252,42 +249,6 @@ impl Switchboard {
             // A reader that found the channel just before gets what it would get after.
             let path = channel.end();
             self.by_path.remove_if(&path, |_, known| *known == number);
-        }
-    }
-
-    fn carry_out(&self, effects: Vec<Effect>, touched: &mut Touched) {
-        for effect in effects {
-            match effect {
-                Effect::Route(route) => touched.extend(self.swap_route(route)),
-                Effect::RouteGone(number) => self.drop_route(number),
-                Effect::Deliver { to, parcel } => self.push_to_all(&to, &parcel, touched),
-                Effect::Reply { to, parcel } => self.push_to_all(&[to], &parcel, touched),
-                Effect::Stats {
-                    to,
-                    parcel,
-                    channels,
-                    peers,
-                } => self.push_stats(to, &parcel, &channels, peers, touched),
-                Effect::Send {
-                    from,
-                    parcel,
-                    receivers,
-                    route,
-                    rate,
-                } => {
-                    if let Some(channel) = self.channel(route.number) {
-                        let message = Message::Admitted(parcel, &route, receivers, rate);
-                        self.send_admitted(from, message, &channel, touched);
-                    }
-                }
-                Effect::Store { record, ticket } => self.keep(record, ticket),
-                Effect::Audit(_) => {}
-                Effect::Close { peer, error } => {
-                    if let Some(outbox) = self.outbox(peer) {
-                        self.close(&outbox, error);
-                    }
-                }
-            }
         }
     }
 

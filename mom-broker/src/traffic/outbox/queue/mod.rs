@@ -8,7 +8,7 @@ mod waiters;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-use mom_net::{Allowance, DropPolicy, DropReason, Piece, SendQueue, Taken};
+use mom_net::{Allowance, DropPolicy, DropReason, Piece, Rest, SendQueue, Taken};
 use mom_proto::codec::Form;
 use mom_proto::{Limit, Micros};
 
@@ -70,15 +70,20 @@ impl PeerQueue {
         self.queue.set_limits(limit, parcel);
     }
 
-    /// Takes what the network has room for; false if something waits and there is no room.
+    /// Takes what the network has room for; says what the rest waits for, if nothing may be written.
     pub(crate) fn take(
         &mut self,
         now: Micros,
         allowance: Allowance,
         batch: &mut VecDeque<Piece<Packet>>,
-    ) -> bool {
+    ) -> Rest<Packet> {
         self.release_due(now);
         self.queue.take(now, allowance, batch)
+    }
+
+    /// Puts others into the place of a packet that goes next and is not ready.
+    pub(crate) fn replace_front(&mut self, packet: &Arc<Packet>, others: Vec<Arc<Packet>>) {
+        self.queue.replace_front(packet, others);
     }
 
     /// Puts back what the link did not take.
