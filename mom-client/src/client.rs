@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use mom_net::Transceiver;
-use mom_proto::{ContextKind, Family, Map, Parcel, Path, Thinning};
+use mom_proto::{ContextKind, Family, Map, Parcel, Path, Thinning, Value};
 use tokio::sync::watch;
 use tokio::time::timeout;
 
@@ -146,7 +146,8 @@ impl Client {
     /// # Errors
     /// `Refused` with `unknown-path`, `wrong-kind` or `denied`.
     pub async fn list(&self, path: &str) -> Result<Vec<ContextInfo>, ClientError> {
-        ContextInfo::list(&self.ask(Family::Context, "list", path, None).await?, "children")
+        self.pages("list", path, |page| ContextInfo::list(page, "children"))
+            .await
     }
 
     /// Details of one context (M33).
@@ -162,10 +163,30 @@ impl Client {
     /// # Errors
     /// `Refused` with `unknown-path` or `denied`.
     pub async fn members(&self, path: &str) -> Result<Vec<Member>, ClientError> {
-        Member::list(
-            &self.ask(Family::Context, "members", path, None).await?,
-            "members",
-        )
+        self.pages("members", path, |page| Member::list(page, "members"))
+            .await
+    }
+
+    /// Asks for a list page by page, as long as the hub says that there is more.
+    async fn pages<T>(
+        &self,
+        name: &'static str,
+        path: &str,
+        read: impl Fn(&Parcel) -> Result<Vec<T>, ClientError>,
+    ) -> Result<Vec<T>, ClientError> {
+        let mut all = Vec::new();
+        let mut after = None;
+        loop {
+            let content = after.map(|after: Value| Map::new().with("after", after));
+            let page = self.ask(Family::Context, name, path, content).await?;
+            all.extend(read(&page)?);
+            let map = map_of(&page);
+            let more = map.get("more").and_then(Value::as_bool) == Some(true);
+            match map.get("next").filter(|_| more) {
+                Some(next) => after = Some(next.clone()),
+                None => return Ok(all),
+            }
+        }
     }
 
     /// The statistics of a channel and of each member, or of the channels of a session that this peer may ask about.

@@ -6,7 +6,7 @@ mod entry;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use mom_net::{Allowance, DropPolicy, DropReason, Lane, Outgoing, Piece, SendQueue};
+use mom_net::{Allowance, DropPolicy, DropReason, Lane, Outgoing, Piece, Rest, SendQueue};
 use mom_proto::codec::Form;
 use mom_proto::{Family, Limit, Parcel, Verb};
 
@@ -120,7 +120,7 @@ impl Outbox {
         batch: &mut VecDeque<Piece<Entry>>,
     ) -> bool {
         self.queue.set_limits(usize::MAX, parcel);
-        self.queue.take(now, allowance, batch)
+        matches!(self.queue.take(now, allowance, batch), Rest::None)
     }
 
     /// Puts back what was taken at `taken` and not written. What was forgotten meanwhile will not be sent after all.
