@@ -319,7 +319,11 @@ mod tests {
             peers.remove(PeerId(id), 61 + id);
         }
         assert_eq!(peers.resting.len(), RESTING + 1);
-        assert!(peers.by_fold.len() <= 3 * (RESTING + 1), "{}", peers.by_fold.len());
+        assert!(
+            peers.by_fold.len() <= 3 * (RESTING + 1),
+            "{}",
+            peers.by_fold.len()
+        );
         let name = |facts: Arc<PeerFacts>| facts.name.to_string();
         assert_eq!(name(peers.add(PeerId(1000), user("guest"), "ally", 59)), "ally~2");
         assert_eq!(name(peers.add(PeerId(1001), user("bob"), "name-2", 59)), "name-2");
