@@ -108,7 +108,11 @@ impl Serving {
             true => DRAIN,
             false => FAREWELL,
         };
-        let evicted = self.connection.seat.as_ref().is_some_and(|seat| seat.was_evicted());
+        let evicted = self
+            .connection
+            .seat
+            .as_ref()
+            .is_some_and(|seat| seat.was_evicted());
         let written = poll_fn(|task| match writer.poll(task) {
             // Whoever had to go for others gets no time: its descriptor is theirs.
             Poll::Pending if evicted => Poll::Ready(()),
