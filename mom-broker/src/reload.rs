@@ -83,6 +83,24 @@ fn keep_fixed(running: &Config, mut config: Config) -> (Config, Vec<String>) {
         "connections",
         &mut different,
     );
+    keep(
+        &running.connections_before_login,
+        &mut config.connections_before_login,
+        "connections-before-login",
+        &mut different,
+    );
+    keep(
+        &running.connections_per_address,
+        &mut config.connections_per_address,
+        "connections-per-address",
+        &mut different,
+    );
+    keep(
+        &running.connections_per_user,
+        &mut config.connections_per_user,
+        "connections-per-user",
+        &mut different,
+    );
     // Every peer that is connected was promised that nothing longer or deeper will reach it.
     let (limits, new) = (&running.limits, &mut config.limits);
     keep(&limits.parcel, &mut new.parcel, "limits.parcel", &mut different);

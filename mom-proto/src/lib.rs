@@ -57,7 +57,8 @@ pub use gcra::{Gcra, Pace, Wait};
 pub use limits::{HARD_DEPTH, Limit, Limits, PROTOCOL_VERSION};
 pub use map::Map;
 pub use names::{
-    HUB, check_message_name, check_name, check_text, is_xml_char, looks_of, numbered_name, xml_violation,
+    HUB, check_message_name, check_name, check_text, folds_of, is_xml_char, looks_of, numbered_name,
+    resembles, xml_violation,
 };
 pub use parcel::{ContextNumber, HISTORY, MAX_ID, Parcel};
 pub use path::Path;

@@ -51,7 +51,8 @@ pub fn check_text(text: &str) -> Result<(), WireError> {
     }
 }
 
-/// Checks a user name or nickname: 1–64 bytes of letters, digits, marks and `-_.@+=`, in NFC, not `hub`.
+/// Checks a user name or nickname: 1–64 bytes of letters, digits, marks and `-_.@+=`, in NFC, and nothing that
+/// looks like `hub`.
 ///
 /// Invisible characters (zero width), confusing ones (controls, directions) and operators of paths and patterns (`/ ~
 /// * # % \`) are excluded. So are obsolete letters, and mixtures of scripts that are not written together (UTS 39,
@@ -73,8 +74,8 @@ pub fn check_name(name: &str) -> Result<(), WireError> {
             format!("a name has at most {NAME_BYTES} bytes"),
         ));
     }
-    if name == HUB {
-        return refused("is the hub's own".to_owned());
+    if resembles(name, HUB) {
+        return refused("is the hub's own, or looks like it".to_owned());
     }
     if name == "." || name == ".." {
         return refused("means a place in a path".to_owned());
@@ -100,6 +101,39 @@ pub fn check_name(name: &str) -> Result<(), WireError> {
 /// ```
 pub fn looks_of(name: &str) -> String {
     unicode_security::skeleton(name).collect()
+}
+
+/// The forms by which a name is taken for another: names that share one differ only in the case of letters, in letters
+/// that look alike, or in both. The first is [`looks_of`] the name in lower case.
+///
+/// There are several, because what looks alike depends on the case: `aIice` looks like `alice` with its capital I, and
+/// `ALICE` only without.
+///
+/// ```
+/// use mom_proto::folds_of;
+/// let shared = |one, other| folds_of(one).iter().any(|fold| folds_of(other).contains(fold));
+/// assert!(shared("Alice", "alice") && shared("aIice", "Alice") && shared("\u{430}\u{441}\u{435}", "ACE"));
+/// assert!(!shared("alice", "alicia"));
+/// ```
+pub fn folds_of(name: &str) -> Vec<String> {
+    let looks = looks_of(name);
+    let mut folds = vec![looks_of(&name.to_lowercase()), looks.to_lowercase(), looks];
+    // Most names have one form.
+    let mut kept = 0;
+    for index in 0..folds.len() {
+        if !folds[..kept].contains(&folds[index]) {
+            folds.swap(kept, index);
+            kept += 1;
+        }
+    }
+    folds.truncate(kept);
+    folds
+}
+
+/// Whether a name could be taken for another, or is the same.
+pub fn resembles(name: &str, other: &str) -> bool {
+    let others = folds_of(other);
+    folds_of(name).iter().any(|fold| others.contains(fold))
 }
 
 /// Checks the name of a message: 1–128 bytes, no controls, no blanks at its ends.
@@ -182,6 +216,8 @@ mod tests {
         for bad in [
             "",
             "hub",
+            "Hub",
+            "HUB",
             "alice~2",
             "a/b",
             "*",
@@ -202,6 +238,32 @@ mod tests {
             let error = check_name(bad).expect_err(bad);
             assert_eq!(error.code, Code::BAD_NAME);
         }
+    }
+
+    #[test]
+    fn who_is_taken_for_whom() {
+        for (name, other) in [
+            ("alice", "Alice"),
+            ("ALICE", "alice"),
+            ("aIice", "alice"),
+            ("Alice", "aIice"),
+            ("a1ice", "ALICE"),
+            ("bob", "B0B"),
+            ("\u{430}\u{441}\u{435}", "Ace"),
+            ("\u{410}\u{421}\u{415}", "ace"),
+            ("Zoë", "ZOË"),
+        ] {
+            assert!(resembles(name, other) && resembles(other, name), "{name} {other}");
+        }
+        for (name, other) in [
+            ("alice", "alicia"),
+            ("arm-1", "arm-2"),
+            ("jim", "kim"),
+            ("Zoë", "zoe"),
+        ] {
+            assert!(!resembles(name, other), "{name} {other}");
+        }
+        assert_eq!(folds_of("zoe"), ["zoe"]);
     }
 
     #[test]

@@ -42,6 +42,12 @@ pub struct Config {
     pub listen: Vec<String>,
     /// Connections at once.
     pub connections: usize,
+    /// Of them, those that have not logged in; none = a quarter.
+    pub connections_before_login: Option<usize>,
+    /// Of these, those from one address; none = a quarter.
+    pub connections_per_address: Option<usize>,
+    /// Connections of one user; none = a quarter of all.
+    pub connections_per_user: Option<usize>,
     /// What to log, in the words of `tracing`'s filters.
     pub log: String,
     /// When the file is read again.
@@ -78,11 +84,32 @@ pub enum ReloadOn {
     Signal,
 }
 
+/// How many connections there may be, and whose.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ConnectionCaps {
+    /// All.
+    pub all: usize,
+    /// Those that have not logged in.
+    pub before_login: usize,
+    /// Those from one address that have not logged in.
+    pub per_address: usize,
+    /// Those of one user.
+    pub per_user: usize,
+}
+
+/// A quarter, but of a few all of them: a small hub is for few people, who would only hinder themselves.
+fn quarter(of: usize) -> usize {
+    (of / 4).max(of.min(16))
+}
+
 impl Default for Config {
     fn default() -> Config {
         Config {
             listen: vec!["127.0.0.1:7666".to_owned()],
             connections: 10_000,
+            connections_before_login: None,
+            connections_per_address: None,
+            connections_per_user: None,
             log: "info".to_owned(),
             reload: ReloadOn::default(),
             limits: Limits::default(),
@@ -100,6 +127,25 @@ impl Default for Config {
 }
 
 impl Config {
+    /// How many connections there may be, and whose.
+    pub fn connection_caps(&self) -> ConnectionCaps {
+        let all = self.connections;
+        let before_login = self
+            .connections_before_login
+            .unwrap_or_else(|| quarter(all))
+            .min(all);
+        let per_address = self
+            .connections_per_address
+            .unwrap_or_else(|| quarter(before_login));
+        let per_user = self.connections_per_user.unwrap_or_else(|| quarter(all));
+        ConnectionCaps {
+            all,
+            before_login,
+            per_address: per_address.min(before_login),
+            per_user: per_user.min(all),
+        }
+    }
+
     /// Checks everything that can be checked without starting: managers, contexts, paths.
     ///
     /// # Errors

@@ -22,6 +22,9 @@ const LAB_USERS: &str = include_str!("../../../config/lab-users.toml");
 struct ConfigDocument {
     listen: Vec<String>,
     connections: usize,
+    connections_before_login: Option<usize>,
+    connections_per_address: Option<usize>,
+    connections_per_user: Option<usize>,
     log: String,
     reload: ReloadOn,
     users: Option<String>,
@@ -40,6 +43,9 @@ impl Default for ConfigDocument {
         let Config {
             listen,
             connections,
+            connections_before_login,
+            connections_per_address,
+            connections_per_user,
             log,
             reload,
             limits,
@@ -55,6 +61,9 @@ impl Default for ConfigDocument {
         ConfigDocument {
             listen,
             connections,
+            connections_before_login,
+            connections_per_address,
+            connections_per_user,
             log,
             reload,
             users: None,
@@ -120,6 +129,9 @@ impl Config {
         let config = Config {
             listen: file.listen,
             connections: file.connections,
+            connections_before_login: file.connections_before_login,
+            connections_per_address: file.connections_per_address,
+            connections_per_user: file.connections_per_user,
             log: file.log,
             reload: file.reload,
             limits: file.limits,
@@ -147,8 +159,19 @@ fn read(path: &Path) -> Result<SourceText, ConfigError> {
 }
 
 fn check(file: &ConfigDocument, source: &SourceText) -> Result<(), ConfigError> {
+    let given = |number: Option<usize>| number.map_or(1, |number| number as u64);
+    let before_login = given(file.connections_before_login);
+    let per_address = given(file.connections_per_address);
+    let per_user = given(file.connections_per_user);
     let at_least_one = [
         ("connections", file.connections as u64, "connections"),
+        (
+            "connections-before-login",
+            before_login,
+            "connections-before-login",
+        ),
+        ("connections-per-address", per_address, "connections-per-address"),
+        ("connections-per-user", per_user, "connections-per-user"),
         ("limits", file.limits.heartbeat, "heartbeat"),
         ("limits", file.limits.gone, "gone"),
         ("limits", file.limits.login_time, "login-time"),

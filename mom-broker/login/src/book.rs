@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use ed25519_dalek::VerifyingKey;
 use mom_hub::User;
-use mom_proto::{Code, Map, Micros, Time, WireError, looks_of};
+use mom_proto::{Code, Map, Micros, Time, WireError, folds_of, resembles};
 
 use super::jwt::{Proven, Verifier};
 use super::key::parse_key;
@@ -30,8 +30,8 @@ pub enum UserSource {
 #[derive(Debug)]
 pub(super) struct Book {
     pub(super) users: BTreeMap<String, BookEntry>,
-    /// The user for each visual form of a name; none = several users share it.
-    looks: BTreeMap<String, Option<String>>,
+    /// The user for each form by which its name is taken for another; none = several users share it.
+    folds: BTreeMap<String, Option<String>>,
     /// The most keys that a user has.
     pub(super) keys: usize,
     pub(super) settings: LoginConfig,
@@ -97,15 +97,17 @@ impl Book {
             .into_iter()
             .map(|user| Ok((user.name.clone(), BookEntry::new(user)?)))
             .collect::<Result<BTreeMap<_, _>, SettingError>>()?;
-        let mut looks: BTreeMap<String, Option<String>> = BTreeMap::new();
+        let mut folds: BTreeMap<String, Option<String>> = BTreeMap::new();
         for name in users.keys() {
-            looks
-                .entry(looks_of(name))
-                .and_modify(|whose| *whose = None)
-                .or_insert_with(|| Some(name.clone()));
+            for fold in folds_of(name) {
+                folds
+                    .entry(fold)
+                    .and_modify(|whose| *whose = None)
+                    .or_insert_with(|| Some(name.clone()));
+            }
         }
         Ok(Book {
-            looks,
+            folds,
             keys: users
                 .values()
                 .map(|user| user.keys.len())
@@ -147,7 +149,7 @@ impl Book {
         let standing = match (entry, claims) {
             (Some(entry), None) => Identity::of_file(entry, ShownProof::Token(Arc::clone(verifier))),
             (None, None) => return Err(refused("the token's user does not exist here")),
-            (None, Some((level, groups))) if !self.is_guest(&name) => Identity {
+            (None, Some((level, groups))) if !self.resembles_own(&name) => Identity {
                 user: Arc::new(User {
                     name,
                     level,
@@ -158,7 +160,11 @@ impl Book {
                 proof: ShownProof::Token(Arc::clone(verifier)),
             },
             // A user of the file has its rights from there, and those may be higher.
-            (_, Some(_)) => return Err(refused("the token's user is one of this hub's own")),
+            (_, Some(_)) => {
+                return Err(refused(
+                    "the token's user is one of this hub's own, or looks like one",
+                ));
+            }
         };
         Ok((standing, until))
     }
@@ -168,22 +174,24 @@ impl Book {
         let Some(nickname) = nickname.filter(|nickname| *nickname != user.name) else {
             return Ok(());
         };
-        let looks = looks_of(nickname);
-        let whose = self.looks.get(&looks);
-        let anothers = whose.is_some_and(|whose| whose.as_ref() != Some(&user.name));
-        let guests = self.settings.guests && looks == looks_of(GUEST);
-        if !anothers && !guests {
+        let whose = |fold: String| self.folds.get(&fold);
+        let mut whose = folds_of(nickname).into_iter().filter_map(whose);
+        let anothers = whose.any(|whose| whose.as_ref() != Some(&user.name));
+        if !anothers && !self.resembles_guest(nickname) {
             return Ok(());
         }
-        let text = match self.users.contains_key(nickname) || self.is_guest(nickname) {
-            true => format!("the nickname {nickname:?} is another user's name"),
-            false => format!("the nickname {nickname:?} looks like another user's name"),
-        };
-        Err(WireError::new(Code::BAD_NAME, text).slot("content/nickname"))
+        let is_name = self.users.contains_key(nickname) || nickname == GUEST;
+        Err(anothers_name(nickname, is_name))
     }
 
-    fn is_guest(&self, name: &str) -> bool {
-        self.settings.guests && name == GUEST
+    /// Whether a name could be taken for that of a user of the file, or of guests.
+    fn resembles_own(&self, name: &str) -> bool {
+        let known = |fold: &String| self.folds.contains_key(fold);
+        folds_of(name).iter().any(known) || self.resembles_guest(name)
+    }
+
+    fn resembles_guest(&self, name: &str) -> bool {
+        self.settings.guests && resembles(name, GUEST)
     }
 }
 
@@ -215,7 +223,7 @@ impl Identity {
             UserSource::File => entry.map(|entry| Arc::clone(&entry.user)),
             UserSource::Guest => book.settings.guests.then(|| Arc::clone(&book.guest)),
             UserSource::Claims => {
-                let free = entry.is_none() && !book.is_guest(&self.user.name);
+                let free = !book.resembles_own(&self.user.name);
                 free.then(|| Arc::clone(&self.user))
             }
         }
@@ -237,6 +245,15 @@ impl BookEntry {
             keys,
         })
     }
+}
+
+/// The refusal of a nickname that is another user's name, or looks like it.
+pub(super) fn anothers_name(nickname: &str, is_name: bool) -> WireError {
+    let text = match is_name {
+        true => format!("the nickname {nickname:?} is another user's name"),
+        false => format!("the nickname {nickname:?} looks like another user's name"),
+    };
+    WireError::new(Code::BAD_NAME, text).slot("content/nickname")
 }
 
 /// The user of all guests.

@@ -7,6 +7,7 @@ mod jwt;
 mod key;
 mod password;
 mod settings;
+mod subjects;
 mod throttle;
 mod user;
 
@@ -21,6 +22,7 @@ use parking_lot::RwLock;
 
 use self::book::{Book, Identity};
 use self::content::{ClaimedProof, LoginRequest, read_signature};
+use self::subjects::Subjects;
 use self::throttle::Throttle;
 
 pub use book::{GUEST, UserSource, guest};
@@ -29,6 +31,7 @@ pub use jwt::Verifier;
 pub use key::Challenge;
 pub use password::{LoginStats, hash};
 pub use settings::{FailureRate, JwtConfig, JwtKey, JwtUsers, LoginConfig, ThrottleConfig};
+pub use throttle::network;
 pub use user::UserEntry;
 
 /// The next step of a login that is not refused.
@@ -57,6 +60,7 @@ pub struct Logins {
     /// Replaced as a whole by a new configuration.
     book: RwLock<Arc<Book>>,
     throttle: Throttle,
+    subjects: Subjects,
     /// The user of each peer.
     peers: DashMap<PeerId, Identity>,
     /// Checked in place of an unknown user's hash, so that the time does not reveal which users exist.
@@ -71,6 +75,7 @@ impl Logins {
             clock,
             book: RwLock::new(Arc::new(Book::new(users, settings, None)?)),
             throttle: Throttle::new(),
+            subjects: Subjects::default(),
             peers: DashMap::new(),
             dummy: hash("no such user").unwrap_or_default(),
         })
@@ -144,7 +149,8 @@ impl Logins {
                 return Ok(LoginStep::Challenge(challenge));
             }
         };
-        Granted::new(standing, nickname, until, book).map(LoginStep::Granted)
+        self.grant(standing, nickname, until, book)
+            .map(LoginStep::Granted)
     }
 
     /// Checks a `login answer` to the last challenge of its connection, and consumes the challenge.
@@ -172,7 +178,7 @@ impl Logins {
         match entry.zip(challenge.is_answered(keys, book.keys, &signature)) {
             Some((entry, key)) => {
                 let standing = Identity::of_file(entry, book::ShownProof::Key(Box::new(key)));
-                Granted::new(standing, challenge.nickname, None, Arc::clone(&book))
+                self.grant(standing, challenge.nickname, None, Arc::clone(&book))
             }
             None => {
                 attempt.fail();
@@ -208,6 +214,9 @@ impl Logins {
             };
             standing.user = standing.as_of(&now).ok_or_else(gone)?;
             now.check_nickname(&standing.user, nickname.as_deref())?;
+        }
+        if standing.origin == UserSource::Claims {
+            self.subjects.note(&standing.user.name);
         }
         let mut user = User::clone(&standing.user);
         if let Some(until) = until {
@@ -280,6 +289,25 @@ impl Logins {
         standing.map(|(standing, until)| (standing, Some(until)))
     }
 
+    fn grant(
+        &self,
+        standing: Identity,
+        nickname: Option<String>,
+        until: Option<Time>,
+        book: Arc<Book>,
+    ) -> Result<Granted, WireError> {
+        // Only now: an earlier refusal would reveal which users exist.
+        book.check_nickname(&standing.user, nickname.as_deref())?;
+        self.subjects
+            .check_nickname(&standing.user, nickname.as_deref())?;
+        Ok(Granted {
+            standing,
+            nickname,
+            until,
+            book,
+        })
+    }
+
     /// An attempt, unless the throttle makes it wait.
     fn enter<'a>(
         &'a self,
@@ -313,22 +341,6 @@ impl Logins {
 }
 
 impl Granted {
-    fn new(
-        standing: Identity,
-        nickname: Option<String>,
-        until: Option<Time>,
-        book: Arc<Book>,
-    ) -> Result<Granted, WireError> {
-        // Only now: an earlier refusal would reveal which users exist.
-        book.check_nickname(&standing.user, nickname.as_deref())?;
-        Ok(Granted {
-            standing,
-            nickname,
-            until,
-            book,
-        })
-    }
-
     /// The user's name, for logs.
     pub fn user(&self) -> &str {
         &self.standing.user.name

@@ -12,11 +12,11 @@ use mom_net::Transceiver;
 use mom_store::{StoreAnswer, StoreError};
 use mom_system::Clock;
 use parking_lot::Mutex;
-use tokio::sync::{Semaphore, mpsc, watch};
+use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, timeout_at};
 
-use crate::connection::{DRAIN, Listener, Services, Serving, listen, login_time};
+use crate::connection::{DRAIN, Doors, Listener, Services, Serving, listen, login_time};
 use crate::traffic::encodings::Bounds;
 use crate::traffic::switchboard::{Switchboard, Touched, flush};
 
@@ -74,8 +74,8 @@ pub struct Broker {
     addresses: Vec<SocketAddr>,
     stopping: watch::Sender<bool>,
     tasks: JoinSet<()>,
-    /// The places for connections from outside; closed when the broker stops.
-    connections: Arc<Semaphore>,
+    /// Closed when the broker stops.
+    doors: Arc<Doors>,
     /// The configuration that it goes by; see [`Broker::reload`].
     pub(crate) running: Mutex<Config>,
 }
@@ -120,7 +120,7 @@ impl Broker {
         let board = Switchboard::new(hub, clock, bounds, store, tap);
         let services = Services::new(board, logins, config.limits.clone());
         let (stopping, stop) = watch::channel(false);
-        let connections = Arc::new(Semaphore::new(config.connections));
+        let doors = Arc::new(Doors::new(config.connection_caps()));
         let mut tasks = JoinSet::new();
         let mut addresses = Vec::new();
         for address in &config.listen {
@@ -132,7 +132,7 @@ impl Broker {
             addresses.push(listener.local_addr().map_err(failed)?);
             let listener_task = Listener {
                 services: services.clone(),
-                connections: Arc::clone(&connections),
+                doors: Arc::clone(&doors),
                 stop: stop.clone(),
             };
             tasks.spawn(listener_task.run(listener));
@@ -148,7 +148,7 @@ impl Broker {
             addresses,
             stopping,
             tasks,
-            connections,
+            doors,
             running: Mutex::new(config),
         })
     }
@@ -174,7 +174,7 @@ impl Broker {
         let (here, there) = mom_net::pair();
         let services = self.services.fresh();
         let login_by = Instant::now() + login_time(&services.limits);
-        let mut serving = Serving::begin(services, here, None, login_by);
+        let mut serving = Serving::begin(services, here, None, None, login_by);
         tokio::spawn(async move { serving.run().await });
         there
     }
@@ -199,7 +199,7 @@ impl Broker {
         let peers_by = store.as_ref().map_or(deadline, |_| deadline - LAST_RECORDS);
         // Nobody is listening any more if all tasks have ended.
         let _ = self.stopping.send(true);
-        self.connections.close();
+        self.doors.close();
         self.services.board.shut_down();
         if timeout_at(peers_by, self.services.board.wait_empty())
             .await

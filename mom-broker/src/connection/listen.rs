@@ -5,12 +5,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use mom_net::{NetError, Transceiver};
-use mom_proto::{Code, Limits, WireError};
+use mom_proto::{Limits, WireError};
 use tokio::net::{TcpListener, TcpSocket, TcpStream, lookup_host};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
+use tokio::sync::{oneshot, watch};
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 
+use super::doors::{Doors, Seat};
 use super::{Services, Serving, login_timeout};
 
 /// Connections that may wait to be taken in; the system may allow less. When a crowd comes back at once and more
@@ -42,8 +43,7 @@ pub(crate) async fn listen(address: &str) -> std::io::Result<TcpListener> {
 /// One listener with all its connections.
 pub(crate) struct Listener {
     pub(crate) services: Services,
-    /// The places for connections from outside.
-    pub(crate) connections: Arc<Semaphore>,
+    pub(crate) doors: Arc<Doors>,
     pub(crate) stop: watch::Receiver<bool>,
 }
 
@@ -57,9 +57,15 @@ impl Listener {
                 accepted = listener.accept() => accepted,
             };
             match accepted {
-                Ok((stream, from)) => match Arc::clone(&self.connections).try_acquire_owned() {
-                    Ok(place) => drop(served.spawn(self.services.fresh().take_in(stream, from, place))),
-                    Err(_) => refuse(&stream).await,
+                Ok((stream, from)) => match self.doors.enter(from.ip()) {
+                    Ok((seat, told, evicted)) => {
+                        if let Some(evicted) = evicted {
+                            evicted.tell(|outbox, error| self.services.board.close(outbox, Some(error)));
+                        }
+                        let services = self.services.fresh();
+                        drop(served.spawn(services.take_in(stream, from, (seat, told))));
+                    }
+                    Err(error) => refuse(&stream, &error).await,
                 },
                 Err(error) => {
                     // Mostly no descriptors left: existing connections go on, new ones wait a moment.
@@ -75,11 +81,18 @@ impl Listener {
 
 impl Services {
     /// Waits for the first bytes of a peer, which tell its form.
-    async fn greet(&self, stream: TcpStream, login_by: Instant) -> Result<Transceiver, NetError> {
+    async fn greet(
+        &self,
+        stream: TcpStream,
+        login_by: Instant,
+        told: oneshot::Receiver<WireError>,
+    ) -> Result<Transceiver, NetError> {
         let before_login = self.limits.before_login();
         let too_late = async {
-            tokio::time::sleep_until(login_by).await;
-            login_timeout(self.limits.login_time)
+            tokio::select! {
+                Ok(error) = told => error,
+                () = tokio::time::sleep_until(login_by) => login_timeout(self.limits.login_time),
+            }
         };
         mom_net::accept(stream, &before_login, too_late).await
     }
@@ -89,24 +102,31 @@ impl Services {
         self,
         stream: TcpStream,
         from: SocketAddr,
-        place: OwnedSemaphorePermit,
+        seat: (Seat, oneshot::Receiver<WireError>),
     ) -> impl Future<Output = ()> {
         // Apart, so that the connection does not keep the memory that this needs.
-        let begun = Box::pin(self.begin(stream, from));
+        let begun = Box::pin(self.begin(stream, from, seat));
         async move {
             // By reference, or it would be kept twice.
             let mut begun = begun.await;
             if let Some(serving) = &mut begun {
                 serving.run().await;
             }
-            drop(place);
         }
     }
 
-    async fn begin(self, stream: TcpStream, from: SocketAddr) -> Option<Serving> {
+    async fn begin(
+        self,
+        stream: TcpStream,
+        from: SocketAddr,
+        (seat, told): (Seat, oneshot::Receiver<WireError>),
+    ) -> Option<Serving> {
         let login_by = Instant::now() + login_time(&self.limits);
-        match self.greet(stream, login_by).await {
-            Ok(transceiver) => Some(Serving::begin(self, transceiver, Some(from.ip()), login_by)),
+        match self.greet(stream, login_by, told).await {
+            Ok(transceiver) => {
+                let from = Some(from.ip());
+                Some(Serving::begin(self, transceiver, from, Some(seat), login_by))
+            }
             Err(error) => {
                 tracing::info!(%from, %error, "refused");
                 None
@@ -119,12 +139,8 @@ pub(crate) fn login_time(limits: &Limits) -> Duration {
     Duration::from_millis(limits.login_time)
 }
 
-async fn refuse(stream: &TcpStream) {
+async fn refuse(stream: &TcpStream, error: &WireError) {
     tracing::warn!("too many connections");
-    let error = WireError::new(
-        Code::TOO_MANY_CONNECTIONS,
-        "this hub has as many connections as it may have",
-    );
     if let Ok(encoded) = mom_proto::codec::Form::Xml.encode(&error.to_parcel(None)) {
         // Best effort and without waiting: the peer is closed either way.
         if stream.writable().await.is_ok() {

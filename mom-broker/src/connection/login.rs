@@ -36,6 +36,9 @@ impl Connection {
         let claimed = self.claimed(parcel);
         // Whatever comes now, the last challenge is over.
         let challenge = self.challenge.take();
+        if let Some(seat) = &self.seat {
+            seat.set_proving(true);
+        }
         let step = if parcel.name() == Verb::Answer.word() {
             logins
                 .answer(parcel, challenge.map(|challenge| *challenge), self.from)
@@ -46,11 +49,14 @@ impl Connection {
         let refused = match step {
             Ok(LoginStep::Challenge(challenge)) => {
                 self.challenge(challenge, parcel.id, touched);
-                return Ok(());
+                Ok(())
             }
             Ok(LoginStep::Granted(granted)) => self.admit(reader, granted, parcel.id, touched),
             Err(error) => Err(error),
         };
+        if let Some(seat) = &self.seat {
+            seat.set_proving(false);
+        }
         refused.or_else(|error| self.refuse_login(error, claimed, parcel.id, touched))
     }
 
@@ -85,6 +91,9 @@ impl Connection {
         touched: &mut Touched,
     ) -> Result<(), WireError> {
         let (peer, board) = (self.peer, Arc::clone(&self.services.board));
+        if let Some(seat) = &mut self.seat {
+            seat.log_in(granted.user())?;
+        }
         tracing::info!(peer = peer.0, user = granted.user(), origin = ?granted.origin(), from = ?self.from, "logged in");
         let logged_in = &mut self.logged_in;
         let decide = |user, nickname| {

@@ -1,5 +1,6 @@
 //! One connection, from its first byte to its end.
 
+mod doors;
 mod listen;
 mod login;
 mod measure;
@@ -30,6 +31,7 @@ use crate::traffic::switchboard::{Handled, Switchboard, Touched, flush};
 
 use measure::{Measure, Pings};
 
+pub(crate) use doors::Doors;
 pub(crate) use listen::{Listener, listen, login_time};
 pub(crate) use serving::{DRAIN, Serving};
 
@@ -76,6 +78,8 @@ struct Connection {
     outbox: Arc<Outbox>,
     /// Where it comes from, none inside this process.
     from: Option<IpAddr>,
+    /// Its part in the counts of connections from outside.
+    seat: Option<Box<doors::Seat>>,
     logged_in: bool,
     /// Logins that failed.
     failures: u32,

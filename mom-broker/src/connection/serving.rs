@@ -10,6 +10,7 @@ use std::time::Duration;
 use mom_net::{Reader, Transceiver};
 use tokio::time::{Instant, timeout};
 
+use super::doors::Seat;
 use super::measure::{Measure, Pings};
 use super::{Connection, Services, requests};
 use crate::traffic::outbox::Outbox;
@@ -36,6 +37,7 @@ impl Serving {
         services: Services,
         transceiver: Transceiver,
         from: Option<IpAddr>,
+        seat: Option<Seat>,
         login_by: Instant,
     ) -> Serving {
         let Transceiver { mut reader, writer } = transceiver;
@@ -49,12 +51,16 @@ impl Serving {
         ));
         services.board.tap.audit.arrived(peer, from);
         services.board.add_outbox(&outbox);
+        if let Some(Err(error)) = seat.as_ref().map(|seat| seat.begin(&outbox)) {
+            services.board.close(&outbox, Some(error));
+        }
         let beat = Duration::from_millis(services.limits.heartbeat);
         let connection = Connection {
             services,
             peer,
             outbox,
             from,
+            seat: seat.map(Box::new),
             logged_in: false,
             failures: 0,
             heard_at: Instant::now(),
@@ -102,8 +108,19 @@ impl Serving {
             true => DRAIN,
             false => FAREWELL,
         };
-        let written = poll_fn(|task| writer.poll(task));
-        if timeout(patience, written).await.is_err() {
+        let evicted = self
+            .connection
+            .seat
+            .as_ref()
+            .is_some_and(|seat| seat.was_evicted());
+        let written = poll_fn(|task| match writer.poll(task) {
+            // Whoever had to go for others gets no time: its descriptor is theirs.
+            Poll::Pending if evicted => Poll::Ready(()),
+            polled => polled,
+        });
+        if evicted {
+            written.await;
+        } else if timeout(patience, written).await.is_err() {
             let peer = self.connection.peer.0;
             tracing::debug!(peer, "what waited for it was not taken in time");
         } else if timeout(FAREWELL, self.reader.drain()).await.is_err() {
@@ -148,7 +165,7 @@ mod tests {
     /// Ten thousand idle peers cost what their tasks keep: what is rare is boxed while it lasts (docs/performance.md).
     #[test]
     fn an_idle_connection_is_small() {
-        let connection = |services: Services, stream, from, place| services.take_in(stream, from, place);
+        let connection = |services: Services, stream, from, seat| services.take_in(stream, from, seat);
         let all = [size_of_future(&connection), size_of::<Outbox>()];
         assert!(all.iter().sum::<usize>() <= 1536, "{all:?}");
     }

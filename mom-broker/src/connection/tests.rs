@@ -56,7 +56,7 @@ impl House {
         let (here, there) = mom_net::pair();
         let from = from.map(|from| from.parse::<IpAddr>().expect("an address"));
         let login_by = Instant::now() + Duration::from_secs(60);
-        let mut serving = Serving::begin(self.services.clone(), here, from, login_by);
+        let mut serving = Serving::begin(self.services.clone(), here, from, None, login_by);
         tokio::spawn(async move { serving.run().await });
         Visitor { link: there, last: 0 }
     }

@@ -17,12 +17,14 @@ use crate::world::events::peer_map;
 use crate::world::{Timer, World};
 use crate::{Effect, PeerId};
 
-/// Questions of one peer that may wait, and of all.
+/// Questions of one peer that may wait, and of all peers of one user. There is no bound on all of them together: it would
+/// let a few users, or all guests, which are one user, use up what others need.
 const MOST_OF_ONE: usize = 16;
-const MOST: usize = 4096;
+const MOST_OF_USER: usize = 256;
 
-/// Bytes of content of one peer that may wait; beyond them no further request does.
+/// Bytes of one peer's requests that may wait, and of one user's; beyond them no further request does.
 const MOST_BYTES: usize = 1 << 20;
+const MOST_BYTES_OF_USER: usize = 4 << 20;
 
 /// Sends to one channel that wait behind a deferred one of the same peer.
 const MOST_SENDS: usize = 16;
@@ -43,13 +45,25 @@ pub(crate) struct Due {
 #[derive(Debug, Default)]
 pub(crate) struct Questions {
     pub(crate) pending: BTreeMap<u64, Pending>,
+    /// The same by peer.
+    of_peer: BTreeMap<PeerId, BTreeSet<u64>>,
+    /// What waits of each user.
+    of_user: BTreeMap<Arc<str>, Waiting>,
     last: u64,
+}
+
+/// How much waits.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Waiting {
+    questions: usize,
+    bytes: usize,
 }
 
 /// A request that waits.
 #[derive(Debug)]
 pub(crate) struct Pending {
     pub(crate) request: Due,
+    user: Arc<str>,
     label: Arc<str>,
     pub(crate) asked: BTreeSet<PeerId>,
     whom: Whom,
@@ -93,11 +107,11 @@ impl Questions {
             return resume(world, request, whom.heard(given), out);
         }
         let peer = request.peer;
-        let (mine, bytes) = self.waiting_of(peer);
-        if mine >= MOST_OF_ONE || bytes >= MOST_BYTES || self.pending.len() >= MOST {
-            let text = "too many requests wait for somebody's answer";
-            let error = WireError::new(Code::TRY_LATER, text).rule(&label);
-            world.push_refusal(peer, &request.parcel, &error, out);
+        let Some(user) = world.peers.get(peer).map(|peer| Arc::clone(&peer.facts.user)) else {
+            return world.fault("a peer that is not there has to wait for an answer");
+        };
+        if let Err(error) = self.check_waiting(peer, &user) {
+            world.push_refusal(peer, &request.parcel, &error.rule(&label), out);
             return None;
         }
         let send = request.parcel.family == Family::Message;
@@ -113,8 +127,13 @@ impl Questions {
         if let Some(channel) = channel {
             hold_sends(world, channel, peer, true);
         }
+        let waiting = self.of_user.entry(Arc::clone(&user)).or_default();
+        waiting.questions += 1;
+        waiting.bytes += size(&request.parcel);
+        self.of_peer.entry(peer).or_default().insert(question);
         let pending = Pending {
             request,
+            user,
             label,
             asked,
             whom,
@@ -126,18 +145,54 @@ impl Questions {
         None
     }
 
-    /// How many requests of a peer wait, and with how many bytes.
-    fn waiting_of(&self, peer: PeerId) -> (usize, usize) {
-        let path = |parcel: &Parcel| parcel.context.as_ref().map_or(0, |path| path.as_str().len());
-        let size = |parcel: &Parcel| parcel.size() + path(parcel);
-        let own = self
-            .pending
-            .values()
-            .filter(|pending| pending.request.peer == peer);
-        own.fold((0, 0), |(count, bytes), pending| {
-            let behind: usize = pending.behind.iter().map(size).sum();
-            (count + 1, bytes + size(&pending.request.parcel) + behind)
+    /// Checks that one request more of a peer may wait.
+    fn check_waiting(&self, peer: PeerId, user: &Arc<str>) -> Result<(), WireError> {
+        let own = self.waiting_of(peer);
+        let all = self.of_user.get(user).copied().unwrap_or_default();
+        let text = if own.questions >= MOST_OF_ONE || own.bytes >= MOST_BYTES {
+            "too many requests of this peer wait for somebody's answer".to_owned()
+        } else if all.questions >= MOST_OF_USER || all.bytes >= MOST_BYTES_OF_USER {
+            format!("too many requests of {user}'s peers wait for somebody's answer")
+        } else {
+            return Ok(());
+        };
+        Err(WireError::new(Code::TRY_LATER, text))
+    }
+
+    /// How much of a peer waits.
+    fn waiting_of(&self, peer: PeerId) -> Waiting {
+        let own = self.own(peer);
+        own.fold(Waiting::default(), |waiting, (_, pending)| Waiting {
+            questions: waiting.questions + 1,
+            bytes: waiting.bytes + pending.bytes(),
         })
+    }
+
+    /// The questions of a peer: a few.
+    fn own(&self, peer: PeerId) -> impl Iterator<Item = (u64, &Pending)> {
+        let own = self.of_peer.get(&peer).into_iter().flatten();
+        own.filter_map(|question| Some((*question, self.pending.get(question)?)))
+    }
+
+    /// The one of a peer that is a send to this channel.
+    fn send_of(&self, peer: PeerId, channel: ContextNumber) -> Option<u64> {
+        let mut own = self.own(peer);
+        own.find_map(|(question, pending)| (pending.channel == Some(channel)).then_some(question))
+    }
+
+    /// Asserts that what waits is counted right.
+    pub(crate) fn check(&self) {
+        let mut of_user: BTreeMap<Arc<str>, Waiting> = BTreeMap::new();
+        for (question, pending) in &self.pending {
+            let own = self.of_peer.get(&pending.request.peer);
+            assert!(own.is_some_and(|own| own.contains(question)), "found by its peer");
+            let waiting = of_user.entry(Arc::clone(&pending.user)).or_default();
+            waiting.questions += 1;
+            waiting.bytes += pending.bytes();
+        }
+        assert_eq!(of_user, self.of_user, "what waits of each user");
+        let own = self.of_peer.values().map(BTreeSet::len);
+        assert_eq!(own.sum::<usize>(), self.pending.len(), "no more by peer");
     }
 
     /// Takes the answer of a peer to a question, and returns the requests that are due with it; none if the peer was
@@ -172,13 +227,26 @@ impl Questions {
     fn take(&mut self, world: &mut World, question: u64) -> Option<Pending> {
         let pending = self.pending.remove(&question)?;
         world.timers.remove(&(pending.until, Timer::Answer(question)));
+        let peer = pending.request.peer;
+        if let Some(own) = self.of_peer.get_mut(&peer) {
+            own.remove(&question);
+            if own.is_empty() {
+                self.of_peer.remove(&peer);
+            }
+        }
+        if let Some(waiting) = self.of_user.get_mut(&pending.user) {
+            waiting.questions = waiting.questions.saturating_sub(1);
+            waiting.bytes = waiting.bytes.saturating_sub(pending.bytes());
+            if waiting.questions == 0 {
+                self.of_user.remove(&pending.user);
+            }
+        }
         Some(pending)
     }
 
     /// Whether an earlier send of this peer to this channel waits for an answer.
     pub(crate) fn waits_behind(&self, peer: PeerId, channel: ContextNumber) -> bool {
-        let mut waiting = self.pending.values();
-        waiting.any(|pending| pending.is_send(peer, channel))
+        self.send_of(peer, channel).is_some()
     }
 
     /// Lets a send wait behind that one.
@@ -191,24 +259,25 @@ impl Questions {
         (peer, channel): (PeerId, ContextNumber),
         parcel: &mut Parcel,
     ) -> Result<(), WireError> {
-        let (_, bytes) = self.waiting_of(peer);
-        let mut waiting = self.pending.values_mut();
-        let Some(pending) = waiting.find(|pending| pending.is_send(peer, channel)) else {
+        let bytes = self.waiting_of(peer).bytes;
+        let first = self.send_of(peer, channel);
+        let Some(pending) = first.and_then(|question| self.pending.get_mut(&question)) else {
             return Err(world.faulted("a send waits behind one that does not wait"));
         };
-        if pending.behind.len() >= MOST_SENDS || bytes >= MOST_BYTES {
+        let user = self.of_user.entry(Arc::clone(&pending.user)).or_default();
+        if pending.behind.len() >= MOST_SENDS || bytes >= MOST_BYTES || user.bytes >= MOST_BYTES_OF_USER {
             let text = "an earlier message to this channel still waits for who manages it";
             return Err(WireError::new(Code::TRY_LATER, text));
         }
+        user.bytes += size(parcel);
         pending.behind.push_back(take_parcel(parcel));
         Ok(())
     }
 
     /// Refuses the waiting requests of a peer that goes: its connection may be somebody else's next.
     pub(crate) fn refuse_all_of(&mut self, world: &mut World, peer: PeerId, out: &mut Vec<Effect>) {
-        let own = self.pending.iter();
-        let own = own.filter(|(_, pending)| pending.request.peer == peer);
-        let own: Vec<u64> = own.map(|(question, _)| *question).collect();
+        let own = self.of_peer.get(&peer).into_iter().flatten();
+        let own: Vec<u64> = own.copied().collect();
         let error = WireError::new(Code::WITHDRAWN, "who asked is gone before it was answered");
         for question in own {
             let Some(pending) = self.take(world, question) else {
@@ -233,9 +302,15 @@ impl Questions {
 }
 
 impl Pending {
-    fn is_send(&self, peer: PeerId, channel: ContextNumber) -> bool {
-        self.request.peer == peer && self.channel == Some(channel)
+    fn bytes(&self) -> usize {
+        let behind: usize = self.behind.iter().map(size).sum();
+        size(&self.request.parcel) + behind
     }
+}
+
+/// What a request that waits takes, without the bytes that every parcel takes.
+fn size(parcel: &Parcel) -> usize {
+    parcel.size() + parcel.context.as_ref().map_or(0, |path| path.as_str().len())
 }
 
 /// The requests that are due once a question has its answer: its own, then the sends behind it in their order.

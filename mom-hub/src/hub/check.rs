@@ -55,6 +55,7 @@ impl Hub {
                 );
             }
         }
+        self.questions.check();
         for (question, pending) in &self.questions.pending {
             assert!(
                 self.world.peers.get(pending.request.peer).is_some(),

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use mom_managers::PeerFacts;
-use mom_proto::{ContextNumber, Map, Micros, numbered_name};
+use mom_proto::{ContextNumber, Map, Micros, folds_of, numbered_name};
 
 use super::clock::PeerClock;
 use crate::PeerId;
@@ -39,16 +39,32 @@ pub(crate) struct Peer {
 pub(crate) struct Peers {
     by_id: BTreeMap<PeerId, Peer>,
     by_name: BTreeMap<Arc<str>, PeerId>,
-    // Names that their peers gave up: until when they rest, and for which user.
-    resting: BTreeMap<Arc<str>, (Micros, Arc<str>)>,
+    /// Names that their peers gave up.
+    resting: BTreeMap<Arc<str>, Rest>,
     /// The same by time, so that each login looks only at rests that are over.
     rest_ends: BTreeSet<(Micros, Arc<str>)>,
-    /// The lowest number that may be free, for nicknames with many peers.
-    crowded: BTreeMap<Arc<str>, u32>,
+    /// The same by user, the longest at rest first.
+    rests_of: BTreeMap<Arc<str>, BTreeSet<(Micros, Arc<str>)>>,
+    /// All these names, present and at rest, by each form in which one could be taken for another.
+    by_fold: BTreeMap<String, Arc<str>>,
+    /// The lowest number that may be free, for nicknames with many peers, by their first form.
+    crowded: BTreeMap<String, u32>,
+}
+
+/// A name at rest.
+#[derive(Debug)]
+struct Rest {
+    until: Micros,
+    /// The user who may have it at once.
+    user: Arc<str>,
 }
 
 /// Peers of one nickname from which on that number is remembered.
 const CROWD: u32 = 16;
+
+/// Names of one user that rest at a time; of more, the first may be had by others before its time. So whoever comes and
+/// goes under ever new names fills nobody's memory, and loses but its own.
+const RESTING: usize = 256;
 
 impl Peers {
     pub(crate) fn get(&self, peer: PeerId) -> Option<&Peer> {
@@ -70,8 +86,14 @@ impl Peers {
     /// Adds a peer under the nickname if it is free, else with `~2`, `~3` …
     pub(crate) fn add(&mut self, peer: PeerId, user: User, nickname: &str, now: Micros) -> Arc<PeerFacts> {
         self.end_rests(now);
-        let name = self.free_name(nickname, &user.name);
-        self.end_rest(&name);
+        let (name, folds) = self.free_name(nickname, &user.name);
+        for fold in folds {
+            // What rests in this form was the same user's, or it would not be free.
+            if let Some(rested) = self.by_fold.get(&fold).map(Arc::clone) {
+                self.end_rest(&rested);
+            }
+            self.by_fold.insert(fold, Arc::clone(&name));
+        }
         let facts = Arc::new(PeerFacts {
             name: Arc::clone(&name),
             user: user.name.into(),
@@ -107,53 +129,94 @@ impl Peers {
     /// Removes a peer; its name rests for other users.
     pub(crate) fn remove(&mut self, peer: PeerId, rest_until: Micros) -> Option<Peer> {
         let gone = self.by_id.remove(&peer)?;
-        self.by_name.remove(&gone.facts.name);
-        let name = &gone.facts.name;
-        self.end_rest(name);
-        self.rest_ends.insert((rest_until, Arc::clone(name)));
-        let rest = (rest_until, Arc::clone(&gone.facts.user));
+        let (name, user) = (&gone.facts.name, &gone.facts.user);
+        self.by_name.remove(name);
+        let rest = Rest {
+            until: rest_until,
+            user: Arc::clone(user),
+        };
         self.resting.insert(Arc::clone(name), rest);
+        self.rest_ends.insert((rest_until, Arc::clone(name)));
+        let rests = self.rests_of.entry(Arc::clone(user)).or_default();
+        rests.insert((rest_until, Arc::clone(name)));
+        if rests.len() > RESTING
+            && let Some((_, first)) = rests.first().cloned()
+        {
+            self.end_rest(&first);
+        }
         let (nickname, count) = split_name(name);
-        if let Some(taken) = self.crowded.get_mut(nickname) {
-            *taken = count.min(*taken);
-            if *taken < CROWD {
-                self.crowded.remove(nickname);
+        for fold in folds_of(nickname) {
+            if let Some(taken) = self.crowded.get_mut(&fold) {
+                *taken = count.min(*taken);
+                if *taken < CROWD {
+                    self.crowded.remove(&fold);
+                }
             }
         }
         Some(gone)
     }
 
-    fn free_name(&mut self, nickname: &str, user: &str) -> Arc<str> {
-        let known = self.crowded.get(nickname).copied();
+    /// The first name of a nickname that could be taken for nobody else's, and its forms.
+    fn free_name(&mut self, nickname: &str, user: &str) -> (Arc<str>, Vec<String>) {
+        let folds = folds_of(nickname);
+        let known = self.crowded.get(&folds[0]).copied();
         let mut taken = known.unwrap_or(1);
-        while self.by_name.contains_key(&*numbered_name(nickname, taken)) {
+        while self.is_present(&folds, taken) {
             taken += 1;
         }
         if taken >= CROWD && known != Some(taken) {
-            self.crowded.insert(nickname.into(), taken);
+            self.crowded.insert(folds[0].clone(), taken);
         }
-        // A user's own name is free for that user at once: whoever comes back is the same person.
-        let free = |name: &str| {
-            !self.by_name.contains_key(name)
-                && self.resting.get(name).is_none_or(|(_, whose)| **whose == *user)
-        };
-        let names = (taken..).map(|count| numbered_name(nickname, count));
-        let mut free = names.filter(|name| free(name));
-        free.next().map_or_else(|| nickname.into(), Into::into)
+        while !self.is_free(&folds, taken, user) {
+            taken += 1;
+        }
+        let folds = folds.iter().map(|fold| numbered_name(fold, taken)).collect();
+        (numbered_name(nickname, taken).into(), folds)
+    }
+
+    /// Whether a peer that is here has such a name.
+    fn is_present(&self, folds: &[String], count: u32) -> bool {
+        let name = |fold: &String| self.by_fold.get(&numbered_name(fold, count));
+        let mut names = folds.iter().filter_map(name);
+        names.any(|name| self.by_name.contains_key(name))
+    }
+
+    /// Whether a user may have such a name. One that rests is free for the same user at once: whoever comes back is the
+    /// same person.
+    fn is_free(&self, folds: &[String], count: u32, user: &str) -> bool {
+        let name = |fold: &String| self.by_fold.get(&numbered_name(fold, count));
+        let mut names = folds.iter().filter_map(name);
+        names.all(|name| self.resting.get(name).is_some_and(|rest| *rest.user == *user))
     }
 
     /// Ends the rests that are over.
     fn end_rests(&mut self, now: Micros) {
-        while self.rest_ends.first().is_some_and(|(until, _)| *until <= now) {
-            if let Some((_, name)) = self.rest_ends.pop_first() {
-                self.resting.remove(&name);
-            }
+        while let Some((until, name)) = self.rest_ends.first()
+            && *until <= now
+        {
+            let name = Arc::clone(name);
+            self.end_rest(&name);
         }
     }
 
     fn end_rest(&mut self, name: &Arc<str>) {
-        if let Some((until, _)) = self.resting.remove(name) {
-            self.rest_ends.remove(&(until, Arc::clone(name)));
+        let Some(rest) = self.resting.remove(name) else {
+            return;
+        };
+        let end = (rest.until, Arc::clone(name));
+        self.rest_ends.remove(&end);
+        if let Some(rests) = self.rests_of.get_mut(&rest.user) {
+            rests.remove(&end);
+            if rests.is_empty() {
+                self.rests_of.remove(&rest.user);
+            }
+        }
+        let (nickname, count) = split_name(name);
+        for fold in folds_of(nickname) {
+            let fold = numbered_name(&fold, count);
+            if self.by_fold.get(&fold) == Some(name) {
+                self.by_fold.remove(&fold);
+            }
         }
     }
 }
@@ -216,6 +279,57 @@ mod tests {
         }
         assert!(peers.crowded.is_empty(), "{:?}", peers.crowded);
         assert_eq!(add(&mut peers, 106, "carol", 120), "ally");
-        assert!(peers.resting.is_empty() && peers.rest_ends.is_empty());
+        assert!(peers.resting.is_empty() && peers.rest_ends.is_empty() && peers.rests_of.is_empty());
+        assert_eq!(peers.by_fold.len(), 1);
+    }
+
+    #[test]
+    fn a_name_is_nobody_elses_in_any_form() {
+        let mut peers = Peers::default();
+        let name = |facts: Arc<PeerFacts>| facts.name.to_string();
+        assert_eq!(name(peers.add(PeerId(1), user("guest"), "anna", 0)), "anna");
+        assert_eq!(name(peers.add(PeerId(2), user("guest"), "Anna", 0)), "Anna~2");
+        assert_eq!(
+            name(peers.add(PeerId(3), user("bob"), "\u{430}nn\u{430}", 0)),
+            "\u{430}nn\u{430}~3"
+        );
+        assert!(peers.remove(PeerId(1), 60).is_some());
+        assert_eq!(name(peers.add(PeerId(4), user("bob"), "ANNA", 59)), "ANNA~4");
+        assert_eq!(
+            name(peers.add(PeerId(5), user("guest"), "ANNA", 59)),
+            "ANNA",
+            "its own"
+        );
+        assert_eq!(name(peers.add(PeerId(6), user("guest"), "anna", 59)), "anna~5");
+        for id in 2..=6 {
+            assert!(peers.remove(PeerId(id), 120).is_some());
+        }
+        assert_eq!(name(peers.add(PeerId(7), user("bob"), "anna", 120)), "anna");
+        assert_eq!(peers.by_fold.len(), 1, "{:?}", peers.by_fold);
+    }
+
+    /// Part of threat 42: who comes and goes under ever new names has so many of them at rest, and takes no other's.
+    #[test]
+    fn so_many_names_of_one_user_rest() {
+        let mut peers = Peers::default();
+        peers.add(PeerId(1), user("alice"), "ally", 0);
+        peers.remove(PeerId(1), 60);
+        for id in 2..1000 {
+            peers.add(PeerId(id), user("guest"), &format!("name-{id}"), 1);
+            peers.remove(PeerId(id), 61 + id);
+        }
+        assert_eq!(peers.resting.len(), RESTING + 1);
+        assert!(
+            peers.by_fold.len() <= 3 * (RESTING + 1),
+            "{}",
+            peers.by_fold.len()
+        );
+        let name = |facts: Arc<PeerFacts>| facts.name.to_string();
+        assert_eq!(name(peers.add(PeerId(1000), user("guest"), "ally", 59)), "ally~2");
+        assert_eq!(name(peers.add(PeerId(1001), user("bob"), "name-2", 59)), "name-2");
+        assert_eq!(
+            name(peers.add(PeerId(1002), user("bob"), "name-999", 59)),
+            "name-999~2"
+        );
     }
 }

@@ -471,3 +471,37 @@ fn one_peer_does_not_crowd_out_the_others() {
     });
     assert_eq!(told.count(), 2, "the grab and the renewal");
 }
+
+/// Threat 42: all guests are one user, whose questions are a few; so they cannot take the place of others' questions,
+/// in whatever channel.
+#[test]
+fn guests_do_not_use_up_the_questions_of_others() {
+    let mut hub = hub(&[]);
+    let managed = Map::new().with("kind", "session").with("manager", "self");
+    ok(&mut hub, ALICE, "context create", "/hers", managed.clone());
+    ok(&mut hub, CAROL, "context create", "/other", managed);
+    let mut waiting = 0;
+    for guest in 100..356 {
+        login(&mut hub, guest, "guest", 0);
+        for number in 0..20 {
+            let path = if number % 2 == 0 { "/hers" } else { "/other" };
+            let asked = ask(&mut hub, guest, "context join", path, Map::new());
+            match &*answer(&asked, guest) {
+                "nothing" => waiting += 1,
+                "try-later" => {}
+                other => panic!("{other}"),
+            }
+        }
+    }
+    assert_eq!(waiting, 256);
+    for (peer, path) in [(BOB, "/hers"), (BOB, "/other"), (ALICE, "/other")] {
+        let asked = ask(&mut hub, peer, "context join", path, Map::new());
+        assert_eq!(answer(&asked, peer), "nothing", "it waits for its answer");
+    }
+    // A guest that goes makes way for others.
+    let mut effects = Vec::new();
+    hub.handle(0, Input::Gone { peer: PeerId(100) }, &mut effects);
+    hub.check();
+    let asked = ask(&mut hub, 200, "context join", "/hers", Map::new());
+    assert_eq!(answer(&asked, 200), "nothing");
+}

@@ -4,3 +4,4 @@
 //! PROTOCOL.md names, and what the hub holds stays under its bound. Times are measured in the benches, not here.
 
 mod permitted;
+mod doors;
