@@ -115,7 +115,7 @@ impl Connection {
     ) -> Result<(), WireError> {
         self.audit_login(claimed.clone(), &error.code);
         tracing::info!(peer = self.peer.0, from = ?self.from, code = %error.code, "login refused");
-        if error.code == Code::BAD_LOGIN {
+        if [Code::BAD_LOGIN, Code::BAD_CONTENT].contains(&error.code) {
             self.failures += 1;
         }
         if error.code.closes() {
