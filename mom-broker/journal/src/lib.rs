@@ -4,6 +4,7 @@
 mod audit;
 mod config_file;
 mod error;
+mod fold;
 mod log_writer;
 mod record;
 mod tap;
@@ -11,6 +12,7 @@ mod tap;
 pub use audit::{AuditConfig, AuditLog, Fact};
 pub use config_file::ConfigFile;
 pub use error::WriteError;
+pub use fold::FoldedLines;
 pub use log_writer::LogWriter;
 pub use record::{Decision, Difference, Outcome, RecordConfig, RecordError, Replay, Summary};
 pub use tap::Tap;

@@ -29,6 +29,7 @@ pub use jwt::Verifier;
 pub use key::Challenge;
 pub use password::{LoginStats, hash};
 pub use settings::{FailureRate, JwtConfig, JwtKey, JwtUsers, LoginConfig, ThrottleConfig};
+pub use throttle::network;
 pub use user::UserEntry;
 
 /// The next step of a login that is not refused.

@@ -1,10 +1,12 @@
 //! From a listening socket to a connection that is served.
 
+use std::io::Write;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
 use mom_net::{NetError, Transceiver};
+use mom_proto::codec::Form;
 use mom_proto::{Code, Limits, WireError};
 use tokio::net::{TcpListener, TcpSocket, TcpStream, lookup_host};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
@@ -59,17 +61,37 @@ impl Listener {
             match accepted {
                 Ok((stream, from)) => match Arc::clone(&self.connections).try_acquire_owned() {
                     Ok(place) => drop(served.spawn(self.services.fresh().take_in(stream, from, place))),
-                    Err(_) => refuse(&stream).await,
+                    Err(_) => self.refuse(stream, from),
                 },
                 Err(error) => {
                     // Mostly no descriptors left: existing connections go on, new ones wait a moment.
-                    tracing::warn!(%error, "cannot accept");
+                    if self.services.is_first("cannot accept", None, None) {
+                        tracing::warn!(%error, "cannot accept");
+                    }
                     tokio::time::sleep(Duration::from_millis(100)).await;
                 }
             }
         }
         drop(listener);
         while served.join_next().await.is_some() {}
+    }
+
+    /// Tells a peer that there is no place for it.
+    fn refuse(&self, stream: TcpStream, from: SocketAddr) {
+        let event = "too many connections";
+        if self.services.is_first(event, Some(from.ip()), None) {
+            tracing::warn!(%from, "{event}");
+        }
+        let error = WireError::new(
+            Code::TOO_MANY_CONNECTIONS,
+            "this hub has as many connections as it may have",
+        );
+        // Once, and without waiting for anything: others wait to be accepted. Not by tokio, which has to wait before it
+        // knows that a new socket takes something.
+        if let (Ok(encoded), Ok(mut stream)) = (Form::Xml.encode(&error.to_parcel(None)), stream.into_std()) {
+            // The peer is closed either way.
+            let _ = stream.write(&encoded.head);
+        }
     }
 }
 
@@ -108,7 +130,9 @@ impl Services {
         match self.greet(stream, login_by).await {
             Ok(transceiver) => Some(Serving::begin(self, transceiver, Some(from.ip()), login_by)),
             Err(error) => {
-                tracing::info!(%from, %error, "refused");
+                if self.is_first("refused", Some(from.ip()), None) {
+                    tracing::info!(%from, %error, "refused");
+                }
                 None
             }
         }
@@ -117,18 +141,4 @@ impl Services {
 
 pub(crate) fn login_time(limits: &Limits) -> Duration {
     Duration::from_millis(limits.login_time)
-}
-
-async fn refuse(stream: &TcpStream) {
-    tracing::warn!("too many connections");
-    let error = WireError::new(
-        Code::TOO_MANY_CONNECTIONS,
-        "this hub has as many connections as it may have",
-    );
-    if let Ok(encoded) = mom_proto::codec::Form::Xml.encode(&error.to_parcel(None)) {
-        // Best effort and without waiting: the peer is closed either way.
-        if stream.writable().await.is_ok() {
-            let _ = stream.try_write(&encoded.head);
-        }
-    }
 }

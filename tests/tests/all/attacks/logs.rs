@@ -36,6 +36,36 @@ async fn storm(address: SocketAddr, logins: usize) {
     }
 }
 
+/// A stranger who fails as fast as it can writes a few lines, and one that says how many there were.
+#[tokio::test]
+async fn what_a_stranger_repeats_is_counted() {
+    const LOGINS: usize = 10_000;
+    let home = home("");
+    let service = home.start().await;
+    let canary = Canary::start(service.address()).await;
+    storm(service.address(), LOGINS).await;
+    for _ in 0..100 {
+        let mut raw = Raw::connect(service.address(), Form::Xml).await;
+        raw.send(b"nonsense\r\n\r\n").await;
+        raw.read_to_end().await;
+    }
+    canary.stop().await;
+    assert!(service.terminate().await.success());
+    let log = home.log();
+    assert!(log.len() < 16 * 1024, "{} bytes", log.len());
+    let more = |line: &str| {
+        let (_, of) = line.split_once("login refused (")?;
+        let (_, count) = of.split_once("): ")?;
+        count.split(' ').next()?.parse::<usize>().ok()
+    };
+    let counted: usize = log.lines().filter_map(more).sum();
+    let written = log
+        .lines()
+        .filter(|line| line.contains("login refused peer="))
+        .count();
+    assert_eq!(counted + written, LOGINS, "{log}");
+}
+
 async fn nobody_notices(stderr: Stdio) {
     // A line for each refusal, which is what somebody has who looks for a fault.
     let home = home("log = \"info,mom_broker=debug\"");
