@@ -5,6 +5,7 @@ mod audit;
 mod config_file;
 mod error;
 mod fold;
+mod kept_files;
 mod log_writer;
 mod record;
 mod tap;
@@ -16,3 +17,6 @@ pub use fold::FoldedLines;
 pub use log_writer::LogWriter;
 pub use record::{Decision, Difference, Outcome, RecordConfig, RecordError, Replay, Summary};
 pub use tap::Tap;
+
+/// What logs leave free on their disk if nothing else is said: enough for a store to go on for long.
+const RESERVE: u64 = 64 * 1024 * 1024;
