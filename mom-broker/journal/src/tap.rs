@@ -9,13 +9,15 @@ use parking_lot::Mutex;
 
 use crate::audit::{AuditConfig, AuditLog, Fact};
 use crate::record::{RecordConfig, Recorder};
-use crate::{ConfigFile, WriteError};
+use crate::{ConfigFile, FoldedLines, WriteError};
 
-/// The audit log and the recording of a broker.
+/// The audit log and the recording of a broker, and what of its log is counted.
 #[derive(Debug)]
 pub struct Tap {
     /// The audit log, for facts that the hub does not know.
     pub audit: AuditLog,
+    /// What is counted in the log instead of written line by line.
+    pub lines: FoldedLines,
     recorder: Option<Recorder>,
     clock: Clock,
     /// The hub's configuration, or the one about to be applied.
@@ -37,6 +39,7 @@ impl Tap {
         let recorder = Recorder::start(record, settings, &config);
         let tap = Tap {
             audit: log.map_err(WriteError::of("audit log", audit.path.as_deref()))?,
+            lines: FoldedLines::default(),
             recorder: recorder.map_err(WriteError::of("recording", record.path.as_deref()))?,
             clock: clock.clone(),
             config: Mutex::new(config),
@@ -131,6 +134,7 @@ impl Tap {
 
     /// Writes `stopped` and waits until all is written.
     pub async fn stop(&self) {
+        self.lines.report(self.clock.now(), true);
         self.audit.note(Fact::of(self.clock.wall(), "stopped"));
         self.audit.flush().await;
         if let Some(recorder) = &self.recorder {

@@ -135,8 +135,9 @@ impl Logins {
     /// # Errors
     /// Why it is refused.
     pub async fn check(&self, parcel: &Parcel, from: Option<IpAddr>) -> Result<LoginStep, WireError> {
-        let LoginRequest { proof, nickname } = LoginRequest::read(parcel)?;
         let book = self.book();
+        let request = LoginRequest::read(parcel).map_err(|error| self.malformed(&book, from, error));
+        let LoginRequest { proof, nickname } = request?;
         let (standing, until) = match proof {
             ClaimedProof::Password { name, password } => {
                 (self.by_password(&book, &name, password, from).await?, None)
@@ -163,8 +164,8 @@ impl Logins {
         challenge: Option<Challenge>,
         from: Option<IpAddr>,
     ) -> Result<Granted, WireError> {
-        let signature = read_signature(parcel)?;
         let book = self.book();
+        let signature = read_signature(parcel).map_err(|error| self.malformed(&book, from, error))?;
         let attempt = self.enter(&book, from, None)?;
         let challenge = challenge.filter(|challenge| challenge.is_open(self.clock.now()));
         let Some(challenge) = challenge else {
@@ -306,6 +307,17 @@ impl Logins {
             until,
             book,
         })
+    }
+
+    /// Counts a login that cannot be read as a failed attempt; gives what its sender hears.
+    fn malformed(&self, book: &Book, from: Option<IpAddr>, error: WireError) -> WireError {
+        match self.enter(book, from, None) {
+            Ok(attempt) => {
+                attempt.fail();
+                error
+            }
+            Err(later) => later,
+        }
     }
 
     /// An attempt, unless the throttle makes it wait.

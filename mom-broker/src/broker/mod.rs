@@ -20,7 +20,7 @@ use crate::connection::{DRAIN, Doors, Listener, Services, Serving, listen, login
 use crate::traffic::encodings::Bounds;
 use crate::traffic::switchboard::{Switchboard, Touched, flush};
 
-/// What is dropped is told to senders and receivers this often at most.
+/// What is dropped is told to senders and receivers this often at most; counted log lines are looked at as often.
 const REPORTS: Duration = Duration::from_millis(250);
 
 /// Part of `DRAIN` reserved for store writes caused by disconnects.
@@ -141,7 +141,7 @@ impl Broker {
             tasks.spawn(take_answers(Arc::clone(&services.board), answers));
         }
         tasks.spawn(keep_deadlines(Arc::clone(&services.board), stop.clone()));
-        tasks.spawn(report_drops(Arc::clone(&services.board), stop));
+        tasks.spawn(report(Arc::clone(&services.board), stop));
         tracing::info!(?addresses, "broker started");
         Ok(Broker {
             services,
@@ -250,7 +250,8 @@ async fn take_answers(board: Arc<Switchboard>, mut answers: mpsc::UnboundedRecei
     }
 }
 
-async fn report_drops(board: Arc<Switchboard>, mut stop: watch::Receiver<bool>) {
+/// Tells peers what was dropped, and the log what was counted.
+async fn report(board: Arc<Switchboard>, mut stop: watch::Receiver<bool>) {
     loop {
         tokio::select! {
             _ = stop.changed() => return,
@@ -258,6 +259,7 @@ async fn report_drops(board: Arc<Switchboard>, mut stop: watch::Receiver<bool>) 
                 let mut touched = Touched::new();
                 board.report_drops(&mut touched);
                 flush(&mut touched);
+                board.tap.lines.report(board.clock.now(), false);
             }
         }
     }

@@ -94,7 +94,12 @@ impl Connection {
         if let Some(seat) = &mut self.seat {
             seat.log_in(granted.user())?;
         }
-        tracing::info!(peer = peer.0, user = granted.user(), origin = ?granted.origin(), from = ?self.from, "logged in");
+        if self
+            .services
+            .is_first("logged in", self.from, Some(granted.user()))
+        {
+            tracing::info!(peer = peer.0, user = granted.user(), origin = ?granted.origin(), from = ?self.from, "logged in");
+        }
         let logged_in = &mut self.logged_in;
         let decide = |user, nickname| {
             // First: whatever happens then, the hub hears of the end.
@@ -123,8 +128,13 @@ impl Connection {
         touched: &mut Touched,
     ) -> Result<(), WireError> {
         self.audit_login(claimed.clone(), &error.code);
-        tracing::info!(peer = self.peer.0, from = ?self.from, code = %error.code, "login refused");
-        if error.code == Code::BAD_LOGIN {
+        if self
+            .services
+            .is_first("login refused", self.from, Some(error.code.word()))
+        {
+            tracing::info!(peer = self.peer.0, from = ?self.from, code = %error.code, "login refused");
+        }
+        if [Code::BAD_LOGIN, Code::BAD_CONTENT].contains(&error.code) {
             self.failures += 1;
         }
         if error.code.closes() {

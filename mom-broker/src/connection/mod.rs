@@ -15,7 +15,7 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use mom_hub::{Input, PeerClock, PeerId};
-use mom_login::{Challenge, Logins};
+use mom_login::{Challenge, Logins, network};
 use mom_net::{NetError, Reader};
 use mom_proto::codec::Frame;
 use mom_proto::xml::DeferredEntity;
@@ -59,6 +59,12 @@ impl Services {
             next_limits: Arc::new(RwLock::new(Arc::clone(&limits))),
             limits,
         }
+    }
+
+    /// Whether a log line is the first of its kind from an address for a while; otherwise it is counted.
+    fn is_first(&self, event: &'static str, from: Option<IpAddr>, detail: Option<&str>) -> bool {
+        let lines = &self.board.tap.lines;
+        lines.first(event, from.map(network), detail, self.board.clock.now())
     }
 
     /// For a new connection.
@@ -425,11 +431,18 @@ impl Connection {
         self.services.logins.forget(self.peer);
         if self.logged_in {
             let name = self.services.board.peer_name(self.peer).unwrap_or_default();
+            let user = self.services.board.tap.audit.user(self.peer);
             self.services
                 .board
                 .decide(Input::Gone { peer: self.peer }, &mut touched);
-            tracing::info!(peer = self.peer.0, %name, code = ?error.as_ref().map(|error| error.code.word()), "gone");
-        } else if let Some(error) = &error {
+            if self.services.is_first("gone", self.from, user.as_deref()) {
+                tracing::info!(peer = self.peer.0, %name, code = ?error.as_ref().map(|error| error.code.word()), "gone");
+            }
+        } else if let Some(error) = &error
+            && self
+                .services
+                .is_first("closed", self.from, Some(error.code.word()))
+        {
             tracing::info!(peer = self.peer.0, from = ?self.from, code = %error.code, "closed");
         }
         self.services.board.close(&self.outbox, error);

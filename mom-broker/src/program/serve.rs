@@ -2,9 +2,11 @@
 
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
+use std::time::Duration;
 
 use anyhow::{Context, Result};
 use mom_broker::{Broker, Config, ConfigError, ReloadOn};
+use mom_journal::LogWriter;
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
@@ -26,6 +28,9 @@ pub(super) struct ServeArgs {
     log_json: bool,
 }
 
+/// How long an ending broker waits for what it has logged to be written.
+const LAST_LINES: Duration = Duration::from_secs(1);
+
 /// Changes what is logged.
 type LogFilter = Box<dyn Fn(EnvFilter) -> Result<()>>;
 
@@ -33,7 +38,8 @@ pub(super) fn run(args: &ServeArgs) -> Result<()> {
     // Started before the file is first read, so that no change is missed.
     let watch = args.config.clone().map(FileWatch::new);
     let config = args.load()?;
-    let log_filter = log(&config.log, args.log_json)?;
+    let lines = LogWriter::start(std::io::stderr()).context("cannot start the log's thread")?;
+    let log_filter = log(&config.log, args.log_json, &lines)?;
     if args.config.is_none() {
         tracing::warn!("no configuration: nobody can log in; try --config config/lab.toml");
     } else if config.store.path.is_none() {
@@ -42,7 +48,9 @@ pub(super) fn run(args: &ServeArgs) -> Result<()> {
         );
     }
     let runtime = tokio::runtime::Runtime::new().context("cannot start the runtime")?;
-    runtime.block_on(args.serve(config, watch, &log_filter))
+    let ended = runtime.block_on(args.serve(config, watch, &log_filter));
+    lines.finish(LAST_LINES);
+    ended
 }
 
 impl ServeArgs {
@@ -136,12 +144,13 @@ impl ServeArgs {
     }
 }
 
-fn log(filter: &str, json: bool) -> Result<LogFilter> {
+fn log(filter: &str, json: bool, lines: &LogWriter) -> Result<LogFilter> {
     let filter = EnvFilter::try_new(filter).with_context(|| format!("log: {filter:?} is no filter"))?;
+    let lines = lines.clone();
     let builder = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_ansi(std::io::stderr().is_terminal())
-        .with_writer(std::io::stderr);
+        .with_writer(move || lines.clone());
     Ok(match json {
         true => {
             let builder = builder.json().with_filter_reloading();

@@ -9,5 +9,5 @@ pub mod sync;
 mod workers;
 
 pub use clock::Clock;
-pub use own_file::{numbered, open_own};
+pub use own_file::{DiskSpace, disk_space, numbered, open_own};
 pub use workers::{Workers, give_way};
