@@ -23,6 +23,9 @@ use crate::traffic::switchboard::{Switchboard, Touched, flush};
 /// What is dropped is told to senders and receivers this often at most.
 const REPORTS: Duration = Duration::from_millis(250);
 
+/// The wall clock is looked at this often.
+const WALL_CLOCK: Duration = Duration::from_secs(1);
+
 /// Part of `DRAIN` reserved for store writes caused by disconnects.
 const LAST_RECORDS: Duration = Duration::from_secs(1);
 
@@ -141,6 +144,7 @@ impl Broker {
             tasks.spawn(take_answers(Arc::clone(&services.board), answers));
         }
         tasks.spawn(keep_deadlines(Arc::clone(&services.board), stop.clone()));
+        tasks.spawn(follow_wall_clock(Arc::clone(&services.board), stop.clone()));
         tasks.spawn(report_drops(Arc::clone(&services.board), stop));
         tracing::info!(?addresses, "broker started");
         Ok(Broker {
@@ -235,6 +239,25 @@ async fn keep_deadlines(board: Arc<Switchboard>, mut stop: watch::Receiver<bool>
             () = due => {
                 let mut touched = Touched::new();
                 board.decide(Input::Tick, &mut touched);
+                flush(&mut touched);
+            }
+        }
+    }
+}
+
+/// Looks whether the wall clock was set, and tells the hub.
+async fn follow_wall_clock(board: Arc<Switchboard>, mut stop: watch::Receiver<bool>) {
+    let mut steps = board.clock.steps();
+    loop {
+        tokio::select! {
+            _ = stop.changed() => return,
+            () = tokio::time::sleep(WALL_CLOCK) => board.clock.follow(),
+            Ok(()) = steps.changed() => {
+                let ahead = *steps.borrow_and_update();
+                let time = board.clock.civil();
+                tracing::warn!(%time, "the wall clock was set; leases and deadlines go on as before");
+                let mut touched = Touched::new();
+                board.decide(Input::Wall { ahead }, &mut touched);
                 flush(&mut touched);
             }
         }

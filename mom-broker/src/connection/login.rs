@@ -57,7 +57,7 @@ impl Connection {
     /// Waits until the proof of who the peer is, if it is one for a time, is over.
     pub(super) async fn proof_over(&self) {
         match self.proven_until {
-            Some(until) => Box::pin(self.services.board.clock.reach(until)).await,
+            Some(until) => Box::pin(self.services.board.clock.reach_expiry(until)).await,
             None => std::future::pending().await,
         }
     }
@@ -65,7 +65,7 @@ impl Connection {
     /// Whether it is over by now.
     pub(super) fn is_proof_over(&self) -> bool {
         self.proven_until
-            .is_some_and(|until| self.services.board.clock.now() >= until)
+            .is_some_and(|until| self.services.board.clock.is_over(until))
     }
 
     fn challenge(&mut self, challenge: Challenge, reference: Option<u64>, touched: &mut Touched) {
