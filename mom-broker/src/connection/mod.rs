@@ -90,7 +90,7 @@ struct Connection {
     /// What a key has to answer.
     challenge: Option<Box<Challenge>>,
     /// When the proof of who it is will be over, none if it lasts.
-    proven_until: Option<Expiry>,
+    proven_until: Option<Box<Expiry>>,
     requests: requests::Requests,
     ended: bool,
 }
