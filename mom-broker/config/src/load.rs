@@ -78,7 +78,7 @@ impl Config {
     pub fn load(path: &Path) -> Result<Config, ConfigError> {
         let folder = path.parent().unwrap_or(Path::new("."));
         let mut config = Config::parse(read(path)?, |name| read(&folder.join(name)))?;
-        config.store.path = config.store.path.map(|store| folder.join(store));
+        config.store.resolve(folder);
         Ok(config)
     }
 
@@ -219,14 +219,11 @@ fn check_files(file: &ConfigDocument, source: &SourceText) -> Result<(), ConfigE
             return Err(source.error(&[table, "size"], text));
         }
     }
-    if file
-        .store
-        .path
-        .as_ref()
-        .is_some_and(|path| path.as_os_str().is_empty())
-    {
-        let text = "path is a directory such as \"state\", relative to this file";
-        return Err(source.error(&["store", "path"], text.into()));
+    for (key, path) in [("path", &file.store.path), ("state", &file.store.state)] {
+        if path.as_ref().is_some_and(|path| path.as_os_str().is_empty()) {
+            let text = format!("{key} is a directory such as \"state\", relative to this file");
+            return Err(source.error(&["store", key], text));
+        }
     }
     Ok(())
 }

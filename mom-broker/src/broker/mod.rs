@@ -110,6 +110,10 @@ impl Broker {
             settings.epoch = opened.epoch;
             settings.records = opened.records;
             (store, answers) = (Some(opened.store), Some(opened.answers));
+        } else if let Some(epoch) =
+            mom_store::take_epoch(config.store.state.as_deref(), clock.anchor()).await?
+        {
+            settings.epoch = epoch;
         }
         let hub = config.make_hub(settings.clone())?;
         let journal = (&config.audit, &config.record);

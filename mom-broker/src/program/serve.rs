@@ -4,7 +4,7 @@ use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use mom_broker::{Broker, Config, ConfigError, ReloadOn};
+use mom_broker::{Broker, BrokerError, Config, ReloadOn};
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
@@ -38,7 +38,7 @@ pub(super) fn run(args: &ServeArgs) -> Result<()> {
         tracing::warn!("no configuration: nobody can log in; try --config config/lab.toml");
     } else if config.store.path.is_none() {
         tracing::warn!(
-            "no [store]: tokens are forgotten when the broker ends, and fences begin anew by the wall clock"
+            "no [store] path: who owns which token is forgotten when the broker ends; only fences go on rising"
         );
     }
     let runtime = tokio::runtime::Runtime::new().context("cannot start the runtime")?;
@@ -46,7 +46,7 @@ pub(super) fn run(args: &ServeArgs) -> Result<()> {
 }
 
 impl ServeArgs {
-    fn load(&self) -> Result<Config, ConfigError> {
+    fn load(&self) -> Result<Config, BrokerError> {
         let mut config = match &self.config {
             Some(file) => Config::load(file)?,
             None => Config::default(),
@@ -57,6 +57,7 @@ impl ServeArgs {
         if self.record.is_some() {
             config.record.path.clone_from(&self.record);
         }
+        config.store.keep_state(|name| std::env::var_os(name))?;
         Ok(config)
     }
 
@@ -115,7 +116,8 @@ impl ServeArgs {
         }
         let reloaded = self.load().and_then(|config| {
             let (log, reload) = (config.log.clone(), config.reload);
-            broker.reload(config).map(|report| (report, log, reload))
+            let report = broker.reload(config)?;
+            Ok((report, log, reload))
         });
         let (report, log, reload) = match reloaded {
             Ok(reloaded) => reloaded,

@@ -17,7 +17,11 @@ const CONTEXT: &str = "log = \"info\"\n[[contexts]]\npath = \"/a\"\nkind = \"cha
 
 fn program() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_mom-broker"));
-    command.env_remove("MOM_CONFIG").env_remove("MOM_PASSWORD");
+    command
+        .env("XDG_STATE_HOME", env!("CARGO_TARGET_TMPDIR"))
+        .env_remove("STATE_DIRECTORY")
+        .env_remove("MOM_CONFIG")
+        .env_remove("MOM_PASSWORD");
     command
 }
 
