@@ -1,5 +1,6 @@
 //! The service's program: check, passwd, explain, wrong files, new ones while it runs, and its end.
 
+mod descriptors;
 mod explain;
 mod reload;
 
@@ -198,7 +199,11 @@ impl Running {
     }
 
     fn of(file: &Path) -> Running {
-        let mut command = program();
+        Running::of_command(program(), file)
+    }
+
+    /// The same by a command to which the arguments are appended.
+    fn of_command(mut command: Command, file: &Path) -> Running {
         command
             .arg("--config")
             .arg(file)
