@@ -22,7 +22,11 @@ fn configuration(folder: &TempDir) -> PathBuf {
 
 fn program(file: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_mom-broker"));
-    command.env_remove("MOM_CONFIG").env_remove("RUST_BACKTRACE");
+    command
+        .env("XDG_STATE_HOME", env!("CARGO_TARGET_TMPDIR"))
+        .env_remove("STATE_DIRECTORY")
+        .env_remove("MOM_CONFIG")
+        .env_remove("RUST_BACKTRACE");
     command
         .arg("--config")
         .arg(file)

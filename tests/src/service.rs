@@ -78,8 +78,10 @@ impl Home {
     /// If it does not start.
     pub async fn start_logging(&self, environment: &[(&str, &str)], stderr: Stdio) -> Service {
         let (config, log) = (self.file(CONFIG).display().to_string(), self.file(LOG));
-        let environment: Vec<(String, String)> = environment
+        let state = self.file("state-home").display().to_string();
+        let environment: Vec<(String, String)> = [("XDG_STATE_HOME", &*state)]
             .iter()
+            .chain(environment)
             .map(|(key, value)| ((*key).to_owned(), (*value).to_owned()))
             .collect();
         let started = tokio::task::spawn_blocking(move || start(&config, &environment, log, stderr));

@@ -7,6 +7,7 @@ mod load;
 mod locate;
 mod login;
 mod managers;
+mod replace;
 mod review;
 mod schema;
 mod users;
@@ -71,6 +72,7 @@ pub struct Config {
     /// The users.
     pub users: Vec<UserEntry>,
     source: Option<SourceText>,
+    users_source: Option<SourceText>,
 }
 
 /// When the configuration file is read again.
@@ -122,6 +124,7 @@ impl Default for Config {
             contexts: Vec::new(),
             users: Vec::new(),
             source: None,
+            users_source: None,
         }
     }
 }

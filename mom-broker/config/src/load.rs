@@ -87,7 +87,7 @@ impl Config {
     pub fn load(path: &Path) -> Result<Config, ConfigError> {
         let folder = path.parent().unwrap_or(Path::new("."));
         let mut config = Config::parse(read(path)?, |name| read(&folder.join(name)))?;
-        config.store.path = config.store.path.map(|store| folder.join(store));
+        config.store.resolve(folder);
         Ok(config)
     }
 
@@ -114,17 +114,20 @@ impl Config {
         let folder = Path::new(&source.name).parent().unwrap_or(Path::new("."));
         file.audit.resolve(folder);
         file.record.resolve(folder);
-        let users = match &file.users {
-            Some(name) => {
-                let users = beside(name).map_err(|error| source.error(&["users"], error.to_string()))?;
-                users::parse(&users, file.login.guests)?
-            }
+        let unread = |keys: &[&str], error: ConfigError| ConfigError {
+            busy: error.busy,
+            ..source.error(keys, error.to_string())
+        };
+        let users_source = file.users.as_deref().map(&beside).transpose();
+        let users_source = users_source.map_err(|error| unread(&["users"], error))?;
+        let users = match &users_source {
+            Some(users) => users::parse(users, file.login.guests)?,
             None => Vec::new(),
         };
         if let Some(jwt) = &mut file.login.jwt {
-            let unread = |error: ConfigError| source.error(&["login", "jwt", "key"], error.to_string());
+            let text = |name: &str| beside(name).map(|file| file.text);
             jwt.key
-                .read(|name| beside(name).map(|file| file.text).map_err(unread))?;
+                .read(|name| text(name).map_err(|error| unread(&["login", "jwt", "key"], error)))?;
         }
         let config = Config {
             listen: file.listen,
@@ -144,6 +147,7 @@ impl Config {
             contexts: file.contexts,
             users,
             source: Some(source),
+            users_source,
         };
         config.check()?;
         Ok(config)
@@ -154,7 +158,10 @@ fn read(path: &Path) -> Result<SourceText, ConfigError> {
     let name = path.display().to_string();
     match std::fs::read_to_string(path) {
         Ok(text) => Ok(SourceText { name, text }),
-        Err(error) => Err(ConfigError::of_file(&name, format!("cannot be read: {error}"))),
+        Err(error) => Err(ConfigError {
+            busy: matches!(error.raw_os_error(), Some(libc::EMFILE | libc::ENFILE)),
+            ..ConfigError::of_file(&name, format!("cannot be read: {error}"))
+        }),
     }
 }
 
@@ -242,14 +249,11 @@ fn check_files(file: &ConfigDocument, source: &SourceText) -> Result<(), ConfigE
             return Err(source.error(&[table, "size"], text));
         }
     }
-    if file
-        .store
-        .path
-        .as_ref()
-        .is_some_and(|path| path.as_os_str().is_empty())
-    {
-        let text = "path is a directory such as \"state\", relative to this file";
-        return Err(source.error(&["store", "path"], text.into()));
+    for (key, path) in [("path", &file.store.path), ("state", &file.store.state)] {
+        if path.as_ref().is_some_and(|path| path.as_os_str().is_empty()) {
+            let text = format!("{key} is a directory such as \"state\", relative to this file");
+            return Err(source.error(&["store", key], text));
+        }
     }
     Ok(())
 }

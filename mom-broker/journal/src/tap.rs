@@ -44,7 +44,7 @@ impl Tap {
             clock: clock.clone(),
             config: Mutex::new(config),
         };
-        let mut started = Fact::of(clock.wall(), "started");
+        let mut started = Fact::of(clock.civil(), "started");
         started
             .more
             .push(("version", env!("CARGO_PKG_VERSION").to_owned()));
@@ -63,7 +63,7 @@ impl Tap {
         let now = self.clock.now();
         let peer = match &input {
             Input::Login { peer, .. } | Input::Request { peer, .. } | Input::Gone { peer } => Some(*peer),
-            Input::Stored { .. } | Input::Configure(_) | Input::Tick => None,
+            Input::Stored { .. } | Input::Configure(_) | Input::Tick | Input::Wall { .. } => None,
         };
         if let Input::Login { peer, user, .. } = &input {
             self.audit.is_user(*peer, &user.name);
@@ -80,7 +80,7 @@ impl Tap {
         if let (Some(recorder), Some(noted)) = (&self.recorder, noted) {
             recorder.decided(now, noted, effects, hub.deadline());
         }
-        let at = self.clock.wall_at(now);
+        let at = self.clock.civil();
         let complete = |fact: &mut Fact| {
             if let (Some(config), "configured") = (&configured, fact.audit.what) {
                 name_config(fact, config);
@@ -115,7 +115,7 @@ impl Tap {
             by: word("owner"),
             ..Audit::new("refused")
         };
-        self.audit.refused(Fact::new(self.clock.wall(), audit));
+        self.audit.refused(Fact::new(self.clock.civil(), audit));
     }
 
     /// Notes a refused login. `user` is the claimed user, if there is one of that name.
@@ -128,14 +128,14 @@ impl Tap {
             code: Some(code.clone()),
             ..Audit::new("refused")
         };
-        let fact = Fact::new(self.clock.wall(), audit);
+        let fact = Fact::new(self.clock.civil(), audit);
         self.audit.login(peer, fact);
     }
 
     /// Writes `stopped` and waits until all is written.
     pub async fn stop(&self) {
         self.lines.report(self.clock.now(), true);
-        self.audit.note(Fact::of(self.clock.wall(), "stopped"));
+        self.audit.note(Fact::of(self.clock.civil(), "stopped"));
         self.audit.flush().await;
         if let Some(recorder) = &self.recorder {
             recorder.end().await;

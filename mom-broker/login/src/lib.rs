@@ -16,8 +16,8 @@ use std::sync::Arc;
 
 use dashmap::DashMap;
 use mom_hub::{PeerId, User};
-use mom_proto::{Code, Micros, Parcel, Time, WireError};
-use mom_system::Clock;
+use mom_proto::{Code, Parcel, Time, WireError};
+use mom_system::{Clock, Expiry};
 use parking_lot::RwLock;
 
 use self::book::{Book, Identity};
@@ -198,7 +198,7 @@ impl Logins {
         peer: PeerId,
         granted: Granted,
         decide: impl FnOnce(User, Option<String>),
-    ) -> Result<Option<Micros>, WireError> {
+    ) -> Result<Option<Expiry>, WireError> {
         let Granted {
             mut standing,
             nickname,
@@ -225,7 +225,7 @@ impl Logins {
         }
         self.peers.insert(peer, standing);
         decide(user, nickname);
-        Ok(until.map(|until| self.monotonic(until)))
+        Ok(until.map(|until| self.clock.expiry(until)))
     }
 
     /// A peer is gone.
@@ -283,7 +283,7 @@ impl Logins {
     ) -> Result<(Identity, Option<Time>), WireError> {
         password::check_private(from, "token")?;
         let attempt = self.enter(book, from, None)?;
-        let standing = book.bearer(token, self.clock.wall());
+        let standing = book.bearer(token, self.clock.civil());
         if standing.is_err() {
             attempt.fail();
         }
@@ -343,12 +343,6 @@ impl Logins {
                 WireError::new(Code::TRY_LATER, "too many logins have failed").retry_after(wait)
             })?;
         Ok(attempt)
-    }
-
-    /// The broker's monotonic time at a wall time.
-    fn monotonic(&self, wall: Time) -> Micros {
-        let since = wall.micros().saturating_sub(self.clock.anchor().micros());
-        u64::try_from(since).unwrap_or_default()
     }
 }
 

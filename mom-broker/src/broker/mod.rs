@@ -23,6 +23,9 @@ use crate::traffic::switchboard::{Switchboard, Touched, flush};
 /// What is dropped is told to senders and receivers this often at most; counted log lines are looked at as often.
 const REPORTS: Duration = Duration::from_millis(250);
 
+/// The wall clock is looked at this often.
+const WALL_CLOCK: Duration = Duration::from_secs(1);
+
 /// Part of `DRAIN` reserved for store writes caused by disconnects.
 const LAST_RECORDS: Duration = Duration::from_secs(1);
 
@@ -107,6 +110,10 @@ impl Broker {
             settings.epoch = opened.epoch;
             settings.records = opened.records;
             (store, answers) = (Some(opened.store), Some(opened.answers));
+        } else if let Some(epoch) =
+            mom_store::take_epoch(config.store.state.as_deref(), clock.anchor()).await?
+        {
+            settings.epoch = epoch;
         }
         let hub = config.make_hub(settings.clone())?;
         let journal = (&config.audit, &config.record);
@@ -141,6 +148,7 @@ impl Broker {
             tasks.spawn(take_answers(Arc::clone(&services.board), answers));
         }
         tasks.spawn(keep_deadlines(Arc::clone(&services.board), stop.clone()));
+        tasks.spawn(follow_wall_clock(Arc::clone(&services.board), stop.clone()));
         tasks.spawn(report(Arc::clone(&services.board), stop));
         tracing::info!(?addresses, "broker started");
         Ok(Broker {
@@ -235,6 +243,25 @@ async fn keep_deadlines(board: Arc<Switchboard>, mut stop: watch::Receiver<bool>
             () = due => {
                 let mut touched = Touched::new();
                 board.decide(Input::Tick, &mut touched);
+                flush(&mut touched);
+            }
+        }
+    }
+}
+
+/// Looks whether the wall clock was set, and tells the hub.
+async fn follow_wall_clock(board: Arc<Switchboard>, mut stop: watch::Receiver<bool>) {
+    let mut steps = board.clock.steps();
+    loop {
+        tokio::select! {
+            _ = stop.changed() => return,
+            () = tokio::time::sleep(WALL_CLOCK) => board.clock.follow(),
+            Ok(()) = steps.changed() => {
+                let ahead = *steps.borrow_and_update();
+                let time = board.clock.civil();
+                tracing::warn!(%time, "the wall clock was set; leases and deadlines go on as before");
+                let mut touched = Touched::new();
+                board.decide(Input::Wall { ahead }, &mut touched);
                 flush(&mut touched);
             }
         }

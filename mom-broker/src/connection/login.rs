@@ -62,16 +62,16 @@ impl Connection {
 
     /// Waits until the proof of who the peer is, if it is one for a time, is over.
     pub(super) async fn proof_over(&self) {
-        match self.proven_until {
-            Some(until) => Box::pin(self.services.board.clock.reach(until)).await,
+        match self.proven_until.as_deref() {
+            Some(until) => Box::pin(self.services.board.clock.reach_expiry(*until)).await,
             None => std::future::pending().await,
         }
     }
 
     /// Whether it is over by now.
     pub(super) fn is_proof_over(&self) -> bool {
-        self.proven_until
-            .is_some_and(|until| self.services.board.clock.now() >= until)
+        let until = self.proven_until.as_deref();
+        until.is_some_and(|until| self.services.board.clock.is_over(*until))
     }
 
     fn challenge(&mut self, challenge: Challenge, reference: Option<u64>, touched: &mut Touched) {
@@ -112,7 +112,8 @@ impl Connection {
             };
             board.decide(login, touched);
         };
-        self.proven_until = self.services.logins.admit(peer, granted, decide)?;
+        let until = self.services.logins.admit(peer, granted, decide)?;
+        self.proven_until = until.map(Box::new);
         reader.set_limits(&self.services.limits);
         let name = board.peer_name(peer).unwrap_or_default();
         let limits = &self.services.limits;

@@ -20,6 +20,7 @@ use mom_net::{NetError, Reader};
 use mom_proto::codec::Frame;
 use mom_proto::xml::DeferredEntity;
 use mom_proto::{Code, Content, Family, Limits, Micros, Parcel, Verb, WireError};
+use mom_system::Expiry;
 use parking_lot::RwLock;
 use tokio::sync::oneshot;
 use tokio::time::{Instant, timeout_at};
@@ -99,7 +100,7 @@ struct Connection {
     /// What a key has to answer.
     challenge: Option<Box<Challenge>>,
     /// When the proof of who it is will be over, none if it lasts.
-    proven_until: Option<Micros>,
+    proven_until: Option<Box<Expiry>>,
     requests: requests::Requests,
     ended: bool,
 }

@@ -9,6 +9,7 @@
 //! makes the new epoch; here are the threads, one per lane.
 
 mod disk;
+mod epoch;
 mod error;
 mod queue;
 mod row;
@@ -96,6 +97,21 @@ pub async fn open(path: Option<&FilePath>, wall: Time) -> Result<Option<Opened>,
     let (epoch, records) = (opened.epoch, opened.records.len());
     tracing::info!(path = %shown.display(), epoch, records, "store opened");
     Ok(Some(opened))
+}
+
+/// Takes the next epoch from the state directory of a configuration, if it has one.
+///
+/// # Errors
+/// Why the broker must not start without it.
+pub async fn take_epoch(state: Option<&FilePath>, wall: Time) -> Result<Option<u64>, StoreError> {
+    let Some(state) = state.map(FilePath::to_owned) else {
+        return Ok(None);
+    };
+    let shown = state.clone();
+    let taken = tokio::task::spawn_blocking(move || epoch::take(&state, wall)).await;
+    let epoch = taken.unwrap_or_else(|error| Err(disk::unwritable(&shown, &error)))?;
+    tracing::info!(state = %shown.display(), epoch, "fences rise over restarts");
+    Ok(Some(epoch))
 }
 
 impl Store {

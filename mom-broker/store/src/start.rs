@@ -66,7 +66,7 @@ pub(super) fn begin(directory: &FilePath, lanes: usize, wall: Time) -> Result<Be
     for file in files.iter().filter(|file| !file.exists()) {
         LaneFile::make(file)?;
     }
-    sync(directory)?;
+    sync(directory).map_err(|error| unwritable(directory, &error))?;
     for file in &files {
         let (lane, image) = LaneFile::open(file)?;
         opened.push(lane);
@@ -196,7 +196,7 @@ fn last(image: &LaneImage) -> u64 {
     image.meta.as_ref().map(LaneMeta::last).unwrap_or_default()
 }
 
-fn seconds(wall: Time) -> u64 {
+pub(super) fn seconds(wall: Time) -> u64 {
     u64::try_from(wall.micros() / 1_000_000).unwrap_or_default()
 }
 
@@ -206,20 +206,7 @@ fn lock(directory: &FilePath) -> Result<Lock, StoreError> {
         path: directory.to_owned(),
         error,
     };
-    let there = directory.exists();
-    DirBuilder::new()
-        .mode(0o700)
-        .recursive(true)
-        .create(directory)
-        .map_err(failed)?;
-    if !there && let Some(parent) = directory.parent() {
-        let parent = if parent.as_os_str().is_empty() {
-            FilePath::new(".")
-        } else {
-            parent
-        };
-        sync(parent)?;
-    }
+    make_directory(directory).map_err(failed)?;
     let mode = std::fs::metadata(directory).map_err(failed)?.permissions().mode();
     if mode & 0o077 != 0 {
         tracing::warn!(
@@ -244,8 +231,19 @@ fn lock(directory: &FilePath) -> Result<Lock, StoreError> {
     }
 }
 
+/// Makes a directory if it is not there, for this user alone.
+pub(super) fn make_directory(directory: &FilePath) -> io::Result<()> {
+    let there = directory.exists();
+    DirBuilder::new().mode(0o700).recursive(true).create(directory)?;
+    match directory.parent() {
+        _ if there => Ok(()),
+        Some(parent) if parent.as_os_str().is_empty() => sync(FilePath::new(".")),
+        Some(parent) => sync(parent),
+        None => Ok(()),
+    }
+}
+
 /// Makes the entries of a directory durable.
-fn sync(directory: &FilePath) -> Result<(), StoreError> {
-    let synced = File::open(directory).and_then(|directory| directory.sync_all());
-    synced.map_err(|error| unwritable(directory, &error))
+pub(super) fn sync(directory: &FilePath) -> io::Result<()> {
+    File::open(directory)?.sync_all()
 }

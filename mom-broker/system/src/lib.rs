@@ -8,6 +8,6 @@ mod own_file;
 pub mod sync;
 mod workers;
 
-pub use clock::Clock;
+pub use clock::{Clock, Expiry};
 pub use own_file::{DiskSpace, disk_space, numbered, open_own};
 pub use workers::{Workers, give_way};

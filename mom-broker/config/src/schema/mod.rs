@@ -44,7 +44,10 @@ pub fn config_schema() -> Value {
         "login": login::login(),
         "store": table(
             "The store of token owners and fences, which outlives the broker.",
-            &json!({ "path": text("A directory of this broker's own, relative to this file; absent = nothing outlives it.") }),
+            &json!({
+                "path": text("A directory of this broker's own, relative to this file; absent = only the epoch of fences outlives it."),
+                "state": text("Without path: the directory of the number by which fences rise over restarts; absent = $STATE_DIRECTORY, $XDG_STATE_HOME/mom or ~/.local/state/mom.")
+            }),
             &[]
         ),
         "audit": audit::audit(),
