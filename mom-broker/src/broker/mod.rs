@@ -23,6 +23,9 @@ use crate::traffic::switchboard::{Switchboard, Touched, flush};
 /// What is dropped is told to senders and receivers this often at most; counted log lines are looked at as often.
 const REPORTS: Duration = Duration::from_millis(250);
 
+/// While the hub is tight, what can be done about it is done this often.
+const RELIEF: Duration = Duration::from_millis(20);
+
 /// The wall clock is looked at this often.
 const WALL_CLOCK: Duration = Duration::from_secs(1);
 
@@ -125,6 +128,7 @@ impl Broker {
         let logins = Logins::new(config.users.clone(), config.login.clone(), clock.clone())
             .map_err(ConfigError::from)?;
         let board = Switchboard::new(hub, clock, bounds, store, tap);
+        board.memory.set_bound(config.memory_bound());
         let services = Services::new(board, logins, config.limits.clone());
         let (stopping, stop) = watch::channel(false);
         let doors = Arc::new(Doors::new(config.connection_caps()));
@@ -148,6 +152,7 @@ impl Broker {
             tasks.spawn(take_answers(Arc::clone(&services.board), answers));
         }
         tasks.spawn(keep_deadlines(Arc::clone(&services.board), stop.clone()));
+        tasks.spawn(keep_memory(Arc::clone(&services.board), stop.clone()));
         tasks.spawn(follow_wall_clock(Arc::clone(&services.board), stop.clone()));
         tasks.spawn(report(Arc::clone(&services.board), stop));
         tracing::info!(?addresses, "broker started");
@@ -264,6 +269,20 @@ async fn follow_wall_clock(board: Arc<Switchboard>, mut stop: watch::Receiver<bo
                 board.decide(Input::Wall { ahead }, &mut touched);
                 flush(&mut touched);
             }
+        }
+    }
+}
+
+/// Holds what waits within the bound on memory.
+async fn keep_memory(board: Arc<Switchboard>, mut stop: watch::Receiver<bool>) {
+    loop {
+        tokio::select! {
+            _ = stop.changed() => return,
+            () = board.memory.tight() => board.relieve(),
+        }
+        tokio::select! {
+            _ = stop.changed() => return,
+            () = tokio::time::sleep(RELIEF) => {}
         }
     }
 }

@@ -100,6 +100,7 @@ impl Connection {
         {
             tracing::info!(peer = peer.0, user = granted.user(), origin = ?granted.origin(), from = ?self.from, "logged in");
         }
+        let account = board.memory.account(&granted.user().into());
         let logged_in = &mut self.logged_in;
         let decide = |user, nickname| {
             // First: whatever happens then, the hub hears of the end.
@@ -117,7 +118,8 @@ impl Connection {
         reader.set_limits(&self.services.limits);
         let name = board.peer_name(peer).unwrap_or_default();
         let limits = &self.services.limits;
-        self.outbox.admit(limits.outbox, limits.parcel, name);
+        self.charge = Some(account.charge(0));
+        self.outbox.admit(limits.outbox, limits.parcel, name, account);
         Ok(())
     }
 

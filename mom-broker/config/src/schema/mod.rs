@@ -30,6 +30,7 @@ pub fn config_schema() -> Value {
         "connections-before-login": positive("Of them, those that have not logged in; absent = a quarter. One more closes the oldest."),
         "connections-per-address": positive("Of these, those from one address; absent = a quarter. One more closes the oldest of that address."),
         "connections-per-user": positive("Connections of one user; absent = a quarter of all. A login more is told too-many-connections."),
+        "memory": positive("Bytes that may wait or be kept in the whole hub; absent = a quarter of the machine's memory."),
         "log": with_default(text("What to log: error, warn, info, debug, trace, or filters such as info,mom_broker=debug."), &default.log),
         "reload": with_default(
             words("When this file and the users file are read again: when one of them has changed, or only at SIGHUP.", &["change", "signal"]),

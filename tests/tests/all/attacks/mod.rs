@@ -5,5 +5,6 @@
 
 mod doors;
 mod logs;
+mod memory;
 mod permitted;
 mod state;
