@@ -309,8 +309,12 @@ impl Logins {
         })
     }
 
-    /// Counts a login that cannot be read as a failed attempt; gives what its sender hears.
+    /// Counts a login that cannot be read as a failed attempt, unless only the name was not a valid one; gives what its
+    /// sender hears.
     fn malformed(&self, book: &Book, from: Option<IpAddr>, error: WireError) -> WireError {
+        if error.code == Code::BAD_NAME {
+            return error;
+        }
         match self.enter(book, from, None) {
             Ok(attempt) => {
                 attempt.fail();
