@@ -15,6 +15,7 @@ use redb::{
 
 use super::StoreError;
 use super::queue::Numbered;
+use super::quiet;
 use super::row::{self, LaneMeta};
 
 /// The latest record of each token, by path.
@@ -89,8 +90,8 @@ impl LaneFile {
     /// Opens a file and looks at every page of it.
     pub(super) fn open(file: &FilePath) -> Result<(LaneFile, LaneImage), StoreError> {
         // The database asserts what it expects of its pages in debug builds; that too is only damage.
-        let opened = std::panic::catch_unwind(|| LaneFile::open_checked(file));
-        opened.unwrap_or_else(|_| Err(damaged(file, "its pages contradict each other")))
+        let opened = quiet::catch(|| LaneFile::open_checked(file));
+        opened.unwrap_or_else(|| Err(damaged(file, "its pages contradict each other")))
     }
 
     fn open_checked(file: &FilePath) -> Result<(LaneFile, LaneImage), StoreError> {

@@ -12,6 +12,7 @@ mod disk;
 mod epoch;
 mod error;
 mod queue;
+mod quiet;
 mod row;
 mod rows;
 mod settings;
