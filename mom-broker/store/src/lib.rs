@@ -12,12 +12,15 @@ mod disk;
 mod epoch;
 mod error;
 mod queue;
+mod quiet;
 mod row;
+mod rows;
 mod settings;
 mod start;
 #[cfg(test)]
 mod tests;
 
+use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path as FilePath;
 use std::sync::Arc;
@@ -123,7 +126,7 @@ impl Store {
         let Begun { lock, lanes, found } = start::begin(directory, LANES, wall)?;
         let names = (0..).map(|lane| lane_file(directory, lane).display().to_string());
         let disks = names.zip(lanes.into_iter().map(|lane| Box::new(lane) as Box<dyn Disk>));
-        let queue = StoreQueue::new(found.epoch, found.seen);
+        let queue = StoreQueue::new(found.epoch, found.seen, found.kept);
         let (store, answers) = Store::run(disks.collect(), queue, Some(lock))
             .map_err(|error| disk::unwritable(directory, &error))?;
         Ok(Opened {
@@ -229,17 +232,22 @@ impl StoreShared {
     }
 }
 
+/// Why something did not work, if it did not.
+fn attempt(act: impl FnOnce() -> io::Result<()>) -> Option<String> {
+    match catch_unwind(AssertUnwindSafe(act)) {
+        Ok(Ok(())) => None,
+        Ok(Err(error)) => Some(error.to_string()),
+        Err(_) => Some("the database failed on its own".to_owned()),
+    }
+}
+
 impl LaneWriter {
     fn run(mut self) {
+        let mut broken = None;
         while let Some(batch) = self.shared.next(self.lane) {
-            let write = || self.disk.write(&batch.meta, &batch.records, &[]);
+            let write = || self.disk.write(&batch.meta, &batch.records, &batch.gone);
             // A ticket is answered whatever happens.
-            let written = catch_unwind(AssertUnwindSafe(write));
-            let error = match written {
-                Ok(Ok(())) => None,
-                Ok(Err(error)) => Some(error.to_string()),
-                Err(_) => Some("the database failed on its own".to_owned()),
-            };
+            let error = broken.take().or_else(|| attempt(write));
             let mut inner = self.shared.inner.lock();
             let answers = inner.queue.finish(self.lane, batch, error.is_none());
             let dead = inner.queue.is_dead();
@@ -250,6 +258,8 @@ impl LaneWriter {
                 self.report(&error, dead);
                 break;
             }
+            // Nobody waits for this: the other lanes write meanwhile.
+            broken = attempt(|| self.disk.shrink());
         }
         // The file is closed before the directory is said to be free.
         drop(self.disk);

@@ -12,6 +12,7 @@ use mom_proto::{Fence, Path, Time};
 use super::StoreError;
 use super::disk::{Disk, LaneFile, LaneImage, damaged, lane_file, unwritable};
 use super::row::LaneMeta;
+use super::rows::is_free;
 
 /// A directory that no other broker uses, for as long as this lives.
 #[derive(Debug)]
@@ -43,6 +44,8 @@ pub(super) struct Found {
     pub(super) records: Vec<Record>,
     /// The last sequence of each lane.
     pub(super) seen: Vec<u64>,
+    /// The rows that stay: of which token, in which lane, with which sequence.
+    pub(super) kept: Vec<(Path, usize, u64)>,
     /// Per lane the rows that another lane has newer.
     old: Vec<Vec<Path>>,
     /// Per lane the latest records that nobody owns: the new epoch is above their fences, so there is nothing
@@ -109,9 +112,11 @@ impl Found {
             }
         }
         let mut free = vec![Vec::new(); images.len()];
-        for (path, (lane, _, record)) in &latest {
-            if record.owner.is_none() && record.before.is_none() {
-                free[*lane].push((*path).clone());
+        let mut kept = Vec::new();
+        for (path, (lane, sequence, record)) in &latest {
+            match is_free(record) {
+                true => free[*lane].push((*path).clone()),
+                false => kept.push(((*path).clone(), *lane, *sequence)),
             }
         }
         let metas = || images.iter().filter_map(|image| image.meta.as_ref());
@@ -127,6 +132,7 @@ impl Found {
                 .map(|(_, _, record)| record.clone())
                 .collect(),
             seen: images.iter().map(last).collect(),
+            kept,
             old,
             free,
         })
