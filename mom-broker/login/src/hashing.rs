@@ -19,7 +19,7 @@ use super::password::matches;
 
 /// How far hashing threads give way: a renewal or a stop must not wait until a stranger's password is hashed. An idle core
 /// is still used for hashing.
-const NICENESS: i32 = 10;
+const NICENESS: i32 = 5;
 
 /// Logins of one user from one known place that wait in the lane for those; more wait with the strangers.
 const OF_PLACE: usize = 8;

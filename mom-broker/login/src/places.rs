@@ -57,8 +57,8 @@ impl Places {
             file: Some(Mutex::new(file)),
             ..Shared::default()
         };
-        let mut lines = text.lines().filter_map(|line| line.split_once(' '));
-        while let Some((user, place)) = lines.next() {
+        let lines = text.lines().filter_map(|line| line.split_once(' '));
+        for (user, place) in lines {
             // A line that says nothing costs its user no more than one login elsewhere does.
             if let Ok(place) = place.parse() {
                 shared.add(user, place);
