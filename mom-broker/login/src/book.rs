@@ -7,9 +7,9 @@ use ed25519_dalek::VerifyingKey;
 use mom_hub::User;
 use mom_proto::{Code, Map, Micros, Time, WireError, folds_of, resembles};
 
+use super::hashing::Hashing;
 use super::jwt::{Proven, Verifier};
 use super::key::parse_key;
-use super::password::Hashing;
 use crate::{LoginConfig, SettingError, UserEntry};
 
 /// The user and the group of guests.

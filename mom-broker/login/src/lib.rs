@@ -3,15 +3,18 @@
 mod book;
 mod content;
 mod error;
+mod hashing;
 mod jwt;
 mod key;
 mod password;
+mod places;
 mod settings;
 mod subjects;
 mod throttle;
 mod user;
 
 use std::net::IpAddr;
+use std::path::Path;
 use std::sync::Arc;
 
 use dashmap::DashMap;
@@ -22,14 +25,16 @@ use parking_lot::RwLock;
 
 use self::book::{Book, Identity};
 use self::content::{ClaimedProof, LoginRequest, read_signature};
+use self::places::Places;
 use self::subjects::Subjects;
 use self::throttle::Throttle;
 
 pub use book::{GUEST, UserSource, guest};
 pub use error::SettingError;
+pub use hashing::LoginStats;
 pub use jwt::Verifier;
 pub use key::Challenge;
-pub use password::{LoginStats, hash};
+pub use password::hash;
 pub use settings::{FailureRate, JwtConfig, JwtKey, JwtUsers, LoginConfig, ThrottleConfig};
 pub use throttle::network;
 pub use user::UserEntry;
@@ -60,6 +65,7 @@ pub struct Logins {
     /// Replaced as a whole by a new configuration.
     book: RwLock<Arc<Book>>,
     throttle: Throttle,
+    places: Places,
     subjects: Subjects,
     /// The user of each peer.
     peers: DashMap<PeerId, Identity>,
@@ -75,10 +81,28 @@ impl Logins {
             clock,
             book: RwLock::new(Arc::new(Book::new(users, settings, None)?)),
             throttle: Throttle::new(),
+            places: Places::forgetful(),
             subjects: Subjects::default(),
             peers: DashMap::new(),
             dummy: hash("no such user").unwrap_or_default(),
         })
+    }
+
+    /// Knows from now on where users had logged in before the start, and keeps it in this directory for the next.
+    ///
+    /// # Errors
+    /// A file there that cannot be read; then it is as without a directory.
+    pub fn remember_in(&mut self, directory: &Path) -> std::io::Result<()> {
+        self.places = Places::open(directory)?;
+        Ok(())
+    }
+
+    /// Writes what is to be known at the next start and is not written yet. Blocks.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn remember(&self) -> std::io::Result<()> {
+        self.places.write()
     }
 
     /// Applies another configuration, also to logins under way. `apply` gets the peers whose user has changed since
@@ -166,7 +190,8 @@ impl Logins {
     ) -> Result<Granted, WireError> {
         let book = self.book();
         let signature = read_signature(parcel).map_err(|error| self.malformed(&book, from, error))?;
-        let attempt = self.enter(&book, from, None)?;
+        // Not throttled: who has the key gets in whatever others try, and a signature cannot be guessed.
+        let attempt = self.attempt(&book, from, None);
         let challenge = challenge.filter(|challenge| challenge.is_open(self.clock.now()));
         let Some(challenge) = challenge else {
             attempt.fail();
@@ -235,7 +260,7 @@ impl Logins {
 
     /// Occupies the whole hashing pool until the result is dropped: for tests.
     #[cfg(feature = "occupy")]
-    pub async fn occupy(&self) -> tokio::sync::OwnedSemaphorePermit {
+    pub async fn occupy(&self) -> impl Drop + use<> {
         self.book().hashing.occupy().await
     }
 
@@ -252,17 +277,22 @@ impl Logins {
     ) -> Result<Identity, WireError> {
         password::check_private(from, "password")?;
         let attempt = self.enter(book, from, Some(name))?;
+        let place = from.map(network);
+        let known = place.filter(|place| self.places.knows(name, *place));
         let entry = book.users.get(name).filter(|entry| entry.password.is_some());
         let expected = entry.and_then(|entry| entry.password.clone());
         let expected = expected.unwrap_or_else(|| self.dummy.clone());
         let shown = expected.clone();
+        let known = known.map(|place| (name.to_owned(), place));
         let matches = book
             .hashing
-            .verify(password, expected, book.settings.waiting)
+            .verify(password, expected, known, book.settings.waiting)
             .await?;
         match entry.filter(|_| matches) {
             Some(entry) => {
-                attempt.succeed();
+                if let Some(place) = place {
+                    self.places.note(name, place);
+                }
                 Ok(Identity::of_file(entry, book::ShownProof::Password(shown)))
             }
             None => {
@@ -282,7 +312,8 @@ impl Logins {
         from: Option<IpAddr>,
     ) -> Result<(Identity, Option<Time>), WireError> {
         password::check_private(from, "token")?;
-        let attempt = self.enter(book, from, None)?;
+        // As with keys.
+        let attempt = self.attempt(book, from, None);
         let standing = book.bearer(token, self.clock.civil());
         if standing.is_err() {
             attempt.fail();
@@ -324,6 +355,20 @@ impl Logins {
         }
     }
 
+    /// An attempt that does not wait.
+    fn attempt<'a>(&'a self, book: &'a Book, from: Option<IpAddr>, account: Option<&str>) -> Attempt<'a> {
+        let known = |from, account: &str| self.places.knows(account, network(from));
+        let source = |from| {
+            let known = account.is_some_and(|account| known(from, account));
+            self.throttle.source(from, account, known)
+        };
+        Attempt {
+            logins: self,
+            book,
+            source: from.map(source),
+        }
+    }
+
     /// An attempt, unless the throttle makes it wait.
     fn enter<'a>(
         &'a self,
@@ -331,13 +376,8 @@ impl Logins {
         from: Option<IpAddr>,
         account: Option<&str>,
     ) -> Result<Attempt<'a>, WireError> {
-        let source = from.map(|from| self.throttle.source(from, account));
-        let attempt = Attempt {
-            logins: self,
-            book,
-            source,
-        };
-        let Some(source) = source else {
+        let attempt = self.attempt(book, from, account);
+        let Some(source) = attempt.source else {
             // Peers inside this process are not throttled: they need not guess.
             return Ok(attempt);
         };
@@ -374,12 +414,6 @@ impl Attempt<'_> {
         if let Some(source) = self.source {
             let Logins { throttle, clock, .. } = self.logins;
             throttle.fail(source, clock.now(), &self.book.settings.throttle);
-        }
-    }
-
-    fn succeed(self) {
-        if let Some(source) = self.source {
-            self.logins.throttle.succeed(source, self.logins.clock.now());
         }
     }
 }

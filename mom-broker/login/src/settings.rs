@@ -37,6 +37,8 @@ pub struct ThrottleConfig {
     pub per_address: FailureRate,
     /// At one account by its password, from all addresses together, except those from which it has logged in before.
     pub per_account: FailureRate,
+    /// At one account by its password, from one address from which it has logged in before.
+    pub per_place: FailureRate,
 }
 
 /// A rate of failures.
@@ -152,6 +154,7 @@ impl Default for ThrottleConfig {
         ThrottleConfig {
             per_address: rate(30, 30),
             per_account: rate(10, 10),
+            per_place: rate(30, 100),
         }
     }
 }
@@ -178,8 +181,9 @@ impl LoginConfig {
         let ThrottleConfig {
             per_address,
             per_account,
+            per_place,
         } = self.throttle;
-        let numbers: [(u64, &[&'static str]); 8] = [
+        let numbers: [(u64, &[&'static str]); 10] = [
             (self.hashers as u64, &["hashers"]),
             (self.waiting as u64, &["waiting"]),
             (self.attempts.into(), &["attempts"]),
@@ -194,6 +198,11 @@ impl LoginConfig {
                 &["throttle", "per-account", "per-minute"],
             ),
             (per_account.burst.into(), &["throttle", "per-account", "burst"]),
+            (
+                per_place.per_minute.into(),
+                &["throttle", "per-place", "per-minute"],
+            ),
+            (per_place.burst.into(), &["throttle", "per-place", "burst"]),
         ];
         numbers
             .into_iter()

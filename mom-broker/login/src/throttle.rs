@@ -30,6 +30,8 @@ pub(super) struct AttemptSource {
 struct Account {
     account: u64,
     pair: u64,
+    /// Whether it has logged in from there before.
+    known: bool,
 }
 
 /// Recent failures.
@@ -46,8 +48,6 @@ struct ThrottleState {
     /// Failures from an address that is known to the account, counted separately: neither attacks on the account from
     /// elsewhere nor attacks on others from there hinder the right user.
     pairs: Table,
-    /// When an account last logged in from an address.
-    known: Table,
 }
 
 impl Throttle {
@@ -64,7 +64,6 @@ impl Throttle {
             addresses: table(),
             accounts: table(),
             pairs: table(),
-            known: table(),
         };
         Throttle {
             keys: RandomState::new(),
@@ -73,13 +72,15 @@ impl Throttle {
     }
 
     /// The source of an attempt. A proof that cannot be guessed names no account, so nobody can lock out its owner.
-    pub(super) fn source(&self, from: IpAddr, account: Option<&str>) -> AttemptSource {
+    /// `known` says whether the account has logged in from there before.
+    pub(super) fn source(&self, from: IpAddr, account: Option<&str>, known: bool) -> AttemptSource {
         let from = network(from);
         AttemptSource {
             address: self.key(from),
             account: account.map(|account| Account {
                 account: self.key(account),
                 pair: self.key((from, account)),
+                known,
             }),
         }
     }
@@ -100,9 +101,7 @@ impl Throttle {
     ) -> Result<(), Duration> {
         let state = self.state.lock();
         let wait = match source.account {
-            Some(account) if state.known.has(account.pair) => {
-                state.pairs.wait(account.pair, now, config.per_account)
-            }
+            Some(account) if account.known => state.pairs.wait(account.pair, now, config.per_place),
             account => {
                 let address = state.addresses.wait(source.address, now, config.per_address);
                 let account =
@@ -117,8 +116,8 @@ impl Throttle {
     pub(super) fn fail(&self, source: AttemptSource, now: Micros, config: &ThrottleConfig) {
         let mut state = self.state.lock();
         match source.account {
-            Some(account) if state.known.has(account.pair) => {
-                state.pairs.charge(account.pair, now, config.per_account);
+            Some(account) if account.known => {
+                state.pairs.charge(account.pair, now, config.per_place);
             }
             account => {
                 state.addresses.charge(source.address, now, config.per_address);
@@ -126,13 +125,6 @@ impl Throttle {
                     state.accounts.charge(account.account, now, config.per_account);
                 }
             }
-        }
-    }
-
-    /// Remembers the address of a successful login.
-    pub(super) fn succeed(&self, source: AttemptSource, now: Micros) {
-        if let Some(account) = source.account {
-            self.state.lock().known.set(account.pair, now);
         }
     }
 }
@@ -153,10 +145,6 @@ struct Table {
 }
 
 impl Table {
-    fn has(&self, key: u64) -> bool {
-        self.times.contains_key(&key)
-    }
-
     /// How long until one more failure fits; none if one does now.
     fn wait(&self, key: u64, now: Micros, rate: FailureRate) -> Option<Micros> {
         let used = Gcra::paid_at(*self.times.get(&key)?);
@@ -213,6 +201,10 @@ mod tests {
             per_minute: 6,
             burst: 5,
         },
+        per_place: FailureRate {
+            per_minute: 6,
+            burst: 7,
+        },
     };
 
     fn address(number: u32) -> IpAddr {
@@ -233,14 +225,14 @@ mod tests {
     #[test]
     fn one_address_is_slowed_and_pays_off() {
         let throttle = Throttle::new();
-        let source = throttle.source(address(1), Some("alice"));
+        let source = throttle.source(address(1), Some("alice"), false);
         assert_eq!(fail_all(&throttle, source, 0), (3, Duration::from_secs(1)));
         assert!(throttle.check(source, 999_999, &CONFIG).is_err());
         assert_eq!(
             fail_all(&throttle, source, 1_000_000),
             (1, Duration::from_secs(1))
         );
-        let other = throttle.source(address(2), Some("bob"));
+        let other = throttle.source(address(2), Some("bob"), false);
         assert!(
             throttle.check(other, 0, &CONFIG).is_ok(),
             "others are not concerned"
@@ -255,15 +247,19 @@ mod tests {
     #[test]
     fn an_account_is_slowed_from_everywhere_but_where_it_is_known() {
         let throttle = Throttle::new();
-        let home = throttle.source(address(1), Some("alice"));
-        throttle.succeed(home, 0);
+        let home = throttle.source(address(1), Some("alice"), true);
         let mut failed = 0;
         for number in 100..1100 {
-            failed += fail_all(&throttle, throttle.source(address(number), Some("alice")), 0).0;
+            failed += fail_all(
+                &throttle,
+                throttle.source(address(number), Some("alice"), false),
+                0,
+            )
+            .0;
         }
         assert_eq!(failed, 5, "the account's burst, from all together");
         assert!(throttle.check(home, 0, &CONFIG).is_ok());
-        let elsewhere = throttle.source(address(2), Some("alice"));
+        let elsewhere = throttle.source(address(2), Some("alice"), false);
         assert_eq!(
             throttle.check(elsewhere, 0, &CONFIG),
             Err(Duration::from_secs(10)),
@@ -276,23 +272,22 @@ mod tests {
     #[test]
     fn a_known_address_is_no_licence() {
         let throttle = Throttle::new();
-        let home = throttle.source(address(1), Some("alice"));
-        throttle.succeed(home, 0);
-        fail_all(&throttle, throttle.source(address(1), Some("bob")), 0);
+        let home = throttle.source(address(1), Some("alice"), true);
+        fail_all(&throttle, throttle.source(address(1), Some("bob"), false), 0);
         assert!(throttle.check(home, 0, &CONFIG).is_ok());
-        assert_eq!(fail_all(&throttle, home, 0).0, 5, "guessing is slowed there too");
-        let elsewhere = throttle.source(address(2), Some("alice"));
+        assert_eq!(fail_all(&throttle, home, 0).0, 7, "guessing is slowed there too");
+        let elsewhere = throttle.source(address(2), Some("alice"), false);
         assert!(throttle.check(elsewhere, 0, &CONFIG).is_ok());
     }
 
     #[test]
     fn what_cannot_be_guessed_concerns_no_account() {
         let throttle = Throttle::new();
-        let device = throttle.source(address(1), None);
+        let device = throttle.source(address(1), None, false);
         assert_eq!(fail_all(&throttle, device, 0).0, 3);
         assert!(
             throttle
-                .check(throttle.source(address(2), None), 0, &CONFIG)
+                .check(throttle.source(address(2), None, false), 0, &CONFIG)
                 .is_ok()
         );
     }
@@ -300,17 +295,21 @@ mod tests {
     #[test]
     fn memory_is_bounded_and_the_attacked_stay() {
         let throttle = Throttle::with_room(64);
-        let alice = throttle.source(address(1), Some("alice"));
+        let alice = throttle.source(address(1), Some("alice"), false);
         fail_all(&throttle, alice, 0);
         for number in 0..1000 {
             let name = format!("user-{number}");
-            let source = throttle.source(address(2 + number), Some(&name));
+            let source = throttle.source(address(2 + number), Some(&name), false);
             throttle.fail(source, 0, &CONFIG);
-            throttle.succeed(source, Micros::from(number));
+            throttle.fail(
+                throttle.source(address(2 + number), Some(&name), true),
+                0,
+                &CONFIG,
+            );
         }
         assert!(throttle.check(alice, 0, &CONFIG).is_err());
         let state = throttle.state.lock();
-        for table in [&state.addresses, &state.accounts, &state.pairs, &state.known] {
+        for table in [&state.addresses, &state.accounts, &state.pairs] {
             assert!(table.times.len() <= 64, "{}", table.times.len());
         }
     }
@@ -318,7 +317,11 @@ mod tests {
     #[test]
     fn one_network_is_one_address() {
         let throttle = Throttle::new();
-        let key = |text: &str| throttle.source(text.parse().expect("an address"), None).address;
+        let key = |text: &str| {
+            throttle
+                .source(text.parse().expect("an address"), None, false)
+                .address
+        };
         assert_eq!(key("2001:db8:1:2::1"), key("2001:db8:1:2:ffff::9"));
         assert_ne!(key("2001:db8:1:2::1"), key("2001:db8:1:3::1"));
         assert_eq!(key("::ffff:10.0.0.1"), key("10.0.0.1"));

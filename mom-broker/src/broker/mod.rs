@@ -1,6 +1,7 @@
 //! The service: its listeners, the hub's timer, and its end.
 
 use std::net::SocketAddr;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -125,8 +126,9 @@ impl Broker {
             depth: config.limits.depth,
             parcel: config.limits.parcel,
         };
-        let logins = Logins::new(config.users.clone(), config.login.clone(), clock.clone())
+        let mut logins = Logins::new(config.users.clone(), config.login.clone(), clock.clone())
             .map_err(ConfigError::from)?;
+        remember_places(&mut logins, config.store.path.as_deref());
         let board = Switchboard::new(hub, clock, bounds, store, tap);
         board.memory.set_bound(config.memory_bound());
         let services = Services::new(board, logins, config.limits.clone());
@@ -227,8 +229,20 @@ impl Broker {
         }
         // What is left are connections that have not said in which form they speak.
         self.tasks.shutdown().await;
+        let logins = Arc::clone(&self.services.logins);
+        let remembered = tokio::task::spawn_blocking(move || logins.remember()).await;
+        if let Ok(Err(error)) = remembered {
+            tracing::warn!(%error, "where users have logged in is not written down");
+        }
         self.services.board.tap.stop().await;
         tracing::info!("broker stopped");
+    }
+}
+
+/// Lets it be known after a restart where users have logged in before, if there is a directory for that.
+fn remember_places(logins: &mut Logins, directory: Option<&Path>) {
+    if let Some(Err(error)) = directory.map(|directory| logins.remember_in(directory)) {
+        tracing::warn!(%error, "where users have logged in before is not known, and will not be after this start");
     }
 }
 

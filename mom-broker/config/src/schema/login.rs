@@ -31,6 +31,7 @@ fn throttle(default: &LoginConfig) -> Value {
     };
     let properties = json!({
         "per-address": rate("From one address.", default.throttle.per_address),
+        "per-place": rate("At one account by password, from one address where its user has logged in before.", default.throttle.per_place),
         "per-account": rate("At one account by password, except from addresses where its user has logged in before.", default.throttle.per_account),
     });
     table(

@@ -7,7 +7,7 @@ use mom_proto::codec::Form;
 use mom_proto::{Code, Family, Map, Parcel, Value, WireError};
 use mom_tests::canary::Canary;
 use mom_tests::lab;
-use mom_tests::login::{Issuer, claims, password, token};
+use mom_tests::login::{DeviceKey, Issuer, challenge, claims, password, token};
 use mom_tests::raw::Raw;
 
 /// The lab with its canary, which must not notice.
@@ -18,7 +18,13 @@ struct House {
 
 impl House {
     async fn open(change: impl FnOnce(&mut Config)) -> House {
-        let broker = lab::start_with(change).await;
+        // A clock that stands still: on a busy machine nobody is forgiven because a test takes long.
+        let broker = lab::start_at(lab::clock(), |config| {
+            // Hashing gives way to all else that this machine does meanwhile.
+            config.limits.login_time = 600_000;
+            change(config);
+        })
+        .await;
         let canary = Canary::start(broker.local_addr()).await;
         House { broker, canary }
     }
@@ -188,5 +194,108 @@ async fn names_are_nobody_elses_in_any_form() {
         let error = token(&mut raw, &signed(user)).await.expect_err(user);
         assert_eq!(error.code, Code::BAD_LOGIN, "{user}");
     }
+    house.close().await;
+}
+
+/// Guesses until it is told to come later, as several users.
+async fn guess_as_much_as_one_may(house: &House, from: IpAddr, users: &[&str]) {
+    let mut eve = house.from(from).await;
+    for user in users {
+        loop {
+            let error = password(&mut eve, user, "guess").await.expect_err("a guess");
+            if error.code == Code::TRY_LATER {
+                break;
+            }
+            assert_eq!(error.code, Code::BAD_LOGIN);
+        }
+    }
+}
+
+/// Wrong passwords from everywhere, also from their own address, keep neither a user out where it has been before nor a
+/// device with its key; nor do they after a restart.
+#[tokio::test]
+async fn wrong_passwords_keep_neither_the_right_one_nor_a_key_out() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("state");
+    let open = || {
+        House::open(|config| {
+            config.store.path = Some(path.clone());
+            config.login.attempts = 10_000;
+            let bob = config.users.iter_mut().find(|user| user.name == "bob");
+            bob.expect("of the lab").keys = vec![DeviceKey::number(1).public()];
+        })
+    };
+    let home = address(1);
+    let house = open().await;
+    let mut alice = house.from(home).await;
+    password(&mut alice, "alice", "alice").await.expect("alice");
+    house.close().await;
+
+    let mut house = open().await;
+    for from in [home, address(2), address(3)] {
+        guess_as_much_as_one_may(&house, from, &["bob", "carol", "nobody"]).await;
+    }
+    let mut eve = house.from(home).await;
+    for _ in 0..30 {
+        let guessed = password(&mut eve, "alice", "guess").await;
+        assert_eq!(guessed.expect_err("a guess").code, Code::BAD_LOGIN);
+    }
+    let mut alice = house.from(home).await;
+    password(&mut alice, "alice", "alice").await.expect("known there");
+    let mut bob = house.from(home).await;
+    let asked = challenge(&mut bob, "bob").await.expect("a challenge");
+    let answered = bob.ask(DeviceKey::number(1).answer(&asked, "bob")).await;
+    answered.expect("bob's key");
+    let mut bob = house.from(home).await;
+    let error = password(&mut bob, "bob", "bob")
+        .await
+        .expect_err("never here before");
+    assert_eq!(error.code, Code::TRY_LATER);
+    house.canary.check().await;
+    // That is no licence: guesses there have a bound of their own.
+    guess_as_much_as_one_may(&house, home, &["alice"]).await;
+    house.close().await;
+}
+
+/// More wrong passwords at once than may wait to be hashed: who is known where it comes from waits beside them.
+#[tokio::test]
+async fn a_storm_of_hashing_keeps_known_places_open() {
+    const EVES: usize = 24;
+    let mut house = House::open(|config| {
+        config.login.waiting = 4;
+        config.login.attempts = 1_000_000;
+        let rate = mom_broker::FailureRate {
+            per_minute: 1_000_000,
+            burst: 1_000_000,
+        };
+        config.login.throttle.per_address = rate;
+        config.login.throttle.per_account = rate;
+    })
+    .await;
+    let home = address(1);
+    let mut alice = house.from(home).await;
+    password(&mut alice, "alice", "alice").await.expect("alice");
+    let mut storm = tokio::task::JoinSet::new();
+    let (tell, mut put_off) = tokio::sync::watch::channel(0_usize);
+    for number in 0..EVES {
+        let mut eve = house.from(address(10 + number as u8)).await;
+        let tell = tell.clone();
+        storm.spawn(async move {
+            loop {
+                let error = password(&mut eve, "bob", "guess").await.expect_err("a guess");
+                if error.code == Code::TRY_LATER {
+                    tell.send_modify(|count| *count += 1);
+                }
+            }
+        });
+    }
+    for round in 1..=10 {
+        let some = put_off.wait_for(|count| *count >= round * EVES).await;
+        some.expect("the storm goes on");
+        let mut alice = house.from(home).await;
+        password(&mut alice, "alice", "alice").await.expect("not put off");
+    }
+    house.canary.check().await;
+    storm.shutdown().await;
     house.close().await;
 }
