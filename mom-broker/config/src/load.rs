@@ -170,20 +170,15 @@ fn read(path: &Path) -> Result<SourceText, ConfigError> {
 }
 
 fn check(file: &ConfigDocument, source: &SourceText) -> Result<(), ConfigError> {
-    let given = |number: Option<usize>| number.map_or(1, |number| number as u64);
-    let before_login = given(file.connections_before_login);
-    let per_address = given(file.connections_per_address);
-    let per_user = given(file.connections_per_user);
+    let optional = [
+        ("connections-before-login", file.connections_before_login),
+        ("connections-per-address", file.connections_per_address),
+        ("connections-per-user", file.connections_per_user),
+        ("memory", file.memory),
+    ];
+    let optional = optional.map(|(key, number)| (key, number.map_or(1, |number| number as u64), key));
     let at_least_one = [
         ("connections", file.connections as u64, "connections"),
-        (
-            "connections-before-login",
-            before_login,
-            "connections-before-login",
-        ),
-        ("connections-per-address", per_address, "connections-per-address"),
-        ("connections-per-user", per_user, "connections-per-user"),
-        ("memory", given(file.memory), "memory"),
         ("limits", file.limits.heartbeat, "heartbeat"),
         ("limits", file.limits.gone, "gone"),
         ("limits", file.limits.login_time, "login-time"),
@@ -199,7 +194,7 @@ fn check(file: &ConfigDocument, source: &SourceText) -> Result<(), ConfigError> 
         ("limits", file.limits.header as u64, "header"),
         ("limits", file.limits.parts as u64, "parts"),
     ];
-    for (table, value, key) in at_least_one {
+    for (table, value, key) in optional.into_iter().chain(at_least_one) {
         if value == 0 {
             let keys = if table == key { vec![key] } else { vec![table, key] };
             return Err(source.error(&keys, format!("{key} is a number from 1")));

@@ -157,7 +157,7 @@ impl World {
         self.push_last_safe_state(number, out);
         self.unguard(number);
         self.changed.insert(number);
-        let above = parent.map(|parent| self.tree.members_of(parent));
+        let above = parent.map(|parent| self.who_may_know(number, parent));
         let told: BTreeSet<PeerId> = members.into_iter().chain(above.unwrap_or_default()).collect();
         self.push_event(event::DELETED, &path, told.into_iter().collect(), content, out);
         let removed = self.tree.remove(number);

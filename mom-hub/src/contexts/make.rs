@@ -6,8 +6,9 @@ use std::sync::Arc;
 use mom_managers::{Manager, Terms};
 use mom_proto::event;
 use mom_proto::nearest::nearest;
-use mom_proto::{Code, Content, ContextKind, ContextNumber, Fence, Path, Value, WireError};
+use mom_proto::{Code, Content, ContextKind, ContextNumber, Fence, Path, Value, Verb, WireError};
 
+use crate::asking::wish::Wish;
 use crate::content::{bad, micros, path as read_path};
 use crate::token::state::{SafeState, Token};
 use crate::tree::context::{Channel, Context, GuardSpec, Presence, Role};
@@ -16,6 +17,9 @@ use crate::{ContextSpec, Effect, KeepArgs, PeerId};
 
 /// Channels that one token may guard: each renewal gives new routes to all of them.
 const GUARDED: usize = 256;
+
+/// In a session of more members nobody is told what is made and deleted in it.
+const ASKED: usize = 256;
 
 /// What is wrong with the contexts of a configuration.
 #[derive(Clone, Debug, PartialEq)]
@@ -243,8 +247,8 @@ impl World {
         Ok(())
     }
 
-    /// Tells the members of a session about a new child.
-    pub(crate) fn push_created(&self, number: ContextNumber, by: Option<PeerId>, out: &mut Vec<Effect>) {
+    /// Tells those members of a session about a new child who may look it up.
+    pub(crate) fn push_created(&mut self, number: ContextNumber, by: Option<PeerId>, out: &mut Vec<Effect>) {
         let context = self.tree.get(number);
         let parent = context.and_then(|context| self.tree.get(context.parent?));
         let (Some(context), Some(parent)) = (context, parent) else {
@@ -254,8 +258,22 @@ impl World {
         if let Some(by) = by {
             content.set("by", self.name_of(by));
         }
-        let to = parent.members.keys().copied().collect();
-        self.push_event(event::CREATED, &parent.path, to, content, out);
+        let (path, parent) = (parent.path.clone(), parent.number);
+        let to = self.who_may_know(number, parent);
+        self.push_event(event::CREATED, &path, to, content, out);
+    }
+
+    /// The members of a session who may look up a child. Of many none: each is a question to a manager, and they can list.
+    pub(crate) fn who_may_know(&mut self, child: ContextNumber, session: ContextNumber) -> Vec<PeerId> {
+        let Some(members) = self.tree.get(session).map(|session| &session.members) else {
+            return Vec::new();
+        };
+        if members.len() > ASKED {
+            return Vec::new();
+        }
+        let mut members: Vec<PeerId> = members.keys().copied().collect();
+        members.retain(|member| self.ask(*member, &Wish::new(Verb::Lookup, child), &[]).is_ok());
+        members
     }
 }
 

@@ -61,7 +61,10 @@ pub fn admit(
     ingress: &Ingress,
 ) -> Result<Admission, WireError> {
     let now = ingress.now;
-    let member = sender(route, peer)?;
+    // The hub knows whether a peer that is no member may know of the channel.
+    let Some(member) = route.member(peer) else {
+        return Ok(Admission::Consult);
+    };
     let owner = route.guard.as_ref().and_then(|guard| guard.owner.as_ref());
     let overdue = owner
         .and_then(|owner| owner.lost_at)

@@ -184,10 +184,12 @@ impl Tree {
     /// Looks only at children of the nearest context above, and at the first of them: a typo must not cost a walk over
     /// the tree.
     pub(crate) fn nearest_path(&self, path: &Path) -> Option<Path> {
-        let above = self.find_or_above(path)?;
+        // What is there but is not to be told of is no suggestion for itself.
+        let above = self.find_or_above(&path.parent()?)?;
         let mut missing = path.segments().skip(above.path.segments().count());
         let mistyped = missing.next()?;
-        let child = nearest(mistyped, above.children.keys().map(|child| &**child))?;
+        let others = above.children.keys().map(|child| &**child);
+        let child = nearest(mistyped, others.filter(|child| *child != mistyped))?;
         let found = above.path.child(child).ok()?;
         let full = missing.try_fold(found.clone(), |path, segment| path.child(segment));
         Some(

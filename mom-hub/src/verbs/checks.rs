@@ -44,10 +44,7 @@ impl World {
                 .tree
                 .get(number)
                 .map(|context| context.path.clone())
-                .ok_or_else(|| {
-                    let text = format!("there is no context of number {}", number.0);
-                    WireError::new(Code::UNKNOWN_PATH, text).slot("context")
-                }),
+                .ok_or_else(|| no_number(number)),
             None if matches!(verb, Verb::Logout | Verb::Verdict) => Ok(Path::root()),
             None => {
                 let text = format!("{verb} needs the slot context");
@@ -58,31 +55,14 @@ impl World {
 
     /// The context of a request, once its manager has allowed the verb there.
     ///
-    /// Where nothing is, the manager of the nearest context above decides whether the peer may know.
+    /// Where nothing is, [`World::nothing_at`] says what the peer may know.
     pub(crate) fn allowed(&mut self, request: &Request) -> Result<ContextNumber, Refusal> {
         match self.tree.find(&request.path).map(|context| context.number) {
             Some(number) => {
                 self.ask(request.peer, &Wish::new(request.verb, number), &request.answers)?;
                 Ok(number)
             }
-            None => {
-                let above = self
-                    .tree
-                    .find_or_above(&request.path)
-                    .map(|context| context.number);
-                let at = above.ok_or_else(|| self.tree.unknown_path(&request.path, None))?;
-                self.ask(
-                    request.peer,
-                    &Wish {
-                        path: Some(&request.path),
-                        ..Wish::new(request.verb, at)
-                    },
-                    &request.answers,
-                )?;
-                Err(self
-                    .unknown_to(request.peer, &request.path, &request.answers)
-                    .into())
-            }
+            None => Err(self.nothing_at(request)),
         }
     }
 
@@ -95,10 +75,57 @@ impl World {
             .map(|near| near.number);
         match near {
             Some(near) if self.ask(peer, &Wish::new(Verb::Lookup, near), answers).is_err() => {
-                WireError::new(Code::UNKNOWN_PATH, format!("there is no context {path}")).slot("context")
+                no_context(path)
             }
             _ => self.tree.unknown_path(path, None),
         }
+    }
+
+    /// What a peer is told in place of a refusal, if the context is one that it may not look up: what it would hear if
+    /// nothing were there. Only who makes something there learns that the path is taken.
+    pub(crate) fn veil(&mut self, request: &Request) -> Option<WireError> {
+        let here = self.tree.find(&request.path)?.number;
+        if request.verb == Verb::Create || !self.is_hidden(request.peer, here) {
+            return None;
+        }
+        match (&request.parcel.context, request.parcel.number) {
+            (None, Some(number)) => Some(no_number(number)),
+            _ => match self.nothing_at(request) {
+                Refusal::Error(error) => Some(error),
+                Refusal::Defer(_) => Some(no_context(&request.path)),
+            },
+        }
+    }
+
+    /// What a peer hears of a path where nothing is, as far as it may know: the manager of the nearest context above that
+    /// it may look up decides.
+    fn nothing_at(&mut self, request: &Request) -> Refusal {
+        let above = request
+            .path
+            .parent()
+            .and_then(|above| self.tree.find_or_above(&above));
+        let mut above = above.map(|context| context.number);
+        while let Some(at) = above.filter(|at| self.is_hidden(request.peer, *at)) {
+            above = self.tree.get(at).and_then(|context| context.parent);
+        }
+        let Some(at) = above else {
+            return no_context(&request.path).into();
+        };
+        let wish = Wish {
+            path: Some(&request.path),
+            ..Wish::new(request.verb, at)
+        };
+        match self.ask(request.peer, &wish, &request.answers) {
+            Ok(_) => self
+                .unknown_to(request.peer, &request.path, &request.answers)
+                .into(),
+            Err(refusal) => refusal,
+        }
+    }
+
+    /// Whether a peer may not know that a context exists.
+    pub(super) fn is_hidden(&mut self, peer: PeerId, number: ContextNumber) -> bool {
+        !self.tree.is_member(peer, number) && self.refused(peer, Verb::Lookup, number)
     }
 
     /// As [`World::allowed`], for verbs of tokens.
@@ -206,6 +233,16 @@ impl World {
         }
         Ok(())
     }
+}
+
+/// What is said where nothing is, or nothing that the peer may know of.
+pub(crate) fn no_context(path: &Path) -> WireError {
+    WireError::new(Code::UNKNOWN_PATH, format!("there is no context {path}")).slot("context")
+}
+
+fn no_number(number: ContextNumber) -> WireError {
+    let text = format!("there is no context of number {}", number.0);
+    WireError::new(Code::UNKNOWN_PATH, text).slot("context")
 }
 
 /// Checks that a context knows a verb.

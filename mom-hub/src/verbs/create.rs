@@ -32,7 +32,13 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     if let Some(guard) = &spec.guard {
         // The members of a guarded channel hear who owns the token, so its manager decides who may guard by it.
         let token = content::path(&guard.token, "guard/token")?;
-        if let Some(token) = world.tree.find(&token).map(|token| token.number) {
+        let found = world.tree.token_at(&token).map(|(number, _)| number);
+        let found = found.filter(|found| !world.is_hidden(request.peer, *found));
+        if found.is_none() {
+            let error = world.unknown_to(request.peer, &token, &request.answers);
+            return Err(error.slot("content/guard/token").into());
+        }
+        if let Some(token) = found {
             world.ask(request.peer, &Wish::new(Verb::Join, token), &request.answers)?;
         }
     }

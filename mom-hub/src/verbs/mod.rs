@@ -35,7 +35,7 @@ use crate::asking::questions::{Due, Questions};
 use crate::asking::refusal::Refusal;
 use crate::world::World;
 use crate::{Effect, PeerId};
-use checks::Request;
+use checks::{Request, no_context};
 
 pub(crate) use checks::of_kind;
 pub(crate) use expel::{kept_out, put_out};
@@ -93,7 +93,8 @@ fn run_once(
         Ok(()) => None,
         Err(Refusal::Error(error)) => {
             debug_assert_eq!(out.len(), start, "a refused request has no effects: {error}");
-            world.push_refusal(peer, &request.parcel, &error, out);
+            let told = world.veil(&request);
+            world.push_refusal_as(peer, &request.parcel, (&error, told.as_ref()), out);
             None
         }
         Err(Refusal::Defer(deferred)) => {
@@ -116,8 +117,8 @@ fn read(world: &World, peer: PeerId, parcel: &Parcel) -> Result<(Verb, Path), Wi
     let verb = Verb::of(parcel.family, &parcel.name)?;
     let path = world.path_of(parcel, verb)?;
     if world.is_doomed(&path) {
-        let text = format!("there is no context {path}: it is being deleted");
-        return Err(WireError::new(Code::UNKNOWN_PATH, text).slot("context"));
+        // It is being deleted.
+        return Err(no_context(&path));
     }
     Ok((verb, path))
 }

@@ -58,6 +58,17 @@ impl World {
         error: &WireError,
         out: &mut Vec<Effect>,
     ) {
+        self.push_refusal_as(peer, request, (error, None), out);
+    }
+
+    /// The same, where the peer is told something else than what is noted.
+    pub(crate) fn push_refusal_as(
+        &self,
+        peer: PeerId,
+        request: &Parcel,
+        (error, told): (&WireError, Option<&WireError>),
+        out: &mut Vec<Effect>,
+    ) {
         let word = |key: &str| error.get(key).and_then(Value::as_str).map(Arc::from);
         let verb = Verb::of(request.family, &request.name).ok();
         let message = matches!(verb, Some(Verb::Send)).then(|| Arc::clone(&request.name));
@@ -74,7 +85,7 @@ impl World {
             code: Some(error.code.clone()),
             ..self.fact("refused", peer)
         };
-        let mut parcel = error.to_parcel(request.id);
+        let mut parcel = told.unwrap_or(error).to_parcel(request.id);
         parcel.sender = Some(HUB.into());
         parcel.timestamp = Some(self.wall());
         out.push(Effect::Reply {

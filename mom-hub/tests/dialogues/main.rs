@@ -6,6 +6,7 @@ mod durable;
 mod facts;
 mod handed_back;
 mod handover;
+mod hidden;
 mod identity;
 mod judge;
 mod large;

@@ -183,7 +183,7 @@ fn another_user_on_the_same_connection_inherits_nothing() {
     ok(&mut hub, BOB, "context invite", "/club", alice);
     login(&mut hub, ALICE, "mallory", 1);
     let joined = ask(&mut hub, ALICE, "context join", "/club", Map::new());
-    assert_eq!(answer(&joined, ALICE), "denied", "she was not invited");
+    assert_eq!(answer(&joined, ALICE), "unknown-path", "she was not invited");
     let joined = ask(&mut hub, ALICE, "context join", "/hers", Map::new());
     assert_ne!(answer(&joined, ALICE), "ok", "she did not make it");
     ok(&mut hub, ALICE, "context join", "/lab", Map::new());

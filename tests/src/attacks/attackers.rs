@@ -116,7 +116,7 @@ impl Attackers {
             }
             left -= u64::from(answers);
         }
-        sleep(wait).await;
+        sleep(wait).await; // tidy: as long as the hub says
         done
     }
 

@@ -109,7 +109,7 @@ impl Attackers {
                     doubles.extend((f64::from(number) * 0.001_37).to_be_bytes());
                 }
                 self.send_content("/chat", doubles).await;
-                sleep(Duration::from_millis(100)).await;
+                sleep(Duration::from_millis(100)).await; // tidy: a lidar turns ten times a second
             }
             Attack::Sleepers => {
                 let block = || message("block", "/bulk", Value::Binary(vec![7; 64 * 1024].into()));
