@@ -54,8 +54,8 @@ pub struct Storm {
 }
 
 /// One logged-in connection.
-struct Peer {
-    link: Transceiver,
+pub(crate) struct Peer {
+    pub(crate) link: Transceiver,
     last: u64,
 }
 
@@ -74,7 +74,7 @@ impl Peer {
         Ok(peer)
     }
 
-    async fn enter(address: &str, user: &str, places: &[&str]) -> Result<Peer, Error> {
+    pub(crate) async fn enter(address: &str, user: &str, places: &[&str]) -> Result<Peer, Error> {
         let mut peer = Peer::connect(address, user).await?;
         for place in places {
             peer.ask(about(Family::Context, "join", place)?).await?;
@@ -120,7 +120,7 @@ impl Peer {
         }
     }
 
-    async fn ask(&mut self, parcel: Parcel) -> Result<Value, Error> {
+    pub(crate) async fn ask(&mut self, parcel: Parcel) -> Result<Value, Error> {
         let id = self.say(parcel).await?;
         self.answer(id).await
     }
@@ -337,16 +337,16 @@ fn jain(counts: &[u64]) -> f64 {
     }
 }
 
-fn about(family: Family, name: &str, path: &str) -> Result<Parcel, Error> {
+pub(crate) fn about(family: Family, name: &str, path: &str) -> Result<Parcel, Error> {
     let path = Path::parse(path).map_err(Error::hub("a path"))?;
     Ok(Parcel::new(family, name).context(path))
 }
 
-fn net(what: &str, error: &mom_net::NetError) -> Error {
+pub(crate) fn net(what: &str, error: &mom_net::NetError) -> Error {
     Error::Unexpected(format!("{what}: {error}"))
 }
 
-fn run<T>(work: impl Future<Output = Result<T, Error>>) -> Result<T, Error> {
+pub(crate) fn run<T>(work: impl Future<Output = Result<T, Error>>) -> Result<T, Error> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let runtime = runtime.map_err(Error::io("a runtime"))?;
     LocalSet::new().block_on(&runtime, work)

@@ -24,6 +24,9 @@ log = "warn"
 users = "users.toml"
 root = "open"
 
+[store]
+state = "state"
+
 [login]
 guests = true
 

@@ -16,6 +16,7 @@ mod error;
 pub mod grants;
 pub mod hot_path;
 mod hub;
+pub mod isolation;
 pub mod listen;
 pub mod machine;
 mod one_core;

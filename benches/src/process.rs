@@ -106,6 +106,12 @@ impl Process {
         cpu_of(&stat)
     }
 
+    /// The most memory in bytes that it ever had in use; none where the system does not say.
+    pub fn most_memory(&self) -> Option<u64> {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).ok()?;
+        kib_of(&status, "VmHWM:")
+    }
+
     /// The bytes of memory that it has in use; none where the system does not say.
     pub fn memory(&self) -> Option<u64> {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).ok()?;
@@ -133,7 +139,11 @@ fn cpu_of(stat: &str) -> Option<Duration> {
 
 /// The resident memory in `/proc/PID/status`, counted in KiB.
 fn memory_of(status: &str) -> Option<u64> {
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
+    kib_of(status, "VmRSS:")
+}
+
+fn kib_of(status: &str, key: &str) -> Option<u64> {
+    let line = status.lines().find_map(|line| line.strip_prefix(key))?;
     let kib: u64 = line.split_whitespace().next()?.parse().ok()?;
     Some(1024 * kib)
 }

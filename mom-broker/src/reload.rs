@@ -49,6 +49,7 @@ impl Broker {
     pub fn reload(&self, config: Config) -> Result<ReloadReport, ConfigError> {
         let mut running = self.running.lock();
         let (config, needs_restart) = keep_fixed(&running, config);
+        running.check_replacement(&config)?;
         config.check()?;
         let mut report = ReloadReport::of(&running, &config, needs_restart);
         let mut touched = Touched::new();

@@ -155,6 +155,20 @@ impl Reader {
         }
     }
 
+    /// The bytes that are here of parcels whose end has not come.
+    pub fn held(&self) -> usize {
+        match &self.source {
+            Source::Stream { buffer, decoder, .. } => {
+                let chunks = match decoder {
+                    Decoder::Binary(decoder) => decoder.held(),
+                    Decoder::Xml(_) => 0,
+                };
+                buffer.bytes.len() + chunks
+            }
+            Source::Local { .. } => 0,
+        }
+    }
+
     /// Takes so many bytes of what has arrived: the length of a [`Plain`].
     pub fn consume(&mut self, length: usize) {
         if let Source::Stream { buffer, .. } = &mut self.source {

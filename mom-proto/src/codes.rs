@@ -37,6 +37,8 @@ impl Code {
     pub const OVER_QUOTA: Code = Code::new(106, "over-quota");
     /// What must be durable first could not be stored.
     pub const STORAGE_FAILED: Code = Code::new(107, "storage-failed");
+    /// What waits of this user is more than of any other, and the hub has no memory for more.
+    pub const OVER_MEMORY: Code = Code::new(108, "over-memory");
 
     /// A manager refused the request.
     pub const DENIED: Code = Code::new(200, "denied");
@@ -109,6 +111,8 @@ impl Code {
     pub const TOO_MANY_CONNECTIONS: Code = Code::new(304, "too-many-connections");
     /// The connection to the hub is lost.
     pub const DISCONNECTED: Code = Code::new(305, "disconnected");
+    /// What waited of this user was more than of any other, and the hub had no memory for it.
+    pub const OUT_OF_MEMORY: Code = Code::new(306, "out-of-memory");
 
     /// Bytes that are no frame of the form spoken here.
     pub const BAD_FRAME: Code = Code::new(400, "bad-frame");
@@ -135,6 +139,7 @@ impl Code {
         Code::WITHDRAWN,
         Code::OVER_QUOTA,
         Code::STORAGE_FAILED,
+        Code::OVER_MEMORY,
         Code::DENIED,
         Code::BAD_LOGIN,
         Code::NOT_LOGGED_IN,
@@ -170,6 +175,7 @@ impl Code {
         Code::LOGIN_TIMEOUT,
         Code::TOO_MANY_CONNECTIONS,
         Code::DISCONNECTED,
+        Code::OUT_OF_MEMORY,
         Code::BAD_FRAME,
         Code::BAD_VERSION,
         Code::RESTRICTED_XML,

@@ -32,6 +32,8 @@ pub const INVITED: &str = "invited";
 pub const EXPELLED: &str = "expelled";
 /// Parcels were dropped on their way.
 pub const DROPPED: &str = "dropped";
+/// A stop went out without its content.
+pub const SHORTENED: &str = "shortened";
 
 /// The safe-state message sent by the hub when ownership ends.
 pub const HALT: &str = "halt";

@@ -47,7 +47,7 @@ pub fn encode(value: &Value, out: &mut Vec<u8>) -> Result<(), WireError> {
 /// # Errors
 /// `bad-content`, `bad-encoding` or `too-deep`, with the byte's position in `bytes`.
 pub fn decode(bytes: &Bytes, depth: usize) -> Result<Value, WireError> {
-    let mut reader = TokenReader::new(bytes);
+    let mut reader = ItemReader::new(bytes);
     let value = reader.value(depth)?;
     reader.end().map(|()| value)
 }
@@ -85,7 +85,7 @@ fn too_long() -> WireError {
 }
 
 /// A value without what is inside it.
-pub(crate) enum Token<'a> {
+pub(crate) enum Item<'a> {
     Null,
     Bool(bool),
     Int(i64),
@@ -99,18 +99,18 @@ pub(crate) enum Token<'a> {
     Map(usize),
 }
 
-/// Reads values token by token, so that whoever passes them on needs no memory for all of them.
-pub(crate) struct TokenReader<'a> {
+/// Reads values item by item, so that whoever passes them on needs no memory for all of them.
+pub(crate) struct ItemReader<'a> {
     bytes: &'a Bytes,
     position: usize,
 }
 
-impl<'a> TokenReader<'a> {
-    pub(crate) fn new(bytes: &'a Bytes) -> TokenReader<'a> {
-        TokenReader { bytes, position: 0 }
+impl<'a> ItemReader<'a> {
+    pub(crate) fn new(bytes: &'a Bytes) -> ItemReader<'a> {
+        ItemReader { bytes, position: 0 }
     }
 
-    /// The position of the next token.
+    /// The position of the next item.
     pub(crate) fn position(&self) -> usize {
         self.position
     }
@@ -123,65 +123,65 @@ impl<'a> TokenReader<'a> {
         }
     }
 
-    pub(crate) fn token(&mut self) -> Result<Token<'a>, WireError> {
+    pub(crate) fn item(&mut self) -> Result<Item<'a>, WireError> {
         let start = self.position;
         let marker = Marker::from_u8(self.byte()?);
-        let token = match marker {
-            Marker::Null => Token::Null,
-            Marker::True => Token::Bool(true),
-            Marker::False => Token::Bool(false),
-            Marker::FixPos(number) => Token::Int(number.into()),
-            Marker::FixNeg(number) => Token::Int(number.into()),
-            Marker::U8 => Token::Int(self.array::<1>()?[0].into()),
-            Marker::U16 => Token::Int(u16::from_be_bytes(self.array()?).into()),
-            Marker::U32 => Token::Int(u32::from_be_bytes(self.array()?).into()),
+        let item = match marker {
+            Marker::Null => Item::Null,
+            Marker::True => Item::Bool(true),
+            Marker::False => Item::Bool(false),
+            Marker::FixPos(number) => Item::Int(number.into()),
+            Marker::FixNeg(number) => Item::Int(number.into()),
+            Marker::U8 => Item::Int(self.array::<1>()?[0].into()),
+            Marker::U16 => Item::Int(u16::from_be_bytes(self.array()?).into()),
+            Marker::U32 => Item::Int(u32::from_be_bytes(self.array()?).into()),
             Marker::U64 => match i64::try_from(u64::from_be_bytes(self.array()?)) {
-                Ok(number) => Token::Int(number),
+                Ok(number) => Item::Int(number),
                 Err(_) => return Err(bad_at(start, "a whole number above 2^63-1")),
             },
-            Marker::I8 => Token::Int(i8::from_be_bytes(self.array()?).into()),
-            Marker::I16 => Token::Int(i16::from_be_bytes(self.array()?).into()),
-            Marker::I32 => Token::Int(i32::from_be_bytes(self.array()?).into()),
-            Marker::I64 => Token::Int(i64::from_be_bytes(self.array()?)),
+            Marker::I8 => Item::Int(i8::from_be_bytes(self.array()?).into()),
+            Marker::I16 => Item::Int(i16::from_be_bytes(self.array()?).into()),
+            Marker::I32 => Item::Int(i32::from_be_bytes(self.array()?).into()),
+            Marker::I64 => Item::Int(i64::from_be_bytes(self.array()?)),
             Marker::F32 => finite(f32::from_be_bytes(self.array()?).into(), start)?,
             Marker::F64 => finite(f64::from_be_bytes(self.array()?), start)?,
             Marker::Bin8 | Marker::Bin16 | Marker::Bin32 => {
                 let length = self.length(marker)?;
-                Token::Binary(self.take(length)?)
+                Item::Binary(self.take(length)?)
             }
-            Marker::FixArray(_) | Marker::Array16 | Marker::Array32 => Token::List(self.length(marker)?),
-            Marker::FixMap(_) | Marker::Map16 | Marker::Map32 => Token::Map(self.length(marker)?),
+            Marker::FixArray(_) | Marker::Array16 | Marker::Array32 => Item::List(self.length(marker)?),
+            Marker::FixMap(_) | Marker::Map16 | Marker::Map32 => Item::Map(self.length(marker)?),
             Marker::FixStr(_) | Marker::Str8 | Marker::Str16 | Marker::Str32 => {
                 let length = self.length(marker)?;
-                Token::Text(self.text(length)?)
+                Item::Text(self.text(length)?)
             }
             Marker::FixExt4 | Marker::FixExt8 | Marker::Ext8 => self.time(marker, start)?,
             _ => return Err(bad_at(start, "a type that values do not have")),
         };
-        Ok(token)
+        Ok(item)
     }
 
     /// The key of a map's next member.
     pub(crate) fn key(&mut self) -> Result<&'a str, WireError> {
         let at = self.position;
-        match self.token()? {
-            Token::Text(key) => Ok(key),
+        match self.item()? {
+            Item::Text(key) => Ok(key),
             _ => Err(bad_at(at, "a key that is no string")),
         }
     }
 
     fn value(&mut self, depth: usize) -> Result<Value, WireError> {
         let start = self.position;
-        Ok(match self.token()? {
-            Token::Null => Value::Null,
-            Token::Bool(flag) => Value::Bool(flag),
-            Token::Int(number) => Value::Int(number),
-            Token::Double(number) => Value::Double(number),
-            Token::Text(text) => Value::String(text.to_owned()),
-            Token::Time(time) => Value::Time(time),
-            Token::Binary(bytes) => Value::Binary(bytes),
-            Token::List(length) => self.list(length, deeper(depth, start)?)?,
-            Token::Map(length) => self.map(length, deeper(depth, start)?)?,
+        Ok(match self.item()? {
+            Item::Null => Value::Null,
+            Item::Bool(flag) => Value::Bool(flag),
+            Item::Int(number) => Value::Int(number),
+            Item::Double(number) => Value::Double(number),
+            Item::Text(text) => Value::String(text.to_owned()),
+            Item::Time(time) => Value::Time(time),
+            Item::Binary(bytes) => Value::Binary(bytes),
+            Item::List(length) => self.list(length, deeper(depth, start)?)?,
+            Item::Map(length) => self.map(length, deeper(depth, start)?)?,
         })
     }
 
@@ -206,7 +206,7 @@ impl<'a> TokenReader<'a> {
         Ok(Value::Map(map))
     }
 
-    fn time(&mut self, marker: Marker, start: usize) -> Result<Token<'a>, WireError> {
+    fn time(&mut self, marker: Marker, start: usize) -> Result<Item<'a>, WireError> {
         let length = match marker {
             Marker::FixExt4 => 4,
             Marker::FixExt8 => 8,
@@ -234,7 +234,7 @@ impl<'a> TokenReader<'a> {
             .filter(|_| nanos < 1_000_000_000);
         micros
             .and_then(Time::from_micros)
-            .map(Token::Time)
+            .map(Item::Time)
             .ok_or_else(|| bad_at(start, "a time outside the years 0 to 9999"))
     }
 
@@ -288,9 +288,9 @@ impl<'a> TokenReader<'a> {
     }
 }
 
-fn finite<'a>(number: f64, position: usize) -> Result<Token<'a>, WireError> {
+fn finite<'a>(number: f64, position: usize) -> Result<Item<'a>, WireError> {
     match number.is_finite() {
-        true => Ok(Token::Double(number)),
+        true => Ok(Item::Double(number)),
         false => Err(bad_at(position, "a double that is not finite")),
     }
 }

@@ -62,6 +62,8 @@ pub struct Running {
     name: String,
     /// None once it was waited for.
     child: Option<Child>,
+    /// Where it keeps its state, unless its environment says otherwise.
+    _state: tempfile::TempDir,
     lines: mpsc::Receiver<String>,
 }
 
@@ -80,6 +82,10 @@ impl Running {
     /// If it cannot be started.
     pub fn start_with(name: &str, args: &[&str], environment: &[(&str, &str)], log: Stdio) -> Running {
         let mut command = Command::new(program(name));
+        let state = tempfile::tempdir().expect("a folder");
+        command
+            .env_remove("STATE_DIRECTORY")
+            .env("XDG_STATE_HOME", state.path());
         command.args(args).envs(environment.iter().copied());
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(log);
         let mut child = command.spawn().expect("the program starts");
@@ -95,6 +101,7 @@ impl Running {
         Running {
             name: name.to_owned(),
             child: Some(child),
+            _state: state,
             lines,
         }
     }

@@ -69,12 +69,22 @@ impl Home {
     /// # Panics
     /// If it does not start.
     pub async fn start_in(&self, environment: &[(&str, &str)]) -> Service {
+        self.start_logging(environment, append(&self.file(LOG))).await
+    }
+
+    /// The same with its log to somewhere else.
+    ///
+    /// # Panics
+    /// If it does not start.
+    pub async fn start_logging(&self, environment: &[(&str, &str)], stderr: Stdio) -> Service {
         let (config, log) = (self.file(CONFIG).display().to_string(), self.file(LOG));
-        let environment: Vec<(String, String)> = environment
+        let state = self.file("state-home").display().to_string();
+        let environment: Vec<(String, String)> = [("XDG_STATE_HOME", &*state)]
             .iter()
+            .chain(environment)
             .map(|(key, value)| ((*key).to_owned(), (*value).to_owned()))
             .collect();
-        let started = tokio::task::spawn_blocking(move || start(&config, &environment, log));
+        let started = tokio::task::spawn_blocking(move || start(&config, &environment, log, stderr));
         started.await.expect("the broker starts")
     }
 
@@ -93,7 +103,7 @@ fn read(file: &Path) -> String {
     std::fs::read_to_string(file).unwrap_or_else(|error| panic!("{}: {error}", file.display()))
 }
 
-fn start(config: &str, environment: &[(String, String)], log: PathBuf) -> Service {
+fn start(config: &str, environment: &[(String, String)], log: PathBuf, stderr: Stdio) -> Service {
     let environment: Vec<(&str, &str)> = environment
         .iter()
         .map(|(key, value)| (&**key, &**value))
@@ -101,7 +111,7 @@ fn start(config: &str, environment: &[(String, String)], log: PathBuf) -> Servic
     // Before it is started: what the environment is for must not befall the compiler.
     assert!(program("mom-broker").exists());
     let args = ["--config", config, "--listen", "127.0.0.1:0"];
-    let running = Running::start_with("mom-broker", &args, &environment, append(&log));
+    let running = Running::start_with("mom-broker", &args, &environment, stderr);
     let line = running.line_with("listening at");
     let address = line
         .split("tcp://")

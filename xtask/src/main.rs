@@ -1,5 +1,5 @@
 //! The project tasks of MOM: `cargo xtask ci`, `cargo xtask test`, `cargo xtask shuttle`, `cargo xtask tidy`, `cargo xtask
-//! mutants`, `cargo xtask instructions`, `cargo xtask bench-peers`.
+//! mutants`, `cargo xtask instructions`, `cargo xtask bench-peers`, `cargo xtask advisories`.
 //!
 //! Everything that CI demands can be run here by the same commands, so that nothing is found only after a push.
 #![allow(
@@ -8,6 +8,7 @@
     reason = "a program for people at a terminal"
 )]
 
+mod advisories;
 mod ci;
 mod command;
 mod instructions;
@@ -42,6 +43,7 @@ const EXAMPLES: &str = "Examples:
   cargo xtask bench-peers                     MOM beside other brokers, into docs/benchmarks.md
   cargo xtask bench-peers --quick --peers nats,redis
   cargo xtask instructions                    what the hot path costs, held to benches/instructions.toml
+  cargo xtask advisories                      known vulnerabilities of what we depend upon
   cargo xtask ci                              everything that must hold before a change lands";
 
 #[derive(Subcommand)]
@@ -68,6 +70,8 @@ enum Task {
         #[arg(long)]
         write: bool,
     },
+    /// Look for known vulnerabilities in what we depend upon; downloads the list of them, and says so where it cannot.
+    Advisories,
     /// Format, lints, docs, tidy, licences, tests: all that must hold before a change lands.
     Ci(InstallArgs),
 }
@@ -166,6 +170,7 @@ fn run(task: Task) -> Result<ExitCode> {
             )?;
             Ok(exit_code(instructions::run(&root, write)?))
         }
+        Task::Advisories => Ok(exit_code(advisories::run(&root)?)),
         Task::Tidy => Ok(exit_code(tidy::run(&root)?)),
         Task::Ci(args) => {
             needs::ensure(needs::FOR_CI, args.install, "cargo xtask ci")?;

@@ -15,6 +15,8 @@ pub struct ConfigError {
     pub key: Option<String>,
     /// What is wrong and what to do.
     pub text: String,
+    /// Nothing need be wrong: this process had no descriptor left to read the file with.
+    pub busy: bool,
 }
 
 impl ConfigError {
@@ -24,6 +26,7 @@ impl ConfigError {
             line: None,
             key: None,
             text: text.into(),
+            busy: false,
         }
     }
 }
@@ -38,6 +41,7 @@ impl From<SettingError> for ConfigError {
             line: None,
             key: Some(error.keys().join(".")),
             text: error.text,
+            busy: false,
         }
     }
 }

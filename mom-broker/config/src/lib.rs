@@ -7,6 +7,7 @@ mod load;
 mod locate;
 mod login;
 mod managers;
+mod replace;
 mod review;
 mod schema;
 mod users;
@@ -48,6 +49,8 @@ pub struct Config {
     pub connections_per_address: Option<usize>,
     /// Connections of one user; none = a quarter of all.
     pub connections_per_user: Option<usize>,
+    /// Bytes that may wait or be kept in the whole hub; none = a quarter of the machine's memory.
+    pub memory: Option<usize>,
     /// What to log, in the words of `tracing`'s filters.
     pub log: String,
     /// When the file is read again.
@@ -71,6 +74,7 @@ pub struct Config {
     /// The users.
     pub users: Vec<UserEntry>,
     source: Option<SourceText>,
+    users_source: Option<SourceText>,
 }
 
 /// When the configuration file is read again.
@@ -110,6 +114,7 @@ impl Default for Config {
             connections_before_login: None,
             connections_per_address: None,
             connections_per_user: None,
+            memory: None,
             log: "info".to_owned(),
             reload: ReloadOn::default(),
             limits: Limits::default(),
@@ -122,6 +127,7 @@ impl Default for Config {
             contexts: Vec::new(),
             users: Vec::new(),
             source: None,
+            users_source: None,
         }
     }
 }
@@ -144,6 +150,12 @@ impl Config {
             per_address: per_address.min(before_login),
             per_user: per_user.min(all),
         }
+    }
+
+    /// The bytes that may wait or be kept in the whole hub.
+    pub fn memory_bound(&self) -> usize {
+        let quarter = || mom_system::machine_memory().map_or(usize::MAX, |all| all / 4);
+        self.memory.unwrap_or_else(quarter)
     }
 
     /// Checks everything that can be checked without starting: managers, contexts, paths.

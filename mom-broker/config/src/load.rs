@@ -25,6 +25,7 @@ struct ConfigDocument {
     connections_before_login: Option<usize>,
     connections_per_address: Option<usize>,
     connections_per_user: Option<usize>,
+    memory: Option<usize>,
     log: String,
     reload: ReloadOn,
     users: Option<String>,
@@ -46,6 +47,7 @@ impl Default for ConfigDocument {
             connections_before_login,
             connections_per_address,
             connections_per_user,
+            memory,
             log,
             reload,
             limits,
@@ -64,6 +66,7 @@ impl Default for ConfigDocument {
             connections_before_login,
             connections_per_address,
             connections_per_user,
+            memory,
             log,
             reload,
             users: None,
@@ -87,7 +90,7 @@ impl Config {
     pub fn load(path: &Path) -> Result<Config, ConfigError> {
         let folder = path.parent().unwrap_or(Path::new("."));
         let mut config = Config::parse(read(path)?, |name| read(&folder.join(name)))?;
-        config.store.path = config.store.path.map(|store| folder.join(store));
+        config.store.resolve(folder);
         Ok(config)
     }
 
@@ -114,17 +117,20 @@ impl Config {
         let folder = Path::new(&source.name).parent().unwrap_or(Path::new("."));
         file.audit.resolve(folder);
         file.record.resolve(folder);
-        let users = match &file.users {
-            Some(name) => {
-                let users = beside(name).map_err(|error| source.error(&["users"], error.to_string()))?;
-                users::parse(&users, file.login.guests)?
-            }
+        let unread = |keys: &[&str], error: ConfigError| ConfigError {
+            busy: error.busy,
+            ..source.error(keys, error.to_string())
+        };
+        let users_source = file.users.as_deref().map(&beside).transpose();
+        let users_source = users_source.map_err(|error| unread(&["users"], error))?;
+        let users = match &users_source {
+            Some(users) => users::parse(users, file.login.guests)?,
             None => Vec::new(),
         };
         if let Some(jwt) = &mut file.login.jwt {
-            let unread = |error: ConfigError| source.error(&["login", "jwt", "key"], error.to_string());
+            let text = |name: &str| beside(name).map(|file| file.text);
             jwt.key
-                .read(|name| beside(name).map(|file| file.text).map_err(unread))?;
+                .read(|name| text(name).map_err(|error| unread(&["login", "jwt", "key"], error)))?;
         }
         let config = Config {
             listen: file.listen,
@@ -132,6 +138,7 @@ impl Config {
             connections_before_login: file.connections_before_login,
             connections_per_address: file.connections_per_address,
             connections_per_user: file.connections_per_user,
+            memory: file.memory,
             log: file.log,
             reload: file.reload,
             limits: file.limits,
@@ -144,6 +151,7 @@ impl Config {
             contexts: file.contexts,
             users,
             source: Some(source),
+            users_source,
         };
         config.check()?;
         Ok(config)
@@ -154,7 +162,10 @@ fn read(path: &Path) -> Result<SourceText, ConfigError> {
     let name = path.display().to_string();
     match std::fs::read_to_string(path) {
         Ok(text) => Ok(SourceText { name, text }),
-        Err(error) => Err(ConfigError::of_file(&name, format!("cannot be read: {error}"))),
+        Err(error) => Err(ConfigError {
+            busy: matches!(error.raw_os_error(), Some(libc::EMFILE | libc::ENFILE)),
+            ..ConfigError::of_file(&name, format!("cannot be read: {error}"))
+        }),
     }
 }
 
@@ -172,6 +183,7 @@ fn check(file: &ConfigDocument, source: &SourceText) -> Result<(), ConfigError> 
         ),
         ("connections-per-address", per_address, "connections-per-address"),
         ("connections-per-user", per_user, "connections-per-user"),
+        ("memory", given(file.memory), "memory"),
         ("limits", file.limits.heartbeat, "heartbeat"),
         ("limits", file.limits.gone, "gone"),
         ("limits", file.limits.login_time, "login-time"),
@@ -242,14 +254,11 @@ fn check_files(file: &ConfigDocument, source: &SourceText) -> Result<(), ConfigE
             return Err(source.error(&[table, "size"], text));
         }
     }
-    if file
-        .store
-        .path
-        .as_ref()
-        .is_some_and(|path| path.as_os_str().is_empty())
-    {
-        let text = "path is a directory such as \"state\", relative to this file";
-        return Err(source.error(&["store", "path"], text.into()));
+    for (key, path) in [("path", &file.store.path), ("state", &file.store.state)] {
+        if path.as_ref().is_some_and(|path| path.as_os_str().is_empty()) {
+            let text = format!("{key} is a directory such as \"state\", relative to this file");
+            return Err(source.error(&["store", key], text));
+        }
     }
     Ok(())
 }

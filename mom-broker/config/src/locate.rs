@@ -44,6 +44,7 @@ impl SourceText {
             line,
             key,
             text,
+            busy: false,
         }
     }
 
@@ -55,6 +56,7 @@ impl SourceText {
             line,
             key: Some(key_text(keys)),
             text,
+            busy: false,
         }
     }
 
@@ -176,6 +178,7 @@ impl Config {
                 line: None,
                 key: Some(key_text(keys)),
                 text,
+                busy: false,
             },
         }
     }

@@ -9,13 +9,15 @@ use parking_lot::Mutex;
 
 use crate::audit::{AuditConfig, AuditLog, Fact};
 use crate::record::{RecordConfig, Recorder};
-use crate::{ConfigFile, WriteError};
+use crate::{ConfigFile, FoldedLines, WriteError};
 
-/// The audit log and the recording of a broker.
+/// The audit log and the recording of a broker, and what of its log is counted.
 #[derive(Debug)]
 pub struct Tap {
     /// The audit log, for facts that the hub does not know.
     pub audit: AuditLog,
+    /// What is counted in the log instead of written line by line.
+    pub lines: FoldedLines,
     recorder: Option<Recorder>,
     clock: Clock,
     /// The hub's configuration, or the one about to be applied.
@@ -37,11 +39,12 @@ impl Tap {
         let recorder = Recorder::start(record, settings, &config);
         let tap = Tap {
             audit: log.map_err(WriteError::of("audit log", audit.path.as_deref()))?,
+            lines: FoldedLines::default(),
             recorder: recorder.map_err(WriteError::of("recording", record.path.as_deref()))?,
             clock: clock.clone(),
             config: Mutex::new(config),
         };
-        let mut started = Fact::of(clock.wall(), "started");
+        let mut started = Fact::of(clock.civil(), "started");
         started
             .more
             .push(("version", env!("CARGO_PKG_VERSION").to_owned()));
@@ -60,7 +63,7 @@ impl Tap {
         let now = self.clock.now();
         let peer = match &input {
             Input::Login { peer, .. } | Input::Request { peer, .. } | Input::Gone { peer } => Some(*peer),
-            Input::Stored { .. } | Input::Configure(_) | Input::Tick => None,
+            Input::Stored { .. } | Input::Configure(_) | Input::Tick | Input::Wall { .. } => None,
         };
         if let Input::Login { peer, user, .. } = &input {
             self.audit.is_user(*peer, &user.name);
@@ -77,7 +80,7 @@ impl Tap {
         if let (Some(recorder), Some(noted)) = (&self.recorder, noted) {
             recorder.decided(now, noted, effects, hub.deadline());
         }
-        let at = self.clock.wall_at(now);
+        let at = self.clock.civil();
         let complete = |fact: &mut Fact| {
             if let (Some(config), "configured") = (&configured, fact.audit.what) {
                 name_config(fact, config);
@@ -112,7 +115,7 @@ impl Tap {
             by: word("owner"),
             ..Audit::new("refused")
         };
-        self.audit.refused(Fact::new(self.clock.wall(), audit));
+        self.audit.refused(Fact::new(self.clock.civil(), audit));
     }
 
     /// Notes a refused login. `user` is the claimed user, if there is one of that name.
@@ -125,13 +128,14 @@ impl Tap {
             code: Some(code.clone()),
             ..Audit::new("refused")
         };
-        let fact = Fact::new(self.clock.wall(), audit);
+        let fact = Fact::new(self.clock.civil(), audit);
         self.audit.login(peer, fact);
     }
 
     /// Writes `stopped` and waits until all is written.
     pub async fn stop(&self) {
-        self.audit.note(Fact::of(self.clock.wall(), "stopped"));
+        self.lines.report(self.clock.now(), true);
+        self.audit.note(Fact::of(self.clock.civil(), "stopped"));
         self.audit.flush().await;
         if let Some(recorder) = &self.recorder {
             recorder.end().await;

@@ -19,8 +19,8 @@ use std::sync::Arc;
 
 use dashmap::DashMap;
 use mom_hub::{PeerId, User};
-use mom_proto::{Code, Micros, Parcel, Time, WireError};
-use mom_system::Clock;
+use mom_proto::{Code, Parcel, Time, WireError};
+use mom_system::{Clock, Expiry};
 use parking_lot::RwLock;
 
 use self::book::{Book, Identity};
@@ -159,8 +159,9 @@ impl Logins {
     /// # Errors
     /// Why it is refused.
     pub async fn check(&self, parcel: &Parcel, from: Option<IpAddr>) -> Result<LoginStep, WireError> {
-        let LoginRequest { proof, nickname } = LoginRequest::read(parcel)?;
         let book = self.book();
+        let request = LoginRequest::read(parcel).map_err(|error| self.malformed(&book, from, error));
+        let LoginRequest { proof, nickname } = request?;
         let (standing, until) = match proof {
             ClaimedProof::Password { name, password } => {
                 (self.by_password(&book, &name, password, from).await?, None)
@@ -187,8 +188,8 @@ impl Logins {
         challenge: Option<Challenge>,
         from: Option<IpAddr>,
     ) -> Result<Granted, WireError> {
-        let signature = read_signature(parcel)?;
         let book = self.book();
+        let signature = read_signature(parcel).map_err(|error| self.malformed(&book, from, error))?;
         // Not throttled: who has the key gets in whatever others try, and a signature cannot be guessed.
         let attempt = self.attempt(&book, from, None);
         let challenge = challenge.filter(|challenge| challenge.is_open(self.clock.now()));
@@ -222,7 +223,7 @@ impl Logins {
         peer: PeerId,
         granted: Granted,
         decide: impl FnOnce(User, Option<String>),
-    ) -> Result<Option<Micros>, WireError> {
+    ) -> Result<Option<Expiry>, WireError> {
         let Granted {
             mut standing,
             nickname,
@@ -249,7 +250,7 @@ impl Logins {
         }
         self.peers.insert(peer, standing);
         decide(user, nickname);
-        Ok(until.map(|until| self.monotonic(until)))
+        Ok(until.map(|until| self.clock.expiry(until)))
     }
 
     /// A peer is gone.
@@ -313,7 +314,7 @@ impl Logins {
         password::check_private(from, "token")?;
         // As with keys.
         let attempt = self.attempt(book, from, None);
-        let standing = book.bearer(token, self.clock.wall());
+        let standing = book.bearer(token, self.clock.civil());
         if standing.is_err() {
             attempt.fail();
         }
@@ -353,6 +354,21 @@ impl Logins {
         }
     }
 
+    /// Counts a login that cannot be read as a failed attempt, unless only the name was not a valid one; gives what its
+    /// sender hears.
+    fn malformed(&self, book: &Book, from: Option<IpAddr>, error: WireError) -> WireError {
+        if error.code == Code::BAD_NAME {
+            return error;
+        }
+        match self.enter(book, from, None) {
+            Ok(attempt) => {
+                attempt.fail();
+                error
+            }
+            Err(later) => later,
+        }
+    }
+
     /// An attempt, unless the throttle makes it wait.
     fn enter<'a>(
         &'a self,
@@ -371,12 +387,6 @@ impl Logins {
                 WireError::new(Code::TRY_LATER, "too many logins have failed").retry_after(wait)
             })?;
         Ok(attempt)
-    }
-
-    /// The broker's monotonic time at a wall time.
-    fn monotonic(&self, wall: Time) -> Micros {
-        let since = wall.micros().saturating_sub(self.clock.anchor().micros());
-        u64::try_from(since).unwrap_or_default()
     }
 }
 

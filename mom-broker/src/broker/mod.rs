@@ -21,8 +21,14 @@ use crate::connection::{DRAIN, Doors, Listener, Services, Serving, listen, login
 use crate::traffic::encodings::Bounds;
 use crate::traffic::switchboard::{Switchboard, Touched, flush};
 
-/// What is dropped is told to senders and receivers this often at most.
+/// What is dropped is told to senders and receivers this often at most; counted log lines are looked at as often.
 const REPORTS: Duration = Duration::from_millis(250);
+
+/// While the hub is tight, what can be done about it is done this often.
+const RELIEF: Duration = Duration::from_millis(20);
+
+/// The wall clock is looked at this often.
+const WALL_CLOCK: Duration = Duration::from_secs(1);
 
 /// Part of `DRAIN` reserved for store writes caused by disconnects.
 const LAST_RECORDS: Duration = Duration::from_secs(1);
@@ -108,6 +114,10 @@ impl Broker {
             settings.epoch = opened.epoch;
             settings.records = opened.records;
             (store, answers) = (Some(opened.store), Some(opened.answers));
+        } else if let Some(epoch) =
+            mom_store::take_epoch(config.store.state.as_deref(), clock.anchor()).await?
+        {
+            settings.epoch = epoch;
         }
         let hub = config.make_hub(settings.clone())?;
         let journal = (&config.audit, &config.record);
@@ -120,6 +130,7 @@ impl Broker {
             .map_err(ConfigError::from)?;
         remember_places(&mut logins, config.store.path.as_deref());
         let board = Switchboard::new(hub, clock, bounds, store, tap);
+        board.memory.set_bound(config.memory_bound());
         let services = Services::new(board, logins, config.limits.clone());
         let (stopping, stop) = watch::channel(false);
         let doors = Arc::new(Doors::new(config.connection_caps()));
@@ -143,7 +154,9 @@ impl Broker {
             tasks.spawn(take_answers(Arc::clone(&services.board), answers));
         }
         tasks.spawn(keep_deadlines(Arc::clone(&services.board), stop.clone()));
-        tasks.spawn(report_drops(Arc::clone(&services.board), stop));
+        tasks.spawn(keep_memory(Arc::clone(&services.board), stop.clone()));
+        tasks.spawn(follow_wall_clock(Arc::clone(&services.board), stop.clone()));
+        tasks.spawn(report(Arc::clone(&services.board), stop));
         tracing::info!(?addresses, "broker started");
         Ok(Broker {
             services,
@@ -255,6 +268,39 @@ async fn keep_deadlines(board: Arc<Switchboard>, mut stop: watch::Receiver<bool>
     }
 }
 
+/// Looks whether the wall clock was set, and tells the hub.
+async fn follow_wall_clock(board: Arc<Switchboard>, mut stop: watch::Receiver<bool>) {
+    let mut steps = board.clock.steps();
+    loop {
+        tokio::select! {
+            _ = stop.changed() => return,
+            () = tokio::time::sleep(WALL_CLOCK) => board.clock.follow(),
+            Ok(()) = steps.changed() => {
+                let ahead = *steps.borrow_and_update();
+                let time = board.clock.civil();
+                tracing::warn!(%time, "the wall clock was set; leases and deadlines go on as before");
+                let mut touched = Touched::new();
+                board.decide(Input::Wall { ahead }, &mut touched);
+                flush(&mut touched);
+            }
+        }
+    }
+}
+
+/// Holds what waits within the bound on memory.
+async fn keep_memory(board: Arc<Switchboard>, mut stop: watch::Receiver<bool>) {
+    loop {
+        tokio::select! {
+            _ = stop.changed() => return,
+            () = board.memory.tight() => board.relieve(),
+        }
+        tokio::select! {
+            _ = stop.changed() => return,
+            () = tokio::time::sleep(RELIEF) => {}
+        }
+    }
+}
+
 /// Tells the hub which of its records are durable; ends with the store.
 async fn take_answers(board: Arc<Switchboard>, mut answers: mpsc::UnboundedReceiver<StoreAnswer>) {
     while let Some((ticket, ok)) = answers.recv().await {
@@ -264,7 +310,8 @@ async fn take_answers(board: Arc<Switchboard>, mut answers: mpsc::UnboundedRecei
     }
 }
 
-async fn report_drops(board: Arc<Switchboard>, mut stop: watch::Receiver<bool>) {
+/// Tells peers what was dropped, and the log what was counted.
+async fn report(board: Arc<Switchboard>, mut stop: watch::Receiver<bool>) {
     loop {
         tokio::select! {
             _ = stop.changed() => return,
@@ -272,6 +319,7 @@ async fn report_drops(board: Arc<Switchboard>, mut stop: watch::Receiver<bool>) 
                 let mut touched = Touched::new();
                 board.report_drops(&mut touched);
                 flush(&mut touched);
+                board.tap.lines.report(board.clock.now(), false);
             }
         }
     }

@@ -1,10 +1,12 @@
 //! From a listening socket to a connection that is served.
 
+use std::io::Write;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
 use mom_net::{NetError, Transceiver};
+use mom_proto::codec::Form;
 use mom_proto::{Limits, WireError};
 use tokio::net::{TcpListener, TcpSocket, TcpStream, lookup_host};
 use tokio::sync::{oneshot, watch};
@@ -65,17 +67,33 @@ impl Listener {
                         let services = self.services.fresh();
                         drop(served.spawn(services.take_in(stream, from, (seat, told))));
                     }
-                    Err(error) => refuse(&stream, &error).await,
+                    Err(error) => self.refuse(stream, from, &error),
                 },
                 Err(error) => {
                     // Mostly no descriptors left: existing connections go on, new ones wait a moment.
-                    tracing::warn!(%error, "cannot accept");
+                    if self.services.is_first("cannot accept", None, None) {
+                        tracing::warn!(%error, "cannot accept");
+                    }
                     tokio::time::sleep(Duration::from_millis(100)).await;
                 }
             }
         }
         drop(listener);
         while served.join_next().await.is_some() {}
+    }
+
+    /// Tells a peer that there is no place for it.
+    fn refuse(&self, stream: TcpStream, from: SocketAddr, error: &WireError) {
+        let event = "too many connections";
+        if self.services.is_first(event, Some(from.ip()), None) {
+            tracing::warn!(%from, "{event}");
+        }
+        // Once, and without waiting for anything: others wait to be accepted. Not by tokio, which has to wait before it
+        // knows that a new socket takes something.
+        if let (Ok(encoded), Ok(mut stream)) = (Form::Xml.encode(&error.to_parcel(None)), stream.into_std()) {
+            // The peer is closed either way.
+            let _ = stream.write(&encoded.head);
+        }
     }
 }
 
@@ -128,7 +146,9 @@ impl Services {
                 Some(Serving::begin(self, transceiver, from, Some(seat), login_by))
             }
             Err(error) => {
-                tracing::info!(%from, %error, "refused");
+                if self.is_first("refused", Some(from.ip()), None) {
+                    tracing::info!(%from, %error, "refused");
+                }
                 None
             }
         }
@@ -137,14 +157,4 @@ impl Services {
 
 pub(crate) fn login_time(limits: &Limits) -> Duration {
     Duration::from_millis(limits.login_time)
-}
-
-async fn refuse(stream: &TcpStream, error: &WireError) {
-    tracing::warn!("too many connections");
-    if let Ok(encoded) = mom_proto::codec::Form::Xml.encode(&error.to_parcel(None)) {
-        // Best effort and without waiting: the peer is closed either way.
-        if stream.writable().await.is_ok() {
-            let _ = stream.try_write(&encoded.head);
-        }
-    }
 }

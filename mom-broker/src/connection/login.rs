@@ -62,16 +62,16 @@ impl Connection {
 
     /// Waits until the proof of who the peer is, if it is one for a time, is over.
     pub(super) async fn proof_over(&self) {
-        match self.proven_until {
-            Some(until) => Box::pin(self.services.board.clock.reach(until)).await,
+        match self.proven_until.as_deref() {
+            Some(until) => Box::pin(self.services.board.clock.reach_expiry(*until)).await,
             None => std::future::pending().await,
         }
     }
 
     /// Whether it is over by now.
     pub(super) fn is_proof_over(&self) -> bool {
-        self.proven_until
-            .is_some_and(|until| self.services.board.clock.now() >= until)
+        let until = self.proven_until.as_deref();
+        until.is_some_and(|until| self.services.board.clock.is_over(*until))
     }
 
     fn challenge(&mut self, challenge: Challenge, reference: Option<u64>, touched: &mut Touched) {
@@ -94,7 +94,13 @@ impl Connection {
         if let Some(seat) = &mut self.seat {
             seat.log_in(granted.user())?;
         }
-        tracing::info!(peer = peer.0, user = granted.user(), origin = ?granted.origin(), from = ?self.from, "logged in");
+        if self
+            .services
+            .is_first("logged in", self.from, Some(granted.user()))
+        {
+            tracing::info!(peer = peer.0, user = granted.user(), origin = ?granted.origin(), from = ?self.from, "logged in");
+        }
+        let account = board.memory.account(&granted.user().into());
         let logged_in = &mut self.logged_in;
         let decide = |user, nickname| {
             // First: whatever happens then, the hub hears of the end.
@@ -107,11 +113,13 @@ impl Connection {
             };
             board.decide(login, touched);
         };
-        self.proven_until = self.services.logins.admit(peer, granted, decide)?;
+        let until = self.services.logins.admit(peer, granted, decide)?;
+        self.proven_until = until.map(Box::new);
         reader.set_limits(&self.services.limits);
         let name = board.peer_name(peer).unwrap_or_default();
         let limits = &self.services.limits;
-        self.outbox.admit(limits.outbox, limits.parcel, name);
+        self.charge = Some(account.charge(0));
+        self.outbox.admit(limits.outbox, limits.parcel, name, account);
         Ok(())
     }
 
@@ -123,8 +131,13 @@ impl Connection {
         touched: &mut Touched,
     ) -> Result<(), WireError> {
         self.audit_login(claimed.clone(), &error.code);
-        tracing::info!(peer = self.peer.0, from = ?self.from, code = %error.code, "login refused");
-        if error.code == Code::BAD_LOGIN {
+        if self
+            .services
+            .is_first("login refused", self.from, Some(error.code.word()))
+        {
+            tracing::info!(peer = self.peer.0, from = ?self.from, code = %error.code, "login refused");
+        }
+        if [Code::BAD_LOGIN, Code::BAD_CONTENT].contains(&error.code) {
             self.failures += 1;
         }
         if error.code.closes() {

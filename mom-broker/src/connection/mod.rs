@@ -15,17 +15,19 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use mom_hub::{Input, PeerClock, PeerId};
-use mom_login::{Challenge, Logins};
+use mom_login::{Challenge, Logins, network};
 use mom_net::{NetError, Reader};
 use mom_proto::codec::Frame;
 use mom_proto::xml::DeferredEntity;
 use mom_proto::{Code, Content, Family, Limits, Micros, Parcel, Verb, WireError};
+use mom_system::Expiry;
 use parking_lot::RwLock;
 use tokio::sync::oneshot;
 use tokio::time::{Instant, timeout_at};
 
 use crate::traffic::capacity::WaitingMessage;
 use crate::traffic::channel::Sender;
+use crate::traffic::memory::{Charge, Gate, over_memory};
 use crate::traffic::outbox::Outbox;
 use crate::traffic::switchboard::{Handled, Switchboard, Touched, flush};
 
@@ -38,6 +40,9 @@ pub(crate) use serving::{DRAIN, Serving};
 /// Frames after which a reader flushes and yields: a peer inside this process may never pause, and whoever adds
 /// something that is not urgent to an outbox that somebody has touched leaves the flush to that one.
 const FRAMES: usize = 256;
+
+/// Unfinished parcels of fewer bytes are not charged: most are here for a moment.
+const SMALL: usize = 16 * 1024;
 
 /// What a connection has to know of its broker.
 #[derive(Clone, Debug)]
@@ -59,6 +64,12 @@ impl Services {
             next_limits: Arc::new(RwLock::new(Arc::clone(&limits))),
             limits,
         }
+    }
+
+    /// Whether a log line is the first of its kind from an address for a while; otherwise it is counted.
+    fn is_first(&self, event: &'static str, from: Option<IpAddr>, detail: Option<&str>) -> bool {
+        let lines = &self.board.tap.lines;
+        lines.first(event, from.map(network), detail, self.board.clock.now())
     }
 
     /// For a new connection.
@@ -93,8 +104,10 @@ struct Connection {
     /// What a key has to answer.
     challenge: Option<Box<Challenge>>,
     /// When the proof of who it is will be over, none if it lasts.
-    proven_until: Option<Micros>,
+    proven_until: Option<Box<Expiry>>,
     requests: requests::Requests,
+    /// What is here of parcels that are not whole, charged to the user; none before login.
+    charge: Option<Charge>,
     ended: bool,
 }
 
@@ -104,6 +117,8 @@ enum Next {
     Frame,
     /// It logs its peer in.
     Login(Box<Parcel>),
+    /// It waits until the hub has memory for a message.
+    Memory(Box<Parcel>),
     /// It waits for capacity for a message of this id.
     Capacity(Box<WaitingMessage>, Option<u64>),
 }
@@ -134,6 +149,11 @@ impl Connection {
             }
             let outbox = Arc::clone(&self.outbox);
             loop {
+                if self.charge.as_ref().is_some_and(Charge::is_held)
+                    && let Err(end) = Box::pin(self.wait_for_memory(&mut Touched::new())).await
+                {
+                    return end;
+                }
                 let wake = self.deadline(login_by).min(self.beat_at);
                 let arrived = tokio::select! {
                     biased;
@@ -207,8 +227,15 @@ impl Connection {
                     Ok(Some(frame)) => frame,
                     Err(error) => break Err(self.failed(error)),
                 };
-                match self.handle(frame, &mut touched) {
-                    Next::Frame => {}
+                let mut next = self.handle(frame, &mut touched);
+                if let Next::Memory(message) = next {
+                    if let Err(end) = Box::pin(self.wait_for_memory(&mut touched)).await {
+                        break Err(end);
+                    }
+                    next = self.send(message, &mut touched);
+                }
+                match next {
+                    Next::Frame | Next::Memory(_) => {}
                     Next::Login(login) => {
                         // Apart, for it is rare and needs more memory than all the rest of a connection.
                         let login = Box::pin(self.login(reader, &login, &mut touched));
@@ -232,6 +259,7 @@ impl Connection {
             }
         };
         flush(&mut touched);
+        self.count_held(reader);
         if handled > 0 {
             self.outbox.heard.store(true, Ordering::Relaxed);
             self.heard_at = Instant::now();
@@ -246,7 +274,7 @@ impl Connection {
             peer: self.peer,
             clock: &clock,
         };
-        self.logged_in && self.services.board.run(&sender, reader, touched)
+        self.gate() == Gate::Open && self.logged_in && self.services.board.run(&sender, reader, touched)
     }
 
     /// Has a large document read by a thread that gives way to this one, and waits for that; gives the error to say if
@@ -327,21 +355,10 @@ impl Connection {
         };
         match parcel.family {
             Family::Message if self.logged_in => {
-                let reference = parcel.id;
-                let clock = |now| self.peer_clock(now);
-                let sender = Sender {
-                    peer: self.peer,
-                    clock: &clock,
+                return match self.gate() == Gate::Open || is_control(&parcel) {
+                    true => self.send(parcel, touched),
+                    false => Next::Memory(parcel),
                 };
-                match self
-                    .services
-                    .board
-                    .message(&sender, &self.services.limits, parcel, touched)
-                {
-                    Ok(Handled::Done) => {}
-                    Ok(Handled::Waits(held)) => return Next::Capacity(held, reference),
-                    Err(error) => self.refuse(&error, reference, touched),
-                }
             }
             Family::Time => self.time(&parcel, touched),
             Family::Login if login::concerns(&parcel) => return Next::Login(parcel),
@@ -377,6 +394,64 @@ impl Connection {
             }
         }
         Next::Frame
+    }
+
+    /// Sends a message, unless the hub has no memory for more of this user.
+    fn send(&self, parcel: Box<Parcel>, touched: &mut Touched) -> Next {
+        let reference = parcel.id;
+        if self.gate() == Gate::Refused && !is_control(&parcel) {
+            self.refuse(&over_memory(), reference, touched);
+            return Next::Frame;
+        }
+        let clock = |now| self.peer_clock(now);
+        let sender = Sender {
+            peer: self.peer,
+            clock: &clock,
+        };
+        match self
+            .services
+            .board
+            .message(&sender, &self.services.limits, parcel, touched)
+        {
+            Ok(Handled::Done) => {}
+            Ok(Handled::Waits(held)) => return Next::Capacity(held, reference),
+            Err(error) => self.refuse(&error, reference, touched),
+        }
+        Next::Frame
+    }
+
+    /// Whether the hub has memory for more of this user.
+    fn gate(&self) -> Gate {
+        self.charge
+            .as_ref()
+            .map_or(Gate::Open, |charge| charge.account().gate())
+    }
+
+    /// Charges what is here of parcels that are not whole, and is not small.
+    fn count_held(&mut self, reader: &Reader) {
+        if let Some(charge) = &mut self.charge {
+            let held = reader.held();
+            charge.set(if held > SMALL { held } else { 0 });
+        }
+    }
+
+    /// Waits until the hub has memory for more of this user, as long as a sender waits; gives the error to say if the
+    /// connection ends meanwhile. Nothing is read meanwhile, so the network holds the peer back.
+    async fn wait_for_memory(&mut self, touched: &mut Touched) -> Result<(), Option<WireError>> {
+        flush(touched);
+        let Some(account) = self.charge.as_ref().map(|charge| Arc::clone(charge.account())) else {
+            return Ok(());
+        };
+        let (outbox, clock) = (Arc::clone(&self.outbox), &self.services.board.clock);
+        let until = clock
+            .now()
+            .saturating_add(self.services.limits.send_wait.saturating_mul(1000));
+        tokio::select! {
+            biased;
+            () = outbox.end.notified() => Err(outbox.closing().and_then(|closing| closing.error)),
+            () = self.proof_over() => Err(Some(login::proof_over())),
+            () = account.relieved(clock, until) => Ok(()),
+        }
     }
 
     fn time(&mut self, parcel: &Parcel, touched: &mut Touched) {
@@ -425,16 +500,29 @@ impl Connection {
         self.services.logins.forget(self.peer);
         if self.logged_in {
             let name = self.services.board.peer_name(self.peer).unwrap_or_default();
+            let user = self.services.board.tap.audit.user(self.peer);
             self.services
                 .board
                 .decide(Input::Gone { peer: self.peer }, &mut touched);
-            tracing::info!(peer = self.peer.0, %name, code = ?error.as_ref().map(|error| error.code.word()), "gone");
-        } else if let Some(error) = &error {
+            if self.services.is_first("gone", self.from, user.as_deref()) {
+                tracing::info!(peer = self.peer.0, %name, code = ?error.as_ref().map(|error| error.code.word()), "gone");
+            }
+        } else if let Some(error) = &error
+            && self
+                .services
+                .is_first("closed", self.from, Some(error.code.word()))
+        {
             tracing::info!(peer = self.peer.0, from = ?self.from, code = %error.code, "closed");
         }
         self.services.board.close(&self.outbox, error);
         flush(&mut touched);
     }
+}
+
+/// Whether a message is never refused for memory.
+fn is_control(parcel: &Parcel) -> bool {
+    let verb = Verb::of(parcel.family, &parcel.name);
+    matches!(verb, Ok(Verb::Stop | Verb::Unstop))
 }
 
 /// Content that took so long to read stays closed from here on: it is measured, counted and passed on at no cost.

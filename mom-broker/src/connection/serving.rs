@@ -70,6 +70,7 @@ impl Serving {
             challenge: None,
             proven_until: None,
             requests: requests::Requests::default(),
+            charge: None,
             ended: false,
         };
         Serving {

@@ -1,6 +1,7 @@
 //! The command line: one file per command.
 
 mod check;
+mod descriptors;
 mod explain;
 mod passwd;
 mod schema;

@@ -2,12 +2,15 @@
 
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
+use std::time::Duration;
 
 use anyhow::{Context, Result};
-use mom_broker::{Broker, Config, ConfigError, ReloadOn};
+use mom_broker::{Broker, BrokerError, Config, ConfigError, ReloadOn};
+use mom_journal::LogWriter;
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
+use super::descriptors;
 use super::watch::FileWatch;
 
 #[derive(clap::Args)]
@@ -26,6 +29,22 @@ pub(super) struct ServeArgs {
     log_json: bool,
 }
 
+/// How long an ending broker waits for what it has logged to be written.
+const LAST_LINES: Duration = Duration::from_secs(1);
+
+/// Files that no descriptor was left for are read again after so long.
+const AGAIN: Duration = Duration::from_millis(500);
+
+/// What became of reading the files again.
+enum Reloaded {
+    /// They hold from now on, and say when they are to be read next.
+    Taken(ReloadOn),
+    /// They are wrong, which was logged.
+    Refused,
+    /// There was no descriptor to read them with.
+    Unread(ConfigError),
+}
+
 /// Changes what is logged.
 type LogFilter = Box<dyn Fn(EnvFilter) -> Result<()>>;
 
@@ -33,20 +52,23 @@ pub(super) fn run(args: &ServeArgs) -> Result<()> {
     // Started before the file is first read, so that no change is missed.
     let watch = args.config.clone().map(FileWatch::new);
     let config = args.load()?;
-    let log_filter = log(&config.log, args.log_json)?;
+    let lines = LogWriter::start(std::io::stderr()).context("cannot start the log's thread")?;
+    let log_filter = log(&config.log, args.log_json, &lines)?;
     if args.config.is_none() {
         tracing::warn!("no configuration: nobody can log in; try --config config/lab.toml");
     } else if config.store.path.is_none() {
         tracing::warn!(
-            "no [store]: tokens are forgotten when the broker ends, and fences begin anew by the wall clock"
+            "no [store] path: who owns which token is forgotten when the broker ends; only fences go on rising"
         );
     }
     let runtime = tokio::runtime::Runtime::new().context("cannot start the runtime")?;
-    runtime.block_on(args.serve(config, watch, &log_filter))
+    let ended = runtime.block_on(args.serve(config, watch, &log_filter));
+    lines.finish(LAST_LINES);
+    ended
 }
 
 impl ServeArgs {
-    fn load(&self) -> Result<Config, ConfigError> {
+    fn load(&self) -> Result<Config, BrokerError> {
         let mut config = match &self.config {
             Some(file) => Config::load(file)?,
             None => Config::default(),
@@ -57,6 +79,7 @@ impl ServeArgs {
         if self.record.is_some() {
             config.record.path.clone_from(&self.record);
         }
+        config.store.keep_state(|name| std::env::var_os(name))?;
         Ok(config)
     }
 
@@ -70,6 +93,8 @@ impl ServeArgs {
         let mut interrupt = signal(SignalKind::interrupt()).context("cannot wait for Ctrl-C")?;
         let mut hang_up = signal(SignalKind::hangup()).context("cannot wait for SIGHUP")?;
         let mut on_change = config.reload == ReloadOn::Change;
+        let mut again = false;
+        descriptors::make_room(config.connections);
         let broker = Broker::start(config).await?;
         // On standard output, so that a caller that chose port 0 can read the actual port.
         for address in broker.local_addrs() {
@@ -94,34 +119,45 @@ impl ServeArgs {
                 _ = interrupt.recv() => break,
                 _ = hang_up.recv() => tracing::info!("SIGHUP: reading the configuration again"),
                 () = changed => tracing::info!("the configuration has changed: reading it again"),
+                () = tokio::time::sleep(AGAIN), if again => {}
             }
             // Marks the files as known before they are read.
             if let Some(watch) = &mut watch {
                 watch.look();
             }
-            if let Some(reload) = self.reload(&broker, log_filter) {
-                on_change = reload == ReloadOn::Change;
+            match self.reload(&broker, log_filter) {
+                Reloaded::Taken(reload) => (on_change, again) = (reload == ReloadOn::Change, false),
+                Reloaded::Refused => again = false,
+                Reloaded::Unread(error) => {
+                    if !again {
+                        tracing::error!("{error}; the configuration stays as it was until it can be read");
+                    }
+                    again = true;
+                }
             }
         }
         broker.stop().await;
         Ok(())
     }
 
-    /// Reads the files again. Errors are logged and change nothing; then none.
-    fn reload(&self, broker: &Broker, log_filter: &LogFilter) -> Option<ReloadOn> {
+    /// Reads the files again. Errors are logged and change nothing.
+    fn reload(&self, broker: &Broker, log_filter: &LogFilter) -> Reloaded {
         if self.config.is_none() {
             tracing::warn!("there is no configuration file to read again");
-            return None;
+            return Reloaded::Refused;
         }
         let reloaded = self.load().and_then(|config| {
+            descriptors::make_room(config.connections);
             let (log, reload) = (config.log.clone(), config.reload);
-            broker.reload(config).map(|report| (report, log, reload))
+            let report = broker.reload(config)?;
+            Ok((report, log, reload))
         });
         let (report, log, reload) = match reloaded {
             Ok(reloaded) => reloaded,
+            Err(BrokerError::Config(error)) if error.busy => return Reloaded::Unread(error),
             Err(error) => {
                 tracing::error!("{error}; the configuration stays as it was");
-                return None;
+                return Reloaded::Refused;
             }
         };
         if report.keys.iter().any(|key| key == "log") {
@@ -132,16 +168,17 @@ impl ServeArgs {
                 tracing::warn!("log: {error:#}");
             }
         }
-        Some(reload)
+        Reloaded::Taken(reload)
     }
 }
 
-fn log(filter: &str, json: bool) -> Result<LogFilter> {
+fn log(filter: &str, json: bool, lines: &LogWriter) -> Result<LogFilter> {
     let filter = EnvFilter::try_new(filter).with_context(|| format!("log: {filter:?} is no filter"))?;
+    let lines = lines.clone();
     let builder = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_ansi(std::io::stderr().is_terminal())
-        .with_writer(std::io::stderr);
+        .with_writer(move || lines.clone());
     Ok(match json {
         true => {
             let builder = builder.json().with_filter_reloading();

@@ -189,6 +189,21 @@ impl Encodings {
             }
     }
 
+    /// The memory that it takes, however many share it.
+    pub(crate) fn memory(&self) -> usize {
+        const SLOTS: usize = 256;
+        let xml = match &self.xml {
+            Xml::None | Xml::Bad => 0,
+            Xml::Written(written) => written.len(),
+            Xml::Later(later) => SLOTS + later.size(),
+        };
+        let binary = self.binary.as_ref().map_or(0, Encoded::len);
+        let local = self.local.as_ref().map_or(0, |parcel| SLOTS + parcel.size());
+        // What is kept is charged where it is kept.
+        let replay = self.replay.as_ref().map_or(0, |replay| replay.charge());
+        xml + binary + local + replay
+    }
+
     /// The parcel for a receiver inside this process.
     pub(crate) fn local(&self) -> Option<&Arc<Parcel>> {
         self.local.as_ref()

@@ -6,6 +6,8 @@ use std::sync::Arc;
 use mom_hub::{Keep, PeerId};
 use mom_proto::{HISTORY, Micros, Parcel, Time};
 
+use crate::traffic::memory::{Account, Charge};
+
 /// What a parcel counts beside its size: the slots of its head, and its place here.
 const OVERHEAD: usize = 256;
 
@@ -27,6 +29,7 @@ pub(crate) struct Kept {
     sender: PeerId,
     came: Micros,
     size: usize,
+    charge: Option<Charge>,
 }
 
 impl Kept {
@@ -75,7 +78,13 @@ impl History {
     }
 
     /// Keeps a parcel that was admitted now, and lets go of what it leaves no room for.
-    pub(crate) fn note(&mut self, sender: PeerId, parcel: Parcel, now: Micros) {
+    pub(crate) fn note(
+        &mut self,
+        sender: PeerId,
+        parcel: Parcel,
+        now: Micros,
+        account: Option<&Arc<Account>>,
+    ) {
         let origin = (sender, Arc::clone(&parcel.name));
         if self.keep.latest
             && let Some(old) = self.newest.remove(&origin)
@@ -101,6 +110,7 @@ impl History {
             sender,
             came: now,
             size,
+            charge: account.map(|account| account.charge(size)),
         };
         self.kept.insert(self.next, Arc::new(kept));
         self.next += 1;
@@ -113,6 +123,14 @@ impl History {
         }
         let of_peer = |(place, kept): (&u64, &Arc<Kept>)| (kept.sender == peer).then_some(*place);
         let gone: Vec<u64> = self.kept.iter().filter_map(of_peer).collect();
+        gone.into_iter().for_each(|place| self.forget(place));
+    }
+
+    /// Lets go of all that is charged to an account.
+    pub(crate) fn forget_of(&mut self, account: &Arc<Account>) {
+        let is_of = |kept: &Kept| kept.charge.as_ref().is_some_and(|charge| charge.is_of(account));
+        let gone = self.kept.iter().filter(|(_, kept)| is_of(kept));
+        let gone: Vec<u64> = gone.map(|(place, _)| *place).collect();
         gone.into_iter().for_each(|place| self.forget(place));
     }
 
@@ -195,7 +213,7 @@ mod tests {
             (one, "state", "c"),
             (one, "status", "d"),
         ] {
-            history.note(sender, parcel(name, text), 0);
+            history.note(sender, parcel(name, text), 0, None);
         }
         assert_eq!(texts(&mut history, 0), ["b", "c", "d"]);
         history.leave(one);
@@ -213,7 +231,7 @@ mod tests {
         let long = "x".repeat(250);
         for (number, text) in ["a", "b", "c", &long, &long].into_iter().enumerate() {
             for history in [&mut few, &mut small, &mut young] {
-                history.note(PeerId(1), parcel("say", text), SECOND * number as u64);
+                history.note(PeerId(1), parcel("say", text), SECOND * number as u64, None);
             }
         }
         few.leave(PeerId(1));
@@ -222,7 +240,7 @@ mod tests {
         assert_eq!(texts(&mut young, 5 * SECOND), ["c", &*long, &*long]);
         assert_eq!(texts(&mut young, 60 * SECOND), Vec::<String>::new());
         assert_eq!(young.bytes, 0);
-        small.note(PeerId(1), parcel("say", &"y".repeat(4000)), 0);
+        small.note(PeerId(1), parcel("say", &"y".repeat(4000)), 0, None);
         assert_eq!(
             texts(&mut small, 0).len(),
             2,
@@ -235,7 +253,7 @@ mod tests {
         let mut history = history(false, 10, 1 << 20, None);
         let mut short = parcel("say", "short");
         short.expires = Some(1000);
-        history.note(PeerId(1), short, 0);
+        history.note(PeerId(1), short, 0, None);
         assert_eq!(texts(&mut history, SECOND - 6), ["short"]);
         assert_eq!(texts(&mut history, SECOND - 5), Vec::<String>::new());
     }

@@ -9,6 +9,7 @@ mod history;
 #[path = "../../tests/interleaved/mod.rs"]
 mod interleaved;
 mod later_xml;
+pub(crate) mod memory;
 pub(crate) mod outbox;
 mod replay;
 mod statistics;

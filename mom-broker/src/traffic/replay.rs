@@ -14,7 +14,8 @@ use mom_system::Clock;
 use crate::traffic::channel::expires_at;
 use crate::traffic::encodings::{Encoder, Encodings};
 use crate::traffic::history::Kept;
-use crate::traffic::outbox::{Origin, Packet};
+use crate::traffic::memory::Account;
+use crate::traffic::outbox::{Charged, Origin, Packet};
 
 /// What is made of it at once, in messages and in bytes.
 const STEP: usize = 64;
@@ -51,21 +52,29 @@ impl Replay {
     }
 
     /// All of it as it waits in an outbox.
-    pub(crate) fn into_packet(self) -> Arc<Packet> {
+    pub(crate) fn into_packet(self, account: Option<&Arc<Account>>) -> Arc<Packet> {
+        let (origin, count) = (self.origin("history".into()), self.count());
+        let encodings = Encodings::of_replay(self);
         Arc::new(Packet {
+            charged: Charged::to(account, &encodings),
             lane: Lane::Data(0),
             // Who cannot take it all has the newest.
             delivery: Delivery::Fleeting,
-            origin: self.origin("history".into()),
+            origin,
             expires_at: None,
             gate: None,
-            count: self.count(),
-            encodings: Encodings::of_replay(self),
+            count,
+            encodings,
         })
     }
 
     /// The next messages as packets for a receiver of this form, and what is left after them.
-    pub(crate) fn step(&self, form: Option<Form>, clock: &Clock) -> Vec<Arc<Packet>> {
+    pub(crate) fn step(
+        &self,
+        form: Option<Form>,
+        clock: &Clock,
+        account: Option<&Arc<Account>>,
+    ) -> Vec<Arc<Packet>> {
         let now = clock.now();
         let wall = clock.wall_at(now);
         let mut encoder = self.encoder.another();
@@ -80,7 +89,7 @@ impl Replay {
             // What a form cannot hold was refused when it came, or its receivers were of other forms then.
             let packet = kept
                 .at(now, wall)
-                .and_then(|parcel| self.packet(parcel, form, now, &mut encoder));
+                .and_then(|parcel| self.packet(parcel, form, now, &mut encoder, account));
             packets.extend(packet);
         }
         if from < self.kept.len() {
@@ -90,7 +99,7 @@ impl Replay {
                 from,
                 encoder,
             };
-            packets.push(rest.into_packet());
+            packets.push(rest.into_packet(account));
         }
         packets
     }
@@ -109,12 +118,14 @@ impl Replay {
         form: Option<Form>,
         now: Micros,
         encoder: &mut Encoder,
+        account: Option<&Arc<Account>>,
     ) -> Option<Arc<Packet>> {
         let lane = Lane::Data(parcel.priority.unwrap_or_default());
         let expires_at = expires_at(&parcel, now);
         let origin = self.origin(Arc::clone(&parcel.name));
         let encodings = encoder.encode(parcel, std::iter::once(form)).ok()?;
         Some(Arc::new(Packet {
+            charged: Charged::to(account, &encodings),
             encodings,
             lane,
             delivery: Delivery::Fleeting,

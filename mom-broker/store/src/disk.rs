@@ -8,10 +8,14 @@ use std::path::{Path as FilePath, PathBuf};
 
 use mom_hub::Record;
 use mom_proto::Path;
-use redb::{Builder, Database, DatabaseError, ReadableDatabase, ReadableTable, TableDefinition, TableError};
+use redb::{
+    Builder, Database, DatabaseError, ReadableDatabase, ReadableTable, ReadableTableMetadata,
+    TableDefinition, TableError,
+};
 
 use super::StoreError;
 use super::queue::Numbered;
+use super::quiet;
 use super::row::{self, LaneMeta};
 
 /// The latest record of each token, by path.
@@ -23,6 +27,15 @@ const META: &str = "meta";
 /// All that a lane holds is small; the rest of the cache would only be memory.
 const CACHE: usize = 4 * 1024 * 1024;
 
+/// Rows that are removed before it is looked whether a file could be smaller.
+const MANY_GONE: u64 = 1024;
+
+/// A file of this size is small enough.
+const SMALL: u64 = 256 * 1024;
+
+/// Bytes of a file per row, with which it is worth the while to make it smaller: some four times what a row takes.
+const PER_ROW: u64 = 1024;
+
 /// Something that makes records durable.
 pub(super) trait Disk: Send {
     /// Makes a change durable, all of it or nothing. A record that is older than what the disk has of its token
@@ -32,6 +45,14 @@ pub(super) trait Disk: Send {
     /// # Errors
     /// What the system says.
     fn write(&mut self, meta: &LaneMeta, records: &[Numbered], gone: &[Path]) -> io::Result<()>;
+
+    /// Gives space back that was taken by what is gone, if there is much of it.
+    ///
+    /// # Errors
+    /// What the system says; the disk is not used again.
+    fn shrink(&mut self) -> io::Result<()> {
+        Ok(())
+    }
 }
 
 /// All that a lane holds.
@@ -44,7 +65,10 @@ pub(super) struct LaneImage {
 
 /// A lane's file.
 pub(super) struct LaneFile {
+    file: PathBuf,
     database: Database,
+    /// Rows that were removed since the file was made smaller.
+    gone: u64,
 }
 
 impl LaneFile {
@@ -66,8 +90,8 @@ impl LaneFile {
     /// Opens a file and looks at every page of it.
     pub(super) fn open(file: &FilePath) -> Result<(LaneFile, LaneImage), StoreError> {
         // The database asserts what it expects of its pages in debug builds; that too is only damage.
-        let opened = std::panic::catch_unwind(|| LaneFile::open_checked(file));
-        opened.unwrap_or_else(|_| Err(damaged(file, "its pages contradict each other")))
+        let opened = quiet::catch(|| LaneFile::open_checked(file));
+        opened.unwrap_or_else(|| Err(damaged(file, "its pages contradict each other")))
     }
 
     fn open_checked(file: &FilePath) -> Result<(LaneFile, LaneImage), StoreError> {
@@ -90,7 +114,11 @@ impl LaneFile {
             Err(DatabaseError::Storage(error)) => return Err(judge(error.into())),
             Err(error) => return Err(judge(error.into())),
         }
-        let lane = LaneFile { database };
+        let lane = LaneFile {
+            file: file.to_owned(),
+            database,
+            gone: 0,
+        };
         let image = lane.read().map_err(|error| match error {
             Unread::Database(error) => judge(*error),
             Unread::Row(reason) => damaged(file, &reason),
@@ -122,6 +150,10 @@ impl LaneFile {
             Err(error) => return Err(error.into()),
         }
         Ok(image)
+    }
+
+    fn rows(&self) -> Result<u64, redb::Error> {
+        Ok(self.database.begin_read()?.open_table(TOKENS)?.len()?)
     }
 
     fn change(&self, meta: &LaneMeta, records: &[Numbered], gone: &[Path]) -> Result<(), Unread> {
@@ -157,7 +189,25 @@ impl Disk for LaneFile {
                 error => io::Error::other(error),
             },
             Unread::Row(reason) => io::Error::new(io::ErrorKind::InvalidData, reason),
-        })
+        })?;
+        self.gone = self.gone.saturating_add(gone.len() as u64);
+        Ok(())
+    }
+
+    fn shrink(&mut self) -> io::Result<()> {
+        if self.gone < MANY_GONE {
+            return Ok(());
+        }
+        // Moving what stays costs as much as there is of it, so it is done once for as much that went.
+        let rows = self.rows().map_err(io::Error::other)?;
+        if self.gone < rows {
+            return Ok(());
+        }
+        self.gone = 0;
+        if std::fs::metadata(&self.file).map_or(0, |known| known.len()) <= SMALL.max(rows * PER_ROW) {
+            return Ok(());
+        }
+        self.database.compact().map(|_| ()).map_err(io::Error::other)
     }
 }
 

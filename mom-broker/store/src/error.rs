@@ -47,8 +47,39 @@ pub enum StoreError {
         /// What the system says.
         reason: String,
     },
+    /// The directory of the epoch cannot be made or used.
+    #[error(
+        "[store] state, {}: {error}; fences rise over restarts by a number that is kept there, so the broker does not \
+         start without it. Give it a directory that this user may write to: state in [store] of the configuration, \
+         STATE_DIRECTORY (StateDirectory=mom in a unit of systemd), or XDG_STATE_HOME",
+        path.display()
+    )]
+    State {
+        /// The directory.
+        path: PathBuf,
+        /// What the system says.
+        error: io::Error,
+    },
+    /// Nothing says where the epoch could be kept.
+    #[error(
+        "[store] state: there is no directory for the number by which fences rise over restarts, as neither \
+         STATE_DIRECTORY nor XDG_STATE_HOME nor HOME is set; name one as state in [store] of the configuration, or in \
+         STATE_DIRECTORY"
+    )]
+    NoState,
+    /// The epoch is no number.
+    #[error(
+        "[store] state, {}: this is not the number that was written there; the broker does not start, so that no fence \
+         falls. To go on without it: halt what the tokens guard, see that this machine's clock is right, move the \
+         file away, and start again",
+        file.display()
+    )]
+    Epoch {
+        /// The file.
+        file: PathBuf,
+    },
     /// The wall clock is beyond all fences.
-    #[error("[store] fences of the epoch {epoch} are beyond 2^53; see that this machine's clock is right")]
+    #[error("fences of the epoch {epoch} are beyond 2^53; see that this machine's clock is right")]
     Clock {
         /// The epoch that would follow.
         epoch: u64,

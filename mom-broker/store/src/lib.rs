@@ -9,14 +9,18 @@
 //! makes the new epoch; here are the threads, one per lane.
 
 mod disk;
+mod epoch;
 mod error;
 mod queue;
+mod quiet;
 mod row;
+mod rows;
 mod settings;
 mod start;
 #[cfg(test)]
 mod tests;
 
+use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path as FilePath;
 use std::sync::Arc;
@@ -98,6 +102,21 @@ pub async fn open(path: Option<&FilePath>, wall: Time) -> Result<Option<Opened>,
     Ok(Some(opened))
 }
 
+/// Takes the next epoch from the state directory of a configuration, if it has one.
+///
+/// # Errors
+/// Why the broker must not start without it.
+pub async fn take_epoch(state: Option<&FilePath>, wall: Time) -> Result<Option<u64>, StoreError> {
+    let Some(state) = state.map(FilePath::to_owned) else {
+        return Ok(None);
+    };
+    let shown = state.clone();
+    let taken = tokio::task::spawn_blocking(move || epoch::take(&state, wall)).await;
+    let epoch = taken.unwrap_or_else(|error| Err(disk::unwritable(&shown, &error)))?;
+    tracing::info!(state = %shown.display(), epoch, "fences rise over restarts");
+    Ok(Some(epoch))
+}
+
 impl Store {
     /// Opens the store of a directory, or makes it. Blocks.
     ///
@@ -107,7 +126,7 @@ impl Store {
         let Begun { lock, lanes, found } = start::begin(directory, LANES, wall)?;
         let names = (0..).map(|lane| lane_file(directory, lane).display().to_string());
         let disks = names.zip(lanes.into_iter().map(|lane| Box::new(lane) as Box<dyn Disk>));
-        let queue = StoreQueue::new(found.epoch, found.seen);
+        let queue = StoreQueue::new(found.epoch, found.seen, found.kept);
         let (store, answers) = Store::run(disks.collect(), queue, Some(lock))
             .map_err(|error| disk::unwritable(directory, &error))?;
         Ok(Opened {
@@ -213,17 +232,22 @@ impl StoreShared {
     }
 }
 
+/// Why something did not work, if it did not.
+fn attempt(act: impl FnOnce() -> io::Result<()>) -> Option<String> {
+    match catch_unwind(AssertUnwindSafe(act)) {
+        Ok(Ok(())) => None,
+        Ok(Err(error)) => Some(error.to_string()),
+        Err(_) => Some("the database failed on its own".to_owned()),
+    }
+}
+
 impl LaneWriter {
     fn run(mut self) {
+        let mut broken = None;
         while let Some(batch) = self.shared.next(self.lane) {
-            let write = || self.disk.write(&batch.meta, &batch.records, &[]);
+            let write = || self.disk.write(&batch.meta, &batch.records, &batch.gone);
             // A ticket is answered whatever happens.
-            let written = catch_unwind(AssertUnwindSafe(write));
-            let error = match written {
-                Ok(Ok(())) => None,
-                Ok(Err(error)) => Some(error.to_string()),
-                Err(_) => Some("the database failed on its own".to_owned()),
-            };
+            let error = broken.take().or_else(|| attempt(write));
             let mut inner = self.shared.inner.lock();
             let answers = inner.queue.finish(self.lane, batch, error.is_none());
             let dead = inner.queue.is_dead();
@@ -234,6 +258,8 @@ impl LaneWriter {
                 self.report(&error, dead);
                 break;
             }
+            // Nobody waits for this: the other lanes write meanwhile.
+            broken = attempt(|| self.disk.shrink());
         }
         // The file is closed before the directory is said to be free.
         drop(self.disk);

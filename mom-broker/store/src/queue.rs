@@ -7,6 +7,10 @@ use mom_hub::{Record, Ticket};
 use mom_proto::Path;
 
 use super::row::LaneMeta;
+use super::rows::Rows;
+
+/// Rows that a lane holds for nothing and removes without anything else to write.
+const MANY: usize = 256;
 
 /// A record and its place in the order of all.
 pub(super) type Numbered = (u64, Arc<Record>);
@@ -24,6 +28,7 @@ pub(super) struct StoreQueue {
     lanes: Vec<StoreLane>,
     /// Per lane the highest sequence that is durable.
     seen: Vec<u64>,
+    rows: Rows,
 }
 
 /// The newest record of a token, and whoever awaits it or an older one that it stands for.
@@ -57,6 +62,8 @@ enum LaneState {
 pub(super) struct StoreBatch {
     pub(super) meta: LaneMeta,
     pub(super) records: Vec<Numbered>,
+    /// Rows that are not needed any more.
+    pub(super) gone: Vec<Path>,
     tickets: Vec<Ticket>,
     loose: Vec<Numbered>,
 }
@@ -65,8 +72,12 @@ pub(super) struct StoreBatch {
 pub type StoreAnswer = (Ticket, bool);
 
 impl StoreQueue {
-    /// A queue that goes on after what the lanes hold: `seen` is their last sequences.
-    pub(super) fn new(epoch: u64, seen: Vec<u64>) -> StoreQueue {
+    /// A queue that goes on after what the lanes hold: `seen` is their last sequences, `kept` are their rows.
+    pub(super) fn new(
+        epoch: u64,
+        seen: Vec<u64>,
+        kept: impl IntoIterator<Item = (Path, usize, u64)>,
+    ) -> StoreQueue {
         let lane = || StoreLane {
             state: LaneState::Idle,
             was_loose: true,
@@ -77,6 +88,7 @@ impl StoreQueue {
             awaited: BTreeMap::new(),
             loose: BTreeMap::new(),
             lanes: seen.iter().map(|_| lane()).collect(),
+            rows: Rows::new(seen.len(), kept),
             seen,
         }
     }
@@ -114,7 +126,8 @@ impl StoreQueue {
     /// What an idle lane is to write now.
     ///
     /// All that is awaited goes together. What nobody awaits is in one lane at a time, so that many releases
-    /// at once never keep a grant waiting; a lane that has both before it takes them by turns.
+    /// at once never keep a grant waiting; a lane that has both before it takes them by turns. Rows that are not needed
+    /// any more go with either, and by themselves only where there are many.
     pub(super) fn take(&mut self, lane: usize) -> Option<StoreBatch> {
         debug_assert_eq!(self.lanes[lane].state, LaneState::Idle);
         let free = !self
@@ -123,7 +136,7 @@ impl StoreQueue {
             .any(|lane| lane.state == LaneState::Busy { loose: true });
         let loose =
             free && !self.loose.is_empty() && (self.awaited.is_empty() || !self.lanes[lane].was_loose);
-        if !loose && self.awaited.is_empty() {
+        if !loose && self.awaited.is_empty() && self.rows.unneeded(lane) < MANY {
             return None;
         }
         self.lanes[lane] = StoreLane {
@@ -133,6 +146,7 @@ impl StoreQueue {
         let mut batch = StoreBatch {
             meta: self.meta(lane),
             records: Vec::new(),
+            gone: Vec::new(),
             tickets: Vec::new(),
             loose: Vec::new(),
         };
@@ -148,7 +162,27 @@ impl StoreQueue {
         }
         let last = batch.records.iter().map(|(sequence, _)| *sequence).max();
         batch.meta.seen[lane] = last.unwrap_or_default().max(self.seen[lane]);
+        self.remove_unneeded(lane, &mut batch);
         Some(batch)
+    }
+
+    /// Lets a batch remove what its lane holds for nothing.
+    fn remove_unneeded(&mut self, lane: usize, batch: &mut StoreBatch) {
+        for (_, record) in &batch.records {
+            self.rows.begin(lane, record);
+        }
+        let written = batch.records.iter().map(|(_, record)| &record.path).collect();
+        let (gone, epoch) = self.rows.take(lane, &written);
+        if gone.is_empty() {
+            return;
+        }
+        // The file of before must not pass for this one.
+        self.sequence += 1;
+        batch.meta.seen[lane] = self.sequence;
+        // What is forgotten of a fence that ran into the next second's numbers.
+        self.epoch = self.epoch.max(epoch);
+        batch.meta.epoch = self.epoch;
+        batch.gone = gone;
     }
 
     /// Notes how a batch ended. A lane that failed is not used again: what its file holds since is not known.
@@ -157,8 +191,13 @@ impl StoreQueue {
         if ok {
             self.lanes[lane].state = LaneState::Idle;
             self.seen[lane] = batch.meta.last();
+            for (sequence, record) in &batch.records {
+                self.rows.wrote(lane, *sequence, record);
+            }
+            self.rows.removed(lane, &batch.gone);
             return answers;
         }
+        self.rows.lose(lane);
         self.lanes[lane].state = LaneState::Gone;
         batch.loose.into_iter().for_each(|record| self.put_back(record));
         if self.is_dead() {

@@ -12,6 +12,7 @@ use mom_proto::{Fence, Path, Time};
 use super::StoreError;
 use super::disk::{Disk, LaneFile, LaneImage, damaged, lane_file, unwritable};
 use super::row::LaneMeta;
+use super::rows::is_free;
 
 /// A directory that no other broker uses, for as long as this lives.
 #[derive(Debug)]
@@ -43,6 +44,8 @@ pub(super) struct Found {
     pub(super) records: Vec<Record>,
     /// The last sequence of each lane.
     pub(super) seen: Vec<u64>,
+    /// The rows that stay: of which token, in which lane, with which sequence.
+    pub(super) kept: Vec<(Path, usize, u64)>,
     /// Per lane the rows that another lane has newer.
     old: Vec<Vec<Path>>,
     /// Per lane the latest records that nobody owns: the new epoch is above their fences, so there is nothing
@@ -66,7 +69,7 @@ pub(super) fn begin(directory: &FilePath, lanes: usize, wall: Time) -> Result<Be
     for file in files.iter().filter(|file| !file.exists()) {
         LaneFile::make(file)?;
     }
-    sync(directory)?;
+    sync(directory).map_err(|error| unwritable(directory, &error))?;
     for file in &files {
         let (lane, image) = LaneFile::open(file)?;
         opened.push(lane);
@@ -109,9 +112,11 @@ impl Found {
             }
         }
         let mut free = vec![Vec::new(); images.len()];
-        for (path, (lane, _, record)) in &latest {
-            if record.owner.is_none() && record.before.is_none() {
-                free[*lane].push((*path).clone());
+        let mut kept = Vec::new();
+        for (path, (lane, sequence, record)) in &latest {
+            match is_free(record) {
+                true => free[*lane].push((*path).clone()),
+                false => kept.push(((*path).clone(), *lane, *sequence)),
             }
         }
         let metas = || images.iter().filter_map(|image| image.meta.as_ref());
@@ -127,6 +132,7 @@ impl Found {
                 .map(|(_, _, record)| record.clone())
                 .collect(),
             seen: images.iter().map(last).collect(),
+            kept,
             old,
             free,
         })
@@ -196,7 +202,7 @@ fn last(image: &LaneImage) -> u64 {
     image.meta.as_ref().map(LaneMeta::last).unwrap_or_default()
 }
 
-fn seconds(wall: Time) -> u64 {
+pub(super) fn seconds(wall: Time) -> u64 {
     u64::try_from(wall.micros() / 1_000_000).unwrap_or_default()
 }
 
@@ -206,20 +212,7 @@ fn lock(directory: &FilePath) -> Result<Lock, StoreError> {
         path: directory.to_owned(),
         error,
     };
-    let there = directory.exists();
-    DirBuilder::new()
-        .mode(0o700)
-        .recursive(true)
-        .create(directory)
-        .map_err(failed)?;
-    if !there && let Some(parent) = directory.parent() {
-        let parent = if parent.as_os_str().is_empty() {
-            FilePath::new(".")
-        } else {
-            parent
-        };
-        sync(parent)?;
-    }
+    make_directory(directory).map_err(failed)?;
     let mode = std::fs::metadata(directory).map_err(failed)?.permissions().mode();
     if mode & 0o077 != 0 {
         tracing::warn!(
@@ -244,8 +237,19 @@ fn lock(directory: &FilePath) -> Result<Lock, StoreError> {
     }
 }
 
+/// Makes a directory if it is not there, for this user alone.
+pub(super) fn make_directory(directory: &FilePath) -> io::Result<()> {
+    let there = directory.exists();
+    DirBuilder::new().mode(0o700).recursive(true).create(directory)?;
+    match directory.parent() {
+        _ if there => Ok(()),
+        Some(parent) if parent.as_os_str().is_empty() => sync(FilePath::new(".")),
+        Some(parent) => sync(parent),
+        None => Ok(()),
+    }
+}
+
 /// Makes the entries of a directory durable.
-fn sync(directory: &FilePath) -> Result<(), StoreError> {
-    let synced = File::open(directory).and_then(|directory| directory.sync_all());
-    synced.map_err(|error| unwritable(directory, &error))
+pub(super) fn sync(directory: &FilePath) -> io::Result<()> {
+    File::open(directory)?.sync_all()
 }

@@ -4,10 +4,12 @@
 //! shuttle (feature `shuttle`).
 
 mod clock;
+mod machine;
 mod own_file;
 pub mod sync;
 mod workers;
 
-pub use clock::Clock;
-pub use own_file::{numbered, open_own};
+pub use clock::{Clock, Expiry};
+pub use machine::machine_memory;
+pub use own_file::{DiskSpace, disk_space, numbered, open_own};
 pub use workers::{Workers, give_way};

@@ -1,4 +1,4 @@
-//! Files that only this broker writes and only its owner reads.
+//! Files that only this broker writes and only its owner reads, and their disk.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io;
@@ -34,4 +34,25 @@ pub fn numbered(path: &Path, number: impl std::fmt::Display) -> std::path::PathB
     let mut name = path.as_os_str().to_owned();
     name.push(format!(".{number}"));
     name.into()
+}
+
+/// Bytes of a disk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DiskSpace {
+    /// That this broker may still fill.
+    pub free: u64,
+    /// In all.
+    pub total: u64,
+}
+
+/// How full the disk of a file is.
+///
+/// # Errors
+/// What the system says.
+pub fn disk_space(path: &Path) -> io::Result<DiskSpace> {
+    let disk = rustix::fs::statvfs(path)?;
+    Ok(DiskSpace {
+        free: disk.f_bavail.saturating_mul(disk.f_frsize),
+        total: disk.f_blocks.saturating_mul(disk.f_frsize),
+    })
 }

@@ -124,7 +124,7 @@ mod tests {
             let done = done.clone();
             workers.run(move || {
                 done.send((number, thread::current().id()))
-                    .expect("somebody listens")
+                    .expect("somebody listens");
             });
         }
         let results: Vec<_> = results.iter().take(100).collect();

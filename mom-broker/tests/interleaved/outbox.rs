@@ -11,7 +11,7 @@ use shuttle::thread;
 
 use super::{explore, hear, link, said, write};
 use crate::traffic::encodings::Encodings;
-use crate::traffic::outbox::{Gate, Origin, Outbox, Packet};
+use crate::traffic::outbox::{Charged, Gate, Origin, Outbox, Packet};
 
 const READER: PeerId = PeerId(9);
 
@@ -27,6 +27,7 @@ fn packet(sender: u64, name: &str, id: u64) -> Packet {
     let mut parcel = said(name, id);
     parcel.sender = Some(sender.to_string().into());
     Packet {
+        charged: Charged::Nowhere,
         encodings: Encodings::new(parcel, std::iter::once(None)).expect("no form needed"),
         lane: Lane::Data(0),
         delivery: Delivery::Reliable,

@@ -1,5 +1,6 @@
 //! The service's program: check, passwd, explain, wrong files, new ones while it runs, and its end.
 
+mod descriptors;
 mod explain;
 mod reload;
 
@@ -17,7 +18,11 @@ const CONTEXT: &str = "log = \"info\"\n[[contexts]]\npath = \"/a\"\nkind = \"cha
 
 fn program() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_mom-broker"));
-    command.env_remove("MOM_CONFIG").env_remove("MOM_PASSWORD");
+    command
+        .env("XDG_STATE_HOME", env!("CARGO_TARGET_TMPDIR"))
+        .env_remove("STATE_DIRECTORY")
+        .env_remove("MOM_CONFIG")
+        .env_remove("MOM_PASSWORD");
     command
 }
 
@@ -194,7 +199,11 @@ impl Running {
     }
 
     fn of(file: &Path) -> Running {
-        let mut command = program();
+        Running::of_command(program(), file)
+    }
+
+    /// The same by a command to which the arguments are appended.
+    fn of_command(mut command: Command, file: &Path) -> Running {
         command
             .arg("--config")
             .arg(file)

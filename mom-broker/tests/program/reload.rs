@@ -168,6 +168,50 @@ fn what_needs_a_restart_is_named_and_the_rest_holds() {
     assert!(next.contains("ERROR"), "{next}");
 }
 
+/// A disk that was full, or a copy that was interrupted, closes no broker and takes no users from it.
+#[test]
+fn an_empty_or_cut_file_is_refused_by_name() {
+    let files = Files::new(
+        "reload = \"signal\"\nroot = \"open\"\n",
+        &[("ann", 1), ("ben", 1)],
+    );
+    let broker = files.start();
+    let (config, users) = (files.path("mom.toml"), files.path("users.toml"));
+    let whole = |file: &PathBuf| fs::read_to_string(file).expect("readable");
+    let (whole_config, whole_users) = (whole(&config), whole(&users));
+    let cut = |text: &str, words: &str| text[..text.find(words).expect("in it")].to_owned();
+    let close = "if the broker is to be closed, write root = \"closed\"";
+    for (file, text, why) in [
+        (&config, String::new(), close),
+        (&config, "# mom\n\n".to_owned(), close),
+        (&config, cut(&whole_config, "\nroot"), "was cut off after "),
+        (
+            &users,
+            String::new(),
+            "if there are to be no users, write users = []",
+        ),
+        (&users, cut(&whole_users, "\nlevel"), "was cut off after "),
+    ] {
+        let before = whole(file);
+        fs::write(file, &text).expect("written");
+        broker.signal("-HUP");
+        let error = broker.logged("ERROR");
+        let name = file.display().to_string();
+        assert!(error.contains(&name) && error.contains(why), "{text:?}: {error}");
+        assert!(error.contains("the configuration stays as it was"), "{error}");
+        assert!(logs_in(&broker, "ann") && logs_in(&broker, "ben"), "{text:?}");
+        fs::write(file, before).expect("written");
+    }
+    // What is meant is done: the last user goes, the last line without its end, then all.
+    files.write("users.toml", &files.users(&[("ann", 1)]));
+    files.write("mom.toml", whole_config.trim_end());
+    broker.signal("-HUP");
+    assert!(broker.logged("configuration: ").contains("removed users ben"));
+    files.write("users.toml", "users = []\n");
+    broker.signal("-HUP");
+    assert!(broker.logged("configuration: ").contains("removed users ann"));
+}
+
 /// All ways in which people and programs change a file.
 #[test]
 fn a_change_is_seen_however_it_is_made() {

@@ -18,6 +18,8 @@ impl Running {
     pub(crate) fn start(lab: &Lab, args: &[&str]) -> Running {
         let log = File::create(lab.path("log.txt")).expect("a file");
         let mut child = Command::new(env!("CARGO_BIN_EXE_mom-broker"))
+            .env("XDG_STATE_HOME", env!("CARGO_TARGET_TMPDIR"))
+            .env_remove("STATE_DIRECTORY")
             .env_remove("MOM_CONFIG")
             .current_dir(lab.folder())
             .args(["--config", "lab.toml"])

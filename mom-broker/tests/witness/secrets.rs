@@ -37,7 +37,7 @@ fn login(content: impl Into<Value>) -> Parcel {
 #[tokio::test]
 async fn passwords_are_nowhere() {
     const WRONG: &str = "hunter2-Wx9-wrong";
-    let lab = Lab::new("log = \"trace\"\naudit = { path = \"audit.jsonl\" }");
+    let lab = Lab::new("log = \"trace\"\naudit = { path = \"audit.jsonl\" }\nlogin = { attempts = 100 }");
     let running = Running::start(&lab, &["--record", "control.jsonl"]);
     let address = &running.address;
     let named = |name: &str, password: &str| Map::new().with("name", name).with("password", password);

@@ -139,7 +139,7 @@ impl World {
             answers,
             repeated,
             now: self.now,
-            wall: self.wall(),
+            wall: self.civil(),
         })
     }
 }

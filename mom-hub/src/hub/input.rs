@@ -44,6 +44,11 @@ pub enum Input {
     Configure(Box<Configuration>),
     /// Time has passed.
     Tick,
+    /// The wall clock is so many µs ahead of the hub's time from now on: it was set, or the machine has slept.
+    Wall {
+        /// Negative if it is behind.
+        ahead: i64,
+    },
 }
 
 /// A new configuration.

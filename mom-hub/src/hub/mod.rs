@@ -5,6 +5,7 @@ mod configure;
 pub(crate) mod input;
 pub(crate) mod judge;
 mod login;
+mod wall;
 
 use std::sync::Arc;
 
@@ -104,6 +105,7 @@ impl Hub {
             }
             Input::Configure(configuration) => configure::configure(world, questions, *configuration, out),
             Input::Tick => {}
+            Input::Wall { ahead } => wall::step(world, ahead, out),
         }
     }
 

@@ -17,7 +17,8 @@ pub struct Holder {
 
 /// The stored part of a token: no fence falls over a restart, and nobody is granted it during another's lease.
 ///
-/// The latest record of a path holds; it is kept when the token is deleted, until a start with a higher epoch.
+/// The latest record of a path holds, also when the token is deleted. One that nobody owns may be forgotten: the next start
+/// has a higher epoch.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Record {
     /// The token.

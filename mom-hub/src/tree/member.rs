@@ -66,6 +66,16 @@ impl Member {
         }
     }
 
+    /// This member without the verdicts that stand only up to some time; none if there are no such.
+    pub(crate) fn timeless(&self) -> Option<Member> {
+        let timeless = |verdict: &&StandingVerdict| verdict.until.is_none();
+        let standing: Vec<_> = self.standing.iter().filter(timeless).cloned().collect();
+        (standing.len() < self.standing.len()).then(|| Member {
+            standing,
+            ..self.clone()
+        })
+    }
+
     /// This member with another thinning.
     pub(crate) fn thinned(&self, thinning: Thinning) -> Member {
         Member {

@@ -26,7 +26,7 @@ pub struct Audit {
     pub rule: Option<Arc<str>>,
     /// The code of a refusal.
     pub code: Option<Code>,
-    /// Plain words of a refusal, of who put a peer out, or of a fault.
+    /// Plain words of a refusal, of who put a peer out, of a step of the clock, or of a fault.
     pub text: Option<String>,
     /// The fence of the ownership that began or ended.
     pub fence: Option<u64>,
@@ -38,7 +38,7 @@ pub struct Audit {
 
 impl Audit {
     /// All values of [`Audit::what`].
-    pub const WORDS: [&'static str; 13] = [
+    pub const WORDS: [&'static str; 14] = [
         "login",
         "gone",
         "granted",
@@ -51,6 +51,7 @@ impl Audit {
         "created",
         "deleted",
         "configured",
+        "clock-stepped",
         "fault",
     ];
 

@@ -32,6 +32,8 @@ pub(crate) struct World {
     pub(crate) peers: Peers,
     pub(crate) timers: BTreeSet<(Micros, Timer)>,
     pub(crate) now: Micros,
+    /// By how much the wall clock is ahead of [`World::wall`], µs.
+    pub(crate) ahead: i64,
     /// The highest fence of all tokens that were deleted.
     pub(crate) deleted_fence: Fence,
     /// Channels from whose routes the present input has taken something, or whose guard it has changed.
@@ -83,6 +85,7 @@ impl World {
             peers: Peers::default(),
             timers: BTreeSet::new(),
             now: 0,
+            ahead: 0,
             deleted_fence: Fence::default(),
             changed: BTreeSet::new(),
             grown: BTreeSet::new(),
@@ -99,10 +102,16 @@ impl World {
         }
     }
 
-    /// Wall time now.
+    /// The hub's time for stamps: wall time at the start, and monotonic from then on.
     pub(crate) fn wall(&self) -> Time {
         let micros = i64::try_from(self.now).unwrap_or(i64::MAX);
         Time::from_micros(self.settings.anchor.micros().saturating_add(micros)).unwrap_or(Time::MAX)
+    }
+
+    /// The time of day by the wall clock, which may be set at any time.
+    pub(crate) fn civil(&self) -> Time {
+        let civil = self.wall().micros().saturating_add(self.ahead);
+        Time::from_micros(civil).unwrap_or(if civil < 0 { Time::default() } else { Time::MAX })
     }
 
     /// The end of a time that begins now.

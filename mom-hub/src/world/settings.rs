@@ -9,7 +9,7 @@ use crate::Record;
 pub struct Settings {
     /// Wall time at monotonic time 0.
     pub anchor: Time,
-    /// The upper part of every fence: Unix seconds at start, so that fences rise over restarts.
+    /// The upper part of every fence: Unix seconds at start or more, so that fences rise over restarts.
     pub epoch: u64,
     /// Whether changes of ownership wait until they are durable ([`Effect::Store`](crate::Effect::Store)).
     pub durable: bool,

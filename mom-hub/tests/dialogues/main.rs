@@ -18,3 +18,4 @@ mod stats;
 mod terms;
 mod thinning;
 mod threat_19;
+mod wall;

@@ -84,6 +84,17 @@ impl<I: Item> DataLane<I> {
         taken
     }
 
+    /// Takes out all entries of which `goes` says so.
+    pub(super) fn take_all(&mut self, goes: impl Fn(&I) -> bool) -> Vec<Entry<I>> {
+        let place = |place: &mut Option<Entry<I>>| match place {
+            Some(entry) if goes(&entry.item) => place.take(),
+            _ => None,
+        };
+        let taken: Vec<_> = self.entries.iter_mut().filter_map(place).collect();
+        self.holes += taken.len();
+        taken
+    }
+
     /// Closes the holes once they are most of the lane; gives the entries of class `latest` that have a new number.
     pub(super) fn close_holes(&mut self) -> impl Iterator<Item = (u64, &Entry<I>)> {
         let due = self.holes >= HOLES && self.holes * 2 >= self.entries.len();

@@ -103,6 +103,8 @@ pub enum DropReason {
     Rate,
     /// It has no form that the receiver could read.
     BadContent,
+    /// The hub had no memory for it.
+    Memory,
     /// A stop came after this `unstop`, before it had left.
     Overruled,
 }
@@ -119,6 +121,7 @@ impl DropReason {
             DropReason::Fence => "older-fence",
             DropReason::Rate => "rate",
             DropReason::BadContent => "bad-content",
+            DropReason::Memory => "memory",
         }
     }
 }

@@ -207,6 +207,30 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         (self.data_bytes, self.reliable_bytes) = (0, 0);
     }
 
+    /// Drops all waiting data of which `goes` says so, for want of memory; gives its bytes. What the link has begun to take
+    /// goes on.
+    pub fn drop_for_memory(&mut self, goes: impl Fn(&I) -> bool) -> usize {
+        let mut freed = 0;
+        let priorities: Vec<Reverse<i32>> = self.data.keys().copied().collect();
+        for priority in priorities {
+            let Some(lane) = self.data.get_mut(&priority) else {
+                continue;
+            };
+            for entry in lane.take_all(&goes) {
+                let size = self.charge(&entry.item);
+                freed += size;
+                self.data_bytes -= size;
+                self.reliable_bytes -= reliable(&*entry.item, size);
+                if entry.item.delivery() == Delivery::Latest {
+                    self.latest.remove(&entry.item.key());
+                }
+                self.note(&entry, DropReason::Memory);
+            }
+            self.close_holes(priority);
+        }
+        freed
+    }
+
     /// Forgets everything and gives it, because the peer is another one from now on: on this link, whose other end is
     /// told to forget what it has a part of, or on the next one.
     pub fn clear(&mut self, link_is_gone: bool) -> Vec<Arc<I>> {

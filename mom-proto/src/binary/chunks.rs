@@ -104,6 +104,11 @@ struct OpenStream {
 }
 
 impl Assembly {
+    /// The bytes of all streams that are open.
+    pub(super) fn held(&self) -> usize {
+        self.open.values().map(|open| open.bytes.len()).sum()
+    }
+
     /// Adds a chunk; gives the whole frame with the last one.
     pub(super) fn add(&mut self, frame: &Bytes, limit: Limit) -> Result<Option<Bytes>, WireError> {
         let mut reader = FieldReader::at(frame, 1);

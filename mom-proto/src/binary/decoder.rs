@@ -53,6 +53,11 @@ impl BinaryDecoder {
         }
     }
 
+    /// The bytes that are here of parcels in chunks whose end has not come.
+    pub fn held(&self) -> usize {
+        self.assembly.held()
+    }
+
     /// Changes the limits, as after login; from then on parcels may come in chunks.
     pub fn set_limits(&mut self, limits: &Limits) {
         self.chunks = true;

@@ -8,7 +8,7 @@ use base64::engine::general_purpose::STANDARD;
 use bytes::Bytes;
 
 use crate::codec::Encoded;
-use crate::msgpack::{self, Token, TokenReader, key_twice};
+use crate::msgpack::{self, Item, ItemReader, key_twice};
 use crate::slots::check_extra;
 use crate::{Code, Content, HARD_DEPTH, Limit, Parcel, Value, ValueKind, WireError, write_slots};
 
@@ -89,9 +89,9 @@ impl XmlWriter {
             None => {}
             Some(Content::Value(value)) => self.member("content", value, HARD_DEPTH)?,
             Some(Content::Encoded(bytes)) => {
-                let mut tokens = TokenReader::new(bytes);
-                self.encoded("content", None, &mut tokens, depth)?;
-                tokens.end()?;
+                let mut items = ItemReader::new(bytes);
+                self.encoded("content", None, &mut items, depth)?;
+                items.end()?;
             }
         }
         self.out.extend_from_slice(b"</parcel>");
@@ -130,13 +130,13 @@ impl XmlWriter {
                 map.iter()
                     .try_for_each(|(key, item)| self.member(key, item, depth))?;
             }
-            Value::Null => return self.leaf(name, key, Token::Null),
-            Value::Bool(flag) => return self.leaf(name, key, Token::Bool(*flag)),
-            Value::Int(number) => return self.leaf(name, key, Token::Int(*number)),
-            Value::Double(number) => return self.leaf(name, key, Token::Double(*number)),
-            Value::String(text) => return self.leaf(name, key, Token::Text(text)),
-            Value::Time(time) => return self.leaf(name, key, Token::Time(*time)),
-            Value::Binary(bytes) => return self.leaf(name, key, Token::Binary(bytes.clone())),
+            Value::Null => return self.leaf(name, key, Item::Null),
+            Value::Bool(flag) => return self.leaf(name, key, Item::Bool(*flag)),
+            Value::Int(number) => return self.leaf(name, key, Item::Int(*number)),
+            Value::Double(number) => return self.leaf(name, key, Item::Double(*number)),
+            Value::String(text) => return self.leaf(name, key, Item::Text(text)),
+            Value::Time(time) => return self.leaf(name, key, Item::Time(*time)),
+            Value::Binary(bytes) => return self.leaf(name, key, Item::Binary(bytes.clone())),
         }
         self.close(name)
     }
@@ -146,32 +146,32 @@ impl XmlWriter {
         &mut self,
         name: &str,
         key: Option<&str>,
-        tokens: &mut TokenReader<'_>,
+        items: &mut ItemReader<'_>,
         depth: usize,
     ) -> Result<(), WireError> {
-        let start = tokens.position();
-        match tokens.token()? {
-            Token::List(length) => {
+        let start = items.position();
+        match items.item()? {
+            Item::List(length) => {
                 let depth = msgpack::deeper(depth, start)?;
                 if !self.open(name, key, ValueKind::List, length)? {
                     return Ok(());
                 }
-                (0..length).try_for_each(|_| self.encoded("item", None, tokens, depth))?;
+                (0..length).try_for_each(|_| self.encoded("item", None, items, depth))?;
             }
-            Token::Map(length) => {
+            Item::Map(length) => {
                 let depth = msgpack::deeper(depth, start)?;
                 if !self.open(name, key, ValueKind::Map, length)? {
                     return Ok(());
                 }
                 let mut keys = HashSet::new();
                 for _ in 0..length {
-                    let at = tokens.position();
-                    let key = tokens.key()?;
+                    let at = items.position();
+                    let key = items.key()?;
                     if !keys.insert(key) {
                         return Err(key_twice(key, at));
                     }
                     let (name, attribute) = element_of(key);
-                    self.encoded(name, attribute, tokens, depth)?;
+                    self.encoded(name, attribute, items, depth)?;
                 }
             }
             leaf => return self.leaf(name, key, leaf),
@@ -180,43 +180,43 @@ impl XmlWriter {
     }
 
     /// An element with nothing but text in it.
-    fn leaf(&mut self, name: &str, key: Option<&str>, value: Token<'_>) -> Result<(), WireError> {
+    fn leaf(&mut self, name: &str, key: Option<&str>, value: Item<'_>) -> Result<(), WireError> {
         match value {
-            Token::Null => {
+            Item::Null => {
                 self.open(name, key, ValueKind::Null, 0)?;
                 return Ok(());
             }
-            Token::Bool(flag) => {
+            Item::Bool(flag) => {
                 self.open(name, key, ValueKind::Bool, 1)?;
                 self.put(if flag { b"true" } else { b"false" });
             }
-            Token::Int(number) => {
+            Item::Int(number) => {
                 self.open(name, key, ValueKind::Int, 1)?;
                 self.put(itoa::Buffer::new().format(number).as_bytes());
             }
-            Token::Double(number) if number.is_finite() => {
+            Item::Double(number) if number.is_finite() => {
                 self.open(name, key, ValueKind::Double, 1)?;
                 // The Debug form is the shortest that reads back equal, with an exponent where it is long.
                 write!(self.out, "{number:?}").map_err(|error| not_encodable(error.to_string()))?;
             }
-            Token::Double(number) => {
+            Item::Double(number) => {
                 return Err(not_encodable(format!("a double has to be finite, not {number}")));
             }
-            Token::Text(text) => {
+            Item::Text(text) => {
                 if !self.open(name, key, ValueKind::String, text.len())? {
                     return Ok(());
                 }
                 escape(text, false, &mut self.out, self.most)?;
             }
-            Token::Time(time) => {
+            Item::Time(time) => {
                 self.open(name, key, ValueKind::Time, 1)?;
                 time.write(&mut self.out);
             }
-            Token::Binary(bytes) => {
+            Item::Binary(bytes) => {
                 self.begin(name, key, ValueKind::Binary)?;
                 self.binary(&bytes)?;
             }
-            Token::List(_) | Token::Map(_) => {}
+            Item::List(_) | Item::Map(_) => {}
         }
         self.close(name)
     }

@@ -39,6 +39,8 @@ pub(crate) async fn run(args: &cli::LabArgs, output: Output) -> Result<(), Failu
     if let Some(listen) = args.listen {
         config.listen = vec![listen.to_string()];
     }
+    let kept = config.store.keep_state(|name| env::var_os(name));
+    kept.map_err(|error| start_failure(error.into()))?;
     let users = config.users.clone();
     let broker = Broker::start(config).await.map_err(start_failure)?;
     let lab = LabSummary {

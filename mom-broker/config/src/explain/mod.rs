@@ -384,5 +384,6 @@ fn plain(text: String) -> ConfigError {
         line: None,
         key: None,
         text,
+        busy: false,
     }
 }

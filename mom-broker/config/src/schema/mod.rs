@@ -30,6 +30,7 @@ pub fn config_schema() -> Value {
         "connections-before-login": positive("Of them, those that have not logged in; absent = a quarter. One more closes the oldest."),
         "connections-per-address": positive("Of these, those from one address; absent = a quarter. One more closes the oldest of that address."),
         "connections-per-user": positive("Connections of one user; absent = a quarter of all. A login more is told too-many-connections."),
+        "memory": positive("Bytes that may wait or be kept in the whole hub; absent = a quarter of the machine's memory."),
         "log": with_default(text("What to log: error, warn, info, debug, trace, or filters such as info,mom_broker=debug."), &default.log),
         "reload": with_default(
             words("When this file and the users file are read again: when one of them has changed, or only at SIGHUP.", &["change", "signal"]),
@@ -44,7 +45,10 @@ pub fn config_schema() -> Value {
         "login": login::login(),
         "store": table(
             "The store of token owners and fences, which outlives the broker.",
-            &json!({ "path": text("A directory of this broker's own, relative to this file; absent = nothing outlives it.") }),
+            &json!({
+                "path": text("A directory of this broker's own, relative to this file; absent = only the epoch of fences outlives it."),
+                "state": text("Without path: the directory of the number by which fences rise over restarts; absent = $STATE_DIRECTORY, $XDG_STATE_HOME/mom or ~/.local/state/mom.")
+            }),
             &[]
         ),
         "audit": audit::audit(),

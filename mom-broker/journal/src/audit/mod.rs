@@ -26,6 +26,7 @@ use tokio::sync::oneshot;
 pub use fact::Fact;
 pub use settings::AuditConfig;
 
+use crate::kept_files::KeptFiles;
 use file::RotatingFile;
 use mom_system::Clock;
 use sink::{LineSink, TracingSink};
@@ -61,7 +62,8 @@ impl AuditLog {
     pub fn start(config: &AuditConfig, clock: Clock) -> io::Result<AuditLog> {
         match &config.path {
             Some(path) => {
-                let (file, seq) = RotatingFile::open(path, config.size, config.keep)?;
+                let files = KeptFiles::new(path, config.keep, config.reserve);
+                let (file, seq) = RotatingFile::open(files, config.size)?;
                 AuditLog::write_to(file, clock, seq)
             }
             None => AuditLog::write_to(TracingSink, clock, 0),

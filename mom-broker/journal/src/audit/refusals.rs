@@ -2,7 +2,7 @@
 //! second with a count.
 //!
 //! A peer decides how often it is refused, and may vary message and context. So the number of kinds that are
-//! distinguished is bounded, per peer and in all; others are only counted.
+//! distinguished is bounded, per peer, per user and in all; others are only counted.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -14,6 +14,10 @@ use super::Fact;
 
 /// Kinds of refusals distinguished per peer.
 const OF_ONE: usize = 8;
+
+/// Kinds distinguished per user. Who is refused as nobody's user, as at a login with a name that does not exist, is one
+/// user here, whatever address it comes from; and a guest that comes again has another name as a peer.
+const OF_USER: usize = 32;
 
 /// Kinds of refusals distinguished in all.
 const OF_ALL: usize = 1024;
@@ -36,12 +40,19 @@ struct RefusalKey {
     rule: Option<Arc<str>>,
 }
 
+/// Whose keys are counted.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+enum Whose {
+    Peer(Refused),
+    User(Arc<str>),
+}
+
 /// Refusals of the present and the last second.
 #[derive(Debug, Default)]
 pub(super) struct Refusals {
     alike: HashMap<RefusalKey, FoldedRefusals>,
-    /// How many keys one peer has.
-    keys: HashMap<Refused, usize>,
+    /// How many keys one peer or user has.
+    keys: HashMap<Whose, usize>,
     /// One refusal beyond all bounds, and the count of all such.
     others: Option<(Fact, u64)>,
 }
@@ -51,6 +62,8 @@ struct FoldedRefusals {
     last: Fact,
     /// Refusals not written yet.
     count: u64,
+    /// Whose key this is.
+    whose: Vec<Whose>,
 }
 
 impl Refusals {
@@ -60,11 +73,31 @@ impl Refusals {
         if self.count(&key, &fact) {
             return None;
         }
-        if self.keys.get(&key.who).is_some_and(|keys| *keys >= OF_ONE) {
+        let mut whose = vec![Whose::Peer(Arc::clone(&key.who))];
+        let user = key.user.clone();
+        // Logins stay apart from what users ask for.
+        let verb = key.verb.filter(|verb| *verb == Verb::Login);
+        if self.has(&whose[0], OF_ONE) {
             key = reduced(key);
             fact.audit = reduced_fact(fact.audit);
             if self.count(&key, &fact) {
                 return None;
+            }
+        }
+        if let Some(user) = user {
+            let of_user = Whose::User(Arc::clone(&user));
+            if self.has(&of_user, OF_USER) {
+                key = reduced(key);
+                (key.who, key.user, key.verb) = ("".into(), Some(user), verb);
+                fact.audit = reduced_fact(fact.audit);
+                (fact.audit.peer, fact.audit.verb, fact.from) = (None, verb, None);
+                if self.count(&key, &fact) {
+                    return None;
+                }
+                // Beyond all that are counted: there are few codes.
+                whose.clear();
+            } else {
+                whose.push(of_user);
             }
         }
         if self.alike.len() >= OF_ALL {
@@ -73,10 +106,20 @@ impl Refusals {
             *count += 1;
             return None;
         }
-        *self.keys.entry(Arc::clone(&key.who)).or_default() += 1;
-        let last = fact.clone();
-        self.alike.insert(key, FoldedRefusals { last, count: 0 });
+        for whose in &whose {
+            *self.keys.entry(whose.clone()).or_default() += 1;
+        }
+        let first = FoldedRefusals {
+            last: fact.clone(),
+            count: 0,
+            whose,
+        };
+        self.alike.insert(key, first);
         Some(fact)
+    }
+
+    fn has(&self, whose: &Whose, most: usize) -> bool {
+        self.keys.get(whose).is_some_and(|keys| *keys >= most)
     }
 
     fn count(&mut self, key: &RefusalKey, fact: &Fact) -> bool {
@@ -92,7 +135,7 @@ impl Refusals {
     pub(super) fn drain(&mut self) -> Vec<Fact> {
         let mut counted = Vec::new();
         let keys = &mut self.keys;
-        self.alike.retain(|key, alike| {
+        self.alike.retain(|_, alike| {
             if alike.count > 0 {
                 let count = Some(std::mem::take(&mut alike.count));
                 counted.push(Fact {
@@ -101,10 +144,12 @@ impl Refusals {
                 });
                 return true;
             }
-            if let Some(left) = keys.get_mut(&key.who) {
-                *left -= 1;
-                if *left == 0 {
-                    keys.remove(&key.who);
+            for whose in &alike.whose {
+                if let Some(left) = keys.get_mut(whose) {
+                    *left -= 1;
+                    if *left == 0 {
+                        keys.remove(whose);
+                    }
                 }
             }
             false
@@ -221,6 +266,33 @@ mod tests {
         assert_eq!(counted[0].count, Some(10_000 - OF_ONE as u64 - 1));
         assert_eq!(counted[0].audit.text.as_deref(), Some(MANY));
         assert_eq!(counted[0].audit.peer.as_deref(), Some("eve"));
+    }
+
+    /// As a guest that comes and goes, and strangers from many addresses.
+    #[test]
+    fn one_user_cannot_fill_the_log_under_many_names() {
+        let mut refusals = Refusals::default();
+        for (user, named) in [("guest", true), ("unknown", false)] {
+            let of_user = |n: i64| {
+                let mut fact = refusal(&format!("guest~{n}"), "m", n);
+                fact.audit.user = Some(user.into());
+                if !named {
+                    fact.audit.peer = None;
+                    fact.from = Some(std::net::Ipv4Addr::from_bits(n as u32).into());
+                }
+                fact
+            };
+            let lines = (0..10_000).filter_map(|n| refusals.take(of_user(n)));
+            assert_eq!(lines.count(), OF_USER + 1, "{user}");
+            let counted = refusals.drain();
+            assert_eq!(counted.len(), 1);
+            assert_eq!(counted[0].count, Some(10_000 - OF_USER as u64 - 1));
+            let audit = &counted[0].audit;
+            assert_eq!((audit.user.as_deref(), &audit.peer), (Some(user), &None));
+            assert_eq!(counted[0].from, None);
+        }
+        assert!(refusals.drain().is_empty() && refusals.drain().is_empty());
+        assert!(refusals.alike.is_empty() && refusals.keys.is_empty());
     }
 
     #[test]

@@ -14,6 +14,8 @@ pub struct AuditConfig {
     pub size: u64,
     /// Files that are kept beside the present one: `audit.jsonl.1` is the youngest.
     pub keep: u32,
+    /// Bytes that are left free on their disk, a tenth of it at most: where less is free the oldest files go, then lines.
+    pub reserve: u64,
 }
 
 impl Default for AuditConfig {
@@ -22,6 +24,7 @@ impl Default for AuditConfig {
             path: None,
             size: 16 * 1024 * 1024,
             keep: 8,
+            reserve: crate::RESERVE,
         }
     }
 }

@@ -1,9 +1,9 @@
-//! Folds grants and losses, which may come by the thousand per second: the first ones of a second are written one by
-//! one, then a line with a count. So nobody can push older lines out of the files by grabbing and releasing a token
-//! in a loop.
+//! Folds grants and losses, logins and ends, which may come by the thousand per second: the first ones of a second are
+//! written one by one, then a line with a count. So nobody can push older lines out of the files by grabbing and
+//! releasing a token in a loop, or by coming and going.
 //!
 //! The last state is never lost: the line of folded facts is that of the last one, and it is written before any other
-//! line about its context.
+//! line about its context, or about the same user where there is none.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -15,7 +15,9 @@ use mom_proto::event::Reason;
 use super::Fact;
 
 /// The facts that are folded: a peer can repeat them at will, and each reverses the one before.
-const FOLDING: [&str; 6] = [
+const FOLDING: [&str; 8] = [
+    "login",
+    "gone",
     "granted",
     "lost",
     "inhibited",
@@ -80,8 +82,9 @@ impl Successes {
             None => {}
         }
         // Folded facts about the same context happened before.
-        let context = fact.audit.context.clone();
-        let mut lines = self.unfold(|key| key.context == context);
+        let Audit { context, user, .. } = &fact.audit;
+        let about = |key: &FactKey| key.context == *context && (context.is_some() || key.user == *user);
+        let mut lines = self.unfold(about);
         lines.push(fact);
         lines
     }
@@ -107,9 +110,11 @@ impl Successes {
 }
 
 fn key_of(audit: &Audit) -> FactKey {
+    // Who comes again may have another name as a peer.
+    let coming = ["login", "gone"].contains(&audit.what);
     FactKey {
         what: audit.what,
-        peer: audit.peer.clone(),
+        peer: audit.peer.clone().filter(|_| !coming),
         user: audit.user.clone(),
         context: audit.context.clone(),
         rule: audit.rule.clone(),
@@ -163,6 +168,36 @@ mod tests {
             "who owns it now comes last"
         );
         assert!(successes.drain().is_empty() && successes.alike.is_empty());
+    }
+
+    #[test]
+    fn coming_and_going_has_a_few_lines_for_each_user() {
+        let mut successes = Successes::default();
+        let mut lines = Vec::new();
+        let of = |what, number: u64| {
+            let mut fact = fact(what, &format!("guest~{number}"), number);
+            (fact.audit.context, fact.audit.user) = (None, Some("guest".into()));
+            fact
+        };
+        for number in 1..=1000 {
+            lines.extend(successes.take(of("login", number)));
+            lines.extend(successes.take(of("gone", number)));
+        }
+        let mut other = fact("login", "alice", 1);
+        (other.audit.context, other.audit.user) = (None, Some("alice".into()));
+        assert_eq!(
+            successes.take(other).len(),
+            1,
+            "another user's tells nothing of these"
+        );
+        assert_eq!(lines.len(), 2 * OWN_LINES as usize);
+        assert_eq!(
+            shown(&successes.drain()),
+            [
+                ("login", Some("guest~1000"), Some(1000), Some(992)),
+                ("gone", Some("guest~1000"), Some(1000), Some(992)),
+            ]
+        );
     }
 
     #[test]

@@ -141,7 +141,7 @@ impl<S: LineSink> AuditWriter<S> {
         // They did not fit because of the facts that are written now.
         let lost = self.shared.lost.swap(0, Ordering::Relaxed);
         if lost > 0 {
-            let mut fact = Fact::of(self.clock.wall(), "audit-lost");
+            let mut fact = Fact::of(self.clock.civil(), "audit-lost");
             fact.count = Some(lost);
             self.push(&fact, lost);
         }

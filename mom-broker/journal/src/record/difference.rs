@@ -85,6 +85,7 @@ impl Difference {
             Told::Stored(..) => ("stored", None, None),
             Told::Configure(..) => ("configure", None, None),
             Told::Tick => ("tick", None, None),
+            Told::Wall(_) => ("wall", None, None),
         };
         let peer = input.peer();
         let decisions =

@@ -87,6 +87,8 @@ pub(super) enum Told {
     /// The configuration was changed: its file's name and the SHA-256 of its text, as far as known.
     Configure(Option<String>, Option<String>),
     Tick,
+    /// The wall clock was set: by how many µs it is ahead from now on.
+    Wall(i64),
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -218,6 +220,7 @@ impl Told {
             } => Told::Stored(*ticket, *ok),
             Input::Configure(_) => Told::Configure(None, None),
             Input::Tick => Told::Tick,
+            Input::Wall { ahead } => Told::Wall(*ahead),
         }
     }
 
@@ -227,7 +230,7 @@ impl Told {
             Told::Login(login) => Some(login.peer),
             Told::Gone(peer) => Some(*peer),
             Told::Request(request) => Some(request.peer),
-            Told::Stored(..) | Told::Configure(..) | Told::Tick => None,
+            Told::Stored(..) | Told::Configure(..) | Told::Tick | Told::Wall(_) => None,
         }
     }
 }

@@ -1,8 +1,7 @@
 //! Writes a recording, from a thread of its own.
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{self, BufWriter, Write};
-use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -10,13 +9,14 @@ use std::time::Duration;
 
 use mom_hub::{Effect, Hub, Input, Settings};
 use mom_proto::{Family, Micros, Verb};
-use mom_system::{numbered, open_own};
+use mom_system::open_own;
 use tokio::sync::oneshot;
 
 use super::RecordConfig;
 use super::line::{RecordedLine, RecordedStep, RecordingHead, Told};
 use super::outcome::outcomes;
 use crate::ConfigFile;
+use crate::kept_files::KeptFiles;
 
 /// The reason in the last line of a complete recording.
 pub(super) const STOPPED: &str = "the broker stopped";
@@ -78,8 +78,10 @@ impl Recorder {
         let Some(path) = &record.path else {
             return Ok(None);
         };
+        let files = KeptFiles::new(path, record.keep, record.reserve);
         let mut writer = RecordWriter {
-            file: BufWriter::new(begin(path)?),
+            file: BufWriter::new(begin(&files)?),
+            files,
             length: 0,
             size: record.size,
             shared: Arc::default(),
@@ -168,19 +170,21 @@ impl Recorder {
     }
 }
 
-/// An empty file; an existing one is renamed to `.1`.
-fn begin(path: &Path) -> io::Result<File> {
-    let file = open_own(path)?;
+/// An empty file; an existing one becomes the youngest of the old ones.
+fn begin(files: &KeptFiles) -> io::Result<File> {
+    let file = open_own(files.path())?;
     let known = file.metadata()?;
     if !known.is_file() || known.len() == 0 {
         return Ok(file);
     }
-    fs::rename(path, numbered(path, 1))?;
-    open_own(path)
+    files.trim()?;
+    files.shift()?;
+    open_own(files.path())
 }
 
 struct RecordWriter {
     file: BufWriter<File>,
+    files: KeptFiles,
     length: u64,
     size: u64,
     shared: Arc<RecordShared>,
@@ -227,6 +231,9 @@ impl RecordWriter {
                 return self.end("the disk did not keep up", true);
             }
             self.file.flush()?;
+            if let Err(error) = self.files.leave_space() {
+                return self.end(&error.to_string(), true);
+            }
         }
     }
 

@@ -26,6 +26,8 @@ pub struct Replay {
     translations: Translations,
     /// The recorded hub's next deadline; none before its first input, where it is not recorded.
     deadline: Option<Option<Micros>>,
+    /// By how much the wall clock was ahead of the hub's time, µs.
+    ahead: i64,
     zeros: Bytes,
     summary: Summary,
 }
@@ -75,6 +77,7 @@ impl Replay {
             names: Names::default(),
             translations,
             deadline: None,
+            ahead: 0,
             zeros: Bytes::new(),
             summary: Summary::default(),
         })
@@ -216,7 +219,7 @@ impl Replay {
     }
 
     fn wall(&self, now: Micros) -> Time {
-        let since = i64::try_from(now).unwrap_or(i64::MAX);
+        let since = i64::try_from(now).unwrap_or(i64::MAX).saturating_add(self.ahead);
         Time::from_micros(self.head.anchor.micros().saturating_add(since)).unwrap_or(Time::MAX)
     }
 
@@ -244,6 +247,10 @@ impl Replay {
                 Input::Tick
             }
             Told::Tick => Input::Tick,
+            Told::Wall(ahead) => {
+                self.ahead = *ahead;
+                Input::Wall { ahead: *ahead }
+            }
         })
     }
 

@@ -8,11 +8,15 @@ use serde::Deserialize;
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct RecordConfig {
-    /// The file, relative to the configuration file; none = nothing is recorded. Each start begins it anew; the one
-    /// before is kept with `.1` behind its name.
+    /// The file, relative to the configuration file; none = nothing is recorded. Each start begins it anew.
     pub path: Option<PathBuf>,
     /// Bytes after which recording stops.
     pub size: u64,
+    /// Earlier recordings that are kept beside the present one: `control.jsonl.1` is the youngest.
+    pub keep: u32,
+    /// Bytes that are left free on their disk, a tenth of it at most: where less is free the oldest recordings go, then
+    /// recording stops.
+    pub reserve: u64,
 }
 
 impl Default for RecordConfig {
@@ -20,6 +24,8 @@ impl Default for RecordConfig {
         RecordConfig {
             path: None,
             size: 256 * 1024 * 1024,
+            keep: 1,
+            reserve: crate::RESERVE,
         }
     }
 }

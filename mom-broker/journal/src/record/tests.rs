@@ -247,6 +247,32 @@ fn a_failed_store_is_replayed() {
     assert_eq!(recording.by("").0, Vec::<String>::new());
 }
 
+/// A wall clock that was set is set again, and calendars decide by it as they did.
+#[test]
+fn a_step_of_the_wall_clock_is_replayed() {
+    let mut recording = Recording::new("", false);
+    recording.login(1, "alice");
+    let slot = Map::new()
+        .with("from", "2026-11-21T10:00:00Z")
+        .with("to", "2026-11-21T11:00:00Z");
+    let manager = Map::new()
+        .with("kind", "schedule")
+        .with("free", "deny")
+        .with("slots", vec![Value::from(slot)]);
+    let spec = Map::new().with("kind", "token").with("manager", manager);
+    let create = Parcel::new(Family::Context, "create").content(spec);
+    recording.say(1, create, "/robot/room");
+    let before = recording.ask(1, Verb::Grab, "/robot/room");
+    assert!(matches!(&before[..], [Outcome::Refused { .. }]), "{before:?}");
+    recording.tell(Input::Wall {
+        ahead: 1_795_255_300_000_000,
+    });
+    let after = recording.ask(1, Verb::Grab, "/robot/room");
+    let granted = |outcome: &Outcome| matches!(outcome, Outcome::Ok { fence: Some(_), .. });
+    assert!(after.iter().any(granted), "{after:?}");
+    assert_eq!(recording.by("").0, Vec::<String>::new());
+}
+
 /// No line of a recording is more than its reader takes, and each comes back as it was.
 #[test]
 fn lines_come_back() {
@@ -272,6 +298,7 @@ fn lines_come_back() {
     });
     recording.tell(Input::Gone { peer: PeerId(1) });
     recording.tell(Input::Tick);
+    recording.tell(Input::Wall { ahead: -5 });
     for line in &recording.lines {
         let text = serde_json::to_string(line).expect("JSON");
         assert!(!text.contains("a secret"), "{text}");

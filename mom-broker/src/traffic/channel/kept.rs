@@ -48,7 +48,7 @@ impl State {
         }
         for outbox in &new {
             let replay = Replay::new(self.route.number, Arc::clone(&kept), self.encoder.another());
-            outbox.push(replay.into_packet());
+            outbox.push(replay.into_packet(outbox.account().as_ref()));
         }
         new
     }

@@ -19,10 +19,11 @@ use mom_system::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use crate::traffic::batch::BatchPace;
 use crate::traffic::encodings::{Encoder, Encodings};
 use crate::traffic::history::History;
-use crate::traffic::outbox::{Dropped, Gate, Origin, Outbox, Packet};
+use crate::traffic::memory::Account;
+use crate::traffic::outbox::{Charged, Dropped, Gate, Origin, Outbox, Packet};
 use crate::traffic::statistics::Statistics;
 
-pub(crate) use send::{Message, Outcome, Sender, Sent, Unsent, Why, run_ahead};
+pub(crate) use send::{LARGEST_STOP, Message, Outcome, Sender, Sent, Unsent, Why, run_ahead};
 pub(crate) use snapshot::{MemberSnapshot, Snapshot};
 
 /// A channel. Its lock is its critical section: who holds it decides the one order for all receivers (M27). Messages
@@ -62,6 +63,8 @@ pub(crate) struct Delivered {
     pub(crate) touched: Vec<Arc<Outbox>>,
     /// More of it is sure to come at once, so that they may be flushed a little later.
     pub(crate) lively: bool,
+    /// The id of a stop that went out without its content.
+    pub(crate) shortened: Option<Option<u64>>,
     /// Receivers that were too slow for what may not be dropped.
     pub(crate) too_slow: Vec<Arc<Outbox>>,
 }
@@ -154,6 +157,13 @@ impl Channel {
         let path = route.path.clone();
         state.route = Arc::new(route);
         path
+    }
+
+    /// Forgets what is kept of an account.
+    pub(crate) fn forget(&self, account: &Arc<Account>) {
+        if let Some(history) = &mut self.state.lock().history {
+            history.forget_of(account);
+        }
     }
 
     /// Counts what a receiver did not get after all; gives the channel's path.
@@ -308,8 +318,9 @@ pub(crate) fn hub_origin(parcel: &Parcel) -> Origin {
 }
 
 /// What goes by the control lane.
-pub(crate) fn control(encodings: Encodings, origin: Origin) -> Arc<Packet> {
+pub(crate) fn control(encodings: Encodings, origin: Origin, account: Option<&Arc<Account>>) -> Arc<Packet> {
     Arc::new(Packet {
+        charged: Charged::to(account, &encodings),
         encodings,
         lane: Lane::Control,
         delivery: Delivery::Reliable,

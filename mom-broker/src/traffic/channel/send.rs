@@ -9,13 +9,14 @@ use mom_managers::Rate;
 use mom_net::Lane;
 use mom_net::Reader;
 use mom_proto::binary::{ParcelRun, Plain};
-use mom_proto::{Content, ContextNumber, Delivery, Micros, Overflow, Parcel, WireError};
+use mom_proto::{Content, ContextNumber, Delivery, Map, Micros, Overflow, Parcel, WireError};
 use mom_system::Clock;
 
 use super::{Channel, Delivered, State, expires_at, lane_of};
 use crate::traffic::capacity::{NoCapacity, WhenFull};
 use crate::traffic::encodings::Encodings;
-use crate::traffic::outbox::{Origin, Packet, WaiterHandle};
+use crate::traffic::memory::Account;
+use crate::traffic::outbox::{Charged, Origin, Packet, WaiterHandle};
 use crate::traffic::statistics::measures;
 
 /// Bytes of messages that are admitted and passed on together, while a channel's lock is held.
@@ -23,6 +24,9 @@ const RUN: usize = 128 * 1024;
 
 /// Larger content is not copied, so it does not go in a run.
 const SMALL: usize = 8 * 1024;
+
+/// A stop with more goes out without it.
+pub(crate) const LARGEST_STOP: usize = 4 * 1024;
 
 /// Who sends, as its connection knows it.
 #[derive(Clone, Copy)]
@@ -185,13 +189,14 @@ impl State {
     /// Encodes an admitted message once for each form and puts it into the outboxes.
     fn try_deliver(&mut self, sender: PeerId, admitted: Admitted) -> Result<Delivered, Why> {
         let Admitted {
-            parcel,
+            mut parcel,
             receivers,
             rate,
             now,
             when_full,
         } = admitted;
         let lane = lane_of(&parcel);
+        let shortened = (lane == Lane::Stop && shorten(&mut parcel)).then_some(parcel.id);
         // Stops and unstops are never refused for load.
         let rate = rate.filter(|_| matches!(lane, Lane::Data(_)));
         let (size, age) = measures(&parcel);
@@ -210,7 +215,9 @@ impl State {
         let form = |at: usize| outboxes[at].as_ref().map(|outbox| outbox.form());
         let forms = positions.iter().filter_map(form);
         let encodings = self.encoder.encode(parcel, forms)?;
+        let (place, account) = self.place_and_account(sender);
         let packet = Arc::new(Packet {
+            charged: Charged::to(account.as_ref(), &encodings),
             encodings,
             lane,
             delivery,
@@ -227,10 +234,14 @@ impl State {
             }
         })?;
         if let (Some(history), Some(parcel)) = (&mut self.history, kept) {
-            history.note(sender, parcel, now);
+            history.note(sender, parcel, now, account.as_ref());
         }
-        self.statistics.sent(self.route.position(sender), size, age);
-        Ok(self.put(&packet, &positions, now))
+        self.statistics.sent(place, size, age);
+        let delivered = self.put(&packet, &positions, now);
+        Ok(Delivered {
+            shortened,
+            ..delivered
+        })
     }
 
     /// Sends the plain messages in front of a reader that differ from the first in stamps and content only.
@@ -285,8 +296,10 @@ impl State {
             self.used.entry(peer).or_default().settle(&budget);
         }
         let count = run.count();
+        let encodings = Encodings::of_run(run.finish());
         let packet = Arc::new(Packet {
-            encodings: Encodings::of_run(run.finish()),
+            charged: Charged::to(self.place_and_account(peer).1.as_ref(), &encodings),
+            encodings,
             lane: Lane::Data(first.priority.unwrap_or_default()),
             delivery: Delivery::Reliable,
             origin: self.origin(peer, &first.name),
@@ -302,6 +315,13 @@ impl State {
     /// is kept.
     fn takes_runs(&self) -> bool {
         self.binary && !self.thins && self.history.is_none()
+    }
+
+    /// Where a sender is among the members, and what its messages are charged to; none of both if it has left.
+    fn place_and_account(&self, sender: PeerId) -> (Option<usize>, Option<Arc<Account>>) {
+        let place = self.route.position(sender);
+        let outbox = place.and_then(|place| self.outboxes[place].as_ref());
+        (place, outbox.and_then(|outbox| outbox.account()))
     }
 
     /// Charges a message to its sender's rate; gives what was used before.
@@ -355,6 +375,16 @@ fn ingress(sender: &Sender<'_>, since: Option<Micros>, clock: &Clock) -> Ingress
         clock: (sender.clock)(now),
         waited: since.map_or(0, |since| now.saturating_sub(since)),
     }
+}
+
+/// Takes from a stop what makes it large: it has to get through when nothing else does.
+fn shorten(parcel: &mut Parcel) -> bool {
+    let large = parcel.size() > LARGEST_STOP;
+    if large {
+        parcel.content = None;
+        parcel.extra = Map::new();
+    }
+    large
 }
 
 /// The channel of the plain messages in front of a reader, if they are small enough for a run.

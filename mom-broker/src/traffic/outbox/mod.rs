@@ -16,11 +16,12 @@ use mom_net::{Flow, NetError, Pause, Piece, Rest, Taken, Writer, write_batch};
 use mom_proto::codec::Form;
 use mom_proto::{ContextNumber, Limit, Micros, WireError};
 
-pub(crate) use packet::{Dropped, Gate, Origin, Packet};
+pub(crate) use packet::{Charged, Dropped, Gate, Origin, Packet};
 pub(crate) use queue::PeerQueue;
 pub(crate) use waiter::WaiterHandle;
 
 use crate::traffic::encodings::Unready;
+use crate::traffic::memory::Account;
 use mom_system::Clock;
 use mom_system::sync::atomic::{AtomicBool, Ordering, fence};
 use mom_system::sync::{Mutex, MutexGuard, Notify};
@@ -29,7 +30,7 @@ use mom_system::sync::{Mutex, MutexGuard, Notify};
 #[derive(Debug)]
 pub(crate) struct Outbox {
     pub(crate) peer: PeerId,
-    name: Mutex<Arc<str>>,
+    who: Mutex<Who>,
     clock: Clock,
     queue: Mutex<PeerQueue>,
     writer: Writer,
@@ -52,6 +53,23 @@ pub(crate) struct Outbox {
 thread_local! {
     /// What a writer takes from a queue: used within a turn only, so that idle connections need no memory for it.
     static BATCH: Cell<VecDeque<Piece<Packet>>> = const { Cell::new(VecDeque::new()) };
+}
+
+/// Whose connection it is.
+#[derive(Debug)]
+struct Who {
+    /// Empty before login.
+    name: Arc<str>,
+    account: Option<Arc<Account>>,
+}
+
+impl Default for Who {
+    fn default() -> Who {
+        Who {
+            name: "".into(),
+            account: None,
+        }
+    }
 }
 
 /// How far a flush came.
@@ -77,7 +95,7 @@ impl Outbox {
     pub(crate) fn new(peer: PeerId, clock: Clock, writer: Writer, limit: usize) -> Outbox {
         Outbox {
             peer,
-            name: Mutex::new("".into()),
+            who: Mutex::new(Who::default()),
             clock,
             queue: Mutex::new(PeerQueue::new(writer.form(), limit)),
             writer,
@@ -183,15 +201,30 @@ impl Outbox {
         self.call_all();
     }
 
-    /// Changes the bounds, of what waits and of one parcel, and notes the peer's name, as after login.
-    pub(crate) fn admit(&self, limit: usize, parcel: Limit, name: Arc<str>) {
+    /// Changes the bounds, of what waits and of one parcel, and notes the peer's name and account, as after login.
+    pub(crate) fn admit(&self, limit: usize, parcel: Limit, name: Arc<str>, account: Arc<Account>) {
         self.queue.lock().set_limits(limit, parcel);
-        *self.name.lock() = name;
+        *self.who.lock() = Who {
+            name,
+            account: Some(account),
+        };
+    }
+
+    /// What its peer's user has waiting here and elsewhere; none before login.
+    pub(crate) fn account(&self) -> Option<Arc<Account>> {
+        self.who.lock().account.clone()
+    }
+
+    /// Drops what waits and of which `goes` says so, for want of memory; gives its bytes.
+    pub(crate) fn drop_for_memory(&self, goes: impl Fn(&Packet) -> bool) -> usize {
+        let freed = self.queue.lock().drop_for_memory(goes);
+        self.call_next();
+        freed
     }
 
     /// The peer's name, empty before login; it is known here also when the hub has forgotten the peer.
     pub(crate) fn name(&self) -> Arc<str> {
-        Arc::clone(&self.name.lock())
+        Arc::clone(&self.who.lock().name)
     }
 
     /// Gives up what still waits, for an end at which nobody takes it any more.
@@ -271,7 +304,7 @@ impl Outbox {
                 }
             }
             Some(Unready::Replay(replay)) => {
-                let next = replay.step(self.form(), &self.clock);
+                let next = replay.step(self.form(), &self.clock, self.account().as_ref());
                 self.queue.lock().replace_front(packet, next);
                 // The same task reads what this peer says.
                 tokio::task::yield_now().await;

@@ -9,6 +9,7 @@ use mom_proto::{ContextNumber, Delivery, Micros, Parcel, event};
 use mom_system::sync::atomic::{AtomicU64, Ordering};
 
 use crate::traffic::encodings::Encodings;
+use crate::traffic::memory::{Account, Charge};
 
 /// Of what is written together, in bytes: more fills a call by itself.
 const SMALL: usize = 4096;
@@ -20,7 +21,7 @@ pub(crate) type Gate = Arc<AtomicU64>;
 const PLACE: usize = 64;
 
 /// A parcel, or a run of small ones, with all that a queue has to know of it.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub(crate) struct Packet {
     pub(crate) encodings: Encodings,
     pub(crate) lane: Lane,
@@ -32,6 +33,37 @@ pub(crate) struct Packet {
     pub(crate) gate: Option<(Gate, u64)>,
     /// How many parcels it has; more than one only in the binary form.
     pub(crate) count: u32,
+    pub(crate) charged: Charged,
+}
+
+/// Where the memory of a packet is charged.
+#[derive(Debug, Default)]
+pub(crate) enum Charged {
+    /// Nowhere: its sender has no account, or tests make it.
+    #[default]
+    Nowhere,
+    /// To an account, once for all queues that it waits in.
+    To(Charge),
+    /// It shares its memory with this packet.
+    With(Arc<Packet>),
+}
+
+impl Charged {
+    /// What a packet of these encodings takes.
+    pub(crate) fn to(account: Option<&Arc<Account>>, encodings: &Encodings) -> Charged {
+        match account {
+            Some(account) => Charged::To(account.charge(PLACE + encodings.memory())),
+            None => Charged::Nowhere,
+        }
+    }
+
+    fn is_of(&self, account: &Arc<Account>) -> bool {
+        match self {
+            Charged::Nowhere => false,
+            Charged::To(charge) => charge.is_of(account),
+            Charged::With(packet) => packet.charged.is_of(account),
+        }
+    }
 }
 
 /// Where a message comes from.
@@ -59,11 +91,22 @@ impl Packet {
     }
 
     /// The same for receivers that want the newest only, whatever its class is.
-    pub(crate) fn as_latest(&self) -> Packet {
+    pub(crate) fn as_latest(self: &Arc<Packet>) -> Packet {
         Packet {
+            encodings: self.encodings.clone(),
+            lane: self.lane,
             delivery: Delivery::Latest,
-            ..self.clone()
+            origin: self.origin.clone(),
+            expires_at: self.expires_at,
+            gate: self.gate.clone(),
+            count: self.count,
+            charged: Charged::With(Arc::clone(self)),
         }
+    }
+
+    /// Whether its memory is charged to this account.
+    pub(crate) fn is_of(&self, account: &Arc<Account>) -> bool {
+        self.charged.is_of(account)
     }
 
     /// Whether it may no longer leave: its time is over, or its owner owns no more.

@@ -13,11 +13,13 @@ use mom_system::sync::{Mutex, Notify};
 use mom_system::{Clock, Workers};
 
 use crate::traffic::batch::{self, BatchWriter};
-use crate::traffic::channel::{Channel, Sent, control, hub_origin, stamped};
+use crate::traffic::channel::{Channel, LARGEST_STOP, Sent, control, hub_origin, stamped};
 use crate::traffic::encodings::{Bounds, Encoder, Encodings};
+use crate::traffic::memory::Memory;
 use crate::traffic::outbox::{Dropped, Outbox, Packet};
 
 mod effects;
+mod relief;
 mod sending;
 mod statistics;
 #[cfg(test)]
@@ -43,6 +45,7 @@ pub(crate) struct Switchboard {
     bounds: Bounds,
     /// For what grows with the size of what one peer sends.
     pub(crate) workers: Arc<Workers>,
+    pub(crate) memory: Memory,
     /// None where nothing outlives the broker; the hub knows, and stores nothing.
     pub(crate) store: Option<Store>,
     pub(crate) outboxes: DashMap<PeerId, Arc<Outbox>>,
@@ -70,6 +73,7 @@ impl Switchboard {
             by_path: DashMap::new(),
             bounds,
             workers: Arc::default(),
+            memory: Memory::default(),
             store,
             outboxes: DashMap::new(),
             batch_writer: BatchWriter::default(),
@@ -118,7 +122,7 @@ impl Switchboard {
             let parcel = stamped(error.to_parcel(None), self.clock.wall());
             let origin = hub_origin(&parcel);
             let encodings = Encodings::new(parcel, std::iter::once(outbox.form())).ok()?;
-            Some(control(encodings, origin))
+            Some(control(encodings, origin, None))
         });
         // Whoever goes by its own wish, or because the broker stops, gets all that waits; whoever is put out does not.
         let drain = error.as_ref().is_none_or(|error| error.code == Code::SHUTDOWN);
@@ -279,6 +283,14 @@ impl Switchboard {
             tracing::info!(peer = outbox.peer.0, context = %path, "slow receiver closed");
             self.close(&outbox, Some(WireError::new(Code::SLOW_RECEIVER, text)));
         }
+        if let Some(reference) = delivered.shortened {
+            let most = i64::try_from(LARGEST_STOP).unwrap_or(i64::MAX);
+            let mut parcel = Parcel::new(Family::Event, event::SHORTENED)
+                .context(path.clone())
+                .content(Map::new().with("name", event::STOP).with("most", most));
+            parcel.reference = reference;
+            self.tell(sender, parcel, touched);
+        }
         if let Some(reference) = receipt {
             let dropped: Vec<Value> = delivered
                 .dropped
@@ -300,7 +312,12 @@ impl Switchboard {
         let forms = outboxes.iter().map(|outbox| outbox.form());
         match Encodings::new((**parcel).clone(), forms) {
             Ok(encodings) => {
-                let packet = control(encodings, hub_origin(parcel));
+                // What many hear is held once, and of nobody in particular.
+                let account = match outboxes.as_slice() {
+                    [outbox] => outbox.account(),
+                    _ => None,
+                };
+                let packet = control(encodings, hub_origin(parcel), account.as_ref());
                 for outbox in outboxes {
                     self.push(&outbox, Arc::clone(&packet), touched);
                 }
@@ -313,7 +330,8 @@ impl Switchboard {
     fn push_control(&self, outbox: &Arc<Outbox>, parcel: Parcel, touched: &mut Touched) {
         let origin = hub_origin(&parcel);
         if let Ok(encodings) = Encodings::new(parcel, std::iter::once(outbox.form())) {
-            self.push(outbox, control(encodings, origin), touched);
+            let account = outbox.account();
+            self.push(outbox, control(encodings, origin, account.as_ref()), touched);
         }
     }
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use mom_hub::PeerId;
-use mom_proto::{ContextNumber, Map, Parcel, Value};
+use mom_proto::{ContextNumber, Map, Parcel, Path, Value};
 
 use crate::traffic::channel::{MemberSnapshot, Snapshot};
 use crate::traffic::switchboard::{Switchboard, Touched};
@@ -23,6 +23,9 @@ impl Switchboard {
             _ => Map::new(),
         };
         content.set("time", self.clock.wall());
+        if parcel.context.as_ref().is_some_and(Path::is_root) {
+            content.set("memory", self.memory.to_map());
+        }
         let snapshots = channels.iter().filter_map(|number| {
             let channel = self.channel(*number)?;
             Some((*number, channel.snapshot()))

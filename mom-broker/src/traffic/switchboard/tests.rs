@@ -71,8 +71,9 @@ struct World {
     /// Whether it makes runs.
     runs: bool,
     peers: Vec<Present>,
-    /// The sender's link, both ends.
-    said: Transceiver,
+    /// The sender's link: its own end, and what the hub reads of it.
+    writer: Option<Writer>,
+    _said: Reader,
     heard: Reader,
     known: Option<u64>,
     ids: u64,
@@ -179,7 +180,8 @@ impl World {
             clock,
             runs,
             peers: Vec::new(),
-            said,
+            writer: Some(said.writer),
+            _said: said.reader,
             heard: near.reader,
             known: None,
             ids: 1000,
@@ -253,13 +255,31 @@ impl World {
     /// What the first peer says arrives, and is sent as its connection sends it.
     async fn say(&mut self, groups: &[(Alike, Vec<Option<i64>>)], leaves: bool) {
         let number = self.number();
+        let mut said = Vec::new();
         for (alike, ages) in groups {
             for age in ages {
                 self.ids += 1;
-                let parcel = alike.parcel(self.ids, *age, self.clock.wall(), number);
-                self.said.writer.send(parcel).await.expect("a link");
+                said.push(alike.parcel(self.ids, *age, self.clock.wall(), number));
             }
         }
+        said.push(Parcel::new(Family::Time, "ping").id(1));
+        // Beside the reading: the link may hold less than all of it.
+        let mut writer = self.writer.take().expect("nobody else writes");
+        let write = async move {
+            for parcel in said {
+                writer.send(parcel).await.expect("a link");
+            }
+            writer
+        };
+        let (writer, ()) = tokio::join!(write, self.hear());
+        self.writer = Some(writer);
+        if leaves {
+            self.leave().await;
+        }
+    }
+
+    /// Sends what arrives, up to a ping.
+    async fn hear(&mut self) {
         let mut touched = Touched::new();
         let limits = Limits::default();
         let known = self.known;
@@ -273,8 +293,6 @@ impl World {
             peer: self.peers[0].id,
             clock: &clock,
         };
-        let end = Parcel::new(Family::Time, "ping").id(1);
-        self.said.writer.send(end).await.expect("a link");
         loop {
             if self.runs && self.board.run(&sender, &mut self.heard, &mut touched) {
                 self.made += 1;
@@ -302,9 +320,6 @@ impl World {
             }
         }
         self.touched.append(&mut touched);
-        if leaves {
-            self.leave().await;
-        }
     }
 
     /// Lets all that waits leave.
@@ -470,7 +485,7 @@ fn a_run_is_the_same_messages_one_by_one() {
         panic!("{error}");
     }
     assert!(
-        made.get() > 2 * CASES as usize,
+        made.get() > CASES as usize / 2,
         "only {} runs were made",
         made.get()
     );

@@ -12,7 +12,7 @@ use tempfile::TempDir;
 use super::{at, free, holder, owned};
 use crate::disk::{Disk, LaneFile, LaneImage, lane_file};
 use crate::row::LaneMeta;
-use crate::{Opened, Store, StoreError};
+use crate::{LANES, Opened, Store, StoreError};
 
 const NOW: i64 = 1_795_000_000;
 const DAY: i64 = 86_400;
@@ -322,4 +322,46 @@ fn the_epoch_is_above_what_was_given_out_without_a_record() {
     drop(opened);
     let again = open(&state);
     assert!(again.epoch << 20 > given, "{} {given}", again.epoch);
+}
+
+/// Tokens that come by the thousand and go again: what the files hold of them goes too while they are open, and the next
+/// start finds what is still owned.
+#[test]
+fn what_is_free_takes_no_room_while_it_runs() {
+    const TOKENS: u64 = 16_000;
+    let (_folder, state) = folder();
+    let mut opened = open(&state);
+    let first = opened.epoch << 20;
+    let length = |lane| fs::metadata(lane_file(&state, lane)).expect("there").len();
+    let size = || (0..LANES).map(length).sum::<u64>();
+    let path = |token: u64| format!("/of/a/length/as/they/are/in/robots/{token}");
+    keep(&mut opened, &[owned("/kept", first)]);
+    for token in 1..=TOKENS {
+        let record = owned(&path(token), first + token);
+        opened.store.put(record, Some(Ticket(token)));
+    }
+    for _ in 0..TOKENS {
+        assert!(opened.answers.blocking_recv().expect("an answer").1);
+    }
+    let most = size();
+    for token in 1..=TOKENS {
+        opened.store.put(free(&path(token), first + token), None);
+    }
+    let mut commits = 0;
+    while size() > most / 2 {
+        commits += 1;
+        assert!(commits < 10_000, "{} of {most} bytes are left", size());
+        keep(&mut opened, &[owned("/busy", first + TOKENS + commits)]);
+    }
+    close(&opened);
+    drop(opened);
+    let again = open(&state);
+    let owned = again.records.iter().filter(|record| record.owner.is_some());
+    let owned: Vec<&str> = owned.map(|record| record.path.as_str()).collect();
+    assert!(matches!(owned[..], ["/busy", "/kept"] | ["/kept"]), "{owned:?}");
+    assert!(
+        again.records.len() < TOKENS as usize / 2,
+        "{} rows",
+        again.records.len()
+    );
 }

@@ -55,7 +55,7 @@ fn open(
         (format!("memory {lane}"), disk)
     };
     let disks = (0..2).map(disk).collect();
-    let (store, answers) = Store::run(disks, StoreQueue::new(1, vec![0; 2]), None).expect("threads");
+    let (store, answers) = Store::run(disks, StoreQueue::new(1, vec![0; 2], []), None).expect("threads");
     (Arc::new(store), durable, answers)
 }
 

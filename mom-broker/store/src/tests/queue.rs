@@ -1,12 +1,13 @@
 //! Which records go where, and who is answered.
 
 use mom_hub::{Record, Ticket};
+use mom_proto::Path;
 
 use super::{free, owned};
 use crate::queue::{StoreBatch, StoreQueue};
 
 fn queue() -> StoreQueue {
-    StoreQueue::new(100, vec![0; 4])
+    StoreQueue::new(100, vec![0; 4], [])
 }
 
 fn put(queue: &mut StoreQueue, record: Record, ticket: impl Into<Option<u64>>) {
@@ -92,7 +93,7 @@ fn what_nobody_awaits_is_in_one_lane_at_a_time() {
 
 #[test]
 fn the_last_lane_takes_both_kinds_by_turns() {
-    let mut queue = StoreQueue::new(100, vec![0]);
+    let mut queue = StoreQueue::new(100, vec![0], []);
     put(&mut queue, free("/free", 1), None);
     put(&mut queue, owned("/a", 1), 1);
     for turn in 0..6 {
@@ -107,7 +108,7 @@ fn the_last_lane_takes_both_kinds_by_turns() {
 
 #[test]
 fn commits_tell_what_the_other_lanes_have() {
-    let mut queue = StoreQueue::new(100, vec![5, 6, 7, 8]);
+    let mut queue = StoreQueue::new(100, vec![5, 6, 7, 8], []);
     put(&mut queue, owned("/a", 1), 1);
     let batch = take(&mut queue, 2);
     assert_eq!(batch.meta.seen, [5, 6, 9, 8]);
@@ -162,4 +163,95 @@ fn without_a_lane_everything_is_refused_at_once() {
     }
     assert!(queue.is_dead() && queue.is_quiet());
     assert!(!queue.put(owned("/a", 10), Some(Ticket(10))));
+}
+
+fn gone(batch: &StoreBatch) -> Vec<&str> {
+    batch.gone.iter().map(Path::as_str).collect()
+}
+
+/// What one lane holds of a token is removed once another has something newer, and what is free last of all.
+#[test]
+fn what_is_not_needed_goes_and_the_newest_last() {
+    let mut queue = queue();
+    put(&mut queue, owned("/a", 1), 1);
+    let grant = take(&mut queue, 0);
+    queue.finish(0, grant, true);
+    put(&mut queue, free("/a", 1), None);
+    let release = take(&mut queue, 1);
+    assert_eq!(gone(&release), [""; 0]);
+    queue.finish(1, release, true);
+    // The release stays as long as the grant would come back without it.
+    put(&mut queue, owned("/b", 2), 2);
+    let other = take(&mut queue, 1);
+    assert_eq!(gone(&other), [""; 0]);
+    put(&mut queue, owned("/c", 3), 3);
+    let older = take(&mut queue, 0);
+    assert_eq!(gone(&older), ["/a"]);
+    assert!(
+        older.meta.last() > older.records[0].0,
+        "an old copy of the file is behind"
+    );
+    put(&mut queue, owned("/d", 4), 4);
+    let third = take(&mut queue, 2);
+    queue.finish(1, other, true);
+    put(&mut queue, owned("/e", 5), 5);
+    let early = take(&mut queue, 1);
+    assert_eq!(gone(&early), [""; 0], "the older one is not surely gone");
+    queue.finish(0, older, true);
+    queue.finish(1, early, true);
+    put(&mut queue, owned("/f", 6), 6);
+    let last = take(&mut queue, 1);
+    assert_eq!(gone(&last), ["/a"]);
+    queue.finish(1, last, true);
+    queue.finish(2, third, true);
+}
+
+/// A record that is on its way to a lane may land after the release that came later.
+#[test]
+fn a_release_stays_while_its_grant_is_being_written() {
+    let mut queue = queue();
+    put(&mut queue, owned("/a", 1), 1);
+    let slow = take(&mut queue, 0);
+    put(&mut queue, free("/a", 1), None);
+    let release = take(&mut queue, 1);
+    queue.finish(1, release, true);
+    put(&mut queue, owned("/b", 2), 2);
+    let other = take(&mut queue, 1);
+    assert_eq!(gone(&other), [""; 0]);
+    queue.finish(1, other, true);
+    // It failed: whether it is there is not known, and what would overrule it stays for good.
+    queue.finish(0, slow, false);
+    put(&mut queue, owned("/c", 3), 3);
+    assert_eq!(gone(&take(&mut queue, 1)), [""; 0]);
+}
+
+/// A fence that ran into the next epoch's numbers is not forgotten with its row.
+#[test]
+fn the_epoch_of_a_row_outlives_it() {
+    let mut queue = queue();
+    put(&mut queue, free("/a", 102 << 20), None);
+    let release = take(&mut queue, 0);
+    assert_eq!(release.meta.epoch, 100);
+    queue.finish(0, release, true);
+    put(&mut queue, owned("/b", 1), 1);
+    let batch = take(&mut queue, 0);
+    assert_eq!((gone(&batch), batch.meta.epoch), (vec!["/a"], 102));
+}
+
+/// A lane that has much to remove does so although there is nothing to write.
+#[test]
+fn much_is_removed_by_itself() {
+    let mut queue = queue();
+    for token in 0..2000 {
+        put(&mut queue, free(&format!("/{token}"), 1), None);
+    }
+    let release = take(&mut queue, 0);
+    queue.finish(0, release, true);
+    let mut removed = 0;
+    while let Some(batch) = queue.take(0) {
+        assert!(batch.records.is_empty() && batch.gone.len() <= 256);
+        removed += batch.gone.len();
+        queue.finish(0, batch, true);
+    }
+    assert!(removed > 1700 && queue.is_quiet(), "{removed}");
 }

@@ -107,7 +107,7 @@ impl Model {
     fn new() -> Model {
         let mut model = Model {
             images: vec![LaneImage::default(); LANES],
-            queue: StoreQueue::new(0, vec![0; LANES]),
+            queue: StoreQueue::new(0, vec![0; LANES], []),
             flying: (0..LANES).map(|_| None).collect(),
             broken: [false; LANES],
             epoch: 0,
@@ -159,6 +159,14 @@ impl Model {
                 if ok || landed {
                     self.land(lane, &batch);
                 }
+                if ok {
+                    // Also what nobody awaits: a release that is durable may be forgotten with what it released.
+                    let written = batch.records.iter().map(|(_, record)| Record::clone(record));
+                    written
+                        .collect::<Vec<_>>()
+                        .into_iter()
+                        .for_each(|record| self.note_durable(record));
+                }
                 self.broken[lane] |= !ok;
                 for (ticket, answer) in self.queue.finish(lane, batch, ok) {
                     let record = self.tickets.remove(&ticket).expect("answered once");
@@ -181,7 +189,7 @@ impl Model {
     }
 
     fn land(&mut self, lane: usize, batch: &StoreBatch) {
-        let written = self.images[lane].write(&batch.meta, &batch.records, &[]);
+        let written = self.images[lane].write(&batch.meta, &batch.records, &batch.gone);
         written.expect("memory has room");
     }
 
@@ -212,7 +220,7 @@ impl Model {
         assert_eq!(settled.is_ok(), writes >= LANES * 2);
         if settled.is_ok() {
             self.epoch = found.epoch;
-            self.queue = StoreQueue::new(found.epoch, found.seen);
+            self.queue = StoreQueue::new(found.epoch, found.seen, found.kept);
             self.broken = [false; LANES];
             self.tickets.clear();
         }

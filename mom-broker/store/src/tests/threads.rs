@@ -64,7 +64,7 @@ fn slowly() -> Slowly {
         (format!("slow {lane}"), disk)
     };
     let disks = (0..LANES).map(disk).collect();
-    let (store, answers) = Store::run(disks, StoreQueue::new(1, vec![0; LANES]), None).expect("threads");
+    let (store, answers) = Store::run(disks, StoreQueue::new(1, vec![0; LANES], []), None).expect("threads");
     Slowly {
         store,
         answers,

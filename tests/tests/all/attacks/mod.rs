@@ -2,4 +2,9 @@
 //!
 //! Each attack runs beside the canary of `mom_tests`, which loses nothing and answers on; the attacker hears the code that
 //! PROTOCOL.md names, and what the hub holds stays under its bound. Times are measured in the benches, not here.
+
 mod doors;
+mod logs;
+mod memory;
+mod permitted;
+mod state;

@@ -5,7 +5,7 @@ use mom_proto::codec::Form;
 use tokio::net::TcpListener;
 use tokio::time::timeout;
 
-use super::{After, World, chat_binary, chat_xml, entity};
+use super::{After, World, chat_xml, entity};
 
 /// Threat 1: document types, entity bombs, external entities.
 #[tokio::test]
@@ -75,10 +75,7 @@ async fn threat_2_nesting() {
             };
             content.push(0xc0);
             let what = format!("{levels} {what} in binary");
-            let bytes = chat_binary(content);
-            world
-                .attack(&what, Form::Binary, &bytes, "too-deep", After::Kept)
-                .await;
+            world.attack_content(&what, content).await;
         }
     }
     world.end().await;
@@ -163,10 +160,7 @@ async fn threat_5_encoding() {
         ("U+FFFE", b"\xa3\xef\xbf\xbe"),
         ("NUL in a key", b"\x81\xa1\0\xc0"),
     ] {
-        let bytes = chat_binary(content.to_vec());
-        world
-            .attack(what, Form::Binary, &bytes, "bad-encoding", After::Kept)
-            .await;
+        world.attack_content(what, content.to_vec()).await;
     }
     // A name of three bytes that are no characters, and one with a NUL.
     for name in [&b"\x06\xff\xff\xff"[..], b"\x04a\0"] {

@@ -126,6 +126,22 @@ impl World {
         error
     }
 
+    /// Lets an attacker send content that cannot be written in the witness's form: both are told that it was dropped,
+    /// and why.
+    async fn attack_content(&mut self, what: &str, content: Vec<u8>) {
+        let mut attacker = self.attacker(Form::Binary).await;
+        let (bytes, before) = (chat_binary(content), attacker.name().to_owned());
+        attacker.send(&bytes).await;
+        let expected = ["bad-content", "carol", &before].map(Value::from);
+        for heard in [&mut attacker, &mut self.witness] {
+            let told = heard.next_of(Family::Event, "dropped").await.value();
+            let told = ["reason", "receiver", "sender"].map(|name| told.get(name).cloned());
+            assert_eq!(told, expected.clone().map(Some), "{what}");
+        }
+        attacker.check_alive().await;
+        self.check_nothing_arrived(what).await;
+    }
+
     /// Checks that the witness has heard nothing of an attacker, and that the canary lives.
     async fn check_nothing_arrived(&mut self, what: &str) {
         self.attacks += 1;

@@ -31,7 +31,7 @@ pub(super) fn join_binary(path: &str) -> Vec<u8> {
 async fn threat_11_paths() {
     let mut world = World::start().await;
     let long = format!("/{}", "a".repeat(1024));
-    let megabyte = format!("/{}", "a".repeat(1024 * 1024));
+    let most = format!("/{}", "a".repeat(63 * 1024));
     let deep = "/a".repeat(1000);
     for path in [
         "/robot/../chat",
@@ -58,7 +58,7 @@ async fn threat_11_paths() {
         "/cafe\u{301}",
         "/<b>",
         long.as_str(),
-        &megabyte,
+        &most,
         &deep,
     ] {
         let what: String = path.chars().take(30).collect();
@@ -75,6 +75,14 @@ async fn threat_11_paths() {
         world
             .attack("NUL", form, &bytes, "bad-encoding", After::Kept)
             .await;
+    }
+    let megabyte = format!("/{}", "a".repeat(1024 * 1024));
+    // The binary decoder looks at each slot before it looks at all.
+    for (form, bytes, code) in [
+        (Form::Xml, join_xml(&megabyte), "too-long"),
+        (Form::Binary, join_binary(&megabyte), "bad-path"),
+    ] {
+        world.attack("1 MB", form, &bytes, code, After::Kept).await;
     }
     let huge = format!("/{}", "a".repeat(10 * 1024 * 1024));
     for (form, bytes) in [(Form::Xml, join_xml(&huge)), (Form::Binary, join_binary(&huge))] {

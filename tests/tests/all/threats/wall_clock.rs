@@ -6,9 +6,9 @@ use std::process::Command;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use mom_proto::codec::Form;
-use mom_proto::{Family, Map, Parcel, Value};
+use mom_proto::{Family, Map, Parcel, Time, Value};
 use mom_tests::canary::Canary;
-use mom_tests::raw::Raw;
+use mom_tests::raw::{PATIENCE, Raw};
 use mom_tests::service::{Home, Service};
 
 use super::arena::{self, Robot, about, command, grab};
@@ -183,6 +183,37 @@ async fn threat_25_a_step_in_the_middle_of_a_lease() {
     }
     canary.stop().await;
     assert_eq!(service.terminate().await.code(), Some(0));
+}
+
+/// A machine that starts with an old clock and learns the time later: log and audit log say so, and go by it.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn threat_25_a_clock_that_is_set_later() {
+    let home = Home::new("[audit]\npath = \"audit.jsonl\"\n");
+    let Some(wall) = Wall::new(home.folder()) else {
+        return;
+    };
+    wall.step(-10 * YEAR);
+    let service = wall.start(&home).await;
+    let mut canary = Canary::start(service.address()).await;
+    wall.step(0);
+    let begun = Instant::now();
+    while !home.log().contains("the wall clock was set") {
+        assert!(begun.elapsed() < PATIENCE, "{}", home.log());
+        canary.check().await;
+    }
+    canary.stop().await;
+    assert_eq!(service.terminate().await.code(), Some(0));
+    let audit = std::fs::read_to_string(home.file("audit.jsonl")).expect("an audit log");
+    let at = |what: &str| {
+        let line = audit
+            .lines()
+            .find(|line| line.contains(&format!("\"what\":\"{what}\"")));
+        let line: serde_json::Value = serde_json::from_str(line.unwrap_or_default()).expect("a line");
+        let at: Time = line["at"].as_str().unwrap_or_default().parse().expect("a time");
+        (real_time() - at.micros()) / 1_000_000 / DAY
+    };
+    assert!((3640..3660).contains(&at("started")), "{audit}");
+    assert_eq!((at("clock-stepped"), at("stopped")), (0, 0), "{audit}");
 }
 
 async fn check_short_lease(service: &Service, canary: &mut Canary) {

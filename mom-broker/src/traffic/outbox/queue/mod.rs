@@ -97,6 +97,11 @@ impl PeerQueue {
         self.drop_thinned(None);
     }
 
+    /// Drops what waits and of which `goes` says so, for want of memory; gives its bytes.
+    pub(crate) fn drop_for_memory(&mut self, goes: impl Fn(&Packet) -> bool) -> usize {
+        self.queue.drop_for_memory(goes)
+    }
+
     /// What was dropped since the last call.
     pub(crate) fn take_drops(&mut self) -> BTreeMap<Dropped, u64> {
         std::mem::take(&mut self.queue.policy().0)

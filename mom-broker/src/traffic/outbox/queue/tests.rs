@@ -11,7 +11,7 @@ use mom_system::sync::atomic::{AtomicU64, Ordering};
 
 use super::*;
 use crate::traffic::encodings::Encodings;
-use crate::traffic::outbox::Origin;
+use crate::traffic::outbox::{Charged, Origin};
 
 /// 936 bytes and the queue's own 64 make 1000.
 const SIZE: usize = 936;
@@ -27,6 +27,7 @@ fn packet(name: &str, lane: Lane, delivery: Delivery) -> Packet {
 
 fn frame(name: &str, lane: Lane, delivery: Delivery, frame: Vec<u8>) -> Packet {
     Packet {
+        charged: Charged::Nowhere,
         encodings: Encodings::of_run(Encoded {
             head: Bytes::from(frame),
             body: Bytes::new(),

@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use mom_broker::{Config, FailureRate};
 use mom_proto::codec::Form;
-use mom_proto::{Family, Parcel, WireError};
-use mom_tests::login::{DeviceKey, challenge, password};
+use mom_proto::{Family, Map, Parcel, WireError};
+use mom_tests::login::{DeviceKey, challenge, log_in, password};
 use mom_tests::raw::{PATIENCE, Raw};
 use tokio::task::JoinSet;
 
@@ -193,6 +193,35 @@ async fn threat_15_other_failures_count_too() {
     // Bob's password is not concerned: nothing of his was guessed.
     let mut bob = from(&world, 1).await;
     password(&mut bob, "bob", "bob").await.expect("bob");
+    world.end().await;
+}
+
+/// What is no login counts for its address as a wrong one does, though it costs no hash.
+#[tokio::test]
+async fn threat_15_logins_that_cannot_be_read_count_too() {
+    let clock = clock();
+    let world = World::start_at(clock.clone(), strict).await;
+    let mut eve = from(&world, 0).await;
+    let nonsense = [Map::new().with("password", 7), Map::new().with("name", "bob")];
+    for number in 0..2 * BURST {
+        let nonsense = &nonsense[number as usize % 2];
+        let error = log_in(&mut eve, nonsense.clone()).await.expect_err("no login");
+        assert_eq!(error.code.word(), "bad-content");
+        // A name that is not valid may be a person's mistake.
+        let mistaken = Map::new().with("guest", true).with("nickname", "a/b");
+        let error = log_in(&mut eve, mistaken).await.expect_err("no name");
+        assert_eq!(error.code.word(), "bad-name");
+    }
+    let answer = Parcel::new(Family::Login, "answer").content(Map::new());
+    let later = eve.ask(answer).await.expect_err("no answer");
+    assert_eq!(waiting(&later), Some(Duration::from_secs(5)));
+    let later = log_in(&mut eve, nonsense[0].clone()).await.expect_err("no login");
+    assert_eq!(waiting(&later), Some(Duration::from_secs(5)));
+    let mut bob = from(&world, 1).await;
+    password(&mut bob, "bob", "bob").await.expect("bob, elsewhere");
+    clock.advance(Duration::from_secs(5));
+    let error = log_in(&mut eve, Map::new()).await.expect_err("no login");
+    assert_eq!(error.code.word(), "bad-content");
     world.end().await;
 }
 

@@ -1,0 +1,219 @@
+//! What each attack does, in rounds: each ends when the hub has answered.
+
+use std::time::Duration;
+
+use bytes::Bytes;
+use mom_proto::codec::Form;
+use mom_proto::{Content, Family, Map, Parcel, Value};
+use tokio::time::sleep;
+
+use super::attackers::{about, make};
+use super::{Attack, Attackers};
+use crate::raw::{Raw, at, message};
+
+/// A little less than a parcel may have.
+const LARGE: usize = 8 * 1024 * 1024 - 4096;
+const TOKENS: usize = 5000;
+const CHILDREN: usize = 9000;
+const MEMBERS: usize = 200;
+/// Requests that are on their way together.
+const TOGETHER: usize = 250;
+const SLEEPERS: usize = 16;
+
+impl Attackers {
+    pub(super) async fn prepare(&mut self, attack: Attack) {
+        match attack {
+            Attack::LargeDelete => self.enter(Form::Binary, &["/free"]).await,
+            Attack::Nils | Attack::Lidar => {
+                self.listen(Form::Xml, &["/chat"]).await;
+                self.enter(Form::Binary, &["/chat"]).await;
+            }
+            Attack::Rejoin => {
+                self.enter(Form::Binary, &["/kept"]).await;
+                self.enter(Form::Xml, &[]).await;
+                for _ in 0..16 {
+                    let block = message("block", "/kept", Value::Binary(vec![7; 60 * 1024].into()));
+                    let _ = self.ask(0, receipted(block)).await;
+                }
+            }
+            Attack::LargeSlots => self.enter(Form::Binary, &["/kept"]).await,
+            Attack::LargeRequest => self.enter(Form::Binary, &[]).await,
+            Attack::LargeXml => {
+                self.listen(Form::Binary, &["/chat"]).await;
+                self.enter(Form::Xml, &["/chat"]).await;
+            }
+            Attack::LargeList => {
+                self.enter(Form::Binary, &["/free"]).await;
+                let session = self.session().await;
+                self.fill(&session, CHILDREN).await;
+            }
+            Attack::Crowd => {
+                for _ in 0..MEMBERS {
+                    self.listen(Form::Binary, &["/chat"]).await;
+                }
+                self.enter(Form::Binary, &[]).await;
+            }
+            Attack::Sleepers => {
+                self.enter(Form::Binary, &["/bulk"]).await;
+                self.sleep_in("/bulk").await;
+            }
+            Attack::Chunks => {}
+        }
+    }
+
+    /// One round.
+    pub async fn round(&mut self, attack: Attack) {
+        self.rounds += 1;
+        match attack {
+            Attack::LargeDelete => {
+                let session = self.session().await;
+                self.fill(&session, TOKENS).await;
+                let _ = self.ask(0, about("delete", &session)).await;
+            }
+            Attack::Nils => {
+                let mut nils = vec![0xc0; LARGE];
+                nils[0] = 0xdd;
+                nils[1..5].copy_from_slice(&u32::try_from(LARGE - 5).expect("small").to_be_bytes());
+                self.send_content("/chat", nils).await;
+                self.hear_of_drops("dropped: bad-content").await;
+            }
+            Attack::Rejoin => {
+                for peer in 0..2 {
+                    self.join_and_leave(peer, "/kept", 20).await;
+                }
+            }
+            Attack::LargeSlots => {
+                let mut parcel = message("block", "/kept", 7);
+                parcel.extra = Map::new().with("note", "x".repeat(4 * 1024 * 1024));
+                let _ = self.ask(0, receipted(parcel)).await;
+            }
+            Attack::LargeRequest => {
+                let parcel = about("join", "/chat").content(Value::Binary(vec![7; LARGE].into()));
+                let _ = self.ask(0, parcel).await;
+            }
+            Attack::LargeXml => {
+                let items = vec![Value::Int(1); LARGE / 26];
+                let _ = self.ask(0, receipted(message("list", "/chat", items))).await;
+            }
+            Attack::LargeList => {
+                let session = "/free/s1";
+                let first = self.post_many(0, (0..16).map(|_| about("list", session))).await;
+                let _ = self.answers(0, first, 16).await;
+            }
+            Attack::Crowd => self.join_and_leave(0, "/chat", 20).await,
+            Attack::Lidar => {
+                let mut doubles = vec![0xdd];
+                doubles.extend(100_000_u32.to_be_bytes());
+                for number in 0..100_000_u32 {
+                    doubles.push(0xcb);
+                    doubles.extend((f64::from(number) * 0.001_37).to_be_bytes());
+                }
+                self.send_content("/chat", doubles).await;
+                sleep(Duration::from_millis(100)).await;
+            }
+            Attack::Sleepers => {
+                let block = || message("block", "/bulk", Value::Binary(vec![7; 64 * 1024].into()));
+                let first = self.post_many(0, (0..16).map(|_| receipted(block()))).await;
+                let _ = self.answers(0, first, 16).await;
+                // By then the outboxes are full.
+                if self.rounds == 8 {
+                    self.hear_of_drops("dropped: queue-full").await;
+                }
+            }
+            Attack::Chunks => self.begin_chunks().await,
+        }
+    }
+
+    /// A new session of the attacker's own.
+    async fn session(&mut self) -> String {
+        let path = format!("/free/s{}", self.rounds.max(1));
+        let _ = self.ask(0, make(&path, "session")).await;
+        let _ = self.ask(0, about("join", &path)).await;
+        path
+    }
+
+    /// Makes so many tokens, however often the hub puts some off.
+    async fn fill(&mut self, session: &str, count: usize) {
+        let (mut made, mut tried) = (0, 0);
+        while made < count {
+            let together = (tried..tried + TOGETHER).map(|at| make(&format!("{session}/{at}"), "token"));
+            let first = self.post_many(0, together).await;
+            let together = u64::try_from(TOGETHER).expect("few");
+            made += self.answers(0, first, together).await.len();
+            tried += TOGETHER;
+        }
+    }
+
+    async fn join_and_leave(&mut self, peer: usize, path: &str, times: usize) {
+        let pairs = (0..times).flat_map(|_| [about("join", path), about("leave", path)]);
+        let first = self.post_many(peer, pairs).await;
+        let _ = self
+            .answers(peer, first, 2 * u64::try_from(times).expect("few"))
+            .await;
+    }
+
+    /// Sends requests together; gives the id of the first.
+    async fn post_many(&mut self, peer: usize, parcels: impl Iterator<Item = Parcel>) -> u64 {
+        let mut first = None;
+        for parcel in parcels {
+            let id = self.peers[peer].post(parcel).await;
+            first.get_or_insert(id);
+        }
+        first.unwrap_or_default()
+    }
+
+    /// Sends a message with this content, which the hub need not open.
+    async fn send_content(&mut self, path: &str, content: Vec<u8>) {
+        let mut parcel = Parcel::new(Family::Message, "scan").context(at(path));
+        parcel.echo = Some(false);
+        parcel.content = Some(Content::Encoded(Bytes::from(content)));
+        let _ = self.ask(0, receipted(parcel)).await;
+    }
+
+    /// Waits until the hub has said that it dropped something for this reason.
+    async fn hear_of_drops(&mut self, what: &str) {
+        let before = self.times(what);
+        while self.times(what) == before && self.times("closed") == 0 {
+            let _ = self.ask(0, Parcel::new(Family::Time, "ping")).await;
+        }
+    }
+
+    async fn sleep_in(&mut self, path: &str) {
+        for _ in 0..SLEEPERS {
+            let mut raw = Raw::connect_small(self.address, Form::Binary).await;
+            raw.log_in("carol").await;
+            raw.join(&[path]).await;
+            self.sleepers.push(raw);
+        }
+    }
+
+    /// A frame of 8 MiB of which all but the end comes, on connections of which the oldest go when there are many.
+    async fn begin_chunks(&mut self) {
+        let mut raw = Raw::login(self.address, Form::Binary, "bob").await;
+        raw.send(&first_chunk(LARGE, LARGE - 4096)).await;
+        raw.check_alive().await;
+        self.sleepers.push(raw);
+        if self.sleepers.len() > SLEEPERS {
+            drop(self.sleepers.remove(0));
+        }
+    }
+}
+
+fn receipted(mut parcel: Parcel) -> Parcel {
+    parcel.receipt = Some(true);
+    parcel
+}
+
+/// The first chunk of a parcel of `whole` bytes, with `part` of them.
+fn first_chunk(whole: usize, part: usize) -> Vec<u8> {
+    let mut chunk = vec![1, 0, 1];
+    let mut left = whole;
+    while left >= 0x80 {
+        chunk.push(u8::try_from(left & 0x7f).expect("seven bits") | 0x80);
+        left >>= 7;
+    }
+    chunk.push(u8::try_from(left).expect("seven bits"));
+    chunk.resize(chunk.len() + part, 0);
+    let length = u32::try_from(chunk.len()).expect("small");
+    [&length.to_be_bytes()[..], &chunk].concat()
+}
