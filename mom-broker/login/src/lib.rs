@@ -340,6 +340,20 @@ impl Logins {
         })
     }
 
+    /// An attempt that does not wait.
+    fn attempt<'a>(&'a self, book: &'a Book, from: Option<IpAddr>, account: Option<&str>) -> Attempt<'a> {
+        let known = |from, account: &str| self.places.knows(account, network(from));
+        let source = |from| {
+            let known = account.is_some_and(|account| known(from, account));
+            self.throttle.source(from, account, known)
+        };
+        Attempt {
+            logins: self,
+            book,
+            source: from.map(source),
+        }
+    }
+
     /// Counts a login that cannot be read as a failed attempt, unless only the name was not a valid one; gives what its
     /// sender hears.
     fn malformed(&self, book: &Book, from: Option<IpAddr>, error: WireError) -> WireError {
@@ -352,20 +366,6 @@ impl Logins {
                 error
             }
             Err(later) => later,
-        }
-    }
-
-    /// An attempt that does not wait.
-    fn attempt<'a>(&'a self, book: &'a Book, from: Option<IpAddr>, account: Option<&str>) -> Attempt<'a> {
-        let known = |from, account: &str| self.places.knows(account, network(from));
-        let source = |from| {
-            let known = account.is_some_and(|account| known(from, account));
-            self.throttle.source(from, account, known)
-        };
-        Attempt {
-            logins: self,
-            book,
-            source: from.map(source),
         }
     }
 

@@ -36,15 +36,15 @@ impl Connection {
         let claimed = self.claimed(parcel);
         // Whatever comes now, the last challenge is over.
         let challenge = self.challenge.take();
-        if let Some(seat) = &self.seat {
+        if let Some(seat) = &self.arrival.seat {
             seat.set_proving(true);
         }
         let step = if parcel.name() == Verb::Answer.word() {
             logins
-                .answer(parcel, challenge.map(|challenge| *challenge), self.from)
+                .answer(parcel, challenge.map(|challenge| *challenge), self.arrival.from)
                 .map(LoginStep::Granted)
         } else {
-            logins.check(parcel, self.from).await
+            logins.check(parcel, self.arrival.from).await
         };
         let refused = match step {
             Ok(LoginStep::Challenge(challenge)) => {
@@ -54,7 +54,7 @@ impl Connection {
             Ok(LoginStep::Granted(granted)) => self.admit(reader, granted, parcel.id, touched),
             Err(error) => Err(error),
         };
-        if let Some(seat) = &self.seat {
+        if let Some(seat) = &self.arrival.seat {
             seat.set_proving(false);
         }
         refused.or_else(|error| self.refuse_login(error, claimed, parcel.id, touched))
@@ -91,14 +91,14 @@ impl Connection {
         touched: &mut Touched,
     ) -> Result<(), WireError> {
         let (peer, board) = (self.peer, Arc::clone(&self.services.board));
-        if let Some(seat) = &mut self.seat {
+        if let Some(seat) = &mut self.arrival.seat {
             seat.log_in(granted.user())?;
         }
         if self
             .services
-            .is_first("logged in", self.from, Some(granted.user()))
+            .is_first("logged in", self.arrival.from, Some(granted.user()))
         {
-            tracing::info!(peer = peer.0, user = granted.user(), origin = ?granted.origin(), from = ?self.from, "logged in");
+            tracing::info!(peer = peer.0, user = granted.user(), origin = ?granted.origin(), from = ?self.arrival.from, "logged in");
         }
         let account = board.memory.account(&granted.user().into());
         let logged_in = &mut self.logged_in;
@@ -133,9 +133,9 @@ impl Connection {
         self.audit_login(claimed.clone(), &error.code);
         if self
             .services
-            .is_first("login refused", self.from, Some(error.code.word()))
+            .is_first("login refused", self.arrival.from, Some(error.code.word()))
         {
-            tracing::info!(peer = self.peer.0, from = ?self.from, code = %error.code, "login refused");
+            tracing::info!(peer = self.peer.0, from = ?self.arrival.from, code = %error.code, "login refused");
         }
         if [Code::BAD_LOGIN, Code::BAD_CONTENT].contains(&error.code) {
             self.failures += 1;

@@ -87,10 +87,7 @@ struct Connection {
     services: Services,
     peer: PeerId,
     outbox: Arc<Outbox>,
-    /// Where it comes from, none inside this process.
-    from: Option<IpAddr>,
-    /// Its part in the counts of connections from outside.
-    seat: Option<Box<doors::Seat>>,
+    arrival: Box<Arrival>,
     logged_in: bool,
     /// Logins that failed.
     failures: u32,
@@ -109,6 +106,14 @@ struct Connection {
     /// What is here of parcels that are not whole, charged to the user; none before login.
     charge: Option<Charge>,
     ended: bool,
+}
+
+/// What a connection has brought.
+struct Arrival {
+    /// Where it comes from, none inside this process.
+    from: Option<IpAddr>,
+    /// Its part in the counts of connections from outside.
+    seat: Option<doors::Seat>,
 }
 
 /// What a reader does after a frame.
@@ -504,15 +509,15 @@ impl Connection {
             self.services
                 .board
                 .decide(Input::Gone { peer: self.peer }, &mut touched);
-            if self.services.is_first("gone", self.from, user.as_deref()) {
+            if self.services.is_first("gone", self.arrival.from, user.as_deref()) {
                 tracing::info!(peer = self.peer.0, %name, code = ?error.as_ref().map(|error| error.code.word()), "gone");
             }
         } else if let Some(error) = &error
             && self
                 .services
-                .is_first("closed", self.from, Some(error.code.word()))
+                .is_first("closed", self.arrival.from, Some(error.code.word()))
         {
-            tracing::info!(peer = self.peer.0, from = ?self.from, code = %error.code, "closed");
+            tracing::info!(peer = self.peer.0, from = ?self.arrival.from, code = %error.code, "closed");
         }
         self.services.board.close(&self.outbox, error);
         flush(&mut touched);

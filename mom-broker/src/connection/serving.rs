@@ -12,7 +12,7 @@ use tokio::time::{Instant, timeout};
 
 use super::doors::Seat;
 use super::measure::{Measure, Pings};
-use super::{Connection, Services, requests};
+use super::{Arrival, Connection, Services, requests};
 use crate::traffic::outbox::Outbox;
 
 /// A stop lets what waits go out for at most so long.
@@ -59,8 +59,7 @@ impl Serving {
             services,
             peer,
             outbox,
-            from,
-            seat: seat.map(Box::new),
+            arrival: Box::new(Arrival { from, seat }),
             logged_in: false,
             failures: 0,
             heard_at: Instant::now(),
@@ -111,9 +110,10 @@ impl Serving {
         };
         let evicted = self
             .connection
+            .arrival
             .seat
             .as_ref()
-            .is_some_and(|seat| seat.was_evicted());
+            .is_some_and(Seat::was_evicted);
         let written = poll_fn(|task| match writer.poll(task) {
             // Whoever had to go for others gets no time: its descriptor is theirs.
             Poll::Pending if evicted => Poll::Ready(()),
