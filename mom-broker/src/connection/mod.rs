@@ -384,6 +384,7 @@ impl Connection {
                     self.refuse(&error, parcel.id, touched);
                     return Next::Frame;
                 }
+                let counts = requests::counts(&parcel);
                 let request = Input::Request {
                     peer: self.peer,
                     parcel,
@@ -391,7 +392,8 @@ impl Connection {
                     clock: None,
                 };
                 let work = self.services.board.decide(request, touched);
-                self.requests.charge(work, self.services.limits.requests, now);
+                self.requests
+                    .charge(counts, work, self.services.limits.requests, now);
             }
             _ => {
                 let text = "log in first: family login, name login, content {name, password}";

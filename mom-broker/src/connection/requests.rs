@@ -46,8 +46,11 @@ impl Requests {
 
     /// Charges what a request has cost others. What costs much, as joining a channel of a thousand members does, may be
     /// asked for less often.
-    pub(super) fn charge(&mut self, work: Work, most: Limit, now: Micros) {
+    pub(super) fn charge(&mut self, counts: bool, work: Work, most: Limit, now: Micros) {
         let Limit::At(most) = most else { return };
+        if !counts {
+            return;
+        }
         let more = work.0.saturating_sub(INCLUDED) / PER_REQUEST;
         if more > 0 {
             let pace = pace(most);
@@ -63,7 +66,7 @@ fn pace(most: u64) -> Pace {
 }
 
 /// Whether a request is one of those that are limited. Keeping what one has, giving it up, and answering the hub is not.
-fn counts(parcel: &Parcel) -> bool {
+pub(super) fn counts(parcel: &Parcel) -> bool {
     let verb = Verb::of(parcel.family, &parcel.name);
     !matches!(verb, Ok(Verb::Renew | Verb::Release | Verb::Verdict))
 }

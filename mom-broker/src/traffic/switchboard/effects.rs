@@ -45,6 +45,9 @@ impl Decisions {
     }
 }
 
+/// Bytes of a reply that count as one peer told.
+const LISTED: usize = 64;
+
 /// What a decision costs everybody: the peers that are told, and the members whose routes are made anew.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Work(pub(crate) u64);
@@ -55,8 +58,9 @@ impl Work {
             Effect::Deliver { to, .. } => to.len(),
             Effect::Route(route) => route.members.len(),
             Effect::Stats { channels, .. } => channels.len(),
+            // Of a list, each entry was a question to a manager.
+            Effect::Reply { parcel, .. } => parcel.size() / LISTED,
             Effect::RouteGone(_)
-            | Effect::Reply { .. }
             | Effect::Send { .. }
             | Effect::Store { .. }
             | Effect::Audit(_)
