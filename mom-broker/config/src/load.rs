@@ -170,10 +170,7 @@ fn read(path: &Path) -> Result<SourceText, ConfigError> {
 }
 
 fn check(file: &ConfigDocument, source: &SourceText) -> Result<(), ConfigError> {
-    let given = |number: Option<usize>| number.map_or(1, |number| number as u64);
-    let before_login = given(file.connections_before_login);
-    let per_address = given(file.connections_per_address);
-    let per_user = given(file.connections_per_user);
+    let [before_login, per_address, per_user] = connection_parts(file);
     let at_least_one = [
         ("connections", file.connections as u64, "connections"),
         (
@@ -183,7 +180,7 @@ fn check(file: &ConfigDocument, source: &SourceText) -> Result<(), ConfigError> 
         ),
         ("connections-per-address", per_address, "connections-per-address"),
         ("connections-per-user", per_user, "connections-per-user"),
-        ("memory", given(file.memory), "memory"),
+        ("memory", file.memory.map_or(1, |number| number as u64), "memory"),
         ("limits", file.limits.heartbeat, "heartbeat"),
         ("limits", file.limits.gone, "gone"),
         ("limits", file.limits.login_time, "login-time"),
@@ -241,6 +238,16 @@ fn check(file: &ConfigDocument, source: &SourceText) -> Result<(), ConfigError> 
         return Err(source.error(&["limits", "gone"], text.to_owned()));
     }
     check_files(file, source)
+}
+
+/// The parts of the connections, 1 for one that is not given.
+fn connection_parts(file: &ConfigDocument) -> [u64; 3] {
+    let parts = [
+        file.connections_before_login,
+        file.connections_per_address,
+        file.connections_per_user,
+    ];
+    parts.map(|number| number.map_or(1, |number| number as u64))
 }
 
 /// Checks what is written: the store, the audit log, the recording.
