@@ -5,6 +5,7 @@ pub mod audit;
 pub mod canary;
 pub mod dialogue;
 pub mod lab;
+pub mod load;
 pub mod login;
 pub mod programs;
 pub mod raw;

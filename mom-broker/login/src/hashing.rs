@@ -58,6 +58,7 @@ struct Lanes {
     strangers_count: usize,
     of_place: HashMap<KnownPlace, usize>,
     threads: usize,
+    put_off: u32,
     last: u64,
     stats: LoginStats,
 }
@@ -106,7 +107,10 @@ impl Hashing {
         let known = known.filter(|place| of_place(place) < OF_PLACE);
         if known.is_none() && lanes.strangers_count >= most {
             let error = WireError::new(Code::TRY_LATER, "too many logins at once");
-            return Err(error.retry_after(Duration::from_secs(1)));
+            // Spread, or all who were put off would come again at once, and hold up those who are in.
+            lanes.put_off = lanes.put_off.wrapping_add(1);
+            let spread = u64::from(lanes.put_off.wrapping_mul(37) % 1000);
+            return Err(error.retry_after(Duration::from_millis(1000 + spread)));
         }
         if lanes.threads < self.hashers {
             let shared = Arc::clone(&self.lanes);

@@ -136,7 +136,7 @@ impl<'de> Deserialize<'de> for JwtKey {
 impl Default for LoginConfig {
     fn default() -> LoginConfig {
         LoginConfig {
-            hashers: 2,
+            hashers: 1,
             waiting: 64,
             attempts: 3,
             hub: "mom".to_owned(),

@@ -4,6 +4,7 @@
 //! PROTOCOL.md names, and what the hub holds stays under its bound. Times are measured in the benches, not here.
 
 mod doors;
+mod load;
 mod logs;
 mod memory;
 mod permitted;
