@@ -12,6 +12,7 @@ mod advisories;
 mod ci;
 mod command;
 mod instructions;
+mod long;
 mod mutants;
 mod needs;
 mod peers;
@@ -38,6 +39,7 @@ const EXAMPLES: &str = "Examples:
   cargo xtask test -- -p mom-hub grab         the tests of one package whose name contains `grab`
   cargo xtask test -- -p mom-hub -- --nocapture
   cargo xtask shuttle --orders 20000 --seed 7 the broker's threads in more orders, and in other ones
+  cargo xtask long --minutes 30               more random logs and load than CI has time for
   cargo xtask mutants --package mom-hub       whether the hub's own tests notice faults; takes an hour
   cargo xtask tidy                            the checks that the compiler does not make
   cargo xtask bench-peers                     MOM beside other brokers, into docs/benchmarks.md
@@ -53,6 +55,12 @@ enum Task {
     Test(TestArgs),
     /// Try the broker's threads in many orders of their steps.
     Shuttle(ShuttleArgs),
+    /// Random logs by the thousand, then minutes of random load beside a canary.
+    Long {
+        /// How long the load lasts.
+        #[arg(long, default_value_t = 10)]
+        minutes: u64,
+    },
     /// Change the code of packages in many ways, and see whether their own tests notice.
     #[command(after_help = EXAMPLES)]
     Mutants(MutantsArgs),
@@ -151,6 +159,7 @@ fn run(task: Task) -> Result<ExitCode> {
             Ok(exit_code(counts.is_success()))
         }
         Task::Shuttle(args) => Ok(exit_code(shuttle::run(&root, args.orders, args.seed)?)),
+        Task::Long { minutes } => Ok(exit_code(long::run(&root, minutes)?)),
         Task::Mutants(args) => {
             needs::ensure(needs::FOR_MUTANTS, args.install.install, "cargo xtask mutants")?;
             let sample = mutants::Sample {

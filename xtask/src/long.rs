@@ -1,0 +1,57 @@
+//! `cargo xtask long`: what takes too long for each change: random logs by the thousand, and minutes of random load.
+
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::Result;
+
+use crate::command::{cargo, line, shows};
+
+/// Builds and runs them one after the other; whether all went well.
+pub(crate) fn run(root: &Path, minutes: u64) -> Result<bool> {
+    let mut ok = true;
+    for mut step in steps(root, minutes) {
+        println!("$ {}", line(&step));
+        ok &= shows(&mut step)?;
+    }
+    Ok(ok)
+}
+
+fn steps(root: &Path, minutes: u64) -> [Command; 2] {
+    let test = |package: &str, name: &str| {
+        let mut test = cargo(root);
+        test.args([
+            "test",
+            "--locked",
+            "--release",
+            "--package",
+            package,
+            "--test",
+            name,
+        ]);
+        test
+    };
+    let mut logs = test("mom-hub", "random");
+    logs.env("MOM_CASES", "5000").env("MOM_STEPS", "200");
+    logs.args(["--", "--nocapture"]);
+    let mut load = test("mom-tests", "all");
+    load.env("MOM_LOAD_SECONDS", (minutes * 60).to_string());
+    load.args(["random_load", "--", "--nocapture"]);
+    [logs, load]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_load_lasts_as_long_as_is_said() {
+        let [_, load] = steps(Path::new("."), 10);
+        let seconds = load.get_envs().find(|(key, _)| *key == "MOM_LOAD_SECONDS");
+        let seconds = seconds
+            .and_then(|(_, value)| value)
+            .and_then(|value| value.to_str());
+        assert_eq!(seconds, Some("600"));
+        assert!(line(&load).contains("random_load"), "{}", line(&load));
+    }
+}
