@@ -123,9 +123,10 @@ impl World {
         }
     }
 
-    /// Whether a peer may not know that a context exists.
+    /// Whether a peer may not know that a context exists: it may neither look it up nor see nor enter it.
     pub(super) fn is_hidden(&mut self, peer: PeerId, number: ContextNumber) -> bool {
-        !self.tree.is_member(peer, number) && self.refused(peer, Verb::Lookup, number)
+        let ways = [Verb::Lookup, Verb::Info, Verb::Join];
+        !self.tree.is_member(peer, number) && ways.into_iter().all(|way| self.refused(peer, way, number))
     }
 
     /// As [`World::allowed`], for verbs of tokens.

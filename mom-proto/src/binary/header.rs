@@ -10,7 +10,7 @@ use crate::parcel::ContextNumber;
 use crate::slots::{check_extra, too_long};
 use crate::{
     Code, Content, Delivery, Family, MAX_ID, Map, Parcel, Path, Time, Value, WireError, check_message_name,
-    msgpack,
+    event, msgpack,
 };
 
 pub(super) const CONTEXT_NUMBER: u32 = 0;
@@ -99,8 +99,10 @@ pub(super) fn write(parcel: &Parcel, out: &mut Vec<u8>) -> Result<(), WireError>
 }
 
 pub(super) fn presence(parcel: &Parcel) -> u64 {
-    // Messages name their context by number alone; all others bind the number, being rare.
-    let path = parcel.context.is_some() && (parcel.number.is_none() || parcel.family != Family::Message);
+    // Messages name their context by number alone; all others bind the number, being rare. So does a stop, which may
+    // overtake the reply that would bind it.
+    let binds = parcel.family != Family::Message || &*parcel.name == event::STOP;
+    let path = parcel.context.is_some() && (parcel.number.is_none() || binds);
     let bit = |bit: u32, present: bool| u64::from(present) << bit;
     bit(CONTEXT_NUMBER, parcel.number.is_some())
         | bit(NAME, true)

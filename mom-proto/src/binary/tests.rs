@@ -47,8 +47,8 @@ fn with_bits(bits: u64, rest: &[u8]) -> Vec<u8> {
 
 fn numbered(mut parcel: Parcel, number: Option<u64>) -> Parcel {
     parcel.number = number.map(ContextNumber);
-    // Messages with a number travel without their path; others carry both.
-    if parcel.number.is_some() && parcel.family == Family::Message {
+    // Messages with a number travel without their path; others and stops carry both.
+    if parcel.number.is_some() && parcel.family == Family::Message && parcel.name() != "stop" {
         parcel.context = None;
     }
     parcel
@@ -287,6 +287,24 @@ fn broken_chunks_end_the_stream() {
     check_broken(&mut decoder(), &nine, &Code::BAD_FRAME);
     let aborted = [join(&[0]), frame(1, &[1, 4]), join(&[0, 1, 2])].concat();
     assert_eq!(parcel_of(&aborted).name(), "command");
+}
+
+/// A stop may overtake the reply to `join`, which would bind the number.
+#[test]
+fn a_stop_binds_its_number_itself() {
+    for (name, binds) in [("stop", true), ("say", false)] {
+        let path = Path::parse("/robot/arm").expect("a path");
+        let parcel = numbered(Parcel::new(Family::Message, name).context(path.clone()), Some(4));
+        let bytes = Form::Binary.encode(&parcel).expect("a form").to_vec();
+        let mut decoder = BinaryDecoder::for_peer(&Limits::default());
+        let mut input = BytesMut::from(&[&PREFACE[..], &bytes].concat()[..]);
+        match decoder.decode(&mut input) {
+            Ok(Some(Frame::Parcel(heard))) => {
+                assert_eq!((heard.context, binds), (Some(path), true), "{name}")
+            }
+            other => assert!(!binds && other.is_err(), "{name}: {other:?}"),
+        }
+    }
 }
 
 #[test]

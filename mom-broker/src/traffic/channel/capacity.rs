@@ -106,7 +106,8 @@ impl State {
         mut place: Option<WaiterHandle>,
     ) -> Result<Box<Parcel>, Box<NoCapacity>> {
         let delivery = parcel.delivery.unwrap_or(self.route.delivery);
-        if !self.waits(lane_of(&parcel), delivery) {
+        // Who is no member any more waits for nobody: the hub says why not.
+        if !self.waits(lane_of(&parcel), delivery) || self.route.position(sender).is_none() {
             return Ok(parcel);
         }
         let Ok(receivers) = receivers(&self.route, sender, &parcel) else {
