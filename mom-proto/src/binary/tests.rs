@@ -300,7 +300,7 @@ fn a_stop_binds_its_number_itself() {
         let mut input = BytesMut::from(&[&PREFACE[..], &bytes].concat()[..]);
         match decoder.decode(&mut input) {
             Ok(Some(Frame::Parcel(heard))) => {
-                assert_eq!((heard.context, binds), (Some(path), true), "{name}")
+                assert_eq!((heard.context, binds), (Some(path), true), "{name}");
             }
             other => assert!(!binds && other.is_err(), "{name}: {other:?}"),
         }
