@@ -9,6 +9,9 @@ use crate::params::Verbs;
 use crate::who::Who;
 use crate::{Manager, Question, Scope, Setup, Standing, Verdict};
 
+/// The most rules of one manager: each question checks them in order.
+const MOST: usize = 1000;
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Params {
@@ -61,6 +64,9 @@ struct Rule {
 
 pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
     let params: Params = setup.params()?;
+    if params.rules.len() > MOST {
+        return Err(setup.error("rules", &format!("roles have at most {MOST} rules")));
+    }
     let rules: Result<Vec<Rule>, WireError> = params
         .rules
         .into_iter()

@@ -3,7 +3,7 @@
 use mom_proto::{Map, Value, Verb};
 
 use super::{Ask, GRAB, ask, build, of, short, words};
-use crate::{Answer, Scope, Standing, Verdict};
+use crate::{Answer, Registry, Scope, Standing, Verdict};
 
 fn rule(name: &str, what: &str, verbs: &[&str]) -> Map {
     Map::new().with("name", name).with(what, words(verbs))
@@ -271,4 +271,15 @@ fn an_age_limits_only_what_is_allowed() {
     let place = Some("rules/0/max-age".to_owned());
     assert_eq!(error(rule("no", "deny", &["send"]).with("max-age", 500)), place);
     assert_eq!(error(rule("never", "allow", &["send"]).with("max-age", 0)), place);
+}
+
+/// Each question checks them in order, so that a peer's own manager must not have tens of thousands.
+#[test]
+fn rules_are_counted() {
+    let rules = |number: usize| roles(vec![rule("one", "allow", &["join"]); number]);
+    let build = |number| Registry::builtin().build(&Value::Map(rules(number)));
+    assert!(build(1000).is_ok());
+    let error = build(1001).expect_err("one too many");
+    assert_eq!(error.text, "in the manager roles: roles have at most 1000 rules");
+    assert_eq!(error.get("slot").and_then(Value::as_str), Some("rules"));
 }

@@ -72,7 +72,7 @@ fn who_may_not_is_not_told_what_is_there() {
             let [line] = &heard[..] else {
                 panic!("{verb} {path}: {heard:?}")
             };
-            assert!(line.starts_with("alice< unknown-path"), "{verb} {path}: {line}");
+            assert!(line.starts_with("alice< denied"), "{verb} {path}: {line}");
         }
     }
 }

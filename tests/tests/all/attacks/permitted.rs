@@ -39,7 +39,7 @@ async fn attack(attack: Attack, rounds: u64) -> Attackers {
 }
 
 macro_rules! attacks {
-    ($($name:ident: $attack:ident, $rounds:literal;)*) => {
+    ($(fn $name:ident: $attack:ident, $rounds:literal;)*) => {
         $(#[tokio::test]
         async fn $name() {
             attack(Attack::$attack, $rounds).await;
@@ -58,15 +58,15 @@ macro_rules! attacks {
 }
 
 attacks! {
-    large_delete: LargeDelete, 1;
-    nils: Nils, 2;
-    rejoin: Rejoin, 2;
-    large_slots: LargeSlots, 3;
-    large_request: LargeRequest, 3;
-    large_xml: LargeXml, 2;
-    large_list: LargeList, 1;
-    crowd: Crowd, 2;
-    lidar: Lidar, 3;
-    sleepers: Sleepers, 8;
-    chunks: Chunks, 8;
+    fn large_delete: LargeDelete, 1;
+    fn nils: Nils, 2;
+    fn rejoin: Rejoin, 2;
+    fn large_slots: LargeSlots, 3;
+    fn large_request: LargeRequest, 3;
+    fn large_xml: LargeXml, 2;
+    fn large_list: LargeList, 1;
+    fn crowd: Crowd, 2;
+    fn lidar: Lidar, 3;
+    fn sleepers: Sleepers, 8;
+    fn chunks: Chunks, 8;
 }

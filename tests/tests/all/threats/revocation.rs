@@ -218,7 +218,7 @@ async fn a_level_is_changed() {
     // He is still there, but with nothing.
     scene.bob.check_alive().await;
     let error = refusal(&mut scene.bob, "go on").await;
-    assert_eq!(error.code.word(), "not-member", "{error}");
+    assert_eq!(error.code.word(), "denied", "{error}");
     let error = scene.bob.ask_about(Family::Context, "join", ARENA).await;
     assert_eq!(error.expect_err("level 0").code.word(), "denied");
     scene.end().await;
