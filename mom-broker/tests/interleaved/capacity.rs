@@ -13,6 +13,7 @@ use super::{explore, hear, heard, on, said, write};
 use crate::traffic::channel::Sender;
 use crate::traffic::channel::control;
 use crate::traffic::encodings::Encodings;
+use crate::traffic::memory::Memory;
 use crate::traffic::outbox::{Origin, Outbox};
 use crate::traffic::switchboard::{Handled, Switchboard, Touched};
 
@@ -44,7 +45,8 @@ impl Scene {
         heard(&mut to_robot);
         let robot = Arc::clone(&lab.outboxes[2]);
         fill(&robot);
-        robot.admit(6 * SIZE, Limit::Unlimited, "robot".into());
+        let account = Memory::default().account(&"robot".into());
+        robot.admit(6 * SIZE, Limit::Unlimited, "robot".into(), account);
         Scene {
             lab,
             alice,
@@ -75,7 +77,7 @@ fn fill(outbox: &Outbox) {
             name: "filling".into(),
         };
         let encodings = Encodings::new(said("filling", id), std::iter::once(None));
-        outbox.push(control(encodings.expect("no form needed"), origin));
+        outbox.push(control(encodings.expect("no form needed"), origin, None));
     }
     outbox.flush();
 }

@@ -5,7 +5,7 @@ use std::sync::{PoisonError, TryLockError};
 use std::task::{Poll, Waker};
 
 /// As `parking_lot::Mutex`: nothing is poisoned, because a panic ends the test.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Mutex<T>(shuttle::sync::Mutex<T>);
 
 /// As `parking_lot::MutexGuard`; it is empty only while a [`Condvar`] waits.
@@ -70,14 +70,17 @@ impl Condvar {
     }
 }
 
-/// As `tokio::sync::Notify` where one task at a time waits: a permit that is kept until it is taken.
+/// As `tokio::sync::Notify`, where one task at a time waits for the permit, which is kept until it is taken, or any
+/// number of them for all to be woken, which is not kept.
 #[derive(Debug)]
 pub struct Notify(Mutex<Permit>);
 
 #[derive(Debug, Default)]
 struct Permit {
     given: bool,
-    waiting: Option<Waker>,
+    /// How often all were woken.
+    rounds: u64,
+    waiting: Vec<Waker>,
 }
 
 impl Notify {
@@ -90,23 +93,31 @@ impl Notify {
     pub fn notify_one(&self) {
         let mut permit = self.0.lock();
         permit.given = true;
-        let waiting = permit.waiting.take();
+        let waiting = std::mem::take(&mut permit.waiting);
         drop(permit);
-        if let Some(waker) = waiting {
-            waker.wake();
-        }
+        waiting.into_iter().for_each(Waker::wake);
     }
 
-    /// Waits for the permit and takes it.
-    pub async fn notified(&self) {
-        std::future::poll_fn(|context| {
+    /// Wakes whoever waits, without a permit for whoever comes later.
+    pub fn notify_waiters(&self) {
+        let mut permit = self.0.lock();
+        permit.rounds += 1;
+        let waiting = std::mem::take(&mut permit.waiting);
+        drop(permit);
+        waiting.into_iter().for_each(Waker::wake);
+    }
+
+    /// Waits for the permit and takes it, or for the next time that all are woken; as its model's, that counts from
+    /// here and not from the first poll.
+    pub fn notified(&self) -> impl Future<Output = ()> + '_ {
+        let since = self.0.lock().rounds;
+        std::future::poll_fn(move |context| {
             let mut permit = self.0.lock();
-            if std::mem::take(&mut permit.given) {
+            if permit.rounds != since || std::mem::take(&mut permit.given) {
                 return Poll::Ready(());
             }
-            permit.waiting = Some(context.waker().clone());
+            permit.waiting.push(context.waker().clone());
             Poll::Pending
         })
-        .await;
     }
 }
