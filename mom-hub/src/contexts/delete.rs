@@ -3,20 +3,14 @@
 use std::collections::BTreeSet;
 
 use mom_proto::event::{self, Reason};
-use mom_proto::{Code, ContextNumber, Fence, Map, Micros, Path, WireError};
+use mom_proto::{Code, ContextNumber, Fence, Map, Path, WireError};
 
+use super::steps::{STEP, TOLD, told};
 use crate::token::state::Granting;
 use crate::tree::context::Role;
-use crate::world::deletion::{Deleter, Deletion, Phase};
-use crate::world::{Timer, World};
+use crate::world::World;
+use crate::world::steps::{Deleter, Deletion, Job, Phase};
 use crate::{Audit, Effect, PeerId};
-
-/// Contexts that one step of a deletion ends or removes, and peers that it tells.
-const STEP: usize = 64;
-const TOLD: usize = 1024;
-
-/// The time between two steps, in which others have their turns.
-const PAUSE: Micros = 1_000;
 
 impl World {
     /// Deletes a context with all below it. All tokens are lost before: first everything is safe, while the channels
@@ -36,33 +30,13 @@ impl World {
             return;
         }
         self.doomed.insert(deletion.path.clone());
-        if self.deletions.is_empty() {
-            self.timers.insert((self.after(PAUSE), Timer::Delete));
-        }
-        self.deletions.push_back(deletion);
+        self.begin_job(Job::Delete(Box::new(deletion)));
     }
 
     /// Deletes a context with all below it at once, for a new configuration that has something else there.
     pub(crate) fn delete_at_once(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
         if let Some(mut deletion) = self.begin_deletion(number, None, None) {
             while !self.delete_step(&mut deletion, out) {}
-        }
-    }
-
-    /// Goes on with what is being deleted.
-    pub(crate) fn go_on_deleting(&mut self, out: &mut Vec<Effect>) {
-        let Some(mut deletion) = self.deletions.pop_front() else {
-            return self.fault("nothing is being deleted");
-        };
-        match self.delete_step(&mut deletion, out) {
-            true => {
-                self.doomed.remove(&deletion.path);
-            }
-            // Others that are being deleted have their turns, too.
-            false => self.deletions.push_back(deletion),
-        }
-        if !self.deletions.is_empty() {
-            self.timers.insert((self.after(PAUSE), Timer::Delete));
         }
     }
 
@@ -95,16 +69,15 @@ impl World {
     }
 
     /// One step; true with the last.
-    fn delete_step(&mut self, deletion: &mut Deletion, out: &mut Vec<Effect>) -> bool {
+    pub(super) fn delete_step(&mut self, deletion: &mut Deletion, out: &mut Vec<Effect>) -> bool {
         let start = out.len();
         let mut left = STEP;
-        let told = |out: &[Effect]| out[start..].iter().map(receivers).sum::<usize>();
         if let Phase::Tokens(after) = &deletion.phase {
             let below = self.tree.below(&deletion.path, after.as_ref()).take(left);
             let below: Vec<ContextNumber> = below.collect();
             let mut reached = after.clone();
             for number in &below {
-                if told(out) >= TOLD {
+                if told(&out[start..]) >= TOLD {
                     deletion.phase = Phase::Tokens(reached);
                     return false;
                 }
@@ -120,7 +93,7 @@ impl World {
             deletion.phase = Phase::Contexts;
         }
         while let Some(last) = self.tree.last_below(&deletion.path) {
-            if left == 0 || told(out) >= TOLD {
+            if left == 0 || told(&out[start..]) >= TOLD {
                 return false;
             }
             self.delete_one(last, &deletion.by, out);
@@ -226,13 +199,5 @@ impl World {
         if let Some(token) = token.and_then(|token| self.token_mut(token)) {
             token.guarded.remove(&channel);
         }
-    }
-}
-
-/// How many are told by an effect.
-fn receivers(effect: &Effect) -> usize {
-    match effect {
-        Effect::Deliver { to, .. } => to.len(),
-        _ => 0,
     }
 }

@@ -3,12 +3,22 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use mom_proto::event::{self, Reason};
-use mom_proto::{ContextNumber, Thinning};
+use mom_proto::event;
+use mom_proto::{ContextNumber, Path, Thinning};
 
+use super::steps::{STEP, TOLD, told};
 use crate::world::World;
 use crate::world::events::peer_map;
+use crate::world::steps::{Job, Leaving};
 use crate::{Effect, Member, PeerId};
+
+/// What a peer has in a place that it leaves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stake {
+    Involved,
+    Owned,
+    Joined,
+}
 
 impl World {
     /// Adds a peer to a context and tells its members.
@@ -41,38 +51,74 @@ impl World {
     }
 
     /// Takes a peer out of a context and of all below it, deepest first. It gives up its tokens there before: first
-    /// everything is safe, and it still hears so itself.
-    pub(crate) fn leave(
-        &mut self,
-        number: ContextNumber,
-        peer: PeerId,
-        reason: Reason,
-        out: &mut Vec<Effect>,
-    ) {
-        let (Some(context), Some(known)) = (self.tree.get(number), self.peers.get(peer)) else {
-            return self.fault("a peer or a context is not there that is to be left");
-        };
-        let top = &context.path;
+    /// everything is safe, and it still hears so itself. Much is left in steps, between which others have their turns;
+    /// if that was all, the caller sees to what follows.
+    pub(crate) fn leave(&mut self, leaving: Leaving, out: &mut Vec<Effect>) -> Option<Leaving> {
+        if self.leave_step(&leaving, out) {
+            return Some(leaving);
+        }
+        let tops = self.leaving.entry(leaving.peer).or_default();
+        tops.push(leaving.top.clone());
+        self.begin_job(Job::Leave(leaving));
+        None
+    }
+
+    /// One step; true with the last.
+    pub(super) fn leave_step(&mut self, leaving: &Leaving, out: &mut Vec<Effect>) -> bool {
+        let Leaving {
+            peer, top, reason, ..
+        } = leaving;
+        let start = out.len();
+        let (mut left, mut members) = (STEP, 0);
+        let mut before = None;
+        // Others may have offered it something since the last step.
+        while let Some(next) = self.places_to_leave(*peer, top, left) {
+            if before.as_ref() == Some(&next) {
+                self.fault::<()>("a peer is still where it was taken out of");
+                return true;
+            }
+            let (places, how) = &next;
+            for place in places.iter().copied() {
+                if left == 0 || members + told(&out[start..]) >= TOLD {
+                    return false;
+                }
+                left -= 1;
+                match how {
+                    // Its waiting ends first, or it would be granted what others lose on its way out.
+                    Stake::Involved => self.end_involvement(place, *peer, reason.word(), out),
+                    Stake::Owned => self.lose(place, *reason, None, out),
+                    Stake::Joined => {
+                        // Of a channel they have a new route, even where they are not told.
+                        members += self.tree.get(place).map_or(0, |place| place.members.len());
+                        self.remove_member(place, *peer, out);
+                    }
+                }
+            }
+            before = Some(next);
+        }
+        true
+    }
+
+    /// What a peer has to leave next, so many places at most.
+    fn places_to_leave(&self, peer: PeerId, top: &Path, most: usize) -> Option<(Vec<ContextNumber>, Stake)> {
+        // It may have gone since the last step.
+        let known = self.peers.get(peer)?;
         let within = |places: &BTreeSet<ContextNumber>| -> Vec<ContextNumber> {
             let inside = |place: &ContextNumber| {
                 let context = self.tree.get(*place);
                 context.is_some_and(|context| context.path.is_within(top))
             };
             // A child's number is higher than its parent's, so this order is deepest first.
-            places.iter().rev().copied().filter(inside).collect()
+            let inside = places.iter().rev().copied().filter(inside);
+            inside.take(most.max(1)).collect()
         };
-        let (involved, owned) = (within(&known.involved), within(&known.owns));
-        let joined = within(&known.joined);
-        // Its waiting ends first, or it would be granted what others lose on its way out.
-        for token in involved {
-            self.end_involvement(token, peer, reason.word(), out);
-        }
-        for token in owned {
-            self.lose(token, reason, None, out);
-        }
-        for place in joined {
-            self.remove_member(place, peer, out);
-        }
+        let ways = [
+            (&known.involved, Stake::Involved),
+            (&known.owns, Stake::Owned),
+            (&known.joined, Stake::Joined),
+        ];
+        let mut ways = ways.into_iter().map(|(places, how)| (within(places), how));
+        ways.find(|(places, _)| !places.is_empty())
     }
 
     fn remove_member(&mut self, number: ContextNumber, peer: PeerId, out: &mut Vec<Effect>) {

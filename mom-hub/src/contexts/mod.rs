@@ -4,3 +4,4 @@ mod delete;
 pub(crate) mod make;
 mod membership;
 mod presence;
+mod steps;

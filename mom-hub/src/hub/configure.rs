@@ -262,6 +262,7 @@ fn review(world: &mut World, questions: &mut Questions, out: &mut Vec<Effect>) {
         for place in joined {
             let place = world.tree.get(place).filter(|place| place.parent.is_some());
             let place = place.filter(|place| place.members.contains_key(&peer));
+            let place = place.filter(|place| !world.is_leaving(peer, &place.path));
             let Some(place) = place.map(|place| place.number) else {
                 continue;
             };

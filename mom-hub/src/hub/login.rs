@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use mom_proto::{ContextNumber, Family, Map, PROTOCOL_VERSION, Parcel, Path, Value};
+use mom_proto::{Code, ContextNumber, Family, Map, PROTOCOL_VERSION, Parcel, Path, Value, WireError};
 
 use crate::asking::questions::Questions;
 use crate::verbs::{depart, kept_out};
@@ -19,12 +19,7 @@ pub(super) fn log_in(
     out: &mut Vec<Effect>,
 ) {
     if let Some(error) = kept_out(world, &user.name) {
-        let parcel = Parcel::new(Family::Login, "login");
-        let parcel = id.into_iter().fold(parcel, Parcel::id);
-        world.push_refusal(peer, &parcel, &error, out);
-        // The refusal says why.
-        out.push(Effect::Close { peer, error: None });
-        return;
+        return refuse(world, peer, id, &error, out);
     }
     let details = user.details.clone();
     let same_user = world.peers.get(peer).map(|known| *known.facts.user == *user.name);
@@ -34,6 +29,11 @@ pub(super) fn log_in(
             // Another user on the same connection is another peer: it inherits nothing.
             if known.is_some() {
                 depart(world, questions, peer, out);
+                if world.peers.get(peer).is_some() || world.leaving.contains_key(&peer) {
+                    let text = "this peer has joined too much to become another user at once: connect anew";
+                    refuse(world, peer, id, &WireError::new(Code::TRY_LATER, text), out);
+                    return;
+                }
             }
             let name = nickname.unwrap_or_else(|| user.name.clone());
             world.peers.add(peer, user, &name, world.now);
@@ -50,6 +50,14 @@ pub(super) fn log_in(
     world.push_ok(peer, id, &Path::root(), Some(content), out);
     let fact = world.fact("login", peer);
     world.audit(fact, out);
+}
+
+/// Refuses a login, and ends the connection; the refusal says why.
+fn refuse(world: &World, peer: PeerId, id: Option<u64>, error: &WireError, out: &mut Vec<Effect>) {
+    let parcel = Parcel::new(Family::Login, "login");
+    let parcel = id.into_iter().fold(parcel, Parcel::id);
+    world.push_refusal(peer, &parcel, error, out);
+    out.push(Effect::Close { peer, error: None });
 }
 
 /// Puts the facts of a repeated login everywhere; verdicts about the old ones stand no more.

@@ -132,7 +132,11 @@ impl Hub {
                 let due = questions.unanswered(world, question, out);
                 verbs::run_all(world, questions, due, out);
             }
-            Timer::Delete => world.go_on_deleting(out),
+            Timer::Step => {
+                if let Some(left) = world.go_on(out) {
+                    verbs::follow(world, questions, left, out);
+                }
+            }
             Timer::Reserved(token) => world.end_reservation(token, out),
         }
     }

@@ -3,17 +3,18 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_proto::event::{self, Reason};
+use mom_proto::event::Reason;
 use mom_proto::{Code, ContextNumber, Micros, WireError};
 use serde::Deserialize;
 
 use super::checks::Request;
-use super::logout::depart;
+use super::logout::follow;
 use crate::asking::questions::Questions;
 use crate::asking::refusal::Refusal;
 use crate::content;
 use crate::world::World;
 use crate::world::events::peer_map;
+use crate::world::steps::{Expulsion, Leaving, Then};
 use crate::{Audit, Effect, PeerId};
 
 /// Users that are kept out of one context.
@@ -57,11 +58,8 @@ pub(crate) fn on(
         WireError::new(Code::UNKNOWN_PEER, text).slot("content/peer")
     })?;
     keep_out(world, number, peer, time)?;
-    let by = Some(request.peer);
+    let by = Some((request.peer, request.parcel.id));
     put_out(world, questions, (number, peer, by), args.text.as_deref(), out);
-    if world.peers.get(request.peer).is_some() {
-        request.push_ok(world, None, out);
-    }
     Ok(())
 }
 
@@ -84,11 +82,12 @@ fn keep_out(world: &mut World, number: ContextNumber, peer: PeerId, time: Micros
     Ok(())
 }
 
-/// Puts a peer out of a context and all below it; out of the root is out of the hub.
+/// Puts a peer out of a context and all below it; out of the root is out of the hub. Whoever has asked for it is
+/// answered.
 pub(crate) fn put_out(
     world: &mut World,
     questions: &mut Questions,
-    (number, peer, by): (ContextNumber, PeerId, Option<PeerId>),
+    (number, peer, answer): (ContextNumber, PeerId, Option<(PeerId, Option<u64>)>),
     text: Option<&str>,
     out: &mut Vec<Effect>,
 ) {
@@ -97,6 +96,7 @@ pub(crate) fn put_out(
     };
     let (path, root) = (context.path.clone(), context.parent.is_none());
     let mut content = peer_map(&known.facts);
+    let by = answer.map(|(by, _)| by);
     if let Some(by) = by {
         content.set("by", world.name_of(by));
     }
@@ -109,17 +109,22 @@ pub(crate) fn put_out(
         by: by.map(|by| world.name_of(by).into()),
         ..world.fact("expelled", peer)
     };
-    let told = world.tree.members_of(number);
+    let why = text.unwrap_or("this peer was put out of the hub");
+    let expulsion = Expulsion {
+        told: world.tree.members_of(number),
+        content,
+        close: root.then(|| WireError::new(Code::REVOKED, why)),
+        answer,
+    };
     world.audit(fact, out);
-    world.leave(number, peer, Reason::Revoked, out);
-    world.push_event(event::EXPELLED, &path, told, content, out);
-    if root {
-        let why = text.unwrap_or("this peer was put out of the hub");
-        depart(world, questions, peer, out);
-        out.push(Effect::Close {
-            peer,
-            error: Some(WireError::new(Code::REVOKED, why)),
-        });
+    let leaving = Leaving {
+        peer,
+        top: path,
+        reason: Reason::Revoked,
+        then: Then::Expelled(Box::new(expulsion)),
+    };
+    if let Some(left) = world.leave(leaving, out) {
+        follow(world, questions, left, out);
     }
 }
 

@@ -4,11 +4,19 @@ use mom_proto::event::Reason;
 use mom_proto::{Code, WireError};
 
 use super::checks::Request;
+use super::logout::follow;
 use crate::Effect;
+use crate::asking::questions::Questions;
 use crate::asking::refusal::Refusal;
 use crate::world::World;
+use crate::world::steps::{Leaving, Then};
 
-pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
+pub(crate) fn on(
+    world: &mut World,
+    questions: &mut Questions,
+    request: &Request,
+    out: &mut Vec<Effect>,
+) -> Result<(), Refusal> {
     let number = world.allowed(request)?;
     if request.path.is_root() {
         let text = "every peer stays in the root; to go, log out";
@@ -18,7 +26,14 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         let text = format!("{} was not joined", request.path);
         return Err(WireError::new(Code::NOT_MEMBER, text).slot("context").into());
     }
-    world.leave(number, request.peer, Reason::Released, out);
-    request.push_ok(world, None, out);
+    let leaving = Leaving {
+        peer: request.peer,
+        top: request.path.clone(),
+        reason: Reason::Released,
+        then: Then::Answer(request.parcel.id),
+    };
+    if let Some(left) = world.leave(leaving, out) {
+        follow(world, questions, left, out);
+    }
     Ok(())
 }

@@ -40,7 +40,7 @@ use checks::{Request, no_context};
 pub(crate) use checks::of_kind;
 pub(crate) use expel::{kept_out, put_out};
 pub(crate) use held_back::run_held_back;
-pub(crate) use logout::depart;
+pub(crate) use logout::{depart, follow};
 
 /// Carries out a request, and answers it if it is refused.
 pub(crate) fn run(world: &mut World, questions: &mut Questions, request: Due, out: &mut Vec<Effect>) {
@@ -120,6 +120,10 @@ fn read(world: &World, peer: PeerId, parcel: &Parcel) -> Result<(Verb, Path), Wi
         // It is being deleted.
         return Err(no_context(&path));
     }
+    if world.is_leaving(peer, &path) {
+        let text = "this peer is on its way out of there; the answer tells when it is out";
+        return Err(WireError::new(Code::TRY_LATER, text).slot("context"));
+    }
     Ok((verb, path))
 }
 
@@ -139,7 +143,7 @@ fn carry_out(
         Verb::List => list::on(world, request, out),
         Verb::Info => info::on(world, request, out),
         Verb::Join => join::on(world, request, out),
-        Verb::Leave => leave::on(world, request, out),
+        Verb::Leave => leave::on(world, questions, request, out),
         Verb::Delete => delete::on(world, request, out),
         Verb::Members => members::on(world, request, out),
         Verb::Stats => stats::on(world, request, out),

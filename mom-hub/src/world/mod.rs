@@ -3,13 +3,13 @@
 //! The rooms above work on a `&mut World`: they look things up, change them, and append [`Effect`]s.
 
 pub(crate) mod audit;
-pub(crate) mod deletion;
 pub(crate) mod effect;
 pub(crate) mod events;
 mod facts;
 mod names;
 mod routes;
 pub(crate) mod settings;
+pub(crate) mod steps;
 
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -20,8 +20,8 @@ use mom_proto::{Code, ContextNumber, Fence, Micros, Path, Time, WireError};
 use crate::token::state::Token;
 use crate::tree::Tree;
 use crate::tree::peers::Peers;
-use crate::{Audit, Effect, Record, Settings, Ticket};
-use deletion::Deletion;
+use crate::{Audit, Effect, PeerId, Record, Settings, Ticket};
+use steps::Job;
 
 /// All that the hub knows, but for the questions that it has asked.
 #[derive(Debug)]
@@ -40,9 +40,12 @@ pub(crate) struct World {
     pub(crate) changed: BTreeSet<ContextNumber>,
     /// Channels to whose routes it has only added.
     pub(crate) grown: BTreeSet<ContextNumber>,
-    /// What is being deleted in steps, and the paths of it.
-    pub(crate) deletions: VecDeque<Deletion>,
+    /// What is done in steps, the next one first.
+    pub(crate) jobs: VecDeque<Job>,
+    /// The paths of what is being deleted.
     pub(crate) doomed: BTreeSet<Path>,
+    /// What peers are leaving.
+    pub(crate) leaving: BTreeMap<PeerId, Vec<Path>>,
     /// Changes of owner that wait for their record, by the ticket of the store.
     pub(crate) storing: BTreeMap<Ticket, ContextNumber>,
     pub(crate) last_ticket: u64,
@@ -68,8 +71,8 @@ pub(crate) enum Timer {
     Request(ContextNumber, u64),
     /// Ends the waiting for a verdict.
     Answer(u64),
-    /// Goes on with what is being deleted.
-    Delete,
+    /// Goes on with what is done in steps.
+    Step,
     /// Ends the time for which only the owner of before a restart may have a token.
     Reserved(ContextNumber),
 }
@@ -89,8 +92,9 @@ impl World {
             deleted_fence: Fence::default(),
             changed: BTreeSet::new(),
             grown: BTreeSet::new(),
-            deletions: VecDeque::new(),
+            jobs: VecDeque::new(),
             doomed: BTreeSet::new(),
+            leaving: BTreeMap::new(),
             storing: BTreeMap::new(),
             last_ticket: 0,
             records: records

@@ -177,3 +177,106 @@ fn one_user_makes_so_many_contexts_and_others_may_go_on() {
         Some("alice< ok")
     );
 }
+
+/// alice and others in many channels; alice owns some tokens there. Presence is told.
+fn crowd(stage: &mut Stage) {
+    stage.say("alice", "context create /lab/hall kind=session");
+    let others: Vec<String> = (0..20).map(|number| format!("peer{number}")).collect();
+    for other in &others {
+        stage.enter(other, 1);
+    }
+    let mut all: Vec<&str> = others.iter().map(String::as_str).collect();
+    all.extend(["alice", "bob"]);
+    for peer in &all {
+        stage.say(peer, "context join /lab/hall");
+    }
+    for channel in 0..200 {
+        let path = format!("/lab/hall/c{channel}");
+        stage.say("alice", &format!("context create {path} kind=channel"));
+        for peer in &all {
+            stage.say(peer, &format!("context join {path}"));
+        }
+    }
+    for token in 0..40 {
+        let path = format!("/lab/hall/t{token}");
+        stage.say("alice", &format!("context create {path} kind=token"));
+        stage.say("alice", &format!("token grab {path}"));
+        stage.say("bob", &format!("context join {path}"));
+    }
+}
+
+/// Goes on until bob has heard that; gives what he has heard, and how many steps it took.
+fn go_on(stage: &mut Stage, who: &str, mut heard: Vec<String>, last: &str) -> (Vec<String>, usize) {
+    let mut steps = 0;
+    while !heard.iter().any(|line| line.starts_with(last)) {
+        assert!(cost(stage) <= MOST, "step {steps} costs {}", cost(stage));
+        let deadline = stage.hub.deadline().expect("it goes on");
+        heard.extend(of(&stage.at_micros(deadline), &[who]));
+        steps += 1;
+        assert!(steps < 500, "{heard:?}");
+    }
+    (heard, steps)
+}
+
+/// Where everybody hears of everybody, who leaves costs as much as there are members and contexts.
+#[test]
+fn who_is_in_many_contexts_goes_in_steps() {
+    let mut stage = lab(Limits::default());
+    crowd(&mut stage);
+    let heard = of(&stage.say("alice", "login logout /"), &["bob"]);
+    let count = |heard: &[String], word: &str| heard.iter().filter(|line| line.starts_with(word)).count();
+    assert_eq!(count(&heard, "bob< released"), 40, "first all is safe: {heard:?}");
+    assert!(count(&heard, "bob< left") < 200, "{heard:?}");
+    // The way is free for others at once, and whoever is on the way out may do nothing more.
+    let grabbed = stage.say("bob", "token grab /lab/hall/t7");
+    assert!(
+        grabbed.iter().any(|line| line.starts_with("bob< ok")),
+        "{grabbed:?}"
+    );
+    assert_eq!(
+        stage.say("alice", "token grab /lab/hall/t8"),
+        ["alice< try-later"]
+    );
+    let (_, steps) = go_on(&mut stage, "alice", heard, "alice< ok");
+    assert!(steps >= 4, "{steps} steps");
+    assert_eq!(
+        stage.say("alice", "context lookup /lab"),
+        ["alice< not-logged-in"]
+    );
+}
+
+#[test]
+fn much_is_left_in_steps() {
+    let mut stage = lab(Limits::default());
+    crowd(&mut stage);
+    let heard = of(&stage.say("alice", "context leave /lab/hall"), &["alice"]);
+    assert!(!heard.contains(&"alice< ok".to_owned()), "not at once");
+    assert_eq!(
+        stage.say("alice", "context join /lab/hall/c7"),
+        ["alice< try-later"]
+    );
+    assert_eq!(stage.say("alice", "context lookup /lab"), ["alice< ok"]);
+    let (_, steps) = go_on(&mut stage, "alice", heard, "alice< ok");
+    assert!(steps >= 4, "{steps} steps");
+    let again = stage.say("alice", "context join /lab/hall");
+    assert!(again.contains(&"alice< ok".to_owned()), "{again:?}");
+}
+
+#[test]
+fn whoever_puts_out_is_answered_at_the_end() {
+    let mut stage = lab(Limits::default());
+    crowd(&mut stage);
+    let heard = of(&stage.say("bob", "context expel / peer=alice"), &["bob"]);
+    assert!(!heard.contains(&"bob< ok".to_owned()), "not at once");
+    assert_eq!(stage.say("alice", "context lookup /lab"), ["alice< try-later"]);
+    let (heard, steps) = go_on(&mut stage, "bob", heard, "bob< ok");
+    assert!(steps >= 4, "{steps} steps");
+    assert!(
+        heard.iter().any(|line| line.starts_with("bob< expelled")),
+        "{heard:?}"
+    );
+    assert_eq!(
+        stage.say("alice", "context lookup /lab"),
+        ["alice< not-logged-in"]
+    );
+}
