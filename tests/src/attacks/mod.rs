@@ -33,6 +33,8 @@ pub enum Attack {
     LargeList,
     /// Join and leave among 200 members.
     Crowd,
+    /// Join 200 channels, and leave them together.
+    Leavers,
     /// Send 0.9 MB of doubles ten times a second, with a viewer that speaks XML.
     Lidar,
     /// Send to peers that read nothing.
@@ -43,7 +45,7 @@ pub enum Attack {
 
 impl Attack {
     /// All of them.
-    pub const ALL: [Attack; 11] = [
+    pub const ALL: [Attack; 12] = [
         Attack::LargeDelete,
         Attack::Nils,
         Attack::Rejoin,
@@ -52,6 +54,7 @@ impl Attack {
         Attack::LargeXml,
         Attack::LargeList,
         Attack::Crowd,
+        Attack::Leavers,
         Attack::Lidar,
         Attack::Sleepers,
         Attack::Chunks,
@@ -68,6 +71,7 @@ impl Attack {
             Attack::LargeXml => "large-xml",
             Attack::LargeList => "large-list",
             Attack::Crowd => "crowd",
+            Attack::Leavers => "leavers",
             Attack::Lidar => "lidar",
             Attack::Sleepers => "sleepers",
             Attack::Chunks => "chunks",
@@ -85,6 +89,7 @@ impl Attack {
             Attack::LargeXml => "8 MiB of XML",
             Attack::LargeList => "`list` of a session with 9 000 children",
             Attack::Crowd => "join and leave among 200 members",
+            Attack::Leavers => "join 200 channels of 16 members each, and leave their session",
             Attack::Lidar => "no malice: 0.9 MB of doubles at 10 Hz with an XML viewer",
             Attack::Sleepers => "messages of 64 KiB to 16 peers that read nothing",
             Attack::Chunks => "parcels of 8 MiB in chunks that never end, on 16 connections",
@@ -102,6 +107,7 @@ impl Attack {
             | Attack::LargeXml
             | Attack::LargeList
             | Attack::Crowd
+            | Attack::Leavers
             | Attack::Lidar
             | Attack::Chunks => &[],
         }

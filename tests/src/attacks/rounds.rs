@@ -19,6 +19,8 @@ const MEMBERS: usize = 200;
 /// Requests that are on their way together.
 const TOGETHER: usize = 250;
 const SLEEPERS: usize = 16;
+const CHANNELS: usize = 200;
+const LISTENERS: usize = 16;
 
 impl Attackers {
     pub(super) async fn prepare(&mut self, attack: Attack) {
@@ -52,6 +54,23 @@ impl Attackers {
                     self.listen(Form::Binary, &["/chat"]).await;
                 }
                 self.enter(Form::Binary, &[]).await;
+            }
+            Attack::Leavers => {
+                self.enter(Form::Binary, &["/free"]).await;
+                let session = self.session().await;
+                for number in 0..CHANNELS {
+                    let _ = self.ask(0, make(&format!("{session}/{number}"), "channel")).await;
+                }
+                let all: Vec<String> = (0..CHANNELS)
+                    .map(|number| format!("{session}/{number}"))
+                    .collect();
+                let all: Vec<&str> = ["/free", &session]
+                    .into_iter()
+                    .chain(all.iter().map(String::as_str))
+                    .collect();
+                for _ in 0..LISTENERS {
+                    self.listen(Form::Binary, &all).await;
+                }
             }
             Attack::Sleepers => {
                 self.enter(Form::Binary, &["/bulk"]).await;
@@ -101,6 +120,14 @@ impl Attackers {
                 let _ = self.answers(0, first, 16).await;
             }
             Attack::Crowd => self.join_and_leave(0, "/chat", 20).await,
+            Attack::Leavers => {
+                let _ = self.ask(0, about("join", "/free/s1")).await;
+                let joins = (0..CHANNELS).map(|number| about("join", &format!("/free/s1/{number}")));
+                let count = u64::try_from(CHANNELS).expect("few");
+                let first = self.post_many(0, joins).await;
+                let _ = self.answers(0, first, count).await;
+                let _ = self.ask(0, about("leave", "/free/s1")).await;
+            }
             Attack::Lidar => {
                 let mut doubles = vec![0xdd];
                 doubles.extend(100_000_u32.to_be_bytes());

@@ -66,6 +66,7 @@ attacks! {
     fn large_xml: LargeXml, 2;
     fn large_list: LargeList, 1;
     fn crowd: Crowd, 2;
+    fn leavers: Leavers, 3;
     fn lidar: Lidar, 3;
     fn sleepers: Sleepers, 8;
     fn chunks: Chunks, 8;
