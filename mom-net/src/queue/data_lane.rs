@@ -16,6 +16,8 @@ pub(super) struct DataLane<I> {
     /// The number of the entry in front; it goes down again where entries are put back.
     first: u64,
     pub(super) holes: usize,
+    /// For each class, the number before which no entry of it waits: who looks for the first one looks at none twice.
+    searched: [u64; Delivery::ALL.len()],
     entries: VecDeque<Option<Entry<I>>>,
 }
 
@@ -24,6 +26,7 @@ impl<I> Default for DataLane<I> {
         DataLane {
             first: u64::MAX / 2,
             holes: 0,
+            searched: [0; Delivery::ALL.len()],
             entries: VecDeque::new(),
         }
     }
@@ -40,6 +43,7 @@ impl<I: Item> DataLane<I> {
     /// Adds an entry in front; gives its number.
     pub(super) fn push_front(&mut self, entry: Entry<I>) -> u64 {
         self.first -= 1;
+        self.searched[entry.item.delivery() as usize] = self.first;
         self.entries.push_front(Some(entry));
         self.first
     }
@@ -75,11 +79,16 @@ impl<I: Item> DataLane<I> {
         self.entries.get_mut(index)
     }
 
+    /// Takes out the first entry of a class.
     pub(super) fn take_first(&mut self, class: Delivery) -> Option<Entry<I>> {
-        let of_class = |entry: &&mut Option<Entry<I>>| {
-            entry.as_ref().is_some_and(|entry| entry.item.delivery() == class)
-        };
-        let taken = self.entries.iter_mut().find(of_class).and_then(Option::take);
+        let from = self.searched[class as usize].max(self.first);
+        let from = usize::try_from(from - self.first).unwrap_or(usize::MAX);
+        let of_class =
+            |entry: &Option<Entry<I>>| entry.as_ref().is_some_and(|entry| entry.item.delivery() == class);
+        let found = self.entries.iter().skip(from).position(of_class);
+        let at = found.map_or(self.entries.len(), |found| from + found);
+        self.searched[class as usize] = self.first + at as u64;
+        let taken = self.entries.get_mut(at).and_then(Option::take);
         self.holes += usize::from(taken.is_some());
         taken
     }
@@ -101,6 +110,7 @@ impl<I: Item> DataLane<I> {
         if due {
             self.entries.retain(Option::is_some);
             self.holes = 0;
+            self.searched = [self.first; Delivery::ALL.len()];
         }
         (self.first..)
             .zip(self.entries.iter().flatten())
