@@ -59,6 +59,7 @@ impl<I: Item> DataLane<I> {
     }
 
     /// The entry in front, without the holes before it.
+    #[inline]
     pub(super) fn front(&mut self) -> Option<&Entry<I>> {
         while let Some(None) = self.entries.front() {
             self.entries.pop_front();
@@ -68,6 +69,7 @@ impl<I: Item> DataLane<I> {
         self.entries.front().and_then(Option::as_ref)
     }
 
+    #[inline]
     pub(super) fn pop(&mut self) -> Option<Entry<I>> {
         self.front()?;
         self.first += 1;

@@ -70,13 +70,16 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         let Lane::Data(priority) = item.lane() else {
             return false;
         };
-        let front = self.data.get_mut(&Reverse(priority)).and_then(DataLane::front);
-        if front.is_none_or(|front| !Arc::ptr_eq(&front.item, item)) {
-            return false;
-        }
-        let Some(entry) = self.pop_data(Reverse(priority)) else {
+        let Some(lane) = self.data.get_mut(&Reverse(priority)) else {
             return false;
         };
+        if lane.front().is_none_or(|front| !Arc::ptr_eq(&front.item, item)) {
+            return false;
+        }
+        let Some(entry) = lane.pop() else {
+            return false;
+        };
+        self.forget_latest(&entry.item);
         self.leave(&entry.item);
         for other in others.into_iter().rev() {
             let size = self.charge(&other);
@@ -245,12 +248,7 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
             {
                 Next::Ready(self.open.remove(open))
             }
-            (_, Some(Lane::Data(priority))) => {
-                if let Some(item) = self.unready_front(Reverse(priority), now) {
-                    return Next::Unready(item);
-                }
-                self.pop_data(Reverse(priority)).map_or(Next::None, Next::Ready)
-            }
+            (_, Some(Lane::Data(priority))) => self.next_data(Reverse(priority), now),
             (_, Some(_)) => self.pop_control().map_or(Next::None, Next::Ready),
             (_, None) => Next::None,
         }
@@ -279,11 +277,26 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
                     .any(|open| matches!(open.item.lane(), Lane::Data(_)) && is_early(open)))
     }
 
-    /// The item in front of a lane, if it is not ready. What may not leave any more need not be.
-    fn unready_front(&mut self, priority: Reverse<i32>, now: u64) -> Option<Arc<I>> {
-        let front = self.data.get_mut(&priority)?.front()?;
-        let waits = !front.item.is_ready(self.form) && self.policy.stale(&front.item, now).is_none();
-        waits.then(|| Arc::clone(&front.item))
+    /// What is in front of a lane, taken out if it is ready. What may not leave any more need not be.
+    #[inline]
+    fn next_data(&mut self, priority: Reverse<i32>, now: u64) -> Next<Entry<I>, I> {
+        let Some(lane) = self.data.get_mut(&priority) else {
+            return Next::None;
+        };
+        if let Some(front) = lane.front()
+            && !front.item.is_ready(self.form)
+            && self.policy.stale(&front.item, now).is_none()
+        {
+            return Next::Unready(Arc::clone(&front.item));
+        }
+        let Some(entry) = lane.pop() else {
+            return Next::None;
+        };
+        if lane.is_empty() && priority != Reverse(0) {
+            self.data.remove(&priority);
+        }
+        self.forget_latest(&entry.item);
+        Next::Ready(entry)
     }
 
     fn pop_control(&mut self) -> Option<Entry<I>> {
@@ -315,16 +328,11 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         }
     }
 
-    fn pop_data(&mut self, priority: Reverse<i32>) -> Option<Entry<I>> {
-        let lane = self.data.get_mut(&priority)?;
-        let entry = lane.pop()?;
-        if lane.is_empty() && priority != Reverse(0) {
-            self.data.remove(&priority);
+    /// Lets an item that has left its lane be replaced no more.
+    fn forget_latest(&mut self, item: &I) {
+        if item.delivery() == Delivery::Latest {
+            self.latest.remove(&item.key());
         }
-        if entry.item.delivery() == Delivery::Latest {
-            self.latest.remove(&entry.item.key());
-        }
-        Some(entry)
     }
 
     /// Whether what is in front of a lane may begin beside what is open: a receiver keeps so many streams open, and no
