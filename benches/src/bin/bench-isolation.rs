@@ -26,6 +26,9 @@ struct Cli {
     /// Only these attacks, one after the other; all of them, and then all together, if none is named.
     #[arg(long)]
     only: Vec<String>,
+    /// The named attacks at the same time; all of them if none is named
+    #[arg(long)]
+    together: bool,
     /// How long each is measured.
     #[arg(long, default_value_t = 5)]
     seconds: u64,
@@ -68,13 +71,16 @@ fn run(cli: &Cli) -> Result<()> {
         );
     }
     let time = Duration::from_secs(cli.seconds);
+    let only: Result<Vec<Attack>> = cli.only.iter().map(|word| named(word)).collect();
+    let only = only?;
+    let all = only.is_empty();
+    let only = if all { Attack::ALL.to_vec() } else { only };
     let mut attacks: Vec<Vec<Attack>> = Vec::new();
-    for word in &cli.only {
-        attacks.push(vec![named(word)?]);
+    if !cli.together {
+        attacks.extend(only.iter().map(|attack| vec![*attack]));
     }
-    if attacks.is_empty() {
-        attacks.extend(Attack::ALL.map(|attack| vec![attack]));
-        attacks.push(Attack::ALL.to_vec());
+    if all || cli.together {
+        attacks.push(only);
     }
     let mut out = io::stdout();
     writeln!(

@@ -85,7 +85,7 @@ pub fn attack(attack: Attack, address: SocketAddr) -> Result<(), Error> {
         loop {
             tokio::select! {
                 _ = &mut ended => break,
-                () = peers.round(attack) => {}
+                () = peers.round() => {}
             }
         }
         say(&format!("{} rounds", peers.rounds()))?;

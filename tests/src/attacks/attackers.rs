@@ -15,6 +15,7 @@ use crate::raw::{Raw, at};
 /// Peers of the user `bob`, and others that only listen or sleep.
 #[derive(Debug)]
 pub struct Attackers {
+    pub(super) attack: Attack,
     pub(super) address: SocketAddr,
     pub(super) peers: Vec<Raw>,
     /// Connections that read nothing.
@@ -29,6 +30,7 @@ impl Attackers {
     /// Connects what this attack needs.
     pub async fn connect(attack: Attack, address: SocketAddr) -> Attackers {
         let mut attackers = Attackers {
+            attack,
             address,
             peers: Vec::new(),
             sleepers: Vec::new(),
@@ -36,7 +38,7 @@ impl Attackers {
             heard: BTreeMap::new(),
             rounds: 0,
         };
-        attackers.prepare(attack).await;
+        attackers.prepare().await;
         attackers
     }
 

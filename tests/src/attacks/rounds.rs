@@ -23,26 +23,27 @@ const CHANNELS: usize = 200;
 const LISTENERS: usize = 16;
 
 impl Attackers {
-    pub(super) async fn prepare(&mut self, attack: Attack) {
-        match attack {
+    pub(super) async fn prepare(&mut self) {
+        let here = self.channel();
+        match self.attack {
             Attack::LargeDelete => self.enter(Form::Binary, &["/free"]).await,
             Attack::Nils | Attack::Lidar => {
-                self.listen(Form::Xml, &["/chat"]).await;
-                self.enter(Form::Binary, &["/chat"]).await;
+                self.listen(Form::Xml, &[&here]).await;
+                self.enter(Form::Binary, &[&here]).await;
             }
             Attack::Rejoin => {
-                self.enter(Form::Binary, &["/kept"]).await;
+                self.enter(Form::Binary, &[&here]).await;
                 self.enter(Form::Xml, &[]).await;
                 for _ in 0..16 {
-                    let block = message("block", "/kept", Value::Binary(vec![7; 60 * 1024].into()));
+                    let block = message("block", &here, Value::Binary(vec![7; 60 * 1024].into()));
                     let _ = self.ask(0, receipted(block)).await;
                 }
             }
-            Attack::LargeSlots => self.enter(Form::Binary, &["/kept"]).await,
+            Attack::LargeSlots => self.enter(Form::Binary, &[&here]).await,
             Attack::LargeRequest => self.enter(Form::Binary, &[]).await,
             Attack::LargeXml => {
-                self.listen(Form::Binary, &["/chat"]).await;
-                self.enter(Form::Xml, &["/chat"]).await;
+                self.listen(Form::Binary, &[&here]).await;
+                self.enter(Form::Xml, &[&here]).await;
             }
             Attack::LargeList => {
                 self.enter(Form::Binary, &["/free"]).await;
@@ -51,7 +52,7 @@ impl Attackers {
             }
             Attack::Crowd => {
                 for _ in 0..MEMBERS {
-                    self.listen(Form::Binary, &["/chat"]).await;
+                    self.listen(Form::Binary, &[&here]).await;
                 }
                 self.enter(Form::Binary, &[]).await;
             }
@@ -73,17 +74,18 @@ impl Attackers {
                 }
             }
             Attack::Sleepers => {
-                self.enter(Form::Binary, &["/bulk"]).await;
-                self.sleep_in("/bulk").await;
+                self.enter(Form::Binary, &[&here]).await;
+                self.sleep_in(&here).await;
             }
             Attack::Chunks => {}
         }
     }
 
     /// One round.
-    pub async fn round(&mut self, attack: Attack) {
+    pub async fn round(&mut self) {
         self.rounds += 1;
-        match attack {
+        let here = self.channel();
+        match self.attack {
             Attack::LargeDelete => {
                 let session = self.session().await;
                 self.fill(&session, TOKENS).await;
@@ -93,40 +95,41 @@ impl Attackers {
                 let mut nils = vec![0xc0; LARGE];
                 nils[0] = 0xdd;
                 nils[1..5].copy_from_slice(&u32::try_from(LARGE - 5).expect("small").to_be_bytes());
-                self.send_content("/chat", nils).await;
+                self.send_content(&here, nils).await;
                 self.hear_of_drops("dropped: bad-content").await;
             }
             Attack::Rejoin => {
                 for peer in 0..2 {
-                    self.join_and_leave(peer, "/kept", 20).await;
+                    self.join_and_leave(peer, &here, 20).await;
                 }
             }
             Attack::LargeSlots => {
-                let mut parcel = message("block", "/kept", 7);
+                let mut parcel = message("block", &here, 7);
                 parcel.extra = Map::new().with("note", "x".repeat(4 * 1024 * 1024));
                 let _ = self.ask(0, receipted(parcel)).await;
             }
             Attack::LargeRequest => {
-                let parcel = about("join", "/chat").content(Value::Binary(vec![7; LARGE].into()));
+                let parcel = about("join", &here).content(Value::Binary(vec![7; LARGE].into()));
                 let _ = self.ask(0, parcel).await;
             }
             Attack::LargeXml => {
                 let items = vec![Value::Int(1); LARGE / 26];
-                let _ = self.ask(0, receipted(message("list", "/chat", items))).await;
+                let _ = self.ask(0, receipted(message("list", &here, items))).await;
             }
             Attack::LargeList => {
-                let session = "/free/s1";
-                let first = self.post_many(0, (0..16).map(|_| about("list", session))).await;
+                let session = self.first_session();
+                let first = self.post_many(0, (0..16).map(|_| about("list", &session))).await;
                 let _ = self.answers(0, first, 16).await;
             }
-            Attack::Crowd => self.join_and_leave(0, "/chat", 20).await,
+            Attack::Crowd => self.join_and_leave(0, &here, 20).await,
             Attack::Leavers => {
-                let _ = self.ask(0, about("join", "/free/s1")).await;
-                let joins = (0..CHANNELS).map(|number| about("join", &format!("/free/s1/{number}")));
+                let session = self.first_session();
+                self.insist(about("join", &session)).await;
+                let joins = (0..CHANNELS).map(|number| about("join", &format!("{session}/{number}")));
                 let count = u64::try_from(CHANNELS).expect("few");
                 let first = self.post_many(0, joins).await;
                 let _ = self.answers(0, first, count).await;
-                let _ = self.ask(0, about("leave", "/free/s1")).await;
+                self.insist(about("leave", &session)).await;
             }
             Attack::Lidar => {
                 let mut doubles = vec![0xdd];
@@ -135,11 +138,11 @@ impl Attackers {
                     doubles.push(0xcb);
                     doubles.extend((f64::from(number) * 0.001_37).to_be_bytes());
                 }
-                self.send_content("/chat", doubles).await;
+                self.send_content(&here, doubles).await;
                 sleep(Duration::from_millis(100)).await; // tidy: a lidar turns ten times a second
             }
             Attack::Sleepers => {
-                let block = || message("block", "/bulk", Value::Binary(vec![7; 64 * 1024].into()));
+                let block = || message("block", &here, Value::Binary(vec![7; 64 * 1024].into()));
                 let first = self.post_many(0, (0..16).map(|_| receipted(block()))).await;
                 let _ = self.answers(0, first, 16).await;
                 // By then the outboxes are full.
@@ -151,12 +154,27 @@ impl Attackers {
         }
     }
 
+    /// The channel of this attack.
+    fn channel(&self) -> String {
+        format!("/{}", self.attack.word())
+    }
+
     /// A new session of the attacker's own.
     async fn session(&mut self) -> String {
-        let path = format!("/free/s{}", self.rounds.max(1));
-        let _ = self.ask(0, make(&path, "session")).await;
-        let _ = self.ask(0, about("join", &path)).await;
+        let path = format!("/free/{}-{}", self.attack.word(), self.rounds);
+        self.insist(make(&path, "session")).await;
+        self.insist(about("join", &path)).await;
         path
+    }
+
+    /// Asks until it goes well, or the hub has had enough.
+    async fn insist(&mut self, parcel: Parcel) {
+        while self.ask(0, parcel.clone()).await.is_none() && self.times("closed") == 0 {}
+    }
+
+    /// The session that was made before the first round.
+    fn first_session(&self) -> String {
+        format!("/free/{}-0", self.attack.word())
     }
 
     /// Makes so many tokens, however often the hub puts some off.

@@ -97,7 +97,7 @@ async fn the_largest_queues_lose_what_may_be_dropped() {
     let (broker, mut canary) = start(3 * MIB).await;
     let mut attackers = Attackers::connect(Attack::Sleepers, broker.local_addr()).await;
     while attackers.times("dropped: memory") == 0 {
-        attackers.round(Attack::Sleepers).await;
+        attackers.round().await;
         canary.check().await;
     }
     let mut carol = Raw::login(broker.local_addr(), Form::Binary, "carol").await;
@@ -110,7 +110,7 @@ async fn the_largest_queues_lose_what_may_be_dropped() {
 async fn unfinished_parcels_count() {
     let (broker, mut canary) = start(64 * MIB).await;
     let mut attackers = Attackers::connect(Attack::Chunks, broker.local_addr()).await;
-    attackers.round(Attack::Chunks).await;
+    attackers.round().await;
     canary.check().await;
     let mut carol = Raw::login(broker.local_addr(), Form::Binary, "carol").await;
     let memory = told(&mut carol).await;

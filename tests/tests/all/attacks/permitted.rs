@@ -21,7 +21,7 @@ async fn attack(attack: Attack, rounds: u64) -> Attackers {
     let mut canary = Canary::start(address).await;
     let mut attackers = Attackers::connect(attack, address).await;
     for _ in 0..rounds {
-        attackers.round(attack).await;
+        attackers.round().await;
         canary.check().await;
     }
     assert!(canary.stop().await > 0);
