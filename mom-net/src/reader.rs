@@ -6,7 +6,7 @@ use std::pin::pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
 
-use bytes::Buf;
+use bytes::{Buf, BufMut};
 use mom_proto::Limits;
 use mom_proto::Parcel;
 use mom_proto::binary::Plain;
@@ -18,6 +18,10 @@ use tokio::sync::mpsc;
 
 use crate::spare::ReadBuffer;
 use crate::{NetError, local};
+
+/// The most that one system call reads: it does not return before all that has come is copied, and others wait for the
+/// thread.
+const AT_ONCE: usize = 256 * 1024;
 
 /// Gives the frames of a connection.
 #[derive(Debug)]
@@ -230,8 +234,9 @@ fn poll_read(
     context: &mut Context<'_>,
 ) -> Poll<io::Result<usize>> {
     buffer.make_room(announced);
+    let mut room = (&mut buffer.bytes).limit(AT_ONCE);
     // Stateless, so that it may be begun anew at each poll.
-    let read = pin!(stream.read_buf(&mut buffer.bytes)).poll(context);
+    let read = pin!(stream.read_buf(&mut room)).poll(context);
     if read.is_pending() {
         buffer.rest();
     }

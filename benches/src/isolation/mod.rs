@@ -37,7 +37,7 @@ pub fn measure(program: &Path, attacks: &[Attack], time: Duration) -> Result<Fig
         Process::start(command)
     };
     let (attacked, other) = (start()?, start()?);
-    control::run(async {
+    let figures = control::run(async {
         let mut canary = Canary::start(attacked.address()).await?;
         let elsewhere = Attackers::start(attacks, other.address())?;
         let idle = canary.sing(time).await?;
@@ -50,5 +50,8 @@ pub fn measure(program: &Path, attacks: &[Attack], time: Duration) -> Result<Fig
             memory: attacked.most_memory(),
             heard,
         })
-    })
+    });
+    // A broker with the feature `lock-times` says now for how long its locks were held.
+    attacked.end();
+    figures
 }

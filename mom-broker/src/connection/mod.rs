@@ -41,6 +41,12 @@ pub(crate) use serving::{DRAIN, Serving};
 /// something that is not urgent to an outbox that somebody has touched leaves the flush to that one.
 const FRAMES: usize = 256;
 
+/// The same after so long: others wait for this thread, and some of them want to stop a robot.
+const TURN: Micros = 200;
+
+/// After so many frames the time is looked at.
+const LOOK: usize = 8;
+
 /// Unfinished parcels of fewer bytes are not charged: most are here for a moment.
 const SMALL: usize = 16 * 1024;
 
@@ -159,6 +165,9 @@ impl Connection {
                 {
                     return end;
                 }
+                if self.is_late() {
+                    tokio::task::yield_now().await;
+                }
                 let wake = self.deadline(login_by).min(self.beat_at);
                 let arrived = tokio::select! {
                     biased;
@@ -179,6 +188,12 @@ impl Connection {
                 }
             }
         }
+    }
+
+    /// Whether others should have the thread.
+    fn is_late(&self) -> bool {
+        let began = self.outbox.turn.load(Ordering::Relaxed);
+        self.services.board.clock.now().saturating_sub(began) > TURN
     }
 
     /// For how long a peer may say nothing.
@@ -220,7 +235,8 @@ impl Connection {
             if !goes_on {
                 break Ok(());
             }
-            if !self.run(reader, &mut touched) {
+            let run = self.run(reader, &mut touched);
+            if !run {
                 let frame = match reader.try_next() {
                     Ok(None) => match reader.take_deferred() {
                         None => break Ok(()),
@@ -258,7 +274,8 @@ impl Connection {
                 }
             }
             handled += 1;
-            if handled % FRAMES == 0 {
+            let late = (run || handled % LOOK == 0) && self.is_late();
+            if late || handled % FRAMES == 0 {
                 flush(&mut touched);
                 tokio::task::yield_now().await;
             }

@@ -32,6 +32,10 @@ pub(super) struct ServeArgs {
 /// How long an ending broker waits for what it has logged to be written.
 const LAST_LINES: Duration = Duration::from_secs(1);
 
+/// A thread that always has something to do asks the system for new events after so many turns. Each lasts some 200 µs at
+/// most, and an event may be a stop.
+const EVENTS: u32 = 8;
+
 /// Files that no descriptor was left for are read again after so long.
 const AGAIN: Duration = Duration::from_millis(500);
 
@@ -61,9 +65,17 @@ pub(super) fn run(args: &ServeArgs) -> Result<()> {
             "no [store] path: who owns which token is forgotten when the broker ends; only fences go on rising"
         );
     }
-    let runtime = tokio::runtime::Runtime::new().context("cannot start the runtime")?;
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .event_interval(EVENTS)
+        .build()
+        .context("cannot start the runtime")?;
     let ended = runtime.block_on(args.serve(config, watch, &log_filter));
     lines.finish(LAST_LINES);
+    #[cfg(feature = "lock-times")]
+    for line in mom_system::sync::lock_times() {
+        writeln!(std::io::stderr(), "{line}")?;
+    }
     ended
 }
 

@@ -7,8 +7,8 @@ use crate::world::{Timer, World};
 use crate::{Effect, PeerId};
 
 /// Contexts that one step ends, removes or leaves, and peers that it tells.
-pub(super) const STEP: usize = 64;
-pub(super) const TOLD: usize = 1024;
+pub(super) const STEP: usize = 32;
+pub(super) const TOLD: usize = 256;
 
 /// The time between two steps, in which others have their turns.
 const PAUSE: Micros = 1_000;

@@ -212,15 +212,23 @@ impl Tree {
         self.naming.entry(peer).or_default().insert(number);
     }
 
-    /// Forgets the contexts that a peer has made, and its invitations: it has gone, or another user takes over its
-    /// connection.
-    pub(crate) fn forget(&mut self, peer: PeerId) {
-        for number in self.naming.remove(&peer).unwrap_or_default() {
+    /// Forgets the contexts that a peer has made, and its invitations, so many of them at most: it goes, or another user
+    /// takes over its connection. True if that was all.
+    pub(crate) fn forget(&mut self, peer: PeerId, most: usize) -> bool {
+        let Some(naming) = self.naming.get_mut(&peer) else {
+            return true;
+        };
+        for number in std::iter::from_fn(|| naming.pop_first()).take(most) {
             if let Some(context) = self.contexts.get_mut(&number) {
                 context.creator = context.creator.filter(|creator| *creator != peer);
                 context.invited.remove(&peer);
             }
         }
+        let all = naming.is_empty();
+        if all {
+            self.naming.remove(&peer);
+        }
+        all
     }
 
     /// Channels that name a token of this path as their guard.

@@ -14,7 +14,7 @@ use crate::world::World;
 use crate::{Effect, PeerId};
 
 /// Children or members that one reply names: each costs the hub's time, and often a question to a manager.
-pub(super) const PAGE: usize = 256;
+pub(super) const PAGE: usize = 128;
 
 /// A request with its context's path resolved.
 pub(crate) struct Request {

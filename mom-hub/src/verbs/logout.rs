@@ -74,7 +74,7 @@ fn forget(world: &mut World, questions: &mut Questions, peer: PeerId, out: &mut 
     world.audit(fact, out);
     let rest = world.after(world.settings.name_rest);
     world.peers.remove(peer, rest);
-    world.tree.forget(peer);
+    world.tree.forget(peer, usize::MAX);
     for question in questions.left_by(peer) {
         let due = questions.unanswered(world, question, out);
         super::run_all(world, questions, due, out);

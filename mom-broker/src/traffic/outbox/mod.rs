@@ -23,7 +23,7 @@ pub(crate) use waiter::WaiterHandle;
 use crate::traffic::encodings::Unready;
 use crate::traffic::memory::Account;
 use mom_system::Clock;
-use mom_system::sync::atomic::{AtomicBool, Ordering, fence};
+use mom_system::sync::atomic::{AtomicBool, AtomicU64, Ordering, fence};
 use mom_system::sync::{Mutex, MutexGuard, Notify};
 
 /// The outbox of one connection.
@@ -48,6 +48,8 @@ pub(crate) struct Outbox {
     pub(crate) active: AtomicBool,
     /// Something was read since the heartbeat last looked.
     pub(crate) heard: AtomicBool,
+    /// When a thread has come to its connection, µs.
+    pub(crate) turn: AtomicU64,
 }
 
 thread_local! {
@@ -108,6 +110,7 @@ impl Outbox {
             end: Notify::new(),
             active: AtomicBool::new(false),
             heard: AtomicBool::new(false),
+            turn: AtomicU64::new(0),
         }
     }
 
@@ -220,6 +223,11 @@ impl Outbox {
         let freed = self.queue.lock().drop_for_memory(goes);
         self.call_next();
         freed
+    }
+
+    /// Notes that a thread has come to its connection.
+    pub(crate) fn begin_turn(&self) {
+        self.turn.store(self.clock.now(), Ordering::Relaxed);
     }
 
     /// The peer's name, empty before login; it is known here also when the hub has forgotten the peer.
