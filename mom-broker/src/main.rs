@@ -4,6 +4,10 @@ mod program;
 
 use std::process::ExitCode;
 
+/// After a flood it gives memory back to the system, where the C library's keeps most of it (docs/decisions.md).
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 fn main() -> ExitCode {
     program::main()
 }
