@@ -23,11 +23,11 @@ const MINUTE: Micros = 60_000_000;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct AttemptSource {
     address: u64,
-    account: Option<Account>,
+    account: Option<Attempted>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Account {
+struct Attempted {
     account: u64,
     pair: u64,
     /// Whether it has logged in from there before.
@@ -77,7 +77,7 @@ impl Throttle {
         let from = network(from);
         AttemptSource {
             address: self.key(from),
-            account: account.map(|account| Account {
+            account: account.map(|account| Attempted {
                 account: self.key(account),
                 pair: self.key((from, account)),
                 known,

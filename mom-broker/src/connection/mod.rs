@@ -42,7 +42,7 @@ pub(crate) use serving::{DRAIN, Serving};
 const FRAMES: usize = 256;
 
 /// The same after so long: others wait for this thread, and some of them want to stop a robot.
-const TURN: Micros = 200;
+const SLICE: Micros = 200;
 
 /// After so many frames the time is looked at.
 const LOOK: usize = 8;
@@ -192,8 +192,8 @@ impl Connection {
 
     /// Whether others should have the thread.
     fn is_late(&self) -> bool {
-        let began = self.outbox.turn.load(Ordering::Relaxed);
-        self.services.board.clock.now().saturating_sub(began) > TURN
+        let began = self.outbox.slice_began.load(Ordering::Relaxed);
+        self.services.board.clock.now().saturating_sub(began) > SLICE
     }
 
     /// For how long a peer may say nothing.

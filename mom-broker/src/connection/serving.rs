@@ -90,7 +90,7 @@ impl Serving {
         let error = {
             let mut read = pin!(self.connection.read(&mut self.reader, self.login_by));
             poll_fn(|task| {
-                outbox.begin_turn();
+                outbox.begin_slice();
                 let _ = writer.poll(task);
                 read.as_mut().poll(task)
             })

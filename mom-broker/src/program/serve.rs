@@ -32,7 +32,7 @@ pub(super) struct ServeArgs {
 /// How long an ending broker waits for what it has logged to be written.
 const LAST_LINES: Duration = Duration::from_secs(1);
 
-/// A thread that always has something to do asks the system for new events after so many turns. Each lasts some 200 µs at
+/// A thread that always has something to do asks the system for new events after so many slices. Each lasts some 200 µs at
 /// most, and an event may be a stop.
 const EVENTS: u32 = 8;
 

@@ -49,7 +49,7 @@ pub(crate) struct Outbox {
     /// Something was read since the heartbeat last looked.
     pub(crate) heard: AtomicBool,
     /// When a thread has come to its connection, µs.
-    pub(crate) turn: AtomicU64,
+    pub(crate) slice_began: AtomicU64,
 }
 
 thread_local! {
@@ -110,7 +110,7 @@ impl Outbox {
             end: Notify::new(),
             active: AtomicBool::new(false),
             heard: AtomicBool::new(false),
-            turn: AtomicU64::new(0),
+            slice_began: AtomicU64::new(0),
         }
     }
 
@@ -226,8 +226,8 @@ impl Outbox {
     }
 
     /// Notes that a thread has come to its connection.
-    pub(crate) fn begin_turn(&self) {
-        self.turn.store(self.clock.now(), Ordering::Relaxed);
+    pub(crate) fn begin_slice(&self) {
+        self.slice_began.store(self.clock.now(), Ordering::Relaxed);
     }
 
     /// The peer's name, empty before login; it is known here also when the hub has forgotten the peer.

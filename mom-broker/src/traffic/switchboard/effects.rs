@@ -18,14 +18,14 @@ pub(super) struct Decisions {
     /// The effects of decisions that nobody has begun to carry out, and how many decisions there were.
     made: Mutex<(VecDeque<Vec<Effect>>, u64)>,
     /// How many were carried out. Whoever holds it carries out the next ones.
-    turn: Mutex<u64>,
+    carried_out: Mutex<u64>,
 }
 
 impl Default for Decisions {
     fn default() -> Decisions {
         Decisions {
             made: Mutex::new((VecDeque::new(), 0)),
-            turn: Mutex::new(0),
+            carried_out: Mutex::new(0),
         }
     }
 }
@@ -91,11 +91,11 @@ impl Switchboard {
 
     /// Carries out all decisions up to this one; when it returns they are, by whomever.
     fn carry_out_up_to(&self, number: u64, touched: &mut Touched) {
-        let mut turn = self.decisions.turn.lock();
-        while *turn < number {
+        let mut carried_out = self.decisions.carried_out.lock();
+        while *carried_out < number {
             let effects = self.decisions.next();
             self.carry_out(effects, touched);
-            *turn += 1;
+            *carried_out += 1;
         }
     }
 
