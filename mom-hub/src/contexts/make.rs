@@ -18,6 +18,9 @@ use crate::{ContextSpec, Effect, KeepArgs, PeerId};
 /// Channels that one token may guard: each renewal gives new routes to all of them.
 const GUARDED: usize = 256;
 
+/// Bytes of the managers that one user wrote for contexts, all together.
+const MANAGING: usize = 4 << 20;
+
 /// In a session of more members nobody is told what is made and deleted in it.
 const ASKED: usize = 256;
 
@@ -57,16 +60,12 @@ impl World {
         }
         let user = creator.and_then(|creator| self.peers.get(creator));
         let user = user.map(|peer| Arc::clone(&peer.facts.user));
-        if let Some(user) = &user
-            && !self
-                .settings
-                .limits
-                .user_contexts
-                .allows(self.tree.made_by(user) + 1)
-        {
-            let most = self.settings.limits.user_contexts;
-            let text = format!("{user} has made {most} contexts, as many as one user may; delete some first");
-            return Err(WireError::new(Code::FULL, text).rule("user-contexts"));
+        let managing = spec
+            .manager
+            .as_ref()
+            .map_or(0, |manager| Content::from(manager.clone()).size());
+        if let Some(user) = &user {
+            self.check_made(user, managing)?;
         }
         if !self.settings.limits.contexts.allows(self.tree.len() + 1) {
             let text = format!("the hub holds {} contexts, its limit", self.tree.len());
@@ -99,6 +98,7 @@ impl World {
             manager_spec: spec.manager.clone(),
             creator,
             made_by: user,
+            managing,
             invited: BTreeMap::new(),
             expelled: BTreeMap::new(),
             presence: spec.presence.unwrap_or_default(),
@@ -119,6 +119,25 @@ impl World {
             self.timers.insert((until, Timer::Reserved(number)));
         }
         Ok(number)
+    }
+
+    /// Checks that a user may make one more context, with so many bytes of manager.
+    fn check_made(&self, user: &str, managing: usize) -> Result<(), WireError> {
+        let made = self.tree.made_by(user);
+        let most = self.settings.limits.user_contexts;
+        if !most.allows(made.contexts + 1) {
+            let text = format!("{user} has made {most} contexts, as many as one user may; delete some first");
+            return Err(WireError::new(Code::FULL, text).rule("user-contexts"));
+        }
+        if managing > 0 && made.managing + managing > MANAGING {
+            let text = format!(
+                "the managers of {user}'s contexts take {} bytes, and {MANAGING} is the most; \
+                 name a manager of the configuration, or delete some",
+                made.managing
+            );
+            return Err(WireError::new(Code::FULL, text).slot("content/manager"));
+        }
+        Ok(())
     }
 
     /// Lets a new channel's token know what it guards, and a new token the channels that wait for one at
@@ -290,6 +309,7 @@ pub(crate) fn make_root(number: ContextNumber, manager: Box<dyn Manager>, word: 
         manager_spec: None,
         creator: None,
         made_by: None,
+        managing: 0,
         invited: BTreeMap::new(),
         expelled: BTreeMap::new(),
         presence: Presence::None,

@@ -44,6 +44,8 @@ pub(crate) struct Context {
     pub(crate) creator: Option<PeerId>,
     /// The user of that peer, who is charged with it as long as it exists.
     pub(crate) made_by: Option<Arc<str>>,
+    /// Bytes of the manager that it was made with.
+    pub(crate) managing: usize,
     /// Peers that were invited, and until when it counts.
     pub(crate) invited: BTreeMap<PeerId, Micros>,
     /// Users that were put out, and until when they may not join again.

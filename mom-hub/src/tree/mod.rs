@@ -29,9 +29,17 @@ pub(crate) struct Tree {
     guards: BTreeMap<Path, BTreeSet<ContextNumber>>,
     /// Contexts that name a peer as their creator or as one who was invited.
     naming: BTreeMap<PeerId, BTreeSet<ContextNumber>>,
-    /// How many contexts peers of a user have made.
-    made: BTreeMap<Arc<str>, usize>,
+    /// What peers of a user have made.
+    made: BTreeMap<Arc<str>, Made>,
     last: u64,
+}
+
+/// What peers of one user have made.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Made {
+    pub(crate) contexts: usize,
+    /// Bytes of the managers that they wrote for them.
+    pub(crate) managing: usize,
 }
 
 impl Tree {
@@ -47,7 +55,9 @@ impl Tree {
         }
         self.by_path.insert(context.path.clone(), context.number);
         if let Some(user) = &context.made_by {
-            *self.made.entry(Arc::clone(user)).or_default() += 1;
+            let made = self.made.entry(Arc::clone(user)).or_default();
+            made.contexts += 1;
+            made.managing += context.managing;
         }
         if let Some(creator) = context.creator {
             self.name_peer(creator, context.number);
@@ -70,10 +80,11 @@ impl Tree {
             self.count_permanent(context.parent, -1);
         }
         if let Some(user) = &context.made_by
-            && let Some(count) = self.made.get_mut(user)
+            && let Some(made) = self.made.get_mut(user)
         {
-            *count -= 1;
-            if *count == 0 {
+            made.contexts -= 1;
+            made.managing -= context.managing;
+            if made.contexts == 0 {
                 self.made.remove(user);
             }
         }
@@ -251,8 +262,8 @@ impl Tree {
         }
     }
 
-    /// How many contexts there are that peers of this user have made.
-    pub(crate) fn made_by(&self, user: &str) -> usize {
+    /// What is there that peers of this user have made.
+    pub(crate) fn made_by(&self, user: &str) -> Made {
         self.made.get(user).copied().unwrap_or_default()
     }
 

@@ -280,3 +280,41 @@ fn whoever_puts_out_is_answered_at_the_end() {
         ["alice< not-logged-in"]
     );
 }
+
+/// Part of threat 38: ten thousand contexts, each with a manager of 60 KiB, would be more than half a gigabyte.
+#[test]
+fn one_user_writes_so_many_bytes_of_managers() {
+    let mut stage = lab(Limits::default());
+    let mut users: Vec<Value> = (0..6_000)
+        .map(|user| Value::from(format!("user{user}")))
+        .collect();
+    users.push("alice".into());
+    let rule = Map::new().with("allow", vec!["*".into()]).with("users", users);
+    let manager = Map::new()
+        .with("kind", "roles")
+        .with("rules", vec![Value::Map(rule)]);
+    let create = |stage: &mut Stage, who: &str, number: usize| {
+        let mut request = stage.request(who, &format!("context create /lab/c{number} kind=channel"));
+        if let Input::Request { parcel, .. } = &mut request {
+            let content = Map::new()
+                .with("kind", "channel")
+                .with("manager", manager.clone());
+            parcel.content = Some(content.into());
+        }
+        stage.give(request)
+    };
+    let mut made = 0;
+    while create(&mut stage, "alice", made).contains(&"alice< ok".to_owned()) {
+        made += 1;
+        assert!(made < 100);
+    }
+    assert!((50..100).contains(&made), "{made}");
+    assert_eq!(create(&mut stage, "alice", made), ["alice< full"]);
+    let plain = stage.say("alice", "context create /lab/plain kind=channel");
+    assert!(plain.contains(&"alice< ok".to_owned()), "{plain:?}");
+    let others = create(&mut stage, "bob", made);
+    assert!(others.contains(&"bob< ok".to_owned()), "{others:?}");
+    stage.say("alice", "context delete /lab/c0");
+    let again = create(&mut stage, "alice", 0);
+    assert!(again.contains(&"alice< ok".to_owned()), "{again:?}");
+}
