@@ -1,6 +1,6 @@
 //! What is large is done in steps, and what one user has made is counted.
 
-use mom_hub::{Effect, Input, Settings};
+use mom_hub::{Effect, Input, Settings, User};
 use mom_managers::Registry;
 use mom_proto::{Family, Limit, Limits, Map, Parcel, Path, Value};
 
@@ -205,7 +205,7 @@ fn crowd(stage: &mut Stage) {
     }
 }
 
-/// Goes on until bob has heard that; gives what he has heard, and how many steps it took.
+/// Goes on until `who` has heard `last`; gives what it has heard, and how many steps it took.
 fn go_on(stage: &mut Stage, who: &str, mut heard: Vec<String>, last: &str) -> (Vec<String>, usize) {
     let mut steps = 0;
     while !heard.iter().any(|line| line.starts_with(last)) {
@@ -279,6 +279,48 @@ fn whoever_puts_out_is_answered_at_the_end() {
         stage.say("alice", "context lookup /lab"),
         ["alice< not-logged-in"]
     );
+}
+
+/// Whoever is cut off while it leaves is gone in the end, too, and its name is free again.
+#[test]
+fn who_is_cut_off_on_its_way_out_is_gone() {
+    let mut stage = lab(Limits::default());
+    crowd(&mut stage);
+    let heard = of(&stage.say("alice", "context leave /lab/hall"), &["alice"]);
+    assert!(!heard.contains(&"alice< ok".to_owned()), "not at once");
+    let alice = stage.peer("alice");
+    stage.gone("alice");
+    assert!(stage.hub.peer_name(alice).is_some(), "not at once");
+    for _ in 0..500 {
+        match stage.hub.deadline() {
+            Some(deadline) => drop(stage.at_micros(deadline)),
+            None => break,
+        }
+    }
+    stage.hub.check();
+    assert_eq!(stage.hub.peer_name(alice), None);
+    stage.enter("alice", 1);
+    let again = stage.peer("alice");
+    assert_eq!(stage.hub.peer_name(again).as_deref(), Some("alice"));
+}
+
+/// Another user must inherit nothing, so it does not come before all is left.
+#[test]
+fn who_is_in_many_contexts_becomes_nobody_else_at_once() {
+    let mut stage = lab(Limits::default());
+    crowd(&mut stage);
+    let alice = stage.peer("alice");
+    let carol = User {
+        name: "carol".to_owned(),
+        level: 1,
+        groups: Vec::new(),
+        details: Map::new(),
+    };
+    let heard = of(&stage.login(alice, carol), &["carol"]);
+    assert_eq!(heard.last().map(String::as_str), Some("carol< try-later"));
+    let closes = |effect: &Effect| matches!(effect, Effect::Close { peer, .. } if *peer == alice);
+    assert!(stage.effects.iter().any(closes));
+    assert_eq!(stage.hub.peer_name(alice).as_deref(), Some("alice"));
 }
 
 /// Part of threat 38: ten thousand contexts, each with a manager of 60 KiB, would be more than half a gigabyte.

@@ -16,8 +16,9 @@ pub use tokio::sync::Notify;
 mod explore;
 #[cfg(feature = "shuttle")]
 mod shuttled;
-#[cfg(all(feature = "lock-times", not(feature = "shuttle")))]
-mod timed;
+// Its own test is run, and the lints look at it, without the feature, too.
+#[cfg(all(any(feature = "lock-times", test), not(feature = "shuttle")))]
+pub mod timed;
 #[cfg(feature = "shuttle")]
 pub use explore::explore;
 #[cfg(feature = "shuttle")]
