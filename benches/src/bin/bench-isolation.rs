@@ -35,6 +35,9 @@ struct Cli {
     /// The broker's program; the one beside this program if none is named.
     #[arg(long)]
     broker: Option<PathBuf>,
+    /// The niceness of the brokers; below 0 as a service may have it, which takes the right to do so
+    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
+    nice: i32,
 }
 
 #[derive(Subcommand)]
@@ -95,7 +98,7 @@ fn run(cli: &Cli) -> Result<()> {
     )?;
     writeln!(out, "|---|---|---|---|---|---|---|---:|---:|---|")?;
     for attacks in attacks {
-        let figures = isolation::measure(&broker, &attacks, time)?;
+        let figures = isolation::measure(&broker, cli.nice, &attacks, time)?;
         writeln!(out, "{}", row(&attacks, &figures))?;
     }
     Ok(())

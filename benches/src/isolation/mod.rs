@@ -26,13 +26,14 @@ pub struct Figures {
     pub heard: Vec<String>,
 }
 
-/// Runs these attacks together on fresh brokers of this program.
+/// Runs these attacks together on fresh brokers of this program, which run at this niceness.
 ///
 /// # Errors
 /// Programs that do not start, or a broker that refuses the canary what it may do.
-pub fn measure(program: &Path, attacks: &[Attack], time: Duration) -> Result<Figures, Error> {
+pub fn measure(program: &Path, niceness: i32, attacks: &[Attack], time: Duration) -> Result<Figures, Error> {
     let start = || {
-        let mut command = Command::new(program);
+        let mut command = Command::new("nice");
+        command.args(["-n", &niceness.to_string()]).arg(program);
         command.arg("--config").arg(configuration());
         Process::start(command)
     };

@@ -128,6 +128,8 @@ enum Next {
     Frame,
     /// It logs its peer in.
     Login(Box<Parcel>),
+    /// It waits so long: too many requests were refused.
+    Pause(Duration),
     /// It waits until the hub has memory for a message.
     Memory(Box<Parcel>),
     /// It waits for capacity for a message of this id.
@@ -257,6 +259,11 @@ impl Connection {
                 }
                 match next {
                     Next::Frame | Next::Memory(_) => {}
+                    Next::Pause(time) => {
+                        if let Err(end) = Box::pin(self.pause(time, &mut touched)).await {
+                            break Err(end);
+                        }
+                    }
                     Next::Login(login) => {
                         // Apart, for it is rare and needs more memory than all the rest of a connection.
                         let login = Box::pin(self.login(reader, &login, &mut touched));
@@ -399,7 +406,8 @@ impl Connection {
                 let now = self.services.board.clock.now();
                 if let Err(error) = self.requests.take(&parcel, self.services.limits.requests, now) {
                     self.refuse(&error, parcel.id, touched);
-                    return Next::Frame;
+                    let pause = self.requests.refused(self.services.limits.requests, now);
+                    return pause.map_or(Next::Frame, Next::Pause);
                 }
                 let counts = requests::counts(&parcel);
                 let request = Input::Request {
@@ -475,6 +483,18 @@ impl Connection {
             () = outbox.end.notified() => Err(outbox.closing().and_then(|closing| closing.error)),
             () = self.proof_over() => Err(Some(login::proof_over())),
             () = account.relieved(clock, until) => Ok(()),
+        }
+    }
+
+    /// Reads nothing for a time; gives the error to say if the connection ends meanwhile.
+    async fn pause(&self, time: Duration, touched: &mut Touched) -> Result<(), Option<WireError>> {
+        flush(touched);
+        let outbox = Arc::clone(&self.outbox);
+        tokio::select! {
+            biased;
+            () = outbox.end.notified() => Err(outbox.closing().and_then(|closing| closing.error)),
+            () = self.proof_over() => Err(Some(login::proof_over())),
+            () = tokio::time::sleep(time) => Ok(()),
         }
     }
 

@@ -14,10 +14,16 @@ const PER_REQUEST: u64 = 4;
 /// The most that a request leaves to be paid back: the next one is taken a second later at the latest.
 const DEBT: Micros = 2 * SECOND;
 
-/// The requests of one connection, as one time, up to which they are paid back: an idle connection is small.
+/// So many times as often as it may ask, a connection is told to try later. Beyond that it is read no faster: a refusal
+/// costs as much as a small request. Not fewer, for a stop may lie behind them.
+const REFUSALS: u64 = 4;
+
+/// The requests of one connection, as times up to which they are paid back: an idle connection is small.
 #[derive(Debug, Default)]
 pub(super) struct Requests {
     paid_at: Micros,
+    /// Of those that were refused.
+    refused_at: Micros,
 }
 
 impl Requests {
@@ -42,6 +48,21 @@ impl Requests {
         })?;
         self.paid_at = used.next(&pace);
         Ok(())
+    }
+
+    /// Counts a request that was refused; gives for how long nothing more is to be read if there were too many.
+    pub(super) fn refused(&mut self, most: Limit, now: Micros) -> Option<Duration> {
+        let Limit::At(most) = most else { return None };
+        let pace = pace(most.saturating_mul(REFUSALS));
+        let mut used = Gcra::paid_at(self.refused_at);
+        match used.take(&pace, 1, now) {
+            Err(Wait::For(wait)) => Some(Duration::from_micros(wait)),
+            Err(Wait::Never) => None,
+            Ok(()) => {
+                self.refused_at = used.next(&pace);
+                None
+            }
+        }
     }
 
     /// Charges what a request has cost others. What costs much, as joining a channel of a thousand members does, may be
@@ -99,6 +120,10 @@ mod tests {
         }
         assert!(ask(&mut requests, "grab", 5_100_000).is_ok());
         assert!(ask(&mut requests, "grab", 5_100_000).is_err());
+        let held = |requests: &mut Requests, now| requests.refused(most, now).is_some();
+        let refused = (0..100).filter(|_| !held(&mut requests, 5_000_000)).count();
+        assert!((40..=41).contains(&refused), "{refused}");
+        assert!(!held(&mut requests, 5_100_000) && requests.refused(Limit::Unlimited, 5_100_000).is_none());
         let free = requests.take(&Parcel::new(Family::Token, "grab"), Limit::Unlimited, 5_100_000);
         assert!(free.is_ok());
     }

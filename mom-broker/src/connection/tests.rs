@@ -12,7 +12,7 @@ use mom_journal::Tap;
 use mom_login::{Granted, LoginConfig, LoginStep, Logins, UserEntry, UserSource};
 use mom_net::Transceiver;
 use mom_proto::codec::Frame;
-use mom_proto::{Code, Family, Map, Parcel, Path, Value, WireError, login_challenge};
+use mom_proto::{Code, Family, Limit, Map, Parcel, Path, Value, WireError, login_challenge};
 use mom_system::Clock;
 use tokio::sync::mpsc;
 use tokio::time::Instant;
@@ -223,6 +223,38 @@ async fn logins_that_wait_hold_nobody_up() {
     let stats = house.logins().stats();
     assert!(stats.most <= hashers, "{stats:?}");
     assert_eq!((stats.hashed, stats.hashing), (1 + waiting as u64, 0));
+}
+
+/// A refusal costs the hub as much as a small request, so whoever goes on asking is read no faster; what is no request
+/// passes as soon as it is read, and others do not wait.
+#[tokio::test]
+async fn who_asks_on_is_read_slowly() {
+    const MOST: u32 = 10;
+    const REFUSED: u32 = 4 * MOST;
+    const MORE: u32 = 10;
+    let house = House::open(|config| config.limits.requests = Limit::At(u64::from(MOST)));
+    let [mut alice, mut bob] = [house.enter(None), house.enter(None)];
+    alice.log_in(password("alice", "alice")).await.expect("alice");
+    bob.log_in(password("bob", "bob")).await.expect("bob");
+    let began = Instant::now();
+    let mut refused = 0;
+    // The broker's clock stands still, so nothing is paid back.
+    for _ in 0..MOST + REFUSED + MORE {
+        let answer = alice.about(Family::Context, "list", "/").await;
+        refused += u32::from(answer.is_err_and(|error| error.code == Code::TRY_LATER));
+    }
+    assert!(refused >= REFUSED + MORE - 1, "{refused}");
+    // One request and one refusal more than in a second may come at once, and nothing waits for the last pause.
+    let pauses = MORE - 3;
+    let least = Duration::from_secs(1) / REFUSED * pauses;
+    assert!(began.elapsed() >= least, "{:?}", began.elapsed());
+    alice
+        .ask(Parcel::new(Family::Time, "ping"))
+        .await
+        .expect("a pong");
+    bob.about(Family::Context, "list", "/")
+        .await
+        .expect("not bob's fault");
 }
 
 async fn prove(logins: &Logins, content: Map) -> Granted {

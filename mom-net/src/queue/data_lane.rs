@@ -114,9 +114,11 @@ impl<I: Item> DataLane<I> {
             self.holes = 0;
             self.searched = [self.first; Delivery::ALL.len()];
         }
+        // Nothing is looked at while nothing is due: this is asked after each entry that is dropped.
+        let moved = if due { self.entries.len() } else { 0 };
         (self.first..)
-            .zip(self.entries.iter().flatten())
-            .filter(move |(_, entry)| due && entry.item.delivery() == Delivery::Latest)
+            .zip(self.entries.iter().take(moved).flatten())
+            .filter(|(_, entry)| entry.item.delivery() == Delivery::Latest)
     }
 
     pub(super) fn into_entries(self) -> impl Iterator<Item = Entry<I>> {

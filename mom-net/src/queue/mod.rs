@@ -192,25 +192,31 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         self.policy.dropped(item, u64::from(item.count()), reason);
     }
 
-    /// Drops all data, for a connection that is to hear only why it ends. What the link has begun to take goes on.
-    pub fn drop_data(&mut self) {
+    /// Drops all data and gives it, for a connection that is to hear only why it ends. What the link has begun to take goes
+    /// on.
+    #[must_use = "freeing it takes its time, which is better done where nobody waits"]
+    pub fn drop_data(&mut self) -> Vec<Arc<I>> {
         let data = std::mem::take(&mut self.data);
         let open = std::mem::take(&mut self.open);
         let waiting = data.into_values().flat_map(DataLane::into_entries);
+        let mut dropped = Vec::new();
         for entry in waiting.chain(open) {
             match entry.item.lane() {
                 Lane::Data(_) => self.note(&entry, DropReason::Closed),
                 _ => self.control_bytes = self.control_bytes.saturating_sub(self.charge(&entry.item)),
             }
+            dropped.push(entry.item);
         }
         self.latest.clear();
         (self.data_bytes, self.reliable_bytes) = (0, 0);
+        dropped
     }
 
-    /// Drops all waiting data of which `goes` says so, for want of memory; gives its bytes. What the link has begun to take
-    /// goes on.
-    pub fn drop_for_memory(&mut self, goes: impl Fn(&I) -> bool) -> usize {
-        let mut freed = 0;
+    /// Drops all waiting data of which `goes` says so, for want of memory; gives it, and its bytes. What the link has begun
+    /// to take goes on.
+    #[must_use = "freeing it takes its time, which is better done where nobody waits"]
+    pub fn drop_for_memory(&mut self, goes: impl Fn(&I) -> bool) -> (Vec<Arc<I>>, usize) {
+        let (mut dropped, mut freed) = (Vec::new(), 0);
         let priorities: Vec<Reverse<i32>> = self.data.keys().copied().collect();
         for priority in priorities {
             let Some(lane) = self.data.get_mut(&priority) else {
@@ -225,10 +231,11 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
                     self.latest.remove(&entry.item.key());
                 }
                 self.note(&entry, DropReason::Memory);
+                dropped.push(entry.item);
             }
             self.close_holes(priority);
         }
-        freed
+        (dropped, freed)
     }
 
     /// Forgets everything and gives it, because the peer is another one from now on: on this link, whose other end is

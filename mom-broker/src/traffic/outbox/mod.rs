@@ -166,11 +166,15 @@ impl Outbox {
     /// Ends the thinning of a channel; what it holds back goes now if the peer still hears it, and else not at all.
     pub(crate) fn end_thinning(&self, channel: ContextNumber, hears: bool) {
         let mut queue = self.queue.lock();
-        match hears {
-            true => queue.release_thinned(channel),
+        let dropped = match hears {
+            true => {
+                queue.release_thinned(channel);
+                Vec::new()
+            }
             false => queue.drop_thinned(Some(channel)),
-        }
+        };
         drop(queue);
+        drop(dropped);
         self.wake.notify_one();
     }
 
@@ -190,13 +194,12 @@ impl Outbox {
         if self.closed.swap(true, Ordering::AcqRel) {
             return;
         }
-        if !drain {
-            queue.drop_data();
-        }
+        let dropped = if drain { Vec::new() } else { queue.drop_data() };
         if let Some(packet) = farewell {
             queue.push_last(packet);
         }
         drop(queue);
+        drop(dropped);
         *self.closing.lock() = Some(Closing { error });
         self.touched.store(true, Ordering::Release);
         self.wake.notify_one();
@@ -220,7 +223,8 @@ impl Outbox {
 
     /// Drops what waits and of which `goes` says so, for want of memory; gives its bytes.
     pub(crate) fn drop_for_memory(&self, goes: impl Fn(&Packet) -> bool) -> usize {
-        let freed = self.queue.lock().drop_for_memory(goes);
+        let (dropped, freed) = self.queue.lock().drop_for_memory(goes);
+        drop(dropped);
         self.call_next();
         freed
     }
@@ -237,7 +241,8 @@ impl Outbox {
 
     /// Gives up what still waits, for an end at which nobody takes it any more.
     pub(crate) fn abandon(&self) {
-        self.queue.lock().drop_data();
+        let dropped = self.queue.lock().drop_data();
+        drop(dropped);
         self.call_all();
     }
 

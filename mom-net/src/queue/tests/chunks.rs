@@ -223,7 +223,7 @@ fn a_run_is_cut_between_frames() {
     queue.push(Arc::new(message("after", 10, 0, Delivery::Reliable)));
     assert_eq!(receiver.take(&queue.pop(0, 1000).unwrap()), ["urgent"]);
     assert_eq!(receiver.take(&queue.pop(0, 2000).unwrap()).len(), 4);
-    queue.drop_data();
+    assert_eq!(queue.drop_data().len(), 2);
     let drops: Vec<u64> = queue.take_drops().into_values().collect();
     assert_eq!(drops, [5], "four of the run and the one after it");
     assert!(queue.pop(0, 1000).is_none());

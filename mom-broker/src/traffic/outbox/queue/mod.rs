@@ -91,14 +91,17 @@ impl PeerQueue {
         self.queue.put_back_all(batch);
     }
 
-    /// Forgets all messages, for a connection that is to hear only why it ends.
-    pub(crate) fn drop_data(&mut self) {
-        self.queue.drop_data();
-        self.drop_thinned(None);
+    /// Forgets all messages and gives them, for a connection that is to hear only why it ends.
+    #[must_use = "freeing it takes its time, which is better done where nobody waits"]
+    pub(crate) fn drop_data(&mut self) -> Vec<Arc<Packet>> {
+        let mut dropped = self.queue.drop_data();
+        dropped.extend(self.drop_thinned(None));
+        dropped
     }
 
-    /// Drops what waits and of which `goes` says so, for want of memory; gives its bytes.
-    pub(crate) fn drop_for_memory(&mut self, goes: impl Fn(&Packet) -> bool) -> usize {
+    /// Drops what waits and of which `goes` says so, for want of memory; gives it, and its bytes.
+    #[must_use = "freeing it takes its time, which is better done where nobody waits"]
+    pub(crate) fn drop_for_memory(&mut self, goes: impl Fn(&Packet) -> bool) -> (Vec<Arc<Packet>>, usize) {
         self.queue.drop_for_memory(goes)
     }
 

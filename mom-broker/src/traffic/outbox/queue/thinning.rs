@@ -60,11 +60,13 @@ impl PeerQueue {
         });
     }
 
-    /// Drops what thinning holds back of a channel that was left, or of all: nobody hears it any more.
-    pub(crate) fn drop_thinned(&mut self, channel: Option<ContextNumber>) {
+    /// Drops what thinning holds back of a channel that was left, or of all, and gives it: nobody hears it any more.
+    pub(crate) fn drop_thinned(&mut self, channel: Option<ContextNumber>) -> Vec<Arc<Packet>> {
         let held = self.thinner.as_mut().map(|thinner| thinner.forget(channel));
-        for packet in held.into_iter().flatten() {
-            self.queue.note_dropped(&packet, DropReason::Closed);
+        let held: Vec<_> = held.into_iter().flatten().collect();
+        for packet in &held {
+            self.queue.note_dropped(packet, DropReason::Closed);
         }
+        held
     }
 }

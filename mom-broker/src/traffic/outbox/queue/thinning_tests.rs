@@ -138,7 +138,7 @@ fn turns_end_with_their_channel() {
             queue.release_thinned(ContextNumber(1));
             assert_eq!(leaves(&mut queue, 5), [("pose".to_owned(), 2)]);
         } else {
-            queue.drop_thinned(Some(ContextNumber(1)));
+            assert_eq!(queue.drop_thinned(Some(ContextNumber(1))).len(), 1);
             assert_eq!(leaves(&mut queue, 5), []);
             assert_eq!(drops(&mut queue), [(DropReason::Closed, 1)]);
         }
@@ -148,7 +148,7 @@ fn turns_end_with_their_channel() {
             "a turn of a new count"
         );
         assert_eq!(queue.due(), Some(1002), "of the other channel");
-        queue.drop_data();
+        drop(queue.drop_data());
         assert_eq!((queue.due(), queue.queue.is_empty()), (None, true));
         let closed: u64 = drops(&mut queue).into_iter().map(|(_, count)| count).sum();
         assert_eq!(closed, 2);

@@ -108,6 +108,6 @@ fn bytes_that_may_not_be_dropped_are_counted_right() {
     assert_eq!(queue.capacity_left(), ONE);
     queue.put_back(&mut [piece].into());
     assert_eq!(queue.capacity_left(), 0);
-    queue.drop_data();
+    drop(queue.drop_data());
     assert_eq!(queue.capacity_left(), 3 * ONE);
 }
