@@ -213,7 +213,7 @@ impl World {
         only(spec.lease.is_some(), "lease", ContextKind::Token)?;
         only(spec.expiry.is_some(), "expiry", ContextKind::Token)?;
         only(spec.deadman.is_some(), "deadman", ContextKind::Token)?;
-        only(spec.safe_on_give, "safe-on-give", ContextKind::Token)?;
+        only(spec.safe_on_give.is_some(), "safe-on-give", ContextKind::Token)?;
         match kind {
             ContextKind::Session => Ok(Role::Session),
             ContextKind::Channel => Ok(Role::Channel(Channel {
@@ -364,7 +364,7 @@ fn make_token(spec: &ContextSpec, terms: Terms) -> Result<Token, WireError> {
             ..terms
         },
         safe,
-        safe_on_give: spec.safe_on_give,
+        safe_on_give: spec.safe_on_give.unwrap_or(true),
         ..Token::default()
     })
 }

@@ -68,7 +68,8 @@ impl World {
         };
         token.timer = None;
         let reason = token.reason_at_deadline(now);
-        self.lose(number, reason, None, out);
+        let by = token.waited_for(now).filter(|_| reason == Reason::Expired);
+        self.lose(number, reason, by, out);
     }
 
     /// The one place where a token's owner changes. Where that is `agreed`, the device stays in hand until the next

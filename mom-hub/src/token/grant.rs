@@ -107,6 +107,15 @@ impl Token {
         }
     }
 
+    /// The peer for which the ownership ends at its deadline: the first of those without whom it would go on.
+    pub(crate) fn waited_for(&self, now: Micros) -> Option<PeerId> {
+        let over = |at: Option<Micros>| at.is_some_and(|at| now >= at);
+        let lease = self.owner.as_ref()?.lease_end;
+        let lapsed = self.terms.expiry == Expiry::Lazy && over(lease);
+        let first = self.queue.first().map(|waiter| waiter.peer);
+        first.filter(|_| lapsed || over(self.hold_end()))
+    }
+
     /// Puts another owner, or none, in the place of the present one. A grant raises the fence above `floor`.
     pub(crate) fn change_owner(&mut self, to: Option<Grantee>, now: Micros, floor: Fence) -> Option<Former> {
         let fence = self.fence;

@@ -57,9 +57,9 @@ pub struct ContextSpec {
     /// Tokens: the owner loses it if it does not renew for so long, in ms; absent = as the manager says.
     #[serde(default)]
     pub deadman: Option<u64>,
-    /// Tokens: whether the safe state is sent also when the owner gives it away.
+    /// Tokens: whether the safe state is sent also when the owner gives it away; absent = yes.
     #[serde(default)]
-    pub safe_on_give: bool,
+    pub safe_on_give: Option<bool>,
 }
 
 /// The guard of a channel.

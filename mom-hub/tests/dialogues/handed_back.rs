@@ -99,7 +99,10 @@ fn what_goes_back_to_nobody_is_made_safe() {
     for (ms, halted) in [(9_000, false), (11_000, true)] {
         let mut registry = Registry::builtin();
         registry.add_kind("until-ten", |_| Ok(Box::new(UntilTen)));
-        let contexts = lab(Map::new().with("manager", "until-ten"));
+        let token = Map::new()
+            .with("manager", "until-ten")
+            .with("safe-on-give", false);
+        let contexts = lab(token);
         let mut stage = Stage::with(contexts, registry, Settings::default());
         for name in ["alice", "bob", "arm"] {
             stage.enter(name, 1);

@@ -111,8 +111,13 @@ fn a_promise_outlasts_the_time_of_the_request() {
     let heard = stage.answer(true);
     let bob = of(&heard, &["bob"]);
     assert_eq!(
-        bob[1..],
-        ["bob< grabbed owner=bob fence=2", "bob< ok fence=2"],
+        bob,
+        [
+            "bob< halt of hub",
+            "bob< released owner=alice by=bob reason=given fence=1",
+            "bob< grabbed owner=bob fence=2",
+            "bob< ok fence=2"
+        ],
         "{bob:?}"
     );
 }

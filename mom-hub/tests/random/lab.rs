@@ -162,7 +162,7 @@ fn contexts(variant: usize) -> Vec<(&'static str, Map)> {
         2 => managed("level-or-lease", 7000, "lazy"),
         _ => managed("level-or-lease", 2000, "eager"),
     };
-    let dead = managed("level-or-lease", 5000, "lazy").with("safe-on-give", true);
+    let dead = managed("level-or-lease", 5000, "lazy").with("safe-on-give", false);
     let dead = match variant {
         2 => dead,
         _ => dead.with("deadman", 2000),
@@ -304,7 +304,7 @@ fn rules_of(spec: &Map) -> Option<Rules> {
         deadman: spec.get("deadman").and_then(micros),
         hold: (kind == "turns").then_some((HOLD, NOTICE)),
         by_level: matches!(kind, "lab-token" | "level-or-lease"),
-        safe_on_give: spec.get("safe-on-give").is_some(),
+        safe_on_give: spec.get("safe-on-give").is_none(),
         safe: spec
             .get("safe")
             .and_then(|safe| Path::parse(safe.get("channel")?.as_str()?).ok()),

@@ -110,7 +110,7 @@ pub(crate) fn lost_words(lost: &Lost) -> String {
     let by = lost.by.as_deref().map(words::visible);
     match (lost.reason.as_str(), by) {
         ("preempted", Some(by)) => format!("{by} has a higher level and took it"),
-        ("expired", Some(by)) => format!("the lease was over, and {by} took it"),
+        ("expired", Some(by)) => format!("the time was over, and {by} was next"),
         ("expired", None) => "the lease was over".to_owned(),
         ("disconnected", _) => "the connection to the hub is lost".to_owned(),
         ("deleted", _) => "it was deleted".to_owned(),
@@ -128,7 +128,7 @@ fn released(owner: &str, reason: &str, by: Option<String>, path: impl Display) -
     let by = by.filter(|by| by != owner);
     match (reason, by) {
         ("released", _) => format!("{owner} released {path}"),
-        ("expired", Some(by)) => format!("the lease of {owner} on {path} was over, {by} takes it"),
+        ("expired", Some(by)) => format!("the time of {owner} on {path} was over, {by} was next"),
         ("expired", None) => format!("the lease of {owner} on {path} was over"),
         ("preempted", Some(by)) => format!("{by} takes {path} from {owner}, by level"),
         ("disconnected", _) => format!("{owner} lost {path}: disconnected"),
@@ -261,7 +261,7 @@ mod tests {
             (
                 "expired",
                 Some("bob"),
-                "the lease of alice on /robot/token was over, bob takes it",
+                "the time of alice on /robot/token was over, bob was next",
             ),
             (
                 "preempted",
@@ -333,7 +333,7 @@ mod tests {
     fn how_this_peer_lost_a_token() {
         for (reason, by, words) in [
             ("preempted", Some("carol"), "carol has a higher level and took it"),
-            ("expired", Some("bob"), "the lease was over, and bob took it"),
+            ("expired", Some("bob"), "the time was over, and bob was next"),
             ("expired", None, "the lease was over"),
             ("disconnected", None, "the connection to the hub is lost"),
             ("broken", Some("carol"), "carol took it away"),

@@ -7,6 +7,7 @@ mod device_keys;
 mod dialogues;
 mod late;
 mod login;
+mod losses;
 mod order;
 mod programs;
 mod protocol;

@@ -46,7 +46,7 @@ pub(super) fn context() -> Value {
         "deadman": millis(
             "Tokens: the owner loses it if it does not renew for so long, in ms; absent = as the manager says."
         ),
-        "safe-on-give": with_default(flag("Tokens: whether the safe state is sent also when the owner gives it away."), false),
+        "safe-on-give": with_default(flag("Tokens: whether the safe state is sent also when the owner gives it away."), true),
     });
     table("A permanent context.", &properties, &["path", "kind"])
 }

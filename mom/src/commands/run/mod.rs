@@ -6,7 +6,7 @@ mod script;
 use std::time::Duration;
 
 use mom_arm::{CommandState, Status};
-use mom_client::{Client, Event, Events, Family, Lost, Parcel, Path, Value, from_value};
+use mom_client::{Client, Event, Events, Family, Lost, Parcel, Path, Token, TokenGuard, Value, from_value};
 use serde_json::json;
 use tokio::time::{Instant, timeout_at};
 
@@ -51,9 +51,13 @@ pub(crate) async fn run(args: &cli::RunArgs, global: &GlobalArgs, output: Output
         keep_going: args.keep_going,
     };
     let result = tokio::select! {
-        result = job.carry_out(&commands) => result,
+        biased;
         lost = guard.lost() => Err(lost_failure(&args.token, &lost)),
         () = interrupt.wait() => Err(Failure::plain("interrupted; the token is released, and the hub halts the robot")),
+        result = job.carry_out(&commands) => match is_done(&result) || !is_lost(&token, &guard).await {
+            true => result,
+            false => Err(lost_failure(&args.token, &guard.lost().await)),
+        },
     };
     job.progress.end();
     let released = match guard.is_lost() {
@@ -253,6 +257,17 @@ impl Job {
             ),
         )
     }
+}
+
+fn is_done(result: &Result<RunOutcome, Failure>) -> bool {
+    matches!(result, Ok(outcome) if outcome.failed == 0)
+}
+
+/// Whether the token is lost by now. A robot that is halted because of that may say so before the hub does.
+async fn is_lost(token: &Token, guard: &TokenGuard) -> bool {
+    // The hub answers after all that it had to say. Without an answer the link is down, which the failure says.
+    let _ = token.info().await;
+    guard.is_lost()
 }
 
 fn lost_failure(token: &str, lost: &Lost) -> Failure {

@@ -1,0 +1,161 @@
+//! What a robot does, and what its driver hears, when the token goes to another: a real broker, arm and command line.
+
+use std::process::Stdio;
+
+use mom_arm::{ArmOptions, CommandState, Status, peer};
+use mom_broker::Broker;
+use mom_client::{Client, ClientError, Event, Events, from_value};
+use mom_tests::lab;
+use mom_tests::programs::{PATIENCE, program, text};
+use tokio::io::AsyncWriteExt as _;
+use tokio::process::Command;
+use tokio::sync::oneshot;
+use tokio::task::{JoinHandle, spawn_blocking};
+use tokio::time::timeout;
+
+const TOKEN: &str = "/robot/token";
+const SCRIPT: &str = "move 100 50 200 0 0; move -100 50 200 0 0; move 100 50 200 0 0; move 0 200 200 0 0";
+
+/// The lab with its arm.
+struct Lab {
+    broker: Broker,
+    stop: oneshot::Sender<()>,
+    arm: JoinHandle<Result<(), ClientError>>,
+}
+
+impl Lab {
+    async fn start() -> Lab {
+        let broker = lab::start().await;
+        let arm = log_in(&broker, "arm").await;
+        let (stop, stopped) = oneshot::channel::<()>();
+        let arm = tokio::spawn(peer::run(arm, ArmOptions::default(), async {
+            // Its sender going is a reason to stop too.
+            let _ = stopped.await;
+        }));
+        Lab { broker, stop, arm }
+    }
+
+    async fn end(self) {
+        drop(self.stop);
+        let ended = timeout(PATIENCE, self.arm).await.expect("the arm ends in time");
+        ended.expect("it did not panic").expect("its channel stays");
+        self.broker.stop().await;
+    }
+}
+
+async fn log_in(broker: &Broker, name: &str) -> Client {
+    let builder = Client::builder(format!("bin://{}", broker.local_addr()));
+    let connected = builder.user(name).password(name).connect().await;
+    connected.expect("a user of the lab")
+}
+
+/// The next event that `pick` takes.
+async fn next<T>(events: &mut Events, what: &str, mut pick: impl FnMut(&Event) -> Option<T>) -> T {
+    let found = timeout(PATIENCE, async {
+        loop {
+            let event = events.next().await.expect("the channel stays");
+            if let Some(found) = pick(&event) {
+                return found;
+            }
+        }
+    });
+    found.await.unwrap_or_else(|_| panic!("never came: {what}"))
+}
+
+fn status(event: &Event) -> Option<Status> {
+    match event {
+        Event::Message(parcel) if parcel.name() == "status" => from_value(parcel.value()).ok(),
+        _ => None,
+    }
+}
+
+fn executing(event: &Event) -> Option<()> {
+    let status = status(event)?;
+    (status.state == CommandState::Executing).then_some(())
+}
+
+/// Whoever agrees to take a robot over does not take over what its giver began.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_robot_that_is_given_away_stops_what_its_giver_began() {
+    let lab = Lab::start().await;
+    let [alice, bob] = [
+        log_in(&lab.broker, "alice").await,
+        log_in(&lab.broker, "bob").await,
+    ];
+    let channel = bob.channel("/robot/arm").await.expect("people may");
+    let mut events = channel.events();
+    let (hers, his) = (alice.token(TOKEN).await, bob.token(TOKEN).await);
+    let guard = hers.expect("people may").grab().await.expect("free");
+    let command = alice.channel("/robot/arm").await.expect("people may");
+    let command = command.message("command").content(SCRIPT);
+    command.send().await.expect("the link is up");
+    next(&mut events, "its first statement", executing).await;
+    let _given = guard.give("bob").await.expect("bob is there");
+    let taken = his.expect("people may").accept().await;
+    let _taken = taken.expect("alice gives it");
+    let mut story = Vec::new();
+    next(&mut events, "the end of alice's command", |event| {
+        match event {
+            Event::Message(parcel) if parcel.name() == "halt" => story.push("halt"),
+            Event::Released { .. } => story.push("released"),
+            Event::Grabbed { owner, .. } if owner == "bob" => story.push("grabbed"),
+            _ => {}
+        }
+        let status = status(event)?;
+        assert!(
+            status.state != CommandState::Executing || !story.contains(&"grabbed"),
+            "statement {} began after bob had the token",
+            status.statement
+        );
+        (status.state == CommandState::Error).then_some(())
+    })
+    .await;
+    assert_eq!(story, ["halt", "released", "grabbed"]);
+    lab.end().await;
+}
+
+/// The robot's word that it was halted may be here before the hub's that another took it; what its driver has to know
+/// is who did.
+#[tokio::test(flavor = "multi_thread")]
+async fn who_loses_the_robot_hears_who_took_it() {
+    let lab = Lab::start().await;
+    let carol = log_in(&lab.broker, "carol").await;
+    let channel = carol.channel("/robot/arm").await.expect("people may");
+    let mut events = channel.events();
+    let token = carol.token(TOKEN).await.expect("people may");
+    let hub = format!("bin://{}", lab.broker.local_addr());
+    let environment = [
+        ("MOM_HUB", &*hub),
+        ("MOM_USER", "alice"),
+        ("MOM_PASSWORD", "alice"),
+    ];
+    for json in [false, true, false, true, false, true, false, true] {
+        let arguments: &[&str] = if json {
+            &["run", "--json", "-"]
+        } else {
+            &["run", "-"]
+        };
+        let program = spawn_blocking(|| program("mom")).await.expect("it is built");
+        let mut command = Command::new(program);
+        command.args(arguments).envs(environment);
+        command
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .kill_on_drop(true);
+        let mut running = command.spawn().expect("the program starts");
+        let mut stdin = running.stdin.take().expect("its input is piped");
+        stdin.write_all(SCRIPT.as_bytes()).await.expect("it reads");
+        drop(stdin);
+        next(&mut events, "its first statement", executing).await;
+        let guard = token.grab().await.expect("her level is higher");
+        let output = timeout(PATIENCE, running.wait_with_output()).await;
+        let output = output.expect("it ends in time").expect("it ends");
+        let said = text(&output.stdout) + &text(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{said}");
+        let words = "lost /robot/token: carol has a higher level and took it; the hub halts the robot";
+        assert!(said.contains(words), "{said}");
+        guard.release().await.expect("hers");
+    }
+    lab.end().await;
+}
