@@ -88,8 +88,8 @@ pub use key::Key;
 pub use message::{Message, Receipt};
 pub use mom_net::Address;
 pub use mom_proto::{
-    Code, Content, ContextKind, Delivery, Family, Fence, HISTORY, Map, MessageRate, Parcel, Path, Thinning,
-    Time, Value, WireError, event, from_value, to_value,
+    Code, Content, ContextKind, Delivery, Family, Fence, HISTORY, HUB, Map, MessageRate, Parcel, Path,
+    Thinning, Time, Value, WireError, event, from_value, to_value,
 };
 pub use predict::{Model, Prediction, Predictor};
 pub use proof::Proof;

@@ -3,8 +3,8 @@
 use std::process::Stdio;
 
 use mom_arm::{ArmOptions, CommandState, Status, peer};
-use mom_broker::Broker;
-use mom_client::{Client, ClientError, Event, Events, from_value};
+use mom_broker::{Broker, Config};
+use mom_client::{Client, ClientError, Event, Events, Map, from_value};
 use mom_tests::lab;
 use mom_tests::programs::{PATIENCE, program, text};
 use tokio::io::AsyncWriteExt as _;
@@ -25,7 +25,11 @@ struct Lab {
 
 impl Lab {
     async fn start() -> Lab {
-        let broker = lab::start().await;
+        Lab::start_with(|_| {}).await
+    }
+
+    async fn start_with(change: impl FnOnce(&mut Config)) -> Lab {
+        let broker = lab::start_with(change).await;
         let arm = log_in(&broker, "arm").await;
         let (stop, stopped) = oneshot::channel::<()>();
         let arm = tokio::spawn(peer::run(arm, ArmOptions::default(), async {
@@ -111,6 +115,45 @@ async fn a_robot_that_is_given_away_stops_what_its_giver_began() {
     })
     .await;
     assert_eq!(story, ["halt", "released", "grabbed"]);
+    lab.end().await;
+}
+
+/// A token may declare any message as its safe state, one that it guards among them: the arm ends what its owner began,
+/// and goes home.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_declared_safe_state_is_obeyed() {
+    let lab = Lab::start_with(|config| {
+        let token = config
+            .contexts
+            .iter_mut()
+            .find(|context| context.path.as_deref() == Some(TOKEN));
+        let safe = Map::new()
+            .with("channel", "/robot/arm")
+            .with("name", "command")
+            .with("content", "home");
+        let safe = from_value(safe.into()).expect("a safe state");
+        token.expect("of the lab").safe = Some(safe);
+    })
+    .await;
+    let alice = log_in(&lab.broker, "alice").await;
+    let channel = alice.channel("/robot/arm").await.expect("people may");
+    let mut events = channel.events();
+    let token = alice.token(TOKEN).await.expect("people may");
+    let guard = token.grab().await.expect("free");
+    let command = channel.message("command").content(SCRIPT);
+    command.send().await.expect("the link is up");
+    next(&mut events, "its first statement", executing).await;
+    guard.release().await.expect("hers");
+    let end_of = |peer: &'static str| {
+        move |event: &Event| {
+            let status = status(event).filter(|status| status.peer == peer)?;
+            matches!(status.state, CommandState::Finished | CommandState::Error).then_some(status)
+        }
+    };
+    let hers = next(&mut events, "the end of her command", end_of("alice")).await;
+    assert_eq!(hers.state, CommandState::Error, "{hers:?}");
+    let safe = next(&mut events, "the end of the safe state", end_of("hub")).await;
+    assert_eq!(safe.state, CommandState::Finished, "{safe:?}");
     lab.end().await;
 }
 

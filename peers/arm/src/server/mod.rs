@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use mom_client::event::Reason;
 use mom_client::{
-    Delivery, Event, Family, FenceGate, Map, Parcel, Path, StateGate, Time, Value, WireError, event, to_value,
+    Delivery, Event, Family, FenceGate, HUB, Map, Parcel, Path, StateGate, Time, Value, WireError, event,
+    to_value,
 };
 
 use crate::arm::Arm;
@@ -24,8 +25,8 @@ pub const COMMAND: &str = "command";
 pub const STATUS: &str = "status";
 /// The message that tells the arm's state.
 pub const STATE: &str = "state";
-/// The name under which the hub itself sends.
-const HUB: &str = "hub";
+/// Why commands end at the hub's safe state.
+const SAFE: &str = "the hub ordered the safe state, because the token's owner lost it or gave it up";
 
 /// The decisions of the robot's peer, without a connection and without a clock.
 ///
@@ -38,7 +39,7 @@ const HUB: &str = "hub";
 ///   broadcast (M42).
 /// - A command of a newer fence, or the event that the token changed hands, ends all commands of an older owner.
 ///   Where owners hand over by agreement, only such a command does, or the hub's `halt` if the token asks for it.
-/// - The hub's `halt` ends all commands; anybody's `stop` does, and latches until `unstop`. A gap in the events
+/// - The hub's `halt` ends all commands, as does its command, the safe state of a token that declares one; anybody's `stop` does, and latches until `unstop`. A gap in the events
 ///   latches too, because it may have contained a `stop`.
 /// - A lost link ends all commands; after it, the state is sent again.
 /// - A peer that joins the channel gets the state.
@@ -148,6 +149,10 @@ impl RobotServer {
         let sender = parcel.sender.as_deref().unwrap_or_default();
         match parcel.name() {
             COMMAND => {
+                // The safe state that the token declares ends what the owner began, as `halt` does, and then moves the arm.
+                if sender == HUB {
+                    self.halt(SAFE, now, out);
+                }
                 let order = Order {
                     peer: sender.into(),
                     id: parcel.id,
@@ -169,11 +174,7 @@ impl RobotServer {
             event::UNSTOP => self.act(out, |arm, events| arm.unstop(now, events)),
             // Only the hub may send it; a peer that wants the arm to stop has `stop`.
             event::HALT if sender == HUB => {
-                self.halt(
-                    "the hub ordered the safe state, because the token's owner lost it or gave it up",
-                    now,
-                    out,
-                );
+                self.halt(SAFE, now, out);
             }
             _ => {}
         }
