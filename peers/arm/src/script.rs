@@ -9,6 +9,7 @@
 //! | `grip open`, `grip close` | moves the jaws |
 //! | `wait ms` | waits, 0 to 60 000 ms |
 //! | `home` | moves the hand to [`HOME`](crate::arm::HOME) |
+//! | `reset` | puts hand, jaws and blocks back to where they were at the start, at once: this arm is simulated |
 //!
 //! Statements take effect in the order written, each complete before the next begins. A waypoint of
 //! the papers, gripper first and then the move (M51), is written `grip close; move …`.
@@ -49,6 +50,8 @@ pub enum Statement {
     Wait(u32),
     /// Move the hand to its home pose.
     Home,
+    /// Put everything back to where it was at the start.
+    Reset,
 }
 
 /// A script: between 1 and [`MAX_STATEMENTS`] statements.
@@ -122,7 +125,7 @@ impl fmt::Display for Script {
     }
 }
 
-const VERBS: &[&str] = &["move", "grip", "wait", "home"];
+const VERBS: &[&str] = &["move", "grip", "wait", "home", "reset"];
 const GRIPS: &[&str] = &["open", "close"];
 
 impl Statement {
@@ -157,6 +160,7 @@ impl Statement {
                 }
             }
             "home" => Ok(Self::Home),
+            "reset" => Ok(Self::Reset),
             _ => Err(unknown(verb, VERBS)),
         }
     }
@@ -183,6 +187,7 @@ impl fmt::Display for Statement {
             Self::Grip(Grip::Close) => f.write_str("grip close"),
             Self::Wait(ms) => write!(f, "wait {ms}"),
             Self::Home => f.write_str("home"),
+            Self::Reset => f.write_str("reset"),
         }
     }
 }
@@ -321,10 +326,11 @@ mod tests {
             ),
             ("# nothing; move\n grip close# move", vec![close]),
             (
-                "grip open\nhome;wait 0; wait 60000",
+                "grip open\nhome;reset;wait 0; wait 60000",
                 vec![
                     Statement::Grip(Grip::Open),
                     Statement::Home,
+                    Statement::Reset,
                     Statement::Wait(0),
                     Statement::Wait(60_000),
                 ],

@@ -18,6 +18,11 @@ mod tests;
 
 /// The initial pose of the hand, and the target of `home`.
 pub const HOME: Pose = Pose::new(0.0, 0.0, 300.0, 0.0, 0.0);
+/// How an arm starts: at home, with open jaws.
+const AT_REST: Posture = Posture {
+    pose: HOME,
+    opening: MAX_OPENING,
+};
 /// µs between two states while the arm moves: 20 Hz.
 pub const STATE_PERIOD: ArmTime = 50_000;
 /// The most commands that wait behind the one being carried out.
@@ -42,6 +47,8 @@ pub struct Arm {
     posture: Posture,
     grip: Grip,
     blocks: Blocks,
+    /// The blocks as they were at the start.
+    first_blocks: Blocks,
     stopped: bool,
     active: Option<Active>,
     waiting: VecDeque<QueuedScript>,
@@ -96,15 +103,14 @@ impl Arm {
     /// An arm at home, at rest, with open jaws and blocks put down as by [`Blocks::new`].
     #[must_use]
     pub fn with_blocks(now: ArmTime, blocks: impl IntoIterator<Item = Block>) -> Self {
+        let blocks = Blocks::new(blocks);
         Self {
             now,
             seq: 0,
-            posture: Posture {
-                pose: HOME,
-                opening: MAX_OPENING,
-            },
+            posture: AT_REST,
             grip: Grip::Open,
-            blocks: Blocks::new(blocks),
+            first_blocks: blocks.clone(),
+            blocks,
             stopped: false,
             active: None,
             waiting: VecDeque::new(),
@@ -132,7 +138,9 @@ impl Arm {
         let script: Script = script.parse()?;
         let mut planned = self.planned;
         for (statement, number) in script.statements().iter().zip(1..) {
-            if let Some(target) = target(statement) {
+            if *statement == Statement::Reset {
+                planned = HOME;
+            } else if let Some(target) = target(statement) {
                 path::check(&planned, &target).map_err(|error| error.at_statement(number))?;
                 planned = target;
             }
@@ -304,6 +312,11 @@ impl Arm {
                 });
             }
             Statement::Grip(grip) => self.begin_grip(grip),
+            Statement::Reset => {
+                (self.posture, self.grip) = (AT_REST, Grip::Open);
+                self.blocks = self.first_blocks.clone();
+                self.publish_state(events);
+            }
             Statement::Move(_) | Statement::Home => {
                 let target = target(&statement).expect("moves have a target");
                 active.legs = path::legs(&self.posture.pose, &target).into();
@@ -462,6 +475,6 @@ fn target(statement: &Statement) -> Option<Pose> {
     match statement {
         Statement::Move(pose) => Some(*pose),
         Statement::Home => Some(HOME),
-        Statement::Grip(_) | Statement::Wait(_) => None,
+        Statement::Grip(_) | Statement::Wait(_) | Statement::Reset => None,
     }
 }

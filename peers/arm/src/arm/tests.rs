@@ -196,6 +196,32 @@ fn blocks_are_taken_carried_and_put_down() {
     }
 }
 
+/// What an earlier script left behind does not matter to one that begins with `reset`, whatever the hand holds or where
+/// the blocks lie.
+#[test]
+fn a_reset_puts_all_back() {
+    let start = Arm::new(0).state();
+    let stack = format!("reset; {TAKE_RED}; move 150 100 60 0 0; grip open; home");
+    for left in ["grip close", TAKE_RED, &stack] {
+        let (events, state) = play(&format!("{left}; reset"));
+        assert_eq!(last_error(&events), None, "{left}");
+        let place = |state: &ArmState| {
+            (
+                state.pose,
+                state.gripper,
+                state.holding.clone(),
+                state.blocks.clone(),
+            )
+        };
+        assert_eq!(place(&state), place(&start), "{left}");
+        let (events, _) = play(&format!("{left}; {stack}; {stack}"));
+        assert_eq!(last_error(&events), None, "{left}");
+    }
+    let told = |event: &ArmEvent| matches!(event, ArmEvent::State(state) if state.blocks == start.blocks);
+    let (events, _) = play(&format!("{TAKE_RED}; reset; wait 60000"));
+    assert!(events.iter().any(told), "who looks on sees it at once");
+}
+
 #[test]
 fn the_jaws_open_as_far_as_the_block_is_wide() {
     for (script, grip, opening) in [

@@ -1,0 +1,123 @@
+//! What the lab and README print is what a newcomer types: all of it runs, and runs again.
+
+use std::process::{Command, Output, Stdio};
+
+use mom_tests::programs::{Running, program, project, text};
+
+/// A lab as README starts it, on a free port, and what it says about itself.
+struct Lab {
+    running: Running,
+    /// The two lines that set the environment: alice's, then bob's.
+    people: Vec<String>,
+    /// The other commands, alice's first.
+    commands: Vec<String>,
+}
+
+impl Lab {
+    fn start() -> Lab {
+        let running = Running::start("mom", &["lab", "--listen", "127.0.0.1:0"], &[]);
+        let (mut people, mut commands) = (Vec::new(), Vec::new());
+        loop {
+            let line = running.line_with("  ");
+            let Some(command) = line.strip_prefix("  ").filter(|line| !line.starts_with(' ')) else {
+                continue;
+            };
+            if command.starts_with("export ") {
+                people.push(command.to_owned());
+            } else if command.contains("mom ") {
+                commands.push(command.to_owned());
+            }
+            if command.contains(" watch ") {
+                return Lab {
+                    running,
+                    people,
+                    commands,
+                };
+            }
+        }
+    }
+
+    /// Runs a line as it is printed, in a shell in which this person's line was typed before.
+    fn type_as(&self, person: usize, line: &str) -> Output {
+        let script = format!("{}\n{line}", self.people[person]);
+        let mut shell = Command::new("sh");
+        let folder = tempfile::tempdir().expect("a folder");
+        shell
+            .args(["-c", &script])
+            .current_dir(folder.path())
+            .stdin(Stdio::null());
+        shell.output().expect("there is a shell")
+    }
+}
+
+/// The script of README.
+fn script() -> String {
+    let readme = std::fs::read_to_string(project().join("README.md")).expect("it is there");
+    let block = readme.split("`pick.txt` is a script").nth(1);
+    let block = block.and_then(|rest| rest.split("```").nth(1)).expect("a block");
+    block.trim_start().to_owned()
+}
+
+fn check(output: &Output, line: &str) {
+    let said = text(&output.stdout) + &text(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{line}: {said}");
+}
+
+#[test]
+fn what_is_printed_runs_and_runs_again() {
+    let lab = Lab::start();
+    let [alice, bob] = [0, 1];
+    let mom = program("mom");
+    let mom = mom.to_str().expect("text");
+    let script = script();
+    assert!(script.contains("grip close"), "{script}");
+    for _ in 0..2 {
+        let mut tried = 0;
+        for line in &lab.commands {
+            // These go on until Ctrl-C, which is sent when they have said something.
+            let goes_on = line.contains(" grab ") || line.contains(" watch ");
+            if goes_on {
+                continue;
+            }
+            check(&lab.type_as(alice, line), line);
+            tried += 1;
+        }
+        assert!(tried >= 5, "{:?}", lab.commands);
+        let readme = format!("cat > pick.txt <<'END'\n{script}END\n{mom} run pick.txt");
+        check(&lab.type_as(alice, &readme), "README's pick.txt");
+        // Bob waits while alice holds it, as the lab proposes; each ends by Ctrl-C.
+        let grabs: Vec<&String> = lab
+            .commands
+            .iter()
+            .filter(|line| line.contains(" grab "))
+            .collect();
+        let [hers, his] = grabs[..] else {
+            panic!("{grabs:?}")
+        };
+        let watch = lab.commands.iter().find(|line| line.contains(" watch "));
+        let watch = watch.expect("it is printed");
+        let interrupted = |line: &str, sign: &str| {
+            format!(
+                "{line} > said 2>&1 & child=$!\n\
+                 until grep -q '{sign}' said; do kill -0 $child || exit 9; sleep 0.05; done\n"
+            )
+        };
+        let waiting = format!(
+            "{}{}\n{}kill -INT $child; wait $child; kill -INT $first; wait $first; exit 0",
+            interrupted(hers, "holding")
+                .replace("said", "hers")
+                .replace("child", "first"),
+            lab.people[bob],
+            interrupted(his, "place\\|queue\\|1st"),
+        );
+        check(&lab.type_as(alice, &waiting), hers);
+        let watching = format!(
+            "{watch} > said 2>&1 & child=$!\n\
+             until grep -q arm said; do echo reset | {mom} run - > none; done\n\
+             kill -INT $child; wait $child"
+        );
+        check(&lab.type_as(bob, &watching), watch);
+    }
+    lab.running.signal("INT");
+    assert_eq!(lab.running.wait().code(), Some(0));
+}
