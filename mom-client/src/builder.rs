@@ -14,7 +14,7 @@ use crate::clock::{HubClock, Wall};
 use crate::login::Connector;
 use crate::proof::Credentials;
 use crate::shared::{Settings, Shared};
-use crate::{ClientError, Key, Proof, Reconnect, driver};
+use crate::{ClientError, Key, Proof, Reconnect, driver, reconnect};
 
 /// Longer than chairs usually have for an answer (M24).
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(40);
@@ -46,6 +46,7 @@ pub struct Builder {
     fault: Option<ClientError>,
     wall: Wall,
     settings: Settings,
+    waits: bool,
 }
 
 impl Builder {
@@ -79,6 +80,7 @@ impl Builder {
                 reconnect: Some(Reconnect::default()),
                 event_buffer: 1024,
             },
+            waits: false,
         }
     }
 
@@ -160,6 +162,13 @@ impl Builder {
         self
     }
 
+    /// Waits where the hub is not there yet, with the delays of [`reconnect`](Builder::reconnect), and logs that: for devices,
+    /// which may be switched on before the hub is.
+    pub fn wait_for_hub(mut self) -> Builder {
+        self.waits = true;
+        self
+    }
+
     /// The most events that wait for one subscriber; 1024 by default.
     pub fn event_buffer(mut self, events: usize) -> Builder {
         self.settings.event_buffer = events;
@@ -173,7 +182,7 @@ impl Builder {
         self
     }
 
-    /// Connects and logs in, without retrying. Needs a tokio runtime, in which the client's tasks then run.
+    /// Connects and logs in, without retrying unless [`wait_for_hub`](Builder::wait_for_hub) says so. Needs a tokio runtime, in which the client's tasks then run.
     ///
     /// # Errors
     /// `Local` for a bad address or key, `Connection` and `TimedOut` for an unreachable hub, `Refused` with
@@ -184,9 +193,12 @@ impl Builder {
             return Err(error);
         }
         let ids = AtomicU64::new(1);
-        let connected = connector
-            .connect(&self.credentials, &ids, self.settings.connect_timeout)
-            .await?;
+        let patience = self.settings.reconnect.as_ref().filter(|_| self.waits);
+        let connect = || connector.connect(&self.credentials, &ids, self.settings.connect_timeout);
+        let connected = match patience {
+            Some(patience) => reconnect::wait(patience, connect).await?,
+            None => connect().await?,
+        };
         let shared = Shared::new(
             self.settings,
             self.credentials,

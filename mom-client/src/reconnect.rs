@@ -4,6 +4,9 @@ use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
 
 use mom_proto::WireError;
+use tokio::time::{Instant, sleep};
+
+use crate::ClientError;
 
 /// The delays before reconnecting: `first`, then twice as long each time, up to `most`; each is shortened at random
 /// by up to a half, so that a fleet does not reconnect all at once.
@@ -70,6 +73,40 @@ impl Backoff {
         let wait = shorten(self.next, RandomState::new().hash_one(0));
         self.next = (self.next * 2).min(self.most);
         wait.max(at_least.unwrap_or_default())
+    }
+}
+
+/// Tries until there is a hub, it refuses for good, or that takes too long.
+pub(crate) async fn wait<T, F: Future<Output = Result<T, ClientError>>>(
+    reconnect: &Reconnect,
+    connect: impl Fn() -> F,
+) -> Result<T, ClientError> {
+    let begin = Instant::now();
+    let mut backoff = Backoff::new(reconnect);
+    let mut said = String::new();
+    loop {
+        let error = match connect().await {
+            Ok(connected) => return Ok(connected),
+            Err(error) => error,
+        };
+        let at_least = match &error {
+            ClientError::Connection(_) | ClientError::TimedOut { .. } => None,
+            ClientError::Refused(refused) if refused.code.may_retry() => refused.retry_in(),
+            _ => return Err(error),
+        };
+        if reconnect
+            .give_up_after
+            .is_some_and(|most| begin.elapsed() >= most)
+        {
+            return Err(error);
+        }
+        // Once for each reason: it may take all night.
+        let why = error.to_string();
+        if said != why {
+            tracing::warn!("waiting for the hub: {why}");
+            said = why;
+        }
+        sleep(backoff.wait(at_least)).await;
     }
 }
 

@@ -1,6 +1,6 @@
 //! `mom send`: one message.
 
-use mom_client::{Channel, Client, Delivery, Event, Message, Value, to_value};
+use mom_client::{Channel, Delivery, Message, Value, to_value};
 use serde_json::json;
 
 use crate::cli::{self, GlobalArgs};
@@ -19,10 +19,7 @@ pub(crate) async fn run(args: &cli::SendArgs, global: &GlobalArgs, output: Outpu
         .doing(format!("join {}", args.path))?;
     let message = message(&channel, args, content);
     let what = format!("send {} to {}", args.name, args.path);
-    let result = match args.acknowledge {
-        true => acknowledged(message, &what, output).await,
-        false => accepted(&client, &channel, message, &what, output).await,
-    };
+    let result = send(message, &what, args.acknowledge, output).await;
     client.close().await;
     result
 }
@@ -78,9 +75,13 @@ fn message(channel: &Channel, args: &cli::SendArgs, content: Option<Value>) -> M
     message
 }
 
-/// Sends, and reports how many receivers got it.
-async fn acknowledged(message: Message, what: &str, output: Output) -> Result<(), Failure> {
+/// Sends; reports how many receivers got it, if that is asked for.
+async fn send(message: Message, what: &str, acknowledge: bool, output: Output) -> Result<(), Failure> {
+    // A refusal may come late: from a manager that has to be asked, or where a receiver has no capacity.
     let receipt = message.send_acknowledged().await.doing(what)?;
+    if !acknowledge {
+        return Ok(output.tell(|| json!({"sent": true}), || ink("sent", Tone::Good))?);
+    }
     output.tell(
         || json!({"delivered": receipt.delivered, "dropped": receipt.dropped}),
         || match receipt.delivered {
@@ -98,28 +99,4 @@ async fn acknowledged(message: Message, what: &str, output: Output) -> Result<()
             receipt.dropped.join(", ")
         ))),
     }
-}
-
-/// Sends without an acknowledgement, and makes sure that the hub has not refused.
-async fn accepted(
-    client: &Client,
-    channel: &Channel,
-    message: Message,
-    what: &str,
-    output: Output,
-) -> Result<(), Failure> {
-    let mut events = channel.events();
-    message.send().await.doing(what)?;
-    // The hub answers in order: a refusal of the message comes before the answer to this.
-    client.lookup(channel.path().as_str()).await.doing(what)?;
-    while let Some(event) = events.try_next() {
-        if let Event::Refused(error, _) = event {
-            return Err(Failure::Refused {
-                what: what.to_owned(),
-                error,
-            });
-        }
-    }
-    output.tell(|| json!({"sent": true}), || ink("sent", Tone::Good))?;
-    Ok(())
 }

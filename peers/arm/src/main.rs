@@ -3,6 +3,7 @@
 use std::future::Future;
 use std::io::IsTerminal;
 use std::path::PathBuf;
+use std::pin::pin;
 
 use anyhow::{Context, anyhow};
 use clap::Parser;
@@ -19,7 +20,7 @@ Examples:
   RUST_LOG=debug MOM_PASSWORD=arm mom-arm --channel /robot/arm
 
 The password is that of MOM_PASSWORD, unless --password-file names a file. A key (mom keygen) is taken from
-anywhere, a password over loopback only. The log goes to the standard error; RUST_LOG says how much of it. Ctrl-C and SIGTERM halt the arm and end the program.";
+anywhere, a password over loopback only. Where there is no hub yet it waits. The log goes to the standard error; RUST_LOG says how much of it. Ctrl-C and SIGTERM halt the arm and end the program.";
 
 /// The robot arm of the demonstration lab: obeys the scripts of the token's owner and tells its state.
 #[derive(Debug, Parser)]
@@ -51,13 +52,16 @@ async fn main() -> anyhow::Result<()> {
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
         .init();
-    let shutdown = shutdown()?;
-    let client = Client::builder(&args.hub)
+    let mut shutdown = pin!(shutdown()?);
+    let builder = Client::builder(&args.hub)
         .user(&args.user)
         .proof(proof(&args)?)
-        .connect()
-        .await
-        .with_context(|| format!("{} cannot log in at {}", args.user, args.hub))?;
+        .wait_for_hub();
+    let connected = tokio::select! {
+        connected = builder.connect() => connected,
+        () = &mut shutdown => return Ok(()),
+    };
+    let client = connected.with_context(|| format!("{} cannot log in at {}", args.user, args.hub))?;
     let options = ArmOptions {
         channel: args.channel,
     };

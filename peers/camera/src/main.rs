@@ -3,6 +3,7 @@
 use std::future::Future;
 use std::io::IsTerminal;
 use std::path::PathBuf;
+use std::pin::pin;
 
 use anyhow::{Context, anyhow};
 use clap::Parser;
@@ -19,7 +20,7 @@ Examples:
   MOM_PASSWORD=camera mom-camera --view top --width 320 --height 240 --format png
 
 The password is that of MOM_PASSWORD, unless --password-file names a file. A key (mom keygen) is taken from
-anywhere, a password over loopback only. The log goes to the standard error; RUST_LOG says how much of it. Ctrl-C and SIGTERM end the program.";
+anywhere, a password over loopback only. Where there is no hub yet it waits. The log goes to the standard error; RUST_LOG says how much of it. Ctrl-C and SIGTERM end the program.";
 
 /// The camera of the demonstration lab: shows the robot's workspace after each of its states and on request.
 #[derive(Debug, Parser)]
@@ -78,14 +79,17 @@ async fn main() -> anyhow::Result<()> {
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
         .init();
-    let shutdown = shutdown()?;
+    let mut shutdown = pin!(shutdown()?);
     let options = options(&args)?;
-    let client = Client::builder(&args.hub)
+    let builder = Client::builder(&args.hub)
         .user(&args.user)
         .proof(proof(&args)?)
-        .connect()
-        .await
-        .with_context(|| format!("{} cannot log in at {}", args.user, args.hub))?;
+        .wait_for_hub();
+    let connected = tokio::select! {
+        connected = builder.connect() => connected,
+        () = &mut shutdown => return Ok(()),
+    };
+    let client = connected.with_context(|| format!("{} cannot log in at {}", args.user, args.hub))?;
     peer::run(client, options, shutdown)
         .await
         .context("the camera ended")

@@ -2,7 +2,13 @@
 
 use std::process::{Command, Output, Stdio};
 
-use mom_tests::programs::{Running, program, project, text};
+use mom_client::{Client, Event};
+use mom_tests::lab;
+use mom_tests::programs::{PATIENCE, Running, program, project, text};
+use tokio::io::copy_bidirectional;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::task::spawn_blocking;
+use tokio::time::timeout;
 
 /// A lab as README starts it, on a free port, and what it says about itself.
 struct Lab {
@@ -120,4 +126,85 @@ fn what_is_printed_runs_and_runs_again() {
     }
     lab.running.signal("INT");
     assert_eq!(lab.running.wait().code(), Some(0));
+}
+
+/// Who switches everything on at once need not know what has to be there first.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_device_waits_for_its_hub_and_says_so() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let broker = lab::start().await;
+    let alice = Client::builder(format!("bin://{}", broker.local_addr()));
+    let alice = alice
+        .user("alice")
+        .password("alice")
+        .connect()
+        .await
+        .expect("a user of the lab");
+    let mut events = alice.channel("/robot/arm").await.expect("people may").events();
+    for device in ["mom-arm", "mom-camera"] {
+        let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
+        let hub = format!("bin://{}", listener.local_addr().expect("bound"));
+        let log = folder.path().join(device);
+        let file = std::fs::File::create(&log).expect("a file");
+        let name = device.trim_start_matches("mom-");
+        let running = spawn_blocking(move || {
+            let password = [("MOM_PASSWORD", name), ("RUST_LOG", "info")];
+            Running::start_with(device, &["--hub", &hub], &password, file.into())
+        });
+        let running = running.await.expect("it starts");
+        // Nobody is there who speaks as a hub does.
+        for _ in 0..3 {
+            drop(
+                timeout(PATIENCE, listener.accept())
+                    .await
+                    .expect("it tries again"),
+            );
+        }
+        let address = broker.local_addr();
+        let relay = tokio::spawn(async move {
+            let (mut near, _) = listener.accept().await.expect("it tries again");
+            let mut far = TcpStream::connect(address).await.expect("the hub is there");
+            // It ends with the device.
+            let _ = copy_bidirectional(&mut near, &mut far).await;
+        });
+        let joined = async {
+            loop {
+                match events.next().await.expect("the channel stays") {
+                    Event::Joined(member) if member.peer == name => return,
+                    _ => {}
+                }
+            }
+        };
+        timeout(PATIENCE, joined).await.expect("it finds the hub");
+        let said = std::fs::read_to_string(&log).expect("its log");
+        // Once for each reason, of which there are two: a link that ends and one that is reset.
+        let said_so = said.matches("waiting for the hub").count();
+        assert!((1..=3).contains(&said_so), "{said}");
+        running.signal("INT");
+        let status = spawn_blocking(move || running.wait()).await.expect("waited for");
+        assert_eq!(status.code(), Some(0), "{device}");
+        relay.await.expect("it ends with the device");
+    }
+    alice.close().await;
+    broker.stop().await;
+}
+
+/// Ctrl-C ends a device that waits, too.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_device_that_waits_can_be_ended() {
+    let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
+    let hub = format!("bin://{}", listener.local_addr().expect("bound"));
+    let running =
+        spawn_blocking(move || Running::start("mom-arm", &["--hub", &hub], &[("MOM_PASSWORD", "arm")]));
+    let running = running.await.expect("it starts");
+    for _ in 0..2 {
+        drop(
+            timeout(PATIENCE, listener.accept())
+                .await
+                .expect("it tries again"),
+        );
+    }
+    running.signal("INT");
+    let status = spawn_blocking(move || running.wait()).await.expect("waited for");
+    assert_eq!(status.code(), Some(0));
 }
