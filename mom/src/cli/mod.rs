@@ -7,8 +7,10 @@ use std::time::Duration;
 use clap::{Args, Parser, Subcommand};
 use mom_client::{MessageRate, WireError};
 
+mod contexts;
 mod control;
 
+use self::contexts::{CREATE, DELETE};
 use self::control::{ACCEPT, BREAK, DECLINE, EXPEL, GIVE, GRAB, INHIBIT, INVITE, MANAGE, REQUEST, TOKEN};
 
 /// Look at a hub, talk through it, and drive the devices connected to it.
@@ -83,6 +85,12 @@ pub(crate) enum Command {
     /// Send one message
     #[command(after_help = SEND)]
     Send(SendArgs),
+    /// Make a session, channel or token
+    #[command(after_help = CREATE)]
+    Create(CreateArgs),
+    /// Delete a context with all below it
+    #[command(after_help = DELETE)]
+    Delete(DeleteArgs),
     /// Grab a token, waiting for it if need be, and hold it until Ctrl-C
     #[command(after_help = GRAB)]
     Grab(GrabArgs),
@@ -254,6 +262,7 @@ Examples:
   mom send --priority 100 /robot/arm stop  stops the arm until: mom send /robot/arm unstop
   uptime | mom send /chat chat -";
 
+pub(crate) use contexts::{CreateArgs, DeleteArgs};
 pub(crate) use control::{
     AcceptArgs, BreakArgs, DeclineArgs, ExpelArgs, GiveArgs, GrabArgs, HoldArgs, InhibitArgs, InviteArgs,
     ManageArgs, RequestArgs, TokenArgs, WaitArg,
@@ -280,7 +289,7 @@ pub(crate) struct RunArgs {
 
 const RUN: &str = "\
 Statements, separated by ; on a line, in mm and degrees from the middle of the table:
-  move X Y Z SPIN TILT    grip open    grip close    wait MS    home
+  move X Y Z SPIN TILT    grip open    grip close    wait MS    home    reset
 
 Examples:
   mom run pick.script

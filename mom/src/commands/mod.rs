@@ -3,7 +3,9 @@
 mod accept;
 mod break_hold;
 mod chat;
+mod create;
 mod decline;
+mod delete;
 mod expel;
 mod give;
 mod grab;
@@ -36,6 +38,8 @@ pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Stats(args) => stats::run(args, global, output).await,
         Command::Watch(args) => watch::run(args, global, output).await,
         Command::Send(args) => send::run(args, global, output).await,
+        Command::Create(args) => create::run(args, global, output).await,
+        Command::Delete(args) => delete::run(args, global, output).await,
         Command::Grab(args) => grab::run(args, global, output).await,
         Command::Request(args) => request::run(args, global, output).await,
         Command::Give(args) => give::run(args, global, output).await,

@@ -27,7 +27,7 @@ anywhere, a password over loopback only. Where there is no hub yet it waits. The
 #[command(name = "mom-arm", version, after_help = EXAMPLES)]
 struct ArmArgs {
     /// The hub, as bin://host:port (binary) or tcp://host:port (XML)
-    #[arg(long, default_value = "bin://127.0.0.1:7666")]
+    #[arg(long, env = "MOM_HUB", default_value = "bin://127.0.0.1:7666")]
     hub: String,
     /// The user to log in as
     #[arg(long, default_value = "arm")]

@@ -290,6 +290,56 @@ async fn peers_are_invited_and_expelled() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn contexts_are_made_and_deleted() {
+    let desk = Desk::start("open").await;
+    for (line, words) in [
+        (
+            &["create", "session", "/desk/lab"][..],
+            "session /desk/lab is there",
+        ),
+        (
+            &[
+                "create",
+                "token",
+                "/desk/lab/key",
+                "--manager",
+                "first-come",
+                "--lease",
+                "3m",
+            ],
+            "token /desk/lab/key is there",
+        ),
+        (
+            &[
+                "create",
+                "channel",
+                "/desk/lab/arm",
+                "--guard",
+                "/desk/lab/key",
+                "--guarded",
+                "go,grip",
+            ],
+            "channel /desk/lab/arm is there",
+        ),
+        (&["tree", "/desk/lab"], "go grip guarded by /desk/lab/key"),
+        (&["token", "/desk/lab/key"], "3 min"),
+        (
+            &["delete", "/desk/lab"],
+            "/desk/lab is deleted, with all below it",
+        ),
+    ] {
+        check(&desk.run_as("carol", line, "").await, 0, &[words]);
+    }
+    let gone = desk.run_as("carol", &["tree", "/desk/lab"], "").await;
+    check(&gone, 1, &["unknown-path"]);
+    let denied = desk.run_as("bob", &["delete", "/chat"], "").await;
+    check(&denied, 1, &["refused: delete /chat"]);
+    let wrong = desk.run_as("carol", &["create", "chanel", "/desk/x"], "").await;
+    check(&wrong, 2, &["write session, channel or token"]);
+    desk.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_chair_answers_the_hub_s_questions() {
     let chairs = Map::new().with("users", vec!["alice".into()]);
     let moderated = Map::new().with("kind", "moderated").with("chairs", chairs);

@@ -128,6 +128,93 @@ fn what_is_printed_runs_and_runs_again() {
     assert_eq!(lab.running.wait().code(), Some(0));
 }
 
+/// The blocks of README's section on a broker of one's own, by language and in order.
+fn own_broker(language: &str) -> Vec<String> {
+    let readme = std::fs::read_to_string(project().join("README.md")).expect("it is there");
+    let section = readme.split("## A broker for your own devices").nth(1);
+    let section = section
+        .and_then(|rest| rest.split("\n## ").next())
+        .expect("a section");
+    let fence = format!("```{language}\n");
+    let blocks = section.split(&*fence).skip(1);
+    let blocks = blocks.map(|rest| rest.split("```").next().expect("it ends"));
+    blocks.map(str::to_owned).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_broker_of_one_s_own_runs_as_readme_says() {
+    let bin = spawn_blocking(|| ["mom", "mom-broker", "mom-arm"].map(program))
+        .await
+        .expect("built");
+    let bin = bin[0].parent().expect("a folder").to_owned();
+    let folder = tempfile::tempdir().expect("a folder");
+    let [config] = &own_broker("toml")[..] else {
+        panic!("one configuration")
+    };
+    // On a port that is free here.
+    let config = format!("listen = [\"127.0.0.1:0\"]\n{config}");
+    std::fs::write(folder.path().join("mom.toml"), config).expect("written");
+    let [users, programs] = &own_broker("sh")[..] else {
+        panic!("two blocks of commands")
+    };
+    let path = format!("{}:{}", bin.display(), std::env::var("PATH").expect("text"));
+    let shell = |script: &str, hub: &str| {
+        let mut shell = tokio::process::Command::new("sh");
+        shell.args(["-ec", script]).current_dir(folder.path());
+        shell.envs([("PATH", &*path), ("MOM_PASSWORD", "secret"), ("MOM_HUB", hub)]);
+        shell
+            .env("XDG_STATE_HOME", folder.path())
+            .stdin(Stdio::null())
+            .kill_on_drop(true);
+        shell
+    };
+    let made = shell(users, "").output().await.expect("a shell");
+    assert!(
+        made.status.success(),
+        "{}",
+        text(&made.stdout) + &text(&made.stderr)
+    );
+    let programs: Vec<&str> = programs.lines().collect();
+    let [broker, arm, tree] = programs[..] else {
+        panic!("{programs:?}")
+    };
+    let log = std::fs::File::create(folder.path().join("log")).expect("a file");
+    let mut broker = shell(&format!("exec {broker}"), "")
+        .stdout(log)
+        .spawn()
+        .expect("a shell");
+    let said = || std::fs::read_to_string(folder.path().join("log")).expect("its words");
+    let looked = timeout(PATIENCE, async {
+        loop {
+            let said = said();
+            let address = said
+                .split("tcp://")
+                .nth(1)
+                .and_then(|rest| rest.split_whitespace().next());
+            if let Some(address) = address.filter(|_| said.ends_with('\n')) {
+                return format!("bin://{address}");
+            }
+            tokio::task::yield_now().await;
+        }
+    });
+    let hub = looked.await.expect("it says where it listens");
+    let mut arm = shell(&format!("exec {arm}"), &hub).spawn().expect("a shell");
+    let arm_is_there = async {
+        loop {
+            let shown = shell(tree, &hub).output().await.expect("a shell");
+            assert!(shown.status.success(), "{}", text(&shown.stderr));
+            let shown = text(&shown.stdout);
+            if shown.lines().any(|line| line.contains("channel  arm")) {
+                return;
+            }
+        }
+    };
+    timeout(PATIENCE, arm_is_there).await.expect("it joins");
+    for running in [&mut arm, &mut broker] {
+        running.kill().await.expect("it runs");
+    }
+}
+
 /// Who switches everything on at once need not know what has to be there first.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_device_waits_for_its_hub_and_says_so() {
