@@ -214,7 +214,11 @@ impl Connection {
     /// Asks a peer that says or hears nothing else whether it is there, and one that stamps its answers for its
     /// clock.
     fn beat(&mut self) {
-        self.beat_at = Instant::now() + Duration::from_millis(self.services.limits.heartbeat);
+        let (now, beat) = (
+            Instant::now(),
+            Duration::from_millis(self.services.limits.heartbeat),
+        );
+        self.beat_at = now + beat;
         let quiet = !self.outbox.active.swap(false, Ordering::Relaxed);
         // A peer that only listens has to be asked too, or it would be taken for gone.
         let silent = !self.outbox.heard.swap(false, Ordering::Relaxed);
@@ -225,6 +229,9 @@ impl Connection {
             flush(&mut touched);
             // A ping alone is not activity, or the next one would wait twice as long.
             self.outbox.active.store(false, Ordering::Relaxed);
+        } else if self.heard_at + beat > now {
+            // It is asked as soon as it has been silent for so long, not up to twice as long.
+            self.beat_at = self.heard_at + beat;
         }
     }
 

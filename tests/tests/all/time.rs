@@ -383,3 +383,19 @@ async fn the_true_age_is_within_the_error_over_slow_links() {
         );
     }
 }
+
+/// A peer that says nothing by itself is asked after the heartbeat, and not after nearly two of them, which here would
+/// be too late.
+#[tokio::test(flavor = "multi_thread")]
+async fn who_only_answers_is_asked_in_time() {
+    let broker = lab::start_with(|config| (config.limits.heartbeat, config.limits.gone) = (2000, 3900)).await;
+    let mut alice = Raw::login(broker.local_addr(), Form::Binary, "alice").await;
+    for _ in 0..2 {
+        let ping = alice.next_of(Family::Time, "ping").await;
+        let mut pong = Parcel::new(Family::Time, "pong");
+        pong.reference = ping.id;
+        alice.send_parcel(&pong).await;
+    }
+    alice.check_alive().await;
+    broker.stop().await;
+}
