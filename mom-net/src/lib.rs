@@ -39,7 +39,7 @@ pub use outgoing::Outgoing;
 pub use part::Part;
 pub use queue::{DropPolicy, DropReason, Item, Lane, Piece, Rest, SendQueue, Taken, write_batch};
 pub use reader::Reader;
-pub use tcp::{accept, connect};
+pub use tcp::{accept, connect, refuse};
 pub use writer::{GATHER, Progress, Writer};
 
 /// One connection in two halves.

@@ -2,17 +2,24 @@
 
 use std::collections::VecDeque;
 use std::io;
+use std::time::Duration;
 
 use bytes::{Bytes, BytesMut};
 use mom_proto::binary::{BinaryDecoder, PREFACE};
 use mom_proto::codec::{Decoder, Encoded, Form};
-use mom_proto::{Code, Limits, WireError};
+use mom_proto::{Code, Limits, Parcel, WireError};
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
+use tokio::time::timeout;
 
 use crate::reader::{Reader, Source};
 use crate::spare::ReadBuffer;
 use crate::writer::{Progress, Sink, Writer};
 use crate::{Address, NetError, Outgoing, Transceiver, options};
+
+/// How long a peer that is refused may take to hear so and to close, and how much it may send meanwhile.
+const FAREWELL: Duration = Duration::from_secs(1);
+const UNREAD: usize = 64 * 1024;
 
 /// Connects to a hub and speaks the address's form.
 ///
@@ -28,7 +35,7 @@ pub async fn connect(address: &Address, limits: &Limits) -> Result<Transceiver, 
 }
 
 /// Waits for a peer's first bytes, tells by them which form it speaks, and speaks it. When `too_late` comes
-/// before, the peer is told its error.
+/// before, or the bytes begin no form, the peer is told so with what `answer` makes of the error.
 ///
 /// # Errors
 /// Bytes that begin no form, or that come too late, after an answer in XML; or a link that failed.
@@ -36,6 +43,7 @@ pub async fn accept(
     stream: TcpStream,
     limits: &Limits,
     too_late: impl Future<Output = WireError>,
+    answer: impl FnOnce(&WireError) -> Parcel,
 ) -> Result<Transceiver, NetError> {
     let mut first = BytesMut::with_capacity(4096);
     let form = tokio::select! {
@@ -46,7 +54,7 @@ pub async fn accept(
         Ok(form) => start(stream, form, Decoder::new(form, limits), first).await,
         Err(error) => {
             if let NetError::Wire(error) = &error {
-                refuse(&stream, error).await;
+                refuse(stream, &answer(error)).await;
             }
             Err(error)
         }
@@ -68,14 +76,29 @@ async fn first_form(stream: &TcpStream, first: &mut BytesMut) -> Result<Form, Ne
     }
 }
 
-/// Says why in XML, the form that people can read, to a peer that is not even a peer.
-async fn refuse(stream: &TcpStream, error: &WireError) {
-    if let Ok(encoded) = Form::Xml.encode(&error.to_parcel(None)) {
-        // Best effort: it is closed either way.
-        if stream.writable().await.is_ok() {
-            let _ = stream.try_write(&encoded.head);
+/// Says why in XML, the form that people can read, to a peer that is not even a peer, and closes.
+pub async fn refuse(mut stream: TcpStream, answer: &Parcel) {
+    let Ok(encoded) = Form::Xml.encode(answer) else {
+        return;
+    };
+    // Best effort: it is closed either way.
+    let said = async {
+        stream.writable().await?;
+        stream.try_write(&encoded.head)?;
+        stream.shutdown().await?;
+        // What a peer has sent and nobody has read would make of the close a reset, which overtakes the answer.
+        let mut unread = BytesMut::with_capacity(4096);
+        let mut left = UNREAD;
+        while left > 0 {
+            unread.clear();
+            match stream.read_buf(&mut unread).await? {
+                0 => break,
+                count => left = left.saturating_sub(count),
+            }
         }
-    }
+        io::Result::Ok(())
+    };
+    let _ = timeout(FAREWELL, said).await;
 }
 
 async fn start(

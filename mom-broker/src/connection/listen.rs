@@ -1,24 +1,26 @@
 //! From a listening socket to a connection that is served.
 
-use std::io::Write;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
 use mom_net::{NetError, Transceiver};
-use mom_proto::codec::Form;
-use mom_proto::{Limits, WireError};
+use mom_proto::{Limits, Parcel, WireError};
 use tokio::net::{TcpListener, TcpSocket, TcpStream, lookup_host};
-use tokio::sync::{oneshot, watch};
+use tokio::sync::{Semaphore, oneshot, watch};
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 
 use super::doors::{Doors, Seat};
 use super::{Services, Serving, login_timeout};
+use crate::traffic::channel::stamped;
 
 /// Connections that may wait to be taken in; the system may allow less. When a crowd comes back at once and more
 /// wait than that, Linux turns to SYN cookies, and a connection whose cookie has grown old is reset.
 const BACKLOG: u32 = 16 * 1024;
+
+/// Refused peers that are told so at the same time.
+const FAREWELLS: usize = 64;
 
 /// Listens at the first address of a name that can be had.
 pub(crate) async fn listen(address: &str) -> std::io::Result<TcpListener> {
@@ -52,6 +54,7 @@ pub(crate) struct Listener {
 impl Listener {
     pub(crate) async fn run(mut self, listener: TcpListener) {
         let mut served = JoinSet::new();
+        let farewells = Arc::new(Semaphore::new(FAREWELLS));
         loop {
             let accepted = tokio::select! {
                 _ = self.stop.changed() => break,
@@ -67,7 +70,17 @@ impl Listener {
                         let services = self.services.fresh();
                         drop(served.spawn(services.take_in(stream, from, (seat, told))));
                     }
-                    Err(error) => self.refuse(stream, from, &error),
+                    Err(error) => {
+                        self.note_refused(from);
+                        // The others are closed without a word: to tell them all takes connections, too.
+                        if let Ok(place) = Arc::clone(&farewells).try_acquire_owned() {
+                            let answer = self.services.answer(&error);
+                            drop(served.spawn(async move {
+                                mom_net::refuse(stream, &answer).await;
+                                drop(place);
+                            }));
+                        }
+                    }
                 },
                 Err(error) => {
                     // Mostly no descriptors left: existing connections go on, new ones wait a moment.
@@ -82,17 +95,11 @@ impl Listener {
         while served.join_next().await.is_some() {}
     }
 
-    /// Tells a peer that there is no place for it.
-    fn refuse(&self, stream: TcpStream, from: SocketAddr, error: &WireError) {
+    /// Logs that there was no place for a peer.
+    fn note_refused(&self, from: SocketAddr) {
         let event = "too many connections";
         if self.services.is_first(event, Some(from.ip()), None) {
             tracing::warn!(%from, "{event}");
-        }
-        // Once, and without waiting for anything: others wait to be accepted. Not by tokio, which has to wait before it
-        // knows that a new socket takes something.
-        if let (Ok(encoded), Ok(mut stream)) = (Form::Xml.encode(&error.to_parcel(None)), stream.into_std()) {
-            // The peer is closed either way.
-            let _ = stream.write(&encoded.head);
         }
     }
 }
@@ -112,7 +119,13 @@ impl Services {
                 () = tokio::time::sleep_until(login_by) => login_timeout(self.limits.login_time),
             }
         };
-        mom_net::accept(stream, &before_login, too_late).await
+        let answer = |error: &WireError| self.answer(error);
+        mom_net::accept(stream, &before_login, too_late, answer).await
+    }
+
+    /// An error to a peer that is not even one.
+    fn answer(&self, error: &WireError) -> Parcel {
+        stamped(error.to_parcel(None), self.board.clock.wall())
     }
 
     /// Serves a connection from its first bytes on.

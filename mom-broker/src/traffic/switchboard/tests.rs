@@ -152,7 +152,9 @@ async fn link() -> (Transceiver, Transceiver) {
     let near = async {
         let (stream, _) = listener.accept().await.expect("a connection");
         let never = std::future::pending();
-        mom_net::accept(stream, &limits, never).await.expect("binary")
+        mom_net::accept(stream, &limits, never, |error| error.to_parcel(None))
+            .await
+            .expect("binary")
     };
     let far = async { mom_net::connect(&address, &limits).await.expect("it listens") };
     tokio::join!(near, far)

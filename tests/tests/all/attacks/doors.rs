@@ -8,7 +8,10 @@ use mom_proto::{Code, Family, Map, Parcel, Value, WireError};
 use mom_tests::canary::Canary;
 use mom_tests::lab;
 use mom_tests::login::{DeviceKey, Issuer, challenge, claims, password, token};
-use mom_tests::raw::Raw;
+use mom_tests::raw::{PATIENCE, Raw};
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::net::TcpStream;
+use tokio::time::timeout;
 
 /// The lab with its canary, which must not notice.
 struct House {
@@ -297,5 +300,36 @@ async fn a_storm_of_hashing_keeps_known_places_open() {
     }
     house.canary.check().await;
     storm.shutdown().await;
+    house.close().await;
+}
+
+/// Who is refused hears why, in a parcel like any other of the hub: the close is no reset, which would overtake it where
+/// a peer has sent what nobody has read.
+#[tokio::test(flavor = "multi_thread")]
+async fn who_finds_no_place_hears_why() {
+    let house = House::open(|config| config.connections = 4).await;
+    let mut inside = Vec::new();
+    for _ in 0..2 {
+        inside.push(Raw::login(house.address(), Form::Binary, "bob").await);
+    }
+    for _ in 0..20 {
+        let mut stream = TcpStream::connect(house.address()).await.expect("it listens");
+        // More than its login, at once.
+        let wrote = stream.write_all(&[b'<'; 16 * 1024]).await;
+        wrote.expect("it is not reset");
+        let mut said = String::new();
+        let heard = timeout(PATIENCE, stream.read_to_string(&mut said)).await;
+        heard.expect("it closes").expect("it is not reset");
+        for part in [
+            "<name>too-many-connections</name>",
+            "<sender>hub</sender>",
+            "<timestamp ",
+        ] {
+            assert!(said.contains(part), "{part} in {said}");
+        }
+    }
+    for peer in &mut inside {
+        peer.check_alive().await;
+    }
     house.close().await;
 }
