@@ -4,6 +4,8 @@ use bytes::BytesMut;
 use mom_proto::binary::{PREFACE, WORDS};
 use mom_proto::codec::{Decoder, Form, Frame};
 use mom_proto::{Family, Limits, Parcel, Value};
+use mom_tests::lab;
+use mom_tests::raw::{Raw, at, message};
 
 const DOCUMENT: &str = include_str!("../../../docs/PROTOCOL.md");
 
@@ -125,4 +127,25 @@ fn the_transcript_is_of_parcels() {
         count += 1;
     }
     assert!(count > 30, "{count} parcels");
+}
+
+/// "A parcel that gives both number and path binds the number to the path; the hub's replies and events do so."
+#[tokio::test(flavor = "multi_thread")]
+async fn what_the_hub_says_of_a_context_has_path_and_number() {
+    let broker = lab::start().await;
+    let mut alice = Raw::login(broker.local_addr(), Form::Binary, "alice").await;
+    let joined = |path| Parcel::new(Family::Context, "join").context(at(path));
+    alice.ask(joined("/robot")).await.expect("people may");
+    let id = alice.post(joined("/robot/arm")).await;
+    let number = alice.answer(id).await.expect("people may").number;
+    assert!(number.is_some());
+    let mut stop = message("stop", "/robot/arm", "x".repeat(8 * 1024));
+    stop.receipt = Some(true);
+    let id = alice.post(stop).await;
+    let shortened = alice.next_of(Family::Event, "shortened").await;
+    let receipt = alice.answer(id).await.expect("it is sent");
+    for parcel in [shortened, receipt] {
+        assert_eq!((parcel.context, parcel.number), (Some(at("/robot/arm")), number));
+    }
+    broker.stop().await;
 }

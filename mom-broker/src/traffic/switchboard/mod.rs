@@ -288,6 +288,7 @@ impl Switchboard {
             let mut parcel = Parcel::new(Family::Event, event::SHORTENED)
                 .context(path.clone())
                 .content(Map::new().with("name", event::STOP).with("most", most));
+            parcel.number = Some(route.number);
             parcel.reference = reference;
             self.tell(sender, parcel, touched);
         }
@@ -302,6 +303,7 @@ impl Switchboard {
             let mut parcel = Parcel::new(Family::Reply, "ok")
                 .context(path.clone())
                 .content(content);
+            parcel.number = Some(route.number);
             parcel.reference = reference;
             self.tell(sender, parcel, touched);
         }
