@@ -1,6 +1,7 @@
 //! One connection, from its first byte to its end.
 
 mod doors;
+mod heartbeat;
 mod listen;
 mod login;
 mod measure;
@@ -14,7 +15,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use mom_hub::{Input, PeerClock, PeerId};
+use mom_hub::{Input, PeerId};
 use mom_login::{Challenge, Logins, network};
 use mom_net::{NetError, Reader};
 use mom_proto::codec::Frame;
@@ -196,43 +197,6 @@ impl Connection {
     fn is_late(&self) -> bool {
         let began = self.outbox.slice_began.load(Ordering::Relaxed);
         self.services.board.clock.now().saturating_sub(began) > SLICE
-    }
-
-    /// For how long a peer may say nothing.
-    fn gone(&self) -> Duration {
-        Duration::from_millis(self.services.limits.gone)
-    }
-
-    /// When the connection ends if nothing is heard.
-    fn deadline(&self, login_by: Instant) -> Instant {
-        match self.logged_in {
-            true => self.heard_at + self.gone(),
-            false => login_by,
-        }
-    }
-
-    /// Asks a peer that says or hears nothing else whether it is there, and one that stamps its answers for its
-    /// clock.
-    fn beat(&mut self) {
-        let (now, beat) = (
-            Instant::now(),
-            Duration::from_millis(self.services.limits.heartbeat),
-        );
-        self.beat_at = now + beat;
-        let quiet = !self.outbox.active.swap(false, Ordering::Relaxed);
-        // A peer that only listens has to be asked too, or it would be taken for gone.
-        let silent = !self.outbox.heard.swap(false, Ordering::Relaxed);
-        if quiet || silent || self.pings.are_stamped() {
-            let mut touched = Touched::new();
-            let ping = self.pings.next(&self.services.board.clock);
-            self.services.board.tell(self.peer, ping, &mut touched);
-            flush(&mut touched);
-            // A ping alone is not activity, or the next one would wait twice as long.
-            self.outbox.active.store(false, Ordering::Relaxed);
-        } else if self.heard_at + beat > now {
-            // It is asked as soon as it has been silent for so long, not up to twice as long.
-            self.beat_at = self.heard_at + beat;
-        }
     }
 
     /// Handles all that has arrived, and flushes what it caused.
@@ -503,37 +467,6 @@ impl Connection {
             () = self.proof_over() => Err(Some(login::proof_over())),
             () = tokio::time::sleep(time) => Ok(()),
         }
-    }
-
-    fn time(&mut self, parcel: &Parcel, touched: &mut Touched) {
-        match Verb::of(parcel.family, &parcel.name) {
-            Ok(Verb::Ping) => {
-                let pong = Measure::pong(parcel, &self.services.board.clock);
-                self.services.board.tell(self.peer, pong, touched);
-                if self.logged_in && self.measure.begins(parcel, &self.pings) {
-                    self.ping(touched);
-                }
-            }
-            Ok(_) => {
-                let clock = &self.services.board.clock;
-                if self.measure.learn(parcel, &self.pings, clock) && self.logged_in {
-                    self.ping(touched);
-                }
-            }
-            Err(error) => self.refuse(&error, parcel.id, touched),
-        }
-    }
-
-    fn peer_clock(&self, now: Micros) -> Option<PeerClock> {
-        self.measure.offset(now).map(|offset| PeerClock {
-            offset,
-            future: self.services.limits.future.saturating_mul(1000),
-        })
-    }
-
-    fn ping(&self, touched: &mut Touched) {
-        let ping = self.pings.next(&self.services.board.clock);
-        self.services.board.tell(self.peer, ping, touched);
     }
 
     fn refuse(&self, error: &WireError, reference: Option<u64>, touched: &mut Touched) {

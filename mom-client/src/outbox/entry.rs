@@ -149,8 +149,9 @@ impl Item for Entry {
     }
 
     // A second stop of a context says nothing that the first does not, unless somebody waits for its answer.
-    fn repeats(&self, waiting: &Entry) -> bool {
-        self.lane == Lane::Stop && self.path.is_some() && self.destination == waiting.destination
+    fn repeats(&self, older: &Entry) -> bool {
+        // Not one whose answer somebody waits for: it would not come.
+        self.lane == Lane::Stop && older.path.is_some() && self.destination == older.destination
     }
 
     fn overrules(&self, waiting: &Entry) -> bool {

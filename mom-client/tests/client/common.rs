@@ -68,7 +68,9 @@ impl Hub {
                 let (stream, _) = listener.accept().await.unwrap();
                 // The test waits for as long as it takes.
                 let never = std::future::pending();
-                mom_net::accept(stream, &Limits::default(), never).await.unwrap()
+                mom_net::accept(stream, &Limits::default(), never, |error| error.to_parcel(None))
+                    .await
+                    .unwrap()
             }
         };
         Peer { transceiver }

@@ -66,8 +66,8 @@ pub trait Item: Debug {
         1
     }
 
-    /// Whether, as a stop, it says nothing that this waiting one does not say.
-    fn repeats(&self, _waiting: &Self) -> bool {
+    /// Whether, as a stop, it takes the place of this older one.
+    fn repeats(&self, _older: &Self) -> bool {
         false
     }
 

@@ -269,7 +269,7 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         }
     }
 
-    // A second stop may say nothing that the first does not. It overrules an unstop that still waits: stops leave first,
+    // One stop is enough, and what the newest says of it is what counts. It overrules an unstop that still waits: stops leave first,
     // so the later word would be undone by the earlier one.
     fn push_unpaced(&mut self, entry: Entry<I>, lane: Lane) -> Taken {
         while let Some(at) = self
@@ -282,11 +282,14 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
                 self.note(&overruled, DropReason::Overruled);
             }
         }
-        if !self
+        let older = self
             .unpaced
             .iter()
-            .any(|waiting| entry.item.repeats(&waiting.item))
-        {
+            .position(|waiting| entry.item.repeats(&waiting.item));
+        if let Some(at) = older {
+            let older = std::mem::replace(&mut self.unpaced[at], entry);
+            self.note(&older, DropReason::Replaced);
+        } else {
             let behind = self.unpaced.iter().position(|waiting| waiting.item.lane() < lane);
             self.unpaced.insert(behind.unwrap_or(self.unpaced.len()), entry);
         }

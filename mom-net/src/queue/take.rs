@@ -202,18 +202,19 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
     }
 
     fn put_back_unpaced(&mut self, entry: Entry<I>) {
-        if !self
+        if self
             .unpaced
             .iter()
-            .any(|waiting| entry.item.repeats(&waiting.item))
+            .any(|waiting| waiting.item.repeats(&entry.item))
         {
-            let lane = entry.item.lane();
-            let behind = self
-                .unpaced
-                .iter()
-                .position(|waiting| waiting.item.lane() <= lane);
-            self.unpaced.insert(behind.unwrap_or(self.unpaced.len()), entry);
+            return self.note(&entry, DropReason::Replaced);
         }
+        let lane = entry.item.lane();
+        let behind = self
+            .unpaced
+            .iter()
+            .position(|waiting| waiting.item.lane() <= lane);
+        self.unpaced.insert(behind.unwrap_or(self.unpaced.len()), entry);
     }
 
     fn put_back_control(&mut self, entry: Entry<I>) {

@@ -168,8 +168,8 @@ impl Item for Packet {
     }
 
     // One pending per context: a second stop says nothing that the first does not.
-    fn repeats(&self, waiting: &Packet) -> bool {
-        self.origin.context == waiting.origin.context && self.origin.name == waiting.origin.name
+    fn repeats(&self, older: &Packet) -> bool {
+        self.origin.context == older.origin.context && self.origin.name == older.origin.name
     }
 
     fn overrules(&self, waiting: &Packet) -> bool {

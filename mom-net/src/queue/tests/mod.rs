@@ -68,8 +68,8 @@ impl Item for Packet {
         self.count
     }
 
-    fn repeats(&self, waiting: &Packet) -> bool {
-        self.origin == waiting.origin
+    fn repeats(&self, older: &Packet) -> bool {
+        self.origin == older.origin
     }
 
     fn overrules(&self, waiting: &Packet) -> bool {
@@ -283,6 +283,43 @@ fn stale_parcels_do_not_leave() {
     assert!(pop(&mut queue, 50).is_none());
     let reasons: Vec<_> = queue.take_drops().into_keys().map(|(reason, _)| reason).collect();
     assert_eq!(reasons, [DropReason::Expired, DropReason::Fence]);
+}
+
+/// Of two stops for the same devices the newest leaves, at the place of the older one; also where the older one comes back
+/// from a link that did not take it.
+#[test]
+fn the_newest_stop_leaves() {
+    let stop = |size: usize| {
+        let frames = Encoded {
+            head: vec![b'x'; size].into(),
+            body: Bytes::new(),
+        };
+        Arc::new(Packet {
+            frames,
+            ..packet("stop", Lane::Stop, Delivery::Reliable)
+        })
+    };
+    let lengths = |queue: &mut Queue| -> Vec<usize> {
+        std::iter::from_fn(|| pop(queue, 0))
+            .map(|piece| piece.left())
+            .collect()
+    };
+    let mut queue = queue(100_000);
+    for size in [10, 20, 30] {
+        queue.push(stop(size));
+    }
+    assert_eq!(lengths(&mut queue), [30]);
+    assert_eq!(
+        queue.take_drops().values().sum::<u64>(),
+        2,
+        "the older ones are told"
+    );
+    queue.push(stop(10));
+    let older = pop(&mut queue, 0).expect("it waits");
+    queue.push(stop(20));
+    queue.put_back(older);
+    assert_eq!(lengths(&mut queue), [20]);
+    assert_eq!(queue.take_drops().values().sum::<u64>(), 1);
 }
 
 /// Whatever waits in which order, a device that was stopped last stays stopped.

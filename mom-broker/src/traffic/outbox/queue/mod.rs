@@ -8,7 +8,7 @@ mod waiters;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-use mom_net::{Allowance, DropPolicy, DropReason, Piece, Rest, SendQueue, Taken};
+use mom_net::{Allowance, DropPolicy, DropReason, Lane, Piece, Rest, SendQueue, Taken};
 use mom_proto::codec::Form;
 use mom_proto::{Limit, Micros};
 
@@ -37,6 +37,10 @@ impl DropPolicy<Packet> for Drops {
     }
 
     fn dropped(&mut self, packet: &Arc<Packet>, parcels: u64, reason: DropReason) {
+        // A stop that gave way to a newer one is as good as delivered.
+        if packet.lane == Lane::Stop {
+            return;
+        }
         let key = Dropped {
             context: packet.origin.context,
             sender: packet.origin.sender,
