@@ -72,8 +72,8 @@ impl World {
         self.lose(number, reason, by, out);
     }
 
-    /// The one place where a token's owner changes. Where that is `agreed`, the device stays in hand until the next
-    /// owner has it: no safe state.
+    /// The one place where a token's owner changes. Where that is `agreed`, a token may say that the device stays in hand
+    /// until the next owner has it: no safe state.
     pub(crate) fn change_owner(
         &mut self,
         number: ContextNumber,

@@ -38,7 +38,7 @@ const SAFE: &str = "the hub ordered the safe state, because the token's owner lo
 ///   still holds (M35), and if the arm takes its script. Otherwise, and at every later change, a `status` is
 ///   broadcast (M42).
 /// - A command of a newer fence, or the event that the token changed hands, ends all commands of an older owner.
-///   Where owners hand over by agreement, only such a command does, or the hub's `halt` if the token asks for it.
+///   Where owners hand over by agreement, only such a command does, or the hub's `halt`, unless the token says otherwise.
 /// - The hub's `halt` ends all commands, as does its command, the safe state of a token that declares one; anybody's `stop` does, and latches until `unstop`. A gap in the events
 ///   latches too, because it may have contained a `stop`.
 /// - A lost link ends all commands; after it, the state is sent again.
@@ -218,7 +218,7 @@ impl RobotServer {
         Ok(taken?)
     }
 
-    /// The token changes hands. Where both sides agree, the hub halts the arm if the token asks for it.
+    /// The token changes hands. Where both sides agree, the hub halts the arm unless the token says otherwise.
     fn change_owner(&mut self, agreed: bool, fence: u64, now: ArmTime, out: &mut Vec<Parcel>) {
         if !agreed {
             self.drop_below(fence, now, out);
