@@ -39,7 +39,8 @@ const SAFE: &str = "the hub ordered the safe state, because the token's owner lo
 ///   broadcast (M42).
 /// - A command of a newer fence, or the event that the token changed hands, ends all commands of an older owner.
 ///   Where owners hand over by agreement, only such a command does, or the hub's `halt`, unless the token says otherwise.
-/// - The hub's `halt` ends all commands, as does its command, the safe state of a token that declares one; anybody's `stop` does, and latches until `unstop`. A gap in the events
+/// - The hub's `halt` ends all commands, as does its command, the safe state of a token that declares one; anybody's
+///   `stop` does, and latches until `unstop`. A gap in the events
 ///   latches too, because it may have contained a `stop`.
 /// - A lost link ends all commands; after it, the state is sent again.
 /// - A peer that joins the channel gets the state.
