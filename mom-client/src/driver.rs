@@ -6,12 +6,12 @@ use std::sync::Arc;
 use mom_net::DropReason;
 use mom_proto::event as names;
 use mom_proto::{Code, Family, Map, Parcel, Path, WireError};
-use tokio::time::{Instant, sleep};
+use tokio::time::sleep;
 
 use crate::login::{Connected, Connector, Welcome};
 use crate::outbox::{Capacity, Entry};
 use crate::pending::AnswerTo;
-use crate::reconnect::Backoff;
+use crate::reconnect::{Attempts, Next};
 use crate::shared::{Shared, State, Status, join};
 use crate::{ClientError, Event, LinkState, Lost, Reconnect, link};
 
@@ -48,18 +48,17 @@ async fn again(
     connector: &Connector,
     reconnect: &Reconnect,
 ) -> Result<Connected, Option<WireError>> {
-    let start = Instant::now();
     let mut ending = shared.ending.subscribe();
-    let mut backoff = Backoff::new(reconnect);
-    let mut at_least = None;
+    let mut attempts = Attempts::new(reconnect);
+    let mut wait = attempts.wait(None);
     let mut attempt = 0;
     loop {
         shared.link.send_replace(LinkState::Down {
-            since: start.into_std(),
+            since: attempts.begin().into_std(),
             attempt,
         });
         let attempted = async {
-            sleep(backoff.wait(at_least)).await;
+            sleep(wait).await;
             let credentials = shared.credentials.lock().clone();
             connector
                 .connect(&credentials, &shared.ids, shared.settings.connect_timeout)
@@ -74,19 +73,14 @@ async fn again(
         };
         tracing::debug!(%error, attempt, "no link yet");
         attempt += 1;
-        if let ClientError::Refused(error) = &error {
-            if !error.code.may_retry() && !error.code.may_reconnect() {
-                return Err(Some(error.clone()));
+        wait = match attempts.after(&error) {
+            Next::Wait(wait) => wait,
+            Next::Refused(error) => return Err(Some(error)),
+            Next::TooLong(passed) => {
+                let text = format!("gave up after {passed:?}: {error}");
+                return Err(Some(WireError::new(Code::DISCONNECTED, text)));
             }
-            at_least = error.retry_in();
-        }
-        if reconnect
-            .give_up_after
-            .is_some_and(|most| start.elapsed() >= most)
-        {
-            let text = format!("gave up after {:?}: {error}", start.elapsed());
-            return Err(Some(WireError::new(Code::DISCONNECTED, text)));
-        }
+        };
     }
 }
 

@@ -53,25 +53,59 @@ pub enum LinkState {
     Closed(Option<WireError>),
 }
 
-/// The delays of one lost link.
+/// The attempts to connect, at first or after a link was lost.
 #[derive(Debug)]
-pub(crate) struct Backoff {
+pub(crate) struct Attempts<'a> {
+    reconnect: &'a Reconnect,
+    begin: Instant,
     next: Duration,
-    most: Duration,
 }
 
-impl Backoff {
-    pub(crate) fn new(reconnect: &Reconnect) -> Backoff {
-        Backoff {
+/// What follows an attempt that failed.
+#[derive(Debug)]
+pub(crate) enum Next {
+    /// Another one, after so long.
+    Wait(Duration),
+    /// None: the hub refuses for good.
+    Refused(WireError),
+    /// None: it has taken so long.
+    TooLong(Duration),
+}
+
+impl<'a> Attempts<'a> {
+    pub(crate) fn new(reconnect: &'a Reconnect) -> Attempts<'a> {
+        Attempts {
+            reconnect,
+            begin: Instant::now(),
             next: reconnect.first.min(reconnect.most),
-            most: reconnect.most,
+        }
+    }
+
+    /// When they began.
+    pub(crate) fn begin(&self) -> Instant {
+        self.begin
+    }
+
+    /// What follows one that failed.
+    pub(crate) fn after(&mut self, error: &ClientError) -> Next {
+        let at_least = match error {
+            ClientError::Refused(error) if !error.code.may_retry() && !error.code.may_reconnect() => {
+                return Next::Refused(error.clone());
+            }
+            ClientError::Refused(error) => error.retry_in(),
+            _ => None,
+        };
+        let passed = self.begin.elapsed();
+        match self.reconnect.give_up_after.is_some_and(|most| passed >= most) {
+            true => Next::TooLong(passed),
+            false => Next::Wait(self.wait(at_least)),
         }
     }
 
     /// How long to wait now, but no less than the hub asked for.
     pub(crate) fn wait(&mut self, at_least: Option<Duration>) -> Duration {
         let wait = shorten(self.next, RandomState::new().hash_one(0));
-        self.next = (self.next * 2).min(self.most);
+        self.next = (self.next * 2).min(self.reconnect.most);
         wait.max(at_least.unwrap_or_default())
     }
 }
@@ -81,32 +115,25 @@ pub(crate) async fn wait<T, F: Future<Output = Result<T, ClientError>>>(
     reconnect: &Reconnect,
     connect: impl Fn() -> F,
 ) -> Result<T, ClientError> {
-    let begin = Instant::now();
-    let mut backoff = Backoff::new(reconnect);
+    let mut attempts = Attempts::new(reconnect);
     let mut said = String::new();
     loop {
         let error = match connect().await {
             Ok(connected) => return Ok(connected),
+            // What is wrong on this side does not pass.
+            Err(error @ (ClientError::Local(_) | ClientError::Closed(_))) => return Err(error),
             Err(error) => error,
         };
-        let at_least = match &error {
-            ClientError::Connection(_) | ClientError::TimedOut { .. } => None,
-            ClientError::Refused(refused) if refused.code.may_retry() => refused.retry_in(),
-            _ => return Err(error),
-        };
-        if reconnect
-            .give_up_after
-            .is_some_and(|most| begin.elapsed() >= most)
-        {
+        let Next::Wait(wait) = attempts.after(&error) else {
             return Err(error);
-        }
+        };
         // Once for each reason: it may take all night.
         let why = error.to_string();
         if said != why {
             tracing::warn!("waiting for the hub: {why}");
             said = why;
         }
-        sleep(backoff.wait(at_least)).await;
+        sleep(wait).await;
     }
 }
 
@@ -118,6 +145,8 @@ fn shorten(wait: Duration, random: u64) -> Duration {
 
 #[cfg(test)]
 mod tests {
+    use mom_proto::Code;
+
     use super::*;
 
     #[test]
@@ -127,13 +156,40 @@ mod tests {
             most: Duration::from_millis(350),
             give_up_after: None,
         };
-        let mut backoff = Backoff::new(&reconnect);
+        let mut attempts = Attempts::new(&reconnect);
         for most in [100, 200, 350, 350] {
-            let wait = backoff.wait(None);
+            let wait = attempts.wait(None);
             let most = Duration::from_millis(most);
             assert!(most / 2 <= wait && wait <= most, "{wait:?} of {most:?}");
         }
-        assert_eq!(backoff.wait(Some(Duration::from_secs(9))), Duration::from_secs(9));
+        assert_eq!(
+            attempts.wait(Some(Duration::from_secs(9))),
+            Duration::from_secs(9)
+        );
+    }
+
+    /// A hub that is full or busy may have a place later; one that refuses the proof will not take it.
+    #[test]
+    fn what_may_pass_is_waited_for() {
+        let reconnect = Reconnect::default();
+        let mut attempts = Attempts::new(&reconnect);
+        let refused = |code| ClientError::Refused(WireError::new(code, "no"));
+        for passing in [
+            ClientError::Connection("nobody listens".to_owned()),
+            refused(Code::TOO_MANY_CONNECTIONS),
+            refused(Code::TRY_LATER),
+        ] {
+            let next = attempts.after(&passing);
+            assert!(matches!(next, Next::Wait(_)), "{passing}: {next:?}");
+        }
+        let next = attempts.after(&refused(Code::BAD_LOGIN));
+        assert!(matches!(next, Next::Refused(_)), "{next:?}");
+        let hurried = Reconnect {
+            give_up_after: Some(Duration::ZERO),
+            ..reconnect
+        };
+        let next = Attempts::new(&hurried).after(&refused(Code::TRY_LATER));
+        assert!(matches!(next, Next::TooLong(_)), "{next:?}");
     }
 
     #[test]

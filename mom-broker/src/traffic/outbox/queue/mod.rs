@@ -38,7 +38,7 @@ impl DropPolicy<Packet> for Drops {
 
     fn dropped(&mut self, packet: &Arc<Packet>, parcels: u64, reason: DropReason) {
         // A stop that gave way to a newer one is as good as delivered.
-        if packet.lane == Lane::Stop {
+        if packet.lane == Lane::Stop && reason == DropReason::Replaced {
             return;
         }
         let key = Dropped {
