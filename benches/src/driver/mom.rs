@@ -322,6 +322,9 @@ mod tests {
             let dropped = Parcel::new(Family::Event, "dropped").content(Map::new().with("count", 3));
             let dropped = frame(form, &dropped);
             assert_eq!(scanner.scan(&dropped).unwrap(), Scan::Dropped(dropped.len(), 3));
+            let told = Map::new().with("reason", "receiver-gone").with("count", 3);
+            let gone = frame(form, &Parcel::new(Family::Event, "dropped").content(told));
+            assert_eq!(scanner.scan(&gone).unwrap(), Scan::Other(gone.len()));
             let error = WireError::new(mom_proto::Code::NOT_MEMBER, "join first").to_parcel(None);
             let mut unnumbered = delivered(form, 16, 1);
             unnumbered.content = Some("................".into());

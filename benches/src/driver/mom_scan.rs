@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use bytes::BytesMut;
+use mom_net::DropReason;
 use mom_proto::binary::PREFACE;
 use mom_proto::codec::{Decoder, Form, Frame};
 use mom_proto::{Family, Limits, Parcel, Value, WireError};
@@ -81,10 +82,15 @@ impl Samples {
                 error: WireError::from_parcel(&parcel),
             }),
             Family::Event if parcel.name() == mom_proto::event::DROPPED => {
-                let count = match parcel.value() {
-                    Value::Map(map) => map.get("count").and_then(Value::as_int),
-                    _ => None,
+                let Value::Map(told) = parcel.value() else {
+                    return Ok(Scan::Dropped(frame.len(), 1));
                 };
+                // A receiver of the run before, of whose end the hub has only heard now. Those of this run count for
+                // themselves what comes.
+                if told.get("reason").and_then(Value::as_str) == Some(DropReason::Closed.word()) {
+                    return Ok(Scan::Other(frame.len()));
+                }
+                let count = told.get("count").and_then(Value::as_int);
                 let count = count.and_then(|count| u64::try_from(count).ok()).unwrap_or(1);
                 Ok(Scan::Dropped(frame.len(), count))
             }
