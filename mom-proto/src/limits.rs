@@ -126,9 +126,12 @@ pub struct Limits {
     pub login_time: u64,
     /// The parcels that wait for one peer.
     pub outbox: usize,
+    /// As many may wait for a while if none of them may be dropped.
+    pub burst: usize,
     /// How long a sender waits for a receiver without capacity, where the channel makes senders wait.
     pub send_wait: u64,
-    /// A receiver that frees no capacity for so long while senders wait for it is closed.
+    /// A receiver for which more than `outbox` waits for so long is closed, as is one that frees no capacity for so long
+    /// while senders wait for it.
     pub stalled: u64,
     /// How often an idle peer sends `time ping`.
     pub heartbeat: u64,
@@ -162,6 +165,7 @@ impl Default for Limits {
             before_login: 16 * 1024,
             login_time: 10_000,
             outbox: 4 * 1024 * 1024,
+            burst: 32 * 1024 * 1024,
             send_wait: 1_000,
             stalled: 5_000,
             heartbeat: 10_000,

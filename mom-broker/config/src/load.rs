@@ -184,6 +184,7 @@ fn check(file: &ConfigDocument, source: &SourceText) -> Result<(), ConfigError> 
         ("limits", file.limits.login_time, "login-time"),
         ("limits", file.limits.future, "future"),
         ("limits", file.limits.outbox as u64, "outbox"),
+        ("limits", file.limits.burst as u64, "burst"),
         ("limits", file.limits.send_wait, "send-wait"),
         ("limits", file.limits.stalled, "stalled"),
         ("limits", file.limits.before_login as u64, "before-login"),

@@ -119,7 +119,7 @@ impl Connection {
         let name = board.peer_name(peer).unwrap_or_default();
         let limits = &self.services.limits;
         self.charge = Some(account.charge(0));
-        self.outbox.admit(limits.outbox, limits.parcel, name, account);
+        self.outbox.admit(limits, name, account);
         Ok(())
     }
 

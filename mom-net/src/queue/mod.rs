@@ -111,13 +111,18 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
 
     /// Puts an item in, at the end of its lane.
     pub fn push(&mut self, item: Arc<I>) -> Taken {
-        self.push_entry(Entry::new(item, 0))
+        self.push_up_to(item, self.limit)
+    }
+
+    /// As [`SendQueue::push`], where data that may not be dropped may take so many bytes, more than the bound for all else.
+    pub fn push_up_to(&mut self, item: Arc<I>, most: usize) -> Taken {
+        self.push_entry(Entry::new(item, 0), most)
     }
 
     /// Puts an item of the control lane in that must not overtake the data that waits now.
     pub fn push_after_data(&mut self, item: Arc<I>) -> Taken {
         self.barrier = self.put;
-        self.push_entry(Entry::new(item, self.put))
+        self.push_entry(Entry::new(item, self.put), self.limit)
     }
 
     /// Takes in the last word to a connection, however much waits: it leaves after all else.
@@ -261,11 +266,11 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         items
     }
 
-    fn push_entry(&mut self, entry: Entry<I>) -> Taken {
+    fn push_entry(&mut self, entry: Entry<I>, most: usize) -> Taken {
         match entry.item.lane() {
             lane @ (Lane::Stop | Lane::Sign) => self.push_unpaced(entry, lane),
             Lane::Control => self.push_control(entry),
-            Lane::Data(priority) => self.push_data(entry, Reverse(priority)),
+            Lane::Data(priority) => self.push_data(entry, Reverse(priority), most),
         }
     }
 
@@ -307,7 +312,7 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         Taken::Yes
     }
 
-    fn push_data(&mut self, mut entry: Entry<I>, priority: Reverse<i32>) -> Taken {
+    fn push_data(&mut self, mut entry: Entry<I>, priority: Reverse<i32>, most: usize) -> Taken {
         let (delivery, size) = (entry.item.delivery(), self.charge(&entry.item));
         self.put += 1;
         entry.number = self.put;
@@ -315,13 +320,14 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
             return Taken::Yes;
         }
         if !self.fits(size) && !self.make_room(delivery, size) {
-            return match delivery {
-                Delivery::Reliable => Taken::Overflow,
+            match delivery {
+                Delivery::Reliable if self.data_bytes.saturating_add(size) <= most => {}
+                Delivery::Reliable => return Taken::Overflow,
                 Delivery::Latest | Delivery::Fleeting => {
                     self.note(&entry, DropReason::Full);
-                    Taken::Dropped
+                    return Taken::Dropped;
                 }
-            };
+            }
         }
         self.data_bytes += size;
         self.reliable_bytes += reliable(&*entry.item, size);
@@ -360,7 +366,8 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
             self.close_holes(waits_at);
             return false;
         }
-        if (self.data_bytes - old_size).saturating_add(new_size) > self.limit {
+        let grown = new_size.saturating_sub(old_size);
+        if grown > 0 && self.data_bytes.saturating_add(grown) > self.limit {
             return false;
         }
         let newer = Entry::new(Arc::clone(&entry.item), old.number);

@@ -27,7 +27,7 @@ fn with_bulk(config: &mut Config) {
         .with("kind", "channel")
         .with("overflow", "wait");
     config.contexts.push(from_value(bulk.into()).expect("a context"));
-    config.limits.outbox = OUTBOX;
+    (config.limits.outbox, config.limits.burst) = (OUTBOX, OUTBOX);
 }
 
 /// What the receivers of a block are.

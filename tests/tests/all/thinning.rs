@@ -214,7 +214,9 @@ async fn joining_again_changes_it_and_leaving_ends_it() {
 #[tokio::test]
 async fn who_wants_the_newest_is_never_too_slow() {
     for newest in [true, false] {
-        let broker = lab::start_with(|config| config.limits.outbox = 256 * 1024).await;
+        let broker =
+            lab::start_with(|config| (config.limits.outbox, config.limits.burst) = (256 * 1024, 256 * 1024))
+                .await;
         let mut alice = Raw::login(broker.local_addr(), Form::Binary, "alice").await;
         let mut bob = Raw::connect_small(broker.local_addr(), Form::Binary).await;
         bob.log_in("bob").await;

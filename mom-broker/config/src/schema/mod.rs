@@ -125,12 +125,16 @@ fn limits() -> Value {
         ("login-time", "From connection to login, in ms."),
         ("outbox", "The parcels that wait for one peer, in bytes."),
         (
+            "burst",
+            "As many may wait for one peer for a while (stalled) if they may not be dropped, in bytes.",
+        ),
+        (
             "send-wait",
             "How long a sender waits for a receiver without capacity, in channels with overflow = wait, in ms.",
         ),
         (
             "stalled",
-            "A receiver that frees no capacity for so long while senders wait for it is closed, in ms.",
+            "A receiver that stays behind outbox for so long is closed, as is one that frees no capacity for so long while senders wait for it, in ms.",
         ),
         ("heartbeat", "How often an idle peer sends time ping, in ms."),
         (

@@ -14,7 +14,7 @@ use std::sync::Arc;
 use mom_hub::PeerId;
 use mom_net::{Flow, NetError, Pause, Piece, Rest, Taken, Writer, write_batch};
 use mom_proto::codec::Form;
-use mom_proto::{ContextNumber, Limit, Micros, WireError};
+use mom_proto::{ContextNumber, Limits, Micros, WireError};
 
 pub(crate) use packet::{Charged, Dropped, Gate, Origin, Packet};
 pub(crate) use queue::PeerQueue;
@@ -41,7 +41,7 @@ pub(crate) struct Outbox {
     /// Senders wait for capacity.
     awaited: AtomicBool,
     wake: Notify,
-    closing: Mutex<Option<Closing>>,
+    closing: Mutex<Option<Box<Closing>>>,
     closed: AtomicBool,
     pub(crate) end: Notify,
     /// Something was written since the heartbeat last looked.
@@ -128,7 +128,7 @@ impl Outbox {
             return (Taken::Dropped, false);
         }
         let urgent = packet.lane.is_urgent();
-        let taken = queue.push(packet);
+        let taken = queue.push(packet, &self.clock);
         drop(queue);
         // Whoever touched it before may take its time, which nothing urgent has.
         let first = !self.touched.swap(true, Ordering::SeqCst) || urgent;
@@ -200,16 +200,16 @@ impl Outbox {
         }
         drop(queue);
         drop(dropped);
-        *self.closing.lock() = Some(Closing { error });
+        *self.closing.lock() = Some(Box::new(Closing { error }));
         self.touched.store(true, Ordering::Release);
         self.wake.notify_one();
         self.end.notify_one();
         self.call_all();
     }
 
-    /// Changes the bounds, of what waits and of one parcel, and notes the peer's name and account, as after login.
-    pub(crate) fn admit(&self, limit: usize, parcel: Limit, name: Arc<str>, account: Arc<Account>) {
-        self.queue.lock().set_limits(limit, parcel);
+    /// Changes the bounds, and notes the peer's name and account, as after login.
+    pub(crate) fn admit(&self, limits: &Limits, name: Arc<str>, account: Arc<Account>) {
+        self.queue.lock().set_limits(limits);
         *self.who.lock() = Who {
             name,
             account: Some(account),
@@ -253,7 +253,7 @@ impl Outbox {
 
     /// Why the connection ends, once it does.
     pub(crate) fn closing(&self) -> Option<Closing> {
-        self.closing.lock().clone()
+        self.closing.lock().as_deref().cloned()
     }
 
     /// The bytes that wait.

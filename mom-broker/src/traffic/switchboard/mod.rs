@@ -279,8 +279,12 @@ impl Switchboard {
             touched.extend(delivered.touched);
         }
         for outbox in delivered.too_slow {
-            let text = "what waited for this peer reached its limit and may not be dropped";
-            tracing::info!(peer = outbox.peer.0, context = %path, "slow receiver closed");
+            let queued = outbox.queued();
+            let text = format!(
+                "{queued} bytes that may not be dropped waited for this peer: as many as limits.burst lets wait, or more \
+                 than limits.outbox for longer than limits.stalled"
+            );
+            tracing::info!(peer = outbox.peer.0, context = %path, queued, "slow receiver closed");
             self.close(&outbox, Some(WireError::new(Code::SLOW_RECEIVER, text)));
         }
         if let Some(reference) = delivered.shortened {

@@ -31,7 +31,7 @@ fn bulk(config: &mut Config, overflow: &str, delivery: Delivery) {
         .with("delivery", delivery.word())
         .with("overflow", overflow);
     config.contexts.push(from_value(bulk.into()).expect("a context"));
-    config.limits.outbox = OUTBOX;
+    (config.limits.outbox, config.limits.burst) = (OUTBOX, OUTBOX);
     // Nobody is late because the machine is busy.
     (config.limits.send_wait, config.limits.stalled) = (60_000, 120_000);
 }

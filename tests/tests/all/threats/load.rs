@@ -17,7 +17,7 @@ const SIZE: usize = 32 * 1024;
 const MOST: usize = 2000;
 
 async fn world() -> World {
-    World::start_with(|config| config.limits.outbox = OUTBOX).await
+    World::start_with(|config| (config.limits.outbox, config.limits.burst) = (OUTBOX, OUTBOX)).await
 }
 
 /// A peer in the channel that will not read; the witness leaves it to the two of them.
@@ -83,6 +83,29 @@ async fn threat_26_a_slow_receiver_is_closed() {
             }
         };
         assert_eq!(error.code.word(), "unknown-peer");
+        world.end().await;
+    }
+}
+
+/// A receiver that reads, and that a burst has overtaken, is not slow.
+#[tokio::test]
+async fn threat_26_who_is_behind_by_a_burst_stays() {
+    for form in [Form::Xml, Form::Binary] {
+        let mut world = World::start().await;
+        let mut bob = sleeper(&mut world, form).await;
+        let mut carol = speaker(world.address()).await;
+        // More than five times `limits.outbox`.
+        const BURST: u32 = 700;
+        for number in 0..BURST {
+            let mut parcel = block(Delivery::Reliable);
+            (parcel.receipt, parcel.id) = (None, Some(number.into()));
+            carol.send_parcel(&parcel).await;
+        }
+        carol.check_alive().await;
+        for number in 0..BURST {
+            let parcel = bob.next_of(Family::Message, "block").await;
+            assert_eq!(parcel.id, Some(number.into()), "in {}", form.word());
+        }
         world.end().await;
     }
 }

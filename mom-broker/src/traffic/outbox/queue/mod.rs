@@ -10,7 +10,9 @@ use std::sync::Arc;
 
 use mom_net::{Allowance, DropPolicy, DropReason, Lane, Piece, Rest, SendQueue, Taken};
 use mom_proto::codec::Form;
-use mom_proto::{Limit, Micros};
+use mom_proto::{Limits, Micros};
+
+use mom_system::Clock;
 
 use super::packet::{Dropped, Packet};
 
@@ -21,6 +23,12 @@ use waiters::Waiters;
 #[derive(Debug)]
 pub(crate) struct PeerQueue {
     queue: SendQueue<Packet, Drops>,
+    /// What may not be dropped may take so many bytes for a while.
+    burst: usize,
+    /// For so long.
+    patience: Micros,
+    /// Since when more waits than the bound; 0 = it does not.
+    behind_since: Micros,
     /// Senders that wait for capacity; most of the time there is none.
     waiters: Option<Box<Waiters>>,
     /// What waits for its time, where the receiver asked for a rate.
@@ -55,13 +63,31 @@ impl PeerQueue {
     pub(crate) fn new(form: Option<Form>, limit: usize) -> PeerQueue {
         PeerQueue {
             queue: SendQueue::new(form, limit, Drops::default()),
+            burst: limit,
+            patience: 0,
+            behind_since: 0,
             waiters: None,
             thinner: None,
         }
     }
 
-    pub(crate) fn push(&mut self, packet: Arc<Packet>) -> Taken {
-        self.queue.push(packet)
+    /// Puts a packet in. A receiver is slow if it stays behind, not if it is behind: for a while more may wait than the
+    /// bound says.
+    pub(crate) fn push(&mut self, packet: Arc<Packet>, clock: &Clock) -> Taken {
+        if self.queue.data_bytes() <= self.queue.limit() {
+            self.behind_since = 0;
+        }
+        let stays_behind =
+            self.behind_since > 0 && clock.now().saturating_sub(self.behind_since) >= self.patience;
+        let most = match stays_behind {
+            true => self.queue.limit(),
+            false => self.burst,
+        };
+        let taken = self.queue.push_up_to(packet, most);
+        if self.behind_since == 0 && self.queue.data_bytes() > self.queue.limit() {
+            self.behind_since = clock.now().max(1);
+        }
+        taken
     }
 
     /// Takes in the last word to a connection, however much waits: it leaves after all else.
@@ -69,9 +95,11 @@ impl PeerQueue {
         self.queue.push_last(packet);
     }
 
-    /// Changes the bounds, as after login: of what waits, and of one parcel.
-    pub(crate) fn set_limits(&mut self, limit: usize, parcel: Limit) {
-        self.queue.set_limits(limit, parcel);
+    /// Changes the bounds, as after login.
+    pub(crate) fn set_limits(&mut self, limits: &Limits) {
+        self.queue.set_limits(limits.outbox, limits.parcel);
+        self.burst = limits.burst.max(limits.outbox);
+        self.patience = limits.stalled.saturating_mul(1000);
     }
 
     /// Takes what the network has room for; says what the rest waits for, if nothing may be written.

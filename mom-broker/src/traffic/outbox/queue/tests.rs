@@ -1,12 +1,13 @@
 //! Packets in a queue: when they are stale, and what a stop overrules. The queue itself is tested in `mom-net`.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use bytes::Bytes;
 use mom_hub::PeerId;
 use mom_net::{Lane, Piece};
 use mom_proto::codec::Encoded;
-use mom_proto::{ContextNumber, Delivery, Micros};
+use mom_proto::{ContextNumber, Delivery, Micros, Time};
 use mom_system::sync::atomic::{AtomicU64, Ordering};
 
 use super::*;
@@ -82,17 +83,17 @@ fn stale_parcels_do_not_leave() {
         gate: Some((Arc::clone(&gate), 7)),
         ..packet("command", Lane::Data(0), Delivery::Reliable)
     });
-    queue.push(Arc::clone(&guarded));
-    queue.push(Arc::new(Packet {
+    queue.queue.push(Arc::clone(&guarded));
+    queue.queue.push(Arc::new(Packet {
         expires_at: Some(50),
         ..packet("old", Lane::Data(0), Delivery::Reliable)
     }));
-    queue.push(data("chat", Delivery::Reliable));
+    queue.queue.push(data("chat", Delivery::Reliable));
     assert_eq!(
         pop(&mut queue, 49).map(|piece| name(&piece)),
         Some("command".into())
     );
-    queue.push(guarded);
+    queue.queue.push(guarded);
     gate.store(8, Ordering::Release);
     assert_eq!(pop(&mut queue, 50).map(|piece| name(&piece)), Some("chat".into()));
     assert!(pop(&mut queue, 50).is_none());
@@ -111,15 +112,15 @@ fn a_stop_overrules_an_unstop_that_waits() {
     let stop = entry("stop", Lane::Stop, Delivery::Reliable);
     let unstop = entry("unstop", Lane::Control, Delivery::Reliable);
     for each in [&stop, &unstop, &stop] {
-        assert_eq!(queue.push(each.clone()), Taken::Yes);
+        assert_eq!(queue.queue.push(each.clone()), Taken::Yes);
     }
     assert_eq!(names(&mut queue), ["stop"]);
     assert_eq!(queue.take_drops().values().sum::<u64>(), 1, "the unstop is told");
-    queue.push(stop.clone());
-    queue.push(unstop.clone());
+    queue.queue.push(stop.clone());
+    queue.queue.push(unstop.clone());
     assert_eq!(names(&mut queue), ["stop", "unstop"]);
-    queue.push(unstop);
-    queue.push(Arc::new(Packet {
+    queue.queue.push(unstop);
+    queue.queue.push(Arc::new(Packet {
         origin: Origin {
             context: ContextNumber(2),
             ..stop.origin.clone()
@@ -127,4 +128,52 @@ fn a_stop_overrules_an_unstop_that_waits() {
         ..packet("stop", Lane::Stop, Delivery::Reliable)
     }));
     assert_eq!(names(&mut queue), ["stop", "unstop"], "of another channel");
+}
+
+#[test]
+fn a_burst_may_wait_for_a_while_and_no_longer() {
+    let limits = Limits {
+        outbox: 10_000,
+        burst: 20_000,
+        stalled: 5000,
+        ..Limits::default()
+    };
+    let clock = Clock::manual(Time::default());
+    clock.advance(Duration::from_secs(1));
+    let mut queue = queue(1000);
+    queue.set_limits(&limits);
+    let push = |queue: &mut PeerQueue, count: usize, delivery| -> Vec<Taken> {
+        let one = |_| queue.push(data("r", delivery), &clock);
+        (0..count).map(one).collect()
+    };
+    assert_eq!(push(&mut queue, 20, Delivery::Reliable), [Taken::Yes; 20]);
+    assert_eq!(
+        push(&mut queue, 1, Delivery::Reliable),
+        [Taken::Overflow],
+        "the burst"
+    );
+    assert_eq!(
+        push(&mut queue, 1, Delivery::Latest),
+        [Taken::Dropped],
+        "it is no place for others"
+    );
+    clock.advance(Duration::from_millis(4999));
+    pop(&mut queue, 0);
+    assert_eq!(
+        push(&mut queue, 1, Delivery::Reliable),
+        [Taken::Yes],
+        "not for long"
+    );
+    clock.advance(Duration::from_millis(1));
+    pop(&mut queue, 0);
+    assert_eq!(
+        push(&mut queue, 1, Delivery::Reliable),
+        [Taken::Overflow],
+        "behind for too long"
+    );
+    // Who was up to date in between begins anew.
+    while pop(&mut queue, 0).is_some() {}
+    assert_eq!(push(&mut queue, 20, Delivery::Reliable), [Taken::Yes; 20]);
+    clock.advance(Duration::from_secs(5));
+    assert_eq!(push(&mut queue, 1, Delivery::Reliable), [Taken::Overflow]);
 }

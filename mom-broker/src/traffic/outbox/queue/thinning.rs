@@ -19,7 +19,7 @@ impl PeerQueue {
         now: Micros,
     ) -> Option<Taken> {
         if interval == 0 {
-            return Some(self.push(packet));
+            return Some(self.queue.push(packet));
         }
         let capacity = (self.queue.charge(&packet), self.queue.limit());
         let thinner = self.thinner.get_or_insert_default();
@@ -28,7 +28,7 @@ impl PeerQueue {
             self.queue.note_dropped(&replaced, DropReason::Rate);
         }
         match thinned {
-            Thinned::Now(packet) => Some(self.push(packet)),
+            Thinned::Now(packet) => Some(self.queue.push(packet)),
             Thinned::Later => None,
             Thinned::Full(packet) => {
                 self.queue.note_dropped(&packet, DropReason::Full);
@@ -47,7 +47,7 @@ impl PeerQueue {
         if self.due().is_some_and(|at| at <= now) {
             let released = self.thinner.as_mut().map(|thinner| thinner.release(now));
             released.into_iter().flatten().for_each(|packet| {
-                self.push(packet);
+                self.queue.push(packet);
             });
         }
     }
@@ -56,7 +56,7 @@ impl PeerQueue {
     pub(crate) fn release_thinned(&mut self, channel: ContextNumber) {
         let held = self.thinner.as_mut().map(|thinner| thinner.forget(Some(channel)));
         held.into_iter().flatten().for_each(|packet| {
-            self.push(packet);
+            self.queue.push(packet);
         });
     }
 

@@ -14,7 +14,7 @@ const ONE: usize = 1000;
 fn half_full() -> PeerQueue {
     let mut queue = queue(6 * ONE);
     for _ in 0..3 {
-        queue.push(data("r", Delivery::Reliable));
+        queue.queue.push(data("r", Delivery::Reliable));
     }
     queue
 }
@@ -29,7 +29,7 @@ fn who_waits_has_half_and_the_rest_is_for_others() {
     assert!(!queue.has_capacity(1, None));
     assert!(queue.could_take(3 * ONE) && !queue.could_take(3 * ONE + 1));
     for _ in 0..3 {
-        assert_eq!(queue.push(data("r", Delivery::Reliable)), super::Taken::Yes);
+        assert_eq!(queue.queue.push(data("r", Delivery::Reliable)), super::Taken::Yes);
     }
     assert!(!queue.could_take(1));
 }
@@ -39,11 +39,11 @@ fn who_waits_has_half_and_the_rest_is_for_others() {
 fn nobody_waits_for_what_may_be_dropped() {
     let mut queue = queue(6 * ONE);
     for _ in 0..6 {
-        queue.push(data("f", Delivery::Fleeting));
+        queue.queue.push(data("f", Delivery::Fleeting));
     }
     assert!(queue.has_capacity(3 * ONE, None));
     assert_eq!(queue.capacity_left(), 3 * ONE);
-    queue.push(data("r", Delivery::Reliable));
+    queue.queue.push(data("r", Delivery::Reliable));
     assert_eq!(queue.capacity_left(), 2 * ONE);
 }
 
