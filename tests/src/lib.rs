@@ -7,6 +7,8 @@ pub mod dialogue;
 pub mod lab;
 pub mod load;
 pub mod login;
+#[cfg(target_os = "linux")]
+pub mod network;
 pub mod programs;
 pub mod raw;
 pub mod service;

@@ -10,10 +10,10 @@ use std::sync::Arc;
 
 use mom_benches::{Driver, Error, Hub, Process, RelayDriver, broker_folder};
 use mom_proto::codec::Form;
+use mom_tests::network::Network;
 use tempfile::TempDir;
 
 use crate::driver::{HOST, MqttDriver, NatsDriver, ROOMS, RedisDriver, XmppDriver, ZenohDriver};
-use crate::network::Network;
 
 /// A kind of hub.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -182,7 +182,7 @@ impl Programs {
             let listener = TcpListener::bind((network.host(), 0))?;
             listener.local_addr()
         });
-        let port = port?.map_err(Error::io("a free port"))?.port();
+        let port = port.flatten().map_err(Error::io("a free port"))?.port();
         let address = format!("{}:{port}", network.host());
         let mut command = self.command(kind, network, port)?;
         if echo && matches!(kind, Kind::Relay | Kind::RawRelay) {
@@ -203,7 +203,8 @@ impl Programs {
                 } else {
                     Form::Xml
                 };
-                network.within(|| Hub::broker(&address, form))??.driver
+                let hub = network.within(|| Hub::broker(&address, form));
+                hub.map_err(Error::io("the hub's network"))??.driver
             }
             Kind::Nats => Box::new(NatsDriver::new(&address)),
             Kind::Redis => Box::new(RedisDriver::new(&address)),

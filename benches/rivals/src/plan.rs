@@ -8,6 +8,7 @@ use crate::brokers::Kind;
 use crate::canary::{Canary, Hindrance};
 use crate::crowd::Crowd;
 use crate::metric::Metric;
+use crate::network::LINK_RATE;
 use crate::stop::SaturatedStop;
 
 /// One scenario.
@@ -115,7 +116,9 @@ impl Effort {
             idle: 10_000,
             stop: SaturatedStop {
                 frame: 64 * 1024,
-                load: 1.5,
+                load: 1.5 * LINK_RATE,
+                warm_up: Duration::from_secs(2),
+                pauses: None,
                 stops: 300,
                 every: Duration::from_millis(100),
                 late: Duration::from_secs(30),

@@ -9,7 +9,9 @@ use mom_benches::{Error, Hub, Stream, Streamed, Topic, median};
 use crate::brokers::{Kind, Programs};
 use crate::idle::idle;
 use crate::metric::{Metric, Sample};
-use crate::network::{Network, SlowLink};
+use mom_tests::network::Network;
+
+use crate::network::SlowLink;
 use crate::plan::{Effort, Load, Row};
 
 /// What all runs of one scenario came to.
@@ -133,8 +135,9 @@ fn stop(
         return effort.canary.run(&hub, hindrance);
     }
     let link = SlowLink::new()?;
-    let hub = programs.start(kind, &link.hub, false)?;
-    effort.stop.run(&hub, &link)
+    let hub = programs.start(kind, &link.ends.hub, false)?;
+    let observed = effort.stop.run(&hub, &link.ends, |_| {})?;
+    Ok(effort.stop.sample(observed))
 }
 
 fn sample(row: &Row, kind: Kind, programs: &Programs, effort: &Effort) -> Result<Sample, Error> {

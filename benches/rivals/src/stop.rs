@@ -8,17 +8,22 @@ use std::time::{Duration, Instant};
 
 use mom_benches::listen::{Listener, Listening, Sink, join};
 use mom_benches::{Delays, Error, Hub, Link, Message, Template, Topic};
+use mom_tests::network::Namespaces;
 
 use crate::metric::{Metric, Sample};
-use crate::network::{LINK_RATE, SlowLink};
+use crate::network::LINK_RATE;
 
 /// The load.
 #[derive(Clone, Copy, Debug)]
 pub struct SaturatedStop {
     /// Bytes of a camera's frame.
     pub frame: usize,
-    /// What the camera sends, over the link's rate.
+    /// What the camera sends, in bits per second.
     pub load: f64,
+    /// From the first frame to the first stop; until then nothing is measured.
+    pub warm_up: Duration,
+    /// The camera sends for so long, pauses for so long, and so on; none: it never pauses.
+    pub pauses: Option<(Duration, Duration)>,
     /// How many stops.
     pub stops: u32,
     /// From one stop to the next.
@@ -31,8 +36,6 @@ pub struct SaturatedStop {
 const STOP: usize = 16;
 /// Frames are numbered from here on, stops from 0.
 const FRAMES: u32 = 1 << 31;
-/// Not measured at first: the queues fill.
-const WARM_UP: Duration = Duration::from_secs(2);
 /// A hub may hold a sender back for so long.
 const HELD: Duration = Duration::from_secs(30);
 
@@ -65,17 +68,35 @@ impl Shared {
     }
 }
 
+/// What was seen.
+#[derive(Debug)]
+pub struct Observed {
+    /// Of each stop that was sent: when, since the first frame, and how long it took; none: it did not arrive.
+    pub stops: Vec<(Duration, Option<Duration>)>,
+    /// Bytes of the camera's frames that arrived while stops were sent, and how long that was.
+    pub frames: (u64, Duration),
+    /// Dropped parcels that the senders heard of.
+    pub told: u64,
+    /// Processor time of the hub while stops were sent.
+    pub cpu: Option<Duration>,
+    /// A subscriber that was cut off: its last words.
+    pub failure: Option<String>,
+}
+
 impl SaturatedStop {
-    /// Runs it between the ends of a slow link. A hub that cuts the subscriber off still has a figure, the stops
-    /// that arrived until then, and with it the subscriber's last words.
+    /// Runs it between the ends of a slow link; `before` is told of each stop that is about to be sent. A hub that cuts the
+    /// subscriber off still has figures, the stops that arrived until then, and with them the subscriber's last words.
     ///
     /// # Errors
     /// A hub that refuses at the start.
-    pub fn run(&self, hub: &Hub, link: &SlowLink) -> Result<(Sample, Option<String>), Error> {
-        let hears = [Topic::Image, Topic::Stop];
-        let subscriber = link.far.within(|| hub.driver.connect(&hears, &[]))??;
-        let camera = link.hub.within(|| hub.driver.connect(&[], &[Topic::Image]))??;
-        let stopper = link.hub.within(|| hub.driver.connect(&[], &[Topic::Stop]))??;
+    pub fn run(&self, hub: &Hub, ends: &Namespaces, before: impl FnMut(u32)) -> Result<Observed, Error> {
+        let connect = |network: &mom_tests::network::Network, hears: &[Topic], says: &[Topic]| {
+            let link = network.within(|| hub.driver.connect(hears, says));
+            link.map_err(Error::io("a network"))?
+        };
+        let subscriber = connect(&ends.far, &[Topic::Image, Topic::Stop], &[])?;
+        let camera = connect(&ends.hub, &[], &[Topic::Image])?;
+        let stopper = connect(&ends.hub, &[], &[Topic::Stop])?;
         let zeros = || (0..self.stops).map(|_| AtomicU64::new(0)).collect();
         let shared = Arc::new(Shared {
             start: Instant::now(),
@@ -103,46 +124,63 @@ impl SaturatedStop {
         ];
         let listening = Listening::start(listeners)?;
         let filming = self.film(hub, &shared, camera)?;
-        thread::sleep(WARM_UP);
-        let before = (
-            Instant::now(),
-            shared.frame_bytes.load(Ordering::Relaxed),
-            hub.cpu(),
-        );
-        self.say_stop(hub, &shared, stopper)?;
-        let after = (
-            Instant::now(),
-            shared.frame_bytes.load(Ordering::Relaxed),
-            hub.cpu(),
-        );
+        thread::sleep(self.warm_up);
+        let figures = || {
+            (
+                Instant::now(),
+                shared.frame_bytes.load(Ordering::Relaxed),
+                hub.cpu(),
+            )
+        };
+        let began = figures();
+        self.say_stop(hub, &shared, stopper, before)?;
+        let ended = figures();
         self.settle(&shared);
         shared.over.store(true, Ordering::Relaxed);
         // The far end first: a hub that holds the camera back lets it go then.
         listening.end()?;
         join(filming)?;
-        let seconds = (after.0 - before.0).as_secs_f64();
-        let bytes = after.1 - before.1;
-        let mut sample = self.sample(&shared, bytes, seconds);
-        if let Some((before, after)) = before.2.zip(after.2) {
-            let deliveries = bytes as f64 / self.frame as f64 + shared.arrived() as f64;
-            let used = after.saturating_sub(before).as_secs_f64();
-            sample.insert(Metric::Cpu, used / (deliveries / 1e6).max(1e-9));
-        }
-        let mut failure = shared.failure.lock().unwrap_or_else(PoisonError::into_inner);
-        Ok((sample, failure.take()))
+        let nanos = |nanos: &AtomicU64| Some(nanos.load(Ordering::Relaxed)).filter(|nanos| *nanos > 0);
+        let stops = shared.left.iter().zip(&shared.took);
+        let stops = stops.filter_map(|(left, took)| {
+            let took = nanos(took).map(Duration::from_nanos);
+            Some((Duration::from_nanos(nanos(left)?), took))
+        });
+        let failure = shared
+            .failure
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .take();
+        Ok(Observed {
+            stops: stops.collect(),
+            frames: (ended.1 - began.1, ended.0 - began.0),
+            told: shared.told.load(Ordering::Relaxed),
+            cpu: began
+                .2
+                .zip(ended.2)
+                .map(|(began, ended)| ended.saturating_sub(began)),
+            failure,
+        })
     }
 
-    fn sample(&self, shared: &Shared, bytes: u64, seconds: f64) -> Sample {
-        let took = shared.took.iter().map(|took| took.load(Ordering::Relaxed));
-        let delays = Delays::of(took.filter(|took| *took > 0).map(Duration::from_nanos).collect());
-        Sample::from([
+    /// The figures of the tables, and the subscriber's last words.
+    pub fn sample(&self, observed: Observed) -> (Sample, Option<String>) {
+        let delays = Delays::of(observed.stops.iter().filter_map(|(_, took)| *took).collect());
+        let (bytes, time) = (observed.frames.0 as f64, observed.frames.1.as_secs_f64());
+        let frames = bytes / self.frame as f64;
+        let mut sample = Sample::from([
             (Metric::P50, delays.quantile(0.5)),
             (Metric::P99, delays.quantile(0.99)),
             (Metric::Arrived, delays.count() as f64),
-            (Metric::Frames, bytes as f64 / self.frame as f64),
-            (Metric::Link, bytes as f64 * 8.0 / seconds / LINK_RATE),
-            (Metric::Told, shared.told.load(Ordering::Relaxed) as f64),
-        ])
+            (Metric::Frames, frames),
+            (Metric::Link, bytes * 8.0 / time / LINK_RATE),
+            (Metric::Told, observed.told as f64),
+        ]);
+        if let Some(used) = observed.cpu {
+            let deliveries = (frames + delays.count() as f64) / 1e6;
+            sample.insert(Metric::Cpu, used.as_secs_f64() / deliveries.max(1e-9));
+        }
+        (sample, observed.failure)
     }
 
     /// The camera's thread: a frame at each step, or as soon as the hub takes it.
@@ -153,13 +191,22 @@ impl SaturatedStop {
         mut camera: Link,
     ) -> Result<thread::JoinHandle<()>, Error> {
         let template = template(hub, Topic::Image, self.frame)?;
-        let step = Duration::from_secs_f64(self.frame as f64 * 8.0 / (self.load * LINK_RATE));
+        let step = Duration::from_secs_f64(self.frame as f64 * 8.0 / self.load);
+        let pauses = self.pauses;
         let patient = camera.stream.set_write_timeout(Some(HELD));
         patient.map_err(Error::io("socket options"))?;
         let shared = Arc::clone(shared);
         Ok(thread::spawn(move || {
             let mut bytes = Vec::new();
+            let mut due = Instant::now();
             for number in FRAMES.. {
+                if let Some((on, off)) = pauses {
+                    let at = shared.start.elapsed().as_nanos() % (on + off).as_nanos();
+                    let at = Duration::from_nanos(u64::try_from(at).unwrap_or_default());
+                    if at >= on {
+                        thread::sleep(on + off - at);
+                    }
+                }
                 if shared.over.load(Ordering::Relaxed) {
                     return;
                 }
@@ -168,13 +215,20 @@ impl SaturatedStop {
                 if camera.write(&bytes).is_err() {
                     return;
                 }
-                let due = shared.start + step * (number - FRAMES + 1);
+                // A camera that was held up does not make up for it.
+                due = (due + step).max(Instant::now() - step);
                 thread::sleep(due.saturating_duration_since(Instant::now()));
             }
         }))
     }
 
-    fn say_stop(&self, hub: &Hub, shared: &Shared, mut stopper: Link) -> Result<(), Error> {
+    fn say_stop(
+        &self,
+        hub: &Hub,
+        shared: &Shared,
+        mut stopper: Link,
+        mut before: impl FnMut(u32),
+    ) -> Result<(), Error> {
         let template = template(hub, Topic::Stop, STOP)?;
         let start = Instant::now();
         let mut bytes = Vec::new();
@@ -184,6 +238,7 @@ impl SaturatedStop {
             if shared.has_failed() {
                 break;
             }
+            before(number);
             bytes.clear();
             template.append_all(number..number + 1, &mut bytes);
             shared.left[number as usize].store(shared.now(), Ordering::Relaxed);

@@ -170,24 +170,28 @@ fn a_stop_passes_frames_on_a_slow_link() {
     let runtime = Runtime::new().unwrap();
     // The listening socket belongs to the namespace, whoever polls it.
     let broker = link
+        .ends
         .hub
         .within(|| runtime.block_on(Broker::start(config)))
         .unwrap()
         .unwrap();
     let address = broker.local_addr().to_string();
     let hub = link
+        .ends
         .hub
         .within(|| Hub::broker(&address, Form::Binary))
         .unwrap()
         .unwrap();
     let stop = SaturatedStop {
         frame: 16 * 1024,
-        load: 1.5,
+        load: 30e6,
+        warm_up: Duration::from_secs(2),
+        pauses: None,
         stops: 5,
         every: Duration::from_millis(20),
         late: Duration::from_secs(1),
     };
-    let (sample, cut_off) = stop.run(&hub, &link).unwrap();
+    let (sample, cut_off) = stop.sample(stop.run(&hub, &link.ends, |_| {}).unwrap());
     assert_eq!(cut_off, None);
     // One that still waits makes way for the next, so on a busy machine not all of them arrive; none does twice.
     let arrived = sample[&Metric::Arrived];
