@@ -9,6 +9,8 @@ pub struct TcpState {
     pub segment: u32,
     /// The congestion window, in segments.
     pub window: u32,
+    /// The rate at which the kernel sends, in bytes per second, if it paces at all, which it does not say.
+    pub pace: u64,
     /// The least round trip seen, in µs; the largest number before the first.
     pub least_round_trip: u32,
 }

@@ -87,6 +87,7 @@ pub(crate) fn link(stream: &TcpStream) -> Option<TcpState> {
         acknowledged: long(30),
         segment: words[4],
         window: words[20],
+        pace: long(26),
         least_round_trip: words[37],
     })
 }

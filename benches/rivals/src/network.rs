@@ -29,7 +29,7 @@ impl SlowLink {
                     "link", "add", DEVICE, "netns", hub, "type", "veth", "peer", "name", DEVICE, "netns", far,
                 ])?;
                 let shape = ["netns", "exec", hub, "tc", "qdisc", "add", "dev", DEVICE, "root"];
-                ends.connect(DEVICE)?;
+                ends.connect(DEVICE, "cubic")?;
                 ip(&[&shape[..], &SHAPE].concat())?;
             }
             Ok(SlowLink { ends })

@@ -108,15 +108,26 @@ impl Namespaces {
         Ok(made)
     }
 
-    /// Gives the devices of this name their addresses.
+    /// Gives the devices of this name their addresses, and has TCP find its rate by this algorithm: Linux's default is cubic,
+    /// whatever this machine uses.
     ///
     /// # Errors
-    /// Where they are missing.
-    pub fn connect(&self, device: &str) -> io::Result<()> {
+    /// Where they are missing, or the algorithm.
+    pub fn connect(&self, device: &str, congestion: &str) -> io::Result<()> {
         for network in [&self.hub, &self.far] {
             if let Network::Namespace(name, address) = network {
                 ip(&["-n", name, "addr", "add", &format!("{address}/24"), "dev", device])?;
                 ip(&["-n", name, "link", "set", device, "up"])?;
+                let route = [
+                    "route",
+                    "change",
+                    "10.66.0.0/24",
+                    "dev",
+                    device,
+                    "congctl",
+                    congestion,
+                ];
+                ip(&[&["-n", name][..], &route].concat())?;
             }
         }
         Ok(())
@@ -148,11 +159,11 @@ impl RelayedLink {
     ///
     /// # Errors
     /// Where that is not allowed, or `ip` is missing.
-    pub fn new(there: Shape, back: Shape, seed: u64) -> io::Result<RelayedLink> {
+    pub fn new(there: Shape, back: Shape, seed: u64, congestion: &str) -> io::Result<RelayedLink> {
         let ends = Namespaces::new()?;
         let open = |network: &Network| network.within(|| relay::open_tun(DEVICE)).flatten();
         let devices = [open(&ends.hub)?, open(&ends.far)?];
-        ends.connect(DEVICE)?;
+        ends.connect(DEVICE, congestion)?;
         let relay = PacketRelay::start(devices, there, back, seed)?;
         Ok(RelayedLink { relay, ends })
     }

@@ -44,6 +44,9 @@ struct Cli {
     /// The share of packets that are lost
     #[arg(long, default_value_t = 0.0)]
     loss: f64,
+    /// How TCP finds its rate: cubic, bbr
+    #[arg(long, default_value = "cubic")]
+    congestion: String,
     /// Which packets are lost
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -151,7 +154,8 @@ impl Row {
         for run in 0..runs {
             let back = Shape { rate: 1e9, ..shape };
             let seed = cli.seed.wrapping_add(2 * u64::from(run));
-            let link = RelayedLink::new(shape, back, seed).context("a link between two namespaces")?;
+            let link = RelayedLink::new(shape, back, seed, &cli.congestion)
+                .context("a link between two namespaces")?;
             let hub = programs.start(kind, &link.ends.hub, false)?;
             row.run(load, &hub, &link, (shape, time))?;
         }
@@ -174,21 +178,23 @@ impl Row {
             every: EVERY,
             late: Duration::from_secs(5),
         };
-        let mut first = None;
+        let (mut passed, last) = (Vec::new(), EVERY * (camera.stops - 1));
         let observed = camera.run(hub, &link.ends, |number| match EVERY * number {
-            SECOND => first = Some(link.relay.take_passed()),
+            SECOND => passed.push(link.relay.take_passed()),
+            time if time == last => passed.push(link.relay.take_passed()),
             SLOWER_AT if load == LoadKind::Slower => link.relay.reshape(Shape {
                 rate: shape.rate / 10.0,
                 ..shape
             }),
             _ => {}
         })?;
-        let rest = link.relay.take_passed();
         if load == LoadKind::Start {
-            let most = shape.rate * (time - SECOND).as_secs_f64();
-            self.shares.push(rest.bytes as f64 * 8.0 / most);
+            let bytes = passed.last().map_or(0, |passed| passed.bytes);
+            let most = shape.rate * (last - SECOND).as_secs_f64();
+            self.shares.push(bytes as f64 * 8.0 / most);
         }
-        for passed in first.into_iter().chain([rest]) {
+        passed.push(link.relay.take_passed());
+        for passed in passed {
             self.dropped += passed.dropped;
             self.longest = self.longest.max(passed.longest_wait);
         }
