@@ -1,5 +1,6 @@
 //! The comparison with other brokers, small, with ours and the relay alone: figures mean nothing here, loss and order do.
 
+use std::fmt::Display;
 use std::path::PathBuf;
 use std::sync::OnceLock;
 use std::time::Duration;
@@ -11,6 +12,7 @@ use mom_rivals::{
     Canary, Crowd, Hindrance, Kind, Metric, Network, Programs, SaturatedStop, SlowLink, idle, plan,
     raise_files, run, table,
 };
+use mom_tests::network::{Namespaces, RelayedLink, Shape};
 use mom_tests::programs::build;
 use tempfile::TempDir;
 use tokio::runtime::Runtime;
@@ -154,34 +156,40 @@ fn a_stop_passes_a_flood_and_a_sleeper() {
     }
 }
 
-/// Where namespaces may be made, that is as root; elsewhere the reason is told, and nothing is left behind.
-#[test]
-fn a_stop_passes_frames_on_a_slow_link() {
-    let link = match SlowLink::new() {
-        Ok(link) => link,
-        Err(error) => {
-            assert!(!error.to_string().is_empty());
-            return;
-        }
-    };
+/// A broker in this process, in the network of the hub.
+fn bench_at(ends: &Namespaces) -> Bench {
     let folder = broker_folder().unwrap();
     let mut config = Config::load(&folder.path().join("mom.toml")).unwrap();
-    config.listen = vec![format!("{}:0", link.hub.host())];
+    config.listen = vec![format!("{}:0", ends.hub.host())];
     let runtime = Runtime::new().unwrap();
     // The listening socket belongs to the namespace, whoever polls it.
-    let broker = link
-        .ends
-        .hub
-        .within(|| runtime.block_on(Broker::start(config)))
-        .unwrap()
-        .unwrap();
+    let broker = ends.hub.within(|| runtime.block_on(Broker::start(config)));
+    let broker = broker.unwrap().unwrap();
     let address = broker.local_addr().to_string();
-    let hub = link
-        .ends
-        .hub
-        .within(|| Hub::broker(&address, Form::Binary))
-        .unwrap()
-        .unwrap();
+    let hub = ends.hub.within(|| Hub::broker(&address, Form::Binary));
+    Bench {
+        hub: hub.unwrap().unwrap(),
+        _runtime: runtime,
+        _broker: broker,
+        _folder: folder,
+    }
+}
+
+/// Where namespaces may be made, that is as root; elsewhere the reason is told, and nothing is left behind.
+fn allowed<T, E: Display>(made: Result<T, E>) -> Option<T> {
+    made.inspect_err(|error| {
+        eprintln!("left out: no network namespaces here: {error}");
+        assert!(!error.to_string().is_empty());
+    })
+    .ok()
+}
+
+#[test]
+fn a_stop_passes_frames_on_a_slow_link() {
+    let Some(link) = allowed(SlowLink::new()) else {
+        return;
+    };
+    let bench = bench_at(&link.ends);
     let stop = SaturatedStop {
         frame: 16 * 1024,
         load: 30e6,
@@ -191,9 +199,51 @@ fn a_stop_passes_frames_on_a_slow_link() {
         every: Duration::from_millis(20),
         late: Duration::from_secs(1),
     };
-    let (sample, cut_off) = stop.sample(stop.run(&hub, &link.ends, |_| {}).unwrap());
+    let (sample, cut_off) = stop.sample(stop.run(&bench.hub, &link.ends, |_| {}).unwrap());
     assert_eq!(cut_off, None);
     // One that still waits makes way for the next, so on a busy machine not all of them arrive; none does twice.
     let arrived = sample[&Metric::Arrived];
     assert!((1.0..=5.0).contains(&arrived), "{sample:?}");
+}
+
+/// What waits at the bottleneck when a camera begins is what a stop would wait for. The kernel's slow start made it 80 ms and
+/// more, and a round trip of 100 ms left 0.9 of the link unused.
+#[test]
+fn a_flood_begins_gently() {
+    for delay in [0, 100].map(Duration::from_millis) {
+        let shape = Shape::mbit(20.0, delay / 2);
+        let back = Shape { rate: 1e9, ..shape };
+        let Some(link) = allowed(RelayedLink::new(shape, back, 1, "cubic")) else {
+            return;
+        };
+        let bench = bench_at(&link.ends);
+        let stop = SaturatedStop {
+            frame: 64 * 1024,
+            load: 30e6,
+            warm_up: Duration::ZERO,
+            pauses: None,
+            stops: 150,
+            every: Duration::from_millis(20),
+            late: Duration::from_secs(1),
+        };
+        let mut passed = Vec::new();
+        let note = |number| {
+            if [75, 149].contains(&number) {
+                passed.push(link.relay.take_passed());
+            }
+        };
+        let observed = stop.run(&bench.hub, &link.ends, note).unwrap();
+        assert_eq!(observed.failure, None);
+        let longest = passed.iter().map(|passed| passed.longest_wait).max();
+        assert!(
+            longest <= Some(Duration::from_millis(40)),
+            "{delay:?}: {passed:?}"
+        );
+        assert!(
+            passed.iter().all(|passed| passed.dropped == 0),
+            "{delay:?}: {passed:?}"
+        );
+        // 3.7 MB is all that the link carries in the second half.
+        assert!(passed[1].bytes > 1_200_000, "{delay:?}: {passed:?}");
+    }
 }
