@@ -1,11 +1,13 @@
 //! What `docs/PROTOCOL.md` says beside its tables, by a peer that speaks in bytes.
 
 use mom_broker::Broker;
+use mom_client::{Client, Event};
 use mom_proto::binary::{ChunkHead, chunks};
 use mom_proto::codec::Form;
 use mom_proto::{Content, ContextNumber, Delivery, Family, Limit, Map, Parcel, Time, Value, WireError};
 use mom_tests::lab;
-use mom_tests::raw::{Raw, at, message};
+use mom_tests::raw::{PATIENCE, Raw, at, message};
+use tokio::time::timeout;
 
 const CHAT: &str = "/chat";
 
@@ -246,6 +248,35 @@ async fn slots_reach_receivers_as_they_were_sent() {
             assert_eq!(heard, expected);
             assert_eq!(heard.number.is_some(), receiver.form() == Form::Binary);
         }
+    }
+    broker.stop().await;
+}
+
+/// Slots at the limit of the hub are beyond it with the stamps, and more so in XML: the limit is not one of receivers.
+#[tokio::test]
+async fn a_client_takes_slots_that_grew_on_their_way() {
+    let broker = lab::start().await;
+    let (mut alice, _) = enter(&broker, Form::Binary, "alice", CHAT).await;
+    let beside = |length: usize| {
+        let key = " ".repeat(10_000);
+        let extra = Map::new().with(&key, "a name").with("most", "x".repeat(length));
+        let parcel = Parcel::new(Family::Message, "chat").context(at(CHAT)).id(1);
+        Parcel { extra, ..parcel }
+    };
+    let said = beside(50_000 + 65_536 - size(&beside(50_000)));
+    for scheme in ["tcp", "bin"] {
+        let builder = Client::builder(format!("{scheme}://{}", broker.local_addr()));
+        let bob = builder.user("bob").password("bob").connect().await.expect("bob");
+        let mut events = bob.channel(CHAT).await.expect("people may").events();
+        alice.post(said.clone()).await;
+        loop {
+            let event = timeout(PATIENCE, events.next()).await.expect(scheme);
+            if let Event::Message(heard) = event.expect("the hub goes on") {
+                assert_eq!(heard.extra, said.extra);
+                break;
+            }
+        }
+        bob.close().await;
     }
     broker.stop().await;
 }
