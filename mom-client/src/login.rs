@@ -159,10 +159,13 @@ impl PeerLimits {
         }
     }
 
+    /// What this end takes. The other limits are of what peers send; stamped and in another form it may be longer.
     fn for_decoder(&self) -> Limits {
         Limits {
             parcel: self.parcel,
             depth: self.depth,
+            slots: usize::MAX,
+            attribute_size: usize::MAX,
             ..Limits::default()
         }
     }

@@ -7,7 +7,7 @@ use std::time::Duration;
 use bytes::BytesMut;
 use mom_proto::binary::{BinaryDecoder, PREFACE};
 use mom_proto::codec::{Decoder, Form, Frame};
-use mom_proto::{Code, Family, Limits, Map, Parcel, Path, Value, WireError};
+use mom_proto::{Code, Family, Limit, Limits, Map, Parcel, Path, Value, WireError};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpSocket, TcpStream};
 use tokio::time::timeout;
@@ -110,6 +110,7 @@ impl Raw {
         let welcome = self.ask(login).await?.value();
         let name = welcome.get("peer").and_then(Value::as_str);
         self.name = name.expect("the hub gives a name").to_owned();
+        self.decoder.set_limits(&told(&welcome));
         Ok(())
     }
 
@@ -348,6 +349,19 @@ impl Raw {
             }
         }
         last
+    }
+}
+
+/// What the hub may send by what it said at login: of its limits only the size of a parcel binds itself, too.
+fn told(welcome: &Value) -> Limits {
+    let most = welcome.get("limits").and_then(|limits| limits.get("parcel"));
+    Limits {
+        parcel: most
+            .and_then(Value::as_int)
+            .map_or(Limit::Unlimited, |most| Limit::At(most.unsigned_abs())),
+        slots: usize::MAX,
+        attribute_size: usize::MAX,
+        ..Limits::default()
     }
 }
 

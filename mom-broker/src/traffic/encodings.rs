@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use mom_proto::codec::{Encoded, Form, Scratch};
-use mom_proto::{HARD_DEPTH, Limit, Parcel, WireError, xml};
+use mom_proto::{Code, HARD_DEPTH, Limit, Parcel, WireError, xml};
 use mom_system::Workers;
 
 use crate::traffic::later_xml::LaterXml;
@@ -12,7 +12,7 @@ use crate::traffic::replay::Replay;
 /// A larger parcel is written in XML outside the channel's critical section, when its first receiver comes to it.
 const INLINE: usize = 4 * 1024;
 
-/// What a parcel may become for a receiver of another form.
+/// What a parcel may become on its way to a receiver.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Bounds {
     /// How deep content may nest that has to be opened.
@@ -77,7 +77,16 @@ impl Encoder {
         }
     }
 
-    /// Encodes what a peer says. Content that cannot be written in XML fails for receivers of that form alone.
+    /// Whether receivers take a frame of this size.
+    pub(crate) fn allows(&self, size: usize) -> bool {
+        self.bounds.parcel.allows(size)
+    }
+
+    /// Encodes what a peer says. What cannot be written in XML fails for receivers of that form alone.
+    ///
+    /// # Errors
+    /// `too-long` for what came within the limit of a parcel and, with what the hub adds, is beyond it: its receivers
+    /// would close.
     pub(crate) fn encode(
         &mut self,
         parcel: Parcel,
@@ -90,13 +99,27 @@ impl Encoder {
                 None => local = true,
                 Some(Form::Xml) if matches!(encodings.xml, Xml::None) => encodings.xml = self.xml(&parcel),
                 Some(Form::Binary) if encodings.binary.is_none() => {
-                    encodings.binary = Some(Form::Binary.encode_with(&parcel, &mut self.scratch)?);
+                    let binary = Form::Binary.encode_with(&parcel, &mut self.scratch)?;
+                    encodings.binary = Some(self.within_limit(binary)?);
                 }
                 Some(_) => {}
             }
         }
         encodings.local = local.then(|| Arc::new(parcel));
         Ok(encodings)
+    }
+
+    fn within_limit(&self, binary: Encoded) -> Result<Encoded, WireError> {
+        // The limit is of what follows the length.
+        let (size, most) = (binary.len().saturating_sub(4), self.bounds.parcel);
+        if most.allows(size) {
+            return Ok(binary);
+        }
+        let text = format!(
+            "with the hub's stamps the message has {size} bytes, and its receivers take {most}; send {} less",
+            size - most.get()
+        );
+        Err(WireError::new(Code::TOO_LONG, text))
     }
 
     fn xml(&self, parcel: &Parcel) -> Xml {

@@ -10,6 +10,7 @@ mod late;
 mod login;
 mod losses;
 mod order;
+mod page;
 mod programs;
 mod protocol;
 mod python;

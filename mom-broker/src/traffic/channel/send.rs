@@ -311,10 +311,10 @@ impl State {
         self.sent(delivered, None)
     }
 
-    /// Whether plain messages may go through here as a run: nobody needs another form or only some of them, and nothing
-    /// is kept.
+    /// Whether plain messages may go through here as a run: nobody needs another form or only some of them, nothing is
+    /// kept, and whatever is small enough for a run is within what receivers take, with all slots and stamps.
     fn takes_runs(&self) -> bool {
-        self.binary && !self.thins && self.history.is_none()
+        self.binary && !self.thins && self.history.is_none() && self.encoder.allows(2 * SMALL)
     }
 
     /// Where a sender is among the members, and what its messages are charged to; none of both if it has left.
