@@ -20,4 +20,5 @@ mod stats;
 mod thinning;
 mod threats;
 mod time;
+mod told;
 mod uplink;
