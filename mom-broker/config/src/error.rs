@@ -19,6 +19,8 @@ pub struct ConfigError {
     pub busy: bool,
     /// The keys of `key`, one by one.
     pub(crate) keys: Vec<String>,
+    /// The word that was probably meant there.
+    pub(crate) meant: Option<String>,
 }
 
 /// All that is wrong with a configuration: at least one error, in the order of the files.
@@ -67,6 +69,7 @@ impl ConfigError {
             text: text.into(),
             busy: false,
             keys: Vec::new(),
+            meant: None,
         }
     }
 
@@ -79,6 +82,7 @@ impl ConfigError {
             text,
             busy: false,
             keys: Vec::new(),
+            meant: None,
         }
     }
 }

@@ -33,7 +33,7 @@ impl<F: Fn(&str) -> Result<SourceText, ConfigError>> Reading<F> {
         let faults = source.syntax();
         let header = |error: &ConfigError| error.key.as_ref().is_some_and(|key| key.starts_with('['));
         if faults.iter().any(header) {
-            source.strike(Vec::new());
+            source.strike(Vec::new(), None);
         }
         self.found.extend(faults);
         source
@@ -72,9 +72,11 @@ impl<F: Fn(&str) -> Result<SourceText, ConfigError>> Reading<F> {
             .collect();
         let mut struck = false;
         for (fault, (at, known)) in faults.into_iter().zip(judged) {
+            // What was meant stands in only for what was written there, and not for what holds it.
+            let meant = fault.meant.clone().filter(|_| at == fault.keys);
             struck |= match &mut self.users {
-                Some(users) if fault.file.as_ref() == Some(&users.name) => users.strike(at),
-                _ => self.config.strike(at),
+                Some(users) if fault.file.as_ref() == Some(&users.name) => users.strike(at, meant),
+                _ => self.config.strike(at, meant),
             };
             let again = |told: &ConfigError| told.file == fault.file && told.keys == fault.keys;
             if !known && (fault.keys.is_empty() || !self.found.iter().any(again)) {

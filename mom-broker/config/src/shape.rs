@@ -52,15 +52,26 @@ struct Shape<'a> {
 }
 
 impl Shape<'_> {
-    fn tell(&mut self, text: String) {
+    fn tell(&mut self, text: String, meant: Option<&str>) {
         let keys: Vec<&str> = self.keys.iter().map(String::as_str).collect();
-        self.found.push(self.source.error(&keys, text));
+        self.found.push(ConfigError {
+            meant: meant.map(str::to_owned),
+            ..self.source.error(&keys, text)
+        });
     }
 
-    fn tell_at(&mut self, key: &str, text: String) {
+    fn tell_at(&mut self, key: &str, text: String, meant: Option<&str>) {
         self.keys.push(key.to_owned());
-        self.tell(text);
+        self.tell(text, meant);
         self.keys.pop();
+    }
+
+    fn instead(&self, schema: &Value, value: &DeValue<'_>) -> String {
+        format!(
+            "must be {}, not {}",
+            expected(self.schema, schema),
+            given(schema, value)
+        )
     }
 
     fn value(&mut self, schema: &Value, value: &DeValue<'_>) {
@@ -69,21 +80,19 @@ impl Shape<'_> {
             return self.any(schema, any, value);
         }
         if !fits(schema, value) {
-            let mut text = format!(
-                "must be {}, not {}",
-                expected(self.schema, schema),
-                given(schema, value)
-            );
-            if let (Some(word), Some(words)) = (value.as_str(), schema["enum"].as_array())
-                && let Some(near) = nearest(word, words.iter().filter_map(Value::as_str))
-            {
+            let mut text = self.instead(schema, value);
+            let words = schema["enum"].as_array().map(Vec::as_slice).unwrap_or_default();
+            let near = value
+                .as_str()
+                .and_then(|word| nearest(word, words.iter().filter_map(Value::as_str)));
+            if let Some(near) = near {
                 // Of many words the near one says enough.
                 if words.len() > WORDS {
-                    text = format!("{word:?} is not known here");
+                    text = format!("{} is not known here", shown(value));
                 }
                 text.push_str(&format!("; did you mean {near}?"));
             }
-            return self.tell(text);
+            return self.tell(text, near);
         }
         match value {
             DeValue::Table(table) => self.table(schema, table),
@@ -109,7 +118,7 @@ impl Shape<'_> {
         {
             if !table.contains_key(key) {
                 let what = expected(self.schema, &schema["properties"][key]);
-                self.tell_at(key, format!("is missing: {key} must be {what}"));
+                self.tell_at(key, format!("is missing: {key} must be {what}"), None);
             }
         }
         let empty = serde_json::Map::new();
@@ -128,7 +137,7 @@ impl Shape<'_> {
                         Some(near) => format!("did you mean {near}?"),
                         None => format!("known are {}", names().collect::<Vec<_>>().join(", ")),
                     };
-                    self.tell_at(key, format!("there is no key {key:?} here; {hint}"));
+                    self.tell_at(key, format!("there is no key {key:?} here; {hint}"), None);
                 }
                 (None, _) => {}
             }
@@ -148,7 +157,8 @@ impl Shape<'_> {
                 return self.table(shape, table);
             }
             if !kinds.is_empty() {
-                let hint = match nearest(word, kinds.iter().map(String::as_str)) {
+                let near = nearest(word, kinds.iter().map(String::as_str));
+                let hint = match near {
                     Some(near) => format!("did you mean {near}?"),
                     None => format!("known are {}", kinds.join(", ")),
                 };
@@ -156,15 +166,11 @@ impl Shape<'_> {
                     None => format!("a manager needs its kind; {hint}"),
                     Some(kind) => format!("there is no kind of manager {}; {hint}", shown(kind)),
                 };
-                return self.tell_at("kind", text);
+                return self.tell_at("kind", text, near);
             }
         }
         if !shapes.iter().any(|shape| fits(shape, value)) {
-            self.tell(format!(
-                "must be {}, not {}",
-                expected(self.schema, schema),
-                given(schema, value)
-            ));
+            self.tell(self.instead(schema, value), None);
         }
     }
 }

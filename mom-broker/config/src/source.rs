@@ -1,6 +1,7 @@
 //! The text of a file: what it holds, where that stands, and what was struck out of it.
 
-use std::collections::BTreeSet;
+use std::borrow::Cow;
+use std::collections::BTreeMap;
 
 use serde::de::DeserializeOwned;
 use toml::Spanned;
@@ -13,8 +14,9 @@ use super::{ConfigError, Location};
 pub(super) struct SourceText {
     pub(super) name: String,
     pub(super) text: String,
-    /// The keys at fault. What they lead to is left out, so that the rest can be read.
-    struck: BTreeSet<Vec<String>>,
+    /// The keys at fault, and the words that were probably meant there. What they lead to is left out or replaced, so that
+    /// the rest can be read.
+    struck: BTreeMap<Vec<String>, Option<String>>,
 }
 
 impl SourceText {
@@ -22,7 +24,7 @@ impl SourceText {
         SourceText {
             name: name.into(),
             text: text.into(),
-            struck: BTreeSet::new(),
+            struck: BTreeMap::new(),
         }
     }
 
@@ -57,7 +59,7 @@ impl SourceText {
     pub(super) fn tree(&self) -> Spanned<DeTable<'_>> {
         let whole = self.whole();
         let span = whole.span();
-        let rest = match self.struck.contains(&Vec::new()) {
+        let rest = match self.struck.contains_key(&Vec::new()) {
             true => DeTable::new(),
             false => self.rest_of(whole.into_inner(), &mut Vec::new()),
         };
@@ -95,16 +97,19 @@ impl SourceText {
     ) -> Option<Spanned<DeValue<'i>>> {
         keys.push(key.to_owned());
         let span = value.span();
-        let rest = (!self.struck.contains(keys)).then(|| match value.into_inner() {
-            DeValue::Table(table) => DeValue::Table(self.rest_of(table, keys)),
-            DeValue::Array(array) => {
-                let items = array.into_iter().enumerate();
-                let items =
-                    items.filter_map(|(index, item)| self.rest_of_value(item, &index.to_string(), keys));
-                DeValue::Array(items.collect::<DeArray<'_>>())
-            }
-            other => other,
-        });
+        let rest = match self.struck.get(keys) {
+            Some(meant) => meant.clone().map(|meant| DeValue::String(Cow::Owned(meant))),
+            None => Some(match value.into_inner() {
+                DeValue::Table(table) => DeValue::Table(self.rest_of(table, keys)),
+                DeValue::Array(array) => {
+                    let items = array.into_iter().enumerate();
+                    let items =
+                        items.filter_map(|(index, item)| self.rest_of_value(item, &index.to_string(), keys));
+                    DeValue::Array(items.collect::<DeArray<'_>>())
+                }
+                other => other,
+            }),
+        };
         keys.pop();
         rest.map(|rest| Spanned::new(span, rest))
     }
@@ -143,7 +148,7 @@ impl SourceText {
                 Some(DeValue::Array(array)) => {
                     let stays = |index: &usize| {
                         let at = |index: &usize| [&written[..], &[index.to_string()]].concat();
-                        !self.struck.contains(&at(index))
+                        !matches!(self.struck.get(&at(index)), Some(None))
                     };
                     let read = key
                         .parse()
@@ -170,7 +175,7 @@ impl SourceText {
         for key in keys {
             known.push(key.clone());
             match step(value, key) {
-                Some((_, found)) if !self.struck.contains(&known) => value = found.get_ref(),
+                Some((_, found)) if !self.struck.contains_key(&known) => value = found.get_ref(),
                 _ => {
                     known.pop();
                     break;
@@ -180,14 +185,14 @@ impl SourceText {
         known
     }
 
-    /// Strikes a key with all below it. Gives whether it stood there until now.
-    pub(super) fn strike(&mut self, keys: Vec<String>) -> bool {
-        self.struck.insert(keys)
+    /// Strikes a key with all below it, and writes what was meant there. Gives whether it stood there until now.
+    pub(super) fn strike(&mut self, keys: Vec<String>, meant: Option<String>) -> bool {
+        self.struck.insert(keys, meant).is_none()
     }
 
     /// Whether an error about these keys may come of what was struck.
     pub(super) fn follows(&self, keys: &[String]) -> bool {
-        let mut struck = self.struck.iter();
+        let mut struck = self.struck.keys();
         struck.any(|struck| struck.starts_with(keys) || keys.starts_with(struck))
     }
 
@@ -218,7 +223,7 @@ impl SourceText {
             ["managers", name] => Some(name.to_owned()),
             _ => None,
         };
-        self.struck.iter().filter_map(name).collect()
+        self.struck.keys().filter_map(name).collect()
     }
 
     fn line_at(&self, offset: usize) -> usize {
@@ -341,7 +346,7 @@ mod tests {
             let error = source.error(keys, String::new());
             assert_eq!((error.line, error.key.as_deref()), (Some(line), Some(key)));
         }
-        source.strike(keys(&["contexts", "0"]));
+        source.strike(keys(&["contexts", "0"]), None);
         let error = source.error(&["contexts", "0", "kind"], String::new());
         assert_eq!(
             (error.line, error.key.as_deref()),
@@ -359,16 +364,16 @@ mod tests {
             source.nearest_to(&keys(&["b", "0", "c", "deeper"])),
             ["b", "0", "c"]
         );
-        source.strike(keys(&["b", "0", "c"]));
+        source.strike(keys(&["b", "0", "c"]), None);
         assert_eq!(
             source.nearest_to(&keys(&["b", "0", "c"])),
             ["b", "0"],
             "it is gone"
         );
-        source.strike(keys(&["a"]));
+        source.strike(keys(&["a"]), Some("2".to_owned()));
         let rest: toml::Table = source.read().expect("TOML");
-        assert_eq!(rest.to_string(), "b = [{ d = 2 }, 3]\n");
-        source.strike(Vec::new());
+        assert_eq!(rest.to_string(), "a = \"2\"\nb = [{ d = 2 }, 3]\n");
+        source.strike(Vec::new(), None);
         assert!(source.read::<toml::Table>().expect("TOML").is_empty());
     }
 }

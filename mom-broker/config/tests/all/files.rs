@@ -382,7 +382,11 @@ fn wrong_managers() {
         "contexts[0].manager",
         "lab",
     );
-    check("[managers.a]\n¦kind = \"role\"\n", "managers.a.kind", "roles");
+    check(
+        "[managers.a]\n¦kind = \"role\"\nrules = []\n",
+        "managers.a.kind",
+        "did you mean roles?",
+    );
     check("¦[managers.a]\nrules = []\n", "managers.a.kind", "kind");
     check(
         "[managers.a]\nkind = \"level-or-lease\"\n¦lease = 0\n",
