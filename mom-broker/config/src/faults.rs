@@ -3,8 +3,8 @@
 use super::source::SourceText;
 use super::{Config, ConfigError, ConfigErrors};
 
-/// More faults are not told at once.
-const MOST: usize = 100;
+/// After so many nothing more is looked for: each may cost another reading.
+pub(super) const MOST: usize = 100;
 
 /// The files of a configuration while they are read.
 pub(super) struct Reading<F> {
@@ -55,11 +55,16 @@ impl<F: Fn(&str) -> Result<SourceText, ConfigError>> Reading<F> {
         let users = self.users.as_ref().map(|users| users.name.clone());
         self.found.sort_by_key(|error| (error.file == users, error.line));
         self.found.dedup();
+        if self.found.len() >= MOST {
+            let text = format!("more may be wrong; after {MOST} faults nothing more is looked for");
+            self.found.push(ConfigError::of_file(&self.config.name, text));
+        }
         Err(ConfigErrors(self.found))
     }
 
     /// Strikes what is at fault, and tells what does not only come of what was struck before. Gives whether there may be more.
-    fn take(&mut self, faults: Vec<ConfigError>) -> bool {
+    fn take(&mut self, mut faults: Vec<ConfigError>) -> bool {
+        faults.truncate(MOST);
         // Judged before anything is struck for them: none of them follows from another.
         let judged: Vec<(Vec<String>, bool)> = faults
             .iter()

@@ -6,6 +6,7 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::ConfigError;
+use super::faults::MOST;
 use super::source::SourceText;
 
 /// Longer lists of words are not told where one of them is near.
@@ -53,6 +54,9 @@ struct Shape<'a> {
 
 impl Shape<'_> {
     fn tell(&mut self, text: String, meant: Option<&str>) {
+        if self.found.len() >= MOST {
+            return;
+        }
         let keys: Vec<&str> = self.keys.iter().map(String::as_str).collect();
         self.found.push(ConfigError {
             meant: meant.map(str::to_owned),

@@ -174,12 +174,12 @@ impl ServeArgs {
             Err(BrokerError::Config(errors)) => {
                 // A line for each, as logs are read.
                 for error in errors.iter() {
-                    tracing::error!("{error}; the configuration stays as it was");
+                    tracing::error!("the configuration stays as it was: {error}");
                 }
                 return Reloaded::Refused;
             }
             Err(error) => {
-                tracing::error!("{error}; the configuration stays as it was");
+                tracing::error!("the configuration stays as it was: {error}");
                 return Reloaded::Refused;
             }
         };

@@ -343,3 +343,26 @@ fn all_faults_are_told_at_once() {
     ];
     assert_eq!(told, expected, "{errors}");
 }
+
+/// However much is wrong, and in a file that names itself as its users file, reading comes to an end.
+#[test]
+fn the_list_is_bounded() {
+    let folder = TempDir::new().expect("a folder");
+    let file = folder.path().join("mom.toml");
+    let told = |text: &str| {
+        fs::write(&file, text).expect("written");
+        let errors = Config::load(&file).expect_err("much is wrong");
+        errors.iter().map(ToString::to_string).collect::<Vec<_>>()
+    };
+    let entry = |index: usize| format!("[[contexts]]\npath = \"/{index}\"\nkind = \"channel\"\n");
+    let wrong: [&dyn Fn(usize) -> String; 2] = [&|index| entry(index) + "colour = 1\n", &|index| {
+        entry(index) + "manager = \"nobody\"\n"
+    }];
+    for wrong in wrong {
+        let told = told(&(0..150).map(wrong).collect::<String>());
+        assert_eq!(told.len(), 101, "{told:#?}");
+        assert!(told[100].contains("more may be wrong"), "{}", told[100]);
+    }
+    let told = told("users = \"mom.toml\"\nlog = \"info\"\n");
+    assert!(!told.is_empty() && told.len() < 5, "{told:#?}");
+}
