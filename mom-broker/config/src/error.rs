@@ -17,6 +17,12 @@ pub struct ConfigError {
     pub text: String,
     /// Nothing need be wrong: this process had no descriptor left to read the file with.
     pub busy: bool,
+    pub(crate) at: Box<FaultPlace>,
+}
+
+/// Where a fault is, for reading on without it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct FaultPlace {
     /// The keys of `key`, one by one.
     pub(crate) keys: Vec<String>,
     /// The word that was probably meant there.
@@ -68,8 +74,7 @@ impl ConfigError {
             key: None,
             text: text.into(),
             busy: false,
-            keys: Vec::new(),
-            meant: None,
+            at: Box::default(),
         }
     }
 
@@ -81,8 +86,7 @@ impl ConfigError {
             key,
             text,
             busy: false,
-            keys: Vec::new(),
-            meant: None,
+            at: Box::default(),
         }
     }
 }

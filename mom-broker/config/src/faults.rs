@@ -70,7 +70,7 @@ impl<F: Fn(&str) -> Result<SourceText, ConfigError>> Reading<F> {
             .iter()
             .map(|fault| {
                 (
-                    self.source_of(fault).nearest_to(&fault.keys),
+                    self.source_of(fault).nearest_to(&fault.at.keys),
                     self.is_consequence(fault),
                 )
             })
@@ -78,13 +78,13 @@ impl<F: Fn(&str) -> Result<SourceText, ConfigError>> Reading<F> {
         let mut struck = false;
         for (fault, (at, known)) in faults.into_iter().zip(judged) {
             // What was meant stands in only for what was written there, and not for what holds it.
-            let meant = fault.meant.clone().filter(|_| at == fault.keys);
+            let meant = fault.at.meant.clone().filter(|_| at == fault.at.keys);
             struck |= match &mut self.users {
                 Some(users) if fault.file.as_ref() == Some(&users.name) => users.strike(at, meant),
                 _ => self.config.strike(at, meant),
             };
-            let again = |told: &ConfigError| told.file == fault.file && told.keys == fault.keys;
-            if !known && (fault.keys.is_empty() || !self.found.iter().any(again)) {
+            let again = |told: &ConfigError| told.file == fault.file && told.at.keys == fault.at.keys;
+            if !known && (fault.at.keys.is_empty() || !self.found.iter().any(again)) {
                 self.found.push(fault);
             }
         }
@@ -98,16 +98,17 @@ impl<F: Fn(&str) -> Result<SourceText, ConfigError>> Reading<F> {
     }
 
     fn is_consequence(&self, fault: &ConfigError) -> bool {
-        let same_line =
-            |told: &ConfigError| told.file == fault.file && told.line == fault.line && told.keys.is_empty();
+        let same_line = |told: &ConfigError| {
+            told.file == fault.file && told.line == fault.line && told.at.keys.is_empty()
+        };
         let source = self.source_of(fault);
         // A context below one that was struck, or whatever names one or a manager.
-        let named = source.text_at(&fault.keys);
+        let named = source.text_at(&fault.at.keys);
         let refers = |name: &String| {
             let rest = named.as_ref().and_then(|named| named.strip_prefix(name.as_str()));
             rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
         };
-        source.follows(&fault.keys)
+        source.follows(&fault.at.keys)
             || self.found.iter().any(same_line)
             || source.struck_names().iter().any(refers)
     }

@@ -30,7 +30,7 @@ pub(super) fn faults(schema: &Value, source: &SourceText) -> Vec<ConfigError> {
 /// An error of the parser in words, for what a schema cannot say: the numbers that a type holds.
 pub(super) fn in_words(schema: &Value, error: ConfigError) -> ConfigError {
     let mut place = schema;
-    for key in &error.keys {
+    for key in &error.at.keys {
         place = resolve(schema, place);
         place = match &place["properties"][key] {
             Value::Null => &place["items"],
@@ -58,10 +58,9 @@ impl Shape<'_> {
             return;
         }
         let keys: Vec<&str> = self.keys.iter().map(String::as_str).collect();
-        self.found.push(ConfigError {
-            meant: meant.map(str::to_owned),
-            ..self.source.error(&keys, text)
-        });
+        let mut fault = self.source.error(&keys, text);
+        fault.at.meant = meant.map(str::to_owned);
+        self.found.push(fault);
     }
 
     fn tell_at(&mut self, key: &str, text: String, meant: Option<&str>) {

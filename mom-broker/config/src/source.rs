@@ -7,6 +7,7 @@ use serde::de::DeserializeOwned;
 use toml::Spanned;
 use toml::de::{DeArray, DeTable, DeValue, Deserializer};
 
+use super::error::FaultPlace;
 use super::{ConfigError, Location};
 
 /// A file's name and text, for errors that come after it was read.
@@ -123,7 +124,7 @@ impl SourceText {
         ConfigError {
             line: self.offset_of(&keys).map(|offset| self.line_at(offset)),
             key: Some(key_text(&keys)),
-            keys,
+            at: Box::new(FaultPlace { keys, meant: None }),
             ..ConfigError::of_file(&self.name, text)
         }
     }
