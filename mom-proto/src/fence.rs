@@ -95,7 +95,7 @@ mod tests {
         let fence = Fence::new(1_795_255_200, 7);
         assert_eq!(u64::from(fence), (1_795_255_200 << 20) + 7);
         assert_eq!((fence.epoch(), fence.number()), (1_795_255_200, 7));
-        assert_eq!(fence.to_string(), "1882451516620807");
+        assert_eq!(fence.to_string(), "1882461516595207");
         assert_eq!(Value::from(fence), Value::Int((1_795_255_200_i64 << 20) + 7));
         assert_eq!(Value::from(Fence::from(u64::MAX)), Value::Int(i64::MAX));
     }

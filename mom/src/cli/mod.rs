@@ -44,8 +44,8 @@ Exit codes: 0 done, 1 failed or refused, 2 a command line that makes no sense.";
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Options of every command")]
 pub(crate) struct GlobalArgs {
-    /// The hub: bin://HOST:PORT (binary) or tcp://HOST:PORT (XML); with a path, as bin://HOST:PORT/robot/arm, commands are
-    /// about that unless they are given another
+    /// The hub: bin://HOST:PORT (binary) or tcp://HOST:PORT (XML); a path after the port is that of commands
+    /// which are given none
     #[arg(
         long,
         global = true,

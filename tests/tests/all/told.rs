@@ -65,6 +65,8 @@ async fn the_path_of_an_address_is_the_place() {
         &[],
     );
     check(&mom(&option, &["chat"]).await, 0, &["/chat as carol"], &[]);
+    let after = mom("bin://nobody:1/chat", &["tree", "--hub", &hub("/robot")]).await;
+    check(&after, 0, &["arm", "token"], &["chat"]);
     // Where that makes no sense it is said what it is.
     check(
         &mom(&hub("/robot"), &["chat"]).await,
