@@ -48,12 +48,12 @@ impl SourceText {
         told
     }
 
-    /// A text without quotes, which the parser takes for the beginning of a number or time.
+    /// A text without quotes, which the parser takes for the beginning of a number or time. It may be a secret.
     fn unquoted_on(&self, line: usize) -> Option<String> {
         let (key, value) = self.text.lines().nth(line - 1)?.split_once('=')?;
         let value = value.split('#').next().unwrap_or_default().trim();
         let word = value.starts_with(char::is_alphabetic) && !value.contains(['"', '\'']);
-        word.then(|| format!("a text stands in quotes: {} = {value:?}", key.trim()))
+        word.then(|| format!("a text stands in quotes: {} = \"…\"", key.trim()))
     }
 
     /// All that is not struck.

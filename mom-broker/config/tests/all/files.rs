@@ -138,7 +138,7 @@ fn wrong_keys_and_types() {
     );
     check("[limits]\nparcel = 1\n¦parcel = 2\n", "parcel", "duplicate");
     check("log = \"a\"\n¦log \"b\"\n", "log \"b\"", "");
-    check("¦log = info # words\n", "log", "in quotes: log = \"info\"");
+    check("¦log = info # words\n", "log", "in quotes: log = \"…\"");
     check(
         "listen = [\"127.0.0.1:0\"\n¦connections = 5\n",
         "connections",
