@@ -160,7 +160,12 @@ impl Setup<'_> {
                 .unwrap_or(&place)
                 .trim_start_matches('/')
                 .to_owned();
-            let text = format!("in the manager {}: {}", self.label, error.text);
+            // The text of a fault inside of a parameter begins with its place, which the slot names.
+            let told = error
+                .text
+                .strip_prefix(&format!("{place}: "))
+                .unwrap_or(&error.text);
+            let text = format!("in the manager {}: {told}", self.label);
             let nearest = error.get("nearest").and_then(Value::as_str);
             WireError::new(error.code.clone(), text)
                 .slot(&key)

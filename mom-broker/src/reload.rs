@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::sync::Arc;
 
-use mom_config::{Config, ConfigError};
+use mom_config::{Config, ConfigError, ConfigErrors};
 use mom_hub::{Configuration, Input, PeerId, User};
 use mom_proto::{Limits, Map, Value};
 
@@ -46,7 +46,7 @@ impl Broker {
     ///
     /// # Errors
     /// The configuration is wrong; nothing was changed.
-    pub fn reload(&self, config: Config) -> Result<ReloadReport, ConfigError> {
+    pub fn reload(&self, config: Config) -> Result<ReloadReport, ConfigErrors> {
         let mut running = self.running.lock();
         let (config, needs_restart) = keep_fixed(&running, config);
         running.check_replacement(&config)?;
@@ -61,7 +61,10 @@ impl Broker {
             self.services.board.decide(input, &mut touched);
         };
         let (users, login) = (config.users.clone(), config.login.clone());
-        self.services.logins.replace(users, login, configure)?;
+        self.services
+            .logins
+            .replace(users, login, configure)
+            .map_err(ConfigError::from)?;
         *self.services.next_limits.write() = Arc::new(config.limits.clone());
         flush(&mut touched);
         *running = config;

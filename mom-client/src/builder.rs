@@ -185,7 +185,7 @@ impl Builder {
     /// Connects and logs in, without retrying unless [`wait_for_hub`](Builder::wait_for_hub) says so. Needs a tokio runtime, in which the client's tasks then run.
     ///
     /// # Errors
-    /// `Local` for a bad address or key, `Connection` and `TimedOut` for an unreachable hub, `Refused` with
+    /// `Address` for a wrong address, `Local` for a bad key, `Connection` and `TimedOut` for an unreachable hub, `Refused` with
     /// `bad-login` and other refusals of the hub.
     pub async fn connect(self) -> Result<Client, ClientError> {
         let connector = self.connector?;

@@ -35,6 +35,9 @@ pub enum ClientError {
     /// The client is closed for good: it logged out, or the hub closed with a code of 400–499 or gave it up.
     #[error("closed{}", .0.as_ref().map(|error| format!(": {error}")).unwrap_or_default())]
     Closed(Option<WireError>),
+    /// What was given as the address of a hub is none.
+    #[error("wrong address: {0}")]
+    Address(String),
     /// An error on this side: a bad path, content without a form on the wire, a malformed reply.
     #[error("{0}")]
     Local(WireError),
@@ -64,7 +67,7 @@ impl ClientError {
             ClientError::Connection(_) => ErrorKind::Connection,
             ClientError::TimedOut { .. } => ErrorKind::TimedOut,
             ClientError::Closed(_) => ErrorKind::Closed,
-            ClientError::Local(_) => ErrorKind::Local,
+            ClientError::Local(_) | ClientError::Address(_) => ErrorKind::Local,
         }
     }
 
@@ -73,7 +76,7 @@ impl ClientError {
         match self {
             ClientError::Refused(error) | ClientError::Local(error) => Some(error),
             ClientError::Closed(error) => error.as_ref(),
-            ClientError::Connection(_) | ClientError::TimedOut { .. } => None,
+            ClientError::Connection(_) | ClientError::TimedOut { .. } | ClientError::Address(_) => None,
         }
     }
 
@@ -101,7 +104,7 @@ impl From<WireError> for ClientError {
 impl From<NetError> for ClientError {
     fn from(error: NetError) -> ClientError {
         match error {
-            NetError::Address(_) => ClientError::Local(WireError::new(Code::BAD_NAME, error.to_string())),
+            NetError::Address { .. } => ClientError::Address(error.to_string()),
             other => ClientError::Connection(other.to_string()),
         }
     }
@@ -151,6 +154,12 @@ mod tests {
                 ErrorKind::Connection,
                 None,
                 "no connection: x",
+            ),
+            (
+                ClientError::Address("x".to_owned()),
+                ErrorKind::Local,
+                None,
+                "wrong address: x",
             ),
             (
                 timed_out,

@@ -121,7 +121,9 @@ pub(crate) async fn wait<T, F: Future<Output = Result<T, ClientError>>>(
         let error = match connect().await {
             Ok(connected) => return Ok(connected),
             // What is wrong on this side does not pass.
-            Err(error @ (ClientError::Local(_) | ClientError::Closed(_))) => return Err(error),
+            Err(error @ (ClientError::Local(_) | ClientError::Address(_) | ClientError::Closed(_))) => {
+                return Err(error);
+            }
             Err(error) => error,
         };
         let Next::Wait(wait) = attempts.after(&error) else {

@@ -34,33 +34,62 @@ impl std::str::FromStr for Address {
     type Err = NetError;
 
     fn from_str(text: &str) -> Result<Address, NetError> {
-        let bad = || NetError::Address(text.to_owned());
-        let (scheme, rest) = text.split_once("://").ok_or_else(bad)?;
-        let form = match scheme {
-            "tcp" => Form::Xml,
-            "bin" | "mom" => Form::Binary,
-            _ => return Err(bad()),
-        };
-        let (authority, path) = match rest.find('/') {
-            Some(at) if rest.len() > at + 1 => (&rest[..at], Some(Path::parse(&rest[at..])?)),
-            Some(at) => (&rest[..at], None),
-            None => (rest, None),
-        };
-        // A colon inside brackets belongs to an IPv6 address.
-        let (host, port) = match authority.rsplit_once(':') {
-            Some((host, port)) if !port.ends_with(']') => (host, port.parse().map_err(|_| bad())?),
-            _ => (authority, DEFAULT_PORT),
-        };
-        let host = host.trim_start_matches('[').trim_end_matches(']');
-        if host.is_empty() {
-            return Err(bad());
+        read(text).map_err(|why| NetError::Address {
+            text: text.to_owned(),
+            why,
+        })
+    }
+}
+
+/// Reads an address, or says what is wrong with it.
+fn read(text: &str) -> Result<Address, String> {
+    let (scheme, rest) = text
+        .split_once("://")
+        .ok_or("it does not begin with bin:// or tcp://")?;
+    let form = match scheme {
+        "tcp" => Form::Xml,
+        "bin" | "mom" => Form::Binary,
+        _ => return Err(format!("no hub is spoken to by {scheme}://")),
+    };
+    let (authority, path) = match rest.find('/') {
+        Some(at) if rest.len() > at + 1 => {
+            let path = Path::parse(&rest[at..]);
+            let path = path.map_err(|error| format!("its path is none: {}", error.text))?;
+            (&rest[..at], Some(path))
         }
-        Ok(Address {
+        Some(at) => (&rest[..at], None),
+        None => (rest, None),
+    };
+    // A colon inside brackets belongs to an IPv6 address.
+    let (host, port) = match authority.rsplit_once(':') {
+        Some((host, port)) if !port.ends_with(']') => (host, read_port(port)?),
+        _ => (authority, DEFAULT_PORT),
+    };
+    let inside = host.strip_prefix('[').and_then(|host| host.strip_suffix(']'));
+    let named = |c: char| c.is_alphanumeric() || matches!(c, '-' | '.' | '_');
+    match (inside, host) {
+        (None, "") => Err("it names no host".to_owned()),
+        (None, _) if host.contains(':') => Err("an IPv6 address stands in brackets, as [::1]".to_owned()),
+        (None, _) if !host.chars().all(named) => Err(format!("{host:?} is no name of a host")),
+        (Some(inside), _) if !inside.contains(':') => {
+            Err("brackets are for IPv6 addresses, as [::1]".to_owned())
+        }
+        _ => Ok(Address {
             form,
-            host: host.to_owned(),
+            host: inside.unwrap_or(host).to_owned(),
             port,
             path,
-        })
+        }),
+    }
+}
+
+/// Reads a port, or says what is wrong with it.
+fn read_port(text: &str) -> Result<u16, String> {
+    match text {
+        "" => Err("its port is missing after the colon".to_owned()),
+        _ => text
+            .parse()
+            .map_err(|_| format!("a port is a number from 0 to 65535, not {text:?}")),
     }
 }
 
@@ -96,17 +125,23 @@ mod tests {
         ] {
             assert_eq!(text.parse::<Address>().unwrap().to_string(), shown);
         }
-        for bad in [
-            "",
-            "lab:7666",
-            "http://lab",
-            "tcp://",
-            "tcp://:1",
-            "tcp://lab:x",
-            "tcp://lab:70000",
-            "tcp://l//x",
+        for (bad, why) in [
+            ("", "begin with"),
+            ("lab:7666", "begin with"),
+            ("http://lab", "http://"),
+            ("tcp://", "no host"),
+            ("tcp://:1", "no host"),
+            ("tcp://lab:", "port is missing"),
+            ("tcp://lab:x", "from 0 to 65535"),
+            ("tcp://lab:70000", "from 0 to 65535"),
+            ("tcp://l//x", "path"),
+            ("bin://no host:1", "no name of a host"),
+            ("bin://alice@lab:1", "no name of a host"),
+            ("bin://::1:7666", "brackets"),
+            ("bin://[lab]:7666", "brackets"),
         ] {
-            assert!(bad.parse::<Address>().is_err(), "{bad}");
+            let error = bad.parse::<Address>().unwrap_err().to_string();
+            assert!(error.contains(why), "{bad}: {error}");
         }
     }
 }

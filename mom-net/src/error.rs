@@ -13,9 +13,16 @@ pub enum NetError {
     /// The bytes on it, or a parcel that has no form on the wire.
     #[error(transparent)]
     Wire(#[from] WireError),
-    /// No address.
-    #[error("{0:?} is no address of a hub: write tcp://host:port (XML) or bin://host:port (binary)")]
-    Address(String),
+    /// No address, and what is wrong with it.
+    #[error(
+        "{text:?} is no address of a hub: {why}; write bin://HOST:PORT (binary) or tcp://HOST:PORT (XML)"
+    )]
+    Address {
+        /// What was written.
+        text: String,
+        /// What is wrong with it.
+        why: String,
+    },
 }
 
 impl NetError {

@@ -1,8 +1,8 @@
 //! Connects to the hub as the chosen user.
 
-use std::{env, fs};
+use std::{env, fmt, fs};
 
-use mom_client::{Builder, Client, ClientError, Code, Key, Proof, WireError};
+use mom_client::{Address, Builder, Client, ClientError, Code, Key, Proof, WireError};
 
 use crate::cli::GlobalArgs;
 use crate::failure::Failure;
@@ -18,6 +18,8 @@ pub(crate) enum Stay {
 
 /// Connects and logs in.
 pub(crate) async fn connect(global: &GlobalArgs, stay: Stay) -> Result<Client, Failure> {
+    // Nobody is asked for a password for nothing.
+    global.hub.parse::<Address>().map_err(wrong_address)?;
     let who = UserLogin::of(global)?;
     let builder = who.prove(Client::builder(&global.hub));
     let builder = match stay {
@@ -104,12 +106,15 @@ fn password(user: &str, hub: &str) -> Result<String, Failure> {
     })
 }
 
+fn wrong_address(error: impl fmt::Display) -> Failure {
+    Failure::usage(
+        format!("wrong address: {error}"),
+        "it comes from --hub, or from MOM_HUB",
+    )
+}
+
 fn explain(hub: &str, who: &UserLogin<'_>, error: ClientError) -> Failure {
     match error {
-        ClientError::Local(error) => Failure::usage(
-            format!("--hub {hub}: {}", error.text),
-            "an address looks like bin://127.0.0.1:7666 (binary) or tcp://127.0.0.1:7666 (XML)",
-        ),
         ClientError::Connection(text) => Failure::new(
             format!(
                 "cannot reach a hub at {hub}: {}",

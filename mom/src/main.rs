@@ -10,7 +10,7 @@ mod output;
 
 use std::process::ExitCode;
 
-use clap::{CommandFactory as _, Parser as _};
+use clap::CommandFactory as _;
 
 use crate::cli::Cli;
 use crate::failure::Failure;
@@ -21,7 +21,7 @@ fn main() -> ExitCode {
     if std::env::args_os().len() == 1 {
         return output::help(&mut Cli::command());
     }
-    let cli = Cli::parse();
+    let cli = cli::parse();
     let output = Output::new(cli.global.json);
     let runtime = match tokio::runtime::Builder::new_multi_thread().enable_all().build() {
         Ok(runtime) => runtime,

@@ -17,6 +17,53 @@ pub struct ConfigError {
     pub text: String,
     /// Nothing need be wrong: this process had no descriptor left to read the file with.
     pub busy: bool,
+    pub(crate) at: Box<FaultPlace>,
+}
+
+/// Where a fault is, for reading on without it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct FaultPlace {
+    /// The keys of `key`, one by one.
+    pub(crate) keys: Vec<String>,
+    /// The word that was probably meant there.
+    pub(crate) meant: Option<String>,
+}
+
+/// All that is wrong with a configuration: at least one error, in the order of the files.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ConfigErrors(pub(crate) Vec<ConfigError>);
+
+impl ConfigErrors {
+    /// One by one.
+    pub fn iter(&self) -> impl Iterator<Item = &ConfigError> {
+        self.0.iter()
+    }
+
+    /// Nothing need be wrong: this process had no descriptor left to read a file with.
+    pub fn busy(&self) -> bool {
+        self.0.iter().any(|error| error.busy)
+    }
+}
+
+impl std::error::Error for ConfigErrors {}
+
+impl From<ConfigError> for ConfigErrors {
+    fn from(error: ConfigError) -> ConfigErrors {
+        ConfigErrors(vec![error])
+    }
+}
+
+/// One as it is; more with their number, and a line for each.
+impl fmt::Display for ConfigErrors {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let [error] = &self.0[..] {
+            return error.fmt(formatter);
+        }
+        write!(formatter, "{} faults:", self.0.len())?;
+        self.0
+            .iter()
+            .try_for_each(|error| write!(formatter, "\n  {error}"))
+    }
 }
 
 impl ConfigError {
@@ -27,6 +74,19 @@ impl ConfigError {
             key: None,
             text: text.into(),
             busy: false,
+            at: Box::default(),
+        }
+    }
+
+    /// Of a configuration that was made in a program.
+    pub(crate) fn of_program(key: Option<String>, text: String) -> ConfigError {
+        ConfigError {
+            file: None,
+            line: None,
+            key,
+            text,
+            busy: false,
+            at: Box::default(),
         }
     }
 }
@@ -36,13 +96,7 @@ impl std::error::Error for ConfigError {}
 impl From<SettingError> for ConfigError {
     /// Of a configuration that was made in a program.
     fn from(error: SettingError) -> ConfigError {
-        ConfigError {
-            file: None,
-            line: None,
-            key: Some(error.keys().join(".")),
-            text: error.text,
-            busy: false,
-        }
+        ConfigError::of_program(Some(error.keys().join(".")), error.text)
     }
 }
 

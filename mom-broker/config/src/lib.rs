@@ -2,6 +2,7 @@
 
 mod error;
 mod explain;
+mod faults;
 mod journal;
 mod load;
 mod locate;
@@ -10,6 +11,8 @@ mod managers;
 mod replace;
 mod review;
 mod schema;
+mod shape;
+mod source;
 mod users;
 
 use std::collections::BTreeMap;
@@ -22,12 +25,13 @@ use mom_proto::{Limits, Value};
 use mom_store::StoreConfig;
 use serde::Deserialize;
 
-pub use error::ConfigError;
+pub use error::{ConfigError, ConfigErrors};
 pub use explain::{Asked, Explanation, Supposed};
+pub use load::check_address;
 pub use locate::Location;
 pub use schema::{config_schema, users_schema};
 
-use locate::SourceText;
+use source::SourceText;
 
 /// The whole configuration of a broker.
 ///
@@ -162,13 +166,29 @@ impl Config {
     ///
     /// # Errors
     /// What is wrong, with file, line and key where it came from a file.
-    pub fn check(&self) -> Result<(), ConfigError> {
-        for name in self.managers.keys() {
-            let built = self.registry().build(&Value::from(name.as_str()));
-            built.map_err(|error| self.locate_manager(name, &error))?;
+    pub fn check(&self) -> Result<(), ConfigErrors> {
+        let faults = self.faults();
+        match faults.is_empty() {
+            true => Ok(()),
+            false => Err(ConfigErrors(faults)),
         }
-        self.check_login()?;
-        self.hub().map(|_| ())
+    }
+
+    /// What [`Config::check`] finds; of contexts only the first that is wrong, because others may lie below it.
+    pub(crate) fn faults(&self) -> Vec<ConfigError> {
+        let registry = self.registry();
+        let built = |name: &String| registry.build(&Value::from(name.as_str()));
+        let managers = self.managers.keys();
+        let mut found: Vec<ConfigError> = managers
+            .filter_map(|name| Some(self.locate_manager(name, &built(name).err()?)))
+            .collect();
+        found.extend(self.check_login().err());
+        // A manager that cannot be made would be told again by each of its contexts.
+        if found.is_empty() {
+            found.extend(self.hub().err());
+            found.extend(self.unsafe_states());
+        }
+        found
     }
 
     /// A hub of this configuration without peers, for hypothetical requests.

@@ -1,18 +1,20 @@
 //! From files to a configuration.
 
 use std::collections::BTreeMap;
+use std::net::{Ipv4Addr, Ipv6Addr};
 use std::path::Path;
 
 use mom_hub::ContextSpec;
 use mom_journal::{AuditConfig, RecordConfig};
-use mom_login::LoginConfig;
+use mom_login::{LoginConfig, UserEntry};
 use mom_proto::{HARD_DEPTH, Limits, Value};
 use mom_store::StoreConfig;
 use serde::Deserialize;
 use tracing_subscriber::EnvFilter;
 
-use super::locate::SourceText;
-use super::{Config, ConfigError, ReloadOn, users};
+use super::faults::Reading;
+use super::source::SourceText;
+use super::{Config, ConfigError, ConfigErrors, ReloadOn, config_schema, shape, users};
 
 const LAB: &str = include_str!("../../../config/lab.toml");
 const LAB_USERS: &str = include_str!("../../../config/lab-users.toml");
@@ -86,10 +88,10 @@ impl Config {
     /// Reads a configuration file and the users file that it names, which lies relative to it, as does the store.
     ///
     /// # Errors
-    /// What is wrong, with file, line and key.
-    pub fn load(path: &Path) -> Result<Config, ConfigError> {
+    /// All that is wrong, with file, line and key.
+    pub fn load(path: &Path) -> Result<Config, ConfigErrors> {
         let folder = path.parent().unwrap_or(Path::new("."));
-        let mut config = Config::parse(read(path)?, |name| read(&folder.join(name)))?;
+        let mut config = Reading::new(read(path)?, |name| read(&folder.join(name))).finish()?;
         config.store.resolve(folder);
         Ok(config)
     }
@@ -99,21 +101,30 @@ impl Config {
     /// # Panics
     /// Never: a test reads the same files.
     pub fn lab() -> Config {
-        let source = |name: &str, text: &str| SourceText {
-            name: name.to_owned(),
-            text: text.to_owned(),
-        };
-        let users = source("config/lab-users.toml", LAB_USERS);
-        Config::parse(source("config/lab.toml", LAB), |_| Ok(users.clone()))
-            .expect("the built-in lab is tested")
+        let users = SourceText::new("config/lab-users.toml", LAB_USERS);
+        let lab = SourceText::new("config/lab.toml", LAB);
+        let reading = Reading::new(lab, |_: &str| Ok(users.clone()));
+        reading.finish().expect("the built-in lab is tested")
     }
 
-    fn parse(
-        source: SourceText,
-        beside: impl Fn(&str) -> Result<SourceText, ConfigError>,
-    ) -> Result<Config, ConfigError> {
-        let mut file: ConfigDocument = toml::from_str(&source.text).map_err(|error| source.syntax(&error))?;
-        check(&file, &source)?;
+    /// Reads what is left of the files.
+    ///
+    /// # Errors
+    /// What is wrong, as far as it was read.
+    pub(crate) fn read_once<F>(reading: &mut Reading<F>) -> Result<Config, Vec<ConfigError>>
+    where
+        F: Fn(&str) -> Result<SourceText, ConfigError>,
+    {
+        let source = &reading.config;
+        let schema = config_schema();
+        let faults = shape::faults(&schema, source);
+        if !faults.is_empty() {
+            return Err(faults);
+        }
+        let mut file: ConfigDocument = source
+            .read()
+            .map_err(|error| vec![shape::in_words(&schema, error)])?;
+        let mut faults = check(&file, source);
         let folder = Path::new(&source.name).parent().unwrap_or(Path::new("."));
         file.audit.resolve(folder);
         file.record.resolve(folder);
@@ -121,47 +132,67 @@ impl Config {
             busy: error.busy,
             ..source.error(keys, error.to_string())
         };
-        let users_source = file.users.as_deref().map(&beside).transpose();
-        let users_source = users_source.map_err(|error| unread(&["users"], error))?;
-        let users = match &users_source {
-            Some(users) => users::parse(users, file.login.guests)?,
-            None => Vec::new(),
-        };
         if let Some(jwt) = &mut file.login.jwt {
-            let text = |name: &str| beside(name).map(|file| file.text);
-            jwt.key
-                .read(|name| text(name).map_err(|error| unread(&["login", "jwt", "key"], error)))?;
+            let text = |name: &str| (reading.beside)(name).map(|file| file.text);
+            let read = jwt
+                .key
+                .read(|name| text(name).map_err(|error| unread(&["login", "jwt", "key"], error)));
+            faults.extend(read.err());
         }
-        let config = Config {
-            listen: file.listen,
-            connections: file.connections,
-            connections_before_login: file.connections_before_login,
-            connections_per_address: file.connections_per_address,
-            connections_per_user: file.connections_per_user,
-            memory: file.memory,
-            log: file.log,
-            reload: file.reload,
-            limits: file.limits,
-            login: file.login,
-            store: file.store,
-            audit: file.audit,
-            record: file.record,
-            root: file.root,
-            managers: file.managers,
-            contexts: file.contexts,
-            users,
-            source: Some(source),
-            users_source,
+        if let (Some(name), None) = (&file.users, &reading.users) {
+            match (reading.beside)(name) {
+                Ok(users) => reading.users = Some(reading.open(users)),
+                Err(error) => faults.push(unread(&["users"], error)),
+            }
+        }
+        let users_source = reading.users.clone().filter(|_| file.users.is_some());
+        let users = match &users_source {
+            Some(users) => users::parse(users, file.login.guests),
+            None => Ok(Vec::new()),
         };
-        config.check()?;
-        Ok(config)
+        let users = users.unwrap_or_else(|more| {
+            faults.extend(more);
+            Vec::new()
+        });
+        let config = file.into_config(users, (reading.config.clone(), users_source));
+        faults.extend(config.faults());
+        match faults.is_empty() {
+            true => Ok(config),
+            false => Err(faults),
+        }
+    }
+}
+
+impl ConfigDocument {
+    fn into_config(self, users: Vec<UserEntry>, sources: (SourceText, Option<SourceText>)) -> Config {
+        Config {
+            listen: self.listen,
+            connections: self.connections,
+            connections_before_login: self.connections_before_login,
+            connections_per_address: self.connections_per_address,
+            connections_per_user: self.connections_per_user,
+            memory: self.memory,
+            log: self.log,
+            reload: self.reload,
+            limits: self.limits,
+            login: self.login,
+            store: self.store,
+            audit: self.audit,
+            record: self.record,
+            root: self.root,
+            managers: self.managers,
+            contexts: self.contexts,
+            users,
+            source: Some(sources.0),
+            users_source: sources.1,
+        }
     }
 }
 
 fn read(path: &Path) -> Result<SourceText, ConfigError> {
     let name = path.display().to_string();
     match std::fs::read_to_string(path) {
-        Ok(text) => Ok(SourceText { name, text }),
+        Ok(text) => Ok(SourceText::new(name, text)),
         Err(error) => Err(ConfigError {
             busy: matches!(error.raw_os_error(), Some(libc::EMFILE | libc::ENFILE)),
             ..ConfigError::of_file(&name, format!("cannot be read: {error}"))
@@ -169,56 +200,31 @@ fn read(path: &Path) -> Result<SourceText, ConfigError> {
     }
 }
 
-fn check(file: &ConfigDocument, source: &SourceText) -> Result<(), ConfigError> {
-    let optional = [
-        ("connections-before-login", file.connections_before_login),
-        ("connections-per-address", file.connections_per_address),
-        ("connections-per-user", file.connections_per_user),
-        ("memory", file.memory),
-    ];
-    let optional = optional.map(|(key, number)| (key, number.map_or(1, |number| number as u64), key));
-    let at_least_one = [
-        ("connections", file.connections as u64, "connections"),
-        ("limits", file.limits.heartbeat, "heartbeat"),
-        ("limits", file.limits.gone, "gone"),
-        ("limits", file.limits.login_time, "login-time"),
-        ("limits", file.limits.future, "future"),
-        ("limits", file.limits.outbox as u64, "outbox"),
-        ("limits", file.limits.burst as u64, "burst"),
-        ("limits", file.limits.send_wait, "send-wait"),
-        ("limits", file.limits.stalled, "stalled"),
-        ("limits", file.limits.before_login as u64, "before-login"),
-        ("limits", file.limits.attributes as u64, "attributes"),
-        ("limits", file.limits.attribute_size as u64, "attribute-size"),
-        ("limits", file.limits.path as u64, "path"),
-        ("limits", file.limits.path_levels as u64, "path-levels"),
-        ("limits", file.limits.header as u64, "header"),
-        ("limits", file.limits.parts as u64, "parts"),
-    ];
-    for (table, value, key) in optional.into_iter().chain(at_least_one) {
-        if value == 0 {
-            let keys = if table == key { vec![key] } else { vec![table, key] };
-            return Err(source.error(&keys, format!("{key} is a number from 1")));
-        }
-    }
+/// Checks what a schema cannot say.
+fn check(file: &ConfigDocument, source: &SourceText) -> Vec<ConfigError> {
+    let mut found = Vec::new();
+    let mut wrong = |keys: &[&str], text: String| found.push(source.error(keys, text));
     if let Err(error) = EnvFilter::try_new(&file.log) {
         let text = format!(
             "{:?} is no filter, such as info or mom_broker=debug: {error}",
             file.log
         );
-        return Err(source.error(&["log"], text));
+        wrong(&["log"], text);
     }
     if file.listen.is_empty() {
-        return Err(source.error(
-            &["listen"],
-            "a broker needs an address to listen at, such as 127.0.0.1:7666".into(),
-        ));
+        let text = "a broker needs an address to listen at, such as 127.0.0.1:7666";
+        wrong(&["listen"], text.to_owned());
     }
-    if !(1..=HARD_DEPTH).contains(&file.limits.depth) {
-        return Err(source.error(
+    for (index, address) in file.listen.iter().enumerate() {
+        if let Err(text) = check_address(address) {
+            wrong(&["listen", &index.to_string()], text);
+        }
+    }
+    if file.limits.depth > HARD_DEPTH {
+        wrong(
             &["limits", "depth"],
             format!("depth is a number from 1 to {HARD_DEPTH}"),
-        ));
+        );
     }
     let longest = Limits::default();
     for (value, most, key) in [
@@ -226,35 +232,61 @@ fn check(file: &ConfigDocument, source: &SourceText) -> Result<(), ConfigError> 
         (file.limits.path_levels, longest.path_levels, "path-levels"),
     ] {
         if value > most {
-            return Err(source.error(
+            wrong(
                 &["limits", key],
                 format!("{key} is at most {most}: no path is longer"),
-            ));
+            );
         }
     }
     if file.limits.gone <= file.limits.heartbeat {
         let text = "gone has to be longer than heartbeat, or every quiet peer is lost";
-        return Err(source.error(&["limits", "gone"], text.to_owned()));
-    }
-    check_files(file, source)
-}
-
-/// Checks what is written: the store, the audit log, the recording.
-fn check_files(file: &ConfigDocument, source: &SourceText) -> Result<(), ConfigError> {
-    for (table, size, least) in [
-        ("audit", file.audit.size, AuditConfig::LEAST),
-        ("record", file.record.size, RecordConfig::LEAST),
-    ] {
-        if size < least {
-            let text = format!("size is a number of bytes from {least}");
-            return Err(source.error(&[table, "size"], text));
-        }
+        let named = ["gone", "heartbeat"]
+            .into_iter()
+            .find(|key| source.has(&["limits", key]));
+        wrong(&["limits", named.unwrap_or("gone")], text.to_owned());
     }
     for (key, path) in [("path", &file.store.path), ("state", &file.store.state)] {
         if path.as_ref().is_some_and(|path| path.as_os_str().is_empty()) {
             let text = format!("{key} is a directory such as \"state\", relative to this file");
-            return Err(source.error(&["store", key], text));
+            wrong(&["store", key], text);
         }
     }
-    Ok(())
+    found
+}
+
+/// Checks an address to listen at.
+///
+/// # Errors
+/// What is wrong with it.
+pub fn check_address(address: &str) -> Result<(), String> {
+    let example = "write it as 127.0.0.1:7666, or [::1]:7666";
+    let Some((host, port)) = address.rsplit_once(':') else {
+        return Err(format!("{address:?} has no port; {example}"));
+    };
+    if port.parse::<u16>().is_err() {
+        return Err(format!(
+            "a port is a whole number from 0 to 65535, not {port:?}; 0 takes any free one"
+        ));
+    }
+    let named = |c: char| c.is_alphanumeric() || matches!(c, '-' | '.' | '_');
+    let right = match host.strip_prefix('[').and_then(|host| host.strip_suffix(']')) {
+        Some(inside) => inside.parse::<Ipv6Addr>().is_ok(),
+        None if host.chars().all(|c| c.is_ascii_digit() || c == '.') => host.parse::<Ipv4Addr>().is_ok(),
+        None => host.chars().all(named),
+    };
+    match right {
+        true => Ok(()),
+        false => Err(format!("{host:?} is no address of this machine; {example}")),
+    }
+}
+
+/// What the parser says of a text by itself, without the schema.
+#[cfg(test)]
+pub(crate) fn parser_error(text: &str) -> Option<String> {
+    let file: ConfigDocument = match toml::from_str(text) {
+        Ok(file) => file,
+        Err(error) => return Some(error.message().to_owned()),
+    };
+    let config = file.into_config(Vec::new(), (SourceText::default(), None));
+    config.faults().first().map(|error| error.text.clone())
 }

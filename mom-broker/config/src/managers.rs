@@ -76,7 +76,7 @@ impl Config {
             .unwrap_or_default()
     }
 
-    fn entry_of(&self, context: &str) -> Option<usize> {
+    pub(super) fn entry_of(&self, context: &str) -> Option<usize> {
         self.contexts
             .iter()
             .position(|spec| spec.path.as_deref() == Some(context))

@@ -1,6 +1,6 @@
 //! Files that a running broker does not go by although they can be read: they were lost or cut off on their way to the disk.
 
-use super::locate::SourceText;
+use super::source::SourceText;
 use super::{Config, ConfigError};
 
 impl Config {

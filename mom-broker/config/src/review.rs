@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use mom_hub::ContextSpec;
 use mom_login::{GUEST, JwtConfig, JwtUsers};
 use mom_proto::{Map, Value, event};
 
@@ -150,6 +151,32 @@ impl Config {
         inner.iter().for_each(|spec| self.collect_names(spec, used));
     }
 
+    /// Safe states that can never be sent: no message has such a name, or the token does not guard the channel.
+    pub(super) fn unsafe_states(&self) -> Vec<ConfigError> {
+        let mut found = Vec::new();
+        for (entry, token) in self.contexts.iter().enumerate() {
+            let Some(safe) = &token.safe else { continue };
+            let at = ["contexts", &entry.to_string()];
+            found.extend(safe.check_name().err().map(|error| self.at(&at, &error)));
+            let mut contexts = self.contexts.iter();
+            let channel = contexts.find(|context| context.path.as_deref() == Some(&safe.channel));
+            let guard = channel.map(|channel| channel.guard.as_ref().map(|guard| &guard.token));
+            let path = token.path.as_deref().unwrap_or_default();
+            let why = match guard {
+                None => continue,
+                // A guard by a token that is not there is told as that.
+                Some(Some(guard)) if guard == path || self.entry_of(guard).is_none() => continue,
+                Some(Some(guard)) => format!("{} is guarded by {guard}, not by {path}", safe.channel),
+                Some(None) => format!("{} is not guarded by {path}", safe.channel),
+            };
+            let text = format!(
+                "{why}, so this safe state could never be sent there; name a channel that this token guards"
+            );
+            found.push(self.remark(&[at[0], at[1], "safe", "channel"], text));
+        }
+        found
+    }
+
     /// Guards that guard nothing, and safe states that reach nobody.
     fn review_context(&self, entry: usize, found: &mut Vec<ConfigError>) {
         let context = &self.contexts[entry];
@@ -167,13 +194,10 @@ impl Config {
             }
         }
         if let Some(safe) = &context.safe {
-            let guarded = self.contexts.iter().any(|channel| {
-                let guard = channel.guard.as_ref().map(|guard| guard.token.as_str());
-                channel.path.as_deref() == Some(safe.channel.as_str()) && guard == context.path.as_deref()
-            });
-            if !guarded {
+            let named = |channel: &ContextSpec| channel.path.as_deref() == Some(safe.channel.as_str());
+            if !self.contexts.iter().any(named) {
                 let text = format!(
-                    "{} is not guarded by this token, so the safe state reaches nobody there",
+                    "this file has no {}; the safe state reaches somebody only if a peer makes that channel, guarded by this token",
                     safe.channel
                 );
                 self.warn(&at(&["safe", "channel"]), text, found);

@@ -3,8 +3,8 @@
 use mom_login::UserEntry;
 use serde::Deserialize;
 
-use crate::ConfigError;
-use crate::locate::SourceText;
+use crate::source::SourceText;
+use crate::{ConfigError, shape, users_schema};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -14,19 +14,39 @@ struct UsersFile {
 }
 
 /// Reads a users file's text.
-pub(super) fn parse(source: &SourceText, guests: bool) -> Result<Vec<UserEntry>, ConfigError> {
-    let UsersFile { users } = toml::from_str(&source.text).map_err(|error| source.syntax(&error))?;
+///
+/// # Errors
+/// All that is wrong, as far as it was read.
+pub(super) fn parse(source: &SourceText, guests: bool) -> Result<Vec<UserEntry>, Vec<ConfigError>> {
+    let schema = users_schema();
+    let mut faults = shape::faults(&schema, source);
+    if !faults.is_empty() {
+        return Err(faults);
+    }
+    let UsersFile { users } = source
+        .read()
+        .map_err(|error| vec![shape::in_words(&schema, error)])?;
     for (index, user) in users.iter().enumerate() {
         let index_key = index.to_string();
         let at = |keys: &[&str], text: String| {
             let keys = ["users", &index_key].into_iter().chain(keys.iter().copied());
             source.error(&keys.collect::<Vec<_>>(), text)
         };
-        user.check(guests)
-            .map_err(|error| at(&error.keys(), error.text.clone()))?;
-        if users[..index].iter().any(|other| other.name == user.name) {
-            return Err(at(&["name"], format!("there are two users {:?}", user.name)));
+        if let Err(error) = user.check(guests) {
+            faults.push(at(&error.keys(), error.text.clone()));
+        } else if users[..index].iter().any(|other| other.name == user.name) {
+            faults.push(at(&["name"], format!("there are two users {:?}", user.name)));
         }
     }
-    Ok(users)
+    match faults.is_empty() {
+        true => Ok(users),
+        false => Err(faults),
+    }
+}
+
+/// What the parser says of a text by itself, without the schema.
+#[cfg(test)]
+pub(super) fn parser_error(text: &str) -> Option<String> {
+    let error = toml::from_str::<UsersFile>(text).err()?;
+    Some(error.message().to_owned())
 }

@@ -82,7 +82,7 @@ impl UserEntry {
                 "{} has neither password nor keys; make one with: mom-broker passwd {0}, or: mom keygen",
                 self.name
             );
-            return wrong(&["name"], text);
+            return wrong(&[], text);
         }
         Ok(())
     }

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_config::{Config, ConfigError};
+use mom_config::{Config, ConfigError, ConfigErrors};
 use mom_hub::{Input, Settings};
 use mom_journal::{Tap, WriteError};
 use mom_login::{LoginStats, Logins};
@@ -38,7 +38,7 @@ const LAST_RECORDS: Duration = Duration::from_secs(1);
 pub enum BrokerError {
     /// Its configuration is wrong.
     #[error(transparent)]
-    Config(#[from] ConfigError),
+    Config(#[from] ConfigErrors),
     /// Its store cannot be used.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -60,6 +60,12 @@ fn hint(error: &std::io::Error) -> &'static str {
         std::io::ErrorKind::AddrInUse => "; another broker runs there, or choose another port with --listen",
         std::io::ErrorKind::PermissionDenied => "; ports below 1024 need rights",
         _ => "",
+    }
+}
+
+impl From<ConfigError> for BrokerError {
+    fn from(error: ConfigError) -> BrokerError {
+        BrokerError::Config(error.into())
     }
 }
 

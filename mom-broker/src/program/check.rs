@@ -23,12 +23,13 @@ pub(super) struct CheckArgs {
 pub(super) fn run(args: &CheckArgs) -> Result<ExitCode> {
     let mut out = std::io::stdout().lock();
     match Config::load(&args.file) {
-        Err(error) if args.json => {
-            let report = json!({ "right": false, "errors": [remark(&error)] });
+        Err(errors) if args.json => {
+            let errors: Vec<Value> = errors.iter().map(remark).collect();
+            let report = json!({ "right": false, "errors": errors });
             writeln!(out, "{report:#}")?;
             Ok(ExitCode::FAILURE)
         }
-        Err(error) => Err(error.into()),
+        Err(errors) => Err(errors.into()),
         Ok(config) => {
             let lines = tree(&config)?;
             match args.json {

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use mom_broker::{Broker, BrokerError, Config, ConfigError, ReloadOn};
+use mom_broker::{Broker, BrokerError, Config, ConfigErrors, ReloadOn, check_address};
 use mom_journal::LogWriter;
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
@@ -19,7 +19,7 @@ pub(super) struct ServeArgs {
     #[arg(long, short, env = "MOM_CONFIG")]
     config: Option<PathBuf>,
     /// Listen here instead of at the configured addresses; port 0 takes any free port.
-    #[arg(long)]
+    #[arg(long, value_parser = listen_address)]
     listen: Vec<String>,
     /// Record the hub's inputs and decisions in this file, for what-if.
     #[arg(long, value_name = "FILE")]
@@ -46,7 +46,11 @@ enum Reloaded {
     /// They are wrong, which was logged.
     Refused,
     /// There was no descriptor to read them with.
-    Unread(ConfigError),
+    Unread(ConfigErrors),
+}
+
+fn listen_address(text: &str) -> Result<String, String> {
+    check_address(text).map(|()| text.to_owned())
 }
 
 /// Changes what is logged.
@@ -166,9 +170,16 @@ impl ServeArgs {
         });
         let (report, log, reload) = match reloaded {
             Ok(reloaded) => reloaded,
-            Err(BrokerError::Config(error)) if error.busy => return Reloaded::Unread(error),
+            Err(BrokerError::Config(errors)) if errors.busy() => return Reloaded::Unread(errors),
+            Err(BrokerError::Config(errors)) => {
+                // A line for each, as logs are read.
+                for error in errors.iter() {
+                    tracing::error!("the configuration stays as it was: {error}");
+                }
+                return Reloaded::Refused;
+            }
             Err(error) => {
-                tracing::error!("{error}; the configuration stays as it was");
+                tracing::error!("the configuration stays as it was: {error}");
                 return Reloaded::Refused;
             }
         };

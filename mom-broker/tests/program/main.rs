@@ -46,7 +46,11 @@ fn a_wrong_file_does_not_start() {
         (Some("listne = []\n"), ":1: listne: "),
         (Some("[limits]\ngone = 1\n"), ":2: limits.gone: "),
         (Some("users = \"nobody.toml\"\n"), ":1: users: "),
-        (Some("listen = [\"256.0.0.1:x\"]\n"), "256.0.0.1:x"),
+        (Some("listen = [\"127.0.0.1:x\"]\n"), ":1: listen[0]: a port is "),
+        (
+            Some("listen = [\"256.0.0.1:7666\"]\n"),
+            "\"256.0.0.1\" is no address of this machine",
+        ),
         (None, "cannot be read"),
     ] {
         match content {

@@ -125,7 +125,7 @@ fn a_wrong_file_changes_nothing_and_is_told() {
     files.write("mom.toml", "users = \"users.toml\"\nroot = \"opne\"\n");
     broker.signal("-HUP");
     let error = broker.logged("ERROR");
-    assert!(error.contains("mom.toml:2: root.kind: "), "{error}");
+    assert!(error.contains("mom.toml:2: root: "), "{error}");
     assert!(logs_in(&broker, "ann") && !logs_in(&broker, "ben"));
 
     fs::remove_file(files.path("mom.toml")).expect("removed");

@@ -338,11 +338,7 @@ fn make_token(spec: &ContextSpec, terms: Terms) -> Result<Token, WireError> {
     let safe = match &spec.safe {
         None => None,
         Some(safe) => {
-            mom_proto::check_message_name(&safe.name).map_err(|error| error.slot("content/safe/name"))?;
-            if matches!(&*safe.name, event::STOP | event::UNSTOP) {
-                let text = "stop and unstop are for peers with a right to them; leave safe out for halt";
-                return Err(bad("safe/name", text.to_owned()));
-            }
+            safe.check_name()?;
             let channel = read_path(&safe.channel, "safe/channel")?;
             let content = safe.content.clone().map(Content::Value);
             Some(SafeState {

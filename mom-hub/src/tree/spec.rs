@@ -1,7 +1,7 @@
 //! A context to be made, as it stands in a request or in the configuration.
 
 use mom_managers::Expiry;
-use mom_proto::{Delivery, Overflow, Value, WireError};
+use mom_proto::{Delivery, Overflow, Value, WireError, check_message_name, event};
 use serde::Deserialize;
 
 use super::context::Presence;
@@ -83,6 +83,23 @@ pub struct SafeArgs {
     /// The message's content.
     #[serde(default)]
     pub content: Option<Value>,
+}
+
+impl SafeArgs {
+    /// Checks the message's name.
+    ///
+    /// # Errors
+    /// `bad-content` or `bad-name` with the key as slot.
+    pub fn check_name(&self) -> Result<(), WireError> {
+        check_message_name(&self.name).map_err(|error| error.slot("content/safe/name"))?;
+        match &*self.name {
+            event::STOP | event::UNSTOP => {
+                let text = "stop and unstop are for peers with a right to them; leave safe out for halt";
+                Err(bad("safe/name", text.to_owned()))
+            }
+            _ => Ok(()),
+        }
+    }
 }
 
 impl ContextSpec {

@@ -9,8 +9,11 @@ use mom_client::{MessageRate, WireError};
 
 mod contexts;
 mod control;
+mod parse;
 
 use self::contexts::{CREATE, DELETE};
+pub(crate) use self::parse::parse;
+
 use self::control::{ACCEPT, BREAK, DECLINE, EXPEL, GIVE, GRAB, INHIBIT, INVITE, MANAGE, REQUEST, TOKEN};
 
 /// Look at a hub, talk through it, and drive the devices connected to it.
@@ -41,7 +44,8 @@ Exit codes: 0 done, 1 failed or refused, 2 a command line that makes no sense.";
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Options of every command")]
 pub(crate) struct GlobalArgs {
-    /// The hub: bin://HOST:PORT (binary) or tcp://HOST:PORT (XML)
+    /// The hub: bin://HOST:PORT (binary) or tcp://HOST:PORT (XML); a path after the port is that of commands
+    /// which are given none
     #[arg(
         long,
         global = true,

@@ -93,7 +93,7 @@ async fn wait_for_return(
         Ok(guard) => {
             let fence = guard.fence();
             output.tell(
-                || json!({"state": "returned", "path": path, "fence": fence, "number": words::fence(fence)}),
+                || json!({"state": "returned", "path": path, "fence": fence}),
                 || format!("{path} is back"),
             )?;
             end(guard, Ok(()), output).await

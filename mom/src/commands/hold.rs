@@ -86,7 +86,6 @@ fn grabbed_json(path: &str, guard: &TokenGuard) -> Json {
         "state": "grabbed",
         "path": path,
         "fence": guard.fence(),
-        "number": words::fence(guard.fence()),
         "lease": guard.lease().map(words::in_millis),
     });
     if let Some(deadman) = guard.deadman() {
@@ -120,7 +119,7 @@ fn grabbed_line(path: &str, guard: &TokenGuard) -> String {
         None => String::new(),
     };
     let head = ink(format_args!("holding {path}"), Tone::Good);
-    format!("{head}  fence {}, {lease}{from}", words::fence(guard.fence()))
+    format!("{head}  fence {}, {lease}{from}", guard.fence())
 }
 
 pub(super) fn tell_released(path: &str, output: Output) -> io::Result<()> {

@@ -12,6 +12,18 @@ use crate::output::{Output, words};
 
 pub(crate) async fn run(args: &cli::SendArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let content = content(args)?;
+    if !args.path.starts_with('/') {
+        return Err(Failure::usage(
+            format!(
+                "{:?} is no path, and send takes its own even if --hub has one",
+                args.path
+            ),
+            format!(
+                "mom send PATH NAME [CONTENT], such as: mom send /chat {}",
+                args.path
+            ),
+        ));
+    }
     let client = connect(global, Stay::Once).await?;
     let channel = client
         .channel(&args.path)

@@ -37,11 +37,7 @@ pub(crate) async fn run(args: &cli::TokenArgs, global: &GlobalArgs, output: Outp
 
 /// The token, a line for each fact.
 fn picture(path: &str, info: &TokenInfo) -> String {
-    let mut lines = vec![format!(
-        "{}  fence {}",
-        ink(path, Tone::Strong),
-        words::fence(info.fence)
-    )];
+    let mut lines = vec![format!("{}  fence {}", ink(path, Tone::Strong), info.fence)];
     let mut fact = |label: &str, text: String| {
         lines.push(format!("  {}  {text}", padded(label, LABEL, Tone::Faint)));
     };
@@ -219,7 +215,7 @@ mod tests {
         check(
             &info,
             &[
-                "/t  fence 7",
+                "/t  fence 1048583",
                 "  owner     alice (level 5), for 2 min 3 s now",
                 "  lease     ██████████░░░░░░░░░░  1 min 30 s of 3 min left, then the next grab takes it",
                 "  deadman   lost after 2 s without a renewal",

@@ -29,9 +29,8 @@ pub(crate) fn event_words(event: &Event) -> String {
                 None => "no lease".to_owned(),
             };
             format!(
-                "{} grabbed {path} (level {level}, fence {}, {lease})",
-                name(owner),
-                words::fence(*fence)
+                "{} grabbed {path} (level {level}, fence {fence}, {lease})",
+                name(owner)
             )
         }
         Event::Released {

@@ -26,8 +26,8 @@ enum What {
         address: Option<String>,
         name: String,
         content: String,
-        /// How old it was when it was given to a late joiner.
-        history: Option<String>,
+        /// How old it was when the hub passed it on, or gave it to a late joiner.
+        age: Option<String>,
     },
     /// Something happened there, in words.
     Event(String),
@@ -90,7 +90,7 @@ impl OutputRecord {
                 address,
                 name: words::visible(parcel.name()),
                 content: words::shorten(&words::said(parcel)),
-                history: words::history(parcel),
+                age: words::history(parcel).or_else(|| words::age(parcel)),
             },
             slots: parcel_slots(context, parcel),
         }
@@ -113,7 +113,7 @@ impl OutputRecord {
                 address,
                 name,
                 content,
-                history,
+                age,
             } => {
                 let to = address
                     .as_ref()
@@ -123,14 +123,12 @@ impl OutputRecord {
                     true => String::new(),
                     false => format!(": {content}"),
                 };
-                let history = history
-                    .as_ref()
-                    .map(|history| ink(format_args!(" ({history})"), Tone::Faint));
+                let age = age.as_ref().map(|age| ink(format_args!(" ({age})"), Tone::Faint));
                 format!(
                     "{head} {}{to} {}{}{end}",
                     ink(sender, Tone::Peer),
                     ink(name, Tone::Strong),
-                    history.unwrap_or_default()
+                    age.unwrap_or_default()
                 )
             }
             What::Event(words) => format!("{head} {}", ink(format_args!("* {words}"), Tone::Notice)),
@@ -255,7 +253,7 @@ mod tests {
                 lease: Some(Duration::from_secs(180)),
                 path: path("/robot/token"),
             },
-            "/robot * alice grabbed /robot/token (level 1, fence 5, lease 3 min)",
+            "/robot * alice grabbed /robot/token (level 1, fence 1048581, lease 3 min)",
             "grabbed",
             r#"{"path":"/robot/token","owner":"alice","fence":1048581,"level":1,"lease":180000}"#,
         );
@@ -295,12 +293,17 @@ mod tests {
     }
 
     #[test]
-    fn what_is_history_says_so_with_its_age() {
+    fn messages_tell_their_age_and_history_says_so() {
         for (age, error, history, words) in [
             (12_345_678, Some(400), true, " (history, 12 s old)"),
             (61_000_000, None, true, " (history, at least 1 min 1 s old)"),
             (45_600, Some(400), true, " (history, 45 ms old)"),
-            (45_600, Some(400), false, ""),
+            (45_600, Some(400), false, " (45 ms old)"),
+            (45_600, Some(9_100), false, " (45 ms ± 10 ms old)"),
+            (300, Some(400), false, " (under 1 ms old)"),
+            (-700, Some(1_400), false, " (0 ms ± 2 ms old)"),
+            (300_000_000, Some(1_400), false, " (5 min old)"),
+            (0, None, false, ""),
         ] {
             let mut parcel = Parcel::new(Family::Message, "state").content("up");
             parcel.sender = Some("arm".into());

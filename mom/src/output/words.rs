@@ -1,8 +1,8 @@
-//! Durations, sizes, fences and foreign text as people read them.
+//! Durations, sizes and foreign text as people read them.
 
 use std::time::Duration;
 
-use mom_client::{Content, Fence, HISTORY, Map, Parcel, Value};
+use mom_client::{Content, HISTORY, Map, Parcel, Value};
 
 /// Beyond this a line is cut where a person reads it; JSON is never cut.
 const LONGEST: usize = 200;
@@ -50,11 +50,6 @@ pub(crate) fn count(number: u64, one: &str) -> String {
     }
 }
 
-/// The part of a fence that people compare; the rest is the epoch (design §6).
-pub(crate) fn fence(fence: u64) -> u64 {
-    Fence::from(fence).number()
-}
-
 /// Text of others, safe to show on one line of a terminal: what would move the cursor, start a new line or
 /// turn the direction of writing is shown as an escape.
 pub(crate) fn visible(text: &str) -> String {
@@ -74,21 +69,37 @@ pub(crate) fn history(parcel: &Parcel) -> Option<String> {
     if parcel.extra.get(HISTORY).and_then(Value::as_bool) != Some(true) {
         return None;
     }
-    let age = parcel
-        .age
-        .and_then(|age| u64::try_from(age).ok())
-        .unwrap_or_default();
-    // Without a known clock of its sender the age counts from when the hub got it.
-    let least = if parcel.age_error.is_none() {
-        "at least "
-    } else {
-        ""
+    let old = match age(parcel) {
+        Some(old) => old,
+        // Without a known clock of its sender the age counts from when the hub got it.
+        None => format!("at least {} old", short(micros_of(parcel))),
     };
-    let age = match age {
-        0..1_000_000 => format!("{} ms", age / 1000),
-        _ => duration(Duration::from_secs(age / 1_000_000)),
-    };
-    Some(format!("history, {least}{age} old"))
+    Some(format!("history, {old}"))
+}
+
+/// How old a message was when the hub passed it on: `12 ms old`, with the error where it is a part of that that
+/// matters: `3 ms ± 2 ms old`. None where the hub does not know its sender's clock.
+pub(crate) fn age(parcel: &Parcel) -> Option<String> {
+    let error = parcel.age_error?;
+    let micros = micros_of(parcel);
+    Some(match error {
+        1000.. if error > micros / 10 => format!("{} ± {} ms old", short(micros), error.div_ceil(1000)),
+        _ if micros < 1000 => "under 1 ms old".to_owned(),
+        _ => format!("{} old", short(micros)),
+    })
+}
+
+/// An age in µs; one below 0 lies within its error.
+fn micros_of(parcel: &Parcel) -> u64 {
+    let age = parcel.age.and_then(|age| u64::try_from(age).ok());
+    age.unwrap_or_default()
+}
+
+fn short(micros: u64) -> String {
+    match micros {
+        0..1_000_000 => format!("{} ms", micros / 1000),
+        _ => duration(Duration::from_secs(micros / 1_000_000)),
+    }
 }
 
 /// What a parcel carries, on one line.
@@ -245,10 +256,5 @@ mod tests {
         }
         let long = "ä".repeat(LONGEST + 1);
         assert_eq!(shorten(&long), format!("{}…", "ä".repeat(LONGEST)));
-    }
-
-    #[test]
-    fn people_see_a_fences_number() {
-        assert_eq!(fence((1_763_000_000 << 20) + 7), 7);
     }
 }

@@ -8,10 +8,12 @@ use mom_client::{Client, Event, HubClock};
 use mom_proto::codec::Form;
 use mom_proto::{Code, Family, Map, Parcel, Time, Value};
 use mom_tests::lab;
+use mom_tests::programs::Running;
 use mom_tests::raw::{PATIENCE, Raw, at, message};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::mpsc;
+use tokio::task::spawn_blocking;
 use tokio::time::timeout;
 
 const HOUR: i64 = 3_600_000_000;
@@ -95,6 +97,35 @@ async fn a_clock_that_is_an_hour_off_is_known() {
             assert_eq!((heard.age_error, heard.received), (Some(2), Some(clock.wall())));
         }
     }
+}
+
+/// `mom watch` tells the age of each message where the hub knows it.
+#[tokio::test(flavor = "multi_thread")]
+async fn who_watches_sees_ages() {
+    let clock = lab::clock();
+    let broker = lab::start_at(clock.clone(), |_| {}).await;
+    let mut alice = Skewed::login(&broker, &clock, Form::Binary, HOUR).await;
+    alice.raw.join(&["/chat"]).await;
+    let hub = format!("bin://{}", broker.local_addr());
+    let watch = spawn_blocking(move || {
+        let settings = [("MOM_HUB", &*hub), ("MOM_USER", "bob"), ("MOM_PASSWORD", "bob")];
+        Running::start("mom", &["watch", "--messages", "/chat"], &settings)
+    });
+    let watch = watch.await.expect("it starts");
+    alice.raw.next_of(Family::Event, "joined").await;
+
+    // Before its clock is known nobody knows how old what it says is.
+    let strange = alice.say("strange", 0);
+    alice.raw.ask(strange).await.expect("taken");
+    alice.measured().await;
+    let parcel = alice.say("late", 30_000);
+    clock.advance(Duration::from_millis(12));
+    alice.raw.ask(parcel).await.expect("taken");
+    let lines = spawn_blocking(move || (watch.line_with("strange"), watch.line_with("late")));
+    let (strange, late) = lines.await.expect("they come");
+    assert!(strange.ends_with(" alice strange: words"), "{strange}");
+    assert!(late.ends_with(" alice late (42 ms old): words"), "{late}");
+    broker.stop().await;
 }
 
 #[tokio::test]

@@ -379,11 +379,5 @@ fn collect_messages(map: &Map, channel: &Path, names: &mut Vec<String>) {
 }
 
 fn plain(text: String) -> ConfigError {
-    ConfigError {
-        file: None,
-        line: None,
-        key: None,
-        text,
-        busy: false,
-    }
+    ConfigError::of_program(None, text)
 }

@@ -7,6 +7,8 @@ mod audit;
 mod contexts;
 mod login;
 mod managers;
+#[cfg(test)]
+mod tests;
 
 use mom_proto::to_value;
 use serde_json::{Map, Value, json};

@@ -1,5 +1,6 @@
 //! Configuration files as people write them.
 
+mod faults;
 mod files;
 mod review;
 mod schema;

@@ -162,9 +162,9 @@ fn guards_and_safe_states_without_effect() {
         "stop never needs a token",
     );
     check(
-        &format!("{token}¦safe = {{ channel = \"/c\", name = \"home\" }}\n{channel}"),
+        &format!("{token}¦safe = {{ channel = \"/x\", name = \"home\" }}\n{channel}"),
         "contexts[0].safe.channel",
-        "/c is not guarded by this token",
+        "this file has no /x",
     );
     let guard = "guard = { token = \"/t\", names = [\"command\"] }\n";
     check_quiet(&format!(

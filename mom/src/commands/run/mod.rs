@@ -39,7 +39,7 @@ pub(crate) async fn run(args: &cli::RunArgs, global: &GlobalArgs, output: Output
         .doing(format!("join {}", args.token))?;
     let mut guard = token.grab().await.doing(format!("grab {}", args.token))?;
     output.remark(ink(
-        format_args!("holding {} (fence {})", args.token, words::fence(guard.fence())),
+        format_args!("holding {} (fence {})", args.token, guard.fence()),
         Tone::Faint,
     ));
     let mut job = Job {
