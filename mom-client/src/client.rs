@@ -12,6 +12,7 @@ use crate::info::{map_of, millis};
 use crate::login::Welcome;
 use crate::proof::{Credentials, is_challenge};
 use crate::shared::{Shared, verb};
+use crate::wanted::Terms;
 use crate::{
     Builder, Channel, ClientError, Consults, ContextInfo, Events, HubClock, LinkState, Member, Proof,
     Session, Stats, Token,
@@ -293,7 +294,26 @@ impl Client {
     /// # Errors
     /// As [`Client::session`].
     pub async fn channel_thinned(&self, path: &str, thinning: Thinning) -> Result<Channel, ClientError> {
-        self.enter_kind(path, ContextKind::Channel, Some(thinning))
+        let terms = Terms {
+            thinning,
+            ..Terms::default()
+        };
+        self.enter_kind(path, ContextKind::Channel, Some(terms))
+            .await
+            .map(Channel::new)
+    }
+
+    /// Joins a channel, parents first, as a device: this peer halts at each `stop` there, stays halted until `unstop`, and says
+    /// so after each of both by a message `state` whose content, a map, has `stopped`. Who stops devices waits for that word.
+    ///
+    /// # Errors
+    /// As [`Client::session`].
+    pub async fn channel_as_device(&self, path: &str) -> Result<Channel, ClientError> {
+        let terms = Terms {
+            device: true,
+            ..Terms::default()
+        };
+        self.enter_kind(path, ContextKind::Channel, Some(terms))
             .await
             .map(Channel::new)
     }

@@ -127,10 +127,10 @@ impl Shared {
         if places.is_empty() {
             state.subscribers.deliver_unaddressed(Event::Rejoined);
         }
-        for (path, serial, thinning) in places {
+        for (path, serial, terms) in places {
             let mut waiter = Some(AnswerTo::Join(path.clone(), serial));
             // The link is up, and a path that was joined before can be encoded.
-            let _ = self.ask_in(&mut state, join(&path, thinning), &mut waiter);
+            let _ = self.ask_in(&mut state, join(&path, terms), &mut waiter);
         }
         drop(state);
         self.link.send_replace(LinkState::Up);

@@ -29,6 +29,9 @@ pub struct Member {
     pub user: String,
     /// The user's level; higher goes first (M29).
     pub level: i32,
+    /// In lists of a channel's members: whether it obeys stops there, and says so
+    /// ([`Client::channel_as_device`](crate::Client::channel_as_device)).
+    pub device: bool,
 }
 
 impl ContextInfo {
@@ -54,12 +57,13 @@ impl ContextInfo {
 }
 
 impl Member {
-    /// Reads `{peer, user, level}`.
+    /// Reads `{peer, user, level, device?}`.
     pub(crate) fn from_map(map: &Map) -> Option<Member> {
         Some(Member {
             peer: text(map, "peer")?.to_owned(),
             user: text(map, "user")?.to_owned(),
             level: level(map, "level")?,
+            device: map.get("device") == Some(&Value::Bool(true)),
         })
     }
 

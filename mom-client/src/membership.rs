@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
-use mom_proto::{Code, ContextKind, Map, Path, Thinning, WireError};
+use mom_proto::{Code, ContextKind, Map, Path, WireError};
 use tokio::time::timeout;
 
 use crate::client::{Client, Handle};
 use crate::info::text;
 use crate::shared::Shared;
-use crate::wanted::Want;
+use crate::wanted::{Terms, Want};
 use crate::{ClientError, Events};
 
 /// Membership of a context and of all above it. When the last one of a context is dropped, the context is left, after
@@ -66,10 +66,10 @@ impl Client {
         &self,
         path: &str,
         kind: ContextKind,
-        thinning: Option<Thinning>,
+        terms: Option<Terms>,
     ) -> Result<Membership, ClientError> {
         let path = Path::parse(path)?;
-        let (member, info) = self.enter(&path, thinning).await?;
+        let (member, info) = self.enter(&path, terms).await?;
         let found = info
             .as_ref()
             .map_or(Some(ContextKind::Session.word()), |info| text(info, "kind"));
@@ -84,15 +84,15 @@ impl Client {
         }
     }
 
-    /// Joins a context, parents first, with thinning if given; returns the hub's reply, which is empty for the root.
+    /// Joins a context, parents first, on these terms if given; returns the hub's reply, which is empty for the root.
     pub(crate) async fn enter(
         &self,
         path: &Path,
-        thinning: Option<Thinning>,
+        terms: Option<Terms>,
     ) -> Result<(Membership, Option<Arc<Map>>), ClientError> {
         let shared = &self.handle.shared;
-        let (places, wants) = shared.want(&way_to(path), thinning)?;
-        let again = thinning.filter(|_| !matches!(wants.last(), Some(Want::Join(_))));
+        let (places, wants) = shared.want(&way_to(path), terms)?;
+        let again = terms.filter(|_| !matches!(wants.last(), Some(Want::Join(_))));
         // From here on the count is released whatever happens.
         let inner = MembershipState {
             handle: Arc::clone(&self.handle),
@@ -119,8 +119,8 @@ impl Client {
                 })?;
             info = Some(joined.map_err(|_| ClientError::Connection(format!("{path} was left meanwhile")))??);
         }
-        if let Some(thinning) = again {
-            shared.thin(path, thinning).await?;
+        if let Some(terms) = again {
+            shared.set_terms(path, terms).await?;
         }
         Ok((member, info))
     }

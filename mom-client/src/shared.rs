@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use mom_net::{DropReason, Lane, Outgoing};
 use mom_proto::codec::Form;
-use mom_proto::{Code, Family, Map, Parcel, Path, Thinning, Verb, WireError};
+use mom_proto::{Code, Family, Parcel, Path, Thinning, Verb, WireError};
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::{AcquireError, Notify, Semaphore, SemaphorePermit, oneshot, watch};
 use tokio::time::timeout;
@@ -21,7 +21,7 @@ use crate::pending::{AnswerTo, OpenRequests};
 use crate::proof::Credentials;
 use crate::subscribe::{EventQueue, Subscribers};
 use crate::waits::Waits;
-use crate::wanted::{Want, WantedContexts};
+use crate::wanted::{Terms, Want, WantedContexts};
 use crate::{ClientError, LinkState, Reconnect};
 
 /// Capacity for messages that wait to be written: 4 MiB in units of 1 KiB; and a quarter of that more for urgent ones, which
@@ -295,7 +295,7 @@ impl Shared {
     }
 
     /// Wants contexts, the uppermost first, and asks to join those that this client is not in; the last of them
-    /// spared of something, if that is said.
+    /// on these terms, if they are said.
     #[expect(
         clippy::type_complexity,
         reason = "two lists, each of pairs, used in one place"
@@ -303,7 +303,7 @@ impl Shared {
     pub(crate) fn want(
         &self,
         way: &[Path],
-        thinning: Option<Thinning>,
+        terms: Option<Terms>,
     ) -> Result<(Vec<(Path, u64)>, Vec<Want>), ClientError> {
         let mut state = self.lock();
         state.check_up()?;
@@ -315,11 +315,11 @@ impl Shared {
             if matches!(want, Want::Join(_)) {
                 let mut waiter = Some(AnswerTo::Join(path.clone(), serial));
                 let last = places.len() == way.len();
-                let thinning = thinning.filter(|_| last).unwrap_or_default();
+                let terms = terms.filter(|_| last).unwrap_or_default();
                 if let Some(place) = state.places.get(path, serial) {
-                    place.thinning = thinning;
+                    place.terms = terms;
                 }
-                asked = self.ask_in(&mut state, join(path, thinning), &mut waiter);
+                asked = self.ask_in(&mut state, join(path, terms), &mut waiter);
             }
             wants.push(want);
             if asked.is_err() {
@@ -357,12 +357,16 @@ impl Shared {
 
     /// Joins a channel again, to be spared of something else than before.
     pub(crate) async fn thin(&self, path: &Path, thinning: Thinning) -> Result<(), ClientError> {
-        let mut content = Map::new();
-        thinning.describe(&mut content);
+        let known = self.lock().places.terms(path);
+        self.set_terms(path, Terms { thinning, ..known }).await
+    }
+
+    /// Joins a channel again, on other terms.
+    pub(crate) async fn set_terms(&self, path: &Path, terms: Terms) -> Result<(), ClientError> {
         // An empty map too: without content the hub leaves everything as it was.
-        let parcel = verb(Family::Context, "join", path).content(content);
+        let parcel = verb(Family::Context, "join", path).content(terms.map());
         self.request(parcel).await?;
-        self.lock().places.note_thinning(path, thinning);
+        self.lock().places.set_terms(path, terms);
         Ok(())
     }
 
@@ -458,15 +462,13 @@ pub(crate) fn verb(family: Family, name: &str, path: &Path) -> Parcel {
     Parcel::new(family, name).context(path.clone())
 }
 
-/// The request to join a context, spared of this there.
-pub(crate) fn join(path: &Path, thinning: Thinning) -> Parcel {
+/// The request to join a context on these terms.
+pub(crate) fn join(path: &Path, terms: Terms) -> Parcel {
     let parcel = verb(Family::Context, "join", path);
-    if !thinning.thins() {
-        return parcel;
+    match terms.content() {
+        Some(content) => parcel.content(content),
+        None => parcel,
     }
-    let mut content = Map::new();
-    thinning.describe(&mut content);
-    parcel.content(content)
 }
 
 fn describe(parcel: &Parcel) -> String {

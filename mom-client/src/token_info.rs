@@ -260,6 +260,7 @@ mod tests {
                     peer: "bob~2".to_owned(),
                     user: "bob".to_owned(),
                     level: 1,
+                    device: false,
                 },
                 waiting: Duration::from_secs(4),
             }],

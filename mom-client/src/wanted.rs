@@ -24,9 +24,34 @@ pub(crate) struct WantedContext {
     pub(crate) serial: u64,
     pub(crate) phase: JoinPhase,
     pub(crate) gate: FenceGate,
-    /// The thinning there, restored after a lost link.
-    pub(crate) thinning: Thinning,
+    /// What it asked for there, restored after a lost link.
+    pub(crate) terms: Terms,
     wanted: usize,
+}
+
+/// On what terms a client is in a context.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Terms {
+    pub(crate) thinning: Thinning,
+    /// It obeys stops there, and says so.
+    pub(crate) device: bool,
+}
+
+impl Terms {
+    /// For the hub; none where there is nothing to say.
+    pub(crate) fn content(self) -> Option<Map> {
+        (self.thinning.thins() || self.device).then(|| self.map())
+    }
+
+    /// The same, also where there is nothing to say any more.
+    pub(crate) fn map(self) -> Map {
+        let mut map = Map::new();
+        self.thinning.describe(&mut map);
+        if self.device {
+            map.set("device", true);
+        }
+        map
+    }
 }
 
 #[derive(Debug)]
@@ -63,7 +88,7 @@ impl WantedContexts {
                 serial: *serial,
                 phase: JoinPhase::Away,
                 gate: FenceGate::new(),
-                thinning: Thinning::default(),
+                terms: Terms::default(),
                 wanted: 0,
             }
         });
@@ -105,11 +130,16 @@ impl WantedContexts {
         self.places.get_mut(path).filter(|place| place.serial == serial)
     }
 
-    /// Remembers the thinning for the next link.
-    pub(crate) fn note_thinning(&mut self, path: &Path, thinning: Thinning) {
+    /// Remembers the terms for the next link.
+    pub(crate) fn set_terms(&mut self, path: &Path, terms: Terms) {
         if let Some(place) = self.places.get_mut(path) {
-            place.thinning = thinning;
+            place.terms = terms;
         }
+    }
+
+    /// On what terms this client is in a context.
+    pub(crate) fn terms(&self, path: &Path) -> Terms {
+        self.places.get(path).map(|place| place.terms).unwrap_or_default()
     }
 
     /// The gate of a channel.
@@ -161,13 +191,13 @@ impl WantedContexts {
     }
 
     /// The link is back: returns all contexts, parents first, to be joined again.
-    pub(crate) fn rejoin(&mut self) -> Vec<(Path, u64, Thinning)> {
+    pub(crate) fn rejoin(&mut self) -> Vec<(Path, u64, Terms)> {
         let again = |(path, place): (&Path, &mut WantedContext)| {
             place.phase = JoinPhase::Joining {
                 again: true,
                 waiters: Vec::new(),
             };
-            (path.clone(), place.serial, place.thinning)
+            (path.clone(), place.serial, place.terms)
         };
         self.places.iter_mut().map(again).collect()
     }

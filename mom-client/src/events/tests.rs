@@ -21,6 +21,7 @@ fn events_are_read() {
         peer: "ally".to_owned(),
         user: "alice".to_owned(),
         level: 1,
+        device: false,
     };
     check("joined", alice(), |_| Event::Joined(member()));
     check("left", alice(), |_| Event::Left(member()));
@@ -91,6 +92,7 @@ fn events_of_handing_over_are_read() {
                 peer: "bob".to_owned(),
                 user: "bob".to_owned(),
                 level: 1,
+                device: false,
             },
             within: seconds(30),
             text: Some("please".to_owned()),

@@ -42,6 +42,7 @@ async fn events_go_to_their_context() {
                 peer: "bob".to_owned(),
                 user: "alice".to_owned(),
                 level: 1,
+                device: false,
             };
             assert_eq!(member, bob);
             let Event::Message(parcel) = next(events).await else {

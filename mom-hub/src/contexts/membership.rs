@@ -38,14 +38,20 @@ impl World {
         self.push_presence(number, event::JOINED, peer_map(&facts), out);
     }
 
-    /// Changes what a member is to be spared; its route says so before anything that comes after.
-    pub(crate) fn thin(&mut self, number: ContextNumber, peer: PeerId, thinning: Thinning) {
+    /// Changes what a member is to be spared, and whether it is a device; its route says so before anything that comes after.
+    pub(crate) fn set_terms(
+        &mut self,
+        number: ContextNumber,
+        peer: PeerId,
+        thinning: Thinning,
+        device: bool,
+    ) {
         let context = self.tree.get_mut(number);
         let Some(member) = context.and_then(|context| context.members.get_mut(&peer)) else {
             return self.fault("a peer is to be spared of something where it is no member");
         };
-        if member.thinning != thinning {
-            *member = Arc::new(member.thinned(thinning));
+        if member.thinning != thinning || member.device != device {
+            *member = Arc::new(member.on_terms(thinning, device));
             // A peer that has just joined is told so before it hears anything.
             if !self.grown.contains(&number) {
                 self.changed.insert(number);

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use mom_managers::{Answer, PeerFacts, Rate};
-use mom_proto::{Micros, Thinning, event};
+use mom_proto::{Map, Micros, Thinning, event};
 
 use crate::PeerId;
 
@@ -19,6 +19,8 @@ pub struct Member {
     pub facts: Arc<PeerFacts>,
     /// The messages of the others that it is spared.
     pub thinning: Thinning,
+    /// Whether it is a device: one that obeys `stop` here, and says so.
+    pub device: bool,
     standing: Vec<StandingVerdict>,
     // An earlier message waits for a verdict, so later ones have to come to the hub too and wait behind it.
     held: bool,
@@ -52,6 +54,7 @@ impl Member {
             peer,
             facts,
             thinning: Thinning::default(),
+            device: false,
             standing: Vec::new(),
             held: false,
         }
@@ -61,6 +64,7 @@ impl Member {
     pub(crate) fn unjudged(&self, facts: Arc<PeerFacts>) -> Member {
         Member {
             thinning: self.thinning,
+            device: self.device,
             held: self.held,
             ..Member::new(self.peer, facts)
         }
@@ -76,11 +80,20 @@ impl Member {
         })
     }
 
-    /// This member with another thinning.
-    pub(crate) fn thinned(&self, thinning: Thinning) -> Member {
+    /// This member with another thinning, as a device or not.
+    pub(crate) fn on_terms(&self, thinning: Thinning, device: bool) -> Member {
         Member {
             thinning,
+            device,
             ..self.clone()
+        }
+    }
+
+    /// What it asked for when it joined.
+    pub(crate) fn describe_terms(&self, map: &mut Map) {
+        self.thinning.describe(map);
+        if self.device {
+            map.set("device", true);
         }
     }
 
@@ -128,6 +141,7 @@ impl Member {
             peer: self.peer,
             facts: Arc::clone(&self.facts),
             thinning: self.thinning,
+            device: self.device,
             standing,
             held: self.held,
         })

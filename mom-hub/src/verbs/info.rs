@@ -34,7 +34,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
             info.set("delivery", channel.delivery.word());
             info.set("overflow", channel.overflow.word());
             if let Some(member) = context.members.get(&request.peer) {
-                member.thinning.describe(&mut info);
+                member.describe_terms(&mut info);
             }
             if let Some(keep) = channel.keep {
                 info.set("keep", keep.to_map());

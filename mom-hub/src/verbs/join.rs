@@ -1,5 +1,5 @@
 //! `context join`: entered through its parent (M23). Joining again is answered, and changes only what the member is
-//! to be spared, if the content says so.
+//! to be spared and whether it is a device, if the content says so.
 
 use mom_proto::{Code, ContextNumber, MessageRate, Overflow, Thinning, Value, WireError};
 use serde::Deserialize;
@@ -20,6 +20,8 @@ struct Args {
     newest: bool,
     #[serde(default)]
     rate: Option<Value>,
+    #[serde(default)]
+    device: bool,
 }
 
 impl Args {
@@ -36,7 +38,7 @@ impl Args {
 pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
     let number = world.allowed(request)?;
     world.check_parent_joined(request.peer, number)?;
-    let thinning = thinning(world, request, number)?;
+    let terms = terms(world, request, number)?;
     if !world.tree.is_member(request.peer, number) {
         check_not_expelled(world, request.peer, number)?;
         let joined = world.peers.get(request.peer).map_or(0, |peer| peer.joined.len());
@@ -46,8 +48,8 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         }
         world.add_member(number, request.peer, out);
     }
-    if let Some(thinning) = thinning {
-        world.thin(number, request.peer, thinning);
+    if let Some((thinning, device)) = terms {
+        world.set_terms(number, request.peer, thinning, device);
     }
     let Some(context) = world.tree.get(number) else {
         return Err(world
@@ -69,7 +71,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
                 content.set("overflow", channel.overflow.word());
             }
             if let Some(member) = context.members.get(&request.peer) {
-                member.thinning.describe(&mut content);
+                member.describe_terms(&mut content);
             }
             if let Some(keep) = channel.keep {
                 content.set("keep", keep.to_map());
@@ -87,19 +89,27 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     Ok(())
 }
 
-/// What the peer asks to be spared; none if it says nothing of that.
-fn thinning(world: &World, request: &Request, number: ContextNumber) -> Result<Option<Thinning>, WireError> {
+/// What the peer asks to be spared, and whether it is a device; none if it says nothing of that.
+fn terms(
+    world: &World,
+    request: &Request,
+    number: ContextNumber,
+) -> Result<Option<(Thinning, bool)>, WireError> {
     if request.parcel.content.is_none() {
         return Ok(None);
     }
-    let thinning = content::read::<Args>(&request.parcel)?.thinning()?;
+    let args = content::read::<Args>(&request.parcel)?;
+    let thinning = args.thinning()?;
     let is_channel = world
         .tree
         .get(number)
         .is_some_and(|context| context.channel().is_some());
-    if thinning.thins() && !is_channel {
-        let text = format!("{} is no channel: only messages are thinned", request.path);
+    if (thinning.thins() || args.device) && !is_channel {
+        let text = format!(
+            "{} is no channel: only messages are thinned, and devices stop",
+            request.path
+        );
         return Err(WireError::new(Code::WRONG_KIND, text).slot("content"));
     }
-    Ok(Some(thinning))
+    Ok(Some((thinning, args.device)))
 }

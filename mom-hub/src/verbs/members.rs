@@ -37,7 +37,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     let page = members.by_ref().take(PAGE).map(|(peer, member)| {
         last = Some(*peer);
         let mut map = peer_map(&member.facts);
-        member.thinning.describe(&mut map);
+        member.describe_terms(&mut map);
         Value::Map(map)
     });
     let page: Vec<Value> = page.collect();

@@ -12,8 +12,10 @@ use super::{Look, MOST};
 /// A burst whose acknowledgements take so long says how fast the link is: they are looked at each millisecond or two.
 const LONG: Duration = Duration::from_millis(4);
 
-/// A rate within these parts of the kernel's own pace says nothing about the link.
-const PACED: [f64; 2] = [0.5, 1.3];
+/// A rate within these parts of the kernel's own pace says only that the link is not slower, which is believed of a burst of so
+/// many times the least.
+const PACED: [f64; 2] = [0.8, 1.3];
+const PACED_MOST: u64 = 32;
 
 /// As late as that beyond the round trip, all at once: the link is so slow that two segments are one acknowledgement.
 const LATE: Duration = Duration::from_millis(10);
@@ -96,7 +98,7 @@ impl Probe {
             self.first.get_or_insert((before, acknowledged));
         }
         if look.written == self.start {
-            return Probed::Budget(look.under_way() + self.burst);
+            return Probed::Budget(self.burst);
         }
         if !self.whole {
             // Who sends it was waited for: it tells nothing, and the next begins.
@@ -137,7 +139,8 @@ impl Probe {
         if spread >= LONG && self.burst > self.least && bytes >= self.burst / 2 {
             let rate = bytes as f64 / spread.as_secs_f64();
             let [least, most] = PACED.map(|part| self.pace * part);
-            return Some(rate).filter(|rate| !(least..most).contains(rate));
+            let is_pace = (least..most).contains(&rate) && self.burst < PACED_MOST * self.least;
+            return Some(rate).filter(|_| !is_pace);
         }
         let beyond = (self.last.0 - self.began).saturating_sub(self.round_trip);
         let late = beyond >= LATE.max(self.round_trip / 2);

@@ -245,6 +245,18 @@ fn small_talk_is_no_probe() {
     }
 }
 
+/// Who has nothing to send for a moment in the middle of a burst does not get another burst beside it.
+#[test]
+fn a_burst_with_a_gap_bounds_what_is_under_way() {
+    let mut link = Simulated::of_mbit(20.0, 100);
+    for _ in 0..200 {
+        link.saturate(Duration::from_micros(1300));
+        link.flow.rest();
+        let under_way = link.flow.written - link.flow.acknowledged;
+        assert!(under_way <= 20 * SEGMENT, "{under_way}");
+    }
+}
+
 #[test]
 fn a_peer_that_talks_little_keeps_nothing() {
     let mut flow = Flow::default();

@@ -10,11 +10,13 @@ use mom_client::{MessageRate, WireError};
 mod contexts;
 mod control;
 mod parse;
+mod stop;
 
 use self::contexts::{CREATE, DELETE};
 pub(crate) use self::parse::parse;
 
 use self::control::{ACCEPT, BREAK, DECLINE, EXPEL, GIVE, GRAB, INHIBIT, INVITE, MANAGE, REQUEST, TOKEN};
+use self::stop::{STOP, UNSTOP};
 
 /// Look at a hub, talk through it, and drive the devices connected to it.
 #[derive(Debug, Parser)]
@@ -35,6 +37,7 @@ Examples:
   mom tree                                 what there is, who is there, who drives what
   echo 'move 100 50 200 0 0; grip close' | mom run -
   mom watch /robot/arm                     what happens there
+  mom stop                                 everything that you may stop
 
 The password comes from MOM_PASSWORD, or is asked for; it is never an argument. Devices use keys:
 see mom keygen --help.
@@ -74,6 +77,12 @@ pub(crate) struct GlobalArgs {
 /// The commands.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
+    /// Stop devices now, and wait for each one's word
+    #[command(after_help = STOP)]
+    Stop(StopArgs),
+    /// Let stopped devices move again
+    #[command(after_help = UNSTOP)]
+    Unstop(StopArgs),
     /// Run a hub with a robot arm and a camera in one process, to try
     #[command(after_help = LAB)]
     Lab(LabArgs),
@@ -263,7 +272,6 @@ Examples:
   mom send /chat chat 'good morning'
   mom send /chat chat --to bob --acknowledge 'only you'
   mom send /chat note --content-json '{\"x\": 1.5, \"names\": [\"red\", \"blue\"]}'
-  mom send --priority 100 /robot/arm stop  stops the arm until: mom send /robot/arm unstop
   uptime | mom send /chat chat -";
 
 pub(crate) use contexts::{CreateArgs, DeleteArgs};
@@ -271,6 +279,7 @@ pub(crate) use control::{
     AcceptArgs, BreakArgs, DeclineArgs, ExpelArgs, GiveArgs, GrabArgs, HoldArgs, InhibitArgs, InviteArgs,
     ManageArgs, RequestArgs, TokenArgs, WaitArg,
 };
+pub(crate) use stop::StopArgs;
 
 /// `mom run`
 #[derive(Args, Debug)]

@@ -142,6 +142,7 @@ mod tests {
             peer: "carol".to_owned(),
             user: "carol".to_owned(),
             level: 5,
+            device: false,
         };
         for (event, line) in [
             (Event::Message(parcel), "bob: good\\u{9b} morning"),

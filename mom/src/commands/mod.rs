@@ -21,6 +21,7 @@ mod run;
 mod send;
 mod snap;
 mod stats;
+mod stop;
 mod token;
 mod tree;
 mod watch;
@@ -33,6 +34,8 @@ use crate::output::Output;
 pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     let (global, output) = (&cli.global, *output);
     match &cli.command {
+        Command::Stop(args) => stop::run(stop::Order::Stop, args, global, output).await,
+        Command::Unstop(args) => stop::run(stop::Order::Unstop, args, global, output).await,
         Command::Lab(args) => lab::run(args, output).await,
         Command::Tree(args) => tree::run(args, global, output).await,
         Command::Stats(args) => stats::run(args, global, output).await,

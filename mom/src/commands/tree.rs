@@ -215,6 +215,7 @@ mod tests {
             peer: (*peer).to_owned(),
             user: (*peer).to_owned(),
             level: 1,
+            device: false,
         };
         TreeNode {
             info: ContextInfo {

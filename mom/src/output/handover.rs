@@ -201,6 +201,7 @@ mod tests {
                     peer: text("bob~2"),
                     user: text("bob"),
                     level: 1,
+                    device: false,
                 },
                 within: seconds(30),
                 text: Some(text("plea\nse")),

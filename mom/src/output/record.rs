@@ -219,6 +219,7 @@ mod tests {
             peer: "bob~2".to_owned(),
             user: "bob".to_owned(),
             level: 1,
+            device: false,
         };
         let bob_json = r#"{"peer":"bob~2","user":"bob","level":1}"#;
         check(

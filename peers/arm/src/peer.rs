@@ -54,7 +54,7 @@ pub async fn run(
     options: ArmOptions,
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), ClientError> {
-    let channel = client.channel(&options.channel).await?;
+    let channel = client.channel_as_device(&options.channel).await?;
     let (mut events, gate) = (channel.events(), channel.gate());
     let begin = Instant::now();
     let mut server = RobotServer::new(Arm::new(0), channel.path().clone()).starting_at(time_of_day());

@@ -17,14 +17,14 @@ const TOKEN: &str = "/robot/token";
 const SCRIPT: &str = "move 100 50 200 0 0; move -100 50 200 0 0; move 100 50 200 0 0; move 0 200 200 0 0";
 
 /// The lab with its arm.
-struct Lab {
-    broker: Broker,
+pub(crate) struct Lab {
+    pub(crate) broker: Broker,
     stop: oneshot::Sender<()>,
     arm: JoinHandle<Result<(), ClientError>>,
 }
 
 impl Lab {
-    async fn start() -> Lab {
+    pub(crate) async fn start() -> Lab {
         Lab::start_with(|_| {}).await
     }
 
@@ -39,7 +39,7 @@ impl Lab {
         Lab { broker, stop, arm }
     }
 
-    async fn end(self) {
+    pub(crate) async fn end(self) {
         drop(self.stop);
         let ended = timeout(PATIENCE, self.arm).await.expect("the arm ends in time");
         ended.expect("it did not panic").expect("its channel stays");

@@ -19,6 +19,7 @@ mod room;
 mod runs;
 mod states;
 mod stats;
+mod stops;
 mod thinning;
 mod threats;
 mod time;

@@ -66,7 +66,7 @@ const ARROWS: &[(&str, May)] = &[
     ),
     ("mom-tests", May::UseAll),
     ("mom-benches", May::UseAll),
-    ("mom-rivals", May::Use(&["mom-proto", "mom-benches"])),
+    ("mom-rivals", May::Use(&["mom-proto", "mom-tests", "mom-benches"])),
     ("xtask", May::Use(&[])),
 ];
 

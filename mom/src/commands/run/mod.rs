@@ -118,7 +118,7 @@ impl RunOutcome {
         if stopped {
             return Err(Failure::new(
                 format!("{failed} of {commands} failed; token released"),
-                format!("the robot is stopped; let it go with: mom send {channel} unstop"),
+                format!("the robot is stopped; let it go with: mom unstop {channel}"),
             ));
         }
         match (failed, total - done - failed) {

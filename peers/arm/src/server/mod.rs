@@ -42,6 +42,7 @@ const SAFE: &str = "the hub ordered the safe state, because the token's owner lo
 /// - The hub's `halt` ends all commands, as does its command, the safe state of a token that declares one; anybody's
 ///   `stop` does, and latches until `unstop`. A gap in the events
 ///   latches too, because it may have contained a `stop`.
+/// - After each `stop` and `unstop` it says how it stands, changed or not, for whoever waits for that word.
 /// - A lost link ends all commands; after it, the state is sent again.
 /// - A peer that joins the channel gets the state.
 #[derive(Debug)]
@@ -170,14 +171,23 @@ impl RobotServer {
             }
             event::STOP => {
                 let reason = format!("{sender} sent stop");
-                self.act(out, |arm, events| arm.stop(now, &reason, events));
+                self.obey_stop(out, |arm, events| arm.stop(now, &reason, events));
             }
-            event::UNSTOP => self.act(out, |arm, events| arm.unstop(now, events)),
+            event::UNSTOP => self.obey_stop(out, |arm, events| arm.unstop(now, events)),
             // Only the hub may send it; a peer that wants the arm to stop has `stop`.
             event::HALT if sender == HUB => {
                 self.halt(SAFE, now, out);
             }
             _ => {}
+        }
+    }
+
+    /// Stops, or does so no more, and says how the arm stands, changed or not.
+    fn obey_stop(&mut self, out: &mut Vec<Parcel>, action: impl FnOnce(&mut Arm, &mut Vec<ArmEvent>)) {
+        let before = out.len();
+        self.act(out, action);
+        if !out[before..].iter().any(|parcel| parcel.name() == STATE) {
+            self.report(out);
         }
     }
 

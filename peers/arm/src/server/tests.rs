@@ -71,6 +71,7 @@ impl Stage {
                 peer: peer.to_owned(),
                 user: peer.to_owned(),
                 level: 1,
+                device: false,
             })),
             ["grabbed", fence] => self.tell(&Event::Grabbed {
                 owner: "somebody".to_owned(),
