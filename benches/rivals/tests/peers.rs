@@ -158,17 +158,22 @@ fn a_stop_passes_a_flood_and_a_sleeper() {
 
 /// A broker in this process, in the network of the hub.
 fn bench_at(ends: &Namespaces) -> Bench {
-    let folder = broker_folder().unwrap();
-    let mut config = Config::load(&folder.path().join("mom.toml")).unwrap();
+    let folder = broker_folder().expect("a temporary folder can be made");
+    let mut config =
+        Config::load(&folder.path().join("mom.toml")).expect("the broker's configuration is right");
     config.listen = vec![format!("{}:0", ends.hub.host())];
-    let runtime = Runtime::new().unwrap();
+    let runtime = Runtime::new().expect("there are threads");
     // The listening socket belongs to the namespace, whoever polls it.
     let broker = ends.hub.within(|| runtime.block_on(Broker::start(config)));
-    let broker = broker.unwrap().unwrap();
+    let broker = broker
+        .expect("the namespace is there")
+        .expect("the broker starts on any free port");
     let address = broker.local_addr().to_string();
     let hub = ends.hub.within(|| Hub::broker(&address, Form::Binary));
     Bench {
-        hub: hub.unwrap().unwrap(),
+        hub: hub
+            .expect("the namespace is there")
+            .expect("the bench's user may join"),
         _runtime: runtime,
         _broker: broker,
         _folder: folder,

@@ -120,8 +120,10 @@ impl Probe {
         // What the kernel holds back leaves when something else is acknowledged, and makes the link look slow. Its window
         // counts packets, and each stop is one.
         let next = (self.burst * 2).min((look.window / 4 * 3).max(look.least()));
-        if next > MOST {
-            return Probed::Rate(next as f64 / LONG.as_secs_f64());
+        if next > MOST || next <= self.burst {
+            // It carries that at least, and no larger burst can tell.
+            let took = (self.last.0 - self.began).max(Duration::from_micros(100));
+            return Probed::Rate(self.burst as f64 / took.as_secs_f64());
         }
         *self = Probe {
             burst: next,

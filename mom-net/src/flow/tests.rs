@@ -16,6 +16,7 @@ struct Simulated {
     unsent: u64,
     sent: u64,
     window: u64,
+    grows: bool,
     /// When each segment has left the bottleneck, and its end.
     left: VecDeque<(Instant, u64)>,
     /// When acknowledgements arrive, and of what.
@@ -45,6 +46,7 @@ impl Simulated {
             unsent: 0,
             sent: 0,
             window: 10,
+            grows: true,
             left: VecDeque::new(),
             returning: VecDeque::new(),
             acknowledged: 0,
@@ -101,7 +103,7 @@ impl Simulated {
         while let Some((_, end)) = self.returning.front().copied().filter(|(at, _)| *at <= self.now) {
             self.returning.pop_front();
             let under_way = (self.sent - self.acknowledged).div_ceil(SEGMENT);
-            if under_way * 2 > self.window {
+            if self.grows && under_way * 2 > self.window {
                 self.window += (end - self.acknowledged).div_ceil(SEGMENT);
             }
             self.acknowledged = end;
@@ -190,6 +192,17 @@ fn the_queue_is_short_from_the_first_byte_on_and_the_link_is_used_after_a_second
             "{name} {later:?}"
         );
     }
+}
+
+/// A kernel that has left slow start sends no more than its window, however much of it is used.
+#[test]
+fn a_window_that_does_not_grow_is_used() {
+    let mut link = Simulated::of_mbit(100.0, 1);
+    link.window = 16;
+    link.grows = false;
+    link.saturate(500 * MS);
+    let share = link.share(500 * MS);
+    assert!(share > 0.9, "{share}");
 }
 
 #[test]
