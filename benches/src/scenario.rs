@@ -185,6 +185,7 @@ impl Scenario {
             payload: self.size.payload(&*hub.driver)?,
             topic: Topic::Forth,
             receivers,
+            window: None,
             warm_up: pace.warm_up,
             time: pace.stream,
         };

@@ -24,6 +24,8 @@ pub struct Stream {
     pub topic: Topic,
     /// How many hear them.
     pub receivers: usize,
+    /// So many are on their way at most; none: as many as no hub has to drop.
+    pub window: Option<u32>,
     /// Not measured at first.
     pub warm_up: Duration,
     /// Measured.
@@ -54,7 +56,10 @@ impl Stream {
         let receivers = connect_all(hub, self.topic, self.receivers)?;
         let sender = hub.driver.connect(&[], &[self.topic])?;
         let shared = Arc::new(Shared {
-            window: Window::new(template.size(), self.receivers),
+            window: match self.window {
+                Some(size) => Window::of(size),
+                None => Window::new(template.size(), self.receivers),
+            },
             arrived: (0..self.receivers).map(|_| AtomicU32::new(0)).collect(),
             stop: AtomicBool::new(false),
         });

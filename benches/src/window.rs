@@ -35,8 +35,13 @@ impl Window {
     pub(crate) fn new(frame: usize, receivers: usize) -> Window {
         let most = MOST.min(TOGETHER / receivers.max(1)).max(2);
         let size = (BYTES / (frame + OVERHEAD)).clamp(2, most);
+        Window::of(u32::try_from(size).unwrap_or(u32::MAX))
+    }
+
+    /// A window of so many.
+    pub(crate) fn of(size: u32) -> Window {
         Window {
-            size: u32::try_from(size).unwrap_or(u32::MAX),
+            size,
             state: Mutex::default(),
             moved: Condvar::new(),
         }

@@ -96,6 +96,7 @@ fn every_receiver_gets_all_that_was_sent() {
                 payload: 64,
                 topic: Topic::Forth,
                 receivers,
+                window: None,
                 warm_up: Duration::ZERO,
                 time: Duration::from_millis(50),
             };
@@ -167,6 +168,7 @@ fn a_lost_parcel_is_no_figure() {
         payload: 16,
         topic: Topic::Forth,
         receivers: 2,
+        window: None,
         warm_up: Duration::ZERO,
         time: Duration::from_millis(50),
     };

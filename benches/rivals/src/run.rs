@@ -169,6 +169,7 @@ fn stream(row: &Row, hub: &Hub, receivers: usize, topic: Topic, effort: &Effort)
         payload: row.size.payload(&*hub.driver)?,
         topic,
         receivers,
+        window: None,
         warm_up: effort.warm_up,
         time: effort.stream,
     };

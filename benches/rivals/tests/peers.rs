@@ -1,6 +1,7 @@
 //! The comparison with other brokers, small, with ours and the relay alone: figures mean nothing here, loss and order do.
 
 use std::fmt::Display;
+use std::io::{self, Write as _};
 use std::path::PathBuf;
 use std::sync::OnceLock;
 use std::time::Duration;
@@ -183,7 +184,7 @@ fn bench_at(ends: &Namespaces) -> Bench {
 /// Where namespaces may be made, that is as root; elsewhere the reason is told, and nothing is left behind.
 fn allowed<T, E: Display>(made: Result<T, E>) -> Option<T> {
     made.inspect_err(|error| {
-        eprintln!("left out: no network namespaces here: {error}");
+        let _ = writeln!(io::stderr(), "left out: no network namespaces here: {error}");
         assert!(!error.to_string().is_empty());
     })
     .ok()
