@@ -30,7 +30,7 @@ const READY: Duration = Duration::from_secs(5);
 const LOOK: Duration = Duration::from_millis(10);
 
 /// A device of the lab while it runs.
-type Device = Pin<Box<dyn Future<Output = Result<(), ClientError>> + Send>>;
+type RunningPeer = Pin<Box<dyn Future<Output = Result<(), ClientError>> + Send>>;
 
 pub(crate) async fn run(args: &cli::LabArgs, output: Output) -> Result<(), Failure> {
     log(&args.log)?;
@@ -115,14 +115,14 @@ async fn start_devices(
     let arm = log_in(broker, "arm").await?;
     let options = ArmOptions::default();
     let place = options.channel.clone();
-    let running: Device = Box::pin(mom_arm::peer::run(arm.clone(), options, stopped(stopping)));
+    let running: RunningPeer = Box::pin(mom_arm::peer::run(arm.clone(), options, stopped(stopping)));
     devices.spawn(async move { ("arm", running.await) });
     ready(&arm, &place).await?;
 
     let camera = log_in(broker, "camera").await?;
     let options = CameraOptions::new(View::X);
     let place = options.channel.clone();
-    let running: Device = Box::pin(mom_camera::peer::run(camera.clone(), options, stopped(stopping)));
+    let running: RunningPeer = Box::pin(mom_camera::peer::run(camera.clone(), options, stopped(stopping)));
     devices.spawn(async move { ("camera", running.await) });
     ready(&camera, &place).await?;
     Ok(devices)
