@@ -46,7 +46,13 @@ impl Scene {
         let robot = Arc::clone(&lab.outboxes[2]);
         fill(&robot);
         let account = Memory::default().account(&"robot".into());
-        robot.admit(6 * SIZE, Limit::Unlimited, "robot".into(), account);
+        let limits = Limits {
+            outbox: 6 * SIZE,
+            burst: 6 * SIZE,
+            parcel: Limit::Unlimited,
+            ..Limits::default()
+        };
+        robot.admit(&limits, "robot".into(), account);
         Scene {
             lab,
             alice,
