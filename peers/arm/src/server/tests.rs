@@ -299,7 +299,13 @@ fn commands_end_when_control_is_lost() {
 
 #[test]
 fn what_takes_no_control_away_ends_nothing() {
-    for line in ["released 4", "grabbed 5", "bob halt", "bob unstop", "bob chat"] {
+    for line in [
+        "released 4",
+        "grabbed 5",
+        "bob halt",
+        "bob unstop\n> state free",
+        "bob chat",
+    ] {
         check(&format!(
             "alice command 1 5: wait 100
              > status alice/1 waiting 0/1
@@ -337,6 +343,7 @@ fn a_stop_latches_until_it_is_released() {
         "bob stop
          > state stopped
          carol stop
+         > state stopped
          released 5
          alice command 1 6: home
          > status alice/1 error 0/0 stopped 5102
