@@ -15,7 +15,8 @@ mod tests;
 ///
 /// ```
 /// use mom_client::{Event, Member};
-/// let event = Event::Joined(Member { peer: "ally".into(), user: "alice".into(), level: 1 });
+/// let alice = Member { peer: "ally".into(), user: "alice".into(), level: 1, device: false };
+/// let event = Event::Joined(alice);
 /// assert!(matches!(event, Event::Joined(member) if member.user == "alice"));
 /// ```
 #[derive(Clone, Debug, PartialEq)]
