@@ -120,7 +120,7 @@ impl Flow {
             _ if self.blind => return usize::MAX,
             Some(Measure::Known(known)) => known.ahead(),
             Some(Measure::Probing(probe)) => probe.burst(),
-            None => 0,
+            None => self.budget.unwrap_or_default(),
         };
         clamp(ahead / 6).max(1024)
     }
@@ -134,7 +134,8 @@ impl Flow {
     pub fn rest(&mut self) {
         match self.measure.as_deref_mut() {
             Some(Measure::Known(known)) => known.rest(self.written),
-            Some(Measure::Probing(probe)) if probe.is_new() => (self.measure, self.budget) = (None, None),
+            // The budget stays, so that who talks little is not looked at each time.
+            Some(Measure::Probing(probe)) if probe.is_new() => self.measure = None,
             Some(Measure::Probing(probe)) => probe.rest(),
             None => {}
         }
