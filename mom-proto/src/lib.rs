@@ -64,7 +64,7 @@ pub use parcel::{ContextNumber, HISTORY, MAX_ID, Parcel};
 pub use path::Path;
 pub use pattern::Pattern;
 pub use serde_value::{from_value, to_value};
-pub use slots::{ReadSlots, write_slots};
+pub use slots::{ReadSlots, SlotValue, write_slots};
 pub use stamp::{Micros, Time};
 pub use thinning::{MessageRate, Thinning};
 pub use value::{Value, ValueKind};

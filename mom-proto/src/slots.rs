@@ -1,5 +1,6 @@
 //! The table of known slots, for codecs that write slots by key (XML, JSON).
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use crate::nearest::nearest;
@@ -15,12 +16,72 @@ pub(crate) fn too_long(most: usize) -> WireError {
     WireError::new(Code::TOO_LONG, text)
 }
 
+/// The value of a slot. Text may lie where it was read from: most slots are text, and need no copy on their way.
+#[derive(Clone, Debug, PartialEq)]
+pub enum SlotValue<'a> {
+    /// A string.
+    Text(Cow<'a, str>),
+    /// Any value.
+    Value(Cow<'a, Value>),
+}
+
+impl SlotValue<'_> {
+    /// Its type.
+    pub fn kind(&self) -> ValueKind {
+        match self {
+            SlotValue::Text(_) => ValueKind::String,
+            SlotValue::Value(value) => value.kind(),
+        }
+    }
+
+    /// The value, on its own.
+    pub fn into_value(self) -> Value {
+        match self {
+            SlotValue::Text(text) => Value::String(text.into_owned()),
+            SlotValue::Value(value) => value.into_owned(),
+        }
+    }
+
+    fn as_str(&self) -> Option<&str> {
+        match self {
+            SlotValue::Text(text) => Some(text),
+            SlotValue::Value(value) => value.as_str(),
+        }
+    }
+
+    /// The value if it is not [`SlotValue::Text`].
+    fn other(&self) -> Option<&Value> {
+        match self {
+            SlotValue::Text(_) => None,
+            SlotValue::Value(value) => Some(value),
+        }
+    }
+}
+
+impl<'a> From<&'a str> for SlotValue<'a> {
+    fn from(text: &'a str) -> SlotValue<'a> {
+        SlotValue::Text(Cow::Borrowed(text))
+    }
+}
+
+impl<'a> From<Cow<'a, str>> for SlotValue<'a> {
+    fn from(text: Cow<'a, str>) -> SlotValue<'a> {
+        SlotValue::Text(text)
+    }
+}
+
+impl From<Value> for SlotValue<'_> {
+    fn from(value: Value) -> Self {
+        SlotValue::Value(Cow::Owned(value))
+    }
+}
+
 /// One known slot: its key, type, and the way in and out of a parcel.
 struct Slot {
     key: &'static str,
     kind: ValueKind,
-    get: fn(&Parcel) -> Option<Value>,
-    set: fn(&mut ReadSlots, &Value) -> Result<(), String>,
+    get: fn(&Parcel) -> Option<SlotValue<'_>>,
+    set: fn(&mut ReadSlots, &SlotValue<'_>) -> Result<(), String>,
 }
 
 // In the order in which they are written: what a reader looks for first comes first, content last.
@@ -30,19 +91,19 @@ const SLOTS: [Slot; 18] = [
     Slot { key: "name", kind: ValueKind::String, get: |p| Some(p.name().into()), set: |r, v| { r.name = Some(text(v)?); Ok(()) } },
     Slot { key: "id", kind: ValueKind::Int, get: |p| id_value(p.id), set: |r, v| { r.parcel.id = Some(number(v, MAX_ID)?); Ok(()) } },
     Slot { key: "reference", kind: ValueKind::Int, get: |p| id_value(p.reference), set: |r, v| { r.parcel.reference = Some(number(v, MAX_ID)?); Ok(()) } },
-    Slot { key: "sender", kind: ValueKind::String, get: |p| p.sender.as_deref().map(Value::from), set: |r, v| { r.parcel.sender = Some(text(v)?); Ok(()) } },
+    Slot { key: "sender", kind: ValueKind::String, get: |p| p.sender.as_deref().map(SlotValue::from), set: |r, v| { r.parcel.sender = Some(text(v)?); Ok(()) } },
     Slot { key: "address", kind: ValueKind::List, get: get_address, set: set_address },
-    Slot { key: "timestamp", kind: ValueKind::Time, get: |p| p.timestamp.map(Value::from), set: |r, v| { r.parcel.timestamp = Some(time(v)?); Ok(()) } },
-    Slot { key: "priority", kind: ValueKind::Int, get: |p| p.priority.map(Value::from), set: set_priority },
+    Slot { key: "timestamp", kind: ValueKind::Time, get: |p| value(p.timestamp), set: |r, v| { r.parcel.timestamp = Some(time(v)?); Ok(()) } },
+    Slot { key: "priority", kind: ValueKind::Int, get: |p| value(p.priority), set: set_priority },
     Slot { key: "context", kind: ValueKind::String, get: |p| p.context.as_ref().map(|c| c.as_str().into()), set: set_context },
     Slot { key: "expires", kind: ValueKind::Int, get: |p| id_value(p.expires), set: |r, v| { r.parcel.expires = Some(number(v, MAX_ID)?); Ok(()) } },
     Slot { key: "delivery", kind: ValueKind::String, get: |p| p.delivery.map(|d| d.word().into()), set: set_delivery },
     Slot { key: "fence", kind: ValueKind::Int, get: |p| id_value(p.fence), set: |r, v| { r.parcel.fence = Some(number(v, MAX_ID)?); Ok(()) } },
-    Slot { key: "received", kind: ValueKind::Time, get: |p| p.received.map(Value::from), set: |r, v| { r.parcel.received = Some(time(v)?); Ok(()) } },
-    Slot { key: "age", kind: ValueKind::Int, get: |p| p.age.map(Value::from), set: |r, v| { r.parcel.age = v.as_int(); Ok(()) } },
+    Slot { key: "received", kind: ValueKind::Time, get: |p| value(p.received), set: |r, v| { r.parcel.received = Some(time(v)?); Ok(()) } },
+    Slot { key: "age", kind: ValueKind::Int, get: |p| value(p.age), set: |r, v| { r.parcel.age = int(v); Ok(()) } },
     Slot { key: "age-error", kind: ValueKind::Int, get: |p| id_value(p.age_error), set: |r, v| { r.parcel.age_error = Some(number(v, MAX_ID)?); Ok(()) } },
-    Slot { key: "echo", kind: ValueKind::Bool, get: |p| p.echo.map(Value::from), set: |r, v| { r.parcel.echo = v.as_bool(); Ok(()) } },
-    Slot { key: "receipt", kind: ValueKind::Bool, get: |p| p.receipt.map(Value::from), set: |r, v| { r.parcel.receipt = v.as_bool(); Ok(()) } },
+    Slot { key: "echo", kind: ValueKind::Bool, get: |p| value(p.echo), set: |r, v| { r.parcel.echo = flag(v); Ok(()) } },
+    Slot { key: "receipt", kind: ValueKind::Bool, get: |p| value(p.receipt), set: |r, v| { r.parcel.receipt = flag(v); Ok(()) } },
     Slot { key: "content", kind: ValueKind::Null, get: |_| None, set: |_, _| Ok(()) },
 ];
 
@@ -51,8 +112,8 @@ const SLOTS: [Slot; 18] = [
 /// ```
 /// use mom_proto::{ReadSlots, Value, ValueKind};
 /// let mut slots = ReadSlots::new();
-/// slots.insert("family".into(), Value::from("message")).unwrap();
-/// slots.insert("name".into(), Value::from("chat")).unwrap();
+/// slots.insert("family", "message").unwrap();
+/// slots.insert("name", Value::from("chat")).unwrap();
 /// assert_eq!(slots.finish().unwrap().name(), "chat");
 /// assert_eq!(ReadSlots::kind_of("id"), Some(ValueKind::Int));
 /// ```
@@ -93,12 +154,17 @@ impl ReadSlots {
     /// # Errors
     /// `bad-slot` naming the slot: twice, of another type than a known slot has, or outside its range;
     /// `bad-path` for an invalid context.
-    pub fn insert(&mut self, key: String, value: Value) -> Result<(), WireError> {
+    pub fn insert<'a>(
+        &mut self,
+        key: impl Into<Cow<'a, str>>,
+        value: impl Into<SlotValue<'a>>,
+    ) -> Result<(), WireError> {
+        let (key, value) = (key.into(), value.into());
         let Some(position) = SLOTS.iter().position(|slot| slot.key == key) else {
             return self
                 .parcel
                 .extra
-                .insert_new(key, value)
+                .insert_new(key.into_owned(), value.into_value())
                 .map_err(|key| twice(&key));
         };
         let slot = &SLOTS[position];
@@ -118,7 +184,7 @@ impl ReadSlots {
             "context" => return set_path(&mut self.parcel, &value),
             // By value: content may be large.
             "content" => {
-                self.parcel.content = Some(Content::Value(value));
+                self.parcel.content = Some(Content::Value(value.into_value()));
                 return Ok(());
             }
             _ => {}
@@ -149,14 +215,14 @@ impl Default for ReadSlots {
 }
 
 /// Gives every slot that the parcel has but `content`, known ones first, in a fixed order.
-pub fn write_slots(parcel: &Parcel, mut slot: impl FnMut(&str, Option<ValueKind>, &Value)) {
+pub fn write_slots(parcel: &Parcel, mut slot: impl FnMut(&str, SlotValue<'_>)) {
     for known in &SLOTS {
         if let Some(value) = (known.get)(parcel) {
-            slot(known.key, Some(known.kind), &value);
+            slot(known.key, value);
         }
     }
     for (key, value) in parcel.extra.iter() {
-        slot(key, None, value);
+        slot(key, SlotValue::Value(Cow::Borrowed(value)));
     }
 }
 
@@ -179,42 +245,50 @@ fn twice(key: &str) -> WireError {
     bad(key, format!("the slot {key} occurs twice"))
 }
 
-fn id_value(number: Option<u64>) -> Option<Value> {
-    number
-        .and_then(|number| i64::try_from(number).ok())
-        .map(Value::Int)
+fn value<T: Into<Value>>(of: Option<T>) -> Option<SlotValue<'static>> {
+    of.map(|value| SlotValue::from(value.into()))
 }
 
-fn get_address(parcel: &Parcel) -> Option<Value> {
+fn id_value(number: Option<u64>) -> Option<SlotValue<'static>> {
+    value(number.and_then(|number| i64::try_from(number).ok()))
+}
+
+fn get_address(parcel: &Parcel) -> Option<SlotValue<'_>> {
     let address = parcel.address.as_ref()?;
-    Some(Value::List(
-        address.iter().map(|name| Value::from(&**name)).collect(),
-    ))
+    let names: Vec<Value> = address.iter().map(|name| Value::from(&**name)).collect();
+    value(Some(names))
 }
 
-fn number(value: &Value, most: u64) -> Result<u64, String> {
-    value
-        .as_int()
+fn int(value: &SlotValue<'_>) -> Option<i64> {
+    value.other().and_then(Value::as_int)
+}
+
+fn flag(value: &SlotValue<'_>) -> Option<bool> {
+    value.other().and_then(Value::as_bool)
+}
+
+fn number(value: &SlotValue<'_>, most: u64) -> Result<u64, String> {
+    int(value)
         .and_then(|number| u64::try_from(number).ok())
         .filter(|number| *number <= most)
         .ok_or_else(|| format!("is a number from 0 to {most}"))
 }
 
-fn text(value: &Value) -> Result<Arc<str>, String> {
+fn text(value: &SlotValue<'_>) -> Result<Arc<str>, String> {
     value
         .as_str()
         .map(Arc::from)
         .ok_or_else(|| "is a string".to_owned())
 }
 
-fn time(value: &Value) -> Result<Time, String> {
-    match value {
-        Value::Time(time) => Ok(*time),
+fn time(value: &SlotValue<'_>) -> Result<Time, String> {
+    match value.other() {
+        Some(Value::Time(time)) => Ok(*time),
         _ => Err("is a time".to_owned()),
     }
 }
 
-fn set_family(slots: &mut ReadSlots, value: &Value) -> Result<(), String> {
+fn set_family(slots: &mut ReadSlots, value: &SlotValue<'_>) -> Result<(), String> {
     let word = value.as_str().unwrap_or_default();
     slots.parcel.family = Family::from_word(word).ok_or_else(|| {
         let near = nearest(word, Family::ALL.map(Family::word));
@@ -227,8 +301,8 @@ fn set_family(slots: &mut ReadSlots, value: &Value) -> Result<(), String> {
     Ok(())
 }
 
-fn set_address(slots: &mut ReadSlots, value: &Value) -> Result<(), String> {
-    let list = value.as_list().unwrap_or_default();
+fn set_address(slots: &mut ReadSlots, value: &SlotValue<'_>) -> Result<(), String> {
+    let list = value.other().and_then(Value::as_list).unwrap_or_default();
     if list.is_empty() {
         return Err("is empty: leave it out to reach all members".to_owned());
     }
@@ -237,24 +311,24 @@ fn set_address(slots: &mut ReadSlots, value: &Value) -> Result<(), String> {
     Ok(())
 }
 
-fn set_priority(slots: &mut ReadSlots, value: &Value) -> Result<(), String> {
-    let priority = value.as_int().and_then(|number| i32::try_from(number).ok());
+fn set_priority(slots: &mut ReadSlots, value: &SlotValue<'_>) -> Result<(), String> {
+    let priority = int(value).and_then(|number| i32::try_from(number).ok());
     slots.parcel.priority = Some(priority.ok_or("is a number of 32 bits")?);
     Ok(())
 }
 
-fn set_delivery(slots: &mut ReadSlots, value: &Value) -> Result<(), String> {
+fn set_delivery(slots: &mut ReadSlots, value: &SlotValue<'_>) -> Result<(), String> {
     let delivery = value.as_str().and_then(Delivery::from_word);
     slots.parcel.delivery = Some(delivery.ok_or("is one of reliable, latest, fleeting")?);
     Ok(())
 }
 
-fn set_context(slots: &mut ReadSlots, value: &Value) -> Result<(), String> {
+fn set_context(slots: &mut ReadSlots, value: &SlotValue<'_>) -> Result<(), String> {
     set_path(&mut slots.parcel, value).map_err(|error| error.text)
 }
 
 // Apart from the others because its error keeps a code of its own.
-fn set_path(parcel: &mut Parcel, value: &Value) -> Result<(), WireError> {
+fn set_path(parcel: &mut Parcel, value: &SlotValue<'_>) -> Result<(), WireError> {
     let path = Path::parse(value.as_str().unwrap_or_default());
     parcel.context = Some(path.map_err(|error| WireError::new(error.code, error.text).slot("context"))?);
     Ok(())
@@ -267,7 +341,7 @@ mod tests {
     fn read(slots: &[(&str, Value)]) -> Result<Parcel, WireError> {
         let mut read = ReadSlots::new();
         for (key, value) in slots {
-            read.insert((*key).to_owned(), value.clone())?;
+            read.insert(*key, value.clone())?;
         }
         read.finish()
     }
@@ -297,10 +371,10 @@ mod tests {
         parcel.receipt = Some(true);
         parcel.extra.set("colour", "red");
         let mut back = ReadSlots::new();
-        write_slots(&parcel, |key, _, value| {
-            back.insert(key.to_owned(), value.clone()).unwrap();
+        write_slots(&parcel, |key, value| {
+            back.insert(key.to_owned(), value.into_value()).unwrap();
         });
-        back.insert("content".into(), "grip open".into()).unwrap();
+        back.insert("content", "grip open").unwrap();
         assert_eq!(back.finish(), Ok(parcel));
     }
 

@@ -20,7 +20,7 @@ const TOLERANCE: f64 = 0.05;
 
 const HEAD: &str = "\
 # Instructions of each case of the hot path, counted by callgrind in a release build (`cargo xtask instructions`).
-# One count: decode, admit or encode one parcel with 16 bytes of content; deliver = one parcel through a whole broker
+# One count: decode, admit or encode one parcel with 16 bytes of content, in binary or XML; deliver = one parcel through a whole broker
 # to ten receivers over sockets, with all that sender and receivers do in the same process.
 # Another toolchain or C library may count differently: `cargo xtask instructions --write` stores what is counted now.
 ";
@@ -31,9 +31,13 @@ struct Case {
     times: u64,
 }
 
-const CASES: [Case; 4] = [
+const CASES: [Case; 6] = [
     Case {
         name: "decode",
+        times: 20_000,
+    },
+    Case {
+        name: "decode-xml",
         times: 20_000,
     },
     Case {
@@ -42,6 +46,10 @@ const CASES: [Case; 4] = [
     },
     Case {
         name: "encode",
+        times: 20_000,
+    },
+    Case {
+        name: "encode-xml",
         times: 20_000,
     },
     Case {

@@ -13,22 +13,22 @@ fn main() -> Result<()> {
     let mut args = std::env::args().skip(1);
     let case = args
         .next()
-        .context("which case? decode, admit, encode or deliver")?;
+        .context("which case? decode, decode-xml, admit, encode, encode-xml or deliver")?;
     let times: u64 = args
         .next()
         .context("how many times?")?
         .parse()
         .context("how many times?")?;
     match case.as_str() {
-        "decode" => {
-            let mut coding = Coding::new(Form::Binary, 16)?;
+        "decode" | "decode-xml" => {
+            let mut coding = Coding::new(form(&case), 16)?;
             let (mut decoded, size) = (0, coding.size() as u64);
             while decoded < times {
                 decoded += black_box(coding.decode_many()?) as u64 / size;
             }
         }
-        "encode" => {
-            let coding = Coding::new(Form::Binary, 16)?;
+        "encode" | "encode-xml" => {
+            let coding = Coding::new(form(&case), 16)?;
             for _ in 0..times {
                 black_box(coding.encode()?);
             }
@@ -40,7 +40,14 @@ fn main() -> Result<()> {
             }
         }
         "deliver" => Delivery::run(10, times)?,
-        other => bail!("there is no case {other}: decode, admit, encode, deliver"),
+        other => bail!("there is no case {other}: decode, decode-xml, admit, encode, encode-xml, deliver"),
     }
     Ok(())
+}
+
+fn form(case: &str) -> Form {
+    match case.ends_with("-xml") {
+        true => Form::Xml,
+        false => Form::Binary,
+    }
 }

@@ -7,8 +7,9 @@ use crate::{Code, Limits, WireError};
 use super::FIRST;
 use super::name::brief;
 
-// What this crate itself writes needs no parser of media types.
+// Lines as this crate itself writes them need no parser of headers and media types.
 const OWN_TYPE: &[u8] = b"Content-Type: application/xml; charset=utf-8";
+const OWN_LENGTH: &[u8] = b"Content-Length: ";
 const BOUNDARY_BYTES: usize = 70;
 
 /// What an entity's body is.
@@ -41,6 +42,11 @@ impl EntityHead {
     pub(super) fn line(&mut self, line: &[u8], limits: &Limits) -> Result<(), WireError> {
         if line == OWN_TYPE {
             return put_once(&mut self.media, Ok(Media::Xml), "Content-Type");
+        }
+        if let Some(digits) = line.strip_prefix(OWN_LENGTH)
+            && let Some(value) = decimal(digits)
+        {
+            return put_once(&mut self.length, length(value, limits)?, "Content-Length");
         }
         let (name, value) = header(line)?;
         if name.eq_ignore_ascii_case("Content-Length") {
@@ -169,8 +175,14 @@ fn is_boundary(text: &str) -> bool {
     (1..=BOUNDARY_BYTES).contains(&text.len()) && !text.ends_with(' ') && text.bytes().all(allowed)
 }
 
+/// Digits, at least one.
+fn decimal(bytes: &[u8]) -> Option<&str> {
+    let digits = !bytes.is_empty() && bytes.iter().all(u8::is_ascii_digit);
+    std::str::from_utf8(bytes).ok().filter(|_| digits)
+}
+
 fn length(value: &str, limits: &Limits) -> Result<usize, WireError> {
-    if value.is_empty() || !value.bytes().all(|byte| byte.is_ascii_digit()) {
+    if decimal(value.as_bytes()).is_none() {
         let text = format!(
             "Content-Length is a decimal number of bytes, not {:?}",
             brief(value)

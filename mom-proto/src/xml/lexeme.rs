@@ -1,9 +1,6 @@
-//! Lexemes of XML: quick-xml finds their ends, this module checks their content.
+//! Lexemes of XML, of the few kinds that the grammar has.
 
 use std::borrow::Cow;
-
-use quick_xml::Reader;
-use quick_xml::events::Event;
 
 use crate::nearest::nearest;
 use crate::{Code, Limits, ValueKind, WireError};
@@ -47,9 +44,7 @@ impl Tag<'_> {
 /// The lexemes of one document.
 pub(super) struct Lexemes<'a> {
     text: &'a str,
-    reader: Reader<&'a [u8]>,
-    // The position in the body of what the reader was given.
-    reader_base: usize,
+    at: usize,
     base: usize,
     limits: &'a Limits,
 }
@@ -57,18 +52,10 @@ pub(super) struct Lexemes<'a> {
 impl<'a> Lexemes<'a> {
     /// The tokens of `text`, which lies at `base` in the body; an XML declaration is read already.
     pub(super) fn new(text: &'a str, base: usize, limits: &'a Limits) -> Result<Lexemes<'a>, WireError> {
-        let start = declaration(text, base, limits)?;
-        // The tokenizer would swallow it.
-        if text[start..].starts_with('\u{FEFF}') {
-            return Err(bad(base + start, "no text may stand outside of elements"));
-        }
-        let mut reader = Reader::from_str(&text[start..]);
-        // The grammar compares names itself, with what it has opened.
-        reader.config_mut().check_end_names = false;
+        let at = declaration(text, base, limits)?;
         Ok(Lexemes {
             text,
-            reader,
-            reader_base: start,
+            at,
             base,
             limits,
         })
@@ -76,7 +63,7 @@ impl<'a> Lexemes<'a> {
 
     /// Where the next token begins, in the body.
     pub(super) fn position(&self) -> usize {
-        self.base + self.offset()
+        self.base + self.at
     }
 
     /// The raw text from one position of the body to another.
@@ -86,29 +73,37 @@ impl<'a> Lexemes<'a> {
 
     /// The next token.
     pub(super) fn next(&mut self) -> Result<Lexeme<'a>, WireError> {
-        let start = self.offset();
-        let rest = &self.text.as_bytes()[start..];
-        // Before the tokenizer looks for their end: a document type may be as long as the body.
-        if let [b'<', b'!' | b'?', ..] = rest {
-            return Err(self.refused_markup(rest));
-        }
-        let event = self.reader.read_event();
-        let raw = &self.text[start..self.offset()];
-        match event {
-            Ok(Event::Start(_) | Event::Empty(_)) => self.tag(raw, start).map(Lexeme::Open),
-            Ok(Event::End(_)) => Ok(Lexeme::Close(
-                raw[2..raw.len() - 1].trim_end_matches([' ', '\t', '\r', '\n']),
-            )),
-            Ok(Event::Text(_) | Event::GeneralRef(_)) => Ok(Lexeme::Text(raw)),
-            Ok(Event::Eof) => Ok(Lexeme::End),
-            Ok(_) => Err(bad(self.base + start, "this markup is no part of a parcel")),
-            Err(error) => Err(bad(self.base + start, format!("no well-formed XML: {error}"))),
-        }
+        let rest = &self.text[self.at..];
+        let length = match rest.as_bytes() {
+            [] => return Ok(Lexeme::End),
+            // Before its end is looked for: a document type may be as long as the body.
+            [b'<', b'!' | b'?', ..] => return Err(self.refused_markup(rest.as_bytes())),
+            [b'<', b'/', ..] => return self.close(rest).map(Lexeme::Close),
+            [b'<', ..] => return self.open(rest).map(Lexeme::Open),
+            bytes => memchr::memchr(b'<', bytes).unwrap_or(bytes.len()),
+        };
+        self.at += length;
+        Ok(Lexeme::Text(&rest[..length]))
     }
 
-    fn offset(&self) -> usize {
-        // On this side of a body's length, which is a usize.
-        self.reader_base + usize::try_from(self.reader.buffer_position()).unwrap_or(usize::MAX)
+    /// The text up to `</name>` and that tag, if there is nothing else between.
+    pub(super) fn text_of(&mut self, name: &str) -> Option<&'a str> {
+        let rest = &self.text[self.at..];
+        let text = &rest[..memchr::memchr(b'<', rest.as_bytes())?];
+        let after = rest[text.len()..].strip_prefix("</")?.strip_prefix(name)?;
+        let after = after.strip_prefix('>')?;
+        self.at = self.text.len() - after.len();
+        Some(text)
+    }
+
+    fn close(&mut self, rest: &'a str) -> Result<&'a str, WireError> {
+        let end = memchr::memchr(b'>', rest.as_bytes()).ok_or_else(|| self.endless())?;
+        self.at += end + 1;
+        Ok(rest[2..end].trim_end_matches([' ', '\t', '\r', '\n']))
+    }
+
+    fn endless(&self) -> WireError {
+        bad(self.position(), "this tag does not end")
     }
 
     fn refused_markup(&self, rest: &[u8]) -> WireError {
@@ -140,32 +135,40 @@ impl<'a> Lexemes<'a> {
         WireError::new(Code::RESTRICTED_XML, format!("{what} is never allowed")).position(self.position())
     }
 
-    fn tag(&self, raw: &'a str, start: usize) -> Result<Tag<'a>, WireError> {
-        let inner = &raw[1..raw.len() - 1];
-        let (inner, empty) = match inner.strip_suffix('/') {
-            Some(inner) => (inner, true),
-            None => (inner, false),
-        };
-        let end = inner.bytes().position(is_blank).unwrap_or(inner.len());
+    fn open(&mut self, rest: &'a str) -> Result<Tag<'a>, WireError> {
+        let position = self.position();
+        let name_ends = |byte: u8| is_blank(byte) || byte == b'>' || byte == b'/';
+        let end = rest.bytes().position(name_ends).ok_or_else(|| self.endless())?;
         let mut tag = Tag {
-            name: &inner[..end],
+            name: &rest[1..end],
             key: None,
             kind: None,
             base64: false,
-            empty,
-            position: self.base + start,
+            empty: false,
+            position,
         };
         if tag.name.len() > self.limits.attribute_size {
-            return Err(bad(
-                tag.position,
-                "the name of an element is longer than the limit",
-            ));
+            return Err(bad(position, "the name of an element is longer than the limit"));
         }
-        check_name(tag.name, tag.position + 1)?;
+        if rest.as_bytes()[end] == b'>' {
+            self.at += end + 1;
+            return check_name(tag.name, position + 1).map(|()| tag);
+        }
+        let length = end + tag_length(&rest.as_bytes()[end..]).ok_or_else(|| self.endless())?;
+        self.at += length;
+        check_name(tag.name, position + 1)?;
+        let inner = &rest[1..length - 1];
+        let inner = match inner.strip_suffix('/') {
+            Some(inner) => {
+                tag.empty = true;
+                inner
+            }
+            None => inner,
+        };
         let mut attributes = Attributes {
             raw: inner,
-            at: end,
-            base: tag.position + 1,
+            at: tag.name.len(),
+            base: position + 1,
             count: 0,
             limits: self.limits,
         };
@@ -174,6 +177,18 @@ impl<'a> Lexemes<'a> {
         match read {
             Err(error) if !matches!(tag.name, "parcel" | "slot" | "item") => Err(within(error, tag.name)),
             read => read.map(|()| tag),
+        }
+    }
+}
+
+/// The bytes up to the `>` of a start tag; another one may stand between quotes.
+fn tag_length(bytes: &[u8]) -> Option<usize> {
+    let mut at = 0;
+    loop {
+        at += memchr::memchr3(b'>', b'"', b'\'', &bytes[at..])? + 1;
+        match bytes[at - 1] {
+            b'>' => return Some(at),
+            quote => at += memchr::memchr(quote, &bytes[at..])? + 1,
         }
     }
 }

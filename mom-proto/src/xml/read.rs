@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 use crate::slots::too_long;
-use crate::{Code, HARD_DEPTH, Limits, Map, Parcel, ReadSlots, Value, ValueKind, WireError};
+use crate::{Code, HARD_DEPTH, Limits, Map, Parcel, ReadSlots, SlotValue, Value, ValueKind, WireError};
 
 use super::lexeme::{Lexeme, Lexemes, Tag};
 use super::multipart::Parts;
@@ -69,7 +69,7 @@ fn document_slots(
         let kind = ReadSlots::kind_of(&key).unwrap_or(ValueKind::String);
         let depth = limits.depth.min(HARD_DEPTH);
         let value = reader
-            .value(&tag, tag.kind.unwrap_or(kind), depth)
+            .slot(&tag, tag.kind.unwrap_or(kind), depth)
             .map_err(|error| within(error, &key))?;
         if key != "content" {
             slot_bytes += reader.tokens.position().saturating_sub(position);
@@ -78,7 +78,7 @@ fn document_slots(
             }
         }
         slots
-            .insert(key.into_owned(), value)
+            .insert(key, value)
             .map_err(|error| placed(error, position))?;
     }
     reader.end()?;
@@ -131,6 +131,14 @@ impl<'a> ParcelReader<'a, '_> {
                 Lexeme::Close(name) if name == parent.name => return Ok(None),
                 token => return Err(not_closed(parent, &token, position)),
             }
+        }
+    }
+
+    /// The value of a slot; `depth` more lists and maps may open.
+    fn slot(&mut self, tag: &Tag<'a>, kind: ValueKind, depth: usize) -> Result<SlotValue<'a>, WireError> {
+        match kind == ValueKind::String && !tag.base64 {
+            true => Ok(self.text(tag)?.0.into()),
+            false => self.value(tag, kind, depth).map(SlotValue::from),
         }
     }
 
@@ -208,6 +216,9 @@ impl<'a> ParcelReader<'a, '_> {
         let start = self.tokens.position();
         if tag.empty {
             return Ok((Cow::Borrowed(""), start));
+        }
+        if let Some(raw) = self.tokens.text_of(tag.name) {
+            return Ok((unescape(raw, start, TextKind::Element)?, start));
         }
         loop {
             let position = self.tokens.position();

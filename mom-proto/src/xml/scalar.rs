@@ -65,11 +65,10 @@ fn double(text: &str) -> Option<f64> {
 }
 
 fn base64(text: &str) -> Option<Vec<u8>> {
-    if !text.bytes().any(|byte| byte.is_ascii_whitespace()) {
-        return STANDARD.decode(text).ok();
-    }
-    let dense: Vec<u8> = text.bytes().filter(|byte| !byte.is_ascii_whitespace()).collect();
-    STANDARD.decode(dense).ok()
+    STANDARD.decode(text).ok().or_else(|| {
+        let dense: Vec<u8> = text.bytes().filter(|byte| !byte.is_ascii_whitespace()).collect();
+        STANDARD.decode(dense).ok()
+    })
 }
 
 #[cfg(test)]

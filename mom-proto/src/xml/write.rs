@@ -2,15 +2,18 @@
 
 use std::collections::HashSet;
 use std::io::Write as _;
+use std::sync::LazyLock;
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use bytes::Bytes;
+use memchr::memmem::Finder;
 
 use crate::codec::Encoded;
 use crate::msgpack::{self, Item, ItemReader, key_twice};
+use crate::names::position_of;
 use crate::slots::check_extra;
-use crate::{Code, Content, HARD_DEPTH, Limit, Parcel, Value, ValueKind, WireError, write_slots};
+use crate::{Code, Content, HARD_DEPTH, Limit, Parcel, SlotValue, Value, ValueKind, WireError, write_slots};
 
 use super::name::{is_element_key, within};
 
@@ -79,9 +82,9 @@ impl XmlWriter {
     fn parcel(&mut self, parcel: &Parcel, depth: usize) -> Result<(), WireError> {
         self.out.extend_from_slice(b"<parcel>");
         let mut written = Ok(());
-        write_slots(parcel, |key, _, value| {
+        write_slots(parcel, |key, value| {
             if written.is_ok() {
-                written = self.member(key, value, HARD_DEPTH);
+                written = self.slot(key, &value);
             }
         });
         written?;
@@ -96,6 +99,17 @@ impl XmlWriter {
         }
         self.out.extend_from_slice(b"</parcel>");
         Ok(())
+    }
+
+    fn slot(&mut self, key: &str, value: &SlotValue<'_>) -> Result<(), WireError> {
+        match value {
+            SlotValue::Value(value) => self.member(key, value, HARD_DEPTH),
+            SlotValue::Text(text) => {
+                let (name, attribute) = element_of(key);
+                self.leaf(name, attribute, Item::Text(text))
+                    .map_err(|error| within(error, key))
+            }
+        }
     }
 
     fn member(&mut self, key: &str, value: &Value, depth: usize) -> Result<(), WireError> {
@@ -286,26 +300,41 @@ impl XmlWriter {
     fn finish(mut self) -> Bytes {
         let head = if self.parts.is_empty() {
             let length = self.out.len() - HEAD_BYTES;
-            format!("{XML}Content-Length: {length}\r\n\r\n")
+            [
+                XML,
+                "Content-Length: ",
+                itoa::Buffer::new().format(length),
+                "\r\n\r\n",
+            ]
+            .concat()
         } else {
             let boundary = boundary(&self.out[HEAD_BYTES..], &self.parts);
             for (index, part) in self.parts.iter().enumerate() {
-                let id = index + 1;
-                let head = format!(
-                    "\r\n--{boundary}\r\nContent-Type: application/octet-stream\r\nContent-ID: <part-{id}>\r\n\r\n"
-                );
+                let head = [
+                    "\r\n--",
+                    &boundary,
+                    "\r\nContent-Type: application/octet-stream\r\nContent-ID: <part-",
+                    itoa::Buffer::new().format(index + 1),
+                    ">\r\n\r\n",
+                ]
+                .concat();
                 self.out.reserve(head.len() + part.len() + boundary.len() + 6);
                 self.out.extend_from_slice(head.as_bytes());
                 self.out.extend_from_slice(part);
             }
-            self.out
-                .extend_from_slice(format!("\r\n--{boundary}--").as_bytes());
-            let first = format!("--{boundary}\r\n{XML}\r\n");
-            let length = first.len() + self.out.len() - HEAD_BYTES;
-            format!(
-                "Content-Type: multipart/related; type=\"application/xml\"; boundary={boundary}\r\n\
-                 Content-Length: {length}\r\n\r\n{first}"
-            )
+            for piece in ["\r\n--", &boundary, "--"] {
+                self.out.extend_from_slice(piece.as_bytes());
+            }
+            let first = ["--", &boundary, "\r\n", XML, "\r\n"].concat();
+            [
+                "Content-Type: multipart/related; type=\"application/xml\"; boundary=",
+                &boundary,
+                "\r\nContent-Length: ",
+                itoa::Buffer::new().format(first.len() + self.out.len() - HEAD_BYTES),
+                "\r\n\r\n",
+                &first,
+            ]
+            .concat()
         };
         // The longest head, with twenty digits for each number, is below HEAD_BYTES.
         let start = HEAD_BYTES - head.len();
@@ -328,9 +357,10 @@ fn element_of(key: &str) -> (&str, Option<&str>) {
 fn boundary(xml: &[u8], parts: &[Bytes]) -> String {
     // More digits than any count of places in memory has.
     const DIGITS: usize = 18;
+    static MARK: LazyLock<Finder<'static>> = LazyLock::new(|| Finder::new("mom-"));
     let mut taken: Vec<u64> = Vec::new();
     for piece in std::iter::once(xml).chain(parts.iter().map(|part| &part[..])) {
-        for at in memchr::memmem::find_iter(piece, b"mom-") {
+        for at in MARK.find_iter(piece) {
             let digits = piece[at + 4..]
                 .iter()
                 .take(DIGITS)
@@ -351,28 +381,18 @@ fn boundary(xml: &[u8], parts: &[Bytes]) -> String {
 
 // What has to be looked at: markup, line ends and tabs, what XML does not have, and 0xEF, with which
 // U+FFFE and U+FFFF begin.
-static SPECIAL: [bool; 256] = {
-    let mut special = [false; 256];
-    let mut byte = 0;
-    while byte < 256 {
-        special[byte] = byte < 0x20 || byte == 0xEF;
-        byte += 1;
-    }
-    special[b'&' as usize] = true;
-    special[b'<' as usize] = true;
-    special[b'>' as usize] = true;
-    special[b'"' as usize] = true;
-    special
-};
+fn is_special(byte: u8) -> bool {
+    (byte < 0x20) | (byte == b'&') | (byte == b'<') | (byte == b'>') | (byte == b'"') | (byte == 0xEF)
+}
 
 fn escape(text: &str, attribute: bool, out: &mut Vec<u8>, most: usize) -> Result<(), WireError> {
     let bytes = text.as_bytes();
     let mut copied = 0;
-    for (at, &byte) in bytes.iter().enumerate() {
-        if !SPECIAL[usize::from(byte)] {
-            continue;
-        }
-        let escaped: &[u8] = match byte {
+    let mut at = 0;
+    while let Some(found) = position_of(&bytes[at..], is_special) {
+        at += found + 1;
+        let special = at - 1;
+        let escaped: &[u8] = match bytes[special] {
             b'&' => b"&amp;",
             b'<' => b"&lt;",
             b'>' => b"&gt;",
@@ -381,15 +401,15 @@ fn escape(text: &str, attribute: bool, out: &mut Vec<u8>, most: usize) -> Result
             b'\n' if attribute => b"&#10;",
             b'\t' if attribute => b"&#9;",
             b'\n' | b'\t' => continue,
-            0xEF if !matches!(bytes[at + 1..], [0xBF, 0xBE | 0xBF, ..]) => continue,
+            0xEF if !matches!(bytes[at..], [0xBF, 0xBE | 0xBF, ..]) => continue,
             _ => {
-                let c = text[at..].chars().next().unwrap_or_default();
+                let c = text[special..].chars().next().unwrap_or_default();
                 return Err(not_encodable(format!("XML has no character {c:?}")));
             }
         };
-        out.extend_from_slice(&bytes[copied..at]);
+        out.extend_from_slice(&bytes[copied..special]);
         out.extend_from_slice(escaped);
-        copied = at + 1;
+        copied = at;
         if out.len() > most.saturating_add(HEAD_BYTES) {
             return Err(too_large(most));
         }

@@ -170,9 +170,9 @@ fn is_like(written: &Value, found: &Value, place: &str) -> Result<(), String> {
 
 fn slot(parcel: &Parcel, key: &str) -> Option<Value> {
     let mut found = None;
-    write_slots(parcel, |slot, _, value| {
+    write_slots(parcel, |slot, value| {
         if show::slot_word(slot) == key {
-            found = Some(value.clone());
+            found = Some(value.into_value());
         }
     });
     found

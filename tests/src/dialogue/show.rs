@@ -29,7 +29,7 @@ pub(crate) fn parcel(parcel: &Parcel) -> String {
     }
     if parcel.family == Family::Message {
         let mut slots = Map::new();
-        write_slots(parcel, |key, _, slot| slots.set(slot_word(key), slot.clone()));
+        write_slots(parcel, |key, slot| slots.set(slot_word(key), slot.into_value()));
         slots.remove("family");
         slots.remove("name");
         line.push_str(&format!(" {}", members(&slots)));
