@@ -6,13 +6,14 @@ use mom_client::{Address, Builder, Client, ClientError, Code, Key, Proof, WireEr
 
 use crate::cli::GlobalArgs;
 use crate::failure::Failure;
+use crate::output::Output;
 
 /// Whether a command outlives a lost connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Stay {
     /// It ends with the connection.
     Once,
-    /// It connects again and goes on.
+    /// It waits for a hub that is not there yet, connects again and goes on.
     Reconnecting,
 }
 
@@ -21,15 +22,19 @@ pub(crate) async fn connect(global: &GlobalArgs, stay: Stay) -> Result<Client, F
     // Nobody is asked for a password for nothing.
     global.hub.parse::<Address>().map_err(wrong_address)?;
     let who = UserLogin::of(global)?;
-    let builder = who.prove(Client::builder(&global.hub));
-    let builder = match stay {
-        Stay::Once => builder.no_reconnect(),
-        Stay::Reconnecting => builder,
+    let builder = || who.prove(Client::builder(&global.hub));
+    let connected = match stay {
+        Stay::Once => builder().no_reconnect().connect().await,
+        Stay::Reconnecting => match builder().connect().await {
+            Err(error @ (ClientError::Connection(_) | ClientError::TimedOut { .. })) => {
+                let absent = explain(&global.hub, &who, error);
+                Output::new(global.json).remark(format_args!("{absent}; waiting for it, Ctrl-C ends"));
+                builder().wait_for_hub().connect().await
+            }
+            connected => connected,
+        },
     };
-    builder
-        .connect()
-        .await
-        .map_err(|error| explain(&global.hub, &who, error))
+    connected.map_err(|error| explain(&global.hub, &who, error))
 }
 
 /// The user and the proof.

@@ -276,6 +276,48 @@ async fn a_device_waits_for_its_hub_and_says_so() {
     broker.stop().await;
 }
 
+/// So need not who only watches.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_watcher_waits_for_its_hub_and_says_so() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let broker = lab::start().await;
+    let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
+    let hub = format!("bin://{}", listener.local_addr().expect("bound"));
+    let log = folder.path().join("log");
+    let file = std::fs::File::create(&log).expect("a file");
+    let said = || std::fs::read_to_string(&log).expect("its words");
+    let alice = [("MOM_USER", "alice"), ("MOM_PASSWORD", "alice")];
+    let watch = ["--hub".to_owned(), hub, "watch".to_owned(), "/chat".to_owned()];
+    let running = spawn_blocking(move || {
+        let watch = watch.each_ref().map(String::as_str);
+        Running::start_with("mom", &watch, &alice, file.into())
+    });
+    let running = running.await.expect("it starts");
+    for _ in 0..3 {
+        let tried = timeout(PATIENCE, listener.accept()).await;
+        drop(tried.expect("it tries again"));
+    }
+    assert_eq!(said().matches("waiting for it").count(), 1, "{}", said());
+    let address = broker.local_addr();
+    let relay = tokio::spawn(async move {
+        let (mut near, _) = listener.accept().await.expect("it tries again");
+        let mut far = TcpStream::connect(address).await.expect("the hub is there");
+        // It ends with the program.
+        let _ = copy_bidirectional(&mut near, &mut far).await;
+    });
+    let watching = async {
+        while !said().contains("watching /chat") {
+            tokio::task::yield_now().await;
+        }
+    };
+    timeout(PATIENCE, watching).await.expect("it finds the hub");
+    running.signal("INT");
+    let status = spawn_blocking(move || running.wait()).await.expect("waited for");
+    assert_eq!(status.code(), Some(0), "{}", said());
+    relay.await.expect("it ends with the program");
+    broker.stop().await;
+}
+
 /// Ctrl-C ends a device that waits, too.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_device_that_waits_can_be_ended() {
