@@ -47,8 +47,7 @@ impl Time {
     pub fn write(self, out: &mut Vec<u8>) {
         // Not by nanoseconds: they are an i128, whose divisions take most of the time.
         let (seconds, micros) = (self.0.div_euclid(1_000_000), self.0.rem_euclid(1_000_000));
-        let date_time =
-            OffsetDateTime::from_unix_timestamp(seconds).unwrap_or(OffsetDateTime::UNIX_EPOCH);
+        let date_time = OffsetDateTime::from_unix_timestamp(seconds).unwrap_or(OffsetDateTime::UNIX_EPOCH);
         let (date, clock) = (date_time.date(), date_time.time());
         let year = u32::try_from(date.year()).unwrap_or_default();
         for (digits, number, separator) in [
