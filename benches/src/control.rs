@@ -64,7 +64,7 @@ impl Peer {
         let address: Address = format!("bin://{address}")
             .parse()
             .map_err(|error| Error::Unexpected(format!("{error}")))?;
-        let link = mom_net::connect(&address, &Limits::default())
+        let link = mom_net::connect(&address, &Limits::default(), None)
             .await
             .map_err(|error| net("connecting", &error))?;
         let mut peer = Peer { link, last: 0 };

@@ -80,7 +80,7 @@ async fn enter(address: &str) -> Result<Transceiver, Error> {
     let address: Address = format!("bin://{address}")
         .parse()
         .map_err(|error| Error::Unexpected(format!("{error}")))?;
-    let link = mom_net::connect(&address, &Limits::default()).await;
+    let link = mom_net::connect(&address, &Limits::default(), None).await;
     let mut link = link.map_err(|error| Error::Unexpected(error.to_string()))?;
     let login = Parcel::new(Family::Login, "login").context(Path::root());
     let channel = Path::parse(CHANNEL).map_err(Error::hub("the channel's path"))?;

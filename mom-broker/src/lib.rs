@@ -12,8 +12,8 @@ mod traffic;
 
 pub use broker::{Broker, BrokerError};
 pub use mom_config::{
-    Asked, Config, ConfigError, ConfigErrors, Explanation, Location, ReloadOn, Supposed, check_address,
-    config_schema, users_schema,
+    Asked, Config, ConfigError, ConfigErrors, Explanation, Location, ReloadOn, Supposed, TlsConfig,
+    check_address, config_schema, users_schema,
 };
 pub use mom_journal::{
     AuditConfig, Decision, Difference, Outcome, RecordConfig, RecordError, Replay, Summary, WriteError,

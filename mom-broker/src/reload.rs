@@ -9,6 +9,7 @@ use mom_hub::{Configuration, Input, PeerId, User};
 use mom_proto::{Limits, Map, Value};
 
 use crate::Broker;
+use crate::broker::open_tls;
 use crate::traffic::switchboard::{Touched, flush};
 
 /// What another configuration changed.
@@ -51,6 +52,7 @@ impl Broker {
         let (config, needs_restart) = keep_fixed(&running, config);
         running.check_replacement(&config)?;
         config.check()?;
+        let tls = open_tls(&config.tls).map_err(|error| ConfigError::of_file("[tls]", error.to_string()))?;
         let mut report = ReloadReport::of(&running, &config, needs_restart);
         let mut touched = Touched::new();
         let configure = |users: Vec<(PeerId, Option<User>)>| {
@@ -65,6 +67,7 @@ impl Broker {
             .logins
             .replace(users, login, configure)
             .map_err(ConfigError::from)?;
+        *self.tls.write() = tls;
         *self.services.next_limits.write() = Arc::new(config.limits.clone());
         flush(&mut touched);
         *running = config;
@@ -146,6 +149,7 @@ impl ReloadReport {
             }
         };
         note(running.log == config.log, "log");
+        note(running.tls == config.tls, "tls");
         note(running.reload == config.reload, "reload");
         note(running.root == config.root, "root");
         note(running.login == config.login, "login");

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::time::Duration;
 
-use mom_net::{Address, Transceiver};
-use mom_proto::Time;
+use mom_net::{Address, ClientTls, Identity, TlsError, Transceiver, Trust};
+use mom_proto::{Code, Time, WireError};
 
 use crate::client::{Client, Handle};
 use crate::clock::{HubClock, Wall};
@@ -42,6 +42,8 @@ const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
 pub struct Builder {
     connector: Result<Connector, ClientError>,
     credentials: Credentials,
+    /// Which hub is the right one, over TLS.
+    trust: Option<Trust>,
     /// A key that could not be read.
     fault: Option<ClientError>,
     wall: Wall,
@@ -54,7 +56,7 @@ impl Builder {
         Builder::new(
             address
                 .parse::<Address>()
-                .map(Connector::Remote)
+                .map(|address| Connector::Remote(address, None))
                 .map_err(ClientError::from),
         )
     }
@@ -72,6 +74,7 @@ impl Builder {
                 nickname: None,
                 hub: None,
             },
+            trust: None,
             fault: None,
             wall: Arc::new(crate::clock::system),
             settings: Settings {
@@ -115,6 +118,34 @@ impl Builder {
     /// the link, unless [`Client::authenticate_again`] came before.
     pub fn token(self, token: impl Into<String>) -> Builder {
         self.proof(Proof::Token(token.into()))
+    }
+
+    /// The certificate of this peer, shown to a hub over TLS and a proof of who it is: its fingerprint stands in the
+    /// users file (`certificates`).
+    pub fn certificate(self, identity: Identity) -> Builder {
+        self.proof(Proof::Certificate(identity))
+    }
+
+    /// Which hub is the right one over TLS (`bins://`, `tcps://`). By default the one with the certificate that the address
+    /// names (`?pin=sha256:…`), and else one that this system trusts.
+    ///
+    /// ```no_run
+    /// # async fn example() -> Result<(), Box<dyn std::error::Error>> {
+    /// use mom_client::{Client, Trust};
+    ///
+    /// let shown_by_the_hub = "sha256:4355a46b19d348dc2f57c046f8ef63d4538ebb936000f3c9ee954a27460dd865";
+    /// let client = Client::builder("bins://lab.example.org")
+    ///     .trust(Trust::Pinned(shown_by_the_hub.parse()?))
+    ///     .user("alice")
+    ///     .password("alice")
+    ///     .connect()
+    ///     .await?;
+    /// # Ok(())
+    /// # }
+    /// ```
+    pub fn trust(mut self, trust: Trust) -> Builder {
+        self.trust = Some(trust);
+        self
     }
 
     /// Log in as a guest, where the hub lets them in.
@@ -188,9 +219,19 @@ impl Builder {
     /// `Address` for a wrong address, `Local` for a bad key, `Connection` and `TimedOut` for an unreachable hub, `Refused` with
     /// `bad-login` and other refusals of the hub.
     pub async fn connect(self) -> Result<Client, ClientError> {
-        let connector = self.connector?;
+        let mut connector = self.connector?;
         if let Some(error) = self.fault {
             return Err(error);
+        }
+        if let Connector::Remote(address, tls) = &mut connector
+            && address.tls
+        {
+            let trust = self.trust.or(address.pin.map(Trust::Pinned)).unwrap_or_default();
+            let identity = match &self.credentials.proof {
+                Proof::Certificate(identity) => Some(identity),
+                _ => None,
+            };
+            *tls = Some(ClientTls::new(&trust, identity).map_err(|error| unusable(&error))?);
         }
         let ids = AtomicU64::new(1);
         let patience = self.settings.reconnect.as_ref().filter(|_| self.waits);
@@ -212,6 +253,10 @@ impl Builder {
         tokio::spawn(drive);
         Ok(Client::of(Arc::new(Handle { shared })))
     }
+}
+
+fn unusable(error: &TlsError) -> ClientError {
+    ClientError::Local(WireError::new(Code::BAD_LOGIN, error.to_string()))
 }
 
 impl fmt::Debug for Builder {

@@ -86,10 +86,10 @@ pub use info::{ContextInfo, Member};
 pub use inhibit::InhibitGuard;
 pub use key::Key;
 pub use message::{Message, Receipt};
-pub use mom_net::Address;
+pub use mom_net::{Address, Identity, Trust};
 pub use mom_proto::{
-    Code, Content, ContextKind, Delivery, Family, Fence, HISTORY, HUB, Map, MessageRate, Parcel, Path,
-    Thinning, Time, Value, WireError, event, from_value, to_value,
+    Code, Content, ContextKind, Delivery, Family, Fence, Fingerprint, HISTORY, HUB, Map, MessageRate, Parcel,
+    Path, Thinning, Time, Value, WireError, event, from_value, to_value,
 };
 pub use predict::{Model, Prediction, Predictor};
 pub use proof::Proof;

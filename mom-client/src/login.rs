@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use mom_net::{Address, Transceiver};
+use mom_net::{Address, ClientTls, Transceiver};
 use mom_proto::codec::{Form, Frame};
 use mom_proto::{Family, Limit, Limits, Map, Value, WireError};
 use tokio::time::timeout;
@@ -20,7 +20,7 @@ pub(crate) type Local = Arc<dyn Fn() -> Transceiver + Send + Sync>;
 /// Where the hub is.
 #[derive(Clone)]
 pub(crate) enum Connector {
-    Remote(Address),
+    Remote(Address, Option<ClientTls>),
     Local(Local),
 }
 
@@ -53,7 +53,7 @@ pub(crate) struct Connected {
 impl Connector {
     pub(crate) fn form(&self) -> Option<Form> {
         match self {
-            Connector::Remote(address) => Some(address.form),
+            Connector::Remote(address, _) => Some(address.form),
             Connector::Local(_) => None,
         }
     }
@@ -67,7 +67,9 @@ impl Connector {
     ) -> Result<Connected, ClientError> {
         let login = async {
             let transceiver = match self {
-                Connector::Remote(address) => mom_net::connect(address, &Limits::default()).await?,
+                Connector::Remote(address, tls) => {
+                    mom_net::connect(address, &Limits::default(), tls.as_ref()).await?
+                }
                 Connector::Local(connect) => connect(),
             };
             log_in(transceiver, credentials, ids).await

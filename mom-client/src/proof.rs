@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use mom_net::Identity;
 use mom_proto::{
     Code, Family, LOGIN_CONTEXT, Map, NONCE_BYTES, Parcel, Path, Value, WireError, login_challenge,
 };
@@ -15,12 +16,14 @@ use crate::{ClientError, Key};
 #[derive(Clone)]
 #[non_exhaustive]
 pub enum Proof {
-    /// The user's password; taken over loopback only, as long as there is no TLS.
+    /// The user's password; taken over TLS or loopback only.
     Password(String),
     /// A key of the user's: it signs the hub's challenge, and no secret is on the wire.
     Key(Key),
-    /// A token (JWT) of an issuer that the hub trusts; it names the user itself, and is taken over loopback only.
+    /// A token (JWT) of an issuer that the hub trusts; it names the user itself, and is taken over TLS or loopback only.
     Token(String),
+    /// A certificate of the user's, shown over TLS.
+    Certificate(Identity),
     /// None: a guest, where the hub lets guests in.
     Guest,
 }
@@ -32,6 +35,7 @@ impl fmt::Debug for Proof {
             Proof::Password(_) => "Password",
             Proof::Key(_) => "Key",
             Proof::Token(_) => "Token",
+            Proof::Certificate(_) => "Certificate",
             Proof::Guest => "Guest",
         })
     }
@@ -55,6 +59,7 @@ impl Credentials {
             Proof::Password(password) => name.with("password", password.as_str()),
             Proof::Key(_) => name.with("key", true),
             Proof::Token(token) => Map::new().with("token", token.as_str()),
+            Proof::Certificate(_) => name.with("certificate", true),
             Proof::Guest => Map::new().with("guest", true),
         };
         if let Some(nickname) = &self.nickname {

@@ -2,8 +2,8 @@
 
 use std::fmt;
 
-use mom_proto::Path;
 use mom_proto::codec::Form;
+use mom_proto::{BadFingerprint, Fingerprint, Path};
 
 use crate::NetError;
 
@@ -11,7 +11,8 @@ use crate::NetError;
 pub const DEFAULT_PORT: u16 = 7666;
 
 /// Where a hub is and how to speak to it: `tcp://host:port/path` for XML, `bin://…` for binary, `mom://…`
-/// for whichever the client prefers, which is binary.
+/// for whichever the client prefers, which is binary; with TLS `tcps://…`, `bins://…` and `moms://…`, which may end in
+/// `?pin=` and the fingerprint of the hub's certificate.
 ///
 /// ```
 /// use mom_net::Address;
@@ -22,12 +23,16 @@ pub const DEFAULT_PORT: u16 = 7666;
 pub struct Address {
     /// The form to speak.
     pub form: Form,
+    /// With TLS.
+    pub tls: bool,
     /// A name or number of the host.
     pub host: String,
     /// The TCP port.
     pub port: u16,
     /// A context at that hub, if the address names one.
     pub path: Option<Path>,
+    /// The certificate that the hub has to show.
+    pub pin: Option<Fingerprint>,
 }
 
 impl std::str::FromStr for Address {
@@ -46,10 +51,17 @@ fn read(text: &str) -> Result<Address, String> {
     let (scheme, rest) = text
         .split_once("://")
         .ok_or("it does not begin with bin:// or tcp://")?;
-    let form = match scheme {
-        "tcp" => Form::Xml,
-        "bin" | "mom" => Form::Binary,
+    let (form, tls) = match scheme {
+        "tcp" => (Form::Xml, false),
+        "tcps" => (Form::Xml, true),
+        "bin" | "mom" => (Form::Binary, false),
+        "bins" | "moms" => (Form::Binary, true),
         _ => return Err(format!("no hub is spoken to by {scheme}://")),
+    };
+    let (rest, pin) = match rest.split_once('?') {
+        Some((rest, query)) if tls => (rest, Some(read_pin(query)?)),
+        Some(_) => return Err(format!("a fingerprint is for TLS: {scheme}s://")),
+        None => (rest, None),
     };
     let (authority, path) = match rest.find('/') {
         Some(at) if rest.len() > at + 1 => {
@@ -76,11 +88,21 @@ fn read(text: &str) -> Result<Address, String> {
         }
         _ => Ok(Address {
             form,
+            tls,
             host: inside.unwrap_or(host).to_owned(),
             port,
             path,
+            pin,
         }),
     }
+}
+
+/// Reads `pin=FINGERPRINT`, or says what is wrong with it.
+fn read_pin(query: &str) -> Result<Fingerprint, String> {
+    let pin = query
+        .strip_prefix("pin=")
+        .ok_or("after ? comes pin= and a fingerprint")?;
+    pin.parse().map_err(|error: BadFingerprint| error.to_string())
 }
 
 /// Reads a port, or says what is wrong with it.
@@ -95,16 +117,21 @@ fn read_port(text: &str) -> Result<u16, String> {
 
 impl fmt::Display for Address {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let scheme = match self.form {
-            Form::Xml => "tcp",
-            Form::Binary => "bin",
+        let scheme = match (self.form, self.tls) {
+            (Form::Xml, false) => "tcp",
+            (Form::Xml, true) => "tcps",
+            (Form::Binary, false) => "bin",
+            (Form::Binary, true) => "bins",
         };
         match self.host.contains(':') {
             true => write!(formatter, "{scheme}://[{}]:{}", self.host, self.port)?,
             false => write!(formatter, "{scheme}://{}:{}", self.host, self.port)?,
         }
-        match &self.path {
-            Some(path) => path.fmt(formatter),
+        if let Some(path) = &self.path {
+            path.fmt(formatter)?;
+        }
+        match &self.pin {
+            Some(pin) => write!(formatter, "?pin={pin}"),
             None => Ok(()),
         }
     }
@@ -122,6 +149,12 @@ mod tests {
             ("mom://lab:1/robot/arm", "bin://lab:1/robot/arm"),
             ("tcp://[::1]:5/", "tcp://[::1]:5"),
             ("tcp://[::1]", "tcp://[::1]:7666"),
+            ("tcps://lab", "tcps://lab:7666"),
+            ("moms://lab/robot", "bins://lab:7666/robot"),
+            (
+                "moms://lab/robot?pin=4355a46b19d348dc2f57c046f8ef63d4538ebb936000f3c9ee954a27460dd865",
+                "bins://lab:7666/robot?pin=sha256:4355a46b19d348dc2f57c046f8ef63d4538ebb936000f3c9ee954a27460dd865",
+            ),
         ] {
             assert_eq!(text.parse::<Address>().unwrap().to_string(), shown);
         }
@@ -139,6 +172,9 @@ mod tests {
             ("bin://alice@lab:1", "no name of a host"),
             ("bin://::1:7666", "brackets"),
             ("bin://[lab]:7666", "brackets"),
+            ("bins://lab?pin=12", "64 hexadecimal digits"),
+            ("bins://lab?name=12", "pin="),
+            ("bin://lab?pin=12", "bins://"),
         ] {
             let error = bad.parse::<Address>().unwrap_err().to_string();
             assert!(error.contains(why), "{bad}: {error}");

@@ -16,6 +16,8 @@
 //! # });
 //! ```
 
+use mom_proto::Fingerprint;
+
 mod address;
 mod error;
 mod flow;
@@ -26,8 +28,10 @@ mod outgoing;
 mod part;
 mod queue;
 mod reader;
+mod socket;
 mod spare;
 mod tcp;
+mod tls;
 mod writer;
 
 pub use address::{Address, DEFAULT_PORT};
@@ -40,6 +44,7 @@ pub use part::Part;
 pub use queue::{DropPolicy, DropReason, Item, Lane, Piece, Rest, SendQueue, Taken, write_batch};
 pub use reader::Reader;
 pub use tcp::{accept, connect, refuse};
+pub use tls::{ClientTls, Identity, SelfSigned, ServerTls, TlsError, Trust};
 pub use writer::{GATHER, Progress, Writer};
 
 /// One connection in two halves.
@@ -49,4 +54,20 @@ pub struct Transceiver {
     pub reader: Reader,
     /// Takes parcels.
     pub writer: Writer,
+    /// Who could have read along, and who is at the other side.
+    pub privacy: Privacy,
+}
+
+/// What is known of the other side of a connection, and of those between.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Privacy {
+    /// It is in this process.
+    Local,
+    /// Whoever is between can read along.
+    Plain,
+    /// Nobody between can read along.
+    Tls {
+        /// The certificate that the other side has shown, if it has one, and has proved to have the key of.
+        certificate: Option<Fingerprint>,
+    },
 }

@@ -5,9 +5,9 @@ use std::sync::Arc;
 use mom_proto::{Parcel, WireError, check_message_name};
 use tokio::sync::mpsc;
 
-use crate::Transceiver;
 use crate::reader::{Reader, Source};
 use crate::writer::{Sink, Writer};
+use crate::{Privacy, Transceiver};
 
 /// Parcels that may wait between the ends; the queue with a policy is the broker's outbox.
 const WAITING: usize = 64;
@@ -22,6 +22,7 @@ pub fn pair() -> (Transceiver, Transceiver) {
             arrived: None,
         }),
         writer: Writer::new(Sink::Local(sender)),
+        privacy: Privacy::Local,
     };
     (end(to_there, from_there), end(to_here, from_here))
 }

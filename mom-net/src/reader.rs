@@ -2,7 +2,6 @@
 
 use std::future::poll_fn;
 use std::io;
-use std::pin::pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
 
@@ -12,10 +11,9 @@ use mom_proto::Parcel;
 use mom_proto::binary::Plain;
 use mom_proto::codec::{Decoder, Form, Frame};
 use mom_proto::xml::DeferredEntity;
-use tokio::io::AsyncReadExt;
-use tokio::net::tcp::OwnedReadHalf;
 use tokio::sync::mpsc;
 
+use crate::socket::ReadHalf;
 use crate::spare::ReadBuffer;
 use crate::{NetError, local};
 
@@ -32,7 +30,7 @@ pub struct Reader {
 #[derive(Debug)]
 pub(crate) enum Source {
     Stream {
-        stream: OwnedReadHalf,
+        stream: ReadHalf,
         buffer: ReadBuffer,
         decoder: Decoder,
         form: Form,
@@ -228,15 +226,14 @@ fn announced(decoder: &Decoder, bytes: &[u8]) -> usize {
 
 /// Reads what has arrived. While nothing has, the connection holds no buffer: thousands of idle ones share a few.
 fn poll_read(
-    stream: &mut OwnedReadHalf,
+    stream: &mut ReadHalf,
     buffer: &mut ReadBuffer,
     announced: usize,
     context: &mut Context<'_>,
 ) -> Poll<io::Result<usize>> {
     buffer.make_room(announced);
     let mut room = (&mut buffer.bytes).limit(AT_ONCE);
-    // Stateless, so that it may be begun anew at each poll.
-    let read = pin!(stream.read_buf(&mut room)).poll(context);
+    let read = stream.poll_read(&mut room, context);
     if read.is_pending() {
         buffer.rest();
     }

@@ -6,13 +6,11 @@ use std::sync::Arc;
 
 use mom_proto::Parcel;
 use mom_proto::codec::Form;
-use socket2::SockRef;
-use tokio::net::TcpStream;
-use tokio::net::tcp::OwnedWriteHalf;
 use tokio::sync::mpsc;
 use tokio::sync::mpsc::error::TrySendError;
 
-use crate::{NetError, Outgoing, TcpState, options};
+use crate::socket::WriteHalf;
+use crate::{NetError, Outgoing, TcpState};
 
 /// Pieces gathered into one system call; half of what Linux takes, two to a parcel.
 pub const GATHER: usize = 512;
@@ -25,7 +23,7 @@ pub struct Writer {
 
 #[derive(Debug)]
 pub(crate) enum Sink {
-    Stream { stream: OwnedWriteHalf, form: Form },
+    Stream { stream: WriteHalf, form: Form },
     Local(mpsc::Sender<Arc<Parcel>>),
 }
 
@@ -72,7 +70,7 @@ impl Writer {
     {
         while !queue.is_empty() {
             let blocked = match &self.sink {
-                Sink::Stream { stream, .. } => write_stream(stream.as_ref(), queue)?,
+                Sink::Stream { stream, .. } => write_stream(stream, queue)?,
                 Sink::Local(sender) => write_local(sender, queue)?,
             };
             if blocked {
@@ -91,16 +89,7 @@ impl Writer {
         let Sink::Stream { stream, .. } = &self.sink else {
             return Err(io::Error::from(io::ErrorKind::Unsupported).into());
         };
-        // One piece needs no vector, and the kernel is a little quicker without.
-        let written = match pieces {
-            [piece] => stream.try_write(piece),
-            pieces => stream.try_write_vectored(pieces),
-        };
-        match written {
-            Ok(written) => Ok(Some(written)),
-            Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(None),
-            Err(error) => Err(error.into()),
-        }
+        Ok(stream.try_write(pieces)?)
     }
 
     /// Passes a parcel to a peer in this process; false if it takes none now. Only for a link without a form.
@@ -121,7 +110,7 @@ impl Writer {
     /// The state of the network below, none inside a process or where the system does not tell.
     pub fn link(&self) -> Option<TcpState> {
         match &self.sink {
-            Sink::Stream { stream, .. } => options::link(stream.as_ref()),
+            Sink::Stream { stream, .. } => stream.link(),
             Sink::Local(_) => None,
         }
     }
@@ -152,13 +141,12 @@ impl Writer {
     /// Says that nothing more comes from this end. In a process that is when the writer is dropped.
     pub fn finish(&self) {
         if let Sink::Stream { stream, .. } = &self.sink {
-            // A link that is gone already needs no goodbye.
-            let _ = SockRef::from(AsRef::<TcpStream>::as_ref(stream)).shutdown(std::net::Shutdown::Write);
+            stream.finish();
         }
     }
 }
 
-fn write_stream<T>(stream: &TcpStream, queue: &mut VecDeque<T>) -> Result<bool, NetError>
+fn write_stream<T>(stream: &WriteHalf, queue: &mut VecDeque<T>) -> Result<bool, NetError>
 where
     T: AsRef<Outgoing> + AsMut<Outgoing>,
 {
@@ -177,10 +165,8 @@ where
             break;
         }
     }
-    let mut written = match stream.try_write_vectored(&slices) {
-        Ok(written) => written,
-        Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(true),
-        Err(error) => return Err(error.into()),
+    let Some(mut written) = stream.try_write(&slices)? else {
+        return Ok(true);
     };
     while let Some(front) = queue.front_mut() {
         written = front.as_mut().advance(written);

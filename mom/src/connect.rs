@@ -2,7 +2,7 @@
 
 use std::{env, fmt, fs};
 
-use mom_client::{Address, Builder, Client, ClientError, Code, Key, Proof, WireError};
+use mom_client::{Address, Builder, Client, ClientError, Code, Identity, Key, Proof, WireError};
 
 use crate::cli::GlobalArgs;
 use crate::failure::Failure;
@@ -66,14 +66,18 @@ impl<'a> UserLogin<'a> {
                 "name yourself with --user alice, or once and for all: export MOM_USER=alice",
             )
         })?;
-        let proof = match &global.key {
-            Some(file) => Proof::Key(Key::from_file(file).map_err(|error| {
+        let proof = match (&global.key, &global.certificate) {
+            (Some(key), Some(certificate)) => Proof::Certificate(Identity {
+                certificate: certificate.clone(),
+                key: key.clone(),
+            }),
+            (Some(file), None) => Proof::Key(Key::from_file(file).map_err(|error| {
                 let text = error
                     .wire()
                     .map_or_else(|| error.to_string(), |error| error.text.clone());
                 Failure::usage(text, "make a key with: mom keygen --out FILE")
             })?),
-            None => Proof::Password(password(user, &global.hub)?),
+            (None, _) => Proof::Password(password(user, &global.hub)?),
         };
         Ok(UserLogin {
             user: Some(user),
@@ -120,6 +124,14 @@ fn wrong_address(error: impl fmt::Display) -> Failure {
 
 fn explain(hub: &str, who: &UserLogin<'_>, error: ClientError) -> Failure {
     match error {
+        ClientError::Connection(text) if text.contains("certificate") => Failure::new(
+            format!(
+                "do not trust the hub at {hub}: {}",
+                text.strip_prefix("the link failed: ").unwrap_or(&text)
+            ),
+            "if nobody has signed its certificate, name that in the address: --hub 'bins://HOST:PORT?pin=FINGERPRINT'\n\
+             the hub's log has the fingerprint, and `mom lab` prints it",
+        ),
         ClientError::Connection(text) => Failure::new(
             format!(
                 "cannot reach a hub at {hub}: {}",

@@ -12,3 +12,4 @@ pub mod network;
 pub mod programs;
 pub mod raw;
 pub mod service;
+pub mod tls;

@@ -67,7 +67,8 @@ impl fmt::Display for ConfigErrors {
 }
 
 impl ConfigError {
-    pub(crate) fn of_file(file: &str, text: impl Into<String>) -> ConfigError {
+    /// Of a file as a whole.
+    pub fn of_file(file: &str, text: impl Into<String>) -> ConfigError {
         ConfigError {
             file: Some(file.to_owned()),
             line: None,

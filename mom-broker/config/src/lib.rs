@@ -13,6 +13,7 @@ mod review;
 mod schema;
 mod shape;
 mod source;
+mod tls;
 mod users;
 
 use std::collections::BTreeMap;
@@ -30,6 +31,7 @@ pub use explain::{Asked, Explanation, Supposed};
 pub use load::check_address;
 pub use locate::Location;
 pub use schema::{config_schema, users_schema};
+pub use tls::TlsConfig;
 
 use source::SourceText;
 
@@ -45,6 +47,8 @@ use source::SourceText;
 pub struct Config {
     /// The addresses to listen at.
     pub listen: Vec<String>,
+    /// The certificate for connections with TLS.
+    pub tls: TlsConfig,
     /// Connections at once.
     pub connections: usize,
     /// Of them, those that have not logged in; none = a quarter.
@@ -114,6 +118,7 @@ impl Default for Config {
     fn default() -> Config {
         Config {
             listen: vec!["127.0.0.1:7666".to_owned()],
+            tls: TlsConfig::default(),
             connections: 10_000,
             connections_before_login: None,
             connections_per_address: None,

@@ -14,7 +14,7 @@ use tracing_subscriber::EnvFilter;
 
 use super::faults::Reading;
 use super::source::SourceText;
-use super::{Config, ConfigError, ConfigErrors, ReloadOn, config_schema, shape, users};
+use super::{Config, ConfigError, ConfigErrors, ReloadOn, TlsConfig, config_schema, shape, users};
 
 const LAB: &str = include_str!("../../../config/lab.toml");
 const LAB_USERS: &str = include_str!("../../../config/lab-users.toml");
@@ -23,6 +23,7 @@ const LAB_USERS: &str = include_str!("../../../config/lab-users.toml");
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 struct ConfigDocument {
     listen: Vec<String>,
+    tls: TlsConfig,
     connections: usize,
     connections_before_login: Option<usize>,
     connections_per_address: Option<usize>,
@@ -45,6 +46,7 @@ impl Default for ConfigDocument {
     fn default() -> ConfigDocument {
         let Config {
             listen,
+            tls,
             connections,
             connections_before_login,
             connections_per_address,
@@ -64,6 +66,7 @@ impl Default for ConfigDocument {
         } = Config::default();
         ConfigDocument {
             listen,
+            tls,
             connections,
             connections_before_login,
             connections_per_address,
@@ -126,6 +129,7 @@ impl Config {
             .map_err(|error| vec![shape::in_words(&schema, error)])?;
         let mut faults = check(&file, source);
         let folder = Path::new(&source.name).parent().unwrap_or(Path::new("."));
+        file.tls.resolve(folder);
         file.audit.resolve(folder);
         file.record.resolve(folder);
         let unread = |keys: &[&str], error: ConfigError| ConfigError {
@@ -167,6 +171,7 @@ impl ConfigDocument {
     fn into_config(self, users: Vec<UserEntry>, sources: (SourceText, Option<SourceText>)) -> Config {
         Config {
             listen: self.listen,
+            tls: self.tls,
             connections: self.connections,
             connections_before_login: self.connections_before_login,
             connections_per_address: self.connections_per_address,
@@ -219,6 +224,10 @@ fn check(file: &ConfigDocument, source: &SourceText) -> Vec<ConfigError> {
         if let Err(text) = check_address(address) {
             wrong(&["listen", &index.to_string()], text);
         }
+    }
+    if file.tls.certificate.is_some() != file.tls.key.is_some() {
+        let text = "TLS needs both certificate and key, each the name of a file in PEM";
+        wrong(&["tls"], text.to_owned());
     }
     if file.limits.depth > HARD_DEPTH {
         wrong(

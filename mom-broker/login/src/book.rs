@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use ed25519_dalek::VerifyingKey;
 use mom_hub::User;
-use mom_proto::{Code, Map, Micros, Time, WireError, folds_of, resembles};
+use mom_proto::{BadFingerprint, Code, Fingerprint, Map, Micros, Time, WireError, folds_of, resembles};
 
 use super::hashing::Hashing;
 use super::jwt::{Proven, Verifier};
@@ -46,6 +46,7 @@ pub(super) struct BookEntry {
     pub(super) user: Arc<User>,
     pub(super) password: Option<String>,
     pub(super) keys: Vec<VerifyingKey>,
+    pub(super) certificates: Vec<Fingerprint>,
 }
 
 /// A logged-in peer's user.
@@ -65,6 +66,8 @@ pub(super) enum ShownProof {
     Password(String),
     /// The key that signed.
     Key(Box<VerifyingKey>),
+    /// The certificate of its TLS connection.
+    Certificate(Fingerprint),
     /// A JWT, with the settings by which it was checked.
     Token(Arc<Verifier>),
     /// Nothing: a guest.
@@ -210,6 +213,7 @@ impl Identity {
         let proven = match &self.proof {
             ShownProof::Password(hash) => entry.is_some_and(|entry| entry.password.as_ref() == Some(hash)),
             ShownProof::Key(key) => entry.is_some_and(|entry| entry.keys.contains(key)),
+            ShownProof::Certificate(shown) => entry.is_some_and(|entry| entry.certificates.contains(shown)),
             ShownProof::Token(trusted) => book
                 .verifier
                 .as_ref()
@@ -239,10 +243,15 @@ impl BookEntry {
                 parse_key(key).map_err(|text| SettingError::new(&["users"], format!("{}: {text}", user.name)))
             })
             .collect::<Result<_, _>>()?;
+        let certificates = user.certificates.iter().map(|text| text.parse());
+        let certificates = certificates
+            .collect::<Result<_, BadFingerprint>>()
+            .map_err(|error| SettingError::new(&["users"], format!("{}: {error}", user.name)))?;
         Ok(BookEntry {
             user: Arc::new(user.to_user()),
             password: user.password,
             keys,
+            certificates,
         })
     }
 }

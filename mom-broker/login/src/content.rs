@@ -15,6 +15,7 @@ pub(super) struct LoginRequest {
 pub(super) enum ClaimedProof {
     Password { name: String, password: String },
     Key { name: String },
+    Certificate { name: String },
     Token(String),
     Guest,
 }
@@ -25,24 +26,34 @@ impl std::fmt::Debug for ClaimedProof {
         formatter.write_str(match self {
             ClaimedProof::Password { .. } => "Password",
             ClaimedProof::Key { .. } => "Key",
+            ClaimedProof::Certificate { .. } => "Certificate",
             ClaimedProof::Token(_) => "Token",
             ClaimedProof::Guest => "Guest",
         })
     }
 }
 
-const KEYS: [&str; 6] = ["name", "password", "key", "token", "guest", "nickname"];
+const KEYS: [&str; 7] = [
+    "name",
+    "password",
+    "key",
+    "certificate",
+    "token",
+    "guest",
+    "nickname",
+];
 
 impl LoginRequest {
     /// Reads the content of `login login`.
     pub(super) fn read(parcel: &Parcel) -> Result<LoginRequest, WireError> {
         let mut map = map_of(
             parcel,
-            "a login needs content {name, password}, {name, key}, {token} or {guest}",
+            "a login needs content {name, password}, {name, key}, {name, certificate}, {token} or {guest}",
         )?;
         let name = take_text(&mut map, "name")?;
         let password = take_text(&mut map, "password")?;
         let key = take_true(&mut map, "key")?;
+        let certificate = take_true(&mut map, "certificate")?;
         let token = take_text(&mut map, "token")?;
         let guest = take_true(&mut map, "guest")?;
         let nickname = take_text(&mut map, "nickname")?;
@@ -50,25 +61,23 @@ impl LoginRequest {
         if let Some(nickname) = &nickname {
             check_name(nickname).map_err(|error| error.slot("content/nickname"))?;
         }
-        let proof = match (name, password, key, token, guest) {
-            (Some(name), Some(password), false, None, false) => ClaimedProof::Password { name, password },
-            (Some(name), None, true, None, false) => ClaimedProof::Key { name },
-            (None, None, false, Some(token), false) => ClaimedProof::Token(token),
-            (None, None, false, None, true) => ClaimedProof::Guest,
-            (Some(_), None, false, None, false) => {
-                let text = "it is missing; to log in with a key, send key = true instead";
+        let proofs = [password.is_some(), key, certificate, token.is_some(), guest];
+        if proofs.iter().filter(|claimed| **claimed).count() > 1 {
+            let text = "content: one of password, key, certificate, token and guest, not several";
+            return Err(WireError::new(Code::BAD_CONTENT, text).slot("content"));
+        }
+        let proof = match (name, password, token) {
+            (Some(name), Some(password), None) => ClaimedProof::Password { name, password },
+            (Some(name), None, None) if key => ClaimedProof::Key { name },
+            (Some(name), None, None) if certificate => ClaimedProof::Certificate { name },
+            (None, None, Some(token)) => ClaimedProof::Token(token),
+            (None, None, None) if guest => ClaimedProof::Guest,
+            (Some(_), None, None) if !guest => {
+                let text = "it is missing; to log in with a key or a certificate, send key = true or certificate = true instead";
                 return Err(wrong("password", text));
             }
-            (None, _, false, None, false) | (None, _, true, None, false) => {
-                return Err(wrong("name", "it is missing"));
-            }
-            (Some(_), None, false, _, _) => {
-                return Err(wrong("name", "a token or a guest names no user"));
-            }
-            _ => {
-                let text = "content: one of password, key, token and guest, not several";
-                return Err(WireError::new(Code::BAD_CONTENT, text).slot("content"));
-            }
+            (Some(_), ..) => return Err(wrong("name", "a token or a guest names no user")),
+            (None, ..) => return Err(wrong("name", "it is missing")),
         };
         Ok(LoginRequest { proof, nickname })
     }

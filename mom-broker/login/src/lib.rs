@@ -19,7 +19,7 @@ use std::sync::Arc;
 
 use dashmap::DashMap;
 use mom_hub::{PeerId, User};
-use mom_proto::{Code, Parcel, Time, WireError};
+use mom_proto::{Code, Fingerprint, Parcel, Time, WireError};
 use mom_system::{Clock, Expiry};
 use parking_lot::RwLock;
 
@@ -38,6 +38,17 @@ pub use password::hash;
 pub use settings::{FailureRate, JwtConfig, JwtKey, JwtUsers, LoginConfig, ThrottleConfig};
 pub use throttle::network;
 pub use user::UserEntry;
+
+/// How a peer that logs in has come.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct LoginLink {
+    /// From where, none inside this process.
+    pub from: Option<IpAddr>,
+    /// Nobody between can read along, however far that is.
+    pub private: bool,
+    /// The certificate that it has shown and proved to have the key of.
+    pub certificate: Option<Fingerprint>,
+}
 
 /// The next step of a login that is not refused.
 #[derive(Debug)]
@@ -158,15 +169,16 @@ impl Logins {
     ///
     /// # Errors
     /// Why it is refused.
-    pub async fn check(&self, parcel: &Parcel, from: Option<IpAddr>) -> Result<LoginStep, WireError> {
-        let book = self.book();
+    pub async fn check(&self, parcel: &Parcel, link: &LoginLink) -> Result<LoginStep, WireError> {
+        let (book, from) = (self.book(), link.from);
         let request = LoginRequest::read(parcel).map_err(|error| self.malformed(&book, from, error));
         let LoginRequest { proof, nickname } = request?;
         let (standing, until) = match proof {
             ClaimedProof::Password { name, password } => {
-                (self.by_password(&book, &name, password, from).await?, None)
+                (self.by_password(&book, &name, password, link).await?, None)
             }
-            ClaimedProof::Token(token) => self.by_token(&book, &token, from)?,
+            ClaimedProof::Token(token) => self.by_token(&book, &token, link)?,
+            ClaimedProof::Certificate { name } => (self.by_certificate(&book, &name, link)?, None),
             ClaimedProof::Guest => (book.guest()?, None),
             ClaimedProof::Key { name } => {
                 let until = self.clock.now().saturating_add(book.challenge_time());
@@ -273,9 +285,10 @@ impl Logins {
         book: &Book,
         name: &str,
         password: String,
-        from: Option<IpAddr>,
+        link: &LoginLink,
     ) -> Result<Identity, WireError> {
-        password::check_private(from, "password")?;
+        password::check_private(link, "password")?;
+        let from = link.from;
         let attempt = self.enter(book, from, Some(name))?;
         let place = from.map(network);
         let known = place.filter(|place| self.places.knows(name, *place));
@@ -309,16 +322,34 @@ impl Logins {
         &self,
         book: &Book,
         token: &str,
-        from: Option<IpAddr>,
+        link: &LoginLink,
     ) -> Result<(Identity, Option<Time>), WireError> {
-        password::check_private(from, "token")?;
+        password::check_private(link, "token")?;
         // As with keys.
-        let attempt = self.attempt(book, from, None);
+        let attempt = self.attempt(book, link.from, None);
         let standing = book.bearer(token, self.clock.civil());
         if standing.is_err() {
             attempt.fail();
         }
         standing.map(|(standing, until)| (standing, Some(until)))
+    }
+
+    fn by_certificate(&self, book: &Book, name: &str, link: &LoginLink) -> Result<Identity, WireError> {
+        // As with keys.
+        let attempt = self.attempt(book, link.from, None);
+        let shown = link.certificate;
+        let known = |entry: &&book::BookEntry| shown.is_some_and(|shown| entry.certificates.contains(&shown));
+        match (book.users.get(name).filter(known), shown) {
+            (Some(entry), Some(shown)) => Ok(Identity::of_file(entry, book::ShownProof::Certificate(shown))),
+            (_, shown) => {
+                attempt.fail();
+                let text = match shown {
+                    Some(shown) => format!("no user has this name and the certificate {shown}"),
+                    None => "no certificate was shown: connect to bins:// or tcps:// with one".to_owned(),
+                };
+                Err(WireError::new(Code::BAD_LOGIN, text))
+            }
+        }
     }
 
     fn grant(

@@ -1,11 +1,11 @@
 //! Passwords and their hashes.
 
-use std::net::IpAddr;
-
 use argon2::password_hash::PasswordHasher;
 use argon2::password_hash::phc::{Output, PasswordHash};
 use argon2::{Algorithm, Argon2, Block, Params, Version};
 use mom_proto::{Code, WireError};
+
+use crate::LoginLink;
 
 /// The argon2id hash of a password with a new salt, for the users file.
 ///
@@ -24,13 +24,13 @@ pub(crate) fn is_hash(text: &str) -> bool {
 }
 
 /// Refuses a secret that others could have read on its way.
-pub(super) fn check_private(from: Option<IpAddr>, what: &str) -> Result<(), WireError> {
+pub(super) fn check_private(link: &LoginLink, what: &str) -> Result<(), WireError> {
     // A dual-stack listener sees IPv4 loopback as an IPv4-mapped IPv6 address.
-    if from.is_none_or(|from| from.to_canonical().is_loopback()) {
+    if link.private || link.from.is_none_or(|from| from.to_canonical().is_loopback()) {
         return Ok(());
     }
     let text = format!(
-        "a {what} is taken only over loopback: others could read it on the way; log in with a key from elsewhere"
+        "a {what} is taken only over TLS or loopback: others could read it on the way; connect to bins:// or tcps://, or log in with a key"
     );
     Err(WireError::new(Code::INSECURE, text))
 }
@@ -68,7 +68,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn secrets_are_taken_over_loopback_only() {
+    fn secrets_are_taken_over_tls_and_loopback_only() {
         for (from, taken) in [
             (None, true),
             (Some("127.0.0.1"), true),
@@ -81,8 +81,16 @@ mod tests {
             (Some("0.0.0.0"), false),
         ] {
             let from = from.map(|from| from.parse().expect("an address"));
-            let checked = check_private(from, "password");
-            match checked {
+            let link = LoginLink {
+                from,
+                ..LoginLink::default()
+            };
+            let private = LoginLink {
+                private: true,
+                ..link
+            };
+            assert!(check_private(&private, "password").is_ok(), "{from:?}");
+            match check_private(&link, "password") {
                 Ok(()) => assert!(taken, "{from:?}"),
                 Err(error) => assert!(!taken && error.code == Code::INSECURE, "{from:?}"),
             }

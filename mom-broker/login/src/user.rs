@@ -1,7 +1,7 @@
 //! A user as the users file has it (M13).
 
 use mom_hub::User;
-use mom_proto::{Map, check_name};
+use mom_proto::{Fingerprint, Map, check_name};
 use serde::Deserialize;
 
 use crate::SettingError;
@@ -24,6 +24,9 @@ pub struct UserEntry {
     /// Its public keys, as `mom keygen` writes them: `ed25519 BASE64`, and a comment.
     #[serde(default)]
     pub keys: Vec<String>,
+    /// The fingerprints of its certificates, as `openssl x509 -fingerprint -sha256` prints them.
+    #[serde(default)]
+    pub certificates: Vec<String>,
     /// The authority level; higher is more.
     #[serde(default)]
     pub level: i32,
@@ -74,12 +77,17 @@ impl UserEntry {
                 return wrong(&["keys", &index.to_string()], text);
             }
         }
+        for (index, certificate) in self.certificates.iter().enumerate() {
+            if let Err(error) = certificate.parse::<Fingerprint>() {
+                return wrong(&["certificates", &index.to_string()], error.to_string());
+            }
+        }
         if self.keys.len() > KEYS {
             return wrong(&["keys"], format!("a user has at most {KEYS} keys"));
         }
-        if self.password.is_none() && self.keys.is_empty() {
+        if self.password.is_none() && self.keys.is_empty() && self.certificates.is_empty() {
             let text = format!(
-                "{} has neither password nor keys; make one with: mom-broker passwd {0}, or: mom keygen",
+                "{} has no password, key or certificate; make one with: mom-broker passwd {0}, or: mom keygen",
                 self.name
             );
             return wrong(&[], text);

@@ -5,14 +5,15 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_config::{Config, ConfigError, ConfigErrors};
+use mom_config::{Config, ConfigError, ConfigErrors, TlsConfig};
 use mom_hub::{Input, Settings};
 use mom_journal::{Tap, WriteError};
 use mom_login::{LoginStats, Logins};
-use mom_net::Transceiver;
+use mom_net::{SelfSigned, ServerTls, TlsError, Transceiver};
+use mom_proto::Fingerprint;
 use mom_store::{StoreAnswer, StoreError};
 use mom_system::Clock;
-use parking_lot::Mutex;
+use parking_lot::{Mutex, RwLock};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, timeout_at};
@@ -45,6 +46,9 @@ pub enum BrokerError {
     /// A file that it shall write and cannot.
     #[error(transparent)]
     Write(#[from] WriteError),
+    /// A certificate or key that cannot be used.
+    #[error("[tls]: {0}")]
+    Tls(#[from] TlsError),
     /// An address that cannot be listened at.
     #[error("cannot listen at {address}: {error}{}", hint(error))]
     Listen {
@@ -89,6 +93,8 @@ pub struct Broker {
     tasks: JoinSet<()>,
     /// Closed when the broker stops.
     doors: Arc<Doors>,
+    /// Replaced by [`Broker::reload`].
+    pub(crate) tls: Arc<RwLock<Option<ServerTls>>>,
     /// The configuration that it goes by; see [`Broker::reload`].
     pub(crate) running: Mutex<Config>,
 }
@@ -128,16 +134,13 @@ impl Broker {
         let hub = config.make_hub(settings.clone())?;
         let journal = (&config.audit, &config.record);
         let tap = Tap::start(journal, config.file(), &settings, &clock)?;
-        let bounds = Bounds {
-            depth: config.limits.depth,
-            parcel: config.limits.parcel,
-        };
         let mut logins = Logins::new(config.users.clone(), config.login.clone(), clock.clone())
             .map_err(ConfigError::from)?;
         remember_places(&mut logins, config.store.path.as_deref());
-        let board = Switchboard::new(hub, clock, bounds, store, tap);
+        let board = Switchboard::new(hub, clock, bounds(&config), store, tap);
         board.memory.set_bound(config.memory_bound());
         let services = Services::new(board, logins, config.limits.clone());
+        let tls = Arc::new(RwLock::new(open_tls(&config.tls)?));
         let (stopping, stop) = watch::channel(false);
         let doors = Arc::new(Doors::new(config.connection_caps()));
         let mut tasks = JoinSet::new();
@@ -152,6 +155,7 @@ impl Broker {
             let listener_task = Listener {
                 services: services.clone(),
                 doors: Arc::clone(&doors),
+                tls: Arc::clone(&tls),
                 stop: stop.clone(),
             };
             tasks.spawn(listener_task.run(listener));
@@ -163,15 +167,22 @@ impl Broker {
         tasks.spawn(keep_memory(Arc::clone(&services.board), stop.clone()));
         tasks.spawn(follow_wall_clock(Arc::clone(&services.board), stop.clone()));
         tasks.spawn(report(Arc::clone(&services.board), stop));
-        tracing::info!(?addresses, "broker started");
-        Ok(Broker {
+        let broker = Broker {
             services,
             addresses,
             stopping,
             tasks,
             doors,
+            tls,
             running: Mutex::new(config),
-        })
+        };
+        broker.note_start();
+        Ok(broker)
+    }
+
+    fn note_start(&self) {
+        let fingerprint = self.fingerprint().map(|fingerprint| fingerprint.to_string());
+        tracing::info!(addresses = ?self.addresses, fingerprint, "broker started");
     }
 
     /// The first address that it listens at.
@@ -188,6 +199,11 @@ impl Broker {
     /// All addresses that it listens at.
     pub fn local_addrs(&self) -> &[SocketAddr] {
         &self.addresses
+    }
+
+    /// What clients may know the hub's certificate by, if it has one.
+    pub fn fingerprint(&self) -> Option<Fingerprint> {
+        self.tls.read().as_ref().map(ServerTls::fingerprint)
     }
 
     /// A connection from inside this process (M18). The peer still has to log in.
@@ -243,6 +259,28 @@ impl Broker {
         self.services.board.tap.stop().await;
         tracing::info!("broker stopped");
     }
+}
+
+fn bounds(config: &Config) -> Bounds {
+    Bounds {
+        depth: config.limits.depth,
+        parcel: config.limits.parcel,
+    }
+}
+
+/// Reads the certificate of the configuration, and makes it first if it is to be.
+pub(crate) fn open_tls(config: &TlsConfig) -> Result<Option<ServerTls>, TlsError> {
+    let (Some(certificate), Some(key)) = (&config.certificate, &config.key) else {
+        return Ok(None);
+    };
+    if config.self_signed {
+        let files = SelfSigned {
+            certificate: certificate.clone(),
+            key: key.clone(),
+        };
+        files.make(config.hosts.clone())?;
+    }
+    ServerTls::from_files(certificate, key).map(Some)
 }
 
 /// Lets it be known after a restart where users have logged in before, if there is a directory for that.

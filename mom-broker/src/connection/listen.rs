@@ -4,8 +4,9 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_net::{NetError, Transceiver};
+use mom_net::{NetError, ServerTls, Transceiver};
 use mom_proto::{Limits, Parcel, WireError};
+use parking_lot::RwLock;
 use tokio::net::{TcpListener, TcpSocket, TcpStream, lookup_host};
 use tokio::sync::{Semaphore, oneshot, watch};
 use tokio::task::JoinSet;
@@ -48,6 +49,7 @@ pub(crate) async fn listen(address: &str) -> std::io::Result<TcpListener> {
 pub(crate) struct Listener {
     pub(crate) services: Services,
     pub(crate) doors: Arc<Doors>,
+    pub(crate) tls: Arc<RwLock<Option<ServerTls>>>,
     pub(crate) stop: watch::Receiver<bool>,
 }
 
@@ -68,7 +70,8 @@ impl Listener {
                             evicted.tell(|outbox, error| self.services.board.close(outbox, Some(error)));
                         }
                         let services = self.services.fresh();
-                        drop(served.spawn(services.take_in(stream, from, (seat, told))));
+                        let tls = self.tls.read().clone();
+                        drop(served.spawn(services.take_in(stream, from, tls, (seat, told))));
                     }
                     Err(error) => {
                         self.note_refused(from);
@@ -109,6 +112,7 @@ impl Services {
     async fn greet(
         &self,
         stream: TcpStream,
+        tls: Option<ServerTls>,
         login_by: Instant,
         told: oneshot::Receiver<WireError>,
     ) -> Result<Transceiver, NetError> {
@@ -120,7 +124,7 @@ impl Services {
             }
         };
         let answer = |error: &WireError| self.answer(error);
-        mom_net::accept(stream, &before_login, too_late, answer).await
+        mom_net::accept(stream, tls.as_ref(), &before_login, too_late, answer).await
     }
 
     /// An error to a peer that is not even one.
@@ -133,10 +137,11 @@ impl Services {
         self,
         stream: TcpStream,
         from: SocketAddr,
+        tls: Option<ServerTls>,
         seat: (Seat, oneshot::Receiver<WireError>),
     ) -> impl Future<Output = ()> {
         // Apart, so that the connection does not keep the memory that this needs.
-        let begun = Box::pin(self.begin(stream, from, seat));
+        let begun = Box::pin(self.begin(stream, from, tls, seat));
         async move {
             // By reference, or it would be kept twice.
             let mut begun = begun.await;
@@ -150,10 +155,11 @@ impl Services {
         self,
         stream: TcpStream,
         from: SocketAddr,
+        tls: Option<ServerTls>,
         (seat, told): (Seat, oneshot::Receiver<WireError>),
     ) -> Option<Serving> {
         let login_by = Instant::now() + login_time(&self.limits);
-        match self.greet(stream, login_by, told).await {
+        match self.greet(stream, tls, login_by, told).await {
             Ok(transceiver) => {
                 let from = Some(from.ip());
                 Some(Serving::begin(self, transceiver, from, Some(seat), login_by))

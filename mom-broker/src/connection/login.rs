@@ -44,7 +44,7 @@ impl Connection {
                 .answer(parcel, challenge.map(|challenge| *challenge), self.arrival.from)
                 .map(LoginStep::Granted)
         } else {
-            logins.check(parcel, self.arrival.from).await
+            logins.check(parcel, &self.arrival.link()).await
         };
         let refused = match step {
             Ok(LoginStep::Challenge(challenge)) => {

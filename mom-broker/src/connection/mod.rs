@@ -16,8 +16,8 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use mom_hub::{Input, PeerId};
-use mom_login::{Challenge, Logins, network};
-use mom_net::{NetError, Reader};
+use mom_login::{Challenge, LoginLink, Logins, network};
+use mom_net::{NetError, Privacy, Reader};
 use mom_proto::codec::Frame;
 use mom_proto::xml::DeferredEntity;
 use mom_proto::{Code, Content, Family, Limits, Micros, Parcel, Verb, WireError};
@@ -119,8 +119,24 @@ struct Connection {
 struct Arrival {
     /// Where it comes from, none inside this process.
     from: Option<IpAddr>,
+    /// What is known of who is between.
+    privacy: Privacy,
     /// Its part in the counts of connections from outside.
     seat: Option<doors::Seat>,
+}
+
+impl Arrival {
+    fn link(&self) -> LoginLink {
+        let certificate = match self.privacy {
+            Privacy::Tls { certificate } => certificate,
+            Privacy::Local | Privacy::Plain => None,
+        };
+        LoginLink {
+            from: self.from,
+            private: self.privacy != Privacy::Plain,
+            certificate,
+        }
+    }
 }
 
 /// What a reader does after a frame.

@@ -40,7 +40,11 @@ impl Serving {
         seat: Option<Seat>,
         login_by: Instant,
     ) -> Serving {
-        let Transceiver { mut reader, writer } = transceiver;
+        let Transceiver {
+            mut reader,
+            writer,
+            privacy,
+        } = transceiver;
         reader.defer_above(LARGE);
         let peer = services.board.next_peer();
         let outbox = Arc::new(Outbox::new(
@@ -59,7 +63,7 @@ impl Serving {
             services,
             peer,
             outbox,
-            arrival: Box::new(Arrival { from, seat }),
+            arrival: Box::new(Arrival { from, privacy, seat }),
             logged_in: false,
             failures: 0,
             heard_at: Instant::now(),
@@ -160,14 +164,15 @@ mod tests {
     use super::*;
 
     /// What `call` would give, unpolled: only its size is asked for.
-    fn size_of_future<A, B, C, D, F: Future>(_: &impl Fn(A, B, C, D) -> F) -> usize {
+    fn size_of_future<A, B, C, D, E, F: Future>(_: &impl Fn(A, B, C, D, E) -> F) -> usize {
         size_of::<F>()
     }
 
     /// Ten thousand idle peers cost what their tasks keep: what is rare is boxed while it lasts (docs/performance.md).
     #[test]
     fn an_idle_connection_is_small() {
-        let connection = |services: Services, stream, from, seat| services.take_in(stream, from, seat);
+        let connection =
+            |services: Services, stream, from, tls, seat| services.take_in(stream, from, tls, seat);
         let all = [size_of_future(&connection), size_of::<Outbox>()];
         assert!(all.iter().sum::<usize>() <= 1560, "{all:?}");
     }

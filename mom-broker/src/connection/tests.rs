@@ -9,7 +9,7 @@ use ed25519_dalek::{Signer, SigningKey};
 use mom_config::Config;
 use mom_hub::{Hub, PeerId, Settings, User};
 use mom_journal::Tap;
-use mom_login::{Granted, LoginConfig, LoginStep, Logins, UserEntry, UserSource};
+use mom_login::{Granted, LoginConfig, LoginLink, LoginStep, Logins, UserEntry, UserSource};
 use mom_net::Transceiver;
 use mom_proto::codec::Frame;
 use mom_proto::{Code, Family, Limit, Map, Parcel, Path, Value, WireError, login_challenge};
@@ -258,7 +258,7 @@ async fn who_asks_on_is_read_slowly() {
 }
 
 async fn prove(logins: &Logins, content: Map) -> Granted {
-    match logins.check(&login(content), None).await {
+    match logins.check(&login(content), &LoginLink::default()).await {
         Ok(LoginStep::Granted(granted)) => granted,
         other => panic!("{other:?}"),
     }
@@ -295,7 +295,10 @@ async fn what_was_shown_must_still_be_the_users() {
     admit(&logins, 1, prove(&logins, password("alice", "alice")).await).expect("in");
     admit(&logins, 2, prove(&logins, password("bob", "bob")).await).expect("in");
     let asked = logins
-        .check(&login(Map::new().with("name", "bob").with("key", true)), None)
+        .check(
+            &login(Map::new().with("name", "bob").with("key", true)),
+            &LoginLink::default(),
+        )
         .await;
     let Ok(LoginStep::Challenge(challenge)) = asked else {
         panic!("{asked:?}")

@@ -95,7 +95,9 @@ impl WatchedFile {
         let text = std::str::from_utf8(self.content.as_ref()?).ok()?;
         let table: toml::Table = text.parse().ok()?;
         let key = table.get("login").and_then(|login| login.get("jwt")?.get("key"));
-        let named = [table.get("users"), key].into_iter().flatten();
+        let tls = |key: &str| table.get("tls").and_then(|tls| tls.get(key));
+        let named = [table.get("users"), key, tls("certificate"), tls("key")];
+        let named = named.into_iter().flatten();
         let folder = self.path.parent().unwrap_or(Path::new("."));
         Some(
             named

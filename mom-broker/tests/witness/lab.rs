@@ -172,7 +172,7 @@ impl Peer {
     /// A peer of a broker that listens there.
     pub(crate) async fn at(address: &str, scheme: &str) -> Peer {
         let address: Address = format!("{scheme}://{address}").parse().expect("an address");
-        let link = mom_net::connect(&address, &Limits::default())
+        let link = mom_net::connect(&address, &Limits::default(), None)
             .await
             .expect("it listens");
         Peer { link, last: 0 }

@@ -10,7 +10,7 @@ use crate::program::Running;
 /// Says something on a connection of its own, and waits for the answer.
 async fn say(address: &str, parcels: Vec<Parcel>) -> Vec<String> {
     let address: Address = format!("tcp://{address}").parse().expect("an address");
-    let mut link = mom_net::connect(&address, &Limits::default())
+    let mut link = mom_net::connect(&address, &Limits::default(), None)
         .await
         .expect("it listens");
     let mut answers = Vec::new();

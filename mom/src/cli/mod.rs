@@ -47,8 +47,8 @@ Exit codes: 0 done, 1 failed or refused, 2 a command line that makes no sense.";
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Options of every command")]
 pub(crate) struct GlobalArgs {
-    /// The hub: bin://HOST:PORT (binary) or tcp://HOST:PORT (XML); a path after the port is that of commands
-    /// which are given none
+    /// The hub: bin://HOST:PORT (binary) or tcp://HOST:PORT (XML), bins:// or tcps:// with TLS, which may end in
+    /// ?pin=FINGERPRINT; a path after the port is that of commands which are given none
     #[arg(
         long,
         global = true,
@@ -63,6 +63,9 @@ pub(crate) struct GlobalArgs {
     /// Prove it with the private key in this file, not with a password
     #[arg(long, global = true, value_name = "FILE", conflicts_with_all = ["jwt", "guest"])]
     pub(crate) key: Option<PathBuf>,
+    /// Prove it with this certificate (PEM), whose private key --key names, to a hub over TLS
+    #[arg(long, global = true, value_name = "FILE", requires = "key")]
+    pub(crate) certificate: Option<PathBuf>,
     /// Prove it with the token (JWT) in this file, which names you
     #[arg(long, global = true, value_name = "FILE", conflicts_with = "guest")]
     pub(crate) jwt: Option<PathBuf>,
@@ -154,7 +157,7 @@ pub(crate) enum Command {
 /// `mom lab`
 #[derive(Args, Debug)]
 pub(crate) struct LabArgs {
-    /// Where to listen; passwords are accepted on loopback only. Port 0 takes a free one
+    /// Where to listen; without TLS passwords are accepted on loopback only. Port 0 takes a free one
     #[arg(long, value_name = "ADDRESS")]
     pub(crate) listen: Option<SocketAddr>,
     /// What to log to standard error: error, warn, info, debug, trace, or per module

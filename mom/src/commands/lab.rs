@@ -3,14 +3,15 @@
 use std::env;
 use std::io::{self, IsTerminal as _};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::path::Path;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
 use mom_arm::ArmOptions;
-use mom_broker::{Broker, BrokerError, Config, UserEntry};
+use mom_broker::{Broker, BrokerError, Config, TlsConfig, UserEntry};
 use mom_camera::{CameraOptions, View};
-use mom_client::{Client, ClientError};
+use mom_client::{Client, ClientError, Fingerprint};
 use serde_json::{Value as Json, json};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -41,10 +42,14 @@ pub(crate) async fn run(args: &cli::LabArgs, output: Output) -> Result<(), Failu
     }
     let kept = config.store.keep_state(|name| env::var_os(name));
     kept.map_err(|error| start_failure(error.into()))?;
+    if let Some(state) = &config.store.state {
+        config.tls = certificate(state);
+    }
     let users = config.users.clone();
     let broker = Broker::start(config).await.map_err(start_failure)?;
     let lab = LabSummary {
         address: within_reach(broker.local_addr()),
+        pin: broker.fingerprint(),
         program: env::args().next().unwrap_or_else(|| "mom".to_owned()),
         users,
     };
@@ -66,6 +71,16 @@ pub(crate) async fn run(args: &cli::LabArgs, output: Output) -> Result<(), Failu
         Some(Ok((name, Err(error)))) => Err(Failure::plain(format!("the {name} ended: {error}"))),
         Some(Ok((name, Ok(())))) => Err(Failure::plain(format!("the {name} ended"))),
         Some(Err(error)) => Err(Failure::plain(format!("a device broke down: {error}"))),
+    }
+}
+
+/// A certificate that the lab makes itself, and keeps where it keeps the rest.
+fn certificate(state: &Path) -> TlsConfig {
+    TlsConfig {
+        certificate: Some(state.join("hub.crt")),
+        key: Some(state.join("hub.key")),
+        self_signed: true,
+        hosts: ["localhost", "127.0.0.1", "::1"].map(str::to_owned).to_vec(),
     }
 }
 
@@ -175,6 +190,7 @@ async fn stop_broker(mut broker: Arc<Broker>) {
 /// The summary of a running lab.
 struct LabSummary {
     address: SocketAddr,
+    pin: Option<Fingerprint>,
     program: String,
     users: Vec<UserEntry>,
 }
@@ -189,6 +205,7 @@ impl LabSummary {
             "state": "ready",
             "hub": format!("bin://{}", self.address),
             "xml": format!("tcp://{}", self.address),
+            "tls": self.tls(),
             "users": people.collect::<Vec<_>>(),
         })
     }
@@ -213,6 +230,14 @@ impl LabSummary {
                     place(&format!("tcp://{}", self.address))
                 ),
             ),
+        ];
+        lines.extend(self.tls().map(|address| {
+            row(
+                "",
+                format!("{}  binary with TLS; tcps:// for XML", place(&address)),
+            )
+        }));
+        lines.extend([
             row(
                 "people",
                 format!("{}; everyone's password is their name", self.people()),
@@ -229,7 +254,7 @@ impl LabSummary {
             row("chat", place("/chat")),
             String::new(),
             "Try in another terminal, as alice:".to_owned(),
-        ];
+        ]);
         let command = |text: String| format!("  {}", ink(text, Tone::Command));
         let program = &self.program;
         lines.extend([
@@ -248,6 +273,12 @@ impl LabSummary {
             command(format!("{program} watch --recursive /robot")),
         ]);
         lines.join("\n")
+    }
+
+    /// The address with TLS, which knows the hub by its certificate.
+    fn tls(&self) -> Option<String> {
+        let pin = self.pin?;
+        Some(format!("bins://{}?pin={pin}", self.address))
     }
 
     /// The users that are not devices.
@@ -282,6 +313,7 @@ mod tests {
     fn lab(address: &str) -> String {
         let lab = LabSummary {
             address: address.parse().unwrap(),
+            pin: Some(Fingerprint::new([0xAB; 32])),
             program: "target/release/mom".to_owned(),
             users: Config::lab().users,
         };
@@ -294,6 +326,7 @@ mod tests {
         for part in [
             "bin://127.0.0.1:7666",
             "tcp://127.0.0.1:7666",
+            "bins://127.0.0.1:7666?pin=sha256:abab",
             "alice (level 1), bob (level 1), carol (level 5, operator);",
             "\n  export MOM_USER=alice MOM_PASSWORD=alice\n",
             "\n  target/release/mom tree\n",

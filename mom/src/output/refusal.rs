@@ -110,7 +110,7 @@ fn hint(error: &WireError) -> Option<&'static str> {
         ),
         (
             Code::INSECURE,
-            "passwords go over loopback only: run this on the hub's machine",
+            "passwords go over TLS or loopback only: connect to bins:// or tcps://",
         ),
         (
             Code::TOO_MANY_CONNECTIONS,

@@ -8,7 +8,7 @@ use std::pin::pin;
 use anyhow::{Context, anyhow};
 use clap::Parser;
 use mom_arm::{ArmOptions, peer};
-use mom_client::{Client, Key, Proof};
+use mom_client::{Client, Identity, Key, Proof};
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
@@ -20,13 +20,13 @@ Examples:
   RUST_LOG=debug MOM_PASSWORD=arm mom-arm --channel /robot/arm
 
 The password is that of MOM_PASSWORD, unless --password-file names a file. A key (mom keygen) is taken from
-anywhere, a password over loopback only. Where there is no hub yet it waits. The log goes to the standard error; RUST_LOG says how much of it. Ctrl-C and SIGTERM halt the arm and end the program.";
+anywhere, a password over TLS (bins://, tcps://) or loopback. Where there is no hub yet it waits. The log goes to the standard error; RUST_LOG says how much of it. Ctrl-C and SIGTERM halt the arm and end the program.";
 
 /// The robot arm of the demonstration lab: obeys the scripts of the token's owner and tells its state.
 #[derive(Debug, Parser)]
 #[command(name = "mom-arm", version, after_help = EXAMPLES)]
 struct ArmArgs {
-    /// The hub, as bin://host:port (binary) or tcp://host:port (XML)
+    /// The hub, as bin://host:port (binary) or tcp://host:port (XML), bins:// or tcps:// with TLS, which may end in ?pin=FINGERPRINT
     #[arg(long, env = "MOM_HUB", default_value = "bin://127.0.0.1:7666")]
     hub: String,
     /// The user to log in as
@@ -38,6 +38,9 @@ struct ArmArgs {
     /// A file with the private key of the user, as mom keygen makes it; it needs no password
     #[arg(long, value_name = "FILE")]
     key: Option<PathBuf>,
+    /// A certificate of the user (PEM), whose private key --key names, for a hub over TLS
+    #[arg(long, value_name = "FILE", requires = "key")]
+    certificate: Option<PathBuf>,
     /// The channel of commands and states
     #[arg(long, value_name = "PATH", default_value = "/robot/arm")]
     channel: String,
@@ -72,9 +75,13 @@ async fn main() -> anyhow::Result<()> {
 
 /// Authenticates by key if there is one.
 fn proof(args: &ArmArgs) -> anyhow::Result<Proof> {
-    match &args.key {
-        Some(file) => Ok(Proof::Key(Key::from_file(file).context("--key")?)),
-        None => password(args).map(Proof::Password),
+    match (&args.key, &args.certificate) {
+        (Some(key), Some(certificate)) => Ok(Proof::Certificate(Identity {
+            certificate: certificate.clone(),
+            key: key.clone(),
+        })),
+        (Some(file), None) => Ok(Proof::Key(Key::from_file(file).context("--key")?)),
+        (None, _) => password(args).map(Proof::Password),
     }
 }
 

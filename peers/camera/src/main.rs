@@ -8,7 +8,7 @@ use std::pin::pin;
 use anyhow::{Context, anyhow};
 use clap::Parser;
 use mom_camera::{CameraOptions, CameraSettings, SettingsChange, View, peer};
-use mom_client::{Client, Key, Proof};
+use mom_client::{Client, Identity, Key, Proof};
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
@@ -20,13 +20,13 @@ Examples:
   MOM_PASSWORD=camera mom-camera --view top --width 320 --height 240 --format png
 
 The password is that of MOM_PASSWORD, unless --password-file names a file. A key (mom keygen) is taken from
-anywhere, a password over loopback only. Where there is no hub yet it waits. The log goes to the standard error; RUST_LOG says how much of it. Ctrl-C and SIGTERM end the program.";
+anywhere, a password over TLS (bins://, tcps://) or loopback. Where there is no hub yet it waits. The log goes to the standard error; RUST_LOG says how much of it. Ctrl-C and SIGTERM end the program.";
 
 /// The camera of the demonstration lab: shows the robot's workspace after each of its states and on request.
 #[derive(Debug, Parser)]
 #[command(name = "mom-camera", version, after_help = EXAMPLES)]
 struct CameraArgs {
-    /// The hub, as bin://host:port (binary) or tcp://host:port (XML)
+    /// The hub, as bin://host:port (binary) or tcp://host:port (XML), bins:// or tcps:// with TLS, which may end in ?pin=FINGERPRINT
     #[arg(long, env = "MOM_HUB", default_value = "bin://127.0.0.1:7666")]
     hub: String,
     /// The user to log in as
@@ -38,6 +38,9 @@ struct CameraArgs {
     /// A file with the private key of the user, as mom keygen makes it; it needs no password
     #[arg(long, value_name = "FILE")]
     key: Option<PathBuf>,
+    /// A certificate of the user (PEM), whose private key --key names, for a hub over TLS
+    #[arg(long, value_name = "FILE", requires = "key")]
+    certificate: Option<PathBuf>,
     /// Where the camera stands: x, y, top or wrist
     #[arg(long, default_value = "x")]
     view: View,
@@ -116,9 +119,13 @@ fn options(args: &CameraArgs) -> anyhow::Result<CameraOptions> {
 
 /// Authenticates by key if there is one.
 fn proof(args: &CameraArgs) -> anyhow::Result<Proof> {
-    match &args.key {
-        Some(file) => Ok(Proof::Key(Key::from_file(file).context("--key")?)),
-        None => password(args).map(Proof::Password),
+    match (&args.key, &args.certificate) {
+        (Some(key), Some(certificate)) => Ok(Proof::Certificate(Identity {
+            certificate: certificate.clone(),
+            key: key.clone(),
+        })),
+        (Some(file), None) => Ok(Proof::Key(Key::from_file(file).context("--key")?)),
+        (None, _) => password(args).map(Proof::Password),
     }
 }
 

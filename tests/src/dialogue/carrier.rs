@@ -3,7 +3,7 @@
 use std::fmt;
 
 use mom_broker::Broker;
-use mom_net::{Address, Transceiver};
+use mom_net::{Address, ClientTls, Transceiver, Trust};
 use mom_proto::Limits;
 use mom_proto::codec::Form;
 
@@ -14,6 +14,10 @@ pub enum Carrier {
     Xml,
     /// Binary over TCP.
     Binary,
+    /// XML over TLS.
+    XmlTls,
+    /// Binary over TLS.
+    BinaryTls,
     /// Inside the broker's process.
     Local,
     /// Each next peer by the next of them, so that senders and receivers differ.
@@ -22,27 +26,46 @@ pub enum Carrier {
 
 impl Carrier {
     /// All of them.
-    pub const ALL: [Carrier; 4] = [Carrier::Xml, Carrier::Binary, Carrier::Local, Carrier::Mixed];
+    pub const ALL: [Carrier; 6] = [
+        Carrier::Xml,
+        Carrier::Binary,
+        Carrier::XmlTls,
+        Carrier::BinaryTls,
+        Carrier::Local,
+        Carrier::Mixed,
+    ];
 
     /// Links the peer that comes after `before` others.
     pub(crate) async fn connect(self, broker: &Broker, before: usize) -> Result<Transceiver, String> {
-        let form = match self {
-            Carrier::Xml => Form::Xml,
-            Carrier::Binary => Form::Binary,
+        let (form, tls) = match self {
+            Carrier::Xml => (Form::Xml, false),
+            Carrier::Binary => (Form::Binary, false),
+            Carrier::XmlTls => (Form::Xml, true),
+            Carrier::BinaryTls => (Form::Binary, true),
             Carrier::Local => return Ok(broker.connect_local()),
             Carrier::Mixed => {
-                let one = [Carrier::Xml, Carrier::Binary, Carrier::Local][before % 3];
+                let one = [
+                    Carrier::Xml,
+                    Carrier::BinaryTls,
+                    Carrier::Local,
+                    Carrier::Binary,
+                    Carrier::XmlTls,
+                ][before % 5];
                 return Box::pin(one.connect(broker, before)).await;
             }
         };
         let address = broker.local_addr();
         let address = Address {
             form,
+            tls,
             host: address.ip().to_string(),
             port: address.port(),
             path: None,
+            pin: None,
         };
-        mom_net::connect(&address, &Limits::default())
+        let trust = broker.fingerprint().map(Trust::Pinned).unwrap_or_default();
+        let client = ClientTls::new(&trust, None).map_err(|error| error.to_string())?;
+        mom_net::connect(&address, &Limits::default(), Some(&client))
             .await
             .map_err(|error| format!("cannot connect: {error}"))
     }
@@ -53,6 +76,8 @@ impl fmt::Display for Carrier {
         formatter.write_str(match self {
             Carrier::Xml => "over XML",
             Carrier::Binary => "over binary",
+            Carrier::XmlTls => "over XML and TLS",
+            Carrier::BinaryTls => "over binary and TLS",
             Carrier::Local => "in process",
             Carrier::Mixed => "mixed",
         })

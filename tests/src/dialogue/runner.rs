@@ -12,6 +12,7 @@ use super::peer::{Heard, Peer};
 use super::say::{Request, login_parcel};
 use super::script::{Configuration, Connect, Line, Script, Step};
 use super::{Error, root, show};
+use crate::tls;
 
 /// When every dialogue begins: 2026-11-21T10:00:00Z, in Unix seconds; also the epoch of its fences.
 const BEGINNING: u64 = 1_795_255_200;
@@ -20,6 +21,7 @@ const BEGINNING: u64 = 1_795_255_200;
 pub(crate) async fn run(script: &Script, carrier: Carrier) -> Result<(), Error> {
     let mut config = load(&script.config)?;
     config.listen = vec!["127.0.0.1:0".to_owned()];
+    config.tls = tls::of_hub();
     let clock = Clock::manual(beginning());
     let broker = Broker::start_at(config, clock.clone())
         .await

@@ -50,6 +50,16 @@ fn over_binary() {
 }
 
 #[test]
+fn over_xml_and_tls() {
+    check(Carrier::XmlTls);
+}
+
+#[test]
+fn over_binary_and_tls() {
+    check(Carrier::BinaryTls);
+}
+
+#[test]
 fn in_process() {
     check(Carrier::Local);
 }

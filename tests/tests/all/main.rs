@@ -23,5 +23,6 @@ mod stops;
 mod thinning;
 mod threats;
 mod time;
+mod tls;
 mod told;
 mod uplink;

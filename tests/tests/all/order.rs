@@ -96,13 +96,13 @@ struct Peer {
 
 impl Peer {
     async fn enter(broker: &Broker, over: Over, user: &str) -> Peer {
-        let Transceiver { reader, writer } = match over {
+        let Transceiver { reader, writer, .. } = match over {
             Over::Local => broker.connect_local(),
             Over::Tcp(form) => {
                 let scheme = if form == Form::Xml { "tcp" } else { "bin" };
                 let address = format!("{scheme}://{}", broker.local_addr());
                 let address = address.parse().expect("an address");
-                mom_net::connect(&address, &Limits::default())
+                mom_net::connect(&address, &Limits::default(), None)
                     .await
                     .expect("the broker listens")
             }

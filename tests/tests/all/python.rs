@@ -34,7 +34,7 @@ struct Other {
 impl Other {
     async fn login(port: u16, user: &str) -> Other {
         let address: Address = format!("tcp://127.0.0.1:{port}").parse().expect("an address");
-        let link = mom_net::connect(&address, &Limits::default())
+        let link = mom_net::connect(&address, &Limits::default(), None)
             .await
             .expect("the broker listens");
         let mut other = Other { link, last: 0 };

@@ -28,6 +28,16 @@ pub fn config_schema() -> Value {
             "type": "array", "items": text("An address with its port, such as 127.0.0.1:7666."),
             "minItems": 1, "default": default.listen
         },
+        "tls": table(
+            "The certificate that the hub shows. XML and binary with TLS share the port with those without.",
+            &json!({
+                "certificate": text("The certificate in PEM, those that signed it behind it; relative to this file. Read again when it changes."),
+                "key": text("Its key in PEM, relative to this file."),
+                "self-signed": with_default(flag("Make both files where they are not there; clients know the hub by its fingerprint then."), false),
+                "hosts": { "description": "The names and addresses of this hub, for the certificate that is made.", "type": "array", "items": text("A name or an address."), "default": ["localhost"] }
+            }),
+            &[]
+        ),
         "connections": with_default(positive("Connections at once; one more is told too-many-connections."), default.connections),
         "connections-before-login": positive("Of them, those that have not logged in; absent = a quarter. One more closes the oldest."),
         "connections-per-address": positive("Of these, those from one address; absent = a quarter. One more closes the oldest of that address."),
@@ -76,6 +86,7 @@ pub fn users_schema() -> Value {
     let user = json!({
         "name": text("The user's name."),
         "password": text("The argon2id hash of the password, as mom-broker passwd writes it."),
+        "certificates": names("Fingerprints of certificates, as openssl x509 -fingerprint -sha256 prints them, or sha256: and 64 digits."),
         "keys": names("Public keys, as mom keygen writes them: ed25519 BASE64 and a comment."),
         "level": with_default(number("The authority level; higher is more."), 0),
         "groups": names("The groups that the user is in."),

@@ -144,19 +144,25 @@ async fn link() -> (Transceiver, Transceiver) {
     let port = listener.local_addr().expect("bound").port();
     let limits = Limits::default();
     let address = Address {
+        tls: false,
         form: Form::Binary,
         host: "127.0.0.1".to_owned(),
         port,
         path: None,
+        pin: None,
     };
     let near = async {
         let (stream, _) = listener.accept().await.expect("a connection");
         let never = std::future::pending();
-        mom_net::accept(stream, &limits, never, |error| error.to_parcel(None))
+        mom_net::accept(stream, None, &limits, never, |error| error.to_parcel(None))
             .await
             .expect("binary")
     };
-    let far = async { mom_net::connect(&address, &limits).await.expect("it listens") };
+    let far = async {
+        mom_net::connect(&address, &limits, None)
+            .await
+            .expect("it listens")
+    };
     tokio::join!(near, far)
 }
 
@@ -202,7 +208,9 @@ impl World {
         let (near, far) = link().await;
         let outbox = Arc::new(Outbox::new(id, self.clock.clone(), near.writer, 1 << 20));
         self.board.add_outbox(&outbox);
-        let Transceiver { mut reader, writer } = far;
+        let Transceiver {
+            mut reader, writer, ..
+        } = far;
         let heard = tokio::spawn(async move {
             let mut heard = Vec::new();
             while let Some(frame) = reader.next().await.expect("a link") {

@@ -1,0 +1,267 @@
+//! TLS below any form: what its reader and its writers share is one link.
+
+mod client;
+mod server;
+
+use std::io::{self, BufRead as _, ErrorKind, IoSlice, Read, Write};
+use std::sync::Arc;
+use std::task::{Context, Poll, ready};
+
+use bytes::{BufMut, BytesMut};
+use mom_proto::Fingerprint;
+use parking_lot::Mutex;
+use rustls::Connection;
+use rustls::crypto::CryptoProvider;
+use sha2::{Digest as _, Sha256};
+use tokio::net::TcpStream;
+
+use crate::{TcpState, options};
+
+pub use client::{ClientTls, Identity, Trust};
+pub use server::{SelfSigned, ServerTls, TlsError};
+
+/// The first byte of a TLS handshake; no form begins so.
+pub(crate) const HANDSHAKE: u8 = 0x16;
+
+/// Plaintext that is encrypted before the network has taken what was encrypted before: little, because nothing urgent
+/// can overtake it.
+const AHEAD: usize = 64 * 1024;
+
+/// Named at each use, so that it does not matter what else in the process installs one.
+fn provider() -> Arc<CryptoProvider> {
+    Arc::new(rustls::crypto::ring::default_provider())
+}
+
+/// What a certificate in DER is known by.
+fn fingerprint(certificate: &[u8]) -> Fingerprint {
+    Fingerprint::new(Sha256::digest(certificate).into())
+}
+
+fn invalid(error: rustls::Error) -> io::Error {
+    match error {
+        // In our own words, which its Display would introduce as unexpected.
+        rustls::Error::General(text) => io::Error::new(ErrorKind::InvalidData, text),
+        error => io::Error::new(ErrorKind::InvalidData, error),
+    }
+}
+
+/// One TCP connection with TLS on it.
+#[derive(Debug)]
+pub(crate) struct TlsLink {
+    stream: TcpStream,
+    state: Mutex<State>,
+}
+
+#[derive(Debug)]
+struct State {
+    tls: Connection,
+    /// The last byte that was taken is not told yet: the network has not taken all that was made of it. Whoever
+    /// writes comes back for that byte, and so the rest is sent.
+    owed: bool,
+    /// Bytes given to the network, and bytes taken to be encrypted.
+    sent: u64,
+    taken: u64,
+}
+
+impl TlsLink {
+    /// Shakes hands, from the bytes that have come already on. Whatever fails is told to the other side.
+    pub(crate) async fn handshake(
+        stream: TcpStream,
+        mut tls: Connection,
+        mut arrived: &[u8],
+    ) -> io::Result<Arc<TlsLink>> {
+        tls.set_buffer_limit(Some(AHEAD));
+        let mut sent = 0;
+        loop {
+            while tls.wants_write() {
+                match tls.write_tls(&mut Socket(&stream)) {
+                    Ok(bytes) => sent += bytes as u64,
+                    Err(error) if error.kind() == ErrorKind::WouldBlock => stream.writable().await?,
+                    Err(error) => return Err(error),
+                }
+            }
+            if !tls.is_handshaking() && arrived.is_empty() {
+                let state = State {
+                    tls,
+                    owed: false,
+                    sent,
+                    taken: 0,
+                };
+                let state = Mutex::new(state);
+                return Ok(Arc::new(TlsLink { stream, state }));
+            }
+            let read = match arrived.is_empty() {
+                false => tls.read_tls(&mut arrived),
+                true => {
+                    stream.readable().await?;
+                    tls.read_tls(&mut Socket(&stream))
+                }
+            };
+            match read {
+                Ok(0) => return Err(ErrorKind::UnexpectedEof.into()),
+                Ok(_) => {}
+                Err(error) if error.kind() == ErrorKind::WouldBlock => continue,
+                Err(error) => return Err(error),
+            }
+            if let Err(error) = tls.process_new_packets() {
+                // The alert says why; best effort, as the connection ends anyway.
+                let _ = tls.write_tls(&mut Socket(&stream));
+                return Err(invalid(error));
+            }
+        }
+    }
+
+    /// Sets the options of the connection below.
+    pub(crate) fn prepare(&self) -> io::Result<()> {
+        options::set(&self.stream)
+    }
+
+    /// The certificate that the other side has shown and proved to have the key of.
+    pub(crate) fn certificate(&self) -> Option<Fingerprint> {
+        let state = self.state.lock();
+        let certificates = state.tls.peer_certificates()?;
+        certificates.first().map(|first| fingerprint(first))
+    }
+
+    /// Reads what has arrived; 0 bytes at the end. Stateless, so that it may be begun anew at each poll.
+    pub(crate) fn poll_read(
+        &self,
+        room: &mut impl BufMut,
+        context: &mut Context<'_>,
+    ) -> Poll<io::Result<usize>> {
+        loop {
+            if let Some(read) = self.state.lock().read(room)? {
+                return Poll::Ready(Ok(read));
+            }
+            ready!(self.stream.poll_read_ready(context))?;
+            match self.state.lock().receive(&self.stream) {
+                Ok(()) => {}
+                Err(error) if error.kind() == ErrorKind::WouldBlock => {}
+                Err(error) => return Poll::Ready(Err(error)),
+            }
+        }
+    }
+
+    /// Waits for something to read.
+    pub(crate) async fn read(&self, buffer: &mut BytesMut) -> io::Result<usize> {
+        std::future::poll_fn(|context| self.poll_read(buffer, context)).await
+    }
+
+    /// Writes the front of these pieces; gives how much of it, none if the network takes nothing now.
+    pub(crate) fn try_write(&self, pieces: &[IoSlice<'_>]) -> io::Result<Option<usize>> {
+        let mut state = self.state.lock();
+        if !state.send(&self.stream)? {
+            return Ok(None);
+        }
+        let before = usize::from(std::mem::take(&mut state.owed));
+        let taken = state.take(pieces, before)?;
+        state.owed = !state.send(&self.stream)?;
+        match before + taken - usize::from(state.owed) {
+            0 => Ok(None),
+            told => Ok(Some(told)),
+        }
+    }
+
+    pub(crate) async fn writable(&self) -> io::Result<()> {
+        self.stream.writable().await
+    }
+
+    /// The state of the network, as if it knew the bytes that were taken only.
+    pub(crate) fn link(&self) -> Option<TcpState> {
+        let mut link = options::link(&self.stream)?;
+        let state = self.state.lock();
+        let more = state.sent.saturating_sub(state.taken);
+        link.acknowledged = link.acknowledged.saturating_sub(more);
+        Some(link)
+    }
+
+    /// Says that nothing more comes from this end.
+    pub(crate) fn finish(&self) {
+        let mut state = self.state.lock();
+        state.tls.send_close_notify();
+        // A link that is gone or full needs no goodbye.
+        let _ = state.send(&self.stream);
+        let _ = socket2::SockRef::from(&self.stream).shutdown(std::net::Shutdown::Write);
+    }
+}
+
+impl State {
+    /// Plaintext that is here already, none if something has to arrive first.
+    fn read(&mut self, room: &mut impl BufMut) -> io::Result<Option<usize>> {
+        let mut reader = self.tls.reader();
+        let chunk = match reader.fill_buf() {
+            Ok(chunk) => chunk,
+            Err(error) if error.kind() == ErrorKind::WouldBlock => return Ok(None),
+            // Frames tell their own ends: one that is cut short is found there.
+            Err(error) if error.kind() == ErrorKind::UnexpectedEof => return Ok(Some(0)),
+            Err(error) => return Err(error),
+        };
+        let read = chunk.len().min(room.remaining_mut());
+        room.put_slice(&chunk[..read]);
+        reader.consume(read);
+        Ok(Some(read))
+    }
+
+    /// Reads from the network and decrypts.
+    fn receive(&mut self, stream: &TcpStream) -> io::Result<()> {
+        self.tls.read_tls(&mut Socket(stream))?;
+        let processed = self.tls.process_new_packets();
+        // An alert, or the answer to a change of keys.
+        if self.tls.wants_write() {
+            self.send(stream)?;
+        }
+        processed.map(drop).map_err(invalid)
+    }
+
+    /// Encrypts the front of these pieces without so many bytes; gives how much of it.
+    fn take(&mut self, pieces: &[IoSlice<'_>], mut without: usize) -> io::Result<usize> {
+        let mut taken = 0;
+        for piece in pieces {
+            let skipped = without.min(piece.len());
+            without -= skipped;
+            let piece = &piece[skipped..];
+            let wrote = self.tls.writer().write(piece)?;
+            taken += wrote;
+            if wrote < piece.len() {
+                break;
+            }
+        }
+        self.taken += taken as u64;
+        Ok(taken)
+    }
+
+    /// Gives the network what is encrypted; false if it does not take all.
+    fn send(&mut self, stream: &TcpStream) -> io::Result<bool> {
+        while self.tls.wants_write() {
+            match self.tls.write_tls(&mut Socket(stream)) {
+                Ok(bytes) => self.sent += bytes as u64,
+                Err(error) if error.kind() == ErrorKind::WouldBlock => return Ok(false),
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(true)
+    }
+}
+
+/// The network as rustls wants it, which never waits.
+struct Socket<'a>(&'a TcpStream);
+
+impl Read for Socket<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        self.0.try_read(buffer)
+    }
+}
+
+impl Write for Socket<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.try_write(bytes)
+    }
+
+    fn write_vectored(&mut self, pieces: &[IoSlice<'_>]) -> io::Result<usize> {
+        self.0.try_write_vectored(pieces)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
