@@ -127,13 +127,13 @@ struct Arrival {
 
 impl Arrival {
     fn link(&self) -> LoginLink {
-        let certificate = match self.privacy {
-            Privacy::Tls { certificate } => certificate,
-            Privacy::Local | Privacy::Plain => None,
+        let (private, certificate) = match self.privacy {
+            Privacy::Tls { certificate } => (true, certificate),
+            Privacy::Local | Privacy::Plain => (false, None),
         };
         LoginLink {
             from: self.from,
-            private: self.privacy != Privacy::Plain,
+            private,
             certificate,
         }
     }

@@ -3,6 +3,7 @@
 mod client;
 mod server;
 
+use std::cell::RefCell;
 use std::io::{self, BufRead as _, ErrorKind, IoSlice, Read, Write};
 use std::sync::Arc;
 use std::task::{Context, Poll, ready};
@@ -26,6 +27,11 @@ pub(crate) const HANDSHAKE: u8 = 0x16;
 /// Plaintext that is encrypted before the network has taken what was encrypted before: little, because nothing urgent
 /// can overtake it.
 const AHEAD: usize = 64 * 1024;
+
+thread_local! {
+    /// What has arrived and is not decrypted: used within a turn only, so that idle connections need no memory for it.
+    static ARRIVED: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
+}
 
 /// Named at each use, so that it does not matter what else in the process installs one.
 fn provider() -> Arc<CryptoProvider> {
@@ -129,17 +135,33 @@ impl TlsLink {
         room: &mut impl BufMut,
         context: &mut Context<'_>,
     ) -> Poll<io::Result<usize>> {
+        // What came with the end of the handshake.
+        if let Some(read) = self.state.lock().read(room)? {
+            return Poll::Ready(Ok(read));
+        }
         loop {
-            if let Some(read) = self.state.lock().read(room)? {
-                return Poll::Ready(Ok(read));
-            }
             ready!(self.stream.poll_read_ready(context))?;
-            match self.state.lock().receive(&self.stream) {
-                Ok(()) => {}
+            match self.receive(room) {
+                Ok(None) => {}
+                Ok(Some(read)) => return Poll::Ready(Ok(read)),
                 Err(error) if error.kind() == ErrorKind::WouldBlock => {}
                 Err(error) => return Poll::Ready(Err(error)),
             }
         }
+    }
+
+    /// Reads from the network and decrypts; none if that is nothing for the reader yet.
+    fn receive(&self, room: &mut impl BufMut) -> io::Result<Option<usize>> {
+        // Much at once, though rustls takes it by 4 KiB.
+        ARRIVED.with_borrow_mut(|arrived| {
+            arrived.resize(AHEAD, 0);
+            let count = self.stream.try_read(arrived)?;
+            let mut state = self.state.lock();
+            match count {
+                0 => Ok(Some(0)),
+                count => state.decrypt(&arrived[..count], room, &self.stream),
+            }
+        })
     }
 
     /// Waits for something to read.
@@ -153,10 +175,10 @@ impl TlsLink {
         if !state.send(&self.stream)? {
             return Ok(None);
         }
-        let before = usize::from(std::mem::take(&mut state.owed));
-        let taken = state.take(pieces, before)?;
+        let begun = std::mem::take(&mut state.owed);
+        let taken = state.take(pieces, begun)?;
         state.owed = !state.send(&self.stream)?;
-        match before + taken - usize::from(state.owed) {
+        match usize::from(begun) + taken - usize::from(state.owed) {
             0 => Ok(None),
             told => Ok(Some(told)),
         }
@@ -202,30 +224,37 @@ impl State {
         Ok(Some(read))
     }
 
-    /// Reads from the network and decrypts.
-    fn receive(&mut self, stream: &TcpStream) -> io::Result<()> {
-        self.tls.read_tls(&mut Socket(stream))?;
-        let processed = self.tls.process_new_packets();
-        // An alert, or the answer to a change of keys.
-        if self.tls.wants_write() {
-            self.send(stream)?;
-        }
-        processed.map(drop).map_err(invalid)
-    }
-
-    /// Encrypts the front of these pieces without so many bytes; gives how much of it.
-    fn take(&mut self, pieces: &[IoSlice<'_>], mut without: usize) -> io::Result<usize> {
-        let mut taken = 0;
-        for piece in pieces {
-            let skipped = without.min(piece.len());
-            without -= skipped;
-            let piece = &piece[skipped..];
-            let wrote = self.tls.writer().write(piece)?;
-            taken += wrote;
-            if wrote < piece.len() {
-                break;
+    /// Decrypts what has arrived; none if that is nothing for the reader.
+    fn decrypt(
+        &mut self,
+        mut arrived: &[u8],
+        room: &mut impl BufMut,
+        stream: &TcpStream,
+    ) -> io::Result<Option<usize>> {
+        let mut read = 0;
+        let mut ended = false;
+        while !arrived.is_empty() && !ended {
+            self.tls.read_tls(&mut arrived)?;
+            let processed = self.tls.process_new_packets();
+            // An alert, or the answer to a change of keys.
+            if self.tls.wants_write() {
+                self.send(stream)?;
+            }
+            ended = processed.map_err(invalid)?.peer_has_closed();
+            while let Some(more @ 1..) = self.read(room)? {
+                read += more;
             }
         }
+        Ok(Some(read).filter(|read| *read > 0 || ended))
+    }
+
+    /// Encrypts the front of these pieces, all in as few records as hold it; gives how much of it. `begun` = the first
+    /// byte is encrypted already.
+    fn take(&mut self, pieces: &[IoSlice<'_>], begun: bool) -> io::Result<usize> {
+        let mut pieces = pieces.to_vec();
+        let mut rest = &mut pieces[..];
+        IoSlice::advance_slices(&mut rest, usize::from(begun));
+        let taken = self.tls.writer().write_vectored(rest)?;
         self.taken += taken as u64;
         Ok(taken)
     }

@@ -147,7 +147,7 @@ fn wrong_users() {
     check_users(
         "¦[[users]]\nname = \"ann\"\nlevel = 1\n",
         "users[0]",
-        "neither password nor keys",
+        "no password, key or certificate",
     );
     check_users(
         &(user("ann") + "¦rights = 1\n"),
