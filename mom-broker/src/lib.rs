@@ -10,7 +10,7 @@ mod connection;
 mod reload;
 mod traffic;
 
-pub use broker::{Broker, BrokerError};
+pub use broker::{Broker, BrokerError, read_tls};
 pub use mom_config::{
     Asked, Config, ConfigError, ConfigErrors, Explanation, Location, ReloadOn, Supposed, TlsConfig,
     check_address, config_schema, users_schema,

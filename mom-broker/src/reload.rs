@@ -52,7 +52,7 @@ impl Broker {
         let (config, needs_restart) = keep_fixed(&running, config);
         running.check_replacement(&config)?;
         config.check()?;
-        let tls = open_tls(&config.tls).map_err(|error| ConfigError::of_file("[tls]", error.to_string()))?;
+        let tls = open_tls(&config)?;
         let mut report = ReloadReport::of(&running, &config, needs_restart);
         let mut touched = Touched::new();
         let configure = |users: Vec<(PeerId, Option<User>)>| {

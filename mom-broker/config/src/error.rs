@@ -67,8 +67,7 @@ impl fmt::Display for ConfigErrors {
 }
 
 impl ConfigError {
-    /// Of a file as a whole.
-    pub fn of_file(file: &str, text: impl Into<String>) -> ConfigError {
+    pub(crate) fn of_file(file: &str, text: impl Into<String>) -> ConfigError {
         ConfigError {
             file: Some(file.to_owned()),
             line: None,

@@ -5,11 +5,11 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_config::{Config, ConfigError, ConfigErrors, TlsConfig};
+use mom_config::{Config, ConfigError, ConfigErrors};
 use mom_hub::{Input, Settings};
 use mom_journal::{Tap, WriteError};
 use mom_login::{LoginStats, Logins};
-use mom_net::{SelfSigned, ServerTls, TlsError, Transceiver};
+use mom_net::{SelfSigned, ServerTls, Transceiver};
 use mom_proto::Fingerprint;
 use mom_store::{StoreAnswer, StoreError};
 use mom_system::Clock;
@@ -46,9 +46,6 @@ pub enum BrokerError {
     /// A file that it shall write and cannot.
     #[error(transparent)]
     Write(#[from] WriteError),
-    /// A certificate or key that cannot be used.
-    #[error("[tls]: {0}")]
-    Tls(#[from] TlsError),
     /// An address that cannot be listened at.
     #[error("cannot listen at {address}: {error}{}", hint(error))]
     Listen {
@@ -140,7 +137,7 @@ impl Broker {
         let board = Switchboard::new(hub, clock, bounds(&config), store, tap);
         board.memory.set_bound(config.memory_bound());
         let services = Services::new(board, logins, config.limits.clone());
-        let tls = Arc::new(RwLock::new(open_tls(&config.tls)?));
+        let tls = Arc::new(RwLock::new(open_tls(&config)?));
         let (stopping, stop) = watch::channel(false);
         let doors = Arc::new(Doors::new(config.connection_caps()));
         let mut tasks = JoinSet::new();
@@ -269,18 +266,34 @@ fn bounds(config: &Config) -> Bounds {
 }
 
 /// Reads the certificate of the configuration, and makes it first if it is to be.
-pub(crate) fn open_tls(config: &TlsConfig) -> Result<Option<ServerTls>, TlsError> {
-    let (Some(certificate), Some(key)) = (&config.certificate, &config.key) else {
-        return Ok(None);
-    };
-    if config.self_signed {
+pub(crate) fn open_tls(config: &Config) -> Result<Option<ServerTls>, ConfigError> {
+    let tls = &config.tls;
+    if let (true, Some(certificate), Some(key)) = (tls.self_signed, &tls.certificate, &tls.key) {
         let files = SelfSigned {
             certificate: certificate.clone(),
             key: key.clone(),
         };
-        files.make(config.hosts.clone())?;
+        let made = files.make(tls.hosts.clone());
+        made.map_err(|error| config.tls_fault(&error.file, &error.why))?;
     }
-    ServerTls::from_files(certificate, key).map(Some)
+    read_tls(config)
+}
+
+/// Reads the certificate of the configuration, none if it names none or one that is to be made yet.
+///
+/// # Errors
+/// Files that cannot be read or do not belong together.
+pub fn read_tls(config: &Config) -> Result<Option<ServerTls>, ConfigError> {
+    let tls = &config.tls;
+    let (Some(certificate), Some(key)) = (&tls.certificate, &tls.key) else {
+        return Ok(None);
+    };
+    if tls.self_signed && !certificate.exists() && !key.exists() {
+        return Ok(None);
+    }
+    let read = ServerTls::from_files(certificate, key);
+    read.map(Some)
+        .map_err(|error| config.tls_fault(&error.file, &error.why))
 }
 
 /// Lets it be known after a restart where users have logged in before, if there is a directory for that.

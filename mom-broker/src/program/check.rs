@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::Result;
-use mom_broker::{Config, ConfigError};
+use mom_broker::{Config, ConfigError, ConfigErrors};
 use mom_hub::ContextSpec;
 use mom_managers::{Expiry, Terms};
 use mom_proto::Path;
@@ -22,7 +22,12 @@ pub(super) struct CheckArgs {
 
 pub(super) fn run(args: &CheckArgs) -> Result<ExitCode> {
     let mut out = std::io::stdout().lock();
-    match Config::load(&args.file) {
+    let checked = |config: Config| {
+        mom_broker::read_tls(&config)
+            .map(|_| config)
+            .map_err(ConfigErrors::from)
+    };
+    match Config::load(&args.file).and_then(checked) {
         Err(errors) if args.json => {
             let errors: Vec<Value> = errors.iter().map(remark).collect();
             let report = json!({ "right": false, "errors": errors });

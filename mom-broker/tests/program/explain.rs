@@ -41,6 +41,20 @@ fn check_says_whether_a_file_is_right() {
     assert!(said.contains("channel"), "the nearest kind: {said}");
     assert!(wrong.stdout.is_empty());
 
+    let tls = "[tls]\ncertificate = \"hub.crt\"\nkey = \"hub.key\"\n";
+    let hub = folder.path().join("hub.toml");
+    for (text, line, why) in [
+        (tls.to_owned(), 2, "hub.crt: it cannot be read"),
+        (tls.replace("key =", "# key ="), 1, "both certificate and key"),
+    ] {
+        fs::write(&hub, text).expect("written");
+        let wrong = run(program().arg("check").arg(&hub));
+        let said = super::text(&wrong.stderr);
+        assert_eq!(wrong.status.code(), Some(1), "{said}");
+        assert!(said.contains(&format!("hub.toml:{line}: tls")), "{said}");
+        assert!(said.contains(why), "{said}");
+    }
+
     let wrong = run(program().arg("check").arg(&file).arg("--json"));
     assert_eq!(wrong.status.code(), Some(1));
     let said: Value = serde_json::from_slice(&wrong.stdout).expect("JSON");

@@ -24,6 +24,9 @@ pub use server::{SelfSigned, ServerTls, TlsError};
 /// The first byte of a TLS handshake; no form begins so.
 pub(crate) const HANDSHAKE: u8 = 0x16;
 
+/// Read at once from the network.
+const AT_ONCE: usize = 64 * 1024;
+
 /// Plaintext that is encrypted before the network has taken what was encrypted before: little, because nothing urgent
 /// can overtake it.
 const AHEAD: usize = 64 * 1024;
@@ -154,7 +157,7 @@ impl TlsLink {
     fn receive(&self, room: &mut impl BufMut) -> io::Result<Option<usize>> {
         // Much at once, though rustls takes it by 4 KiB.
         ARRIVED.with_borrow_mut(|arrived| {
-            arrived.resize(AHEAD, 0);
+            arrived.resize(AT_ONCE, 0);
             let count = self.stream.try_read(arrived)?;
             let mut state = self.state.lock();
             match count {

@@ -94,10 +94,14 @@ impl SelfSigned {
     /// Makes certificate and key for hosts of these names, unless both files are there already.
     ///
     /// # Errors
-    /// Files that cannot be written.
+    /// Files that cannot be written, or one without the other, which is not overwritten.
     pub fn make(&self, hosts: Vec<String>) -> Result<(), TlsError> {
-        if self.certificate.exists() && self.key.exists() {
-            return Ok(());
+        let missing = "it is not there, but its other half is: put it back, or remove both to have new ones";
+        match (self.certificate.exists(), self.key.exists()) {
+            (true, true) => return Ok(()),
+            (false, false) => {}
+            (false, true) => return Err(TlsError::new(&self.certificate, &missing)),
+            (true, false) => return Err(TlsError::new(&self.key, &missing)),
         }
         let made = rcgen::generate_simple_self_signed(hosts);
         let made = made.map_err(|error| TlsError::new(&self.certificate, &error))?;

@@ -154,6 +154,36 @@ async fn a_certificate_logs_its_user_in_and_nobody_else() {
     broker.stop().await;
 }
 
+/// A key that is there is somebody's, whatever became of its certificate.
+#[tokio::test]
+async fn half_of_a_certificate_is_not_overwritten() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let identity = tls::make(folder.path(), "hub");
+    let key = std::fs::read(&identity.key).expect("it is there");
+    std::fs::remove_file(&identity.certificate).expect("it is there");
+    let mut config = Config::lab();
+    config.listen = vec!["127.0.0.1:0".to_owned()];
+    config.tls.certificate = Some(identity.certificate.clone());
+    config.tls.key = Some(identity.key.clone());
+    config.tls.self_signed = true;
+    config.tls.hosts = vec!["127.0.0.1".to_owned()];
+    let error = Broker::start(config.clone())
+        .await
+        .expect_err("one half is missing");
+    for part in ["hub.crt", "put it back, or remove both"] {
+        assert!(error.to_string().contains(part), "{part:?} in {error}");
+    }
+    assert_eq!(std::fs::read(&identity.key).expect("it stays"), key);
+    std::fs::remove_file(&identity.key).expect("it is there");
+    let broker = Broker::start(config).await.expect("both are made");
+    alice(&broker, Trust::Authorities(identity.certificate))
+        .await
+        .expect("the right hub")
+        .close()
+        .await;
+    broker.stop().await;
+}
+
 /// A certificate is replaced while the hub runs; who is connected stays.
 #[tokio::test]
 async fn a_new_certificate_is_shown_to_who_comes_next() {
