@@ -70,6 +70,8 @@ struct State {
     /// Bytes given to the network, and bytes taken to be encrypted.
     sent: u64,
     taken: u64,
+    /// How many more were given than taken when all was sent the last time: handshake and records.
+    overhead: u64,
 }
 
 impl TlsLink {
@@ -95,6 +97,7 @@ impl TlsLink {
                     owed: false,
                     sent,
                     taken: 0,
+                    overhead: sent,
                 };
                 let state = Mutex::new(state);
                 return Ok(Arc::new(TlsLink { stream, state }));
@@ -194,9 +197,7 @@ impl TlsLink {
     /// The state of the network, as if it knew the bytes that were taken only.
     pub(crate) fn link(&self) -> Option<TcpState> {
         let mut link = options::link(&self.stream)?;
-        let state = self.state.lock();
-        let more = state.sent.saturating_sub(state.taken);
-        link.acknowledged = link.acknowledged.saturating_sub(more);
+        link.acknowledged = link.acknowledged.saturating_sub(self.state.lock().overhead);
         Some(link)
     }
 
@@ -271,6 +272,7 @@ impl State {
                 Err(error) => return Err(error),
             }
         }
+        self.overhead = self.sent.saturating_sub(self.taken);
         Ok(true)
     }
 }
