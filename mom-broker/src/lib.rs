@@ -9,6 +9,7 @@ mod broker;
 mod connection;
 mod reload;
 mod traffic;
+mod web;
 
 pub use broker::{Broker, BrokerError, read_tls};
 pub use mom_config::{

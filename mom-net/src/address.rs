@@ -11,8 +11,8 @@ use crate::NetError;
 pub const DEFAULT_PORT: u16 = 7666;
 
 /// Where a hub is and how to speak to it: `tcp://host:port/path` for XML, `bin://…` for binary, `mom://…`
-/// for whichever the client prefers, which is binary; with TLS `tcps://…`, `bins://…` and `moms://…`, which may end in
-/// `?pin=` and the fingerprint of the hub's certificate.
+/// for whichever the client prefers, which is binary; `ws://…` for a WebSocket, binary. With TLS `tcps://…`, `bins://…`,
+/// `moms://…` and `wss://…`, which may end in `?pin=` and the fingerprint of the hub's certificate.
 ///
 /// ```
 /// use mom_net::Address;
@@ -23,6 +23,8 @@ pub const DEFAULT_PORT: u16 = 7666;
 pub struct Address {
     /// The form to speak.
     pub form: Form,
+    /// What carries it over the network.
+    pub door: Door,
     /// With TLS.
     pub tls: bool,
     /// A name or number of the host.
@@ -33,6 +35,30 @@ pub struct Address {
     pub path: Option<Path>,
     /// The certificate that the hub has to show.
     pub pin: Option<Fingerprint>,
+}
+
+/// What carries a form over the network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Door {
+    /// The connection itself.
+    Stream,
+    /// A WebSocket.
+    WebSocket,
+    /// Requests of HTTP.
+    Tunnel {
+        /// Each is answered as a whole, as behind a proxy that waits for the end of answers.
+        polled: bool,
+    },
+}
+
+impl Address {
+    /// Host and port, as HTTP wants them.
+    pub(crate) fn authority(&self) -> String {
+        match self.host.contains(':') {
+            true => format!("[{}]:{}", self.host, self.port),
+            false => format!("{}:{}", self.host, self.port),
+        }
+    }
 }
 
 impl std::str::FromStr for Address {
@@ -46,23 +72,65 @@ impl std::str::FromStr for Address {
     }
 }
 
+const TUNNEL: Door = Door::Tunnel { polled: false };
+
+/// One way to speak to a hub.
+struct Scheme {
+    name: &'static str,
+    /// The form where the address names none.
+    form: Form,
+    door: Door,
+    tls: bool,
+    /// The port where the address names none.
+    port: u16,
+}
+
+const fn scheme(name: &'static str, form: Form, door: Door, tls: bool, port: u16) -> Scheme {
+    Scheme {
+        name,
+        form,
+        door,
+        tls,
+        port,
+    }
+}
+
+/// Of those that are alike, the first is how an address is written.
+const SCHEMES: [Scheme; 10] = [
+    scheme("tcp", Form::Xml, Door::Stream, false, DEFAULT_PORT),
+    scheme("tcps", Form::Xml, Door::Stream, true, DEFAULT_PORT),
+    scheme("bin", Form::Binary, Door::Stream, false, DEFAULT_PORT),
+    scheme("bins", Form::Binary, Door::Stream, true, DEFAULT_PORT),
+    scheme("mom", Form::Binary, Door::Stream, false, DEFAULT_PORT),
+    scheme("moms", Form::Binary, Door::Stream, true, DEFAULT_PORT),
+    scheme("ws", Form::Binary, Door::WebSocket, false, 80),
+    scheme("wss", Form::Binary, Door::WebSocket, true, 443),
+    scheme("http", Form::Binary, TUNNEL, false, 80),
+    scheme("https", Form::Binary, TUNNEL, true, 443),
+];
+
 /// Reads an address, or says what is wrong with it.
 fn read(text: &str) -> Result<Address, String> {
-    let (scheme, rest) = text
+    let (name, rest) = text
         .split_once("://")
         .ok_or("it does not begin with bin:// or tcp://")?;
-    let (form, tls) = match scheme {
-        "tcp" => (Form::Xml, false),
-        "tcps" => (Form::Xml, true),
-        "bin" | "mom" => (Form::Binary, false),
-        "bins" | "moms" => (Form::Binary, true),
-        _ => return Err(format!("no hub is spoken to by {scheme}://")),
-    };
-    let (rest, pin) = match rest.split_once('?') {
-        Some((rest, query)) if tls => (rest, Some(read_pin(query)?)),
-        Some(_) => return Err(format!("a fingerprint is for TLS: {scheme}s://")),
-        None => (rest, None),
-    };
+    let known = SCHEMES.iter().find(|scheme| scheme.name == name);
+    let scheme = known.ok_or_else(|| format!("no hub is spoken to by {name}://"))?;
+    let (door, tls) = (scheme.door, scheme.tls);
+    let (rest, query) = rest.split_once('?').unwrap_or((rest, ""));
+    let (mut door, mut form, mut pin) = (door, scheme.form, None);
+    for part in query.split('&').filter(|part| !part.is_empty()) {
+        match part.split_once('=') {
+            Some(("pin", _)) if !tls => return Err(format!("a fingerprint is for TLS: {name}s://")),
+            Some(("pin", text)) => pin = Some(read_pin(text)?),
+            Some(("form", _)) if door == Door::Stream => {
+                return Err(format!("{name}:// is one form; others have schemes of their own"));
+            }
+            Some(("poll", "1")) if door == TUNNEL => door = Door::Tunnel { polled: true },
+            Some(("form", text)) => form = read_form(text, door)?,
+            _ => return Err("after ? comes pin= and a fingerprint, or form= and a form".to_owned()),
+        }
+    }
     let (authority, path) = match rest.find('/') {
         Some(at) if rest.len() > at + 1 => {
             let path = Path::parse(&rest[at..]);
@@ -75,7 +143,7 @@ fn read(text: &str) -> Result<Address, String> {
     // A colon inside brackets belongs to an IPv6 address.
     let (host, port) = match authority.rsplit_once(':') {
         Some((host, port)) if !port.ends_with(']') => (host, read_port(port)?),
-        _ => (authority, DEFAULT_PORT),
+        _ => (authority, scheme.port),
     };
     let inside = host.strip_prefix('[').and_then(|host| host.strip_suffix(']'));
     let named = |c: char| c.is_alphanumeric() || matches!(c, '-' | '.' | '_');
@@ -88,6 +156,7 @@ fn read(text: &str) -> Result<Address, String> {
         }
         _ => Ok(Address {
             form,
+            door,
             tls,
             host: inside.unwrap_or(host).to_owned(),
             port,
@@ -97,12 +166,16 @@ fn read(text: &str) -> Result<Address, String> {
     }
 }
 
-/// Reads `pin=FINGERPRINT`, or says what is wrong with it.
-fn read_pin(query: &str) -> Result<Fingerprint, String> {
-    let pin = query
-        .strip_prefix("pin=")
-        .ok_or("after ? comes pin= and a fingerprint")?;
-    pin.parse().map_err(|error: BadFingerprint| error.to_string())
+/// Reads a fingerprint, or says what is wrong with it.
+fn read_pin(text: &str) -> Result<Fingerprint, String> {
+    text.parse().map_err(|error: BadFingerprint| error.to_string())
+}
+
+/// Reads the word of a form, or says what is wrong with it.
+fn read_form(text: &str, door: Door) -> Result<Form, String> {
+    let known = |form: &Form| form.word() == text && (door != Door::WebSocket || *form != Form::Xml);
+    let found = Form::ALL.into_iter().find(known);
+    found.ok_or_else(|| format!("{text:?} is no form that this door carries"))
 }
 
 /// Reads a port, or says what is wrong with it.
@@ -117,21 +190,32 @@ fn read_port(text: &str) -> Result<u16, String> {
 
 impl fmt::Display for Address {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let scheme = match (self.form, self.tls) {
-            (Form::Xml, false) => "tcp",
-            (Form::Xml, true) => "tcps",
-            (Form::Binary, false) => "bin",
-            (Form::Binary, true) => "bins",
+        let polled = matches!(self.door, Door::Tunnel { polled: true });
+        let door = if polled { TUNNEL } else { self.door };
+        let same = |scheme: &&Scheme| {
+            let carried = (scheme.door, scheme.tls) == (door, self.tls);
+            carried && (self.door != Door::Stream || scheme.form == self.form)
         };
+        let scheme = SCHEMES.iter().find(same).unwrap_or(&SCHEMES[0]);
+        let name = scheme.name;
         match self.host.contains(':') {
-            true => write!(formatter, "{scheme}://[{}]:{}", self.host, self.port)?,
-            false => write!(formatter, "{scheme}://{}:{}", self.host, self.port)?,
+            true => write!(formatter, "{name}://[{}]:{}", self.host, self.port)?,
+            false => write!(formatter, "{name}://{}:{}", self.host, self.port)?,
         }
         if let Some(path) = &self.path {
             path.fmt(formatter)?;
         }
+        let mut mark = '?';
+        if scheme.form != self.form {
+            write!(formatter, "{mark}form={}", self.form.word())?;
+            mark = '&';
+        }
+        if polled {
+            write!(formatter, "{mark}poll=1")?;
+            mark = '&';
+        }
         match &self.pin {
-            Some(pin) => write!(formatter, "?pin={pin}"),
+            Some(pin) => write!(formatter, "{mark}pin={pin}"),
             None => Ok(()),
         }
     }
@@ -151,6 +235,9 @@ mod tests {
             ("tcp://[::1]", "tcp://[::1]:7666"),
             ("tcps://lab", "tcps://lab:7666"),
             ("moms://lab/robot", "bins://lab:7666/robot"),
+            ("wss://lab", "wss://lab:443"),
+            ("http://lab/robot?form=xml", "http://lab:80/robot?form=xml"),
+            ("https://lab:1?poll=1", "https://lab:1?poll=1"),
             (
                 "moms://lab/robot?pin=4355a46b19d348dc2f57c046f8ef63d4538ebb936000f3c9ee954a27460dd865",
                 "bins://lab:7666/robot?pin=sha256:4355a46b19d348dc2f57c046f8ef63d4538ebb936000f3c9ee954a27460dd865",
@@ -161,7 +248,9 @@ mod tests {
         for (bad, why) in [
             ("", "begin with"),
             ("lab:7666", "begin with"),
-            ("http://lab", "http://"),
+            ("ftp://lab", "ftp://"),
+            ("ws://lab?form=xml", "no form"),
+            ("bin://lab?form=xml", "schemes of their own"),
             ("tcp://", "no host"),
             ("tcp://:1", "no host"),
             ("tcp://lab:", "port is missing"),

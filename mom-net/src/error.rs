@@ -9,7 +9,7 @@ use mom_proto::{Code, WireError};
 pub enum NetError {
     /// The link itself.
     #[error("the link failed: {0}")]
-    Io(#[from] io::Error),
+    Io(io::Error),
     /// The bytes on it, or a parcel that has no form on the wire.
     #[error(transparent)]
     Wire(#[from] WireError),
@@ -31,6 +31,16 @@ impl NetError {
         match self {
             NetError::Wire(error) => error.clone(),
             other => WireError::new(Code::DISCONNECTED, other.to_string()),
+        }
+    }
+}
+
+impl From<io::Error> for NetError {
+    fn from(error: io::Error) -> NetError {
+        // A layer between the network and the form may have found what it carries to be at fault.
+        match error.downcast::<WireError>() {
+            Ok(error) => NetError::Wire(error),
+            Err(error) => NetError::Io(error),
         }
     }
 }

@@ -19,8 +19,11 @@
 use mom_proto::Fingerprint;
 
 mod address;
+mod carrier;
+mod dial;
 mod error;
 mod flow;
+mod http;
 mod link;
 mod local;
 mod options;
@@ -32,19 +35,24 @@ mod socket;
 mod spare;
 mod tcp;
 mod tls;
+mod tunnel;
+mod websocket;
 mod writer;
 
-pub use address::{Address, DEFAULT_PORT};
+pub use address::{Address, DEFAULT_PORT, Door};
 pub use error::NetError;
 pub use flow::{Allowance, Flow, Pause};
+pub use http::HttpStream;
 pub use link::TcpState;
 pub use local::pair;
 pub use outgoing::Outgoing;
 pub use part::Part;
 pub use queue::{DropPolicy, DropReason, Item, Lane, Piece, Rest, SendQueue, Taken, write_batch};
 pub use reader::Reader;
-pub use tcp::{accept, connect, refuse};
+pub use tcp::{Accepted, accept, connect, refuse};
 pub use tls::{ClientTls, Identity, SelfSigned, ServerTls, TlsError, Trust};
+pub use tunnel::{Tunnel, TunnelBody, Tunnels};
+pub use websocket::{UpgradeRefused, WebSocketUpgrade};
 pub use writer::{GATHER, Progress, Writer};
 
 /// One connection in two halves.

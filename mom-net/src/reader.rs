@@ -62,6 +62,13 @@ impl Reader {
         }
     }
 
+    /// Tells the link that its peer has logged in: a tunnel changes its id then.
+    pub fn trust(&self) {
+        if let Source::Stream { stream, .. } = &self.source {
+            stream.trust();
+        }
+    }
+
     /// From now on, leaves large documents unread, for [`Reader::take_deferred`].
     pub fn defer_above(&mut self, bytes: usize) {
         if let Source::Stream { decoder, .. } = &mut self.source {

@@ -1,4 +1,4 @@
-//! What carries the bytes of a form: TCP, or TLS on it. In two halves.
+//! What carries the bytes of a form, in two halves: TCP, TLS on it, a WebSocket on either, or a tunnel.
 
 use std::io::{self, IoSlice};
 use std::pin::pin;
@@ -11,18 +11,45 @@ use tokio::io::AsyncReadExt as _;
 use tokio::net::TcpStream;
 use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
 
+use crate::carrier::Carrier;
 use crate::tls::TlsLink;
+use crate::tunnel::Pipe;
+use crate::websocket::WebSocket;
 use crate::{TcpState, options};
 
 /// Two halves of a connection.
-pub(crate) fn tcp(stream: TcpStream) -> (ReadHalf, WriteHalf) {
-    let (read, write) = stream.into_split();
-    (ReadHalf::Tcp(read), WriteHalf::Tcp(write))
+pub(crate) fn plain(carrier: Carrier) -> (ReadHalf, WriteHalf) {
+    match carrier {
+        Carrier::Tcp(stream) => {
+            let (read, write) = stream.into_split();
+            (ReadHalf::Tcp(read), WriteHalf::Tcp(write))
+        }
+        Carrier::Tls(link) => (ReadHalf::Tls(Arc::clone(&link)), WriteHalf::Tls(link)),
+    }
 }
 
-/// The same with TLS.
-pub(crate) fn tls(link: Arc<TlsLink>) -> (ReadHalf, WriteHalf) {
-    (ReadHalf::Tls(Arc::clone(&link)), WriteHalf::Tls(link))
+/// The same of a WebSocket.
+pub(crate) fn websocket(link: WebSocket) -> (ReadHalf, WriteHalf) {
+    let link = Arc::new(link);
+    (ReadHalf::WebSocket(Arc::clone(&link)), WriteHalf::WebSocket(link))
+}
+
+/// The same of a tunnel.
+pub(crate) fn tunnel(pipe: Arc<Pipe>) -> (ReadHalf, WriteHalf) {
+    (
+        ReadHalf::Tunnel(Arc::clone(&pipe)),
+        WriteHalf::Tunnel(Ending(pipe)),
+    )
+}
+
+/// The writer's end of a tunnel: no socket is closed when it is gone, so it says so.
+#[derive(Debug)]
+pub(crate) struct Ending(Arc<Pipe>);
+
+impl Drop for Ending {
+    fn drop(&mut self) {
+        self.0.finish();
+    }
 }
 
 /// Where bytes come from.
@@ -30,6 +57,8 @@ pub(crate) fn tls(link: Arc<TlsLink>) -> (ReadHalf, WriteHalf) {
 pub(crate) enum ReadHalf {
     Tcp(OwnedReadHalf),
     Tls(Arc<TlsLink>),
+    WebSocket(Arc<WebSocket>),
+    Tunnel(Arc<Pipe>),
 }
 
 impl ReadHalf {
@@ -43,6 +72,17 @@ impl ReadHalf {
             // Stateless, so that it may be begun anew at each poll.
             ReadHalf::Tcp(stream) => pin!(stream.read_buf(room)).poll(context),
             ReadHalf::Tls(link) => link.poll_read(room, context),
+            ReadHalf::WebSocket(link) => link.poll_read(room, context),
+            ReadHalf::Tunnel(pipe) => pipe.poll_read(room, context),
+        }
+    }
+}
+
+impl ReadHalf {
+    /// Notes that the peer has logged in.
+    pub(crate) fn trust(&self) {
+        if let ReadHalf::Tunnel(pipe) = self {
+            pipe.trust();
         }
     }
 }
@@ -52,6 +92,8 @@ impl ReadHalf {
 pub(crate) enum WriteHalf {
     Tcp(OwnedWriteHalf),
     Tls(Arc<TlsLink>),
+    WebSocket(Arc<WebSocket>),
+    Tunnel(Ending),
 }
 
 impl WriteHalf {
@@ -59,6 +101,8 @@ impl WriteHalf {
     pub(crate) fn try_write(&self, pieces: &[IoSlice<'_>]) -> io::Result<Option<usize>> {
         let written = match (self, pieces) {
             (WriteHalf::Tls(link), pieces) => return link.try_write(pieces),
+            (WriteHalf::WebSocket(link), pieces) => return link.try_write(pieces),
+            (WriteHalf::Tunnel(end), pieces) => return end.0.try_write(pieces),
             // One piece needs no vector, and the kernel is a little quicker without.
             (WriteHalf::Tcp(stream), [piece]) => stream.try_write(piece),
             (WriteHalf::Tcp(stream), pieces) => stream.try_write_vectored(pieces),
@@ -75,6 +119,11 @@ impl WriteHalf {
         match self {
             WriteHalf::Tcp(stream) => stream.writable().await,
             WriteHalf::Tls(link) => link.writable().await,
+            WriteHalf::WebSocket(link) => link.writable().await,
+            WriteHalf::Tunnel(end) => {
+                end.0.writable().await;
+                Ok(())
+            }
         }
     }
 
@@ -83,6 +132,9 @@ impl WriteHalf {
         match self {
             WriteHalf::Tcp(stream) => options::link(stream.as_ref()),
             WriteHalf::Tls(link) => link.link(),
+            WriteHalf::WebSocket(link) => link.link(),
+            // Proxies are between, of whose queues no kernel knows: what is under way is bounded by the tunnel.
+            WriteHalf::Tunnel(_) => None,
         }
     }
 
@@ -94,6 +146,8 @@ impl WriteHalf {
                 let _ = SockRef::from(AsRef::<TcpStream>::as_ref(stream)).shutdown(std::net::Shutdown::Write);
             }
             WriteHalf::Tls(link) => link.finish(),
+            WriteHalf::WebSocket(link) => link.finish(),
+            WriteHalf::Tunnel(end) => end.0.finish(),
         }
     }
 }

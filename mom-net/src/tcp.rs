@@ -1,29 +1,33 @@
-//! XML and binary over TCP, with TLS or without (M14, M17).
+//! From an address or a listener to a connection: what carries it, and which form it speaks (M14, M17).
 
 use std::collections::VecDeque;
 use std::io;
-use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::{Bytes, BytesMut};
 use mom_proto::binary::{BinaryDecoder, PREFACE};
 use mom_proto::codec::{Decoder, Encoded, Form};
 use mom_proto::{Code, Limits, Parcel, WireError};
-use tokio::io::AsyncWriteExt as _;
 use tokio::net::TcpStream;
 use tokio::time::timeout;
 
+use crate::carrier::Carrier;
+use crate::dial::Dialer;
 use crate::reader::{Reader, Source};
+use crate::socket::{ReadHalf, WriteHalf};
 use crate::spare::ReadBuffer;
 use crate::tls::{HANDSHAKE, TlsLink};
 use crate::writer::{Progress, Sink, Writer};
-use crate::{Address, ClientTls, NetError, Outgoing, Privacy, ServerTls, Transceiver, options, socket};
+use crate::{
+    Address, ClientTls, Door, HttpStream, NetError, Outgoing, Privacy, ServerTls, Transceiver, http, socket,
+    tunnel, websocket,
+};
 
 /// How long a peer that is refused may take to hear so and to close, and how much it may send meanwhile.
 const FAREWELL: Duration = Duration::from_secs(1);
 const UNREAD: usize = 64 * 1024;
 
-/// Connects to a hub and speaks the address's form, with TLS if the address says so.
+/// Connects to a hub and speaks the address's form through the address's door, with TLS if the address says so.
 ///
 /// # Errors
 /// A link that cannot be had, or a hub that is not to be trusted.
@@ -32,25 +36,36 @@ pub async fn connect(
     limits: &Limits,
     tls: Option<&ClientTls>,
 ) -> Result<Transceiver, NetError> {
-    let client = match (address.tls, tls) {
-        (false, _) => None,
-        (true, Some(tls)) => Some(tls.connection(&address.host)?),
-        (true, None) => return Err(io::Error::from(io::ErrorKind::Unsupported).into()),
-    };
-    let stream = TcpStream::connect((address.host.as_str(), address.port)).await?;
-    let arrived = match client {
-        None => Arrived::plain(stream),
-        Some(client) => Arrived::Tls(TlsLink::handshake(stream, client.into(), &[]).await?),
-    };
-    let decoder = match address.form {
-        Form::Binary => Decoder::Binary(Box::new(BinaryDecoder::for_peer(limits))),
-        form => Decoder::new(form, limits),
-    };
-    start(arrived, address.form, decoder, BytesMut::new()).await
+    let dialer = Dialer::to(address, tls)?;
+    match address.door {
+        Door::Stream => {
+            let decoder = client_decoder(address.form, limits);
+            start(dialer.dial().await?, address.form, decoder, BytesMut::new()).await
+        }
+        Door::WebSocket => websocket::connect(dialer.dial().await?, address, limits).await,
+        Door::Tunnel { .. } => tunnel::connect(dialer, limits).await,
+    }
 }
 
-/// Waits for a peer's first bytes, tells by them whether it speaks TLS, for which the hub needs a certificate, and which form. When
-/// `too_late` comes before, or the bytes begin no form, the peer is told so with what `answer` makes of the error.
+/// A decoder for what a hub says.
+pub(crate) fn client_decoder(form: Form, limits: &Limits) -> Decoder {
+    match form {
+        Form::Binary => Decoder::Binary(Box::new(BinaryDecoder::for_peer(limits))),
+        form => Decoder::new(form, limits),
+    }
+}
+
+/// What has come to a listener.
+#[derive(Debug)]
+pub enum Accepted {
+    /// A peer that has said in which form it speaks.
+    Peer(Transceiver),
+    /// The first bytes of an HTTP request.
+    Http(HttpStream),
+}
+
+/// Waits for a peer's first bytes, tells by them whether it speaks TLS, for which the hub needs a certificate, and which form, or
+/// HTTP. When `too_late` comes before, or the bytes begin nothing, the peer is told so with what `answer` makes of the error.
 ///
 /// # Errors
 /// Bytes that begin no form, or that come too late, after an answer in XML; or a link that failed.
@@ -60,104 +75,67 @@ pub async fn accept(
     limits: &Limits,
     too_late: impl Future<Output = WireError>,
     answer: impl FnOnce(&WireError) -> Parcel,
-) -> Result<Transceiver, NetError> {
+) -> Result<Accepted, NetError> {
     let mut first = BytesMut::with_capacity(4096);
-    let mut arrived = Arrived::plain(stream);
-    let form = tokio::select! {
-        form = first_form(&mut arrived, tls, &mut first) => form,
+    // None while hands are shaken: whoever is told off then is told nothing.
+    let mut arrived = Some(Carrier::Tcp(stream));
+    let told = tokio::select! {
+        told = first_words(&mut arrived, tls, &mut first) => told,
         error = too_late => Err(error.into()),
     };
-    match form {
-        Ok(form) => start(arrived, form, Decoder::new(form, limits), first).await,
-        Err(error) => {
-            if let NetError::Wire(error) = &error {
-                arrived.refuse(&answer(error)).await;
+    match (told, arrived) {
+        (Ok(Spoken::Form(form)), Some(carrier)) => {
+            let peer = start(carrier, form, Decoder::new(form, limits), first).await?;
+            Ok(Accepted::Peer(peer))
+        }
+        (Ok(Spoken::Http), Some(carrier)) => {
+            carrier.prepare()?;
+            Ok(Accepted::Http(HttpStream::new(carrier, first)))
+        }
+        (Ok(_), None) => Err(io::Error::from(io::ErrorKind::UnexpectedEof).into()),
+        (Err(error), arrived) => {
+            if let (NetError::Wire(error), Some(carrier)) = (&error, arrived) {
+                tell(&carrier, &answer(error)).await;
             }
             Err(error)
         }
     }
 }
 
-/// A connection whose form is not known yet.
-enum Arrived {
-    /// None while hands are shaken: whoever is told off then is told nothing.
-    Plain(Option<TcpStream>),
-    Tls(Arc<TlsLink>),
+/// What first bytes begin.
+enum Spoken {
+    Form(Form),
+    Http,
 }
 
-impl Arrived {
-    fn plain(stream: TcpStream) -> Arrived {
-        Arrived::Plain(Some(stream))
-    }
-
-    async fn read(&self, first: &mut BytesMut) -> io::Result<usize> {
-        let stream = match self {
-            Arrived::Tls(link) => return link.read(first).await,
-            Arrived::Plain(Some(stream)) => stream,
-            Arrived::Plain(None) => return Ok(0),
-        };
-        loop {
-            stream.readable().await?;
-            match stream.try_read_buf(first) {
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
-                read => return read,
-            }
-        }
-    }
-
-    async fn refuse(self, answer: &Parcel) {
-        let Ok(encoded) = Form::Xml.encode(answer) else {
-            return;
-        };
-        // Best effort: it is closed either way.
-        let _ = timeout(FAREWELL, self.say_last(&encoded.head)).await;
-    }
-
-    async fn say_last(mut self, bytes: &[u8]) -> io::Result<()> {
-        match &mut self {
-            Arrived::Plain(None) => return Ok(()),
-            Arrived::Plain(Some(stream)) => {
-                stream.writable().await?;
-                stream.try_write(bytes)?;
-                stream.shutdown().await?;
-            }
-            Arrived::Tls(link) => {
-                link.try_write(&[io::IoSlice::new(bytes)])?;
-                link.finish();
-            }
-        }
-        // What a peer has sent and nobody has read would make of the close a reset, which overtakes the answer.
-        let mut unread = BytesMut::with_capacity(4096);
-        let mut left = UNREAD;
-        while left > 0 {
-            unread.clear();
-            match self.read(&mut unread).await? {
-                0 => break,
-                count => left = left.saturating_sub(count),
-            }
-        }
-        Ok(())
-    }
-}
-
-async fn first_form(
-    arrived: &mut Arrived,
+async fn first_words(
+    arrived: &mut Option<Carrier>,
     tls: Option<&ServerTls>,
     first: &mut BytesMut,
-) -> Result<Form, NetError> {
+) -> Result<Spoken, NetError> {
     loop {
-        if let (Arrived::Plain(stream), Some(&HANDSHAKE)) = (&mut *arrived, first.first()) {
+        if let (Some(Carrier::Tcp(_)), Some(&HANDSHAKE)) = (&*arrived, first.first()) {
             let tls =
                 tls.ok_or_else(|| WireError::new(Code::BAD_FRAME, "this hub has no certificate for TLS"))?;
-            let stream = stream.take().ok_or(io::ErrorKind::UnexpectedEof);
-            let stream = stream.map_err(io::Error::from)?;
-            *arrived = Arrived::Tls(TlsLink::handshake(stream, tls.connection()?.into(), first).await?);
+            if let Some(Carrier::Tcp(stream)) = arrived.take() {
+                let link = TlsLink::handshake(stream, tls.connection()?.into(), first).await?;
+                *arrived = Some(Carrier::Tls(link));
+            }
             first.clear();
         }
-        if let Some(form) = Form::sniff(first)? {
-            return Ok(form);
+        let http = http::sniff(first);
+        if http == Some(true) {
+            return Ok(Spoken::Http);
         }
-        if arrived.read(first).await? == 0 {
+        if http == Some(false)
+            && let Some(form) = Form::sniff(first)?
+        {
+            return Ok(Spoken::Form(form));
+        }
+        let Some(carrier) = &*arrived else {
+            return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into());
+        };
+        if carrier.read(first).await? == 0 {
             return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into());
         }
     }
@@ -165,27 +143,60 @@ async fn first_form(
 
 /// Says why in XML, the form that people can read, to a peer that is not even a peer, and closes.
 pub async fn refuse(stream: TcpStream, answer: &Parcel) {
-    Arrived::plain(stream).refuse(answer).await;
+    tell(&Carrier::Tcp(stream), answer).await;
+}
+
+async fn tell(carrier: &Carrier, answer: &Parcel) {
+    let Ok(encoded) = Form::Xml.encode(answer) else {
+        return;
+    };
+    say_last(carrier, &encoded.head).await;
+}
+
+/// Says these bytes and closes.
+pub(crate) async fn say_last(carrier: &Carrier, bytes: &[u8]) {
+    // Best effort: it is closed either way.
+    let _ = timeout(FAREWELL, end(carrier, bytes)).await;
+}
+
+async fn end(carrier: &Carrier, bytes: &[u8]) -> io::Result<()> {
+    if !bytes.is_empty() {
+        carrier.writable().await?;
+        carrier.try_write(&[io::IoSlice::new(bytes)])?;
+    }
+    carrier.finish();
+    // What a peer has sent and nobody has read would make of the close a reset, which overtakes the answer.
+    let mut unread = BytesMut::with_capacity(4096);
+    let mut left = UNREAD;
+    while left > 0 {
+        unread.clear();
+        match carrier.read(&mut unread).await? {
+            0 => break,
+            count => left = left.saturating_sub(count),
+        }
+    }
+    Ok(())
 }
 
 async fn start(
-    arrived: Arrived,
+    carrier: Carrier,
     form: Form,
     decoder: Decoder,
     buffer: BytesMut,
 ) -> Result<Transceiver, NetError> {
-    let ((stream, sink), privacy) = match arrived {
-        Arrived::Plain(None) => return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into()),
-        Arrived::Plain(Some(stream)) => {
-            options::set(&stream)?;
-            (socket::tcp(stream), Privacy::Plain)
-        }
-        Arrived::Tls(link) => {
-            link.prepare()?;
-            let certificate = link.certificate();
-            (socket::tls(link), Privacy::Tls { certificate })
-        }
-    };
+    carrier.prepare()?;
+    let privacy = carrier.privacy();
+    begin(socket::plain(carrier), privacy, form, decoder, buffer).await
+}
+
+/// Begins to speak a form on two halves; `buffer` = what has arrived.
+pub(crate) async fn begin(
+    (stream, sink): (ReadHalf, WriteHalf),
+    privacy: Privacy,
+    form: Form,
+    decoder: Decoder,
+    buffer: BytesMut,
+) -> Result<Transceiver, NetError> {
     let writer = Writer::new(Sink::Stream { stream: sink, form });
     if form == Form::Binary {
         let preface = Encoded {

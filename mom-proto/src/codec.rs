@@ -16,6 +16,9 @@ pub enum Form {
 }
 
 impl Form {
+    /// All of them.
+    pub const ALL: [Form; 2] = [Form::Xml, Form::Binary];
+
     /// The word in logs and tables.
     pub fn word(self) -> &'static str {
         match self {

@@ -15,6 +15,7 @@ mod shape;
 mod source;
 mod tls;
 mod users;
+mod web;
 
 use std::collections::BTreeMap;
 
@@ -32,6 +33,7 @@ pub use load::check_address;
 pub use locate::Location;
 pub use schema::{config_schema, users_schema};
 pub use tls::TlsConfig;
+pub use web::WebConfig;
 
 use source::SourceText;
 
@@ -57,6 +59,8 @@ pub struct Config {
     pub connections_per_address: Option<usize>,
     /// Connections of one user; none = a quarter of all.
     pub connections_per_user: Option<usize>,
+    /// What HTTP may ask.
+    pub web: WebConfig,
     /// Bytes that may wait or be kept in the whole hub; none = a quarter of the machine's memory.
     pub memory: Option<usize>,
     /// What to log, in the words of `tracing`'s filters.
@@ -119,6 +123,7 @@ impl Default for Config {
         Config {
             listen: vec!["127.0.0.1:7666".to_owned()],
             tls: TlsConfig::default(),
+            web: WebConfig::default(),
             connections: 10_000,
             connections_before_login: None,
             connections_per_address: None,

@@ -14,7 +14,7 @@ use tracing_subscriber::EnvFilter;
 
 use super::faults::Reading;
 use super::source::SourceText;
-use super::{Config, ConfigError, ConfigErrors, ReloadOn, TlsConfig, config_schema, shape, users};
+use super::{Config, ConfigError, ConfigErrors, ReloadOn, TlsConfig, WebConfig, config_schema, shape, users};
 
 const LAB: &str = include_str!("../../../config/lab.toml");
 const LAB_USERS: &str = include_str!("../../../config/lab-users.toml");
@@ -24,6 +24,7 @@ const LAB_USERS: &str = include_str!("../../../config/lab-users.toml");
 struct ConfigDocument {
     listen: Vec<String>,
     tls: TlsConfig,
+    web: WebConfig,
     connections: usize,
     connections_before_login: Option<usize>,
     connections_per_address: Option<usize>,
@@ -47,6 +48,7 @@ impl Default for ConfigDocument {
         let Config {
             listen,
             tls,
+            web,
             connections,
             connections_before_login,
             connections_per_address,
@@ -67,6 +69,7 @@ impl Default for ConfigDocument {
         ConfigDocument {
             listen,
             tls,
+            web,
             connections,
             connections_before_login,
             connections_per_address,
@@ -172,6 +175,7 @@ impl ConfigDocument {
         Config {
             listen: self.listen,
             tls: self.tls,
+            web: self.web,
             connections: self.connections,
             connections_before_login: self.connections_before_login,
             connections_per_address: self.connections_per_address,

@@ -1,5 +1,7 @@
 //! The service: its listeners, the hub's timer, and its end.
 
+mod listen;
+
 use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
@@ -18,9 +20,12 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, timeout_at};
 
-use crate::connection::{DRAIN, Doors, Listener, Services, Serving, listen, login_time};
+use crate::connection::{DRAIN, Doors, Services, Serving, login_time};
 use crate::traffic::encodings::Bounds;
 use crate::traffic::switchboard::{Switchboard, Touched, flush};
+use crate::web::Web;
+
+use listen::{Listener, listen};
 
 /// What is dropped is told to senders and receivers this often at most; counted log lines are looked at as often.
 const REPORTS: Duration = Duration::from_millis(250);
@@ -140,6 +145,7 @@ impl Broker {
         let tls = Arc::new(RwLock::new(open_tls(&config)?));
         let (stopping, stop) = watch::channel(false);
         let doors = Arc::new(Doors::new(config.connection_caps()));
+        let web = Arc::new(Web::new(Arc::clone(&doors), &config.web.origins));
         let mut tasks = JoinSet::new();
         let mut addresses = Vec::new();
         for address in &config.listen {
@@ -153,6 +159,7 @@ impl Broker {
                 services: services.clone(),
                 doors: Arc::clone(&doors),
                 tls: Arc::clone(&tls),
+                web: Arc::clone(&web),
                 stop: stop.clone(),
             };
             tasks.spawn(listener_task.run(listener));

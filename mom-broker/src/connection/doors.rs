@@ -214,7 +214,7 @@ impl Seat {
     ///
     /// # Errors
     /// `too-many-connections` if the user has as many as one may have, or this one has to go already.
-    pub(super) fn log_in(&mut self, user: &str) -> Result<(), WireError> {
+    pub(crate) fn log_in(&mut self, user: &str) -> Result<(), WireError> {
         if self.user.as_deref() == Some(user) {
             return Ok(());
         }

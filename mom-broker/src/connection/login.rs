@@ -116,6 +116,7 @@ impl Connection {
         let until = self.services.logins.admit(peer, granted, decide)?;
         self.proven_until = until.map(Box::new);
         reader.set_limits(&self.services.limits);
+        reader.trust();
         let name = board.peer_name(peer).unwrap_or_default();
         let limits = &self.services.limits;
         self.charge = Some(account.charge(0));

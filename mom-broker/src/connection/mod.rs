@@ -2,7 +2,6 @@
 
 mod doors;
 mod heartbeat;
-mod listen;
 mod login;
 mod measure;
 mod requests;
@@ -27,15 +26,14 @@ use tokio::sync::oneshot;
 use tokio::time::{Instant, timeout_at};
 
 use crate::traffic::capacity::WaitingMessage;
-use crate::traffic::channel::Sender;
+use crate::traffic::channel::{Sender, stamped};
 use crate::traffic::memory::{Charge, Gate, over_memory};
 use crate::traffic::outbox::Outbox;
 use crate::traffic::switchboard::{Handled, Switchboard, Touched, flush};
 
 use measure::{Measure, Pings};
 
-pub(crate) use doors::Doors;
-pub(crate) use listen::{Listener, listen, login_time};
+pub(crate) use doors::{Doors, Seat};
 pub(crate) use serving::{DRAIN, Serving};
 
 /// Frames after which a reader flushes and yields: a peer inside this process may never pause, and whoever adds
@@ -73,8 +71,13 @@ impl Services {
         }
     }
 
+    /// An error to a peer that is not even one.
+    pub(crate) fn answer(&self, error: &WireError) -> Parcel {
+        stamped(error.to_parcel(None), self.board.clock.wall())
+    }
+
     /// Whether a log line is the first of its kind from an address for a while; otherwise it is counted.
-    fn is_first(&self, event: &'static str, from: Option<IpAddr>, detail: Option<&str>) -> bool {
+    pub(crate) fn is_first(&self, event: &'static str, from: Option<IpAddr>, detail: Option<&str>) -> bool {
         let lines = &self.board.tap.lines;
         lines.first(event, from.map(network), detail, self.board.clock.now())
     }
@@ -542,6 +545,23 @@ fn silent(gone: Duration) -> WireError {
         gone.as_secs()
     );
     WireError::new(Code::SILENT, text)
+}
+
+/// The time that a peer has to log in.
+pub(crate) fn login_time(limits: &Limits) -> Duration {
+    Duration::from_millis(limits.login_time)
+}
+
+/// Waits until it is too late for a peer to say in which form it speaks, and gives why.
+pub(crate) async fn too_late(
+    limits: &Limits,
+    login_by: Instant,
+    told: impl Future<Output = Result<WireError, oneshot::error::RecvError>>,
+) -> WireError {
+    tokio::select! {
+        Ok(error) = told => error,
+        () = tokio::time::sleep_until(login_by) => login_timeout(limits.login_time),
+    }
 }
 
 fn login_timeout(millis: u64) -> WireError {

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::task::Poll;
 use std::time::Duration;
 
+use mom_hub::PeerId;
 use mom_net::{Reader, Transceiver};
 use tokio::time::{Instant, timeout};
 
@@ -83,6 +84,11 @@ impl Serving {
         }
     }
 
+    /// Whom it serves.
+    pub(crate) fn peer(&self) -> PeerId {
+        self.connection.peer
+    }
+
     /// Serves it until it ends.
     pub(crate) async fn run(&mut self) {
         let outbox = Arc::clone(&self.connection.outbox);
@@ -156,24 +162,5 @@ impl<F: Future<Output = ()>> Writing<'_, F> {
             true => Poll::Ready(()),
             false => Poll::Pending,
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// What `call` would give, unpolled: only its size is asked for.
-    fn size_of_future<A, B, C, D, E, F: Future>(_: &impl Fn(A, B, C, D, E) -> F) -> usize {
-        size_of::<F>()
-    }
-
-    /// Ten thousand idle peers cost what their tasks keep: what is rare is boxed while it lasts (docs/performance.md).
-    #[test]
-    fn an_idle_connection_is_small() {
-        let connection =
-            |services: Services, stream, from, tls, seat| services.take_in(stream, from, tls, seat);
-        let all = [size_of_future(&connection), size_of::<Outbox>()];
-        assert!(all.iter().sum::<usize>() <= 1560, "{all:?}");
     }
 }

@@ -68,11 +68,13 @@ impl Hub {
                 let (stream, _) = listener.accept().await.unwrap();
                 // The test waits for as long as it takes.
                 let never = std::future::pending();
-                mom_net::accept(stream, None, &Limits::default(), never, |error| {
-                    error.to_parcel(None)
-                })
-                .await
-                .unwrap()
+                let limits = Limits::default();
+                let accepted =
+                    mom_net::accept(stream, None, &limits, never, |error| error.to_parcel(None)).await;
+                match accepted.unwrap() {
+                    mom_net::Accepted::Peer(peer) => peer,
+                    mom_net::Accepted::Http(_) => panic!("HTTP where a peer was expected"),
+                }
             }
         };
         Peer { transceiver }

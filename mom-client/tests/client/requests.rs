@@ -67,7 +67,7 @@ async fn a_refused_login_says_why() {
 #[tokio::test]
 async fn a_hub_that_cannot_be_had_is_an_error() {
     for (address, kind) in [
-        ("http://127.0.0.1", ErrorKind::Local),
+        ("ftp://127.0.0.1", ErrorKind::Local),
         ("tcp://", ErrorKind::Local),
         ("tcp://127.0.0.1:1", ErrorKind::Connection),
     ] {

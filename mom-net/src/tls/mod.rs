@@ -8,7 +8,7 @@ use std::io::{self, BufRead as _, ErrorKind, IoSlice, Read, Write};
 use std::sync::Arc;
 use std::task::{Context, Poll, ready};
 
-use bytes::{BufMut, BytesMut};
+use bytes::BufMut;
 use mom_proto::Fingerprint;
 use parking_lot::Mutex;
 use rustls::Connection;
@@ -123,9 +123,9 @@ impl TlsLink {
         }
     }
 
-    /// Sets the options of the connection below.
-    pub(crate) fn prepare(&self) -> io::Result<()> {
-        options::set(&self.stream)
+    /// The connection below.
+    pub(crate) fn stream(&self) -> &TcpStream {
+        &self.stream
     }
 
     /// The certificate that the other side has shown and proved to have the key of.
@@ -168,11 +168,6 @@ impl TlsLink {
                 count => state.decrypt(&arrived[..count], room, &self.stream),
             }
         })
-    }
-
-    /// Waits for something to read.
-    pub(crate) async fn read(&self, buffer: &mut BytesMut) -> io::Result<usize> {
-        std::future::poll_fn(|context| self.poll_read(buffer, context)).await
     }
 
     /// Writes the front of these pieces; gives how much of it, none if the network takes nothing now.

@@ -3,60 +3,49 @@
 use std::fmt;
 
 use mom_broker::Broker;
-use mom_net::{Address, ClientTls, Transceiver, Trust};
+use mom_net::{Address, ClientTls, Door, Transceiver, Trust};
 use mom_proto::Limits;
 use mom_proto::codec::Form;
 
 /// How the peers of a dialogue are connected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Carrier {
-    /// XML over TCP.
-    Xml,
-    /// Binary over TCP.
-    Binary,
-    /// XML over TLS.
-    XmlTls,
-    /// Binary over TLS.
-    BinaryTls,
+    /// A form through a door, with TLS or without.
+    Remote(Form, Door, bool),
     /// Inside the broker's process.
     Local,
     /// Each next peer by the next of them, so that senders and receivers differ.
     Mixed,
 }
 
-impl Carrier {
-    /// All of them.
-    pub const ALL: [Carrier; 6] = [
-        Carrier::Xml,
-        Carrier::Binary,
-        Carrier::XmlTls,
-        Carrier::BinaryTls,
-        Carrier::Local,
-        Carrier::Mixed,
-    ];
+const STREAMED: Door = Door::Tunnel { polled: false };
+const POLLED: Door = Door::Tunnel { polled: true };
 
+/// What peers are mixed of: each form and each door, beside others that differ in both.
+const MIX: [Carrier; 9] = [
+    Carrier::Remote(Form::Xml, Door::Stream, false),
+    Carrier::Remote(Form::Binary, Door::WebSocket, true),
+    Carrier::Local,
+    Carrier::Remote(Form::Binary, Door::Stream, false),
+    Carrier::Remote(Form::Xml, STREAMED, true),
+    Carrier::Remote(Form::Binary, Door::Stream, true),
+    Carrier::Remote(Form::Xml, Door::Stream, true),
+    Carrier::Remote(Form::Binary, POLLED, false),
+    Carrier::Remote(Form::Binary, Door::WebSocket, false),
+];
+
+impl Carrier {
     /// Links the peer that comes after `before` others.
     pub(crate) async fn connect(self, broker: &Broker, before: usize) -> Result<Transceiver, String> {
-        let (form, tls) = match self {
-            Carrier::Xml => (Form::Xml, false),
-            Carrier::Binary => (Form::Binary, false),
-            Carrier::XmlTls => (Form::Xml, true),
-            Carrier::BinaryTls => (Form::Binary, true),
+        let (form, door, tls) = match self {
+            Carrier::Remote(form, door, tls) => (form, door, tls),
             Carrier::Local => return Ok(broker.connect_local()),
-            Carrier::Mixed => {
-                let one = [
-                    Carrier::Xml,
-                    Carrier::BinaryTls,
-                    Carrier::Local,
-                    Carrier::Binary,
-                    Carrier::XmlTls,
-                ][before % 5];
-                return Box::pin(one.connect(broker, before)).await;
-            }
+            Carrier::Mixed => return Box::pin(MIX[before % MIX.len()].connect(broker, before)).await,
         };
         let address = broker.local_addr();
         let address = Address {
             form,
+            door,
             tls,
             host: address.ip().to_string(),
             port: address.port(),
@@ -73,13 +62,19 @@ impl Carrier {
 
 impl fmt::Display for Carrier {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(match self {
-            Carrier::Xml => "over XML",
-            Carrier::Binary => "over binary",
-            Carrier::XmlTls => "over XML and TLS",
-            Carrier::BinaryTls => "over binary and TLS",
-            Carrier::Local => "in process",
-            Carrier::Mixed => "mixed",
-        })
+        match self {
+            Carrier::Local => formatter.write_str("in process"),
+            Carrier::Mixed => formatter.write_str("mixed"),
+            Carrier::Remote(form, door, tls) => {
+                let door = match *door {
+                    Door::Stream => "TCP",
+                    Door::WebSocket => "WebSocket",
+                    STREAMED => "a tunnel",
+                    Door::Tunnel { .. } => "a polled tunnel",
+                };
+                let tls = if *tls { " with TLS" } else { "" };
+                write!(formatter, "{} over {door}{tls}", form.word())
+            }
+        }
     }
 }

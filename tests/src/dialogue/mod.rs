@@ -93,7 +93,7 @@ pub enum Error {
 /// use mom_tests::dialogue::{Carrier, Dialogue};
 ///
 /// let dialogue = Dialogue::parse("connect alice\nalice: lookup /chat\nalice< ok kind=channel\n").unwrap();
-/// runtime.block_on(dialogue.run(Carrier::Xml)).unwrap();
+/// runtime.block_on(dialogue.run(Carrier::Local)).unwrap();
 /// ```
 #[derive(Debug)]
 pub struct Dialogue {

@@ -3,6 +3,8 @@
 
 use std::path::PathBuf;
 
+use mom_net::Door;
+use mom_proto::codec::Form;
 use mom_tests::dialogue::{Carrier, Dialogue};
 
 fn files() -> Vec<PathBuf> {
@@ -40,23 +42,40 @@ fn check(carrier: Carrier) {
 }
 
 #[test]
-fn over_xml() {
-    check(Carrier::Xml);
+fn over_tcp() {
+    for form in Form::ALL {
+        check(Carrier::Remote(form, Door::Stream, false));
+    }
 }
 
 #[test]
-fn over_binary() {
-    check(Carrier::Binary);
+fn over_tls() {
+    for form in Form::ALL {
+        check(Carrier::Remote(form, Door::Stream, true));
+    }
+}
+
+/// Without TLS and with it.
+fn check_both(form: Form, door: Door) {
+    check(Carrier::Remote(form, door, false));
+    check(Carrier::Remote(form, door, true));
 }
 
 #[test]
-fn over_xml_and_tls() {
-    check(Carrier::XmlTls);
+fn over_websocket_binary() {
+    check_both(Form::Binary, Door::WebSocket);
 }
 
 #[test]
-fn over_binary_and_tls() {
-    check(Carrier::BinaryTls);
+fn through_a_tunnel() {
+    check_both(Form::Xml, Door::Tunnel { polled: false });
+    check_both(Form::Binary, Door::Tunnel { polled: false });
+}
+
+#[test]
+fn through_a_polled_tunnel() {
+    check_both(Form::Xml, Door::Tunnel { polled: true });
+    check_both(Form::Binary, Door::Tunnel { polled: true });
 }
 
 #[test]

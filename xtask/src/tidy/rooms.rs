@@ -33,7 +33,7 @@ const ROOMS: &[(&str, &[&str])] = &[
     ),
     (
         "mom-broker",
-        &["program", "reload", "broker", "connection", "traffic"],
+        &["program", "reload", "broker", "web", "connection", "traffic"],
     ),
 ];
 

@@ -38,6 +38,11 @@ pub fn config_schema() -> Value {
             }),
             &[]
         ),
+        "web": table(
+            "What HTTP may ask.",
+            &json!({ "origins": with_default(names("Where pages come from that may use the hub, such as https://lab.example.org; those that the hub itself serves may."), json!([])) }),
+            &[]
+        ),
         "connections": with_default(positive("Connections at once; one more is told too-many-connections."), default.connections),
         "connections-before-login": positive("Of them, those that have not logged in; absent = a quarter. One more closes the oldest."),
         "connections-per-address": positive("Of these, those from one address; absent = a quarter. One more closes the oldest of that address."),

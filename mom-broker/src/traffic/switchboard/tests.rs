@@ -8,7 +8,7 @@ use std::time::Duration;
 use mom_hub::{ContextSpec, Hub, Input, PeerClock, PeerId, Settings, User};
 use mom_journal::{AuditConfig, ConfigFile, RecordConfig, Tap};
 use mom_managers::Registry;
-use mom_net::{Address, Reader, Transceiver, Writer};
+use mom_net::{Accepted, Address, Door, Reader, Transceiver, Writer};
 use mom_proto::codec::{Form, Frame};
 use mom_proto::{
     ClockOffset, ContextNumber, Delivery, Family, Limit, Limits, Map, Parcel, Path, Time, Value, from_value,
@@ -146,6 +146,7 @@ async fn link() -> (Transceiver, Transceiver) {
     let address = Address {
         tls: false,
         form: Form::Binary,
+        door: Door::Stream,
         host: "127.0.0.1".to_owned(),
         port,
         path: None,
@@ -154,9 +155,11 @@ async fn link() -> (Transceiver, Transceiver) {
     let near = async {
         let (stream, _) = listener.accept().await.expect("a connection");
         let never = std::future::pending();
-        mom_net::accept(stream, None, &limits, never, |error| error.to_parcel(None))
-            .await
-            .expect("binary")
+        let accepted = mom_net::accept(stream, None, &limits, never, |error| error.to_parcel(None));
+        match accepted.await.expect("binary") {
+            Accepted::Peer(transceiver) => transceiver,
+            Accepted::Http(_) => panic!("no HTTP"),
+        }
     };
     let far = async {
         mom_net::connect(&address, &limits, None)

@@ -4,17 +4,16 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_net::{NetError, ServerTls, Transceiver};
-use mom_proto::{Limits, Parcel, WireError};
+use mom_net::{Accepted, ServerTls};
+use mom_proto::WireError;
 use parking_lot::RwLock;
 use tokio::net::{TcpListener, TcpSocket, TcpStream, lookup_host};
 use tokio::sync::{Semaphore, oneshot, watch};
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 
-use super::doors::{Doors, Seat};
-use super::{Services, Serving, login_timeout};
-use crate::traffic::channel::stamped;
+use crate::connection::{Doors, Seat, Services, Serving, login_time, too_late};
+use crate::web::{Visit, Web};
 
 /// Connections that may wait to be taken in; the system may allow less. When a crowd comes back at once and more
 /// wait than that, Linux turns to SYN cookies, and a connection whose cookie has grown old is reset.
@@ -50,7 +49,19 @@ pub(crate) struct Listener {
     pub(crate) services: Services,
     pub(crate) doors: Arc<Doors>,
     pub(crate) tls: Arc<RwLock<Option<ServerTls>>>,
+    pub(crate) web: Arc<Web>,
     pub(crate) stop: watch::Receiver<bool>,
+}
+
+/// A connection that has a place.
+struct Guest {
+    services: Services,
+    from: SocketAddr,
+    tls: Option<ServerTls>,
+    web: Arc<Web>,
+    seat: Seat,
+    /// Told if it has to go before it has begun.
+    told: oneshot::Receiver<WireError>,
 }
 
 impl Listener {
@@ -69,9 +80,15 @@ impl Listener {
                         if let Some(evicted) = evicted {
                             evicted.tell(|outbox, error| self.services.board.close(outbox, Some(error)));
                         }
-                        let services = self.services.fresh();
-                        let tls = self.tls.read().clone();
-                        drop(served.spawn(services.take_in(stream, from, tls, (seat, told))));
+                        let guest = Guest {
+                            services: self.services.fresh(),
+                            from,
+                            tls: self.tls.read().clone(),
+                            web: Arc::clone(&self.web),
+                            seat,
+                            told,
+                        };
+                        drop(served.spawn(guest.serve(stream)));
                     }
                     Err(error) => {
                         self.note_refused(from);
@@ -107,41 +124,11 @@ impl Listener {
     }
 }
 
-impl Services {
-    /// Waits for the first bytes of a peer, which tell its form.
-    async fn greet(
-        &self,
-        stream: TcpStream,
-        tls: Option<ServerTls>,
-        login_by: Instant,
-        told: oneshot::Receiver<WireError>,
-    ) -> Result<Transceiver, NetError> {
-        let before_login = self.limits.before_login();
-        let too_late = async {
-            tokio::select! {
-                Ok(error) = told => error,
-                () = tokio::time::sleep_until(login_by) => login_timeout(self.limits.login_time),
-            }
-        };
-        let answer = |error: &WireError| self.answer(error);
-        mom_net::accept(stream, tls.as_ref(), &before_login, too_late, answer).await
-    }
-
-    /// An error to a peer that is not even one.
-    fn answer(&self, error: &WireError) -> Parcel {
-        stamped(error.to_parcel(None), self.board.clock.wall())
-    }
-
+impl Guest {
     /// Serves a connection from its first bytes on.
-    pub(crate) fn take_in(
-        self,
-        stream: TcpStream,
-        from: SocketAddr,
-        tls: Option<ServerTls>,
-        seat: (Seat, oneshot::Receiver<WireError>),
-    ) -> impl Future<Output = ()> {
+    fn serve(self, stream: TcpStream) -> impl Future<Output = ()> {
         // Apart, so that the connection does not keep the memory that this needs.
-        let begun = Box::pin(self.begin(stream, from, tls, seat));
+        let begun = Box::pin(self.begin(stream));
         async move {
             // By reference, or it would be kept twice.
             let mut begun = begun.await;
@@ -151,29 +138,70 @@ impl Services {
         }
     }
 
-    async fn begin(
-        self,
-        stream: TcpStream,
-        from: SocketAddr,
-        tls: Option<ServerTls>,
-        (seat, told): (Seat, oneshot::Receiver<WireError>),
-    ) -> Option<Serving> {
-        let login_by = Instant::now() + login_time(&self.limits);
-        match self.greet(stream, tls, login_by, told).await {
-            Ok(transceiver) => {
-                let from = Some(from.ip());
-                Some(Serving::begin(self, transceiver, from, Some(seat), login_by))
+    async fn begin(mut self, stream: TcpStream) -> Option<Serving> {
+        let limits = Arc::clone(&self.services.limits);
+        let login_by = Instant::now() + login_time(&limits);
+        let port = stream.local_addr().map_or(0, |local| local.port());
+        let accepted = {
+            let too_late = too_late(&limits, login_by, &mut self.told);
+            let answer = |error: &WireError| self.services.answer(error);
+            mom_net::accept(
+                stream,
+                self.tls.as_ref(),
+                &limits.before_login(),
+                too_late,
+                answer,
+            )
+            .await
+        };
+        let from = self.from;
+        let (transceiver, seat) = match accepted {
+            Ok(Accepted::Peer(transceiver)) => (transceiver, self.seat),
+            Ok(Accepted::Http(stream)) => {
+                let visit = Visit {
+                    services: self.services.clone(),
+                    from,
+                    port,
+                    told: self.told,
+                    seat: self.seat,
+                };
+                self.web.serve(stream, visit).await?
             }
             Err(error) => {
-                if self.is_first("refused", Some(from.ip()), None) {
+                if self.services.is_first("refused", Some(from.ip()), None) {
                     tracing::info!(%from, %error, "refused");
                 }
-                None
+                return None;
             }
-        }
+        };
+        let from = Some(from.ip());
+        Some(Serving::begin(
+            self.services,
+            transceiver,
+            from,
+            Some(seat),
+            login_by,
+        ))
     }
 }
 
-pub(crate) fn login_time(limits: &Limits) -> Duration {
-    Duration::from_millis(limits.login_time)
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What `call` would give, unpolled: only its size is asked for.
+    fn size_of_future<A, B, F: Future>(_: &impl Fn(A, B) -> F) -> usize {
+        size_of::<F>()
+    }
+
+    /// Ten thousand idle peers cost what their tasks keep: what is rare is boxed while it lasts (docs/performance.md).
+    #[test]
+    fn an_idle_connection_is_small() {
+        let connection = |guest: Guest, stream| guest.serve(stream);
+        let all = [
+            size_of_future(&connection),
+            size_of::<crate::traffic::outbox::Outbox>(),
+        ];
+        assert!(all.iter().sum::<usize>() <= 1560, "{all:?}");
+    }
 }

@@ -1,0 +1,11 @@
+//! What HTTP may ask.
+
+use serde::Deserialize;
+
+/// The `[web]` of the configuration.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct WebConfig {
+    /// Where pages come from that may use the hub, beside its own.
+    pub origins: Vec<String>,
+}

@@ -1,0 +1,144 @@
+//! The way to a hub: straight, or through the proxy that the environment names.
+
+use std::io;
+
+use bytes::Bytes;
+use http::header::{HOST, PROXY_AUTHORIZATION};
+use http::{HeaderValue, Request, Uri};
+use http_body_util::Empty;
+use hyper_util::client::proxy::matcher::{Intercept, Matcher};
+use tokio::net::TcpStream;
+
+use crate::carrier::Carrier;
+use crate::tls::TlsLink;
+use crate::{Address, ClientTls, Door, NetError, http as http_door};
+
+/// How a hub is reached.
+#[derive(Debug)]
+pub(crate) struct Dialer {
+    pub(crate) address: Address,
+    tls: Option<ClientTls>,
+    proxy: Option<Proxy>,
+}
+
+/// What stands between.
+#[derive(Debug)]
+struct Proxy {
+    host: String,
+    port: u16,
+    authorization: Option<HeaderValue>,
+}
+
+impl Dialer {
+    /// Where `HTTPS_PROXY` names a proxy, and `NO_PROXY` does not name the hub, every door with TLS goes through it; where
+    /// `HTTP_PROXY` does, the tunnel without TLS.
+    pub(crate) fn to(address: &Address, tls: Option<&ClientTls>) -> Result<Dialer, NetError> {
+        let tls = match (address.tls, tls) {
+            (false, _) => None,
+            (true, Some(tls)) => Some(tls.clone()),
+            (true, None) => return Err(io::Error::from(io::ErrorKind::Unsupported).into()),
+        };
+        let proxy = match address.tls || matches!(address.door, Door::Tunnel { .. }) {
+            true => Proxy::of(address)?,
+            false => None,
+        };
+        Ok(Dialer {
+            address: address.clone(),
+            tls,
+            proxy,
+        })
+    }
+
+    /// Connects, with TLS if the address says so.
+    pub(crate) async fn dial(&self) -> Result<Carrier, NetError> {
+        let address = &self.address;
+        let stream = match &self.proxy {
+            None => TcpStream::connect((address.host.as_str(), address.port)).await?,
+            Some(proxy) => proxy.connect().await?,
+        };
+        let mut carrier = Carrier::Tcp(stream);
+        let Some(tls) = &self.tls else {
+            return Ok(carrier);
+        };
+        if let Some(proxy) = &self.proxy {
+            carrier = proxy.pass(carrier, &address.authority()).await?;
+        }
+        let Carrier::Tcp(stream) = carrier else {
+            return Err(io::Error::from(io::ErrorKind::Unsupported).into());
+        };
+        let client = tls.connection(&address.host)?;
+        Ok(Carrier::Tls(
+            TlsLink::handshake(stream, client.into(), &[]).await?,
+        ))
+    }
+
+    /// The target of a request for this path, as whoever takes it wants it, and what the proxy has to be shown.
+    pub(crate) fn target(&self, path: &str) -> (String, Option<HeaderValue>) {
+        match &self.proxy {
+            // It takes requests as such, not the bytes of a connection.
+            Some(proxy) if self.tls.is_none() => {
+                let whole = format!("http://{}{path}", self.address.authority());
+                (whole, proxy.authorization.clone())
+            }
+            _ => (path.to_owned(), None),
+        }
+    }
+}
+
+impl Proxy {
+    fn of(address: &Address) -> Result<Option<Proxy>, NetError> {
+        let scheme = if address.tls { "https" } else { "http" };
+        let target: Result<Uri, _> = format!("{scheme}://{}/", address.authority()).parse();
+        let Ok(target) = target else { return Ok(None) };
+        let Some(found) = Matcher::from_env().intercept(&target) else {
+            return Ok(None);
+        };
+        Proxy::read(&found).map(Some).ok_or_else(|| {
+            let text = format!(
+                "the proxy {} of the environment is none that speaks HTTP",
+                found.uri()
+            );
+            io::Error::new(io::ErrorKind::InvalidInput, text).into()
+        })
+    }
+
+    fn read(found: &Intercept) -> Option<Proxy> {
+        let uri = found.uri();
+        if uri.scheme_str().is_some_and(|scheme| scheme != "http") {
+            return None;
+        }
+        let host = uri.host()?.trim_start_matches('[').trim_end_matches(']');
+        Some(Proxy {
+            host: host.to_owned(),
+            port: uri.port_u16().unwrap_or(80),
+            authorization: found.basic_auth().cloned(),
+        })
+    }
+
+    async fn connect(&self) -> io::Result<TcpStream> {
+        let connected = TcpStream::connect((self.host.as_str(), self.port)).await;
+        connected.map_err(|error| {
+            io::Error::new(
+                error.kind(),
+                format!("the proxy {}:{}: {error}", self.host, self.port),
+            )
+        })
+    }
+
+    /// Has the proxy pass a connection on.
+    async fn pass(&self, carrier: Carrier, to: &str) -> io::Result<Carrier> {
+        let mut request = Request::connect(to).header(HOST, to);
+        if let Some(authorization) = &self.authorization {
+            request = request.header(PROXY_AUTHORIZATION, authorization);
+        }
+        let request = request.body(Empty::<Bytes>::new()).map_err(io::Error::other)?;
+        let (answer, carrier, _) = http_door::switch(carrier, request).await?;
+        match answer.status.is_success() {
+            true => Ok(carrier),
+            false => {
+                let text = format!("the proxy {}:{} answers {}", self.host, self.port, answer.status);
+                Err(io::Error::new(io::ErrorKind::PermissionDenied, text))
+            }
+        }
+    }
+}

@@ -1,0 +1,349 @@
+//! The hub's end of tunnels.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use bytes::{Bytes, BytesMut};
+use http::header::{ALLOW, CACHE_CONTROL, CONTENT_TYPE};
+use http::{Method, Request, Response, StatusCode};
+use http_body_util::{BodyExt as _, Limited};
+use hyper::body::Body;
+use mom_proto::codec::{Decoder, Form};
+use mom_proto::{Limits, Parcel, WireError};
+use parking_lot::Mutex;
+use tokio::sync::Notify;
+use tokio::time::{Instant, timeout, timeout_at};
+
+use super::id::Id;
+use super::pipe::{Misplaced, Pipe};
+use super::{END, ID, LONGEST, MOST_UP, SENT, TAKEN, TunnelBody};
+use crate::{NetError, Privacy, Transceiver, socket, tcp};
+
+/// Brought down by one answer that has an end.
+const MOST_DOWN: usize = 64 * 1024;
+
+/// What a peer hears last it gets within this time.
+const FAREWELL: Duration = Duration::from_secs(3);
+
+/// All tunnels of a hub.
+#[derive(Debug, Default)]
+pub struct Tunnels {
+    open: Mutex<HashMap<Id, Arc<Tunnel>>>,
+}
+
+/// One tunnel.
+#[derive(Debug)]
+pub struct Tunnel {
+    pipe: Arc<Pipe>,
+    id: Mutex<Id>,
+    /// Its id is another than before its login.
+    renewed: Mutex<bool>,
+    /// Whose it is, in the numbers of the hub; 0 before that is known.
+    peer: AtomicU64,
+    /// The request that brings bytes down at the moment: one that is newer takes its place.
+    turn: AtomicU64,
+    turned: Notify,
+}
+
+/// What is said by a request, behind the `?`.
+#[derive(Debug, Default)]
+struct Said {
+    /// Where the bytes begin.
+    at: u64,
+    /// So many have come down.
+    ack: Option<u64>,
+    /// The answer waits so long for bytes, and has an end.
+    wait: Option<Duration>,
+    /// Nothing more comes up.
+    end: bool,
+}
+
+impl Tunnels {
+    /// Opens a tunnel; none where the system has no randomness.
+    pub fn open(&self) -> Option<Arc<Tunnel>> {
+        let id = Id::random()?;
+        let tunnel = Arc::new(Tunnel {
+            pipe: Arc::default(),
+            id: Mutex::new(id),
+            renewed: Mutex::new(false),
+            peer: AtomicU64::new(0),
+            turn: AtomicU64::new(0),
+            turned: Notify::new(),
+        });
+        self.open.lock().insert(id, Arc::clone(&tunnel));
+        Some(tunnel)
+    }
+
+    /// The tunnel that a path names, behind `/tunnel/`.
+    pub fn find(&self, id: &str) -> Option<Arc<Tunnel>> {
+        self.open.lock().get(&id.parse().ok()?).cloned()
+    }
+
+    /// Waits a moment until the peer has heard all that was said, and forgets the tunnel.
+    pub async fn close(&self, tunnel: &Tunnel) {
+        tunnel.pipe.finish();
+        // Whoever does not come for it does without.
+        let _ = timeout(FAREWELL, tunnel.pipe.drained()).await;
+        self.forget(tunnel);
+        tunnel.pipe.break_off("the tunnel is closed");
+    }
+
+    fn forget(&self, tunnel: &Tunnel) {
+        self.open.lock().remove(&*tunnel.id.lock());
+    }
+
+    /// Gives a tunnel whose peer has logged in another id: whoever has seen the first one has nothing by it.
+    fn renew(&self, tunnel: &Arc<Tunnel>) -> Option<Id> {
+        let mut renewed = tunnel.renewed.lock();
+        if *renewed || !tunnel.pipe.is_trusted() {
+            return None;
+        }
+        let new = Id::random()?;
+        *renewed = true;
+        let mut open = self.open.lock();
+        let old = std::mem::replace(&mut *tunnel.id.lock(), new);
+        open.remove(&old);
+        open.insert(new, Arc::clone(tunnel));
+        Some(new)
+    }
+
+    /// Answers a request about a tunnel. A body has to be here by `body_by`, and before login it is no larger than a parcel
+    /// may be.
+    pub async fn answer<B>(
+        &self,
+        tunnel: &Arc<Tunnel>,
+        request: Request<B>,
+        limits: &Limits,
+        body_by: Instant,
+    ) -> Response<TunnelBody>
+    where
+        B: Body<Data = Bytes>,
+        B::Error: Into<Box<dyn std::error::Error + Send + Sync>>,
+    {
+        let Some(said) = Said::read(request.uri().query().unwrap_or_default()) else {
+            return refusal(
+                StatusCode::BAD_REQUEST,
+                "a tunnel is asked with at=, ack=, wait= and end=, and numbers",
+            );
+        };
+        if let Some(ack) = said.ack
+            && !tunnel.pipe.acknowledge(ack)
+        {
+            return refusal(StatusCode::BAD_REQUEST, "more is acknowledged than was sent");
+        }
+        match *request.method() {
+            Method::POST => {
+                let most = match tunnel.pipe.is_trusted() {
+                    true => MOST_UP,
+                    false => MOST_UP.min(limits.before_login),
+                };
+                let body = timeout_at(body_by, Limited::new(request.into_body(), most).collect());
+                match body.await {
+                    Ok(Ok(body)) => self.up(tunnel, &said, &body.to_bytes()).await,
+                    Ok(Err(error)) if error.is::<http_body_util::LengthLimitError>() => refusal(
+                        StatusCode::PAYLOAD_TOO_LARGE,
+                        "a request brings at most 128 KiB up, and before login one parcel",
+                    ),
+                    Ok(Err(_)) => refusal(StatusCode::BAD_REQUEST, "the body is cut short"),
+                    Err(_) => refusal(StatusCode::REQUEST_TIMEOUT, "the body does not come"),
+                }
+            }
+            Method::GET => tunnel.answer_down(&said).await,
+            _ => {
+                let mut answer = refusal(StatusCode::METHOD_NOT_ALLOWED, "a tunnel takes GET and POST");
+                answer
+                    .headers_mut()
+                    .insert(ALLOW, http::HeaderValue::from_static("GET, POST"));
+                answer
+            }
+        }
+    }
+
+    /// Takes bytes up.
+    async fn up(&self, tunnel: &Arc<Tunnel>, said: &Said, body: &[u8]) -> Response<TunnelBody> {
+        match tunnel.pipe.take_in(said.at, body) {
+            Ok(_) => {}
+            Err(Misplaced::Gap(taken)) => return count(StatusCode::CONFLICT, &[(TAKEN, taken)]),
+            Err(Misplaced::Full(taken)) => return count(StatusCode::SERVICE_UNAVAILABLE, &[(TAKEN, taken)]),
+        }
+        if said.end {
+            tunnel.pipe.took_all();
+        }
+        // Who logs in hears of the new id in the answer. Later nobody waits: what is acknowledged beside the bytes must go on
+        // while the hub waits with these.
+        if !tunnel.pipe.is_trusted() {
+            let _ = timeout(LONGEST, tunnel.pipe.settle()).await;
+        }
+        let (taken, sent) = (tunnel.pipe.arrived_to(), tunnel.pipe.written_to());
+        let mut answer = count(StatusCode::OK, &[(TAKEN, taken), (SENT, sent)]);
+        if let Some(id) = self.renew(tunnel)
+            && let Ok(id) = id.to_string().parse()
+        {
+            answer.headers_mut().insert(ID, id);
+        }
+        answer
+    }
+}
+
+impl Tunnel {
+    /// The answer to the request that opened it.
+    pub fn opened(&self) -> Response<TunnelBody> {
+        let id = self.id.lock().to_string();
+        let mut answer = count(StatusCode::CREATED, &[]);
+        if let Ok(id) = id.parse() {
+            answer.headers_mut().insert(ID, id);
+        }
+        *answer.body_mut() = TunnelBody::whole(id);
+        answer
+    }
+
+    /// Waits for a peer's first bytes, as [`crate::accept`] does, and tells it what is wrong through the tunnel.
+    ///
+    /// # Errors
+    /// Bytes that begin no form, or come too late.
+    pub async fn greet(
+        &self,
+        privacy: Privacy,
+        limits: &Limits,
+        too_late: impl Future<Output = WireError>,
+        answer: impl FnOnce(&WireError) -> Parcel,
+    ) -> Result<Transceiver, NetError> {
+        let mut first = BytesMut::new();
+        let told = tokio::select! {
+            told = self.first_form(&mut first) => told,
+            error = too_late => Err(error.into()),
+        };
+        match told {
+            Ok(form) => {
+                let halves = socket::tunnel(Arc::clone(&self.pipe));
+                tcp::begin(halves, privacy, form, Decoder::new(form, limits), first).await
+            }
+            Err(error) => {
+                if let NetError::Wire(error) = &error
+                    && let Ok(encoded) = Form::Xml.encode(&answer(error))
+                {
+                    self.pipe.try_write(&[std::io::IoSlice::new(&encoded.head)])?;
+                }
+                Err(error)
+            }
+        }
+    }
+
+    async fn first_form(&self, first: &mut BytesMut) -> Result<Form, NetError> {
+        loop {
+            if let Some(form) = Form::sniff(first)? {
+                return Ok(form);
+            }
+            if std::future::poll_fn(|context| self.pipe.poll_read(first, context)).await? == 0 {
+                return Err(std::io::Error::from(std::io::ErrorKind::UnexpectedEof).into());
+            }
+        }
+    }
+
+    /// Brings bytes down.
+    async fn answer_down(self: &Arc<Tunnel>, said: &Said) -> Response<TunnelBody> {
+        if !self.pipe.acknowledge(said.at) {
+            return refusal(StatusCode::BAD_REQUEST, "so much was not sent yet");
+        }
+        if self.pipe.kept_from() > said.at {
+            return refusal(
+                StatusCode::GONE,
+                "these bytes were acknowledged, and are kept no longer",
+            );
+        }
+        if self.pipe.is_finished() && said.at == self.pipe.written_to() {
+            return count(StatusCode::OK, &[(END, said.at)]);
+        }
+        let turn = self.turn.fetch_add(1, Ordering::AcqRel) + 1;
+        self.turned.notify_waiters();
+        let mut answer = count(StatusCode::OK, &[]);
+        *answer.body_mut() = match said.wait {
+            None => TunnelBody::stream(Arc::clone(self), turn, said.at, Instant::now() + LONGEST),
+            Some(wait) => {
+                let until = Instant::now() + wait.min(LONGEST);
+                let bytes = self.down(turn, said.at, MOST_DOWN, until).await;
+                TunnelBody::whole(bytes.unwrap_or_default())
+            }
+        };
+        // Proxies that read along: nginx is told so by a header of its own.
+        let headers = answer.headers_mut();
+        headers.insert("x-accel-buffering", http::HeaderValue::from_static("no"));
+        headers.insert(
+            CONTENT_TYPE,
+            http::HeaderValue::from_static("application/octet-stream"),
+        );
+        answer
+    }
+
+    /// Bytes from this place on, as soon as there are some; none when it is too late, or not one's turn.
+    pub(super) async fn down(&self, turn: u64, at: u64, most: usize, until: Instant) -> Option<Bytes> {
+        let turned = async {
+            loop {
+                let mut turned = std::pin::pin!(self.turned.notified());
+                turned.as_mut().enable();
+                if self.turn.load(Ordering::Acquire) != turn {
+                    return;
+                }
+                turned.await;
+            }
+        };
+        tokio::select! {
+            biased;
+            () = turned => None,
+            bytes = self.pipe.bytes_from(at, most) => bytes,
+            () = tokio::time::sleep_until(until) => None,
+        }
+    }
+
+    /// Notes whose it is.
+    pub fn set_peer(&self, peer: u64) {
+        self.peer.store(peer, Ordering::Release);
+    }
+
+    /// Whose it is, if that is known.
+    pub fn peer(&self) -> Option<u64> {
+        Some(self.peer.load(Ordering::Acquire)).filter(|peer| *peer > 0)
+    }
+
+    /// Whether its peer has logged in.
+    pub fn is_trusted(&self) -> bool {
+        self.pipe.is_trusted()
+    }
+}
+
+impl Said {
+    fn read(query: &str) -> Option<Said> {
+        let mut said = Said::default();
+        for part in query.split('&').filter(|part| !part.is_empty()) {
+            let (key, value) = part.split_once('=')?;
+            let number: u64 = value.parse().ok()?;
+            match key {
+                "at" => said.at = number,
+                "ack" => said.ack = Some(number),
+                "wait" => said.wait = Some(Duration::from_millis(number)),
+                "end" => said.end = number == 1,
+                _ => return None,
+            }
+        }
+        Some(said)
+    }
+}
+
+fn count(status: StatusCode, counts: &[(http::HeaderName, u64)]) -> Response<TunnelBody> {
+    let mut answer = Response::new(TunnelBody::default());
+    *answer.status_mut() = status;
+    let headers = answer.headers_mut();
+    headers.insert(CACHE_CONTROL, http::HeaderValue::from_static("no-store"));
+    for (name, number) in counts {
+        headers.insert(name, http::HeaderValue::from(*number));
+    }
+    answer
+}
+
+fn refusal(status: StatusCode, text: &'static str) -> Response<TunnelBody> {
+    let mut answer = count(status, &[]);
+    *answer.body_mut() = TunnelBody::whole(Bytes::from_static(text.as_bytes()));
+    answer
+}
