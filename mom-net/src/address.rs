@@ -10,9 +10,9 @@ use crate::NetError;
 /// The port of the hub where an address names none.
 pub const DEFAULT_PORT: u16 = 7666;
 
-/// Where a hub is and how to speak to it: `tcp://host:port/path` for XML, `bin://…` for binary, `mom://…`
-/// for whichever the client prefers, which is binary; with TLS `tcps://…`, `bins://…` and `moms://…`, which may end in
-/// `?pin=` and the fingerprint of the hub's certificate.
+/// Where a hub is and how to speak to it: `tcp://host:port/path` for XML, `bin://…` for binary, `json://…`
+/// for JSON, `mom://…` for whichever the client prefers, which is binary; with TLS `tcps://…`, `bins://…`, `jsons://…`
+/// and `moms://…`, which may end in `?pin=` and the fingerprint of the hub's certificate.
 ///
 /// ```
 /// use mom_net::Address;
@@ -56,6 +56,8 @@ fn read(text: &str) -> Result<Address, String> {
         "tcps" => (Form::Xml, true),
         "bin" | "mom" => (Form::Binary, false),
         "bins" | "moms" => (Form::Binary, true),
+        "json" => (Form::Json, false),
+        "jsons" => (Form::Json, true),
         _ => return Err(format!("no hub is spoken to by {scheme}://")),
     };
     let (rest, pin) = match rest.split_once('?') {
@@ -122,6 +124,8 @@ impl fmt::Display for Address {
             (Form::Xml, true) => "tcps",
             (Form::Binary, false) => "bin",
             (Form::Binary, true) => "bins",
+            (Form::Json, false) => "json",
+            (Form::Json, true) => "jsons",
         };
         match self.host.contains(':') {
             true => write!(formatter, "{scheme}://[{}]:{}", self.host, self.port)?,
@@ -151,6 +155,8 @@ mod tests {
             ("tcp://[::1]", "tcp://[::1]:7666"),
             ("tcps://lab", "tcps://lab:7666"),
             ("moms://lab/robot", "bins://lab:7666/robot"),
+            ("json://lab/robot", "json://lab:7666/robot"),
+            ("jsons://[::1]:5", "jsons://[::1]:5"),
             (
                 "moms://lab/robot?pin=4355a46b19d348dc2f57c046f8ef63d4538ebb936000f3c9ee954a27460dd865",
                 "bins://lab:7666/robot?pin=sha256:4355a46b19d348dc2f57c046f8ef63d4538ebb936000f3c9ee954a27460dd865",

@@ -1,4 +1,4 @@
-//! XML and binary over TCP, with TLS or without (M14, M17).
+//! XML, JSON and binary over TCP, with TLS or without (M14, M17).
 
 use std::collections::VecDeque;
 use std::io;

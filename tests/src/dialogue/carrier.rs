@@ -14,10 +14,14 @@ pub enum Carrier {
     Xml,
     /// Binary over TCP.
     Binary,
+    /// JSON over TCP.
+    Json,
     /// XML over TLS.
     XmlTls,
     /// Binary over TLS.
     BinaryTls,
+    /// JSON over TLS.
+    JsonTls,
     /// Inside the broker's process.
     Local,
     /// Each next peer by the next of them, so that senders and receivers differ.
@@ -26,11 +30,13 @@ pub enum Carrier {
 
 impl Carrier {
     /// All of them.
-    pub const ALL: [Carrier; 6] = [
+    pub const ALL: [Carrier; 8] = [
         Carrier::Xml,
         Carrier::Binary,
+        Carrier::Json,
         Carrier::XmlTls,
         Carrier::BinaryTls,
+        Carrier::JsonTls,
         Carrier::Local,
         Carrier::Mixed,
     ];
@@ -40,17 +46,21 @@ impl Carrier {
         let (form, tls) = match self {
             Carrier::Xml => (Form::Xml, false),
             Carrier::Binary => (Form::Binary, false),
+            Carrier::Json => (Form::Json, false),
             Carrier::XmlTls => (Form::Xml, true),
             Carrier::BinaryTls => (Form::Binary, true),
+            Carrier::JsonTls => (Form::Json, true),
             Carrier::Local => return Ok(broker.connect_local()),
             Carrier::Mixed => {
                 let one = [
                     Carrier::Xml,
                     Carrier::BinaryTls,
+                    Carrier::Json,
                     Carrier::Local,
                     Carrier::Binary,
+                    Carrier::JsonTls,
                     Carrier::XmlTls,
-                ][before % 5];
+                ][before % 7];
                 return Box::pin(one.connect(broker, before)).await;
             }
         };
@@ -76,8 +86,10 @@ impl fmt::Display for Carrier {
         formatter.write_str(match self {
             Carrier::Xml => "over XML",
             Carrier::Binary => "over binary",
+            Carrier::Json => "over JSON",
             Carrier::XmlTls => "over XML and TLS",
             Carrier::BinaryTls => "over binary and TLS",
+            Carrier::JsonTls => "over JSON and TLS",
             Carrier::Local => "in process",
             Carrier::Mixed => "mixed",
         })

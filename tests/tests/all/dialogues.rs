@@ -50,6 +50,16 @@ fn over_binary() {
 }
 
 #[test]
+fn over_json() {
+    check(Carrier::Json);
+}
+
+#[test]
+fn over_json_and_tls() {
+    check(Carrier::JsonTls);
+}
+
+#[test]
 fn over_xml_and_tls() {
     check(Carrier::XmlTls);
 }

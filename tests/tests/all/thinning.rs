@@ -38,7 +38,8 @@ impl Scene {
     async fn new(form: Form, path: &str, options: Map) -> Scene {
         let other = match form {
             Form::Xml => Form::Binary,
-            Form::Binary => Form::Xml,
+            Form::Binary => Form::Json,
+            Form::Json => Form::Xml,
         };
         let clock = lab::clock();
         let broker = lab::start_at(clock.clone(), |_| {}).await;
