@@ -16,7 +16,7 @@
 //! - An object is a tagged value if its first key begins with `$`. It is known when its first key is read, so nothing is
 //!   read twice. A tag has no other member.
 //! - `-0` and whole numbers beyond 64 bits are doubles, as they are in JavaScript.
-//! - The byte that an error names is the last one that was read when it was found, from 0.
+//! - The byte that an error names is the one at which serde_json stopped: at the value at fault or just behind it.
 
 mod read;
 mod write;

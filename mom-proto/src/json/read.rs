@@ -120,8 +120,8 @@ impl<'de> Visitor<'de> for ParcelVisitor<'_> {
         let mut slot_bytes = 0;
         while let Some(key) = members.next_key_seed(KeySeed { fault: self.fault })? {
             let place = match ReadSlots::kind_of(&key) {
-                Some(ValueKind::Time) => Place::TimeSlot,
-                _ => Place::Value,
+                Some(ValueKind::Time) => ValuePlace::TimeSlot,
+                _ => ValuePlace::Value,
             };
             let seed = ValueSeed {
                 place,
@@ -184,7 +184,7 @@ impl<'de> Visitor<'de> for KeySeed<'_> {
 
 /// Where a value stands.
 #[derive(Clone, Copy, PartialEq)]
-enum Place {
+enum ValuePlace {
     Value,
     /// In a slot of type time.
     TimeSlot,
@@ -196,7 +196,7 @@ enum Place {
 
 /// A value; `depth` more lists and maps may open.
 struct ValueSeed<'r> {
-    place: Place,
+    place: ValuePlace,
     depth: usize,
     fault: &'r mut Fault,
 }
@@ -212,8 +212,8 @@ impl ValueSeed<'_> {
     /// What stands alone: everything but lists and maps.
     fn leaf<'de, E: Error>(self, value: SlotValue<'de>) -> Result<SlotValue<'de>, E> {
         match (self.place, &value) {
-            (Place::Map, _) => Err(self.fault.bad("$map holds a map")),
-            (Place::TimeSlot, SlotValue::Text(text)) => scalar::parse(ValueKind::Time, text, 0)
+            (ValuePlace::Map, _) => Err(self.fault.bad("$map holds a map")),
+            (ValuePlace::TimeSlot, SlotValue::Text(text)) => scalar::parse(ValueKind::Time, text, 0)
                 .map(SlotValue::from)
                 .map_err(|error| self.fault.fail(error)),
             _ => Ok(value),
@@ -223,8 +223,8 @@ impl ValueSeed<'_> {
     /// The value of a tag whose name was read.
     fn tagged<'de, A: MapAccess<'de>>(self, tag: &str, mut members: A) -> Result<Value, A::Error> {
         let place = match tag {
-            "$map" => Place::Map,
-            "$int" | "$double" | "$time" | "$binary" => Place::Tag,
+            "$map" => ValuePlace::Map,
+            "$int" | "$double" | "$time" | "$binary" => ValuePlace::Tag,
             _ => {
                 return Err(self
                     .fault
@@ -314,14 +314,14 @@ impl<'de> Visitor<'de> for ValueSeed<'_> {
     }
 
     fn visit_seq<A: SeqAccess<'de>>(mut self, mut items: A) -> Result<SlotValue<'de>, A::Error> {
-        if matches!(self.place, Place::Tag | Place::Map) {
+        if matches!(self.place, ValuePlace::Tag | ValuePlace::Map) {
             return self.leaf_wanted();
         }
         let depth = self.deeper()?;
         let mut list = Vec::new();
         loop {
             let seed = ValueSeed {
-                place: Place::Value,
+                place: ValuePlace::Value,
                 depth,
                 fault: self.fault,
             };
@@ -334,13 +334,13 @@ impl<'de> Visitor<'de> for ValueSeed<'_> {
     }
 
     fn visit_map<A: MapAccess<'de>>(mut self, mut members: A) -> Result<SlotValue<'de>, A::Error> {
-        if self.place == Place::Tag {
+        if self.place == ValuePlace::Tag {
             return self.leaf_wanted();
         }
         let mut next = members.next_key_seed(KeySeed { fault: self.fault })?;
         if let Some(tag) = next.as_deref()
             && tag.starts_with('$')
-            && self.place != Place::Map
+            && self.place != ValuePlace::Map
         {
             return self.tagged(tag, members).map(SlotValue::from);
         }
@@ -348,7 +348,7 @@ impl<'de> Visitor<'de> for ValueSeed<'_> {
         let mut map = Map::new();
         while let Some(key) = next {
             let seed = ValueSeed {
-                place: Place::Value,
+                place: ValuePlace::Value,
                 depth,
                 fault: self.fault,
             };
@@ -372,7 +372,7 @@ impl ValueSeed<'_> {
     /// The error for a list or map in a tag that holds none.
     fn leaf_wanted<T, E: Error>(self) -> Result<T, E> {
         Err(self.fault.bad(match self.place {
-            Place::Map => "$map holds a map",
+            ValuePlace::Map => "$map holds a map",
             _ => "a tag such as $int holds a string, $double a number",
         }))
     }
