@@ -222,7 +222,7 @@ async fn slots_reach_receivers_as_they_were_sent() {
     let broker = lab::start().await;
     let (mut bob, _) = enter(&broker, Form::Binary, "bob", CHAT).await;
     let (mut carol, _) = enter(&broker, Form::Xml, "carol", CHAT).await;
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let (mut alice, _) = enter(&broker, form, "alice", CHAT).await;
         let mut said = message("chat", CHAT, "all of it").id(5);
         said.reference = Some(4);
