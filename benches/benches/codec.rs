@@ -5,7 +5,7 @@ use mom_benches::codecs::{Coding, SIZES};
 use mom_proto::codec::Form;
 
 fn codec(criterion: &mut Criterion) {
-    for form in [Form::Binary, Form::Xml] {
+    for form in Form::ALL {
         for content in SIZES {
             let mut coding = Coding::new(form, content).expect("a parcel that every form can hold");
             let mut group = criterion.benchmark_group(form.word());

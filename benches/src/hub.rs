@@ -113,6 +113,7 @@ impl Hub {
         let name = match form {
             Form::Binary => "MOM",
             Form::Xml => "MOM XML",
+            Form::Json => "MOM JSON",
         };
         Ok(Hub {
             name: name.to_owned(),

@@ -181,7 +181,7 @@ pub fn codecs(pace: &Pace) -> Result<String, WireError> {
         "| codec, on one core | on the wire | encode, MB/s | per second | decode, MB/s | per second |\n\
                    |---|---:|---:|---:|---:|---:|\n"
             .to_owned();
-    for form in [Form::Binary, Form::Xml] {
+    for form in [Form::Binary, Form::Xml, Form::Json] {
         for content in SIZES {
             let mut coding = Coding::new(form, content)?;
             let size = coding.size();

@@ -10,9 +10,10 @@ use crate::NetError;
 /// The port of the hub where an address names none.
 pub const DEFAULT_PORT: u16 = 7666;
 
-/// Where a hub is and how to speak to it: `tcp://host:port/path` for XML, `bin://…` for binary, `mom://…`
-/// for whichever the client prefers, which is binary; `ws://…` for a WebSocket, binary. With TLS `tcps://…`, `bins://…`,
-/// `moms://…` and `wss://…`, which may end in `?pin=` and the fingerprint of the hub's certificate.
+/// Where a hub is and how to speak to it: `tcp://host:port/path` for XML, `bin://…` for binary, `json://…` for JSON, `mom://…` for
+/// whichever the client prefers, which is binary; `ws://…` for a WebSocket and `http://…` for a tunnel, both binary unless `?form=`
+/// says another. With TLS `tcps://…`, `bins://…`, `jsons://…`, `moms://…`, `wss://…` and `https://…`, which may end in `?pin=` and the
+/// fingerprint of the hub's certificate.
 ///
 /// ```
 /// use mom_net::Address;
@@ -96,11 +97,13 @@ const fn scheme(name: &'static str, form: Form, door: Door, tls: bool, port: u16
 }
 
 /// Of those that are alike, the first is how an address is written.
-const SCHEMES: [Scheme; 10] = [
+const SCHEMES: [Scheme; 12] = [
     scheme("tcp", Form::Xml, Door::Stream, false, DEFAULT_PORT),
     scheme("tcps", Form::Xml, Door::Stream, true, DEFAULT_PORT),
     scheme("bin", Form::Binary, Door::Stream, false, DEFAULT_PORT),
     scheme("bins", Form::Binary, Door::Stream, true, DEFAULT_PORT),
+    scheme("json", Form::Json, Door::Stream, false, DEFAULT_PORT),
+    scheme("jsons", Form::Json, Door::Stream, true, DEFAULT_PORT),
     scheme("mom", Form::Binary, Door::Stream, false, DEFAULT_PORT),
     scheme("moms", Form::Binary, Door::Stream, true, DEFAULT_PORT),
     scheme("ws", Form::Binary, Door::WebSocket, false, 80),
@@ -235,7 +238,10 @@ mod tests {
             ("tcp://[::1]", "tcp://[::1]:7666"),
             ("tcps://lab", "tcps://lab:7666"),
             ("moms://lab/robot", "bins://lab:7666/robot"),
+            ("json://lab/robot", "json://lab:7666/robot"),
+            ("jsons://[::1]:5", "jsons://[::1]:5"),
             ("wss://lab", "wss://lab:443"),
+            ("ws://lab?form=json", "ws://lab:80?form=json"),
             ("http://lab/robot?form=xml", "http://lab:80/robot?form=xml"),
             ("https://lab:1?poll=1", "https://lab:1?poll=1"),
             (

@@ -9,8 +9,7 @@ use bytes::{Buf, BufMut};
 use mom_proto::Limits;
 use mom_proto::Parcel;
 use mom_proto::binary::Plain;
-use mom_proto::codec::{Decoder, Form, Frame};
-use mom_proto::xml::DeferredEntity;
+use mom_proto::codec::{Decoder, Deferred, Form, Frame};
 use tokio::sync::mpsc;
 
 use crate::socket::ReadHalf;
@@ -69,15 +68,15 @@ impl Reader {
         }
     }
 
-    /// From now on, leaves large documents unread, for [`Reader::take_deferred`].
+    /// From now on, leaves large frames of the text forms unread, for [`Reader::take_deferred`].
     pub fn defer_above(&mut self, bytes: usize) {
         if let Source::Stream { decoder, .. } = &mut self.source {
             decoder.defer_above(bytes);
         }
     }
 
-    /// The whole document in front of which [`Reader::try_next`] has stopped; it goes on behind it.
-    pub fn take_deferred(&mut self) -> Option<Box<DeferredEntity>> {
+    /// The whole frame in front of which [`Reader::try_next`] has stopped; it goes on behind it.
+    pub fn take_deferred(&mut self) -> Option<Deferred> {
         match &mut self.source {
             Source::Stream { decoder, .. } => decoder.take_deferred(),
             Source::Local { .. } => None,
@@ -170,7 +169,7 @@ impl Reader {
             Source::Stream { buffer, decoder, .. } => {
                 let chunks = match decoder {
                     Decoder::Binary(decoder) => decoder.held(),
-                    Decoder::Xml(_) => 0,
+                    Decoder::Xml(_) | Decoder::Json(_) => 0,
                 };
                 buffer.bytes.len() + chunks
             }
@@ -227,7 +226,7 @@ impl Reader {
 fn announced(decoder: &Decoder, bytes: &[u8]) -> usize {
     match decoder {
         Decoder::Binary(decoder) => decoder.announced(bytes),
-        Decoder::Xml(_) => 0,
+        Decoder::Xml(_) | Decoder::Json(_) => 0,
     }
 }
 

@@ -16,7 +16,7 @@ use crate::{
 pub(crate) fn text() -> impl Strategy<Value = String> {
     let any_char = any::<char>().prop_filter("a character of XML", |c| is_xml_char(*c));
     let markup = select(
-        "&<>\"']\r\n\t \u{85}\u{2028}\u{FEFF}\u{FFFD}ü;#"
+        "&<>\"'\\]\r\n\t \u{85}\u{2028}\u{FEFF}\u{FFFD}ü;#"
             .chars()
             .collect::<Vec<_>>(),
     );
@@ -33,7 +33,7 @@ pub(crate) fn text() -> impl Strategy<Value = String> {
 pub(crate) fn key() -> impl Strategy<Value = String> {
     prop_oneof![
         4 => "[a-zA-Z_][a-zA-Z0-9._-]{0,8}",
-        1 => select(vec!["item", "cid", "slot", "parcel", "xml", "XMLish", "a:b", "", "1st", "Größe"])
+        1 => select(vec!["item", "cid", "slot", "parcel", "xml", "XMLish", "a:b", "", "1st", "Größe", "$int", "$map", "$"])
             .prop_map(String::from),
         1 => text(),
     ]

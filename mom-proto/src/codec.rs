@@ -1,10 +1,11 @@
-//! One interface to both codecs: detecting the form, reading frames, writing parcels.
+//! One interface to all codecs: detecting the form, reading frames, writing parcels.
 
 use bytes::{Bytes, BytesMut};
 
 use crate::binary::BinaryDecoder;
+use crate::json::{DeferredLine, JsonDecoder};
 use crate::xml::{DeferredEntity, XmlDecoder};
-use crate::{Limits, Parcel, WireError, binary, xml};
+use crate::{Limit, Limits, Parcel, WireError, binary, json, xml};
 
 /// A wire form.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -13,17 +14,20 @@ pub enum Form {
     Xml,
     /// The compact binary form (M17).
     Binary,
+    /// JSON, one parcel on each line.
+    Json,
 }
 
 impl Form {
     /// All of them.
-    pub const ALL: [Form; 2] = [Form::Xml, Form::Binary];
+    pub const ALL: [Form; 3] = [Form::Xml, Form::Binary, Form::Json];
 
     /// The word in logs and tables.
     pub fn word(self) -> &'static str {
         match self {
             Form::Xml => "xml",
             Form::Binary => "binary",
+            Form::Json => "json",
         }
     }
 
@@ -37,6 +41,9 @@ impl Form {
         }
         if binary::PREFACE_MAGIC.starts_with(&first[..first.len().min(4)]) {
             return Ok((first.len() >= 4).then_some(Form::Binary));
+        }
+        if json::sniff(first) {
+            return Ok(Some(Form::Json));
         }
         xml::sniff(first).map(|sure| sure.then_some(Form::Xml))
     }
@@ -58,6 +65,20 @@ impl Form {
         match self {
             Form::Xml => xml::encode(parcel),
             Form::Binary => binary::encode_with(parcel, scratch),
+            Form::Json => json::encode(parcel),
+        }
+    }
+
+    /// As [`Form::encode`]; where content has to be opened, of so many levels at most, and into a frame of so many bytes.
+    /// The bounds hold while it is written. Binary content stays closed and is not bounded here.
+    ///
+    /// # Errors
+    /// As [`Form::encode`]; `too-deep` beyond `depth`, `not-encodable` beyond `most`.
+    pub fn encode_within(self, parcel: &Parcel, depth: usize, most: Limit) -> Result<Encoded, WireError> {
+        match self {
+            Form::Xml => xml::encode_within(parcel, depth, most),
+            Form::Binary => binary::encode_with(parcel, &mut Scratch::default()),
+            Form::Json => json::encode_within(parcel, depth, most),
         }
     }
 }
@@ -138,6 +159,38 @@ pub enum Decoder {
     Xml(Box<XmlDecoder>),
     /// Of the binary form.
     Binary(Box<BinaryDecoder>),
+    /// Of the JSON form.
+    Json(Box<JsonDecoder>),
+}
+
+/// A frame of a text form that is here and not read yet.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Deferred {
+    /// Of the XML form.
+    Xml(Box<DeferredEntity>),
+    /// Of the JSON form.
+    Json(Box<DeferredLine>),
+}
+
+impl Deferred {
+    /// Its bytes.
+    pub fn size(&self) -> usize {
+        match self {
+            Deferred::Xml(entity) => entity.size(),
+            Deferred::Json(line) => line.size(),
+        }
+    }
+
+    /// Reads it.
+    ///
+    /// # Errors
+    /// As [`Decoder::decode`]: the connection ends.
+    pub fn open(&self) -> Result<Frame, WireError> {
+        match self {
+            Deferred::Xml(entity) => entity.open(),
+            Deferred::Json(line) => Ok(line.open()),
+        }
+    }
 }
 
 impl Decoder {
@@ -146,6 +199,7 @@ impl Decoder {
         match form {
             Form::Xml => Decoder::Xml(Box::new(XmlDecoder::new(limits))),
             Form::Binary => Decoder::Binary(Box::new(BinaryDecoder::new(limits))),
+            Form::Json => Decoder::Json(Box::new(JsonDecoder::new(limits))),
         }
     }
 
@@ -154,21 +208,25 @@ impl Decoder {
         match self {
             Decoder::Xml(decoder) => decoder.set_limits(limits),
             Decoder::Binary(decoder) => decoder.set_limits(limits),
+            Decoder::Json(decoder) => decoder.set_limits(limits),
         }
     }
 
-    /// From now on, leaves entities of more bytes unread, for [`Decoder::take_deferred`]: reading them takes time in
+    /// From now on, leaves frames of more bytes unread, for [`Decoder::take_deferred`]: reading them takes time in
     /// proportion to their size. Frames of the binary form do not need it, because their content stays closed.
     pub fn defer_above(&mut self, bytes: usize) {
-        if let Decoder::Xml(decoder) = self {
-            decoder.defer_above(bytes);
+        match self {
+            Decoder::Xml(decoder) => decoder.defer_above(bytes),
+            Decoder::Json(decoder) => decoder.defer_above(bytes),
+            Decoder::Binary(_) => {}
         }
     }
 
-    /// The whole entity, left unread, in front of which [`Decoder::decode`] has stopped.
-    pub fn take_deferred(&mut self) -> Option<Box<DeferredEntity>> {
+    /// The whole frame, left unread, in front of which [`Decoder::decode`] has stopped.
+    pub fn take_deferred(&mut self) -> Option<Deferred> {
         match self {
-            Decoder::Xml(decoder) => decoder.take_deferred(),
+            Decoder::Xml(decoder) => decoder.take_deferred().map(Deferred::Xml),
+            Decoder::Json(decoder) => decoder.take_deferred().map(Deferred::Json),
             Decoder::Binary(_) => None,
         }
     }
@@ -181,6 +239,7 @@ impl Decoder {
         match self {
             Decoder::Xml(decoder) => decoder.decode(input),
             Decoder::Binary(decoder) => decoder.decode(input),
+            Decoder::Json(decoder) => decoder.decode(input),
         }
     }
 }

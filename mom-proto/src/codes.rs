@@ -98,6 +98,8 @@ impl Code {
     pub const NOT_ENCODABLE: Code = Code::new(229, "not-encodable");
     /// The slots of a parcel, or the content of one that is no message, are larger than their limit.
     pub const TOO_LONG: Code = Code::new(230, "too-long");
+    /// A line that is no JSON.
+    pub const BAD_JSON: Code = Code::new(231, "bad-json");
 
     /// The hub is shutting down.
     pub const SHUTDOWN: Code = Code::new(300, "shutdown");
@@ -169,6 +171,7 @@ impl Code {
         Code::TOO_DEEP,
         Code::NOT_ENCODABLE,
         Code::TOO_LONG,
+        Code::BAD_JSON,
         Code::SHUTDOWN,
         Code::SLOW_RECEIVER,
         Code::SILENT,

@@ -80,7 +80,7 @@ impl Content {
     }
 }
 
-fn size(value: &Value) -> usize {
+pub(crate) fn size(value: &Value) -> usize {
     match value {
         Value::String(text) => 5 + text.len(),
         Value::Binary(bytes) => 5 + bytes.len(),

@@ -165,9 +165,9 @@ fn limits_change_under_a_decoder() {
         parcel: Limit::At(300),
         ..Limits::default()
     };
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let preface: &[u8] = match form {
-            Form::Xml => &[],
+            Form::Xml | Form::Json => &[],
             Form::Binary => &PREFACE,
         };
         let bytes = [preface, &form.encode(&parcel).unwrap().to_vec()].concat();

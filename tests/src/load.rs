@@ -104,7 +104,7 @@ impl Load {
     }
 
     async fn login(&mut self) -> Option<Raw> {
-        let form = *self.rng.choice(&[Form::Binary, Form::Xml])?;
+        let form = *self.rng.choice(&Form::ALL)?;
         let user = *self.rng.choice(&USERS)?;
         let mut raw = match self.rng.bool() {
             true => Raw::connect(self.address, form).await,

@@ -73,7 +73,7 @@ impl Raw {
         let limits = Limits::default();
         let decoder = match form {
             Form::Binary => Decoder::Binary(Box::new(BinaryDecoder::for_peer(&limits))),
-            Form::Xml => Decoder::new(form, &limits),
+            Form::Xml | Form::Json => Decoder::new(form, &limits),
         };
         let mut raw = Raw {
             stream,

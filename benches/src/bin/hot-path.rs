@@ -11,23 +11,23 @@ use mom_proto::codec::Form;
 
 fn main() -> Result<()> {
     let mut args = std::env::args().skip(1);
-    let case = args
-        .next()
-        .context("which case? decode, decode-xml, admit, encode, encode-xml or deliver")?;
+    let case = args.next().context(
+        "which case? decode, decode-xml, decode-json, admit, encode, encode-xml, encode-json or deliver",
+    )?;
     let times: u64 = args
         .next()
         .context("how many times?")?
         .parse()
         .context("how many times?")?;
     match case.as_str() {
-        "decode" | "decode-xml" => {
+        "decode" | "decode-xml" | "decode-json" => {
             let mut coding = Coding::new(form(&case), 16)?;
             let (mut decoded, size) = (0, coding.size() as u64);
             while decoded < times {
                 decoded += black_box(coding.decode_many()?) as u64 / size;
             }
         }
-        "encode" | "encode-xml" => {
+        "encode" | "encode-xml" | "encode-json" => {
             let coding = Coding::new(form(&case), 16)?;
             for _ in 0..times {
                 black_box(coding.encode()?);
@@ -40,14 +40,17 @@ fn main() -> Result<()> {
             }
         }
         "deliver" => Delivery::run(10, times)?,
-        other => bail!("there is no case {other}: decode, decode-xml, admit, encode, encode-xml, deliver"),
+        other => bail!(
+            "there is no case {other}: decode, decode-xml, decode-json, admit, encode, encode-xml, encode-json, deliver"
+        ),
     }
     Ok(())
 }
 
 fn form(case: &str) -> Form {
-    match case.ends_with("-xml") {
-        true => Form::Xml,
-        false => Form::Binary,
+    match case.split_once('-') {
+        Some((_, "xml")) => Form::Xml,
+        Some((_, "json")) => Form::Json,
+        _ => Form::Binary,
     }
 }

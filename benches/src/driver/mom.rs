@@ -1,12 +1,11 @@
-//! MOM's own protocol, binary and XML.
+//! MOM's own protocol, in all its forms.
 
 use bytes::{Bytes, BytesMut};
 use mom_proto::binary::{BinaryDecoder, PREFACE};
 use mom_proto::codec::{Decoder, Form, Frame};
-use mom_proto::xml::XmlDecoder;
 use mom_proto::{ContextNumber, Delivery, Family, Limits, Map, Parcel, Path, Time, Value, WireError};
 
-use super::mom_scan::{BinaryScanner, XML_END, XmlScanner};
+use super::mom_scan::{BinaryScanner, JSON_END, JsonScanner, XML_END, XmlScanner};
 use super::{Driver, Link, Message, NUMBER, Scanner, Template, Topic, now};
 use crate::Error;
 
@@ -71,7 +70,7 @@ impl MomDriver {
         let mut parcel = Parcel::new(Family::Message, name).content(content);
         match self.form {
             Form::Binary => parcel.number = Some(*number),
-            Form::Xml => parcel.context = Some(path.clone()),
+            Form::Xml | Form::Json => parcel.context = Some(path.clone()),
         }
         if topic == Topic::Image {
             parcel.delivery = Some(Delivery::Latest);
@@ -100,17 +99,18 @@ impl Driver for MomDriver {
         let payload = message.payload.max(NUMBER);
         let content = match self.form {
             Form::Binary => Value::Binary(Bytes::from(vec![b'.'; payload])),
-            Form::Xml => Value::from(".".repeat(payload)),
+            Form::Xml | Form::Json => Value::from(".".repeat(payload)),
         };
         let mut parcel = self.message(message.topic, content);
         parcel.echo = Some(message.echo);
         let stamp = parcel.timestamp.map(Time::micros);
         let encoded = self.form.encode(&parcel);
         let frame = encoded.map_err(Error::hub("a message"))?.to_vec();
-        // The content ends the parcel in both forms.
+        // The content ends the parcel in all forms.
         let after = match self.form {
             Form::Binary => 0,
             Form::Xml => XML_END.len(),
+            Form::Json => JSON_END.len(),
         };
         let number_at = frame.len() - after - NUMBER;
         // Where age matters the time is that of sending, else one for all: the clock is not what is measured.
@@ -128,6 +128,7 @@ impl Driver for MomDriver {
         match self.form {
             Form::Binary => Box::new(BinaryScanner::new()),
             Form::Xml => Box::new(XmlScanner::new()),
+            Form::Json => Box::new(JsonScanner::new()),
         }
     }
 }
@@ -149,7 +150,7 @@ impl Session {
             form,
             decoder: match form {
                 Form::Binary => Decoder::Binary(Box::new(BinaryDecoder::for_peer(&limits))),
-                Form::Xml => Decoder::Xml(Box::new(XmlDecoder::new(&limits))),
+                Form::Xml | Form::Json => Decoder::new(form, &limits),
             },
             input: BytesMut::new(),
             last: 0,
@@ -229,7 +230,7 @@ mod tests {
         Template::around(&[], payload, &[]).append(number, &mut text);
         let content = match form {
             Form::Binary => Value::Binary(text.into()),
-            Form::Xml => Value::from(String::from_utf8(text).unwrap()),
+            Form::Xml | Form::Json => Value::from(String::from_utf8(text).unwrap()),
         };
         let mut parcel = driver(form).message(Topic::Forth, content);
         parcel.context = Some(Path::parse("/bench").unwrap());
@@ -241,7 +242,7 @@ mod tests {
 
     #[test]
     fn messages_are_found_by_number() {
-        for form in [Form::Binary, Form::Xml] {
+        for form in Form::ALL {
             for payload in [8, 16, 300, 70_000] {
                 let bytes = frame(form, &delivered(form, payload, 77));
                 let mut scanner = driver(form).scanner();
@@ -276,7 +277,7 @@ mod tests {
 
     #[test]
     fn templates_are_what_the_hub_reads() {
-        for form in [Form::Binary, Form::Xml] {
+        for form in Form::ALL {
             let mut bytes = Vec::new();
             let driver = driver(form);
             driver.template(Message::forth(16)).unwrap().append(5, &mut bytes);
@@ -311,7 +312,7 @@ mod tests {
 
     #[test]
     fn losses_and_strangers_end_the_measurement() {
-        for form in [Form::Binary, Form::Xml] {
+        for form in Form::ALL {
             let mut scanner = driver(form).scanner();
             let pong = frame(form, &Parcel::new(Family::Time, "ping").id(0));
             assert_eq!(scanner.scan(&pong).unwrap(), Scan::Other(pong.len()));

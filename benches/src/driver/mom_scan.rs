@@ -278,6 +278,43 @@ impl Scanner for XmlScanner {
     }
 }
 
+/// Finds parcels in the JSON form.
+pub(super) struct JsonScanner {
+    samples: Samples,
+}
+
+const JSON_MESSAGE: &[u8] = b"{\"family\":\"message\",";
+const JSON_CONTENT: &[u8] = b",\"content\":\"";
+pub(super) const JSON_END: &[u8] = b"\"}\n";
+
+impl JsonScanner {
+    pub(super) fn new() -> JsonScanner {
+        JsonScanner {
+            samples: Samples::new(Form::Json),
+        }
+    }
+}
+
+impl Scanner for JsonScanner {
+    fn scan(&mut self, bytes: &[u8]) -> Result<Scan, Error> {
+        let Some(end) = memchr::memchr(b'\n', bytes) else {
+            return Ok(Scan::Incomplete);
+        };
+        let line = &bytes[..=end];
+        let message = line
+            .strip_prefix(JSON_MESSAGE)
+            .and_then(|rest| rest.strip_suffix(JSON_END))
+            .filter(|rest| memchr::memmem::find(rest, JSON_CONTENT).is_some());
+        let Some(message) = message else {
+            return self.samples.other(line);
+        };
+        if self.samples.next() {
+            self.samples.message(line)?;
+        }
+        Ok(Scan::Parcel(line.len(), Template::last_number(message)?))
+    }
+}
+
 /// The lengths of an XML entity, in bytes.
 struct Entity {
     header: usize,

@@ -17,8 +17,7 @@ use std::time::Duration;
 use mom_hub::{Input, PeerId};
 use mom_login::{Challenge, LoginLink, Logins, network};
 use mom_net::{NetError, Privacy, Reader};
-use mom_proto::codec::Frame;
-use mom_proto::xml::DeferredEntity;
+use mom_proto::codec::{Deferred, Frame};
 use mom_proto::{Code, Content, Family, Limits, Micros, Parcel, Verb, WireError};
 use mom_system::Expiry;
 use parking_lot::RwLock;
@@ -232,7 +231,7 @@ impl Connection {
                 let frame = match reader.try_next() {
                     Ok(None) => match reader.take_deferred() {
                         None => break Ok(()),
-                        Some(entity) => match Box::pin(self.open(entity, &mut touched)).await {
+                        Some(frame) => match Box::pin(self.open(frame, &mut touched)).await {
                             Ok(frame) => frame,
                             Err(end) => break Err(end),
                         },
@@ -296,17 +295,13 @@ impl Connection {
         self.gate() == Gate::Open && self.logged_in && self.services.board.run(&sender, reader, touched)
     }
 
-    /// Has a large document read by a thread that gives way to this one, and waits for that; gives the error to say if
+    /// Has a large frame of a text form read by a thread that gives way to this one, and waits for that; gives the error to say if
     /// the connection ends meanwhile.
-    async fn open(
-        &mut self,
-        entity: Box<DeferredEntity>,
-        touched: &mut Touched,
-    ) -> Result<Frame, Option<WireError>> {
+    async fn open(&mut self, frame: Deferred, touched: &mut Touched) -> Result<Frame, Option<WireError>> {
         flush(touched);
         let (answer, answered) = oneshot::channel();
         self.services.board.workers.run(move || {
-            let frame = entity.open().map(closed);
+            let frame = frame.open().map(closed);
             // Nobody listens if the connection has ended.
             let _ = answer.send(frame);
         });

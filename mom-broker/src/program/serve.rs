@@ -116,7 +116,7 @@ impl ServeArgs {
         for address in broker.local_addrs() {
             writeln!(
                 std::io::stdout(),
-                "listening at tcp://{address} (XML) and bin://{address} (binary)"
+                "listening at tcp://{address} (XML), json://{address} (JSON) and bin://{address} (binary)"
             )?;
         }
         std::io::stdout().flush()?;

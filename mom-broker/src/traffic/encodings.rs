@@ -3,14 +3,16 @@
 use std::sync::Arc;
 
 use mom_proto::codec::{Encoded, Form, Scratch};
-use mom_proto::{Code, HARD_DEPTH, Limit, Parcel, WireError, xml};
+use mom_proto::{Code, HARD_DEPTH, Limit, Parcel, WireError};
 use mom_system::Workers;
 
-use crate::traffic::later_xml::LaterXml;
+use crate::traffic::later_text::LaterText;
 use crate::traffic::replay::Replay;
 
-/// A larger parcel is written in XML outside the channel's critical section, when its first receiver comes to it.
+/// A larger parcel is written as text outside the channel's critical section, when its first receiver comes to it.
 const INLINE: usize = 4 * 1024;
+/// What the slots of a parcel in memory are charged.
+const SLOTS: usize = 256;
 
 /// What a parcel may become on its way to a receiver.
 #[derive(Clone, Copy, Debug)]
@@ -32,29 +34,30 @@ pub(crate) struct Encoder {
 /// A parcel encoded once for each form among its receivers.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Encodings {
-    xml: Xml,
+    xml: Text,
+    json: Text,
     binary: Option<Encoded>,
     local: Option<Arc<Parcel>>,
     replay: Option<Arc<Replay>>,
 }
 
-/// The XML form of a parcel.
+/// A parcel in one of the text forms.
 #[derive(Clone, Debug, Default)]
-enum Xml {
+enum Text {
     /// Nobody needs it.
     #[default]
     None,
     Written(Encoded),
-    /// Its content is no value, or too large as XML.
+    /// Its content is no value, or too large in this form.
     Bad,
-    Later(Arc<LaterXml>),
+    Later(Arc<LaterText>),
 }
 
 /// What has to be done before a packet can leave.
 #[derive(Debug)]
 pub(crate) enum Unready {
-    /// It has to be written in XML.
-    Xml(Arc<LaterXml>),
+    /// It has to be written in a text form.
+    Text(Arc<LaterText>),
     /// It stands for others, the next of which have to take its place.
     Replay(Arc<Replay>),
 }
@@ -82,7 +85,7 @@ impl Encoder {
         self.bounds.parcel.allows(size)
     }
 
-    /// Encodes what a peer says. What cannot be written in XML fails for receivers of that form alone.
+    /// Encodes what a peer says. What cannot be written in a text form fails for receivers of that form alone.
     ///
     /// # Errors
     /// `too-long` for what came within the limit of a parcel and, with what the hub adds, is beyond it: its receivers
@@ -97,12 +100,14 @@ impl Encoder {
         for form in forms {
             match form {
                 None => local = true,
-                Some(Form::Xml) if matches!(encodings.xml, Xml::None) => encodings.xml = self.xml(&parcel),
-                Some(Form::Binary) if encodings.binary.is_none() => {
-                    let binary = Form::Binary.encode_with(&parcel, &mut self.scratch)?;
-                    encodings.binary = Some(self.within_limit(binary)?);
-                }
-                Some(_) => {}
+                Some(form) if encodings.holds(form) => {}
+                Some(form) => match encodings.text_mut(form) {
+                    Some(text) => *text = self.text(form, &parcel),
+                    None => {
+                        let binary = form.encode_with(&parcel, &mut self.scratch)?;
+                        encodings.binary = Some(self.within_limit(binary)?);
+                    }
+                },
             }
         }
         encodings.local = local.then(|| Arc::new(parcel));
@@ -122,20 +127,16 @@ impl Encoder {
         Err(WireError::new(Code::TOO_LONG, text))
     }
 
-    fn xml(&self, parcel: &Parcel) -> Xml {
+    fn text(&self, form: Form, parcel: &Parcel) -> Text {
         let size = parcel.size();
         if size > INLINE {
             let workers = Arc::clone(&self.workers);
-            return Xml::Later(Arc::new(LaterXml::new(
-                parcel.clone(),
-                size,
-                self.bounds,
-                workers,
-            )));
+            let later = LaterText::new(form, parcel.clone(), size, self.bounds, workers);
+            return Text::Later(Arc::new(later));
         }
-        match xml::encode_within(parcel, self.bounds.depth, self.bounds.parcel) {
-            Ok(written) => Xml::Written(written),
-            Err(_) => Xml::Bad,
+        match form.encode_within(parcel, self.bounds.depth, self.bounds.parcel) {
+            Ok(written) => Text::Written(written),
+            Err(_) => Text::Bad,
         }
     }
 }
@@ -151,14 +152,14 @@ impl Encodings {
         for form in forms {
             match form {
                 None => local = true,
-                Some(Form::Xml) if matches!(encodings.xml, Xml::None) => {
-                    let written = xml::encode_within(&parcel, HARD_DEPTH, Limit::Unlimited)?;
-                    encodings.xml = Xml::Written(written);
+                Some(form) if encodings.holds(form) => {}
+                Some(form) => {
+                    let written = form.encode_within(&parcel, HARD_DEPTH, Limit::Unlimited)?;
+                    match encodings.text_mut(form) {
+                        Some(text) => *text = Text::Written(written),
+                        None => encodings.binary = Some(written),
+                    }
                 }
-                Some(Form::Binary) if encodings.binary.is_none() => {
-                    encodings.binary = Some(Form::Binary.encode(&parcel)?);
-                }
-                Some(_) => {}
             }
         }
         encodings.local = local.then(|| Arc::new(parcel));
@@ -181,50 +182,68 @@ impl Encodings {
         }
     }
 
+    /// The place of this form, none if it is the binary one.
+    fn text(&self, form: Form) -> Option<&Text> {
+        match form {
+            Form::Xml => Some(&self.xml),
+            Form::Json => Some(&self.json),
+            Form::Binary => None,
+        }
+    }
+
+    fn text_mut(&mut self, form: Form) -> Option<&mut Text> {
+        match form {
+            Form::Xml => Some(&mut self.xml),
+            Form::Json => Some(&mut self.json),
+            Form::Binary => None,
+        }
+    }
+
+    /// Whether it is encoded in this form, or failed to be.
+    fn holds(&self, form: Form) -> bool {
+        match self.text(form) {
+            Some(text) => !matches!(text, Text::None),
+            None => self.binary.is_some(),
+        }
+    }
+
     /// The frames for a receiver of this form, none inside this process or while they are not ready.
     pub(crate) fn frames(&self, form: Option<Form>) -> Option<&Encoded> {
-        match (form?, &self.xml) {
-            (Form::Binary, _) => self.binary.as_ref(),
-            (Form::Xml, Xml::Written(written)) => Some(written),
-            (Form::Xml, Xml::Later(later)) => later.written()?,
-            (Form::Xml, Xml::None | Xml::Bad) => None,
+        match self.text(form?) {
+            None => self.binary.as_ref(),
+            Some(Text::Written(written)) => Some(written),
+            Some(Text::Later(later)) => later.written()?,
+            Some(Text::None | Text::Bad) => None,
         }
     }
 
     /// What has to be done before it can leave in this form.
     pub(crate) fn unready(&self, form: Option<Form>) -> Option<Unready> {
-        match (&self.replay, form, &self.xml) {
-            (Some(replay), ..) => Some(Unready::Replay(Arc::clone(replay))),
-            (None, Some(Form::Xml), Xml::Later(later)) if later.written().is_none() => {
-                Some(Unready::Xml(Arc::clone(later)))
-            }
+        if let Some(replay) = &self.replay {
+            return Some(Unready::Replay(Arc::clone(replay)));
+        }
+        match self.text(form?)? {
+            Text::Later(later) if later.written().is_none() => Some(Unready::Text(Arc::clone(later))),
             _ => None,
         }
     }
 
     /// Whether it can never leave in this form.
     pub(crate) fn is_bad(&self, form: Option<Form>) -> bool {
-        form == Some(Form::Xml)
-            && match &self.xml {
-                Xml::Bad => true,
-                Xml::Later(later) => matches!(later.written(), Some(None)),
-                Xml::None | Xml::Written(_) => false,
-            }
+        match form.and_then(|form| self.text(form)) {
+            Some(Text::Bad) => true,
+            Some(Text::Later(later)) => matches!(later.written(), Some(None)),
+            Some(Text::None | Text::Written(_)) | None => false,
+        }
     }
 
     /// The memory that it takes, however many share it.
     pub(crate) fn memory(&self) -> usize {
-        const SLOTS: usize = 256;
-        let xml = match &self.xml {
-            Xml::None | Xml::Bad => 0,
-            Xml::Written(written) => written.len(),
-            Xml::Later(later) => SLOTS + later.size(),
-        };
         let binary = self.binary.as_ref().map_or(0, Encoded::len);
         let local = self.local.as_ref().map_or(0, |parcel| SLOTS + parcel.size());
         // What is kept is charged where it is kept.
         let replay = self.replay.as_ref().map_or(0, |replay| replay.charge());
-        xml + binary + local + replay
+        self.xml.size() + self.json.size() + binary + local + replay
     }
 
     /// The parcel for a receiver inside this process.
@@ -235,14 +254,24 @@ impl Encodings {
     /// What a receiver of this form is charged, the same from the first moment to the last. Inside this process parcels
     /// are shared with all others, but the bound has to be a bound.
     pub(crate) fn charge(&self, form: Option<Form>) -> usize {
-        const SLOTS: usize = 256;
-        match (form, &self.xml, &self.replay) {
-            (_, _, Some(replay)) => replay.charge(),
-            (Some(Form::Xml), Xml::Later(later), _) => SLOTS + later.size(),
-            (Some(Form::Xml), Xml::Written(written), _) => written.len(),
-            (Some(Form::Binary), ..) => self.binary.as_ref().map_or(0, Encoded::len),
-            (None, ..) => SLOTS + self.local.as_ref().map_or(0, |parcel| parcel.size()),
-            (Some(Form::Xml), Xml::None | Xml::Bad, _) => 0,
+        if let Some(replay) = &self.replay {
+            return replay.charge();
+        }
+        match form.map(|form| self.text(form)) {
+            None => SLOTS + self.local.as_ref().map_or(0, |parcel| parcel.size()),
+            Some(None) => self.binary.as_ref().map_or(0, Encoded::len),
+            Some(Some(text)) => text.size(),
+        }
+    }
+}
+
+impl Text {
+    /// What it is charged, the same before and after it is written.
+    fn size(&self) -> usize {
+        match self {
+            Text::None | Text::Bad => 0,
+            Text::Written(written) => written.len(),
+            Text::Later(later) => SLOTS + later.size(),
         }
     }
 }

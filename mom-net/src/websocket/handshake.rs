@@ -24,7 +24,7 @@ use crate::{Address, HttpStream, NetError, Transceiver, http as http_door, socke
 const MAGIC: &str = "258EAFA5-E914-47DA-95CA-C5AB0DC85B11";
 
 /// The subprotocols, in the order of the hub's preference.
-const PROTOCOLS: [(&str, Form); 1] = [("mom.bin.v1", Form::Binary)];
+const PROTOCOLS: [(&str, Form); 2] = [("mom.json.v1", Form::Json), ("mom.bin.v1", Form::Binary)];
 
 /// A request to become a WebSocket that can be granted.
 #[derive(Debug)]

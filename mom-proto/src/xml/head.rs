@@ -2,10 +2,10 @@
 
 use mime::Mime;
 
+use crate::text_form::brief;
 use crate::{Code, Limits, WireError};
 
 use super::FIRST;
-use super::name::brief;
 
 // Lines as this crate itself writes them need no parser of headers and media types.
 const OWN_TYPE: &[u8] = b"Content-Type: application/xml; charset=utf-8";

@@ -3,9 +3,10 @@
 use std::borrow::Cow;
 
 use crate::nearest::nearest;
+use crate::text_form::{brief, within};
 use crate::{Code, Limits, ValueKind, WireError};
 
-use super::name::{brief, is_name, within};
+use super::name::is_name;
 use super::text::{TextKind, bad, first_ink, is_blank, unescape};
 
 /// One lexeme; positions count from the start of the text.

@@ -18,7 +18,6 @@ mod lexeme;
 mod multipart;
 mod name;
 mod read;
-mod scalar;
 mod text;
 mod write;
 
@@ -261,6 +260,6 @@ pub fn sniff(first: &[u8]) -> Result<bool, WireError> {
     }
     Err(WireError::new(
         Code::BAD_FRAME,
-        "a connection begins with \"Content-\" (XML) or the preface of the binary form",
+        "a connection begins with \"Content-\" (XML), { (JSON) or the preface of the binary form",
     ))
 }

@@ -7,10 +7,10 @@ use indexmap::IndexMap;
 use indexmap::map::Entry;
 use memchr::memmem::Finder;
 
+use crate::text_form::brief;
 use crate::{Code, Limits, WireError};
 
 use super::head::{self, Media};
-use super::name::brief;
 
 /// The binary parts by their Content-ID; each is taken exactly once.
 #[derive(Debug, Default)]

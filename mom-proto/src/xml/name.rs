@@ -1,10 +1,4 @@
-//! Names of elements and attributes, and how names and places are shown in errors.
-
-use crate::{Value, WireError};
-
-// A slot's path names where to look; it does not repeat a kilobyte of keys.
-const PATH_BYTES: usize = 256;
-const SHOWN_BYTES: usize = 64;
+//! Names of elements and attributes.
 
 /// Whether this is an XML 1.0 name without `:`.
 pub(super) fn is_name(text: &str) -> bool {
@@ -30,26 +24,6 @@ pub(super) fn is_reserved(name: &str) -> bool {
     name.as_bytes()
         .get(..3)
         .is_some_and(|first| first.eq_ignore_ascii_case(b"xml"))
-}
-
-/// The beginning of a text, for errors: what is echoed stays small.
-pub(super) fn brief(text: &str) -> &str {
-    let mut end = text.len().min(SHOWN_BYTES);
-    while !text.is_char_boundary(end) {
-        end -= 1;
-    }
-    &text[..end]
-}
-
-/// Puts a key or an index before the error's slot.
-pub(super) fn within(error: WireError, key: &str) -> WireError {
-    let key = brief(key);
-    let path = match error.get("slot").and_then(Value::as_str) {
-        None => key.to_owned(),
-        Some(inner) if inner.len() > PATH_BYTES => format!("{key}/…"),
-        Some(inner) => format!("{key}/{inner}"),
-    };
-    error.slot(&path)
 }
 
 // XML 1.0, fifth edition, productions 4 and 4a, without the colon.
@@ -91,11 +65,5 @@ mod tests {
         ] {
             assert!(!is_element_key(bad), "{bad}");
         }
-    }
-
-    #[test]
-    fn brief_keeps_whole_characters() {
-        assert_eq!(brief(&"ü".repeat(50)), "ü".repeat(32));
-        assert_eq!(brief(&format!("a{}", "ü".repeat(50))).len(), 63);
     }
 }

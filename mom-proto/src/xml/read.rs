@@ -3,13 +3,13 @@
 use std::borrow::Cow;
 
 use crate::slots::too_long;
+use crate::text_form::{brief, decode, scalar, within};
 use crate::{Code, HARD_DEPTH, Limits, Map, Parcel, ReadSlots, SlotValue, Value, ValueKind, WireError};
 
 use super::lexeme::{Lexeme, Lexemes, Tag};
 use super::multipart::Parts;
-use super::name::{brief, is_reserved, within};
-use super::scalar;
-use super::text::{self, TextKind, bad, first_ink, unescape};
+use super::name::is_reserved;
+use super::text::{TextKind, bad, first_ink, unescape};
 
 /// Why a document is no parcel, and its id if that was read before.
 #[derive(Debug)]
@@ -25,7 +25,7 @@ pub(super) fn read(
     limits: &Limits,
     parts: &mut Parts,
 ) -> Result<Parcel, Failed> {
-    let (text, broken) = match text::decode(document, base) {
+    let (text, broken) = match decode(document, base) {
         Ok(text) => (text, None),
         Err((good, error)) => (good, Some(error)),
     };

@@ -1,10 +1,9 @@
-//! Text between bytes and characters: the encoding, references, line ends.
+//! Text as it stands in XML: references, line ends.
 
 use std::borrow::Cow;
 
-use crate::{Code, WireError, is_xml_char, xml_violation};
-
-use super::name::brief;
+use crate::text_form::brief;
+use crate::{Code, WireError, is_xml_char};
 
 // `&#x10FFFF;` and a few zeros: no reference needs more.
 const REFERENCE_BYTES: usize = 12;
@@ -14,41 +13,6 @@ const REFERENCE_BYTES: usize = 12;
 pub(super) enum TextKind {
     Element,
     Attribute,
-}
-
-/// The text of an XML document, or its valid beginning and the error after it.
-pub(super) fn decode(bytes: &[u8], base: usize) -> Result<&str, (&str, WireError)> {
-    let bad =
-        |position: usize, why: String| WireError::new(Code::BAD_ENCODING, why).position(base + position);
-    if bytes.starts_with(&[0xEF, 0xBB, 0xBF])
-        || bytes.starts_with(&[0xFE, 0xFF])
-        || bytes.starts_with(&[0xFF, 0xFE])
-    {
-        let why = "XML is in UTF-8 without a byte order mark".to_owned();
-        return Err(("", bad(0, why)));
-    }
-    let (text, end) = match std::str::from_utf8(bytes) {
-        Ok(text) => (text, None),
-        Err(error) => {
-            let (good, _) = bytes.split_at(error.valid_up_to());
-            (std::str::from_utf8(good).unwrap_or_default(), Some(good.len()))
-        }
-    };
-    if let Some(position) = xml_violation(text) {
-        let c = text[position..].chars().next().unwrap_or_default();
-        let why = format!("the character {c:?} does not exist in XML");
-        return Err((&text[..position], bad(position, why)));
-    }
-    match end {
-        None => Ok(text),
-        Some(position) => Err((
-            text,
-            bad(
-                position,
-                format!("the byte 0x{:02X} is no UTF-8 here", bytes[position]),
-            ),
-        )),
-    }
 }
 
 /// Resolves references and line ends; `base` is the raw text's position in the body.
@@ -202,26 +166,5 @@ mod tests {
             check(raw, TextKind::Element, Err(position));
             check(raw, TextKind::Attribute, Err(position));
         }
-    }
-
-    #[test]
-    fn only_utf8_of_xml_characters() {
-        for (bytes, position) in [
-            (&b"ab\xff"[..], 2),
-            (b"a\0", 1),
-            (b"\xed\xa0\x80", 0),
-            (b"a\xef\xbf\xbe", 1),
-            (b"\xef\xbb\xbf<parcel/>", 0),
-            (b"\xff\xfe<\0", 0),
-            (b"\xfe\xff\0<", 0),
-            (b"\xc3", 0),
-            (b"a\x1b\xff", 1),
-        ] {
-            let (good, error) = decode(bytes, 7).expect_err("bad");
-            assert_eq!(error.code, Code::BAD_ENCODING);
-            assert_eq!(error.get("position"), Some(&crate::Value::Int(7 + position)));
-            assert!(bytes.starts_with(good.as_bytes()) && good.len() as i64 <= position);
-        }
-        assert_eq!(decode("ü\r\n\t".as_bytes(), 0), Ok("ü\r\n\t"));
     }
 }

@@ -13,9 +13,10 @@ use crate::codec::Encoded;
 use crate::msgpack::{self, Item, ItemReader, key_twice};
 use crate::names::position_of;
 use crate::slots::check_extra;
-use crate::{Code, Content, HARD_DEPTH, Limit, Parcel, SlotValue, Value, ValueKind, WireError, write_slots};
+use crate::text_form::{deeper, not_encodable, too_large, within};
+use crate::{Content, HARD_DEPTH, Limit, Parcel, SlotValue, Value, ValueKind, WireError, write_slots};
 
-use super::name::{is_element_key, within};
+use super::name::is_element_key;
 
 // Longer binary gets a part of its own: base64 costs a third more, a part some 80 bytes.
 const INLINE_BYTES: usize = 64;
@@ -66,7 +67,7 @@ pub fn encode_within(parcel: &Parcel, depth: usize, most: Limit) -> Result<Encod
             head,
             body: Bytes::new(),
         }),
-        false => Err(too_large(most.get())),
+        false => Err(too_large("XML", most.get())),
     }
 }
 
@@ -251,7 +252,7 @@ impl XmlWriter {
     /// Begins a tag, which has to be ended.
     fn begin(&mut self, name: &str, key: Option<&str>, kind: ValueKind) -> Result<(), WireError> {
         if self.out.len() + self.part_bytes > self.most.saturating_add(HEAD_BYTES) {
-            return Err(too_large(self.most));
+            return Err(too_large("XML", self.most));
         }
         self.out.push(b'<');
         self.put(name.as_bytes());
@@ -411,28 +412,9 @@ fn escape(text: &str, attribute: bool, out: &mut Vec<u8>, most: usize) -> Result
         out.extend_from_slice(escaped);
         copied = at;
         if out.len() > most.saturating_add(HEAD_BYTES) {
-            return Err(too_large(most));
+            return Err(too_large("XML", most));
         }
     }
     out.extend_from_slice(&bytes[copied..]);
     Ok(())
-}
-
-fn deeper(depth: usize) -> Result<usize, WireError> {
-    depth.checked_sub(1).ok_or_else(|| {
-        WireError::new(
-            Code::TOO_DEEP,
-            format!("lists and maps are nested deeper than {HARD_DEPTH}"),
-        )
-    })
-}
-
-fn too_large(most: usize) -> WireError {
-    not_encodable(format!(
-        "in XML this parcel has more than {most} bytes, the limit"
-    ))
-}
-
-fn not_encodable(text: String) -> WireError {
-    WireError::new(Code::NOT_ENCODABLE, text)
 }

@@ -22,13 +22,15 @@ const STREAMED: Door = Door::Tunnel { polled: false };
 const POLLED: Door = Door::Tunnel { polled: true };
 
 /// What peers are mixed of: each form and each door, beside others that differ in both.
-const MIX: [Carrier; 9] = [
+const MIX: [Carrier; 11] = [
     Carrier::Remote(Form::Xml, Door::Stream, false),
     Carrier::Remote(Form::Binary, Door::WebSocket, true),
     Carrier::Local,
     Carrier::Remote(Form::Binary, Door::Stream, false),
     Carrier::Remote(Form::Xml, STREAMED, true),
+    Carrier::Remote(Form::Json, Door::WebSocket, false),
     Carrier::Remote(Form::Binary, Door::Stream, true),
+    Carrier::Remote(Form::Json, Door::Stream, true),
     Carrier::Remote(Form::Xml, Door::Stream, true),
     Carrier::Remote(Form::Binary, POLLED, false),
     Carrier::Remote(Form::Binary, Door::WebSocket, false),

@@ -67,15 +67,22 @@ fn over_websocket_binary() {
 }
 
 #[test]
+fn over_websocket_json() {
+    check_both(Form::Json, Door::WebSocket);
+}
+
+#[test]
 fn through_a_tunnel() {
-    check_both(Form::Xml, Door::Tunnel { polled: false });
-    check_both(Form::Binary, Door::Tunnel { polled: false });
+    for form in Form::ALL {
+        check_both(form, Door::Tunnel { polled: false });
+    }
 }
 
 #[test]
 fn through_a_polled_tunnel() {
-    check_both(Form::Xml, Door::Tunnel { polled: true });
-    check_both(Form::Binary, Door::Tunnel { polled: true });
+    for form in Form::ALL {
+        check_both(form, Door::Tunnel { polled: true });
+    }
 }
 
 #[test]

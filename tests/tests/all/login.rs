@@ -39,7 +39,7 @@ fn guest() -> Map {
 async fn guests_are_let_in_where_the_hub_says_so() {
     let broker = lab::start_with(guests).await;
     let closed = lab::start().await;
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let mut nobody = Raw::connect(closed.local_addr(), form).await;
         let error = log_in(&mut nobody, guest()).await.expect_err("not there");
         assert_eq!(error.code.word(), "bad-login");
@@ -94,7 +94,7 @@ async fn every_proof_again_on_a_live_connection() {
         config.login.jwt = Some(issuer.config());
     })
     .await;
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let mut bob = Raw::connect(broker.local_addr(), form).await;
         let joined = |welcome: Value| {
             assert_eq!(welcome.get("peer"), Some(&Value::from("bob")));

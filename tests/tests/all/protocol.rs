@@ -55,6 +55,30 @@ fn the_entities_are_exact() {
 }
 
 #[test]
+fn the_lines_are_exact() {
+    let [block] = blocks("json")[..] else {
+        panic!("one block of lines")
+    };
+    let lines: Vec<Parcel> = block
+        .lines()
+        .map(|line| read(Form::Json, format!("{line}\n").as_bytes()))
+        .collect();
+    let [login, join, settings] = &lines[..] else {
+        panic!("{} lines", lines.len())
+    };
+    assert!(login.is(Family::Login, "login") && join.is(Family::Context, "join"));
+    let content = settings.value();
+    for (key, value) in [
+        ("key", Value::Binary(vec![1, 2, 3, 4].into())),
+        ("pixels", i64::MAX.into()),
+        ("zoom", Value::Double(1.0)),
+    ] {
+        assert_eq!(content.get(key), Some(&value), "{key}");
+    }
+    assert!(matches!(content.get("since"), Some(Value::Time(_))));
+}
+
+#[test]
 fn the_frames_are_exact() {
     let [block] = blocks("frames")[..] else {
         panic!("one block of frames")

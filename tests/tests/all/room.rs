@@ -161,7 +161,7 @@ impl Scene {
 /// All or nothing: what is refused after a wait has reached nobody, and can be sent again.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_finds_no_room_is_refused_and_reaches_nobody() {
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let mut scene = Scene::new(form).await;
         let info = scene.carol.ask_about(Family::Context, "info", BULK).await;
         let info = info.expect("people may");

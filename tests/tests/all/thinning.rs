@@ -38,7 +38,8 @@ impl Scene {
     async fn new(form: Form, path: &str, options: Map) -> Scene {
         let other = match form {
             Form::Xml => Form::Binary,
-            Form::Binary => Form::Xml,
+            Form::Binary => Form::Json,
+            Form::Json => Form::Xml,
         };
         let clock = lab::clock();
         let broker = lab::start_at(clock.clone(), |_| {}).await;
@@ -100,7 +101,7 @@ impl Scene {
 
 #[tokio::test]
 async fn a_rate_hands_out_the_newest_when_its_turn_comes() {
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let mut scene = Scene::new(form, CHAT, rate("5/s")).await;
         for number in 0..10 {
             let taken = scene.say(CHAT, "state", &format!("state {number}")).await;
@@ -156,7 +157,7 @@ async fn a_burst_of_plain_messages_is_thinned_too() {
 
 #[tokio::test]
 async fn commands_stops_and_halts_are_never_thinned() {
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let options = rate("1/min").with("newest", true);
         let mut scene = Scene::new(form, ARM, options).await;
         let grab = Parcel::new(Family::Token, "grab").context(at(TOKEN));
@@ -182,7 +183,7 @@ async fn commands_stops_and_halts_are_never_thinned() {
 
 #[tokio::test]
 async fn joining_again_changes_it_and_leaving_ends_it() {
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let mut scene = Scene::new(form, CHAT, rate("1/min")).await;
         for words in ["one", "two"] {
             scene.say(CHAT, "state", words).await;

@@ -188,7 +188,7 @@ fn fresh_steps(config: &mut mom_broker::Config) {
 
 #[tokio::test]
 async fn a_manager_may_ask_for_fresh_messages() {
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let clock = lab::clock();
         let broker = lab::start_at(clock.clone(), fresh_steps).await;
         let mut alice = Skewed::login(&broker, &clock, form, -HOUR).await;

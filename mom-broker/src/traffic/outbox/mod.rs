@@ -310,7 +310,7 @@ impl Outbox {
     async fn make_ready(&self, packet: &Arc<Packet>) {
         match packet.encodings.unready(self.form()) {
             None => {}
-            Some(Unready::Xml(later)) => {
+            Some(Unready::Text(later)) => {
                 tokio::select! {
                     () = later.write() => {}
                     () = self.wake.notified() => {}

@@ -124,7 +124,7 @@ impl Packet {
     /// Whether it may leave a moment later if that saves work: small, and no more urgent than usual.
     pub(crate) fn can_wait(&self) -> bool {
         let small = |form| self.encodings.charge(form) <= SMALL;
-        !self.lane.is_urgent() && [Some(Form::Binary), Some(Form::Xml), None].into_iter().all(small)
+        !self.lane.is_urgent() && Form::ALL.map(Some).into_iter().chain([None]).all(small)
     }
 }
 

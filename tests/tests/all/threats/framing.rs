@@ -9,7 +9,7 @@ use mom_proto::{Family, Value, WireError};
 use mom_tests::lab;
 use mom_tests::raw::{Raw, message};
 
-use super::{After, World, chat_binary, chat_xml, entity, frame};
+use super::{After, World, chat_binary, chat_json, chat_xml, entity, frame};
 
 /// Short enough for a test, long enough for the canary's own logins.
 const LOGIN_TIME: u64 = 1500;
@@ -26,6 +26,11 @@ async fn threat_4_the_login_deadline() {
             "an unfinished element",
             Form::Xml,
             login[..login.len() - 1].to_vec(),
+        ),
+        (
+            "an unfinished line",
+            Form::Json,
+            chat_json(format!("\"content\":\"{}", "x".repeat(10_000)))[..9_000].to_vec(),
         ),
         (
             "an unfinished frame",
@@ -334,7 +339,7 @@ async fn threat_6_lengths_inside_a_frame() {
             .await;
     }
     for first in [
-        &b"GET / HTTP/1.1\r\n\r\n"[..],
+        &b"SSH-2.0-MOM\r\n"[..],
         b"\x8fMOX\x01\0",
         b"\x16\x03\x01\x02\0\x01\0\x01",
         b"<parcel/>",

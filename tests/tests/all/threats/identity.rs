@@ -12,7 +12,7 @@ use super::{After, CHAT, World, chat_xml, entity};
 #[tokio::test]
 async fn threat_13_forged_slots() {
     let mut world = World::start().await;
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let mut bob = world.attacker(form).await;
         let mut forged = message("chat", CHAT, "I am the hub");
         forged.sender = Some("hub".into());
@@ -59,7 +59,7 @@ async fn threat_13_forged_slots() {
 #[tokio::test]
 async fn threat_13_forged_fences() {
     let world = World::start().await;
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let mut bob = Raw::login(world.address(), form, "bob").await;
         bob.join(&["/robot", "/robot/arm"]).await;
         let info = bob

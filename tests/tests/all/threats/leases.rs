@@ -44,7 +44,7 @@ async fn threat_20_renewed_or_expired() {
     arena::make(world.address(), eager()).await;
     let mut robot = Robot::enter(world.address(), Form::Binary).await;
     let mut rounds = [0_u64; 2];
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let mut alice = arena::enter(world.address(), form, "alice").await;
         let name = alice.name().to_owned();
         for when in [When::Before, When::Racing, When::At, When::After].repeat(12) {
@@ -108,7 +108,7 @@ async fn threat_20_renewed_or_expired() {
 /// fence is old where it names it, and as one who owns nothing where it does not.
 #[tokio::test]
 async fn threat_21_a_frozen_owner_wakes() {
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let clock = lab::clock();
         let mut world = World::start_at(clock.clone(), |_| {}).await;
         arena::make(world.address(), eager()).await;

@@ -67,7 +67,7 @@ async fn fill(speaker: &mut Raw, delivery: Delivery) -> usize {
 /// Reliable parcels are never dropped silently: the receiver is closed, and hears why if it reads then.
 #[tokio::test]
 async fn threat_26_a_slow_receiver_is_closed() {
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let mut world = world().await;
         let mut bob = sleeper(&mut world, form).await;
         let mut carol = speaker(world.address()).await;
@@ -90,7 +90,7 @@ async fn threat_26_a_slow_receiver_is_closed() {
 /// A receiver that reads, and that a burst has overtaken, is not slow.
 #[tokio::test]
 async fn threat_26_who_is_behind_by_a_burst_stays() {
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let mut world = World::start().await;
         let mut bob = sleeper(&mut world, form).await;
         let mut carol = speaker(world.address()).await;

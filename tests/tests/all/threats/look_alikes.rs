@@ -5,7 +5,7 @@ use mom_proto::{Family, Map, Parcel, Value, WireError};
 use mom_tests::raw::Raw;
 
 use super::arena::create;
-use super::names::{join_binary, join_xml};
+use super::names::joins;
 use super::{After, World};
 
 /// What looks like `alice`, and is not.
@@ -47,7 +47,7 @@ async fn login(peer: &mut Raw, user: &str, nickname: Option<&str>) -> Result<Val
 #[tokio::test]
 async fn threat_12_nicknames() {
     let world = World::start().await;
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let mut bob = Raw::connect(world.address(), form).await;
         for nickname in ALICES.into_iter().chain([DECOMPOSED]) {
             let error = login(&mut bob, "bob", Some(nickname)).await.expect_err(nickname);
@@ -61,7 +61,7 @@ async fn threat_12_nicknames() {
             bob = Raw::connect(world.address(), form).await;
         }
     }
-    let tried = 2 * (ALICES.len() as u64 + 1);
+    let tried = Form::ALL.len() as u64 * (ALICES.len() as u64 + 1);
     let refused = [("what", "refused"), ("user", "bob"), ("code", "bad-name")];
     assert_eq!(world.end().await.count(&refused), tried);
 }
@@ -74,7 +74,7 @@ async fn threat_12_users() {
         config.login.throttle.per_account.burst = 1000;
     })
     .await;
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         for user in ALICES.into_iter().chain([DECOMPOSED]) {
             let mut stranger = Raw::connect(world.address(), form).await;
             let content = Map::new().with("name", user).with("password", "alice");
@@ -101,7 +101,7 @@ async fn threat_12_paths() {
         "/robot/t\u{43e}ken", // below
         "/cafe\u{301}",       // é in two characters
     ] {
-        for (form, bytes) in [(Form::Xml, join_xml(path)), (Form::Binary, join_binary(path))] {
+        for (form, bytes) in joins(path) {
             world.attack(path, form, &bytes, "bad-path", After::Kept).await;
         }
     }

@@ -71,7 +71,7 @@ async fn expect_no_answer(peer: &mut Raw) {
 
 #[tokio::test]
 async fn threat_23_hangs_and_answers_late() {
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let clock = lab::clock();
         let mut world = World::start_at(clock.clone(), |_| {}).await;
         let mut desk = desk(&world, form).await;
@@ -99,7 +99,7 @@ async fn threat_23_hangs_and_answers_late() {
 
 #[tokio::test]
 async fn threat_23_answers_twice() {
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let mut world = World::start_at(lab::clock(), |_| {}).await;
         let mut desk = desk(&world, form).await;
         let mut bob = Raw::login(world.address(), form, "bob").await;
@@ -150,7 +150,7 @@ async fn threat_23_at_the_deadline() {
 
 #[tokio::test]
 async fn threat_23_dies() {
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         for reset in [false, true] {
             let mut world = World::start_at(lab::clock(), |_| {}).await;
             let mut desk = desk(&world, form).await;

@@ -5,6 +5,7 @@ mod flood;
 mod framing;
 mod identity;
 mod leases;
+mod lines;
 mod load;
 mod login;
 mod look_alikes;
@@ -201,6 +202,12 @@ fn chat_xml(slots: &str) -> String {
     format!(
         "<parcel><family>message</family><name>chat</name><id>7</id><context>{CHAT}</context>{slots}</parcel>"
     )
+}
+
+/// The line of JSON of a message to the witness with these further members.
+fn chat_json(members: impl AsRef<[u8]>) -> Vec<u8> {
+    let head = format!("{{\"family\":\"message\",\"name\":\"chat\",\"id\":7,\"context\":\"{CHAT}\",");
+    [head.as_bytes(), members.as_ref(), b"}\n"].concat()
 }
 
 /// A binary message to the witness with this content, which need not be any.

@@ -13,6 +13,21 @@ pub(super) fn join_xml(path: &str) -> Vec<u8> {
     ))
 }
 
+pub(super) fn join_json(path: &str) -> Vec<u8> {
+    let path = path.replace('\\', "\\\\").replace('\0', "\\u0000");
+    let line = format!("{{\"family\":\"context\",\"name\":\"join\",\"id\":7,\"context\":\"{path}\"}}\n");
+    line.into_bytes()
+}
+
+/// `join`, id 7, the path, in each form.
+pub(super) fn joins(path: &str) -> [(Form, Vec<u8>); 3] {
+    [
+        (Form::Xml, join_xml(path)),
+        (Form::Binary, join_binary(path)),
+        (Form::Json, join_json(path)),
+    ]
+}
+
 /// `join`, id 7, the path: bits name, id, family, context by path.
 pub(super) fn join_binary(path: &str) -> Vec<u8> {
     let mut bytes = vec![0, 0x92, 0x88, 0x10, 17 << 1 | 1, 7, 2];
@@ -26,7 +41,7 @@ pub(super) fn join_binary(path: &str) -> Vec<u8> {
     frame(&bytes)
 }
 
-/// Threat 11: one canonical form; what is not in it is refused, in both wire forms.
+/// Threat 11: one canonical form; what is not in it is refused, in all wire forms.
 #[tokio::test]
 async fn threat_11_paths() {
     let mut world = World::start().await;
@@ -62,16 +77,12 @@ async fn threat_11_paths() {
         &deep,
     ] {
         let what: String = path.chars().take(30).collect();
-        let (xml, binary) = (join_xml(path), join_binary(path));
-        for (form, bytes) in [(Form::Xml, xml), (Form::Binary, binary)] {
+        for (form, bytes) in joins(path) {
             let error = world.attack(&what, form, &bytes, "bad-path", After::Kept).await;
             assert_eq!(error.get("slot"), Some(&Value::from("context")), "{what}");
         }
     }
-    for (form, bytes) in [
-        (Form::Xml, join_xml("/chat\0")),
-        (Form::Binary, join_binary("/chat\0")),
-    ] {
+    for (form, bytes) in joins("/chat\0") {
         world
             .attack("NUL", form, &bytes, "bad-encoding", After::Kept)
             .await;
@@ -81,11 +92,12 @@ async fn threat_11_paths() {
     for (form, bytes, code) in [
         (Form::Xml, join_xml(&megabyte), "too-long"),
         (Form::Binary, join_binary(&megabyte), "bad-path"),
+        (Form::Json, join_json(&megabyte), "too-long"),
     ] {
         world.attack("1 MB", form, &bytes, code, After::Kept).await;
     }
     let huge = format!("/{}", "a".repeat(10 * 1024 * 1024));
-    for (form, bytes) in [(Form::Xml, join_xml(&huge)), (Form::Binary, join_binary(&huge))] {
+    for (form, bytes) in joins(&huge) {
         world
             .attack("10 MB", form, &bytes, "too-large", After::Closed)
             .await;
@@ -97,7 +109,7 @@ async fn threat_11_paths() {
 #[tokio::test]
 async fn threat_11_look_alikes_lead_nowhere() {
     let world = World::start().await;
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let mut bob = Raw::login(world.address(), form, "bob").await;
         // Capitals and dots: paths, but of nothing. What cannot be told from another by the eye is no path at all.
         for path in ["/CHAT", "/Chat", "/chat.", "/chat/x"] {
@@ -162,7 +174,7 @@ async fn threat_11_users() {
         "bob~2",
         "a b",
     ] {
-        for form in [Form::Xml, Form::Binary] {
+        for form in Form::ALL {
             let mut stranger = Raw::connect(world.address(), form).await;
             let error = stranger
                 .ask(login("bob", Some(nickname)))

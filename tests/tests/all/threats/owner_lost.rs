@@ -92,7 +92,7 @@ impl Scene {
 async fn threat_22_closed_and_reset() {
     for (key, time) in TIMES {
         let mut scene = Scene::start(key, time).await;
-        for form in [Form::Xml, Form::Binary] {
+        for form in Form::ALL {
             for reset in [false, true] {
                 let (owner, fence) = scene.owner(form).await;
                 let name = owner.name().to_owned();
@@ -166,7 +166,7 @@ async fn threat_22_killed() {
 async fn threat_22_silent_until_its_time_is_over() {
     for (key, time) in TIMES {
         let mut scene = Scene::start(key, time).await;
-        for form in [Form::Xml, Form::Binary] {
+        for form in Form::ALL {
             let (mut owner, fence) = scene.owner(form).await;
             let name = owner.name().to_owned();
             scene.clock.advance(time - Duration::from_millis(1));

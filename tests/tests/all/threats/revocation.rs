@@ -157,7 +157,7 @@ async fn refusal(peer: &mut Raw, text: &str) -> WireError {
 /// worth nothing.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_user_is_removed() {
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let mut scene = Scene::start(form).await;
         scene.reload(|home| home.write_users(&users_with(&home.users(), "bob", None)));
         let released = event(&mut scene.bob, "released", arena::TOKEN).await;
@@ -227,7 +227,7 @@ async fn a_level_is_changed() {
 /// A rule that is taken away took what it gave: the token, and the verdicts that stood.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_rule_is_taken_away() {
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let mut scene = Scene::start(form).await;
         let mut talker = arena::driver(scene.service.address(), form, "carol").await;
         talker.post(mom_tests::raw::message("chat", ARM, "hello")).await;

@@ -80,9 +80,12 @@ async fn live(home: &Home, device: &DeviceKey, issuer: &Issuer) -> Vec<(&'static
     let challenged = challenge(&mut robot, "zoe").await.expect("she has a key");
     let answer = device.answer(&challenged, "zoe");
     robot.ask(answer.clone()).await.expect("her key");
-    let mut agent = Raw::connect(address, Form::Binary).await;
+    let mut agent = Raw::connect(address, Form::Json).await;
     let jwt = issuer.sign(&claims("zoe", LATER));
     token(&mut agent, &jwt).await.expect("her token");
+
+    let mut other = Raw::connect(address, Form::Json).await;
+    password(&mut other, "zoe", PASSWORD).await.expect("her password");
 
     // A secret in the wrong place, refused ones, and secrets between people.
     let mut stranger = Raw::connect(address, Form::Xml).await;

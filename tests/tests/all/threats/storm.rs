@@ -62,7 +62,7 @@ async fn threat_16_control_goes_on_while_logins_rain() {
     let stop = Arc::new(AtomicBool::new(false));
     let mut storm = JoinSet::new();
     for number in 0..CONNECTIONS {
-        let form = [Form::Xml, Form::Binary][number % 2];
+        let form = Form::ALL[number % 3];
         let password = if number % 20 == 0 { "guess" } else { "bob" };
         let peer = Raw::connect(address, form).await;
         storm.spawn(rain(peer, password, Arc::clone(&stop)));

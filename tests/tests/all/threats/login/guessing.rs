@@ -229,7 +229,7 @@ async fn threat_15_logins_that_cannot_be_read_count_too() {
 #[tokio::test]
 async fn threat_15_one_connection_has_three_attempts() {
     let world = World::start_with(|_| {}).await;
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let mut eve = Raw::connect(world.address(), form).await;
         for _ in 0..3 {
             check_bad_login(password(&mut eve, "bob", "guess").await, "a guess");
@@ -252,7 +252,7 @@ async fn threat_16_logins_at_once() {
     let mut logins = JoinSet::new();
     let mut peers = Vec::new();
     for number in 0..AT_ONCE {
-        let form = [Form::Xml, Form::Binary][number % 2];
+        let form = Form::ALL[number % 3];
         peers.push(Raw::connect(address, form).await);
     }
     for mut peer in peers {

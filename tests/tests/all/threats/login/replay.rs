@@ -32,7 +32,7 @@ fn with_keys(config: &mut Config) {
 async fn threat_14_a_challenge_is_answered_once() {
     let world = World::start_with(with_keys).await;
     let key = DeviceKey::number(1);
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let connect = || Raw::connect(world.address(), form);
         let mut bob = connect().await;
         let asked = challenge(&mut bob, "bob").await.expect("a challenge");
@@ -82,7 +82,7 @@ async fn threat_14_a_challenge_is_answered_once() {
 #[tokio::test]
 async fn threat_14_who_a_signature_is_for() {
     let world = World::start_with(with_keys).await;
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let attempt = async |what: &str, asked_as: &str, key: u8, hub: &str, user: &str| {
             let mut eve = Raw::connect(world.address(), form).await;
             let asked = challenge(&mut eve, asked_as).await.expect("everybody is asked");
@@ -177,7 +177,7 @@ async fn threat_14_secrets_from_elsewhere() {
         config.listen = vec![format!("{address}:0")];
     })
     .await;
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         for content in [
             Map::new().with("name", "bob").with("password", "bob"),
             Map::new().with("token", "x.y.z"),

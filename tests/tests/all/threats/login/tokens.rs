@@ -275,7 +275,7 @@ async fn threat_14_a_token_expires_on_a_live_connection() {
         ..issuer.config()
     };
     let mut world = World::start_at(clock.clone(), trusting(jwt)).await;
-    for form in [Form::Xml, Form::Binary] {
+    for form in Form::ALL {
         let now = clock.wall().micros() / 1_000_000;
         let short = issuer.sign(&claims("bob", now + 60));
         let mut idle = Raw::connect(world.address(), form).await;

@@ -1,4 +1,4 @@
-//! A large parcel that is written in XML when the first of its receivers comes to it.
+//! A large parcel that is written in a text form when the first of its receivers comes to it.
 //!
 //! It waits in the outboxes of its receivers like any other, so order, lanes, fences, expiry and replacement hold for it, and
 //! what is replaced before its turn is never written at all. Receivers of other forms do not wait for it.
@@ -6,29 +6,37 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 
-use mom_proto::codec::Encoded;
-use mom_proto::{Parcel, xml};
+use mom_proto::Parcel;
+use mom_proto::codec::{Encoded, Form};
 use mom_system::Workers;
 use tokio::sync::Notify;
 
 use crate::traffic::encodings::Bounds;
 
-/// One parcel for all its receivers that speak XML.
+/// One parcel for all its receivers that speak this form.
 #[derive(Debug)]
-pub(crate) struct LaterXml {
+pub(crate) struct LaterText {
+    form: Form,
     parcel: Parcel,
     size: usize,
     bounds: Bounds,
     workers: Arc<Workers>,
     begun: AtomicBool,
-    /// None inside: it has no form in XML, or a larger one than receivers were promised.
+    /// None inside: it has no such form, or a larger one than receivers were promised.
     written: OnceLock<Option<Encoded>>,
     done: Notify,
 }
 
-impl LaterXml {
-    pub(crate) fn new(parcel: Parcel, size: usize, bounds: Bounds, workers: Arc<Workers>) -> LaterXml {
-        LaterXml {
+impl LaterText {
+    pub(crate) fn new(
+        form: Form,
+        parcel: Parcel,
+        size: usize,
+        bounds: Bounds,
+        workers: Arc<Workers>,
+    ) -> LaterText {
+        LaterText {
+            form,
             parcel,
             size,
             bounds,
@@ -50,7 +58,7 @@ impl LaterXml {
     }
 
     /// Has it written, if nobody has so far, and waits for that.
-    pub(crate) async fn write(self: &Arc<LaterXml>) {
+    pub(crate) async fn write(self: &Arc<LaterText>) {
         if !self.begun.swap(true, Ordering::AcqRel) {
             let later = Arc::clone(self);
             self.workers.run(move || later.write_now());
@@ -66,7 +74,8 @@ impl LaterXml {
     }
 
     fn write_now(&self) {
-        let written = xml::encode_within(&self.parcel, self.bounds.depth, self.bounds.parcel);
+        let Bounds { depth, parcel } = self.bounds;
+        let written = self.form.encode_within(&self.parcel, depth, parcel);
         let _ = self.written.set(written.ok());
         self.done.notify_waiters();
     }

@@ -5,10 +5,10 @@ use base64::engine::general_purpose::STANDARD;
 
 use crate::{Code, Time, Value, ValueKind, WireError};
 
-use super::name::brief;
+use super::brief;
 
 /// Reads the text of a value; lists, maps and parts have no text form.
-pub(super) fn parse(kind: ValueKind, text: &str, position: usize) -> Result<Value, WireError> {
+pub(crate) fn parse(kind: ValueKind, text: &str, position: usize) -> Result<Value, WireError> {
     let value = match kind {
         ValueKind::Null => text.is_empty().then_some(Value::Null),
         ValueKind::Bool => match text {
