@@ -12,8 +12,8 @@ mod traffic;
 
 pub use broker::{Broker, BrokerError, read_tls};
 pub use mom_config::{
-    Asked, Config, ConfigError, ConfigErrors, Explanation, Location, ReloadOn, Supposed, TlsConfig,
-    check_address, config_schema, users_schema,
+    Asked, Config, ConfigError, ConfigErrors, Explanation, ListenConfig, Location, Network, ReloadOn,
+    Supposed, TlsConfig, check_address, config_schema, users_schema,
 };
 pub use mom_journal::{
     AuditConfig, Decision, Difference, Outcome, RecordConfig, RecordError, Replay, Summary, WriteError,
@@ -21,6 +21,7 @@ pub use mom_journal::{
 pub use mom_login::{
     FailureRate, JwtConfig, JwtKey, JwtUsers, LoginConfig, LoginStats, ThrottleConfig, UserEntry, hash,
 };
+pub use mom_net::{Door, TlsUse};
 pub use mom_store::{StoreConfig, StoreError};
 pub use mom_system::Clock;
 pub use reload::{Changes, ReloadReport};

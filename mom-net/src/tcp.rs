@@ -17,7 +17,9 @@ use crate::reader::{Reader, Source};
 use crate::spare::ReadBuffer;
 use crate::tls::{HANDSHAKE, TlsLink};
 use crate::writer::{Progress, Sink, Writer};
-use crate::{Address, ClientTls, NetError, Outgoing, Privacy, ServerTls, Transceiver, options, socket};
+use crate::{
+    Address, ClientTls, NetError, Outgoing, Privacy, ServerTls, Takes, Transceiver, options, socket,
+};
 
 /// How long a peer that is refused may take to hear so and to close, and how much it may send meanwhile.
 const FAREWELL: Duration = Duration::from_secs(1);
@@ -50,13 +52,15 @@ pub async fn connect(
 }
 
 /// Waits for a peer's first bytes, tells by them whether it speaks TLS, for which the hub needs a certificate, and which form. When
-/// `too_late` comes before, or the bytes begin no form, the peer is told so with what `answer` makes of the error.
+/// `too_late` comes before, or the bytes begin no form, or none that is taken here, the peer is told so with what `answer` makes of
+/// the error.
 ///
 /// # Errors
-/// Bytes that begin no form, or that come too late, after an answer in XML; or a link that failed.
+/// Bytes that begin no form that is taken, or that come too late, after an answer in XML; or a link that failed.
 pub async fn accept(
     stream: TcpStream,
     tls: Option<&ServerTls>,
+    takes: Takes,
     limits: &Limits,
     too_late: impl Future<Output = WireError>,
     answer: impl FnOnce(&WireError) -> Parcel,
@@ -64,7 +68,7 @@ pub async fn accept(
     let mut first = BytesMut::with_capacity(4096);
     let mut arrived = Arrived::plain(stream);
     let form = tokio::select! {
-        form = first_form(&mut arrived, tls, &mut first) => form,
+        form = first_form(&mut arrived, tls, takes, &mut first) => form,
         error = too_late => Err(error.into()),
     };
     match form {
@@ -143,9 +147,13 @@ impl Arrived {
 async fn first_form(
     arrived: &mut Arrived,
     tls: Option<&ServerTls>,
+    takes: Takes,
     first: &mut BytesMut,
 ) -> Result<Form, NetError> {
     loop {
+        if let (Arrived::Plain(_), Some(begin)) = (&*arrived, first.first()) {
+            takes.check_tls(*begin == HANDSHAKE)?;
+        }
         if let (Arrived::Plain(stream), Some(&HANDSHAKE)) = (&mut *arrived, first.first()) {
             let tls =
                 tls.ok_or_else(|| WireError::new(Code::BAD_FRAME, "this hub has no certificate for TLS"))?;
@@ -155,6 +163,7 @@ async fn first_form(
             first.clear();
         }
         if let Some(form) = Form::sniff(first)? {
+            takes.check(form.into())?;
             return Ok(form);
         }
         if arrived.read(first).await? == 0 {

@@ -9,7 +9,7 @@ use mom_config::{Config, ConfigError, ConfigErrors};
 use mom_hub::{Input, Settings};
 use mom_journal::{Tap, WriteError};
 use mom_login::{LoginStats, Logins};
-use mom_net::{SelfSigned, ServerTls, Transceiver};
+use mom_net::{SelfSigned, ServerTls, Takes, Transceiver};
 use mom_proto::Fingerprint;
 use mom_store::{StoreAnswer, StoreError};
 use mom_system::Clock;
@@ -18,7 +18,7 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, timeout_at};
 
-use crate::connection::{DRAIN, Doors, Listener, Services, Serving, listen, login_time};
+use crate::connection::{DRAIN, Doors, Listener, Origin, Services, Serving, listen, login_time};
 use crate::traffic::encodings::Bounds;
 use crate::traffic::switchboard::{Switchboard, Touched, flush};
 
@@ -142,17 +142,19 @@ impl Broker {
         let doors = Arc::new(Doors::new(config.connection_caps()));
         let mut tasks = JoinSet::new();
         let mut addresses = Vec::new();
-        for address in &config.listen {
+        for entry in &config.listen {
             let failed = |error| BrokerError::Listen {
-                address: address.clone(),
+                address: entry.address.clone(),
                 error,
             };
-            let listener = listen(address).await.map_err(failed)?;
+            let listener = listen(&entry.address).await.map_err(failed)?;
             addresses.push(listener.local_addr().map_err(failed)?);
             let listener_task = Listener {
                 services: services.clone(),
                 doors: Arc::clone(&doors),
                 tls: Arc::clone(&tls),
+                takes: Takes::new(&entry.takes, entry.tls),
+                proxies: entry.proxy.clone(),
                 stop: stop.clone(),
             };
             tasks.spawn(listener_task.run(listener));
@@ -208,7 +210,7 @@ impl Broker {
         let (here, there) = mom_net::pair();
         let services = self.services.fresh();
         let login_by = Instant::now() + login_time(&services.limits);
-        let mut serving = Serving::begin(services, here, None, None, login_by);
+        let mut serving = Serving::begin(services, here, Origin::default(), None, login_by);
         tokio::spawn(async move { serving.run().await });
         there
     }

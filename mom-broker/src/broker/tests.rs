@@ -12,7 +12,7 @@ use crate::{BrokerError, Clock, Config, StoreError};
 
 fn config(state: &FilePath) -> Config {
     let mut config = Config::default();
-    config.listen = vec!["127.0.0.1:0".to_owned()];
+    config.listen = vec!["127.0.0.1:0".into()];
     config.store.path = Some(state.to_owned());
     config
 }

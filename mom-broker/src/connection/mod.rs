@@ -115,10 +115,18 @@ struct Connection {
     ended: bool,
 }
 
+/// Where a connection comes from.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Origin {
+    /// None inside this process.
+    pub(crate) from: Option<IpAddr>,
+    /// A proxy of the listener says so, or has come for itself.
+    pub(crate) relayed: bool,
+}
+
 /// What a connection has brought.
 struct Arrival {
-    /// Where it comes from, none inside this process.
-    from: Option<IpAddr>,
+    origin: Origin,
     /// What is known of who is between.
     privacy: Privacy,
     /// Its part in the counts of connections from outside.
@@ -132,7 +140,8 @@ impl Arrival {
             Privacy::Local | Privacy::Plain => (false, None),
         };
         LoginLink {
-            from: self.from,
+            from: self.origin.from,
+            relayed: self.origin.relayed,
             private,
             certificate,
         }
@@ -504,15 +513,18 @@ impl Connection {
             self.services
                 .board
                 .decide(Input::Gone { peer: self.peer }, &mut touched);
-            if self.services.is_first("gone", self.arrival.from, user.as_deref()) {
+            if self
+                .services
+                .is_first("gone", self.arrival.origin.from, user.as_deref())
+            {
                 tracing::info!(peer = self.peer.0, %name, code = ?error.as_ref().map(|error| error.code.word()), "gone");
             }
         } else if let Some(error) = &error
             && self
                 .services
-                .is_first("closed", self.arrival.from, Some(error.code.word()))
+                .is_first("closed", self.arrival.origin.from, Some(error.code.word()))
         {
-            tracing::info!(peer = self.peer.0, from = ?self.arrival.from, code = %error.code, "closed");
+            tracing::info!(peer = self.peer.0, from = ?self.arrival.origin.from, code = %error.code, "closed");
         }
         self.services.board.close(&self.outbox, error);
         flush(&mut touched);

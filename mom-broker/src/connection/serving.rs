@@ -1,7 +1,6 @@
 //! One connection with its reader and its writer, in one task.
 
 use std::future::poll_fn;
-use std::net::IpAddr;
 use std::pin::{Pin, pin};
 use std::sync::Arc;
 use std::task::Poll;
@@ -12,7 +11,7 @@ use tokio::time::{Instant, timeout};
 
 use super::doors::Seat;
 use super::measure::{Measure, Pings};
-use super::{Arrival, Connection, Services, requests};
+use super::{Arrival, Connection, Origin, Services, requests};
 use crate::traffic::outbox::Outbox;
 
 /// A stop lets what waits go out for at most so long.
@@ -36,7 +35,7 @@ impl Serving {
     pub(crate) fn begin(
         services: Services,
         transceiver: Transceiver,
-        from: Option<IpAddr>,
+        origin: Origin,
         seat: Option<Seat>,
         login_by: Instant,
     ) -> Serving {
@@ -53,7 +52,7 @@ impl Serving {
             writer,
             services.limits.before_login,
         ));
-        services.board.tap.audit.arrived(peer, from);
+        services.board.tap.audit.arrived(peer, origin.from);
         services.board.add_outbox(&outbox);
         if let Some(Err(error)) = seat.as_ref().map(|seat| seat.begin(&outbox)) {
             services.board.close(&outbox, Some(error));
@@ -63,7 +62,11 @@ impl Serving {
             services,
             peer,
             outbox,
-            arrival: Box::new(Arrival { from, privacy, seat }),
+            arrival: Box::new(Arrival {
+                origin,
+                privacy,
+                seat,
+            }),
             logged_in: false,
             failures: 0,
             heard_at: Instant::now(),
@@ -164,15 +167,14 @@ mod tests {
     use super::*;
 
     /// What `call` would give, unpolled: only its size is asked for.
-    fn size_of_future<A, B, C, D, E, F: Future>(_: &impl Fn(A, B, C, D, E) -> F) -> usize {
+    fn size_of_future<A, B, F: Future>(_: &impl Fn(A, B) -> F) -> usize {
         size_of::<F>()
     }
 
     /// Ten thousand idle peers cost what their tasks keep: what is rare is boxed while it lasts (docs/performance.md).
     #[test]
     fn an_idle_connection_is_small() {
-        let connection =
-            |services: Services, stream, from, tls, seat| services.take_in(stream, from, tls, seat);
+        let connection = |services: Services, arriving| services.take_in(arriving);
         let all = [size_of_future(&connection), size_of::<Outbox>()];
         assert!(all.iter().sum::<usize>() <= 1560, "{all:?}");
     }

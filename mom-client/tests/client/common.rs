@@ -68,9 +68,14 @@ impl Hub {
                 let (stream, _) = listener.accept().await.unwrap();
                 // The test waits for as long as it takes.
                 let never = std::future::pending();
-                mom_net::accept(stream, None, &Limits::default(), never, |error| {
-                    error.to_parcel(None)
-                })
+                mom_net::accept(
+                    stream,
+                    None,
+                    mom_net::Takes::default(),
+                    &Limits::default(),
+                    never,
+                    |error| error.to_parcel(None),
+                )
                 .await
                 .unwrap()
             }

@@ -8,7 +8,7 @@ use std::time::Duration;
 use mom_hub::{ContextSpec, Hub, Input, PeerClock, PeerId, Settings, User};
 use mom_journal::{AuditConfig, ConfigFile, RecordConfig, Tap};
 use mom_managers::Registry;
-use mom_net::{Address, Reader, Transceiver, Writer};
+use mom_net::{Address, Reader, Takes, Transceiver, Writer};
 use mom_proto::codec::{Form, Frame};
 use mom_proto::{
     ClockOffset, ContextNumber, Delivery, Family, Limit, Limits, Map, Parcel, Path, Time, Value, from_value,
@@ -154,9 +154,11 @@ async fn link() -> (Transceiver, Transceiver) {
     let near = async {
         let (stream, _) = listener.accept().await.expect("a connection");
         let never = std::future::pending();
-        mom_net::accept(stream, None, &limits, never, |error| error.to_parcel(None))
-            .await
-            .expect("binary")
+        mom_net::accept(stream, None, Takes::default(), &limits, never, |error| {
+            error.to_parcel(None)
+        })
+        .await
+        .expect("binary")
     };
     let far = async {
         mom_net::connect(&address, &limits, None)
