@@ -71,10 +71,10 @@ pub(crate) struct Arriving {
 }
 
 /// A place for a connection, and what it is told if it has to go before it has begun.
-type Seated = (Seat, oneshot::Receiver<WireError>);
+pub(super) type Seated = (Seat, oneshot::Receiver<WireError>);
 
 /// Whose part in the counts a connection is.
-enum Entry {
+pub(super) enum Entry {
     Known(Seated),
     /// A proxy has yet to say so, which not too many may at a time.
     Untold(Arc<Doors>, OwnedSemaphorePermit),
@@ -130,7 +130,8 @@ impl Listener {
         while served.join_next().await.is_some() {}
     }
 
-    fn enter(&self, from: SocketAddr, untold: &Arc<Semaphore>) -> Result<Entry, WireError> {
+    /// Finds a place for a connection, or one where it says first whose it is.
+    pub(super) fn enter(&self, from: SocketAddr, untold: &Arc<Semaphore>) -> Result<Entry, WireError> {
         if !self.proxies.iter().any(|proxy| proxy.contains(from.ip())) {
             return self.services.seat(&self.doors, from).map(Entry::Known);
         }

@@ -1,23 +1,25 @@
 //! Logins inside a broker without a listener, so that a peer may come from anywhere.
 
 use std::net::IpAddr;
+use std::sync::Arc;
 use std::time::Duration;
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use ed25519_dalek::{Signer, SigningKey};
-use mom_config::Config;
+use mom_config::{Config, ConnectionCaps};
 use mom_hub::{Hub, PeerId, Settings, User};
 use mom_journal::Tap;
 use mom_login::{Granted, LoginConfig, LoginLink, LoginStep, Logins, UserEntry, UserSource};
-use mom_net::Transceiver;
+use mom_net::{Takes, Transceiver};
 use mom_proto::codec::Frame;
 use mom_proto::{Code, Family, Limit, Map, Parcel, Path, Value, WireError, login_challenge};
 use mom_system::Clock;
-use tokio::sync::mpsc;
+use tokio::sync::{Semaphore, mpsc, watch};
 use tokio::time::Instant;
 
-use super::{Origin, Services, Serving};
+use super::listen::Entry;
+use super::{Doors, Listener, Origin, Services, Serving};
 use crate::traffic::encodings::Bounds;
 use crate::traffic::switchboard::Switchboard;
 
@@ -392,4 +394,34 @@ async fn a_new_users_file_holds_for_everybody() {
     assert!(replace(gone, settings).is_err());
     let bob = prove(&logins, password("bob", "bob")).await;
     assert_eq!(admit(&logins, 8, bob).expect("as before").level, 3);
+}
+
+/// Proxies that do not say whose connections theirs are keep nobody out but each other, and take no seats.
+#[tokio::test]
+async fn so_many_connections_of_proxies_are_untold() {
+    let house = House::open(|_| {});
+    let caps = ConnectionCaps {
+        all: 1,
+        before_login: 1,
+        per_address: 1,
+        per_user: 1,
+    };
+    let listener = Listener {
+        services: house.services.clone(),
+        doors: Arc::new(Doors::new(caps)),
+        tls: Arc::default(),
+        takes: Takes::default(),
+        proxies: vec!["10.0.0.0/8".parse().expect("a network")],
+        stop: watch::channel(false).1,
+    };
+    let untold = Arc::new(Semaphore::new(2));
+    let enter = |from: &str| listener.enter(from.parse().expect("an address"), &untold);
+    let places = ["10.0.0.1:1", "10.0.0.2:1"].map(|from| enter(from).expect("a place"));
+    assert!(places.iter().all(|entry| matches!(entry, Entry::Untold(..))));
+    let refused = enter("10.0.0.3:1").err().expect("one too many");
+    assert_eq!(refused.code, Code::TOO_MANY_CONNECTIONS);
+    let known = enter("192.0.2.1:1").expect("another way in");
+    assert!(matches!(known, Entry::Known(_)), "its seat was free");
+    drop(places);
+    assert!(enter("10.0.0.3:1").is_ok());
 }
