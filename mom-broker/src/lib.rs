@@ -13,8 +13,8 @@ mod web;
 
 pub use broker::{Broker, BrokerError, read_tls};
 pub use mom_config::{
-    Asked, Config, ConfigError, ConfigErrors, Explanation, Location, ReloadOn, Supposed, TlsConfig,
-    check_address, config_schema, users_schema,
+    Asked, Config, ConfigError, ConfigErrors, Explanation, ListenConfig, Location, Network, ReloadOn,
+    Supposed, TlsConfig, check_address, config_schema, users_schema,
 };
 pub use mom_journal::{
     AuditConfig, Decision, Difference, Outcome, RecordConfig, RecordError, Replay, Summary, WriteError,
@@ -22,6 +22,7 @@ pub use mom_journal::{
 pub use mom_login::{
     FailureRate, JwtConfig, JwtKey, JwtUsers, LoginConfig, LoginStats, ThrottleConfig, UserEntry, hash,
 };
+pub use mom_net::{Protocol, TlsUse};
 pub use mom_store::{StoreConfig, StoreError};
 pub use mom_system::Clock;
 pub use reload::{Changes, ReloadReport};

@@ -19,8 +19,8 @@ use crate::spare::ReadBuffer;
 use crate::tls::{HANDSHAKE, TlsLink};
 use crate::writer::{Progress, Sink, Writer};
 use crate::{
-    Address, ClientTls, Door, HttpStream, NetError, Outgoing, Privacy, ServerTls, Transceiver, http, socket,
-    tunnel, websocket,
+    Address, ClientTls, Door, HttpStream, NetError, Outgoing, Privacy, ServerTls, Takes, Transceiver, http,
+    socket, tunnel, websocket,
 };
 
 /// How long a peer that is refused may take to hear so and to close, and how much it may send meanwhile.
@@ -65,13 +65,15 @@ pub enum Accepted {
 }
 
 /// Waits for a peer's first bytes, tells by them whether it speaks TLS, for which the hub needs a certificate, and which form, or
-/// HTTP. When `too_late` comes before, or the bytes begin nothing, the peer is told so with what `answer` makes of the error.
+/// HTTP. When `too_late` comes before, or the bytes begin nothing, or nothing that is taken here, the peer is told so with what
+/// `answer` makes of the error.
 ///
 /// # Errors
-/// Bytes that begin no form, or that come too late, after an answer in XML; or a link that failed.
+/// Bytes that begin no form that is taken, or that come too late, after an answer in XML; or a link that failed.
 pub async fn accept(
     stream: TcpStream,
     tls: Option<&ServerTls>,
+    takes: Takes,
     limits: &Limits,
     too_late: impl Future<Output = WireError>,
     answer: impl FnOnce(&WireError) -> Parcel,
@@ -80,7 +82,7 @@ pub async fn accept(
     // None while hands are shaken: whoever is told off then is told nothing.
     let mut arrived = Some(Carrier::Tcp(stream));
     let told = tokio::select! {
-        told = first_words(&mut arrived, tls, &mut first) => told,
+        told = first_words(&mut arrived, tls, takes, &mut first) => told,
         error = too_late => Err(error.into()),
     };
     match (told, arrived) {
@@ -111,9 +113,13 @@ enum Spoken {
 async fn first_words(
     arrived: &mut Option<Carrier>,
     tls: Option<&ServerTls>,
+    takes: Takes,
     first: &mut BytesMut,
 ) -> Result<Spoken, NetError> {
     loop {
+        if let (Some(Carrier::Tcp(_)), Some(begin)) = (&*arrived, first.first()) {
+            takes.check_tls(*begin == HANDSHAKE)?;
+        }
         if let (Some(Carrier::Tcp(_)), Some(&HANDSHAKE)) = (&*arrived, first.first()) {
             let tls =
                 tls.ok_or_else(|| WireError::new(Code::BAD_FRAME, "this hub has no certificate for TLS"))?;
@@ -125,11 +131,13 @@ async fn first_words(
         }
         let http = http::sniff(first);
         if http == Some(true) {
+            takes.check_http()?;
             return Ok(Spoken::Http);
         }
         if http == Some(false)
             && let Some(form) = Form::sniff(first)?
         {
+            takes.check(form.into())?;
             return Ok(Spoken::Form(form));
         }
         let Some(carrier) = &*arrived else {

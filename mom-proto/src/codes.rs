@@ -130,6 +130,8 @@ impl Code {
     pub const TOO_MANY_LOGINS: Code = Code::new(405, "too-many-logins");
     /// The user was removed, or its rights to be here were.
     pub const REVOKED: Code = Code::new(406, "revoked");
+    /// A form, or TLS, that the listener does not take.
+    pub const NOT_TAKEN: Code = Code::new(407, "not-taken");
 
     /// Every code, in the order of its number.
     pub const TABLE: &[Code] = &[
@@ -186,6 +188,7 @@ impl Code {
         Code::INSECURE,
         Code::TOO_MANY_LOGINS,
         Code::REVOKED,
+        Code::NOT_TAKEN,
     ];
 
     const fn new(number: u16, word: &'static str) -> Code {

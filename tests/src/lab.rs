@@ -24,7 +24,7 @@ pub async fn start_with(change: impl FnOnce(&mut Config)) -> Broker {
 /// If the configuration is refused: the test's own fault.
 pub async fn start_at(clock: Clock, change: impl FnOnce(&mut Config)) -> Broker {
     let mut config = Config::lab();
-    config.listen = vec![SocketAddr::from(([127, 0, 0, 1], 0)).to_string()];
+    config.listen = vec![SocketAddr::from(([127, 0, 0, 1], 0)).into()];
     // Raw peers answer no pings: where nothing else is said, none is silent for too long because the machine is busy.
     config.limits.gone = 600_000;
     change(&mut config);

@@ -162,7 +162,7 @@ fn bench_at(ends: &Namespaces) -> Bench {
     let folder = broker_folder().expect("a temporary folder can be made");
     let mut config =
         Config::load(&folder.path().join("mom.toml")).expect("the broker's configuration is right");
-    config.listen = vec![format!("{}:0", ends.hub.host())];
+    config.listen = vec![format!("{}:0", ends.hub.host()).into()];
     let runtime = Runtime::new().expect("there are threads");
     // The listening socket belongs to the namespace, whoever polls it.
     let broker = ends.hub.within(|| runtime.block_on(Broker::start(config)));

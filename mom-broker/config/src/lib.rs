@@ -4,6 +4,7 @@ mod error;
 mod explain;
 mod faults;
 mod journal;
+mod listen;
 mod load;
 mod locate;
 mod login;
@@ -29,7 +30,7 @@ use serde::Deserialize;
 
 pub use error::{ConfigError, ConfigErrors};
 pub use explain::{Asked, Explanation, Supposed};
-pub use load::check_address;
+pub use listen::{ListenConfig, Network, check_address};
 pub use locate::Location;
 pub use schema::{config_schema, users_schema};
 pub use tls::TlsConfig;
@@ -42,13 +43,13 @@ use source::SourceText;
 /// ```
 /// use mom_config::Config;
 /// let config = Config::default();
-/// assert_eq!(config.listen, ["127.0.0.1:7666"]);
+/// assert_eq!(config.listen, ["127.0.0.1:7666".into()]);
 /// assert!(config.users.is_empty(), "closed by default");
 /// ```
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// The addresses to listen at.
-    pub listen: Vec<String>,
+    /// The listeners.
+    pub listen: Vec<ListenConfig>,
     /// The certificate for connections with TLS.
     pub tls: TlsConfig,
     /// Connections at once.
@@ -121,7 +122,7 @@ fn quarter(of: usize) -> usize {
 impl Default for Config {
     fn default() -> Config {
         Config {
-            listen: vec!["127.0.0.1:7666".to_owned()],
+            listen: vec!["127.0.0.1:7666".into()],
             tls: TlsConfig::default(),
             web: WebConfig::default(),
             connections: 10_000,

@@ -1,7 +1,6 @@
 //! From files to a configuration.
 
 use std::collections::BTreeMap;
-use std::net::{Ipv4Addr, Ipv6Addr};
 use std::path::Path;
 
 use mom_hub::ContextSpec;
@@ -14,7 +13,10 @@ use tracing_subscriber::EnvFilter;
 
 use super::faults::Reading;
 use super::source::SourceText;
-use super::{Config, ConfigError, ConfigErrors, ReloadOn, TlsConfig, WebConfig, config_schema, shape, users};
+use super::{
+    Config, ConfigError, ConfigErrors, ListenConfig, ReloadOn, TlsConfig, WebConfig, config_schema, shape,
+    users,
+};
 
 const LAB: &str = include_str!("../../../config/lab.toml");
 const LAB_USERS: &str = include_str!("../../../config/lab-users.toml");
@@ -22,7 +24,7 @@ const LAB_USERS: &str = include_str!("../../../config/lab-users.toml");
 #[derive(Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 struct ConfigDocument {
-    listen: Vec<String>,
+    listen: Vec<ListenConfig>,
     tls: TlsConfig,
     web: WebConfig,
     connections: usize,
@@ -224,9 +226,9 @@ fn check(file: &ConfigDocument, source: &SourceText) -> Vec<ConfigError> {
         let text = "a broker needs an address to listen at, such as 127.0.0.1:7666";
         wrong(&["listen"], text.to_owned());
     }
-    for (index, address) in file.listen.iter().enumerate() {
-        if let Err(text) = check_address(address) {
-            wrong(&["listen", &index.to_string()], text);
+    for (index, listen) in file.listen.iter().enumerate() {
+        for (key, text) in listen.faults(file.tls.certificate.is_some()) {
+            wrong(&["listen", &index.to_string(), key], text);
         }
     }
     if file.tls.certificate.is_some() != file.tls.key.is_some() {
@@ -265,32 +267,6 @@ fn check(file: &ConfigDocument, source: &SourceText) -> Vec<ConfigError> {
         }
     }
     found
-}
-
-/// Checks an address to listen at.
-///
-/// # Errors
-/// What is wrong with it.
-pub fn check_address(address: &str) -> Result<(), String> {
-    let example = "write it as 127.0.0.1:7666, or [::1]:7666";
-    let Some((host, port)) = address.rsplit_once(':') else {
-        return Err(format!("{address:?} has no port; {example}"));
-    };
-    if port.parse::<u16>().is_err() {
-        return Err(format!(
-            "a port is a whole number from 0 to 65535, not {port:?}; 0 takes any free one"
-        ));
-    }
-    let named = |c: char| c.is_alphanumeric() || matches!(c, '-' | '.' | '_');
-    let right = match host.strip_prefix('[').and_then(|host| host.strip_suffix(']')) {
-        Some(inside) => inside.parse::<Ipv6Addr>().is_ok(),
-        None if host.chars().all(|c| c.is_ascii_digit() || c == '.') => host.parse::<Ipv4Addr>().is_ok(),
-        None => host.chars().all(named),
-    };
-    match right {
-        true => Ok(()),
-        false => Err(format!("{host:?} is no address of this machine; {example}")),
-    }
 }
 
 /// What the parser says of a text by itself, without the schema.

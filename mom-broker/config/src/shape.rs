@@ -172,8 +172,9 @@ impl Shape<'_> {
                 return self.tell_at("kind", text, near);
             }
         }
-        if !shapes.iter().any(|shape| fits(shape, value)) {
-            self.tell(self.instead(schema, value), None);
+        match shapes.iter().find(|shape| fits(shape, value)) {
+            Some(shape) => self.value(shape, value),
+            None => self.tell(self.instead(schema, value), None),
         }
     }
 }

@@ -2,10 +2,14 @@
 
 use serde::Deserialize;
 
+use super::Network;
+
 /// The `[web]` of the configuration.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct WebConfig {
     /// Where pages come from that may use the hub, beside its own.
     pub origins: Vec<String>,
+    /// The proxies whose `Forwarded` is believed.
+    pub forwarded_by: Vec<Network>,
 }

@@ -44,6 +44,8 @@ pub use user::UserEntry;
 pub struct LoginLink {
     /// From where, none inside this process.
     pub from: Option<IpAddr>,
+    /// A proxy says so: even if that is this machine, the way from the proxy to here is not known.
+    pub relayed: bool,
     /// Nobody between can read along, however far that is.
     pub private: bool,
     /// The certificate that it has shown and proved to have the key of.

@@ -26,7 +26,8 @@ pub(crate) fn is_hash(text: &str) -> bool {
 /// Refuses a secret that others could have read on its way.
 pub(super) fn check_private(link: &LoginLink, what: &str) -> Result<(), WireError> {
     // A dual-stack listener sees IPv4 loopback as an IPv4-mapped IPv6 address.
-    if link.private || link.from.is_none_or(|from| from.to_canonical().is_loopback()) {
+    let local = |from: std::net::IpAddr| from.to_canonical().is_loopback() && !link.relayed;
+    if link.private || link.from.is_none_or(local) {
         return Ok(());
     }
     let text = format!(
@@ -90,6 +91,15 @@ mod tests {
                 ..link
             };
             assert!(check_private(&private, "password").is_ok(), "{from:?}");
+            let relayed = LoginLink {
+                relayed: true,
+                ..link
+            };
+            assert_eq!(
+                check_private(&relayed, "password").is_ok(),
+                from.is_none(),
+                "{from:?}"
+            );
             match check_private(&link, "password") {
                 Ok(()) => assert!(taken, "{from:?}"),
                 Err(error) => assert!(!taken && error.code == Code::INSECURE, "{from:?}"),

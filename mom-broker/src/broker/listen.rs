@@ -4,15 +4,18 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_net::{Accepted, ServerTls};
+use mom_config::Network;
+use mom_net::{Accepted, NetError, ServerTls, Takes};
 use mom_proto::WireError;
 use parking_lot::RwLock;
 use tokio::net::{TcpListener, TcpSocket, TcpStream, lookup_host};
-use tokio::sync::{Semaphore, oneshot, watch};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio::task::JoinSet;
-use tokio::time::Instant;
+use tokio::time::{Instant, timeout_at};
 
-use crate::connection::{Doors, Seat, Services, Serving, login_time, too_late};
+use crate::connection::{
+    Doors, Remote, Seated, Services, Serving, full, login_time, login_timeout, too_late,
+};
 use crate::web::{Visit, Web};
 
 /// Connections that may wait to be taken in; the system may allow less. When a crowd comes back at once and more
@@ -21,6 +24,10 @@ const BACKLOG: u32 = 16 * 1024;
 
 /// Refused peers that are told so at the same time.
 const FAREWELLS: usize = 64;
+
+/// Connections of proxies that have not said yet whose they are. They have no seat, because seats are counted by the address that is
+/// said then; a proxy says it at once.
+const UNTOLD: usize = 1024;
 
 /// Listens at the first address of a name that can be had.
 pub(crate) async fn listen(address: &str) -> std::io::Result<TcpListener> {
@@ -50,24 +57,33 @@ pub(crate) struct Listener {
     pub(crate) doors: Arc<Doors>,
     pub(crate) tls: Arc<RwLock<Option<ServerTls>>>,
     pub(crate) web: Arc<Web>,
+    pub(crate) takes: Takes,
+    /// Where connections come from that begin with a PROXY protocol header; nobody else's is looked at.
+    pub(crate) proxies: Vec<Network>,
     pub(crate) stop: watch::Receiver<bool>,
 }
 
-/// A connection that has a place.
+/// A connection that has just come.
 struct Guest {
     services: Services,
     from: SocketAddr,
     tls: Option<ServerTls>,
     web: Arc<Web>,
-    seat: Seat,
-    /// Told if it has to go before it has begun.
-    told: oneshot::Receiver<WireError>,
+    takes: Takes,
+}
+
+/// Whose part in the counts a connection is.
+pub(super) enum Entry {
+    Known(Seated),
+    /// A proxy has yet to say so, which not too many may at a time.
+    Untold(Arc<Doors>, OwnedSemaphorePermit),
 }
 
 impl Listener {
     pub(crate) async fn run(mut self, listener: TcpListener) {
         let mut served = JoinSet::new();
         let farewells = Arc::new(Semaphore::new(FAREWELLS));
+        let untold = Arc::new(Semaphore::new(UNTOLD));
         loop {
             let accepted = tokio::select! {
                 _ = self.stop.changed() => break,
@@ -75,23 +91,19 @@ impl Listener {
                 accepted = listener.accept() => accepted,
             };
             match accepted {
-                Ok((stream, from)) => match self.doors.enter(from.ip()) {
-                    Ok((seat, told, evicted)) => {
-                        if let Some(evicted) = evicted {
-                            evicted.tell(|outbox, error| self.services.board.close(outbox, Some(error)));
-                        }
+                Ok((stream, from)) => match self.enter(from, &untold) {
+                    Ok(entry) => {
                         let guest = Guest {
                             services: self.services.fresh(),
                             from,
                             tls: self.tls.read().clone(),
                             web: Arc::clone(&self.web),
-                            seat,
-                            told,
+                            takes: self.takes,
                         };
-                        drop(served.spawn(guest.serve(stream)));
+                        drop(served.spawn(guest.serve(stream, entry)));
                     }
                     Err(error) => {
-                        self.note_refused(from);
+                        self.services.note_full(from.ip());
                         // The others are closed without a word: to tell them all takes connections, too.
                         if let Ok(place) = Arc::clone(&farewells).try_acquire_owned() {
                             let answer = self.services.answer(&error);
@@ -115,20 +127,22 @@ impl Listener {
         while served.join_next().await.is_some() {}
     }
 
-    /// Logs that there was no place for a peer.
-    fn note_refused(&self, from: SocketAddr) {
-        let event = "too many connections";
-        if self.services.is_first(event, Some(from.ip()), None) {
-            tracing::warn!(%from, "{event}");
+    /// Finds a place for a connection, or one where it says first whose it is.
+    pub(super) fn enter(&self, from: SocketAddr, untold: &Arc<Semaphore>) -> Result<Entry, WireError> {
+        if !self.proxies.iter().any(|proxy| proxy.contains(from.ip())) {
+            return self.services.seat(&self.doors, from.ip()).map(Entry::Known);
         }
+        let place = Arc::clone(untold).try_acquire_owned();
+        let place = place.map_err(|_| full("too many connections have no PROXY protocol header yet"))?;
+        Ok(Entry::Untold(Arc::clone(&self.doors), place))
     }
 }
 
 impl Guest {
     /// Serves a connection from its first bytes on.
-    fn serve(self, stream: TcpStream) -> impl Future<Output = ()> {
+    fn serve(self, stream: TcpStream, entry: Entry) -> impl Future<Output = ()> {
         // Apart, so that the connection does not keep the memory that this needs.
-        let begun = Box::pin(self.begin(stream));
+        let begun = Box::pin(self.begin(stream, entry));
         async move {
             // By reference, or it would be kept twice.
             let mut begun = begun.await;
@@ -138,50 +152,102 @@ impl Guest {
         }
     }
 
-    async fn begin(mut self, stream: TcpStream) -> Option<Serving> {
-        let limits = Arc::clone(&self.services.limits);
-        let login_by = Instant::now() + login_time(&limits);
+    async fn begin(mut self, mut stream: TcpStream, entry: Entry) -> Option<Serving> {
+        let login_by = Instant::now() + login_time(&self.services.limits);
+        let relayed = matches!(entry, Entry::Untold(..));
+        let seated = match entry {
+            Entry::Known(seated) => Ok(seated),
+            Entry::Untold(doors, place) => {
+                let heard = self.hear_proxy(&mut stream, &doors, login_by).await;
+                if let Err(NetError::Wire(error)) = &heard {
+                    mom_net::refuse(stream, &self.services.answer(error)).await;
+                    self.note_refused(error);
+                    return None;
+                }
+                // It has kept its place until it was told why it is refused.
+                drop(place);
+                heard
+            }
+        };
+        let greeted = match seated {
+            Ok(seated) => self.greet(stream, seated, relayed, login_by).await,
+            Err(error) => Err(error),
+        };
+        greeted.unwrap_or_else(|error| {
+            self.note_refused(&error);
+            None
+        })
+    }
+
+    fn note_refused(&self, error: &dyn std::error::Error) {
+        if self.services.is_first("refused", Some(self.from.ip()), None) {
+            tracing::info!(from = %self.from, %error, "refused");
+        }
+    }
+
+    /// Hears from a proxy whose connection this is, and takes it in as that one's.
+    async fn hear_proxy(
+        &mut self,
+        stream: &mut TcpStream,
+        doors: &Arc<Doors>,
+        login_by: Instant,
+    ) -> Result<Seated, NetError> {
+        match timeout_at(login_by, mom_net::proxied(stream)).await {
+            Ok(client) => self.from = client?.unwrap_or(self.from),
+            Err(_) => return Err(login_timeout(self.services.limits.login_time).into()),
+        }
+        let seated = self.services.seat(doors, self.from.ip());
+        seated
+            .inspect_err(|_| self.services.note_full(self.from.ip()))
+            .map_err(NetError::from)
+    }
+
+    /// Waits for the first bytes, which tell what speaks here; gives a peer, none if only requests of HTTP came.
+    async fn greet(
+        &self,
+        stream: TcpStream,
+        (seat, mut told): Seated,
+        relayed: bool,
+        login_by: Instant,
+    ) -> Result<Option<Serving>, NetError> {
+        let services = &self.services;
+        let limits = services.limits.before_login();
         let port = stream.local_addr().map_or(0, |local| local.port());
         let accepted = {
-            let too_late = too_late(&limits, login_by, &mut self.told);
-            let answer = |error: &WireError| self.services.answer(error);
-            mom_net::accept(
-                stream,
-                self.tls.as_ref(),
-                &limits.before_login(),
-                too_late,
-                answer,
-            )
-            .await
+            let too_late = too_late(&services.limits, login_by, &mut told);
+            let answer = |error: &WireError| services.answer(error);
+            mom_net::accept(stream, self.tls.as_ref(), self.takes, &limits, too_late, answer).await?
         };
-        let from = self.from;
-        let (transceiver, seat) = match accepted {
-            Ok(Accepted::Peer(transceiver)) => (transceiver, self.seat),
-            Ok(Accepted::Http(stream)) => {
+        let remote = Remote {
+            from: Some(self.from.ip()),
+            relayed,
+            secured: false,
+        };
+        let (transceiver, remote, seat) = match accepted {
+            Accepted::Peer(transceiver) => (transceiver, remote, seat),
+            Accepted::Http(stream) => {
                 let visit = Visit {
-                    services: self.services.clone(),
-                    from,
+                    services: services.clone(),
+                    remote,
                     port,
-                    told: self.told,
-                    seat: self.seat,
+                    takes: self.takes,
+                    seated: (seat, told),
                 };
-                self.web.serve(stream, visit).await?
-            }
-            Err(error) => {
-                if self.services.is_first("refused", Some(from.ip()), None) {
-                    tracing::info!(%from, %error, "refused");
+                match self.web.serve(stream, visit).await {
+                    Some(upgraded) => upgraded,
+                    None => return Ok(None),
                 }
-                return None;
             }
         };
-        let from = Some(from.ip());
-        Some(Serving::begin(
-            self.services,
+        let services = services.clone();
+        let seat = Some(seat);
+        Ok(Some(Serving::begin(
+            services,
             transceiver,
-            from,
-            Some(seat),
+            remote,
+            seat,
             login_by,
-        ))
+        )))
     }
 }
 
@@ -190,14 +256,14 @@ mod tests {
     use super::*;
 
     /// What `call` would give, unpolled: only its size is asked for.
-    fn size_of_future<A, B, F: Future>(_: &impl Fn(A, B) -> F) -> usize {
+    fn size_of_future<A, B, C, F: Future>(_: &impl Fn(A, B, C) -> F) -> usize {
         size_of::<F>()
     }
 
     /// Ten thousand idle peers cost what their tasks keep: what is rare is boxed while it lasts (docs/performance.md).
     #[test]
     fn an_idle_connection_is_small() {
-        let connection = |guest: Guest, stream| guest.serve(stream);
+        let connection = |guest: Guest, stream, entry| guest.serve(stream, entry);
         let all = [
             size_of_future(&connection),
             size_of::<crate::traffic::outbox::Outbox>(),

@@ -11,7 +11,7 @@ use mom_config::{Config, ConfigError, ConfigErrors};
 use mom_hub::{Input, Settings};
 use mom_journal::{Tap, WriteError};
 use mom_login::{LoginStats, Logins};
-use mom_net::{SelfSigned, ServerTls, Transceiver};
+use mom_net::{SelfSigned, ServerTls, Takes, Transceiver};
 use mom_proto::Fingerprint;
 use mom_store::{StoreAnswer, StoreError};
 use mom_system::Clock;
@@ -20,7 +20,7 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, timeout_at};
 
-use crate::connection::{DRAIN, Doors, Services, Serving, login_time};
+use crate::connection::{DRAIN, Doors, Remote, Services, Serving, login_time};
 use crate::traffic::encodings::Bounds;
 use crate::traffic::switchboard::{Switchboard, Touched, flush};
 use crate::web::Web;
@@ -145,32 +145,31 @@ impl Broker {
         let tls = Arc::new(RwLock::new(open_tls(&config)?));
         let (stopping, stop) = watch::channel(false);
         let doors = Arc::new(Doors::new(config.connection_caps()));
-        let web = Arc::new(Web::new(Arc::clone(&doors), &config.web.origins));
+        let web = Arc::new(Web::new(Arc::clone(&doors), &config.web));
         let mut tasks = JoinSet::new();
         let mut addresses = Vec::new();
-        for address in &config.listen {
+        for entry in &config.listen {
             let failed = |error| BrokerError::Listen {
-                address: address.clone(),
+                address: entry.address.clone(),
                 error,
             };
-            let listener = listen(address).await.map_err(failed)?;
-            addresses.push(listener.local_addr().map_err(failed)?);
-            let listener_task = Listener {
+            let socket = listen(&entry.address).await.map_err(failed)?;
+            addresses.push(socket.local_addr().map_err(failed)?);
+            let listener = Listener {
                 services: services.clone(),
                 doors: Arc::clone(&doors),
                 tls: Arc::clone(&tls),
                 web: Arc::clone(&web),
+                takes: Takes::new(&entry.takes, entry.tls),
+                proxies: entry.proxy.clone(),
                 stop: stop.clone(),
             };
-            tasks.spawn(listener_task.run(listener));
+            tasks.spawn(listener.run(socket));
         }
         if let Some(answers) = answers {
             tasks.spawn(take_answers(Arc::clone(&services.board), answers));
         }
-        tasks.spawn(keep_deadlines(Arc::clone(&services.board), stop.clone()));
-        tasks.spawn(keep_memory(Arc::clone(&services.board), stop.clone()));
-        tasks.spawn(follow_wall_clock(Arc::clone(&services.board), stop.clone()));
-        tasks.spawn(report(Arc::clone(&services.board), stop));
+        spawn_housekeeping(&mut tasks, &services.board, &stop);
         let broker = Broker {
             services,
             addresses,
@@ -215,7 +214,7 @@ impl Broker {
         let (here, there) = mom_net::pair();
         let services = self.services.fresh();
         let login_by = Instant::now() + login_time(&services.limits);
-        let mut serving = Serving::begin(services, here, None, None, login_by);
+        let mut serving = Serving::begin(services, here, Remote::default(), None, login_by);
         tokio::spawn(async move { serving.run().await });
         there
     }
@@ -308,6 +307,14 @@ fn remember_places(logins: &mut Logins, directory: Option<&Path>) {
     if let Some(Err(error)) = directory.map(|directory| logins.remember_in(directory)) {
         tracing::warn!(%error, "where users have logged in before is not known, and will not be after this start");
     }
+}
+
+/// What a broker does without being asked.
+fn spawn_housekeeping(tasks: &mut JoinSet<()>, board: &Arc<Switchboard>, stop: &watch::Receiver<bool>) {
+    tasks.spawn(keep_deadlines(Arc::clone(board), stop.clone()));
+    tasks.spawn(keep_memory(Arc::clone(board), stop.clone()));
+    tasks.spawn(follow_wall_clock(Arc::clone(board), stop.clone()));
+    tasks.spawn(report(Arc::clone(board), stop.clone()));
 }
 
 /// Calls the hub when one of its deadlines comes.

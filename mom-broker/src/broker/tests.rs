@@ -1,18 +1,25 @@
 //! A broker on a store.
 
 use std::path::Path as FilePath;
+use std::sync::Arc;
 
+use mom_config::{ConnectionCaps, WebConfig};
 use mom_hub::{Holder, Record, Ticket};
-use mom_proto::{Path, Time};
+use mom_net::Takes;
+use mom_proto::{Code, Path, Time};
 use mom_store::Store;
 use tempfile::TempDir;
+use tokio::sync::{Semaphore, watch};
 
 use super::Broker;
+use super::listen::{Entry, Listener};
+use crate::connection::Doors;
+use crate::web::Web;
 use crate::{BrokerError, Clock, Config, StoreError};
 
 fn config(state: &FilePath) -> Config {
     let mut config = Config::default();
-    config.listen = vec!["127.0.0.1:0".to_owned()];
+    config.listen = vec!["127.0.0.1:0".into()];
     config.store.path = Some(state.to_owned());
     config
 }
@@ -64,4 +71,37 @@ async fn a_broker_goes_on_after_what_is_stored() {
     start(500).await.expect("a clock that went back").stop().await;
     let opened = Store::open(folder.path(), Time::from_micros(0).expect("a time"));
     assert_eq!(opened.expect("it opens").epoch, 1002);
+}
+
+/// Proxies that do not say whose connections theirs are keep nobody out but each other, and take no seats.
+#[tokio::test]
+async fn so_many_connections_of_proxies_are_untold() {
+    let folder = TempDir::new().expect("a folder");
+    let broker = Broker::start(config(folder.path())).await.expect("a broker");
+    let caps = ConnectionCaps {
+        all: 1,
+        before_login: 1,
+        per_address: 1,
+        per_user: 1,
+    };
+    let doors = Arc::new(Doors::new(caps));
+    let listener = Listener {
+        services: broker.services.clone(),
+        web: Arc::new(Web::new(Arc::clone(&doors), &WebConfig::default())),
+        doors,
+        tls: Arc::default(),
+        takes: Takes::default(),
+        proxies: vec!["10.0.0.0/8".parse().expect("a network")],
+        stop: watch::channel(false).1,
+    };
+    let untold = Arc::new(Semaphore::new(2));
+    let enter = |from: &str| listener.enter(from.parse().expect("an address"), &untold);
+    let places = ["10.0.0.1:1", "10.0.0.2:1"].map(|from| enter(from).expect("a place"));
+    assert!(places.iter().all(|entry| matches!(entry, Entry::Untold(..))));
+    let refused = enter("10.0.0.3:1").err().expect("one too many");
+    assert_eq!(refused.code, Code::TOO_MANY_CONNECTIONS);
+    let known = enter("192.0.2.1:1").expect("another way in");
+    assert!(matches!(known, Entry::Known(_)), "its seat was free");
+    drop(places);
+    assert!(enter("10.0.0.3:1").is_ok());
 }

@@ -254,7 +254,7 @@ impl Drop for Seat {
     }
 }
 
-fn full(text: &str) -> WireError {
+pub(crate) fn full(text: &str) -> WireError {
     WireError::new(Code::TOO_MANY_CONNECTIONS, text)
 }
 

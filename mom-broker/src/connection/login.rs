@@ -41,7 +41,11 @@ impl Connection {
         }
         let step = if parcel.name() == Verb::Answer.word() {
             logins
-                .answer(parcel, challenge.map(|challenge| *challenge), self.arrival.from)
+                .answer(
+                    parcel,
+                    challenge.map(|challenge| *challenge),
+                    self.arrival.remote.from,
+                )
                 .map(LoginStep::Granted)
         } else {
             logins.check(parcel, &self.arrival.link()).await
@@ -96,9 +100,9 @@ impl Connection {
         }
         if self
             .services
-            .is_first("logged in", self.arrival.from, Some(granted.user()))
+            .is_first("logged in", self.arrival.remote.from, Some(granted.user()))
         {
-            tracing::info!(peer = peer.0, user = granted.user(), origin = ?granted.origin(), from = ?self.arrival.from, "logged in");
+            tracing::info!(peer = peer.0, user = granted.user(), origin = ?granted.origin(), from = ?self.arrival.remote.from, "logged in");
         }
         let account = board.memory.account(&granted.user().into());
         let logged_in = &mut self.logged_in;
@@ -134,9 +138,9 @@ impl Connection {
         self.audit_login(claimed.clone(), &error.code);
         if self
             .services
-            .is_first("login refused", self.arrival.from, Some(error.code.word()))
+            .is_first("login refused", self.arrival.remote.from, Some(error.code.word()))
         {
-            tracing::info!(peer = self.peer.0, from = ?self.arrival.from, code = %error.code, "login refused");
+            tracing::info!(peer = self.peer.0, from = ?self.arrival.remote.from, code = %error.code, "login refused");
         }
         if [Code::BAD_LOGIN, Code::BAD_CONTENT].contains(&error.code) {
             self.failures += 1;

@@ -32,7 +32,7 @@ use crate::traffic::switchboard::{Handled, Switchboard, Touched, flush};
 
 use measure::{Measure, Pings};
 
-pub(crate) use doors::{Doors, Seat};
+pub(crate) use doors::{Doors, Seat, full};
 pub(crate) use serving::{DRAIN, Serving};
 
 /// Frames after which a reader flushes and yields: a peer inside this process may never pause, and whoever adds
@@ -59,6 +59,9 @@ pub(crate) struct Services {
     pub(crate) next_limits: Arc<RwLock<Arc<Limits>>>,
 }
 
+/// A place for a connection, and what it is told if it has to go before it has begun.
+pub(crate) type Seated = (Seat, oneshot::Receiver<WireError>);
+
 impl Services {
     pub(crate) fn new(board: Switchboard, logins: Logins, limits: Limits) -> Services {
         let limits = Arc::new(limits);
@@ -67,6 +70,23 @@ impl Services {
             logins: Arc::new(logins),
             next_limits: Arc::new(RwLock::new(Arc::clone(&limits))),
             limits,
+        }
+    }
+
+    /// Takes in a connection, for which another may have to go.
+    pub(crate) fn seat(&self, doors: &Arc<Doors>, from: IpAddr) -> Result<Seated, WireError> {
+        let (seat, told, evicted) = doors.enter(from)?;
+        if let Some(evicted) = evicted {
+            evicted.tell(|outbox, error| self.board.close(outbox, Some(error)));
+        }
+        Ok((seat, told))
+    }
+
+    /// Logs that there was no place for a peer.
+    pub(crate) fn note_full(&self, from: IpAddr) {
+        let event = "too many connections";
+        if self.is_first(event, Some(from), None) {
+            tracing::warn!(%from, "{event}");
         }
     }
 
@@ -117,10 +137,20 @@ struct Connection {
     ended: bool,
 }
 
+/// Where a connection comes from.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Remote {
+    /// None inside this process.
+    pub(crate) from: Option<IpAddr>,
+    /// A proxy says so, or has come for itself.
+    pub(crate) relayed: bool,
+    /// A proxy that the configuration names says that nobody has read along before it.
+    pub(crate) secured: bool,
+}
+
 /// What a connection has brought.
 struct Arrival {
-    /// Where it comes from, none inside this process.
-    from: Option<IpAddr>,
+    remote: Remote,
     /// What is known of who is between.
     privacy: Privacy,
     /// Its part in the counts of connections from outside.
@@ -131,10 +161,11 @@ impl Arrival {
     fn link(&self) -> LoginLink {
         let (private, certificate) = match self.privacy {
             Privacy::Tls { certificate } => (true, certificate),
-            Privacy::Local | Privacy::Plain => (false, None),
+            Privacy::Local | Privacy::Plain => (self.remote.secured, None),
         };
         LoginLink {
-            from: self.from,
+            from: self.remote.from,
+            relayed: self.remote.relayed,
             private,
             certificate,
         }
@@ -502,15 +533,18 @@ impl Connection {
             self.services
                 .board
                 .decide(Input::Gone { peer: self.peer }, &mut touched);
-            if self.services.is_first("gone", self.arrival.from, user.as_deref()) {
+            if self
+                .services
+                .is_first("gone", self.arrival.remote.from, user.as_deref())
+            {
                 tracing::info!(peer = self.peer.0, %name, code = ?error.as_ref().map(|error| error.code.word()), "gone");
             }
         } else if let Some(error) = &error
             && self
                 .services
-                .is_first("closed", self.arrival.from, Some(error.code.word()))
+                .is_first("closed", self.arrival.remote.from, Some(error.code.word()))
         {
-            tracing::info!(peer = self.peer.0, from = ?self.arrival.from, code = %error.code, "closed");
+            tracing::info!(peer = self.peer.0, from = ?self.arrival.remote.from, code = %error.code, "closed");
         }
         self.services.board.close(&self.outbox, error);
         flush(&mut touched);
@@ -559,7 +593,7 @@ pub(crate) async fn too_late(
     }
 }
 
-fn login_timeout(millis: u64) -> WireError {
+pub(crate) fn login_timeout(millis: u64) -> WireError {
     WireError::new(
         Code::LOGIN_TIMEOUT,
         format!("no login within {} s", millis / 1000),

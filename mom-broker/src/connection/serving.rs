@@ -1,7 +1,6 @@
 //! One connection with its reader and its writer, in one task.
 
 use std::future::poll_fn;
-use std::net::IpAddr;
 use std::pin::{Pin, pin};
 use std::sync::Arc;
 use std::task::Poll;
@@ -13,7 +12,7 @@ use tokio::time::{Instant, timeout};
 
 use super::doors::Seat;
 use super::measure::{Measure, Pings};
-use super::{Arrival, Connection, Services, requests};
+use super::{Arrival, Connection, Remote, Services, requests};
 use crate::traffic::outbox::Outbox;
 
 /// A stop lets what waits go out for at most so long.
@@ -37,7 +36,7 @@ impl Serving {
     pub(crate) fn begin(
         services: Services,
         transceiver: Transceiver,
-        from: Option<IpAddr>,
+        remote: Remote,
         seat: Option<Seat>,
         login_by: Instant,
     ) -> Serving {
@@ -54,7 +53,7 @@ impl Serving {
             writer,
             services.limits.before_login,
         ));
-        services.board.tap.audit.arrived(peer, from);
+        services.board.tap.audit.arrived(peer, remote.from);
         services.board.add_outbox(&outbox);
         if let Some(Err(error)) = seat.as_ref().map(|seat| seat.begin(&outbox)) {
             services.board.close(&outbox, Some(error));
@@ -64,7 +63,11 @@ impl Serving {
             services,
             peer,
             outbox,
-            arrival: Box::new(Arrival { from, privacy, seat }),
+            arrival: Box::new(Arrival {
+                remote,
+                privacy,
+                seat,
+            }),
             logged_in: false,
             failures: 0,
             heard_at: Instant::now(),

@@ -17,7 +17,7 @@ use mom_system::Clock;
 use tokio::sync::mpsc;
 use tokio::time::Instant;
 
-use super::{Services, Serving};
+use super::{Remote, Services, Serving};
 use crate::traffic::encodings::Bounds;
 use crate::traffic::switchboard::Switchboard;
 
@@ -54,9 +54,12 @@ impl House {
     /// A peer that comes from somewhere.
     fn enter(&self, from: Option<&str>) -> Visitor {
         let (here, there) = mom_net::pair();
-        let from = from.map(|from| from.parse::<IpAddr>().expect("an address"));
+        let remote = Remote {
+            from: from.map(|from| from.parse::<IpAddr>().expect("an address")),
+            ..Remote::default()
+        };
         let login_by = Instant::now() + Duration::from_secs(60);
-        let mut serving = Serving::begin(self.services.clone(), here, from, None, login_by);
+        let mut serving = Serving::begin(self.services.clone(), here, remote, None, login_by);
         tokio::spawn(async move { serving.run().await });
         Visitor { link: there, last: 0 }
     }

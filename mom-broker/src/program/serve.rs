@@ -90,7 +90,11 @@ impl ServeArgs {
             None => Config::default(),
         };
         if !self.listen.is_empty() {
-            config.listen.clone_from(&self.listen);
+            config.listen = self
+                .listen
+                .iter()
+                .map(|address| address.as_str().into())
+                .collect();
         }
         if self.record.is_some() {
             config.record.path.clone_from(&self.record);
@@ -111,13 +115,11 @@ impl ServeArgs {
         let mut on_change = config.reload == ReloadOn::Change;
         let mut again = false;
         descriptors::make_room(config.connections);
+        let listeners = config.listen.clone();
         let broker = Broker::start(config).await?;
         // On standard output, so that a caller that chose port 0 can read the actual port.
-        for address in broker.local_addrs() {
-            writeln!(
-                std::io::stdout(),
-                "listening at tcp://{address} (XML), json://{address} (JSON) and bin://{address} (binary)"
-            )?;
+        for (listener, address) in listeners.iter().zip(broker.local_addrs()) {
+            writeln!(std::io::stdout(), "listening at {}", listener.shown(*address))?;
         }
         std::io::stdout().flush()?;
         loop {

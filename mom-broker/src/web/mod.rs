@@ -1,27 +1,28 @@
 //! What HTTP asks of a hub: to become a WebSocket, a tunnel, its health and figures, and what a user may see of it.
 
 mod answers;
+mod forwarded;
 mod origins;
 mod tunnels;
 
 use std::convert::Infallible;
 use std::future::poll_fn;
-use std::net::SocketAddr;
+use std::net::IpAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use http::header::{CONNECTION, HOST, ORIGIN, TRANSFER_ENCODING};
+use http::header::{CONNECTION, HOST, HeaderMap, ORIGIN, TRANSFER_ENCODING};
 use http::{HeaderValue, Method, Request, Response, StatusCode};
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::TokioTimer;
-use mom_net::{HttpStream, Privacy, Transceiver, Tunnels, WebSocketUpgrade};
+use mom_config::{Network, WebConfig};
+use mom_net::{HttpStream, Privacy, Protocol, Takes, Transceiver, Tunnels, WebSocketUpgrade};
 use mom_proto::WireError;
 use parking_lot::Mutex;
-use tokio::sync::oneshot;
 
-use crate::connection::{Doors, Seat, Services};
+use crate::connection::{Doors, Remote, Seat, Seated, Services};
 
 use answers::{Body, allow, refuse};
 use origins::Origins;
@@ -39,58 +40,67 @@ pub(crate) struct Web {
     doors: Arc<Doors>,
     tunnels: Arc<Tunnels>,
     origins: Origins,
+    forwarded_by: Vec<Network>,
 }
 
 /// One connection that asks by HTTP.
 pub(crate) struct Visit {
     pub(crate) services: Services,
-    pub(crate) from: SocketAddr,
+    pub(crate) remote: Remote,
     /// The port that it has come to.
     pub(crate) port: u16,
-    /// Told if it has to go.
-    pub(crate) told: oneshot::Receiver<WireError>,
-    pub(crate) seat: Seat,
+    pub(crate) takes: Takes,
+    pub(crate) seated: Seated,
 }
 
 /// What the requests of one connection share.
 struct HttpConnection {
     web: Arc<Web>,
     services: Services,
-    from: SocketAddr,
+    remote: Remote,
     port: u16,
+    takes: Takes,
     privacy: Privacy,
     seat: Mutex<Option<Seat>>,
-    upgrade: Mutex<Option<WebSocketUpgrade>>,
+    upgrade: Mutex<Option<Upgrade>>,
+}
+
+/// What a connection becomes after its last request.
+struct Upgrade {
+    websocket: WebSocketUpgrade,
+    remote: Remote,
 }
 
 impl Web {
-    pub(crate) fn new(doors: Arc<Doors>, origins: &[String]) -> Web {
+    pub(crate) fn new(doors: Arc<Doors>, config: &WebConfig) -> Web {
         Web {
             doors,
             tunnels: Arc::default(),
-            origins: Origins::new(origins),
+            origins: Origins::new(&config.origins),
+            forwarded_by: config.forwarded_by.clone(),
         }
     }
 
-    /// Answers the requests of a connection; gives it back with its seat if it has become a peer's.
+    /// Answers the requests of a connection; gives it back, whose it is, and its seat, if it has become a peer's.
     pub(crate) async fn serve(
         self: &Arc<Web>,
         stream: HttpStream,
         visit: Visit,
-    ) -> Option<(Transceiver, Seat)> {
+    ) -> Option<(Transceiver, Remote, Seat)> {
         let Visit {
             services,
-            from,
+            remote,
             port,
-            told,
-            seat,
+            takes,
+            seated: (seat, told),
         } = visit;
         let limits = Arc::clone(&services.limits);
         let shared = Arc::new(HttpConnection {
             web: Arc::clone(self),
             services,
-            from,
+            remote,
             port,
+            takes,
             privacy: stream.privacy(),
             seat: Mutex::new(Some(seat)),
             upgrade: Mutex::default(),
@@ -111,7 +121,7 @@ impl Web {
             Ok(_) = told => return None,
         };
         if let Err(error) = served {
-            tracing::debug!(%from, %error, "HTTP ended");
+            tracing::debug!(from = ?remote.from, %error, "HTTP ended");
         }
         let parts = connection.into_parts();
         let upgrade = shared.upgrade.lock().take();
@@ -120,9 +130,10 @@ impl Web {
             return None;
         };
         let limits = limits.before_login();
-        let begun = upgrade.start(parts.io, &parts.read_buf, &limits).await;
-        let seat = shared.seat.lock().take();
-        begun.ok().zip(seat)
+        let Upgrade { websocket, remote } = upgrade;
+        let begun = websocket.start(parts.io, &parts.read_buf, &limits).await;
+        let seat = shared.seat.lock().take()?;
+        Some((begun.ok()?, remote, seat))
     }
 }
 
@@ -183,13 +194,19 @@ impl HttpConnection {
             return self.upgrade(&request);
         }
         let path = request.uri().path().to_owned();
-        match (request.method(), path.as_str()) {
-            (&Method::OPTIONS, _) => answers::options(),
-            (_, "/tunnel") => self.open_tunnel(request.method()),
-            (_, path) if path.starts_with("/tunnel/") => {
-                self.use_tunnel(&path["/tunnel/".len()..], request).await
-            }
-            (&Method::GET | &Method::HEAD, "/" | "/mom") => answers::text(StatusCode::OK, HERE),
+        let tunnel = path.strip_prefix("/tunnel");
+        let protocol = match tunnel {
+            Some(_) => Protocol::Tunnel,
+            None => Protocol::Http,
+        };
+        if let Some(refusal) = self.check_taken(protocol) {
+            return refusal;
+        }
+        match (request.method(), path.as_str(), tunnel) {
+            (&Method::OPTIONS, ..) => answers::options(),
+            (.., Some("")) => self.open_tunnel(&request),
+            (.., Some(id)) if id.starts_with('/') => self.use_tunnel(&id[1..], request).await,
+            (&Method::GET | &Method::HEAD, "/" | "/mom", _) => answers::text(StatusCode::OK, HERE),
             _ => refuse(
                 StatusCode::NOT_FOUND,
                 "unknown-path",
@@ -198,14 +215,44 @@ impl HttpConnection {
         }
     }
 
+    /// Whose a request is.
+    fn remote_of(&self, headers: &HeaderMap) -> Remote {
+        forwarded::remote(self.remote, headers, &self.web.forwarded_by)
+    }
+
+    /// Refuses what the listener does not take.
+    fn check_taken(&self, protocol: Protocol) -> Option<Response<Body>> {
+        let error = self.takes.check(protocol).err()?;
+        Some(refuse(StatusCode::FORBIDDEN, error.code.word(), &error.text))
+    }
+
+    /// Tells one for whom there is no place.
+    fn refuse_full(&self, from: IpAddr, error: &WireError) -> Response<Body> {
+        self.services.note_full(from);
+        refuse(StatusCode::SERVICE_UNAVAILABLE, error.code.word(), &error.text)
+    }
+
     fn upgrade(&self, request: &Request<Incoming>) -> Response<Body> {
         if request.uri().path() != "/mom" {
             return refuse(StatusCode::NOT_FOUND, "unknown-path", "the WebSocket is at /mom");
         }
+        if let Some(refusal) = self.check_taken(Protocol::Websocket) {
+            return refusal;
+        }
         match WebSocketUpgrade::of(request) {
-            Ok(upgrade) => {
-                let answer = upgrade.response();
-                *self.upgrade.lock() = Some(upgrade);
+            Ok(websocket) => {
+                let remote = self.remote_of(request.headers());
+                if let Some(from) = remote.from
+                    && Some(from) != self.remote.from
+                {
+                    // It counts where it comes from, and no more as the proxy's.
+                    match self.services.seat(&self.web.doors, from) {
+                        Ok((seat, _)) => *self.seat.lock() = Some(seat),
+                        Err(error) => return self.refuse_full(from, &error),
+                    }
+                }
+                let answer = websocket.response();
+                *self.upgrade.lock() = Some(Upgrade { websocket, remote });
                 answer
             }
             Err(refused) => {

@@ -1,5 +1,6 @@
 //! Peers that come through requests of HTTP.
 
+use std::net::{IpAddr, Ipv4Addr};
 use std::sync::Arc;
 
 use http::header::ALLOW;
@@ -7,20 +8,19 @@ use http::{HeaderValue, Method, Request, Response, StatusCode};
 use hyper::body::Incoming;
 use mom_hub::PeerId;
 use mom_net::{Privacy, Tunnel};
-use tokio::sync::oneshot;
 use tokio::time::Instant;
 
 use super::HttpConnection;
 use super::answers::{Body, refuse};
-use crate::connection::{Seat, Serving, login_time, too_late};
+use crate::connection::{Remote, Seated, Serving, login_time, too_late};
 
 /// The time that a body has to come.
 const BODY: std::time::Duration = std::time::Duration::from_secs(10);
 
 impl HttpConnection {
     /// Opens a tunnel, which is a connection like any other: it takes a place, and waits for a login.
-    pub(super) fn open_tunnel(self: Arc<HttpConnection>, method: &Method) -> Response<Body> {
-        if method != Method::POST {
+    pub(super) fn open_tunnel(self: Arc<HttpConnection>, request: &Request<Incoming>) -> Response<Body> {
+        if request.method() != Method::POST {
             let mut answer = refuse(
                 StatusCode::METHOD_NOT_ALLOWED,
                 "unknown-verb",
@@ -31,18 +31,17 @@ impl HttpConnection {
                 .insert(ALLOW, HeaderValue::from_static("POST"));
             return answer;
         }
-        if self.privacy == Privacy::Plain && !self.from.ip().is_loopback() {
+        let near = |from: IpAddr| from.to_canonical().is_loopback() && !self.remote.relayed;
+        if self.privacy == Privacy::Plain && !self.remote.from.is_some_and(near) {
             let text = "a tunnel without TLS is for loopback: others could take it over; use https://";
             return refuse(StatusCode::FORBIDDEN, "insecure-link", text);
         }
-        let (seat, told, evicted) = match self.web.doors.enter(self.from.ip()) {
-            Ok(entered) => entered,
-            Err(error) => return refuse(StatusCode::SERVICE_UNAVAILABLE, error.code.word(), &error.text),
+        let remote = self.remote_of(request.headers());
+        let from = remote.from.unwrap_or(IpAddr::V4(Ipv4Addr::UNSPECIFIED));
+        let seated = match self.services.seat(&self.web.doors, from) {
+            Ok(seated) => seated,
+            Err(error) => return self.refuse_full(from, &error),
         };
-        if let Some(evicted) = evicted {
-            let board = &self.services.board;
-            evicted.tell(|outbox, error| board.close(outbox, Some(error)));
-        }
         let Some(tunnel) = self.web.tunnels.open() else {
             return refuse(
                 StatusCode::INTERNAL_SERVER_ERROR,
@@ -51,18 +50,18 @@ impl HttpConnection {
             );
         };
         let answer = tunnel.opened();
-        tokio::spawn(self.serve_tunnel(tunnel, seat, told));
+        tokio::spawn(self.serve_tunnel(tunnel, remote, seated));
         answer
     }
 
     async fn serve_tunnel(
         self: Arc<HttpConnection>,
         tunnel: Arc<Tunnel>,
-        seat: Seat,
-        told: oneshot::Receiver<mom_proto::WireError>,
+        remote: Remote,
+        (seat, told): Seated,
     ) {
         let services = self.services.fresh();
-        let (web, from, privacy) = (Arc::clone(&self.web), self.from, self.privacy);
+        let (web, privacy) = (Arc::clone(&self.web), self.privacy);
         // The connection that has opened it may end long before it does.
         drop(self);
         let limits = services.limits.before_login();
@@ -74,12 +73,11 @@ impl HttpConnection {
         };
         match greeted {
             Ok(transceiver) => {
-                let mut serving =
-                    Serving::begin(services, transceiver, Some(from.ip()), Some(seat), login_by);
+                let mut serving = Serving::begin(services, transceiver, remote, Some(seat), login_by);
                 tunnel.set_peer(serving.peer().0);
                 serving.run().await;
             }
-            Err(error) => tracing::debug!(%from, %error, "refused"),
+            Err(error) => tracing::debug!(from = ?remote.from, %error, "refused"),
         }
         web.tunnels.close(&tunnel).await;
     }

@@ -293,7 +293,7 @@ fn what_is_written_again_as_it_was_is_no_change() {
 /// The lab on a free port.
 fn free_lab() -> Config {
     let mut config = Config::lab();
-    config.listen = vec!["127.0.0.1:0".to_owned()];
+    config.listen = vec!["127.0.0.1:0".into()];
     config
 }
 

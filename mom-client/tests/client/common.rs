@@ -68,9 +68,9 @@ impl Hub {
                 let (stream, _) = listener.accept().await.unwrap();
                 // The test waits for as long as it takes.
                 let never = std::future::pending();
-                let limits = Limits::default();
+                let (takes, limits) = (mom_net::Takes::default(), Limits::default());
                 let accepted =
-                    mom_net::accept(stream, None, &limits, never, |error| error.to_parcel(None)).await;
+                    mom_net::accept(stream, None, takes, &limits, never, |error| error.to_parcel(None)).await;
                 match accepted.unwrap() {
                     mom_net::Accepted::Peer(peer) => peer,
                     mom_net::Accepted::Http(_) => panic!("HTTP where a peer was expected"),

@@ -38,7 +38,7 @@ pub(crate) async fn run(args: &cli::LabArgs, output: Output) -> Result<(), Failu
     let mut interrupt = Interrupt::install()?;
     let mut config = Config::lab();
     if let Some(listen) = args.listen {
-        config.listen = vec![listen.to_string()];
+        config.listen = vec![listen.into()];
     }
     let kept = config.store.keep_state(|name| env::var_os(name));
     kept.map_err(|error| start_failure(error.into()))?;
@@ -358,6 +358,6 @@ mod tests {
 
     #[test]
     fn the_lab_is_where_everybody_looks() {
-        assert_eq!(Config::lab().listen, [USUAL]);
+        assert_eq!(Config::lab().listen, [USUAL.into()]);
     }
 }

@@ -20,7 +20,7 @@ const BEGINNING: u64 = 1_795_255_200;
 /// Runs a script from its first line to its last, and to the end of what is heard.
 pub(crate) async fn run(script: &Script, carrier: Carrier) -> Result<(), Error> {
     let mut config = load(&script.config)?;
-    config.listen = vec!["127.0.0.1:0".to_owned()];
+    config.listen = vec!["127.0.0.1:0".into()];
     config.tls = tls::of_hub();
     let clock = Clock::manual(beginning());
     let broker = Broker::start_at(config, clock.clone())

@@ -8,6 +8,7 @@ mod dialogues;
 mod faults;
 mod first_hour;
 mod late;
+mod listen;
 mod login;
 mod losses;
 mod order;

@@ -164,7 +164,7 @@ async fn a_certificate_logs_its_user_in_and_nobody_else() {
     assert_eq!(client.name(), "arm");
     // Without it in the file, who logged in by it is no longer let in.
     let mut without = Config::lab();
-    without.listen = vec!["127.0.0.1:0".to_owned()];
+    without.listen = vec!["127.0.0.1:0".into()];
     without.tls = tls::of_hub();
     broker.reload(without).expect("a right configuration");
     let ended = async { while client.lookup("/chat").await.is_ok() {} };
@@ -182,7 +182,7 @@ async fn half_of_a_certificate_is_not_overwritten() {
     let key = std::fs::read(&identity.key).expect("it is there");
     std::fs::remove_file(&identity.certificate).expect("it is there");
     let mut config = Config::lab();
-    config.listen = vec!["127.0.0.1:0".to_owned()];
+    config.listen = vec!["127.0.0.1:0".into()];
     config.tls.certificate = Some(identity.certificate.clone());
     config.tls.key = Some(identity.key.clone());
     config.tls.self_signed = true;
@@ -213,7 +213,7 @@ async fn a_new_certificate_is_shown_to_who_comes_next() {
     let before = alice(&broker, old.clone()).await.expect("the right hub");
     let identity = tls::make(folder.path(), "new");
     let mut config = Config::lab();
-    config.listen = vec!["127.0.0.1:0".to_owned()];
+    config.listen = vec!["127.0.0.1:0".into()];
     config.tls.certificate = Some(identity.certificate.clone());
     config.tls.key = Some(folder.path().join("nothing"));
     let error = broker.reload(config.clone()).expect_err("there is no such key");

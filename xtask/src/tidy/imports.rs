@@ -38,6 +38,7 @@ const ARROWS: &[(&str, May)] = &[
             "mom-proto",
             "mom-managers",
             "mom-hub",
+            "mom-net",
             "mom-system",
             "mom-login",
             "mom-store",

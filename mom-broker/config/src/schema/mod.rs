@@ -10,6 +10,7 @@ mod managers;
 #[cfg(test)]
 mod tests;
 
+use mom_net::{Protocol, TlsUse};
 use mom_proto::to_value;
 use serde_json::{Map, Value, json};
 
@@ -20,13 +21,14 @@ const DRAFT: &str = "http://json-schema.org/draft-04/schema#";
 /// The schema of the configuration file.
 pub fn config_schema() -> Value {
     let default = Config::default();
+    let addresses: Vec<&str> = default.listen.iter().map(|listen| &*listen.address).collect();
     let mut definitions = managers::definitions();
     definitions.insert("context".to_owned(), contexts::context());
     let properties = json!({
         "listen": {
-            "description": "The addresses to listen at. XML and binary share each port.",
-            "type": "array", "items": text("An address with its port, such as 127.0.0.1:7666."),
-            "minItems": 1, "default": default.listen
+            "description": "The addresses to listen at. All that a listener takes shares its port.",
+            "type": "array", "items": listen(),
+            "minItems": 1, "default": addresses
         },
         "tls": table(
             "The certificate that the hub shows. XML and binary with TLS share the port with those without.",
@@ -40,7 +42,10 @@ pub fn config_schema() -> Value {
         ),
         "web": table(
             "What HTTP may ask.",
-            &json!({ "origins": with_default(names("Where pages come from that may use the hub, such as https://lab.example.org; those that the hub itself serves may."), json!([])) }),
+            &json!({
+                "origins": with_default(names("Where pages come from that may use the hub, such as https://lab.example.org; those that the hub itself serves may."), json!([])),
+                "forwarded-by": with_default(names("The addresses or networks of proxies that are believed what their header Forwarded says of clients."), json!([]))
+            }),
             &[]
         ),
         "connections": with_default(positive("Connections at once; one more is told too-many-connections."), default.connections),
@@ -83,6 +88,29 @@ pub fn config_schema() -> Value {
     document(&mut schema, "MOM broker configuration");
     schema["definitions"] = definitions.into();
     schema
+}
+
+fn listen() -> Value {
+    let doors = Protocol::ALL.map(Protocol::word);
+    let mut takes = list(
+        "The ways in that are open; absent = all.",
+        words("A way in.", &doors),
+    );
+    takes["minItems"] = 1.into();
+    let entry = json!({
+        "address": text("The address with its port, such as 127.0.0.1:7666."),
+        "takes": takes,
+        "tls": with_default(words("Whether connections have TLS.", &TlsUse::WORDS), "allowed"),
+        "proxy": names("The addresses or networks of proxies that begin each connection with a PROXY protocol header, such as 10.0.0.0/8."),
+    });
+    let description = "A listener: its address, what it takes, and the proxies before it.";
+    json!({
+        "description": "An address with its port, or a table with more.",
+        "anyOf": [
+            text("An address with its port, such as 127.0.0.1:7666."),
+            table(description, &entry, &["address"])
+        ]
+    })
 }
 
 /// The schema of the users file.

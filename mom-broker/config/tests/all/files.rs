@@ -5,6 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use mom_config::{Config, ConfigError};
+use mom_net::{Protocol, TlsUse};
 use mom_proto::Limits;
 use tempfile::TempDir;
 
@@ -259,6 +260,67 @@ fn addresses_that_cannot_be_listened_at() {
     ] {
         check(&format!("¦listen = [\"{address}\"]\n"), "listen[0]", words);
     }
+}
+
+/// Listeners as tables: each fault at its line, and in words.
+#[test]
+fn listeners_that_contradict_themselves() {
+    let entry = |line: &str| format!("[[listen]]\naddress = \"127.0.0.1:7666\"\n¦{line}\n");
+    for (line, key, words) in [
+        (
+            "takes = []",
+            "takes",
+            "a listener that takes nothing is of no use; name some of xml, binary",
+        ),
+        ("takes = [\"xlm\"]", "takes[0]", "did you mean xml?"),
+        ("takes = \"xml\"", "takes", "a list in brackets"),
+        ("tls = \"required\"", "tls", "there is no certificate"),
+        ("tls = true", "tls", "\"allowed\", \"required\", \"refused\""),
+        ("proxies = []", "proxies", "known are address, takes, tls, proxy"),
+        ("proxy = [\"10.0.0.0/33\"]", "proxy", "no address or network"),
+        (
+            "proxy = [\"::1\", \"localhost\"]",
+            "proxy",
+            "no address or network",
+        ),
+        ("proxy = [\"10.0.0.1/8\"]", "proxy", "did you mean 10.0.0.0/8?"),
+        ("proxy = [\"fd00::1/8\"]", "proxy", "did you mean fd00::/8?"),
+        ("proxy = [\"0.0.0.0/0\"]", "proxy", "every address"),
+        ("proxy = [\"::ffff:10.0.0.1\"]", "proxy", "write it as 10.0.0.1"),
+    ] {
+        check(&entry(line), &format!("listen[0].{key}"), words);
+    }
+    check(
+        "[[listen]]\n¦address = \"127.0.0.1\"\n",
+        "listen[0].address",
+        "has no port",
+    );
+    check(
+        "¦listen = [{ takes = [\"xml\"] }]\n",
+        "listen[0].address",
+        "is missing",
+    );
+    check("¦listen = [7666]\n", "listen[0]", "a text in quotes or a table");
+}
+
+#[test]
+fn listeners_are_addresses_or_tables() {
+    let text = "listen = [\"127.0.0.1:1\", { address = \"[::1]:2\", takes = [\"xml\", \"tunnel\"], tls = \"required\", \
+                proxy = [\"10.0.0.0/8\", \"::1\"] }]\n[tls]\ncertificate = \"hub.crt\"\nkey = \"hub.key\"\n";
+    let config = load(&[("mom.toml", text)]).expect("right");
+    let [plain, table] = &config.listen[..] else {
+        panic!("{:?}", config.listen)
+    };
+    assert_eq!(*plain, "127.0.0.1:1".into());
+    assert_eq!((plain.takes.len(), plain.tls), (6, TlsUse::Allowed));
+    assert_eq!((&*table.address, table.tls), ("[::1]:2", TlsUse::Required));
+    assert_eq!(table.takes, [Protocol::Xml, Protocol::Tunnel]);
+    let among = |address: &str| {
+        let address = address.parse().expect("an address");
+        table.proxy.iter().any(|proxy| proxy.contains(address))
+    };
+    assert!(among("10.255.0.1") && among("::ffff:10.0.0.1") && among("::1"));
+    assert!(!among("11.0.0.1") && !among("::2") && !among("127.0.0.1"));
 }
 
 /// The table of tokens, with one line of it changed and marked.

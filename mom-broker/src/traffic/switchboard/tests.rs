@@ -8,7 +8,7 @@ use std::time::Duration;
 use mom_hub::{ContextSpec, Hub, Input, PeerClock, PeerId, Settings, User};
 use mom_journal::{AuditConfig, ConfigFile, RecordConfig, Tap};
 use mom_managers::Registry;
-use mom_net::{Accepted, Address, Door, Reader, Transceiver, Writer};
+use mom_net::{Accepted, Address, Door, Reader, Takes, Transceiver, Writer};
 use mom_proto::codec::{Form, Frame};
 use mom_proto::{
     ClockOffset, ContextNumber, Delivery, Family, Limit, Limits, Map, Parcel, Path, Time, Value, from_value,
@@ -155,8 +155,10 @@ async fn link() -> (Transceiver, Transceiver) {
     let near = async {
         let (stream, _) = listener.accept().await.expect("a connection");
         let never = std::future::pending();
-        let accepted = mom_net::accept(stream, None, &limits, never, |error| error.to_parcel(None));
-        match accepted.await.expect("binary") {
+        let takes = Takes::default();
+        let accepted =
+            mom_net::accept(stream, None, takes, &limits, never, |error| error.to_parcel(None)).await;
+        match accepted.expect("binary") {
             Accepted::Peer(transceiver) => transceiver,
             Accepted::Http(_) => panic!("no HTTP"),
         }

@@ -15,7 +15,7 @@ const ROOM: &str = "[[contexts]]\npath = \"/key\"\nkind = \"token\"\nmanager = \
 /// A broker of the lab whose clock stands at this second.
 async fn start(state: &Path, second: i64) -> Result<Broker, BrokerError> {
     let mut config = Config::lab();
-    config.listen = vec!["127.0.0.1:0".to_owned()];
+    config.listen = vec!["127.0.0.1:0".into()];
     config.store.state = Some(state.to_owned());
     let clock = Clock::manual(Time::from_micros(second * 1_000_000).expect("a time"));
     Broker::start_at(config, clock).await

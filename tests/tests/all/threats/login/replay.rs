@@ -174,7 +174,7 @@ async fn threat_14_secrets_from_elsewhere() {
     };
     let broker = mom_tests::lab::start_with(|config| {
         with_keys(config);
-        config.listen = vec![format!("{address}:0")];
+        config.listen = vec![format!("{address}:0").into()];
     })
     .await;
     for form in Form::ALL {
