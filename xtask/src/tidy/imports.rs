@@ -62,7 +62,7 @@ const ARROWS: &[(&str, May)] = &[
     ("mom-camera", May::Use(&["mom-client"])),
     (
         "mom",
-        May::Use(&["mom-client", "mom-broker", "mom-arm", "mom-camera"]),
+        May::Use(&["mom-client", "mom-broker", "mom-arm", "mom-camera", "mom-plots"]),
     ),
     ("mom-plots", May::Use(&[])),
     ("mom-tests", May::UseAll),
