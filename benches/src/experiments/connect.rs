@@ -51,7 +51,7 @@ pub(super) fn run(settings: &Settings) -> Result<Section> {
 /// One connection through each door in each round, so that all doors have the same chances.
 fn connect_all(far: &Far, doors: &[(&str, &str)], rounds: usize) -> Result<Vec<Vec<Times>>> {
     let mut times = vec![Vec::new(); doors.len()];
-    far.from_afar(async {
+    far.afar(async {
         for _ in 0..rounds {
             for (at, (scheme, _)) in doors.iter().enumerate() {
                 times[at].push(connect(&far.address(scheme).parse()?).await?);

@@ -109,7 +109,7 @@ impl Far {
     }
 
     /// Does something at the other end of the link.
-    pub(super) fn from_afar<T: Send>(&self, what: impl Future<Output = Result<T>> + Send) -> Result<T> {
+    pub(super) fn afar<T: Send>(&self, what: impl Future<Output = Result<T>> + Send) -> Result<T> {
         let run = || -> Result<T> { super::runtime()?.block_on(what) };
         self.link.ends.far.within(run)?
     }

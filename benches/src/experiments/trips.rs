@@ -58,7 +58,7 @@ fn sizes(settings: &Settings) -> Vec<usize> {
 }
 
 fn measure(far: &Far, sizes: &[usize], messages: usize) -> Result<Curve> {
-    far.from_afar(async {
+    far.afar(async {
         let client = Client::builder(far.address("bin")).guest().no_reconnect();
         let client = client.request_timeout(PATIENCE).connect().await?;
         let channel = client.channel(CHANNEL).await?;
