@@ -6,6 +6,8 @@
 //! of outstanding parcels, and every parcel numbered, so that a loss or a changed order is an [`Error`] and
 //! never a better figure. [`scenario`] puts hubs beside each other in one run, [`report`] makes the table.
 //!
+//! [`experiments`] are those of the papers, run again.
+//!
 //! Other brokers are measured by the package `mom-rivals`, which has their drivers and starts their programs.
 
 pub mod codecs;
@@ -13,6 +15,7 @@ pub mod control;
 pub mod decisions;
 mod driver;
 mod error;
+pub mod experiments;
 pub mod grants;
 pub mod hot_path;
 mod hub;

@@ -170,7 +170,7 @@ impl HubClock {
     }
 
     /// The hub's clock minus the own monotonic one.
-    fn offset(&self) -> Option<ClockOffset> {
+    pub(crate) fn offset(&self) -> Option<ClockOffset> {
         self.inner.state.lock().estimator.at(self.elapsed())
     }
 

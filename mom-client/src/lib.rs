@@ -55,6 +55,7 @@ mod outbox;
 mod owning;
 mod pending;
 mod predict;
+mod probe;
 mod proof;
 mod reconnect;
 mod refusal;
@@ -86,12 +87,13 @@ pub use info::{ContextInfo, Member};
 pub use inhibit::InhibitGuard;
 pub use key::Key;
 pub use message::{Message, Receipt};
-pub use mom_net::{Address, Identity, Trust};
+pub use mom_net::{Address, DEFAULT_PORT, Identity, NetError, Trust};
 pub use mom_proto::{
-    Code, Content, ContextKind, Delivery, Family, Fence, Fingerprint, HISTORY, HUB, Map, MessageRate, Parcel,
-    Path, Thinning, Time, Value, WireError, event, from_value, to_value,
+    ClockOffset, Code, Content, ContextKind, Delivery, Family, Fence, Fingerprint, HISTORY, HUB, Map,
+    MessageRate, Parcel, Path, Thinning, Time, Value, WireError, event, from_value, to_value,
 };
 pub use predict::{Model, Prediction, Predictor};
+pub use probe::Probe;
 pub use proof::Proof;
 pub use reconnect::{LinkState, Reconnect};
 pub use refusal::{Refusal, ordinal, plain_duration};

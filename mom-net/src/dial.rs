@@ -4,7 +4,7 @@ use std::io;
 
 use bytes::Bytes;
 use http::header::{HOST, PROXY_AUTHORIZATION};
-use http::{HeaderValue, Request, Uri};
+use http::{HeaderValue, Request, StatusCode, Uri};
 use http_body_util::Empty;
 use hyper_util::client::proxy::matcher::{Intercept, Matcher};
 use tokio::net::TcpStream;
@@ -132,12 +132,11 @@ impl Proxy {
             request = request.header(PROXY_AUTHORIZATION, authorization);
         }
         let request = request.body(Empty::<Bytes>::new()).map_err(io::Error::other)?;
-        let (answer, carrier, _) = http_door::switch(carrier, request).await?;
-        match answer.status.is_success() {
-            true => Ok(carrier),
-            false => {
-                let text = format!("the proxy {}:{} answers {}", self.host, self.port, answer.status);
-                Err(io::Error::new(io::ErrorKind::PermissionDenied, text))
+        match http_door::switch(carrier, request, StatusCode::OK).await {
+            Ok((_, carrier, _)) => Ok(carrier),
+            Err(error) => {
+                let text = format!("the proxy {}:{}: {error}", self.host, self.port);
+                Err(io::Error::other(text))
             }
         }
     }

@@ -3,6 +3,7 @@
 mod cli;
 mod commands;
 mod connect;
+mod doctor;
 mod failure;
 mod input;
 mod interrupt;

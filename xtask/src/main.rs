@@ -1,5 +1,5 @@
 //! The project tasks of MOM: `cargo xtask ci`, `cargo xtask test`, `cargo xtask shuttle`, `cargo xtask tidy`, `cargo xtask
-//! mutants`, `cargo xtask instructions`, `cargo xtask bench-peers`, `cargo xtask advisories`.
+//! mutants`, `cargo xtask instructions`, `cargo xtask bench-peers`, `cargo xtask experiments`, `cargo xtask advisories`.
 //!
 //! Everything that CI demands can be run here by the same commands, so that nothing is found only after a push.
 #![allow(
@@ -11,6 +11,7 @@
 mod advisories;
 mod ci;
 mod command;
+mod experiments;
 mod instructions;
 mod long;
 mod mutants;
@@ -44,6 +45,7 @@ const EXAMPLES: &str = "Examples:
   cargo xtask tidy                            the checks that the compiler does not make
   cargo xtask bench-peers                     MOM beside other brokers, into docs/benchmarks.md
   cargo xtask bench-peers --quick --peers nats,redis
+  cargo xtask experiments --only reach        what the papers measured, again, into docs/experiments.md
   cargo xtask instructions                    what the hot path costs, held to benches/instructions.toml
   cargo xtask advisories                      known vulnerabilities of what we depend upon
   cargo xtask ci                              everything that must hold before a change lands";
@@ -69,6 +71,9 @@ enum Task {
     /// Measure MOM beside nats, redis, mosquitto, zenoh and prosody; gets them first. See `-- --help` for more.
     #[command(after_help = EXAMPLES)]
     BenchPeers(PeersArgs),
+    /// Run the papers' experiments again, into docs/experiments.md. See `-- --help` for more.
+    #[command(after_help = EXAMPLES)]
+    Experiments(ExperimentsArgs),
     /// Count what the hot path costs in instructions, and hold it to the stored counts.
     Instructions {
         /// Install valgrind if it is missing.
@@ -132,6 +137,14 @@ struct PeersArgs {
     measure: Vec<String>,
 }
 
+#[derive(Args)]
+#[command(disable_help_flag = true)]
+struct ExperimentsArgs {
+    /// Arguments for the experiments: --seed, --only, --quick, --no-write, --help.
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGS")]
+    experiment: Vec<String>,
+}
+
 #[derive(Args, Clone, Copy)]
 struct InstallArgs {
     /// Install what is missing with the system's ordinary package clients.
@@ -171,6 +184,7 @@ fn run(task: Task) -> Result<ExitCode> {
             Ok(exit_code(mutants::run(&root, &sample)?))
         }
         Task::BenchPeers(args) => Ok(exit_code(peers::run(&root, args.no_install, &args.measure)?)),
+        Task::Experiments(args) => Ok(exit_code(experiments::run(&root, &args.experiment)?)),
         Task::Instructions { install, write } => {
             needs::ensure(
                 needs::FOR_INSTRUCTIONS,
@@ -256,6 +270,15 @@ mod tests {
         };
         assert!(args.no_install);
         assert_eq!(args.measure, ["--quick", "--peers", "nats"]);
+    }
+
+    #[test]
+    fn what_follows_experiments_goes_to_them() {
+        let cli = Cli::try_parse_from(["x", "experiments", "--seed", "7", "--only", "reach"]).unwrap();
+        let Task::Experiments(args) = cli.task else {
+            panic!("not the experiments")
+        };
+        assert_eq!(args.experiment, ["--seed", "7", "--only", "reach"]);
     }
 
     #[test]

@@ -1,16 +1,10 @@
-//! Bars in groups, as SVG, on a logarithmic scale: rates and delays here differ by powers of ten.
+//! The bars of the comparison: a group for each scenario, a colour for each hub.
 
-use std::fmt::Write as _;
+use mom_plots::{Bar, Bars, Group};
 
 use crate::brokers::Kind;
 use crate::metric::Metric;
 use crate::run::Outcome;
-
-const WIDTH: f64 = 900.0;
-const TOP: f64 = 60.0;
-const HEIGHT: f64 = 320.0;
-const LEFT: f64 = 70.0;
-const BOTTOM: f64 = 80.0;
 
 fn colour(kind: Kind) -> &'static str {
     match kind {
@@ -27,125 +21,26 @@ fn colour(kind: Kind) -> &'static str {
 
 /// A plot of one quantity: a group of bars for each scenario that has it. None without any figure.
 pub fn bars(title: &str, outcomes: &[&Outcome], metric: Metric) -> Option<String> {
-    let has = |kind: &Kind| {
-        outcomes
-            .iter()
-            .any(|outcome| outcome.value(*kind, metric).is_some())
+    let of = |outcome: &Outcome| -> Vec<Bar<'static>> {
+        let bar = |kind: Kind| {
+            Some(Bar {
+                name: kind.name(),
+                colour: colour(kind),
+                value: outcome.value(kind, metric)?,
+            })
+        };
+        Kind::ALL.into_iter().filter_map(bar).collect()
     };
-    let hubs: Vec<Kind> = Kind::ALL.into_iter().filter(has).collect();
-    let groups: Vec<&Outcome> = outcomes
-        .iter()
-        .copied()
-        .filter(|outcome| hubs.iter().any(|kind| outcome.value(*kind, metric).is_some()))
-        .collect();
-    let figures = groups
-        .iter()
-        .flat_map(|outcome| hubs.iter().filter_map(|kind| outcome.value(*kind, metric)))
-        .filter(|value| *value > 0.0);
-    let (least, most) = figures.fold((f64::INFINITY, 0.0_f64), |(least, most), value| {
-        (least.min(value), most.max(value))
-    });
-    if !least.is_finite() {
-        return None;
-    }
-    let decades = Decades {
-        first: least.log10().floor(),
-        last: most.log10().ceil().max(least.log10().floor() + 1.0),
+    let group = |outcome: &&Outcome| Group {
+        name: outcome.row.name,
+        bars: of(outcome),
     };
-    let mut out = head(title);
-    decades.lines(&mut out, metric);
-    let group = (WIDTH - LEFT) / groups.len() as f64;
-    let figures = |outcome: &Outcome| -> Vec<(Kind, f64)> {
-        let with = |kind: &Kind| Some((*kind, outcome.value(*kind, metric)?));
-        hubs.iter()
-            .filter_map(with)
-            .filter(|(_, value)| *value > 0.0)
-            .collect()
+    let groups = outcomes.iter().map(group).filter(|group| !group.bars.is_empty());
+    let bars = Bars {
+        title,
+        groups: groups.collect(),
     };
-    let most = groups.iter().map(|outcome| figures(outcome).len()).max();
-    let bar = group * 0.85 / most.unwrap_or(1).max(1) as f64;
-    for (number, outcome) in groups.iter().enumerate() {
-        let x = LEFT + group * number as f64;
-        for (place, (kind, value)) in figures(outcome).into_iter().enumerate() {
-            let y = decades.y(value);
-            // Writing to a String cannot fail.
-            let _ = writeln!(
-                out,
-                "<rect x=\"{:.1}\" y=\"{y:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"{}\"><title>{}: {}</title></rect>",
-                x + bar * place as f64,
-                bar * 0.92,
-                TOP + HEIGHT - y,
-                colour(kind),
-                kind.name(),
-                metric.show(value)
-            );
-        }
-        // One line for each part of the name, so that neighbours do not meet.
-        for (line, part) in outcome.row.name.split(", ").enumerate() {
-            let _ = writeln!(
-                out,
-                "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{part}</text>",
-                x + group * 0.42,
-                TOP + HEIGHT + 16.0 + 12.0 * line as f64
-            );
-        }
-    }
-    legend(&mut out, &hubs);
-    Some(out + "</svg>\n")
-}
-
-fn head(title: &str) -> String {
-    let height = TOP + HEIGHT + BOTTOM;
-    format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {height}\" font-family=\"sans-serif\" \
-         font-size=\"11\">\n<rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n\
-         <text x=\"{LEFT}\" y=\"24\" font-size=\"15\">{title}</text>\n"
-    )
-}
-
-fn legend(out: &mut String, hubs: &[Kind]) {
-    for (place, kind) in hubs.iter().enumerate() {
-        let x = LEFT + 95.0 * place as f64;
-        let y = TOP + HEIGHT + 58.0;
-        let _ = writeln!(
-            out,
-            "<rect x=\"{x}\" y=\"{y}\" width=\"11\" height=\"11\" fill=\"{}\"/><text x=\"{}\" y=\"{}\">{}</text>",
-            colour(*kind),
-            x + 16.0,
-            y + 10.0,
-            kind.name()
-        );
-    }
-}
-
-/// The powers of ten between which all figures lie.
-struct Decades {
-    first: f64,
-    last: f64,
-}
-
-impl Decades {
-    fn y(&self, value: f64) -> f64 {
-        let part = (value.log10() - self.first) / (self.last - self.first);
-        TOP + HEIGHT * (1.0 - part)
-    }
-
-    fn lines(&self, out: &mut String, metric: Metric) {
-        let mut power = self.first;
-        while power <= self.last {
-            let value = 10_f64.powf(power);
-            let y = self.y(value);
-            let _ = writeln!(
-                out,
-                "<line x1=\"{LEFT}\" y1=\"{y:.1}\" x2=\"{WIDTH}\" y2=\"{y:.1}\" stroke=\"#dddddd\"/>\
-                 <text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
-                LEFT - 6.0,
-                y + 4.0,
-                metric.show(value)
-            );
-            power += 1.0;
-        }
-    }
+    bars.to_svg(|value| metric.show(value))
 }
 
 #[cfg(test)]
@@ -167,7 +62,7 @@ mod tests {
         };
         let plot = bars("rates", &[&outcome], Metric::Rate).unwrap();
         assert!(plot.contains("<title>MOM: 1.00 M</title>"), "{plot}");
-        assert!(plot.contains(&format!("y=\"{TOP:.1}\" width")), "{plot}");
+        assert!(plot.contains("<title>redis: 100 k</title>"), "{plot}");
         assert!(bars("delays", &[&outcome], Metric::P50).is_none());
     }
 }

@@ -5,7 +5,9 @@ use std::sync::Arc;
 use mom_hub::Input;
 use mom_login::{Challenge, Granted, LoginStep};
 use mom_net::Reader;
-use mom_proto::{Code, Family, Parcel, Path, Value, Verb, WireError};
+use mom_proto::{Code, Family, Limits, Parcel, Path, Value, Verb, WireError};
+use tokio::sync::oneshot;
+use tokio::time::Instant;
 
 use super::Connection;
 use crate::traffic::switchboard::{Touched, flush};
@@ -177,4 +179,23 @@ impl Connection {
         let tap = &self.services.board.tap;
         tap.login_refused(self.peer, name, claimed, code);
     }
+}
+
+/// Waits until it is too late for a peer to say in which form it speaks, and gives why.
+pub(crate) async fn too_late(
+    limits: &Limits,
+    login_by: Instant,
+    told: impl Future<Output = Result<WireError, oneshot::error::RecvError>>,
+) -> WireError {
+    tokio::select! {
+        Ok(error) = told => error,
+        () = tokio::time::sleep_until(login_by) => login_timeout(limits.login_time),
+    }
+}
+
+pub(crate) fn login_timeout(millis: u64) -> WireError {
+    WireError::new(
+        Code::LOGIN_TIMEOUT,
+        format!("no login within {} s", millis / 1000),
+    )
 }

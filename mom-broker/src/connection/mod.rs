@@ -33,6 +33,7 @@ use crate::traffic::switchboard::{Handled, Switchboard, Touched, flush};
 use measure::{Measure, Pings};
 
 pub(crate) use doors::{Doors, Seat, full};
+pub(crate) use login::{login_timeout, too_late};
 pub(crate) use serving::{DRAIN, Serving};
 
 /// Frames after which a reader flushes and yields: a peer inside this process may never pause, and whoever adds
@@ -579,23 +580,4 @@ fn silent(gone: Duration) -> WireError {
 /// The time that a peer has to log in.
 pub(crate) fn login_time(limits: &Limits) -> Duration {
     Duration::from_millis(limits.login_time)
-}
-
-/// Waits until it is too late for a peer to say in which form it speaks, and gives why.
-pub(crate) async fn too_late(
-    limits: &Limits,
-    login_by: Instant,
-    told: impl Future<Output = Result<WireError, oneshot::error::RecvError>>,
-) -> WireError {
-    tokio::select! {
-        Ok(error) = told => error,
-        () = tokio::time::sleep_until(login_by) => login_timeout(limits.login_time),
-    }
-}
-
-pub(crate) fn login_timeout(millis: u64) -> WireError {
-    WireError::new(
-        Code::LOGIN_TIMEOUT,
-        format!("no login within {} s", millis / 1000),
-    )
 }

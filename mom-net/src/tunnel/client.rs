@@ -20,7 +20,7 @@ use super::pipe::{Misplaced, Pipe, WINDOW};
 use super::{END, ID, LONGEST, MOST_UP, SENT, TAKEN};
 use crate::carrier::Carrier;
 use crate::dial::Dialer;
-use crate::{Door, HttpStream, NetError, Transceiver, socket, tcp};
+use crate::{Door, HttpStream, NetError, Transceiver, http as http_door, socket, tcp};
 
 /// Brought up by one request before login: the hub takes one parcel.
 const MOST_BEFORE_LOGIN: usize = 16 * 1024;
@@ -50,16 +50,7 @@ pub(crate) async fn connect(dialer: Dialer, limits: &Limits) -> Result<Transceiv
     let answer = timeout(PATIENCE, up.ask(Method::POST, "/tunnel", Bytes::new())).await;
     let (head, said) = answer.map_err(|_| io::Error::from(io::ErrorKind::TimedOut))??;
     let id = read_id(&head.headers).filter(|_| head.status == StatusCode::CREATED);
-    let id = id.ok_or_else(|| {
-        let said = String::from_utf8_lossy(&said)
-            .chars()
-            .take(200)
-            .collect::<String>();
-        io::Error::other(format!(
-            "it answers {} where a hub opens a tunnel: {said}",
-            head.status
-        ))
-    })?;
+    let id = id.ok_or_else(|| http_door::refusal(head.status, &said))?;
     let tunnel = Arc::new(Tunnel {
         pipe: Arc::default(),
         id: Mutex::new(id),
@@ -314,7 +305,7 @@ impl Requests {
     async fn take(&mut self, carrier: Carrier) -> Result<(), NetError> {
         carrier.prepare()?;
         let stream = HttpStream::new(carrier, BytesMut::new());
-        let (sender, connection) = http1::handshake(stream).await.map_err(io::Error::other)?;
+        let (sender, connection) = http1::handshake(stream).await.map_err(http_door::into_io)?;
         // Ends with the sender; what goes wrong is told to whoever has asked.
         tokio::spawn(async move { drop(connection.await) });
         self.sender = Some(sender);
@@ -345,7 +336,7 @@ impl Requests {
         }
         let request = request.body(Full::new(body)).map_err(io::Error::other)?;
         let sender = self.sender.as_mut().ok_or(io::ErrorKind::NotConnected)?;
-        sender.send_request(request).await.map_err(io::Error::other)
+        sender.send_request(request).await.map_err(http_door::into_io)
     }
 
     /// Asks, and waits for all of the answer.

@@ -183,17 +183,15 @@ pub(crate) async fn connect(
         .header(SEC_WEBSOCKET_PROTOCOL, protocol_of(form))
         .body(Empty::<Bytes>::new())
         .map_err(io::Error::other)?;
-    let (response, carrier, arrived) = http_door::switch(carrier, request).await?;
-    if response.status != StatusCode::SWITCHING_PROTOCOLS {
-        let text = format!("it answers {} where a hub becomes a WebSocket", response.status);
-        return Err(io::Error::other(text).into());
-    }
-    let accept = response.headers.get(SEC_WEBSOCKET_ACCEPT);
-    let protocol = response.headers.get(SEC_WEBSOCKET_PROTOCOL);
+    let granted = StatusCode::SWITCHING_PROTOCOLS;
+    let (headers, carrier, arrived) = http_door::switch(carrier, request, granted).await?;
+    let accept = headers.get(SEC_WEBSOCKET_ACCEPT);
+    let protocol = headers.get(SEC_WEBSOCKET_PROTOCOL);
     if accept.map(HeaderValue::as_bytes) != Some(accept_of(key.as_bytes()).as_bytes())
         || protocol.map(HeaderValue::as_bytes) != Some(protocol_of(form).as_bytes())
     {
-        return Err(io::Error::other("what answers is no hub: its WebSocket is another").into());
+        let text = "what answers is no hub: its WebSocket is another";
+        return Err(io::Error::new(io::ErrorKind::InvalidData, text).into());
     }
     let rules = Rules {
         text: form != Form::Binary,

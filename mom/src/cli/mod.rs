@@ -38,6 +38,7 @@ Examples:
   echo 'move 100 50 200 0 0; grip close' | mom run -
   mom watch /robot/arm                     what happens there
   mom stop                                 everything that you may stop
+  mom doctor lab.example.org               what keeps you from that hub
 
 The password comes from MOM_PASSWORD, or is asked for; it is never an argument. Devices use keys:
 see mom keygen --help.
@@ -146,6 +147,9 @@ pub(crate) enum Command {
     /// Chat: sends input lines and shows the lines of others
     #[command(after_help = CHAT)]
     Chat(ChatArgs),
+    /// Try every door of a hub, say what blocks, and measure what is open
+    #[command(after_help = DOCTOR)]
+    Doctor(DoctorArgs),
     /// Make a key pair, so that a device needs no password
     #[command(after_help = KEYGEN)]
     Keygen(KeygenArgs),
@@ -350,6 +354,32 @@ Examples:
   mom snap x --output table.jpg
   mom snap --output - | feh -";
 
+/// `mom doctor`
+#[derive(Args, Debug)]
+pub(crate) struct DoctorArgs {
+    /// The hub: HOST, HOST:PORT, either with ?pin=FINGERPRINT, or an address; that of --hub if absent
+    pub(crate) host: Option<String>,
+    /// Write plots of connect times and round trips (SVG) into this folder
+    #[arg(long, value_name = "DIR")]
+    pub(crate) save: Option<PathBuf>,
+    /// Measure less and wait less: some seconds instead of up to a minute
+    #[arg(long, short)]
+    pub(crate) quick: bool,
+}
+
+const DOCTOR: &str = "\
+It logs nobody in: pings are answered before. Times are medians: TCP of a connection, open of one on which one can
+speak (with TLS if the door has it), answer of the hub's first words. A ping has so many bytes of padding, and its pong
+is short, so the round trips tell what a size costs on the way to the hub.
+
+Examples:
+  mom doctor                               the hub of --hub or MOM_HUB
+  mom doctor lab.example.org --quick
+  mom doctor 'lab.example.org:7666?pin=sha256:...' --save plots
+  mom doctor --json lab | jq '.doors[] | {address, blocked}'
+
+Exit codes: 0 a door that takes a password works, 1 none does.";
+
 /// `mom keygen`
 #[derive(Args, Debug)]
 pub(crate) struct KeygenArgs {
@@ -441,6 +471,7 @@ mod tests {
                 &["chat"],
                 &["snap"],
                 &["keygen"],
+                &["doctor", "lab", "--save", "f", "--quick"],
             ] {
                 let line = [&["mom"], command, login].concat();
                 let cli = Cli::try_parse_from(&line).unwrap_or_else(|error| panic!("{line:?}: {error}"));

@@ -27,6 +27,7 @@ mod tree;
 mod watch;
 
 use crate::cli::{Cli, Command};
+use crate::doctor;
 use crate::failure::Failure;
 use crate::output::Output;
 
@@ -57,6 +58,7 @@ pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Run(args) => run::run(args, global, output).await,
         Command::Chat(args) => chat::run(args, global, output).await,
         Command::Keygen(args) => keygen::run(args, global, output),
+        Command::Doctor(args) => doctor::run(args, global, output).await,
         Command::Snap(args) => snap::run(args, global, output).await,
     }
 }

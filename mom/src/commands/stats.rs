@@ -123,7 +123,7 @@ fn table(stats: &Stats, kind: ContextKind) -> String {
 
 fn cells(counts: &Counts) -> [String; 7] {
     let size = |bytes: u64| words::size(usize::try_from(bytes).unwrap_or(usize::MAX));
-    let age = |age: Option<Duration>| age.map_or_else(|| "-".to_owned(), short);
+    let age = |age: Option<Duration>| age.map_or_else(|| "-".to_owned(), words::measured);
     let listed = |counts: &BTreeMap<String, u64>| {
         let counts = counts.iter();
         let counts: Vec<String> = counts
@@ -148,16 +148,6 @@ fn cells(counts: &Counts) -> [String; 7] {
         age(counts.age.map(|ages| ages.p99)),
         dropped,
     ]
-}
-
-/// `0.04 ms`, `12 ms`, `3.5 s`.
-fn short(age: Duration) -> String {
-    let micros = age.as_micros();
-    match micros {
-        0..10_000 => format!("{}.{:02} ms", micros / 1000, micros % 1000 / 10),
-        10_000..1_000_000 => format!("{} ms", micros / 1000),
-        _ => format!("{}.{} s", micros / 1_000_000, micros % 1_000_000 / 100_000),
-    }
 }
 
 fn to_json(stats: &Stats, kind: ContextKind) -> Json {

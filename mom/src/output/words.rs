@@ -14,6 +14,16 @@ pub(crate) fn in_millis(duration: Duration) -> u64 {
     u64::try_from(duration.as_millis()).unwrap_or(u64::MAX)
 }
 
+/// A duration that was measured: `0.04 ms`, `12 ms`, `3.5 s`.
+pub(crate) fn measured(time: Duration) -> String {
+    let micros = time.as_micros();
+    match micros {
+        0..10_000 => format!("{}.{:02} ms", micros / 1000, micros % 1000 / 10),
+        10_000..1_000_000 => format!("{} ms", micros / 1000),
+        _ => format!("{}.{} s", micros / 1_000_000, micros % 1_000_000 / 100_000),
+    }
+}
+
 /// How far a token is given: ` for 2 min or 5 commands`; nothing for good.
 pub(crate) fn extent(time: Option<Duration>, commands: Option<u64>) -> String {
     let time = time.map(|time| format!(" for {}", duration(time)));

@@ -5,6 +5,7 @@ mod commands;
 mod control;
 mod device_keys;
 mod dialogues;
+mod doctor;
 mod faults;
 mod first_hour;
 mod late;

@@ -63,11 +63,15 @@ const ARROWS: &[(&str, May)] = &[
     ("mom-camera", May::Use(&["mom-client"])),
     (
         "mom",
-        May::Use(&["mom-client", "mom-broker", "mom-arm", "mom-camera"]),
+        May::Use(&["mom-client", "mom-broker", "mom-arm", "mom-camera", "mom-plots"]),
     ),
+    ("mom-plots", May::Use(&[])),
     ("mom-tests", May::UseAll),
     ("mom-benches", May::UseAll),
-    ("mom-rivals", May::Use(&["mom-proto", "mom-tests", "mom-benches"])),
+    (
+        "mom-rivals",
+        May::Use(&["mom-proto", "mom-plots", "mom-tests", "mom-benches"]),
+    ),
     ("xtask", May::Use(&[])),
 ];
 
