@@ -28,3 +28,4 @@ mod time;
 mod tls;
 mod told;
 mod uplink;
+mod web;
