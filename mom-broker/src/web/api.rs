@@ -14,7 +14,7 @@ use tokio::time::timeout;
 
 use super::HttpConnection;
 use super::answers::{Body, document, refuse, refuse_wire};
-use super::sessions::{Session, refuse_client};
+use super::visitors::{Visitor, refuse_client};
 
 /// The time that a body has to come, and its bytes.
 const BODY: Duration = Duration::from_secs(10);
@@ -108,7 +108,7 @@ impl HttpConnection {
                 return Err(refuse(StatusCode::BAD_REQUEST, "bad-content", text));
             }
         };
-        let (client, cookie) = self.open_session(&head.headers, &login.user, proof).await?;
+        let (client, cookie) = self.begin_visit(&head.headers, &login.user, proof).await?;
         let known = json!({ "user": client.user(), "peer": client.name(), "level": client.level() });
         let mut answer = document(StatusCode::OK, &known);
         answer.headers_mut().insert(SET_COOKIE, cookie);
@@ -116,7 +116,7 @@ impl HttpConnection {
     }
 
     fn logout(&self, headers: &HeaderMap) -> Response<Body> {
-        let cookie = self.end_session(headers);
+        let cookie = self.end_visit(headers);
         let mut answer = document(StatusCode::OK, &json!({}));
         answer.headers_mut().insert(SET_COOKIE, cookie);
         answer
@@ -124,8 +124,8 @@ impl HttpConnection {
 
     /// The peers, as `context stats` of the root tells them to whom it is permitted.
     async fn peers(&self, headers: &HeaderMap) -> Answer {
-        let session = self.session(headers).await?;
-        let stats = session.stats().await?;
+        let visitor = self.visitor(headers).await?;
+        let stats = visitor.stats().await?;
         let mut found = Map::new();
         for key in ["time", "peers", "more-peers"] {
             if let Some(value) = stats.get(key) {
@@ -137,8 +137,8 @@ impl HttpConnection {
 
     /// One context with what the user may know of it; of a session its children too.
     async fn contexts(&self, headers: &HeaderMap, path: &str) -> Answer {
-        let session = self.session(headers).await?;
-        let client = &session.client;
+        let visitor = self.visitor(headers).await?;
+        let client = &visitor.client;
         let path = match path {
             "/" => Path::root(),
             path => Path::parse(path).map_err(|error| refuse_wire(&error))?,
@@ -155,7 +155,7 @@ impl HttpConnection {
     }
 }
 
-impl Session {
+impl Visitor {
     /// The figures of the hub, if the user may have them.
     pub(super) async fn stats(&self) -> Result<Map, Response<Body>> {
         let request = Parcel::new(Family::Context, "stats").context(Path::root());

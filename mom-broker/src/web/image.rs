@@ -14,7 +14,7 @@ use tokio::time::{Instant, sleep_until, timeout};
 
 use super::HttpConnection;
 use super::answers::{self, Body, refuse_wire};
-use super::sessions::{Session, refuse_client};
+use super::visitors::{Visitor, refuse_client};
 
 /// A channel about which nobody has asked for so long is left.
 const IDLE: Duration = Duration::from_secs(60);
@@ -25,10 +25,10 @@ const PATIENCE: Duration = Duration::from_secs(5);
 /// How old the image is, in ms, where that is known.
 const AGE: HeaderName = HeaderName::from_static("mom-age");
 
-/// Channels that one session watches.
+/// Channels that one visitor watches.
 const MOST: usize = 16;
 
-/// A channel that a session is a member of for its images.
+/// A channel that a visitor is a member of for its images.
 #[derive(Debug)]
 pub(super) struct Watched {
     newest: watch::Receiver<Option<Image>>,
@@ -51,9 +51,9 @@ impl HttpConnection {
         headers: &HeaderMap,
         path: &str,
     ) -> Result<Response<Body>, Response<Body>> {
-        let session = self.session(headers).await?;
+        let visitor = self.visitor(headers).await?;
         let path = Path::parse(path).map_err(|error| refuse_wire(&error))?;
-        let watched = session.watch(&path).await?;
+        let watched = visitor.watch(&path).await?;
         let mut newest = watched.newest.clone();
         let image = match timeout(PATIENCE, newest.wait_for(Option::is_some)).await {
             Ok(Ok(image)) => image.clone(),
@@ -77,7 +77,7 @@ impl HttpConnection {
     }
 }
 
-impl Session {
+impl Visitor {
     /// Joins the channel, or stays in it.
     async fn watch(&self, path: &Path) -> Result<Arc<Watched>, Response<Body>> {
         let mut all = self.watched.lock().await;
@@ -88,7 +88,7 @@ impl Session {
         }
         if all.len() >= MOST {
             let text = format!(
-                "one session watches {MOST} channels at most; wait {} s",
+                "one visitor watches {MOST} channels at most; wait {} s",
                 IDLE.as_secs()
             );
             return Err(refuse_wire(

@@ -39,8 +39,8 @@ impl HttpConnection {
     /// The figures of the hub: for the token of the configuration, and for users who may ask for its statistics.
     pub(super) async fn metrics(&self, request: &Request<Incoming>) -> Response<Body> {
         if !self.has_metrics_token(request.headers()) {
-            let stats = match self.session(request.headers()).await {
-                Ok(session) => session.stats().await.map(drop),
+            let stats = match self.visitor(request.headers()).await {
+                Ok(visitor) => visitor.stats().await.map(drop),
                 Err(refusal) => Err(refusal),
             };
             if let Err(refusal) = stats {

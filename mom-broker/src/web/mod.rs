@@ -6,8 +6,8 @@ mod forwarded;
 mod image;
 mod metrics;
 mod origins;
-mod sessions;
 mod tunnels;
+mod visitors;
 
 use std::convert::Infallible;
 use std::future::poll_fn;
@@ -32,7 +32,7 @@ use crate::connection::{Doors, Remote, Seat, Seated, Services};
 
 use answers::{Body, allow, refuse};
 use origins::Origins;
-use sessions::Sessions;
+use visitors::Visitors;
 
 /// The head of a request in bytes, and its lines.
 const HEAD: usize = 16 * 1024;
@@ -47,7 +47,7 @@ pub(crate) struct Web {
     doors: Arc<Doors>,
     tunnels: Arc<Tunnels>,
     rules: RwLock<Arc<Rules>>,
-    sessions: Arc<Sessions>,
+    visitors: Arc<Visitors>,
     begun: Instant,
 }
 
@@ -93,7 +93,7 @@ impl Web {
             doors,
             tunnels: Arc::default(),
             rules: RwLock::new(Arc::new(Rules::new(config))),
-            sessions: Arc::default(),
+            visitors: Arc::default(),
             begun: Instant::now(),
         }
     }

@@ -18,17 +18,17 @@ use super::answers::{Body, refuse, refuse_wire};
 use super::image::Watched;
 use crate::connection::{Remote, Serving, login_time};
 
-/// A session by cookie ends after so long without a request, one by token sooner: the token opens another.
+/// A visit by cookie ends after so long without a request, one by token sooner: the token opens another.
 const IDLE: Duration = Duration::from_secs(15 * 60);
 const TOKEN_IDLE: Duration = Duration::from_secs(60);
 
 /// The name of the cookie.
 const NAME: &str = "mom-session";
 
-/// The sessions of a hub.
+/// The visitors of a hub.
 #[derive(Debug, Default)]
-pub(super) struct Sessions {
-    open: Mutex<HashMap<Credential, Arc<Session>>>,
+pub(super) struct Visitors {
+    open: Mutex<HashMap<Credential, Arc<Visitor>>>,
 }
 
 /// What a request shows.
@@ -41,33 +41,33 @@ enum Credential {
 
 /// A user.
 #[derive(Debug)]
-pub(super) struct Session {
+pub(super) struct Visitor {
     pub(super) client: Client,
     /// Channels whose images it has asked for.
     pub(super) watched: tokio::sync::Mutex<HashMap<Path, Arc<Watched>>>,
     used: Mutex<Instant>,
 }
 
-impl Sessions {
-    fn find(&self, credential: Credential) -> Option<Arc<Session>> {
-        let session = self.open.lock().get(&credential).cloned()?;
-        let closed = matches!(&*session.client.state().borrow(), LinkState::Closed(_));
+impl Visitors {
+    fn find(&self, credential: Credential) -> Option<Arc<Visitor>> {
+        let visitor = self.open.lock().get(&credential).cloned()?;
+        let closed = matches!(&*visitor.client.state().borrow(), LinkState::Closed(_));
         if closed {
             return None;
         }
-        *session.used.lock() = Instant::now();
-        Some(session)
+        *visitor.used.lock() = Instant::now();
+        Some(visitor)
     }
 
-    /// Keeps a session until it is not used for long, or its user is put out.
-    fn keep(self: &Arc<Sessions>, credential: Credential, client: Client) -> Arc<Session> {
-        let session = Arc::new(Session {
+    /// Keeps a visitor until it is not used for long, or its user is put out.
+    fn keep(self: &Arc<Visitors>, credential: Credential, client: Client) -> Arc<Visitor> {
+        let visitor = Arc::new(Visitor {
             client,
             watched: tokio::sync::Mutex::default(),
             used: Mutex::new(Instant::now()),
         });
-        self.open.lock().insert(credential, Arc::clone(&session));
-        let (sessions, kept) = (Arc::clone(self), Arc::clone(&session));
+        self.open.lock().insert(credential, Arc::clone(&visitor));
+        let (visitors, kept) = (Arc::clone(self), Arc::clone(&visitor));
         tokio::spawn(async move {
             let idle = match credential {
                 Credential::Cookie(_) => IDLE,
@@ -76,16 +76,16 @@ impl Sessions {
             kept.is_over(idle).await;
             // Tasks that watch channels have clones, which would keep the user logged in.
             kept.client.clone().close().await;
-            let mut open = sessions.open.lock();
+            let mut open = visitors.open.lock();
             if open.get(&credential).is_some_and(|open| Arc::ptr_eq(open, &kept)) {
                 open.remove(&credential);
             }
         });
-        session
+        visitor
     }
 }
 
-impl Session {
+impl Visitor {
     async fn is_over(&self, idle: Duration) {
         let mut state = self.client.state();
         loop {
@@ -108,32 +108,32 @@ impl Session {
 
 impl HttpConnection {
     /// Whose request it is, by its cookie or its token.
-    pub(super) async fn session(&self, headers: &HeaderMap) -> Result<Arc<Session>, Response<Body>> {
+    pub(super) async fn visitor(&self, headers: &HeaderMap) -> Result<Arc<Visitor>, Response<Body>> {
         let remote = self
             .private_remote(headers)
             .map_err(|error| refuse_wire(&error))?;
-        let session = match bearer(headers) {
+        let visitor = match bearer(headers) {
             Some(token) => {
                 let credential = Credential::Token(Sha256::digest(token).into());
-                match self.web.sessions.find(credential) {
-                    Some(session) => session,
+                match self.web.visitors.find(credential) {
+                    Some(visitor) => visitor,
                     None => {
                         let client = self.log_in(remote, "", Proof::Token(token.to_owned())).await?;
-                        self.web.sessions.keep(credential, client)
+                        self.web.visitors.keep(credential, client)
                     }
                 }
             }
             None => cookie(headers)
-                .and_then(|id| self.web.sessions.find(Credential::Cookie(id)))
+                .and_then(|id| self.web.visitors.find(Credential::Cookie(id)))
                 .ok_or_else(nobody)?,
         };
-        self.count_as(&session.client.user())
+        self.count_as(&visitor.client.user())
             .map_err(|error| refuse_wire(&error))?;
-        Ok(session)
+        Ok(visitor)
     }
 
-    /// Opens a session, and gives its user the cookie.
-    pub(super) async fn open_session(
+    /// Begins a visit, and gives its user the cookie.
+    pub(super) async fn begin_visit(
         &self,
         headers: &HeaderMap,
         user: &str,
@@ -150,19 +150,19 @@ impl HttpConnection {
                 "this machine has no randomness",
             )
         })?;
-        self.web.sessions.keep(Credential::Cookie(id), client.clone());
+        self.web.visitors.keep(Credential::Cookie(id), client.clone());
         let secure = if self.is_secured(remote) { "; Secure" } else { "" };
         Ok((client, cookie_of(&id.to_string(), secure)))
     }
 
-    /// Ends the session of a cookie.
-    pub(super) fn end_session(&self, headers: &HeaderMap) -> HeaderValue {
+    /// Ends the visit of a cookie.
+    pub(super) fn end_visit(&self, headers: &HeaderMap) -> HeaderValue {
         let ended = cookie(headers).and_then(|id| {
-            let mut open = self.web.sessions.open.lock();
+            let mut open = self.web.visitors.open.lock();
             open.remove(&Credential::Cookie(id))
         });
-        if let Some(session) = ended {
-            tokio::spawn(session.client.clone().close());
+        if let Some(visitor) = ended {
+            tokio::spawn(visitor.client.clone().close());
         }
         cookie_of("", "; Max-Age=0")
     }
