@@ -6,7 +6,6 @@ use std::process::Command;
 use std::sync::Arc;
 
 use mom_benches::{Driver, Error, Hub, Process, RelayDriver};
-use mom_net::Identity;
 use mom_proto::codec::Form;
 use mom_tests::tls;
 
@@ -33,7 +32,12 @@ impl Programs {
         let listener = TcpListener::bind(("127.0.0.1", 0)).and_then(|listener| listener.local_addr());
         let address = listener.map_err(Error::io("a free port"))?;
         let certificate = tls::make(self.scratch(), "hub");
-        let command = self.door_command(kind, passage, address, &certificate)?;
+        let command = self.door_command(
+            kind,
+            passage,
+            address,
+            [&certificate.certificate, &certificate.key],
+        )?;
         let name = format!("{} {}", kind.name(), passage.name());
         let log = self.scratch().join(format!("{name}.log"));
         let connects = |address: &str| std::net::TcpStream::connect(address).is_ok();
@@ -77,9 +81,9 @@ impl Programs {
         kind: Kind,
         passage: Passage,
         address: SocketAddr,
-        certificate: &Identity,
+        certificate: [&Path; 2],
     ) -> Result<Command, Error> {
-        let (cert, key) = (certificate.certificate.display(), certificate.key.display());
+        let [cert, key] = certificate.map(Path::display);
         let port = address.port();
         let mut command = Command::new(self.program(kind)?);
         match kind {
@@ -113,7 +117,9 @@ impl Programs {
             Kind::Mosquitto => {
                 let mut text = format!("listener {port} 127.0.0.1\n");
                 if passage.is_websocket() {
-                    text += "protocol websockets\n";
+                    // Version 2.0 does not start with listeners for WebSocket only.
+                    let socket = self.scratch().join("mosquitto.sock");
+                    text = format!("listener 0 {}\n{text}protocol websockets\n", socket.display());
                 }
                 if passage.has_tls() {
                     text += &format!("certfile {cert}\nkeyfile {key}\n");
