@@ -27,4 +27,5 @@ mod threats;
 mod time;
 mod tls;
 mod told;
+mod top;
 mod uplink;
