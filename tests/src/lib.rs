@@ -13,3 +13,4 @@ pub mod programs;
 pub mod raw;
 pub mod service;
 pub mod tls;
+pub mod web;

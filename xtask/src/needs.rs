@@ -71,19 +71,26 @@ const fn debian(program: &'static str, args: &'static [&'static str], package: &
     }
 }
 
+/// It has no option that ends well; its folder of plug-ins is not needed.
+const MOSQUITTO: Need = debian(
+    "sh",
+    &["-c", "command -v mosquitto || test -x /usr/sbin/mosquitto"],
+    "mosquitto",
+);
+
+const PIP: Need = debian("python3", &["-m", "pip", "--version"], "python3-pip");
+
+/// What `cargo xtask bench-doors` needs of Debian's packages.
+pub(crate) const FOR_DOORS: &[Need] = &[MOSQUITTO, PIP];
+
 /// What `cargo xtask bench-peers` needs of Debian's packages. Services are not started by being installed: each
 /// measurement starts its own.
 pub(crate) const FOR_PEERS: &[Need] = &[
     debian("redis-server", &["--version"], "redis-server"),
-    // It has no option that ends well; its folder of plug-ins is not needed.
-    debian(
-        "sh",
-        &["-c", "command -v mosquitto || test -x /usr/sbin/mosquitto"],
-        "mosquitto",
-    ),
+    MOSQUITTO,
     debian("sh", &["-c", "command -v prosody"], "prosody"),
     debian("ip", &["-V"], "iproute2"),
-    debian("python3", &["-m", "pip", "--version"], "python3-pip"),
+    PIP,
 ];
 
 /// What `cargo xtask instructions` needs.

@@ -107,9 +107,6 @@ impl HttpConnection {
             return Ok(());
         };
         let user = self.services.board.tap.audit.user(PeerId(peer));
-        match (user, &mut *self.seat.lock()) {
-            (Some(user), Some(seat)) => seat.log_in(&user),
-            _ => Ok(()),
-        }
+        user.map_or(Ok(()), |user| self.count_as(&user))
     }
 }

@@ -5,7 +5,6 @@
 
 mod body;
 mod client;
-mod id;
 mod pipe;
 mod server;
 

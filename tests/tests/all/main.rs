@@ -29,3 +29,4 @@ mod tls;
 mod told;
 mod top;
 mod uplink;
+mod web;
