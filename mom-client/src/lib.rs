@@ -99,7 +99,7 @@ pub use reconnect::{LinkState, Reconnect};
 pub use refusal::{Refusal, ordinal, plain_duration};
 pub use session::Session;
 pub use state_gate::{BASED_ON, StateGate};
-pub use stats::{AgeStats, ChannelStats, Counts, PeerStats, Stats};
+pub use stats::{AgeStats, ChannelStats, ConnectedPeer, Counts, MemoryStats, PeerStats, Stats};
 pub use subscribe::Events;
 pub use token::Token;
 pub use token_info::{Asking, Delegated, Offered, Reserved, TokenInfo, Waiting};

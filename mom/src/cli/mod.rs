@@ -9,6 +9,7 @@ use mom_client::{MessageRate, WireError};
 
 mod contexts;
 mod control;
+mod look;
 mod parse;
 mod stop;
 
@@ -16,6 +17,7 @@ use self::contexts::{CREATE, DELETE};
 pub(crate) use self::parse::parse;
 
 use self::control::{ACCEPT, BREAK, DECLINE, EXPEL, GIVE, GRAB, INHIBIT, INVITE, MANAGE, REQUEST, TOKEN};
+use self::look::TOP;
 use self::stop::{STOP, UNSTOP};
 
 /// Look at a hub, talk through it, and drive the devices connected to it.
@@ -96,6 +98,9 @@ pub(crate) enum Command {
     /// Show statistics of channels: sent, delivered, dropped, ages
     #[command(after_help = STATS)]
     Stats(StatsArgs),
+    /// Show who is connected, through which door, how well, and who owns what, as it changes
+    #[command(after_help = TOP)]
+    Top(TopArgs),
     /// Show what happens in contexts, one line per parcel, until Ctrl-C
     #[command(after_help = WATCH)]
     Watch(WatchArgs),
@@ -286,6 +291,7 @@ pub(crate) use control::{
     AcceptArgs, BreakArgs, DeclineArgs, ExpelArgs, GiveArgs, GrabArgs, HoldArgs, InhibitArgs, InviteArgs,
     ManageArgs, RequestArgs, TokenArgs, WaitArg,
 };
+pub(crate) use look::TopArgs;
 pub(crate) use stop::StopArgs;
 
 /// `mom run`

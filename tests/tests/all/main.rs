@@ -27,5 +27,6 @@ mod threats;
 mod time;
 mod tls;
 mod told;
+mod top;
 mod uplink;
 mod web;

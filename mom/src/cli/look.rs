@@ -1,0 +1,30 @@
+//! Arguments of the commands that look at the whole hub.
+
+use clap::Args;
+
+/// `mom top`
+#[derive(Args, Debug)]
+pub(crate) struct TopArgs {
+    /// Where to look for tokens and their owners
+    #[arg(default_value = "/", value_name = "PATH")]
+    pub(crate) paths: Vec<String>,
+    /// Print the table once, for scripts
+    #[arg(long)]
+    pub(crate) once: bool,
+    /// Ask the hub every so many seconds
+    #[arg(long, value_name = "SECONDS", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=3600))]
+    pub(crate) every: u64,
+}
+
+pub(super) const TOP: &str = "\
+It needs the right to ask for the statistics of /, and shows the addresses of all peers. Silent is the time since
+anything was heard of a peer, round trip that of the hub's last ping, queue what waits for it, drops what was lost on
+the way to it.
+
+Keys: 1-9 or the arrows sort by a column, r reverses, q ends.
+
+Examples:
+  mom top
+  mom top /robot                           of tokens only those of the robot
+  mom top --once
+  mom top --once --json | jq '.peers[] | {peer, door, queued}'";
