@@ -37,7 +37,7 @@ const FRAMES: usize = 256;
 
 thread_local! {
     /// What has arrived and is not taken apart: used within a turn only, so that idle connections need no memory for it.
-    static ARRIVED: RefCell<BytesMut> = RefCell::default();
+    static ARRIVED: RefCell<BytesMut> = RefCell::new(BytesMut::with_capacity(AT_ONCE));
 }
 
 /// One WebSocket connection, shared by its two halves.

@@ -23,6 +23,12 @@ struct Cli {
     /// Short measurements; the figures mean little.
     #[arg(long)]
     quick: bool,
+    /// Only these doors: tcp, tls, ws, wss.
+    #[arg(long, value_delimiter = ',')]
+    doors: Vec<String>,
+    /// Only these hubs beside ours: nats, mosquitto, raw relay.
+    #[arg(long, value_delimiter = ',')]
+    hubs: Vec<String>,
     /// Runs of which the median counts.
     #[arg(long, default_value_t = 5)]
     runs: usize,
@@ -63,10 +69,16 @@ fn main() -> Result<()> {
         "| door | hub | 256 B/s | CPU s/M | 16 KiB/s | CPU s/M | p50 µs | p99 µs | KiB per idle peer |"
     )?;
     writeln!(out, "|---|---|---|---|---|---|---|---|---|")?;
-    for passage in Passage::ALL {
-        let kinds = KINDS
-            .into_iter()
-            .filter(|kind| programs.has(*kind) && (*kind != Kind::RawRelay || passage == Passage::Tcp));
+    let named = |list: &[String], name: &str| list.is_empty() || list.iter().any(|one| one == name);
+    for passage in Passage::ALL
+        .into_iter()
+        .filter(|passage| named(&cli.doors, passage.name()))
+    {
+        let kinds = KINDS.into_iter().filter(|kind| {
+            (*kind == Kind::Mom || named(&cli.hubs, kind.name()))
+                && programs.has(*kind)
+                && (*kind != Kind::RawRelay || passage == Passage::Tcp)
+        });
         let kinds: Vec<Kind> = kinds.collect();
         let all = measure(&cli, &programs, &gateway, passage, &kinds)?;
         for (kind, figures) in kinds.iter().zip(&all) {
