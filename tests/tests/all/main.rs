@@ -16,6 +16,8 @@ mod order;
 mod page;
 mod programs;
 mod protocol;
+#[cfg(target_os = "linux")]
+mod proxies;
 mod python;
 mod room;
 mod runs;
