@@ -72,6 +72,16 @@ impl Dialer {
         ))
     }
 
+    /// Why a request was not answered by a hub, with the name of a proxy that may have answered in its place.
+    pub(crate) fn named(&self, error: io::Error) -> io::Error {
+        match &self.proxy {
+            Some(proxy) if self.tls.is_none() && error.kind() == io::ErrorKind::InvalidData => {
+                proxy.named(&error)
+            }
+            _ => error,
+        }
+    }
+
     /// The target of a request for this path, as whoever takes it wants it, and what the proxy has to be shown.
     pub(crate) fn target(&self, path: &str) -> (String, Option<HeaderValue>) {
         match &self.proxy {

@@ -29,4 +29,5 @@ mod threats;
 mod time;
 mod tls;
 mod told;
+mod tunnel;
 mod uplink;

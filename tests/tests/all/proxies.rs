@@ -233,6 +233,17 @@ async fn a_proxy_that_lets_nothing_through_is_named() {
             }
         }
     }
+    // Who answers a request in the hub's place is named too: here there is no such hub.
+    for url in [squid.url(), tinyproxy.url()] {
+        let refused = scene
+            .mom("http://127.0.0.1:1", true, &Environment::proxy(&url), &["tree"])
+            .await;
+        let (told, named) = (text(&refused.stderr), &url["http://".len()..]);
+        assert!(
+            told.contains(&format!("the proxy {named}: ")) && told.contains("NO_PROXY"),
+            "{told}"
+        );
+    }
     scene.end().await;
 }
 
