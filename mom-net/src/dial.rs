@@ -72,6 +72,16 @@ impl Dialer {
         ))
     }
 
+    /// Why a request was not answered by a hub, with the name of a proxy that may have answered in its place.
+    pub(crate) fn named(&self, error: io::Error) -> io::Error {
+        match &self.proxy {
+            Some(proxy) if self.tls.is_none() && error.kind() == io::ErrorKind::InvalidData => {
+                proxy.named(&error)
+            }
+            _ => error,
+        }
+    }
+
     /// The target of a request for this path, as whoever takes it wants it, and what the proxy has to be shown.
     pub(crate) fn target(&self, path: &str) -> (String, Option<HeaderValue>) {
         match &self.proxy {
@@ -117,12 +127,7 @@ impl Proxy {
 
     async fn connect(&self) -> io::Result<TcpStream> {
         let connected = TcpStream::connect((self.host.as_str(), self.port)).await;
-        connected.map_err(|error| {
-            io::Error::new(
-                error.kind(),
-                format!("the proxy {}:{}: {error}", self.host, self.port),
-            )
-        })
+        connected.map_err(|error| self.named(&error))
     }
 
     /// Has the proxy pass a connection on.
@@ -132,12 +137,31 @@ impl Proxy {
             request = request.header(PROXY_AUTHORIZATION, authorization);
         }
         let request = request.body(Empty::<Bytes>::new()).map_err(io::Error::other)?;
-        match http_door::switch(carrier, request, StatusCode::OK).await {
+        // What it says itself is a page for people.
+        let refused = |status, _: &[u8]| io::Error::other(why(status, to));
+        match http_door::switch(carrier, request, StatusCode::OK, refused).await {
             Ok((_, carrier, _)) => Ok(carrier),
-            Err(error) => {
-                let text = format!("the proxy {}:{}: {error}", self.host, self.port);
-                Err(io::Error::other(text))
-            }
+            Err(error) => Err(self.named(&error)),
         }
     }
+
+    /// An error with the proxy's name in front.
+    fn named(&self, error: &io::Error) -> io::Error {
+        let text = format!("the proxy {}:{}: {error}", self.host, self.port);
+        io::Error::new(error.kind(), text)
+    }
+}
+
+/// Why a proxy passes no connection on.
+fn why(status: StatusCode, to: &str) -> String {
+    let why = match status {
+        StatusCode::PROXY_AUTHENTICATION_REQUIRED => {
+            "it wants a password, which HTTPS_PROXY has as http://USER:PASSWORD@HOST:PORT".to_owned()
+        }
+        StatusCode::BAD_GATEWAY | StatusCode::SERVICE_UNAVAILABLE | StatusCode::GATEWAY_TIMEOUT => {
+            format!("it does not reach {to}")
+        }
+        _ => format!("it does not let anybody connect to {to}"),
+    };
+    format!("{why} (it answers {status})")
 }

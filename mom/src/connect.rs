@@ -132,6 +132,14 @@ fn explain(hub: &str, who: &UserLogin<'_>, error: ClientError) -> Failure {
             "if nobody has signed its certificate, name that in the address: --hub 'bins://HOST:PORT?pin=FINGERPRINT'\n\
              the hub's log has the fingerprint, and `mom lab` prints it",
         ),
+        ClientError::Connection(text) if text.contains("the proxy ") => Failure::new(
+            format!(
+                "cannot reach a hub at {hub}: {}",
+                text.strip_prefix("the link failed: ").unwrap_or(&text)
+            ),
+            "the environment names that proxy (HTTPS_PROXY, HTTP_PROXY, ALL_PROXY): ask who runs it, or name the hub in NO_PROXY\n\
+             to see which doors are open: mom doctor HOST:PORT",
+        ),
         ClientError::Connection(text) => Failure::new(
             format!(
                 "cannot reach a hub at {hub}: {}",

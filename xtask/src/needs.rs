@@ -60,6 +60,18 @@ pub(crate) const FOR_TESTS: &[Need] = &[
         source: Source::Debian("faketime"),
         why: "a test moves the wall clock of a broker, and nobody else's",
     },
+    Need {
+        what: "squid",
+        detect: ("test", &["-x", "/usr/sbin/squid"]),
+        source: Source::Debian("squid"),
+        why: "tests go through an HTTP proxy, which they start themselves",
+    },
+    Need {
+        what: "tinyproxy",
+        detect: ("test", &["-x", "/usr/bin/tinyproxy"]),
+        source: Source::Debian("tinyproxy"),
+        why: "tests go through an HTTP proxy, which they start themselves",
+    },
 ];
 
 const fn debian(program: &'static str, args: &'static [&'static str], package: &'static str) -> Need {

@@ -50,7 +50,7 @@ pub(crate) async fn connect(dialer: Dialer, limits: &Limits) -> Result<Transceiv
     let answer = timeout(PATIENCE, up.ask(Method::POST, "/tunnel", Bytes::new())).await;
     let (head, said) = answer.map_err(|_| io::Error::from(io::ErrorKind::TimedOut))??;
     let id = read_id(&head.headers).filter(|_| head.status == StatusCode::CREATED);
-    let id = id.ok_or_else(|| http_door::refusal(head.status, &said))?;
+    let id = id.ok_or_else(|| dialer.named(http_door::refusal(head.status, &said)))?;
     let tunnel = Arc::new(Tunnel {
         pipe: Arc::default(),
         id: Mutex::new(id),

@@ -99,7 +99,13 @@ impl WebSocket {
         loop {
             let open = ARRIVED.with_borrow_mut(|arrived| {
                 arrived.clear();
-                let first = std::mem::take(&mut self.state.lock().first);
+                let mut state = self.state.lock();
+                if state.incoming.closed {
+                    // The close came together with what was read before it.
+                    return Poll::Ready(Ok(false));
+                }
+                let first = std::mem::take(&mut state.first);
+                drop(state);
                 if first.is_empty() {
                     let mut some = arrived.limit(AT_ONCE.min(room.remaining_mut()));
                     if ready!(self.carrier.poll_read(&mut some, context))? == 0 {

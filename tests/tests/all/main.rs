@@ -16,6 +16,8 @@ mod order;
 mod page;
 mod programs;
 mod protocol;
+#[cfg(target_os = "linux")]
+mod proxies;
 mod python;
 mod room;
 mod runs;
@@ -28,5 +30,6 @@ mod time;
 mod tls;
 mod told;
 mod top;
+mod tunnel;
 mod uplink;
 mod web;
