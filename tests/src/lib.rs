@@ -1,5 +1,6 @@
 //! The whole system from outside: dialogues, end to end, threats.
 
+pub mod asking;
 pub mod attacks;
 pub mod audit;
 pub mod canary;

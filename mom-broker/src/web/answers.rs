@@ -6,6 +6,7 @@ use http::header::{
     X_CONTENT_TYPE_OPTIONS,
 };
 use http::{HeaderValue, Response, StatusCode};
+use mom_proto::WireError;
 use serde_json::json;
 
 /// The body of every answer.
@@ -39,6 +40,14 @@ pub(super) fn document(status: StatusCode, document: &serde_json::Value) -> Resp
 /// An error, in the words of the protocol.
 pub(super) fn refuse(status: StatusCode, code: &str, text: &str) -> Response<Body> {
     document(status, &json!({ "code": code, "text": text }))
+}
+
+/// An answer that nobody has asked for, before the connection is closed.
+pub(super) fn raw(status: StatusCode, error: &WireError) -> Vec<u8> {
+    let body = json!({ "code": error.code.word(), "text": error.text });
+    let length = body.to_string().len();
+    let head = "Connection: close\r\nContent-Type: application/json";
+    format!("HTTP/1.1 {status}\r\n{head}\r\nContent-Length: {length}\r\n\r\n{body}").into_bytes()
 }
 
 /// Lets a page of another origin that is on the list read an answer.

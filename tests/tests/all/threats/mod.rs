@@ -1,6 +1,7 @@
 //! Ways to hurt a hub, over real sockets, with a canary beside that must not notice.
 
 mod arena;
+mod doors;
 mod flood;
 mod framing;
 mod identity;

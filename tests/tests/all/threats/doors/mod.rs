@@ -1,0 +1,5 @@
+//! The threats of strangers and bad input at the doors beside TCP: TLS, WebSocket, the tunnel, HTTP.
+
+mod origins;
+mod requests;
+mod strangers;
