@@ -60,6 +60,12 @@ pub(crate) const FOR_TESTS: &[Need] = &[
         source: Source::Debian("faketime"),
         why: "a test moves the wall clock of a broker, and nobody else's",
     },
+    Need {
+        what: "chromium",
+        detect: ("chromium", &["--version"]),
+        source: Source::Debian("chromium"),
+        why: "a page of the tests' own is a peer in a browser",
+    },
 ];
 
 const fn debian(program: &'static str, args: &'static [&'static str], package: &'static str) -> Need {
