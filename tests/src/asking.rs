@@ -25,7 +25,7 @@ pub struct Answer {
     /// The header lines, each in lower case up to its colon.
     pub headers: Vec<(String, String)>,
     /// As much as its `Content-Length` says.
-    pub body: String,
+    pub body: Vec<u8>,
 }
 
 impl Answer {
@@ -37,7 +37,7 @@ impl Answer {
 
     /// The code of the protocol in a refusal.
     pub fn code(&self) -> Option<String> {
-        let said: serde_json::Value = serde_json::from_str(&self.body).ok()?;
+        let said: serde_json::Value = serde_json::from_slice(&self.body).ok()?;
         said["code"].as_str().map(str::to_owned)
     }
 }
@@ -57,6 +57,8 @@ impl Asking {
     /// If the broker cannot be reached from there.
     pub async fn connect_from(from: IpAddr, address: SocketAddr) -> Asking {
         let socket = TcpSocket::new_v4().expect("a socket");
+        // Little waits here for one who does not read.
+        socket.set_recv_buffer_size(16 * 1024).expect("a socket option");
         socket.bind((from, 0).into()).expect("an address of loopback");
         let stream = socket.connect(address).await.expect("the broker listens");
         stream.set_nodelay(true).expect("a socket option");
@@ -71,6 +73,11 @@ impl Asking {
     pub async fn send(&mut self, bytes: impl AsRef<[u8]>) {
         let sent = timeout(PATIENCE, self.stream.write_all(bytes.as_ref())).await;
         let _ = sent.expect("the broker reads or closes");
+    }
+
+    /// The connection, once it is no more for requests, and what has come on it.
+    pub fn into_parts(self) -> (TcpStream, BytesMut) {
+        (self.stream, self.input)
     }
 
     /// Asks with these lines and this body, and gives the answer.
@@ -117,7 +124,7 @@ impl Asking {
         let mut answer = Answer {
             status: status.unwrap_or_else(|| panic!("no status in {first:?}")),
             headers,
-            body: String::new(),
+            body: Vec::new(),
         };
         let length = answer
             .header("content-length")
@@ -126,8 +133,7 @@ impl Asking {
         while self.input.len() < length {
             assert!(self.read().await, "the body is cut short: {answer:?}");
         }
-        let body = self.input.split_to(length).to_vec();
-        answer.body = String::from_utf8(body).expect("text");
+        answer.body = self.input.split_to(length).to_vec();
         Some(answer)
     }
 

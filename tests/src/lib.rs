@@ -3,6 +3,7 @@
 pub mod asking;
 pub mod attacks;
 pub mod audit;
+pub mod bridge;
 pub mod canary;
 pub mod dialogue;
 pub mod lab;
