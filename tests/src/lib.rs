@@ -1,7 +1,9 @@
 //! The whole system from outside: dialogues, end to end, threats.
 
+pub mod asking;
 pub mod attacks;
 pub mod audit;
+pub mod bridge;
 pub mod canary;
 pub mod dialogue;
 pub mod lab;

@@ -72,6 +72,12 @@ pub(crate) const FOR_TESTS: &[Need] = &[
         source: Source::Debian("tinyproxy"),
         why: "tests go through an HTTP proxy, which they start themselves",
     },
+    Need {
+        what: "chromium",
+        detect: ("chromium", &["--version"]),
+        source: Source::Debian("chromium"),
+        why: "a page of the tests' own is a peer in a browser",
+    },
 ];
 
 const fn debian(program: &'static str, args: &'static [&'static str], package: &'static str) -> Need {

@@ -232,6 +232,7 @@ impl Guest {
                     port,
                     takes: self.takes,
                     seated: (seat, told),
+                    login_by,
                 };
                 match self.web.serve(stream, visit).await {
                     Some(upgraded) => upgraded,

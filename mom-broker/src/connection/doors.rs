@@ -246,6 +246,11 @@ impl Seat {
         Ok(())
     }
 
+    /// Whether nobody has logged in.
+    pub(crate) fn is_stranger(&self) -> bool {
+        self.user.is_none()
+    }
+
     /// Whether it was told to go because it has not logged in.
     pub(super) fn was_evicted(&self) -> bool {
         self.user.is_none() && !self.doors.state.lock().strangers.contains_key(&self.id)

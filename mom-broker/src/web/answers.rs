@@ -72,6 +72,14 @@ pub(super) fn refuse_wire(error: &WireError) -> Response<Body> {
     answer
 }
 
+/// An answer that nobody has asked for, before the connection is closed.
+pub(super) fn raw(status: StatusCode, error: &WireError) -> Vec<u8> {
+    let body = json!({ "code": error.code.word(), "text": error.text });
+    let length = body.to_string().len();
+    let head = "Connection: close\r\nContent-Type: application/json";
+    format!("HTTP/1.1 {status}\r\n{head}\r\nContent-Length: {length}\r\n\r\n{body}").into_bytes()
+}
+
 /// Lets a page of another origin that is on the list read an answer.
 pub(super) fn allow(headers: &mut HeaderMap, origin: HeaderValue) {
     headers.insert(ACCESS_CONTROL_ALLOW_ORIGIN, origin);

@@ -10,12 +10,14 @@ mod tunnels;
 mod visitors;
 
 use std::convert::Infallible;
-use std::future::poll_fn;
+use std::future::{pending, poll_fn};
 use std::net::IpAddr;
+use std::pin::pin;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use http::header::{CONNECTION, HOST, HeaderMap, ORIGIN, TRANSFER_ENCODING};
+use http::header::{CONNECTION, CONTENT_ENCODING, HOST, HeaderMap, ORIGIN, TRANSFER_ENCODING};
 use http::{HeaderValue, Method, Request, Response, StatusCode};
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
@@ -26,9 +28,10 @@ use mom_login::KeyFile;
 use mom_net::{HttpStream, Privacy, Protocol, Takes, Transceiver, Tunnels, WebSocketUpgrade};
 use mom_proto::WireError;
 use parking_lot::{Mutex, RwLock};
-use tokio::time::Instant;
+use tokio::sync::oneshot;
+use tokio::time::{Instant, sleep_until};
 
-use crate::connection::{Doors, Remote, Seat, Seated, Services};
+use crate::connection::{Doors, Remote, Seat, Seated, Services, login_time, login_timeout};
 
 use answers::{Body, allow, refuse};
 use origins::Origins;
@@ -67,6 +70,8 @@ pub(crate) struct Visit {
     pub(crate) port: u16,
     pub(crate) takes: Takes,
     pub(crate) seated: Seated,
+    /// When it is no stranger any more, or goes.
+    pub(crate) login_by: Instant,
 }
 
 /// What the requests of one connection share.
@@ -79,6 +84,8 @@ struct HttpConnection {
     privacy: Privacy,
     seat: Mutex<Option<Seat>>,
     upgrade: Mutex<Option<Upgrade>>,
+    /// A whole head has come.
+    asked: AtomicBool,
 }
 
 /// What a connection becomes after its last request.
@@ -119,6 +126,7 @@ impl Web {
             port,
             takes,
             seated: (seat, told),
+            login_by,
         } = visit;
         let limits = Arc::clone(&services.limits);
         let shared = Arc::new(HttpConnection {
@@ -130,6 +138,7 @@ impl Web {
             privacy: stream.privacy(),
             seat: Mutex::new(Some(seat)),
             upgrade: Mutex::default(),
+            asked: AtomicBool::new(false),
         });
         let asked = Arc::clone(&shared);
         let service = service_fn(move |request| {
@@ -138,21 +147,38 @@ impl Web {
         });
         let mut connection = http1::Builder::new()
             .timer(TokioTimer::new())
-            .header_read_timeout(IDLE.min(Duration::from_millis(limits.login_time)))
+            .header_read_timeout(IDLE.min(login_time(&limits)))
             .max_buf_size(HEAD)
             .max_headers(LINES)
             .serve_connection(stream, service);
-        let served = tokio::select! {
-            served = poll_fn(|context| connection.poll_without_shutdown(context)) => served,
-            Ok(_) = told => return None,
+        let (mut evicted, mut login_by) = (pin!(evicted(told)), pin!(sleep_until(login_by)));
+        let mut leaving = false;
+        let refused = loop {
+            tokio::select! {
+                served = poll_fn(|context| connection.poll_without_shutdown(context)) => break match served {
+                    Err(error) if error.is_timeout() => {
+                        Some((StatusCode::REQUEST_TIMEOUT, login_timeout(limits.login_time)))
+                    }
+                    Err(error) => {
+                        tracing::debug!(from = ?remote.from, %error, "HTTP ended");
+                        None
+                    }
+                    Ok(()) => None,
+                },
+                error = &mut evicted => break Some((StatusCode::SERVICE_UNAVAILABLE, error)),
+                () = &mut login_by, if !leaving => {
+                    leaving = true;
+                    // Whoever asks on without end has a place for a while, and comes again for another.
+                    if shared.seat.lock().as_ref().is_some_and(Seat::is_stranger) {
+                        std::pin::Pin::new(&mut connection).graceful_shutdown();
+                    }
+                }
+            }
         };
-        if let Err(error) = served {
-            tracing::debug!(from = ?remote.from, %error, "HTTP ended");
-        }
         let parts = connection.into_parts();
         let upgrade = shared.upgrade.lock().take();
         let Some(upgrade) = upgrade else {
-            parts.io.close().await;
+            parts.io.close(&shared.last_words(refused)).await;
             return None;
         };
         let limits = limits.before_login();
@@ -173,8 +199,31 @@ impl Rules {
     }
 }
 
+/// Waits until a connection has to go for others.
+async fn evicted(told: oneshot::Receiver<WireError>) -> WireError {
+    match told.await {
+        Ok(error) => error,
+        Err(_) => pending().await,
+    }
+}
+
 impl HttpConnection {
+    /// What is said to one that is closed before it has asked anything; later nobody knows where in an answer it is.
+    fn last_words(&self, refused: Option<(StatusCode, WireError)>) -> Vec<u8> {
+        match refused {
+            Some((status, error)) if !self.asked.load(Ordering::Relaxed) => {
+                let code = error.code.word();
+                if self.services.is_first("closed", self.remote.from, Some(code)) {
+                    tracing::info!(from = ?self.remote.from, code, "closed");
+                }
+                answers::raw(status, &error)
+            }
+            _ => Vec::new(),
+        }
+    }
+
     async fn answer(self: Arc<HttpConnection>, request: Request<Incoming>) -> Response<Body> {
+        self.asked.store(true, Ordering::Relaxed);
         let (origin, head) = (
             request.headers().get(ORIGIN).cloned(),
             request.method() == Method::HEAD,
@@ -199,28 +248,27 @@ impl HttpConnection {
     /// Refuses what no request may have.
     fn check(&self, request: &Request<Incoming>, allowed: bool) -> Option<Response<Body>> {
         let headers = request.headers();
-        if headers.contains_key(TRANSFER_ENCODING) {
+        let fault = if headers.contains_key(TRANSFER_ENCODING) {
             // Two lengths may be read differently by a proxy and by us; one needs no second.
-            let mut answer = refuse(
-                StatusCode::LENGTH_REQUIRED,
-                "bad-frame",
-                "send the body with Content-Length, without Transfer-Encoding",
-            );
-            answer
-                .headers_mut()
-                .insert(CONNECTION, HeaderValue::from_static("close"));
+            let text = "send the body with Content-Length, without Transfer-Encoding";
+            Some((StatusCode::LENGTH_REQUIRED, text))
+        } else if headers.get_all(HOST).into_iter().count() > 1 {
+            Some((StatusCode::BAD_REQUEST, "a request has one Host"))
+        } else if headers.contains_key(CONTENT_ENCODING) {
+            let text = "send the body as it is, without Content-Encoding";
+            Some((StatusCode::UNSUPPORTED_MEDIA_TYPE, text))
+        } else {
+            None
+        };
+        if let Some((status, text)) = fault {
+            let mut answer = refuse(status, "bad-frame", text);
+            let close = HeaderValue::from_static("close");
+            answer.headers_mut().insert(CONNECTION, close);
             return Some(answer);
-        }
-        if headers.get_all(HOST).into_iter().count() > 1 {
-            return Some(refuse(
-                StatusCode::BAD_REQUEST,
-                "bad-frame",
-                "a request has one Host",
-            ));
         }
         if !allowed {
             let text = "pages of this origin may not use the hub; its owner can add it to [web] origins";
-            return Some(refuse(StatusCode::FORBIDDEN, "not-permitted", text));
+            return Some(refuse(StatusCode::FORBIDDEN, "denied", text));
         }
         None
     }

@@ -14,7 +14,7 @@ use super::HttpConnection;
 use super::answers::{Body, refuse};
 use crate::connection::{Remote, Seated, Serving, login_time, too_late};
 
-/// The time that a body has to come.
+/// The time that a body has to come, if a login has not less.
 const BODY: std::time::Duration = std::time::Duration::from_secs(10);
 
 impl HttpConnection {
@@ -94,7 +94,7 @@ impl HttpConnection {
         if let Err(error) = self.count_as_user_of(&tunnel) {
             return refuse(StatusCode::SERVICE_UNAVAILABLE, error.code.word(), &error.text);
         }
-        let body_by = Instant::now() + BODY;
+        let body_by = Instant::now() + BODY.min(login_time(&self.services.limits));
         self.web
             .tunnels
             .answer(&tunnel, request, &self.services.limits, body_by)

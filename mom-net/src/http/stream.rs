@@ -36,9 +36,9 @@ impl HttpStream {
         self.carrier.privacy()
     }
 
-    /// Ends the connection so that the other side still gets the last answer.
-    pub async fn close(self) {
-        tcp::say_last(&self.carrier, &[]).await;
+    /// Says this, if anything, and ends the connection so that the other side still gets the last answer.
+    pub async fn close(self, last: &[u8]) {
+        tcp::say_last(&self.carrier, last).await;
     }
 
     /// What is below, and what has been read and not taken.

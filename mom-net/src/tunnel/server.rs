@@ -11,7 +11,7 @@ use http::{Method, Request, Response, StatusCode};
 use http_body_util::{BodyExt as _, Limited};
 use hyper::body::Body;
 use mom_proto::codec::{Decoder, Form};
-use mom_proto::{Limits, Parcel, WireError};
+use mom_proto::{Code, Limits, Parcel, WireError};
 use parking_lot::Mutex;
 use tokio::sync::Notify;
 use tokio::time::{Instant, timeout, timeout_at};
@@ -138,13 +138,14 @@ impl Tunnels {
                     true => MOST_UP,
                     false => MOST_UP.min(limits.before_login),
                 };
+                // What is announced is not waited for.
+                if request.body().size_hint().lower() > most as u64 {
+                    return too_large();
+                }
                 let body = timeout_at(body_by, Limited::new(request.into_body(), most).collect());
                 match body.await {
                     Ok(Ok(body)) => self.up(tunnel, &said, &body.to_bytes()).await,
-                    Ok(Err(error)) if error.is::<http_body_util::LengthLimitError>() => refusal(
-                        StatusCode::PAYLOAD_TOO_LARGE,
-                        "a request brings at most 128 KiB up, and before login one parcel",
-                    ),
+                    Ok(Err(error)) if error.is::<http_body_util::LengthLimitError>() => too_large(),
                     Ok(Err(_)) => refusal(StatusCode::BAD_REQUEST, "the body is cut short"),
                     Err(_) => refusal(StatusCode::REQUEST_TIMEOUT, "the body does not come"),
                 }
@@ -341,8 +342,23 @@ fn count(status: StatusCode, counts: &[(http::HeaderName, u64)]) -> Response<Tun
     answer
 }
 
+fn too_large() -> Response<TunnelBody> {
+    let text = "a request brings at most 128 KiB up, and before login one parcel";
+    refusal(StatusCode::PAYLOAD_TOO_LARGE, text)
+}
+
+/// Says what is wrong in the words of the protocol, as the hub's other answers of HTTP do.
 fn refusal(status: StatusCode, text: &'static str) -> Response<TunnelBody> {
+    let code = match status {
+        StatusCode::PAYLOAD_TOO_LARGE => Code::TOO_LARGE,
+        StatusCode::REQUEST_TIMEOUT => Code::TOO_LATE,
+        StatusCode::METHOD_NOT_ALLOWED => Code::UNKNOWN_VERB,
+        _ => Code::BAD_FRAME,
+    };
     let mut answer = count(status, &[]);
-    *answer.body_mut() = TunnelBody::whole(Bytes::from_static(text.as_bytes()));
+    let said = serde_json::json!({ "code": code.word(), "text": text });
+    *answer.body_mut() = TunnelBody::whole(format!("{said}\n"));
+    let json = http::HeaderValue::from_static("application/json");
+    answer.headers_mut().insert(CONTENT_TYPE, json);
     answer
 }

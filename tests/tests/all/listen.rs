@@ -7,6 +7,7 @@ use mom_client::{Client, ClientError, Trust};
 use mom_proto::binary::PREFACE;
 use mom_proto::codec::Form;
 use mom_proto::{Code, Family, Map, Parcel, WireError};
+use mom_tests::asking::{Asking, upgrade};
 use mom_tests::audit::AuditLog;
 use mom_tests::login::log_in;
 use mom_tests::programs::{PATIENCE, Running, run, text};
@@ -129,6 +130,46 @@ async fn forms_that_are_not_taken_are_refused_by_name() {
     );
     Raw::login(broker.local_addr(), Form::Binary, "alice").await;
     broker.stop().await;
+}
+
+/// What is asked by HTTP is told by its path; what is not taken is refused by name, and nothing of it is done.
+#[tokio::test]
+async fn ways_of_http_that_are_not_taken_are_refused_by_name() {
+    let broker = broker(|listen| listen.takes = vec![Protocol::Binary]).await;
+    for first in [&b"GET / HTTP/1.1\r\n"[..], b"POST /tunnel HTTP/1.1\r\n"] {
+        let error = refusal(&broker, first).await;
+        check(&error, &Code::NOT_TAKEN, "does not take http but binary");
+    }
+    broker.stop().await;
+
+    let upgrade = upgrade("mom.bin.v1");
+    let upgrade: Vec<&str> = upgrade.iter().map(String::as_str).collect();
+    let host = ["Host: hub"];
+    for (taken, granted) in [
+        (Protocol::Http, [200, 403, 403]),
+        (Protocol::Websocket, [403, 101, 403]),
+        (Protocol::Tunnel, [403, 403, 201]),
+    ] {
+        let broker = self::broker(|listen| listen.takes = vec![taken]).await;
+        let asked = [
+            ("GET /", &host[..]),
+            ("GET /mom", &upgrade),
+            ("POST /tunnel", &host),
+        ];
+        for ((first, lines), status) in asked.into_iter().zip(granted) {
+            let mut asking = Asking::connect(broker.local_addr()).await;
+            let answer = asking.ask(first, lines, b"").await;
+            assert_eq!(answer.status, status, "{first} with {taken:?}: {answer:?}");
+            let refused = (status == 403).then(|| "not-taken".to_owned());
+            assert_eq!(answer.code(), refused, "{first} with {taken:?}");
+        }
+        check(
+            &refusal(&broker, XML).await,
+            &Code::NOT_TAKEN,
+            "does not take xml",
+        );
+        broker.stop().await;
+    }
 }
 
 #[tokio::test]

@@ -1,6 +1,7 @@
 //! All tests of the whole system, in one binary.
 
 mod attacks;
+mod browser;
 mod commands;
 mod control;
 mod device_keys;

@@ -39,7 +39,7 @@ async fn threat_4_the_login_deadline() {
         ),
     ];
     for (what, form, bytes) in before {
-        let mut slow = Raw::connect(world.address(), form).await;
+        let mut slow = world.stranger(form).await;
         let (end, all) = drip(&mut slow, &bytes).await;
         assert_eq!(end.code.word(), "login-timeout", "{what}");
         assert!(!all, "{what}: the deadline came before the end of the bytes");
@@ -75,7 +75,10 @@ async fn drip(slow: &mut Raw, bytes: &[u8]) -> (WireError, bool) {
 /// Threat 4: what is kept of a stranger is bounded at once, not at the deadline.
 #[tokio::test]
 async fn threat_4_what_is_kept_before_login() {
-    let mut world = World::start().await;
+    kept_before_login(World::start().await).await;
+}
+
+pub(super) async fn kept_before_login(mut world: World) {
     let announced = "Content-Type: application/xml\r\nContent-Length: 16385\r\n\r\n";
     let endless = format!("Content-Type: application/xml{}", " ".repeat(1024));
     let long = 16_385_u32.to_be_bytes();
@@ -94,13 +97,13 @@ async fn threat_4_what_is_kept_before_login() {
         ),
         ("a frame above 16 KiB", Form::Binary, &long[..], "too-large"),
     ] {
-        let stranger = Raw::connect(world.address(), form).await;
+        let stranger = world.stranger(form).await;
         world
             .attack_from(stranger, what, bytes, code, After::Closed)
             .await;
     }
     // Requests of strangers are refused one by one, and have no effect.
-    let stranger = Raw::connect(world.address(), Form::Xml).await;
+    let stranger = world.stranger(Form::Xml).await;
     let bytes = entity(chat_xml("<content>psst</content>"));
     world
         .attack_from(stranger, "a message", &bytes, "not-logged-in", After::Kept)
@@ -111,7 +114,10 @@ async fn threat_4_what_is_kept_before_login() {
 /// Threat 6: lengths that lie, and what they would smuggle in.
 #[tokio::test]
 async fn threat_6_lengths_in_xml() {
-    let mut world = World::start().await;
+    lengths_in_xml(World::start().await).await;
+}
+
+pub(super) async fn lengths_in_xml(mut world: World) {
     let body = chat_xml("<content>smuggled</content>");
     let headed = |lines: &str| [lines.as_bytes(), b"\r\n", body.as_bytes(), &entity(&body)].concat();
     let length = body.len();
@@ -180,7 +186,10 @@ async fn threat_6_lengths_in_xml() {
 /// Threat 6: a length that is a number but not this body's.
 #[tokio::test]
 async fn threat_6_short_and_long() {
-    let mut world = World::start().await;
+    short_and_long(World::start().await).await;
+}
+
+pub(super) async fn short_and_long(mut world: World) {
     let body = chat_xml("<content>smuggled</content>");
     for wrong in [body.len() - 9, body.len() - 1, body.len() + 1, body.len() + 40] {
         let head = format!("Content-Type: application/xml\r\nContent-Length: {wrong}\r\n\r\n");
@@ -205,7 +214,10 @@ async fn threat_6_short_and_long() {
 /// Threat 6: the same in binary, and chunks that do not keep their word.
 #[tokio::test]
 async fn threat_6_lengths_in_binary() {
-    let mut world = World::start().await;
+    lengths_in_binary(World::start().await).await;
+}
+
+pub(super) async fn lengths_in_binary(mut world: World) {
     let smuggled = chat_binary(b"\xa8smuggled".to_vec());
     let payload = &smuggled[4..];
     let chunk = |stream: u8, flags: u8, length: Option<usize>, bytes: &[u8]| {
@@ -255,7 +267,7 @@ async fn threat_6_lengths_in_binary() {
             .attack(what, Form::Binary, &bytes, code, After::Closed)
             .await;
     }
-    let stranger = Raw::connect(world.address(), Form::Binary).await;
+    let stranger = world.stranger(Form::Binary).await;
     let early = [chunk(1, 3, Some(whole), payload), smuggled.clone()].concat();
     world
         .attack_from(
@@ -344,7 +356,7 @@ async fn threat_6_lengths_inside_a_frame() {
         b"\x16\x03\x01\x02\0\x01\0\x01",
         b"<parcel/>",
     ] {
-        let stranger = Raw::connect(world.address(), Form::Xml).await;
+        let stranger = world.stranger(Form::Xml).await;
         world
             .attack_from(stranger, "no form", first, "bad-frame", After::Closed)
             .await;

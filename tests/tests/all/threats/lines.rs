@@ -34,12 +34,15 @@ async fn threat_2_nesting_in_json() {
 /// Threat 4: what is kept of a stranger is bounded at once, not when its line ends.
 #[tokio::test]
 async fn threat_4_lines_before_login() {
-    let mut world = World::start().await;
+    before_login(World::start().await).await;
+}
+
+pub(super) async fn before_login(mut world: World) {
     let endless = chat_json(format!("\"content\":\"{}", "x".repeat(17 * 1024)));
     let endless = &endless[..16 * 1024 + 1];
     let blank = [b"{}\n".to_vec(), vec![b' '; 16 * 1024 + 1]].concat();
     for (what, bytes) in [("a line without end", endless), ("blanks without end", &blank)] {
-        let mut stranger = Raw::connect(world.address(), Form::Json).await;
+        let mut stranger = world.stranger(Form::Json).await;
         stranger.send(bytes).await;
         assert_eq!(
             stranger.last_error().await.expect("a reason").word(),
@@ -48,7 +51,7 @@ async fn threat_4_lines_before_login() {
         );
         world.check_nothing_arrived(what).await;
     }
-    let stranger = Raw::connect(world.address(), Form::Json).await;
+    let stranger = world.stranger(Form::Json).await;
     let bytes = chat_json("\"content\":\"psst\"");
     world
         .attack_from(stranger, "a message", &bytes, "not-logged-in", After::Kept)
@@ -59,7 +62,10 @@ async fn threat_4_lines_before_login() {
 /// Threat 5: text that is none, as it is and escaped.
 #[tokio::test]
 async fn threat_5_encoding_in_json() {
-    let mut world = World::start().await;
+    encoding(World::start().await).await;
+}
+
+pub(super) async fn encoding(mut world: World) {
     let with = |bytes: &[u8]| chat_json([b"\"content\":\"", bytes, b"\""].concat());
     for (what, bytes, code) in [
         ("no UTF-8", &b"\xff"[..], "bad-encoding"),
@@ -97,7 +103,10 @@ async fn threat_5_encoding_in_json() {
 /// Threat 6: lines that are no parcel, cut or joined, and one that is longer than any may be.
 #[tokio::test]
 async fn threat_6_lines() {
-    let mut world = World::start().await;
+    lines(World::start().await).await;
+}
+
+pub(super) async fn lines(mut world: World) {
     let smuggled = chat_json("\"content\":\"smuggled\"");
     let whole = &smuggled[..smuggled.len() - 1];
     for (what, bytes, code) in [

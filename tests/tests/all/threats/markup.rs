@@ -115,7 +115,10 @@ async fn threat_3_attributes() {
 /// Threat 5: text that is none.
 #[tokio::test]
 async fn threat_5_encoding() {
-    let mut world = World::start().await;
+    encoding(World::start().await).await;
+}
+
+pub(super) async fn encoding(mut world: World) {
     let with = |bytes: &[u8]| {
         let parcel = chat_xml("<content>¦</content>");
         let (before, after) = parcel.split_once('¦').expect("the mark");

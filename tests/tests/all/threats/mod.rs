@@ -1,6 +1,7 @@
 //! Ways to hurt a hub, over real sockets, with a canary beside that must not notice.
 
 mod arena;
+mod doors;
 mod flood;
 mod framing;
 mod identity;
@@ -28,9 +29,10 @@ use mom_broker::{Broker, Clock, Config};
 use mom_proto::codec::Form;
 use mom_proto::{Content, Family, Parcel, Value, WireError};
 use mom_tests::audit::{AuditLog, Lines};
+use mom_tests::bridge::Way;
 use mom_tests::canary::Canary;
-use mom_tests::lab;
 use mom_tests::raw::{Raw, at, message};
+use mom_tests::{lab, tls};
 
 /// The channel at which attacks aim; the witness listens there.
 const CHAT: &str = "/chat";
@@ -42,6 +44,8 @@ struct World {
     witness: Raw,
     attacks: u64,
     audit: AuditLog,
+    /// Where attackers come in by another way than TCP alone, by their forms.
+    entrances: Vec<(Form, SocketAddr)>,
 }
 
 /// What becomes of the attacker's connection.
@@ -79,16 +83,44 @@ impl World {
             witness,
             attacks: 0,
             audit,
+            entrances: Vec::new(),
         }
+    }
+
+    /// With attackers of this form that come this way.
+    async fn start_by(way: Way, form: Form) -> World {
+        World::start_by_with(way, form, |_| {}).await
+    }
+
+    async fn start_by_with(way: Way, form: Form, change: impl FnOnce(&mut Config)) -> World {
+        let mut world = World::start_with(|config| {
+            config.tls = tls::of_hub();
+            change(config);
+        })
+        .await;
+        let entrance = way.to(world.address(), form).await;
+        world.entrances.push((form, entrance));
+        world
     }
 
     fn address(&self) -> SocketAddr {
         self.broker.local_addr()
     }
 
+    /// Where attackers of this form come in.
+    fn entrance(&self, form: Form) -> SocketAddr {
+        let found = self.entrances.iter().find(|(of, _)| *of == form);
+        found.map_or(self.address(), |(_, entrance)| *entrance)
+    }
+
+    /// A connection of an attacker that has not logged in.
+    async fn stranger(&self, form: Form) -> Raw {
+        Raw::connect(self.entrance(form), form).await
+    }
+
     /// A peer that has logged in and sits in the channel of the witness.
     async fn attacker(&self, form: Form) -> Raw {
-        let mut attacker = Raw::login(self.address(), form, "bob").await;
+        let mut attacker = Raw::login(self.entrance(form), form, "bob").await;
         attacker.join(&[CHAT]).await;
         attacker
     }

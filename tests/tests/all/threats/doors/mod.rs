@@ -1,0 +1,6 @@
+//! The threats of strangers and bad input at the doors beside TCP: TLS, WebSocket, the tunnel, HTTP.
+
+mod forms;
+mod origins;
+mod requests;
+mod strangers;
