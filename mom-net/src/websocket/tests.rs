@@ -369,12 +369,17 @@ async fn the_end_has_a_status() {
         let error = end.expect_err("refused");
         assert_eq!((read.len(), error.kind()), (0, ErrorKind::InvalidData));
         assert!(error.to_string().contains("WebSocket"), "{error}");
-        assert!(hub.try_write(&[IoSlice::new(b"too late")]).is_err());
+        // Why is said in a parcel before.
+        assert_eq!(
+            hub.try_write(&[IoSlice::new(b"why")]).expect("it is open"),
+            Some(3)
+        );
         hub.finish();
+        assert!(hub.try_write(&[IoSlice::new(b"too late")]).is_err());
         let told = heard(&peer).await;
-        assert_eq!(told[..3], [0x8a, 1, b'?']);
-        assert_eq!((told[3], &told[5..7]), (0x88, &status.to_be_bytes()[..]));
-        assert_eq!(told.len(), 5 + usize::from(told[4]), "and nothing else");
+        assert_eq!(told[..8], [0x8a, 1, b'?', 0x82, 3, b'w', b'h', b'y']);
+        assert_eq!((told[8], &told[10..12]), (0x88, &status.to_be_bytes()[..]));
+        assert_eq!(told.len(), 10 + usize::from(told[9]), "and nothing else");
     }
 }
 
