@@ -89,8 +89,12 @@ struct ByHand {
 
 impl ByHand {
     async fn open(broker: &Broker) -> ByHand {
+        ByHand::open_with(broker, "").await
+    }
+
+    async fn open_with(broker: &Broker, fields: &str) -> ByHand {
         let address = broker.local_addr();
-        let opened = ask(address, &request("POST", "/tunnel", "", b"")).await;
+        let opened = ask(address, &request("POST", "/tunnel", fields, b"")).await;
         assert_eq!(opened.status, 201, "{opened:?}");
         let id = opened.field("mom-tunnel").expect("an id").to_owned();
         assert_eq!((id.len(), opened.said()), (32, id.clone()));
@@ -462,5 +466,26 @@ async fn threat_17_without_tls_it_is_for_loopback() {
         assert!(answer.said().contains("https://"), "{}", answer.said());
     }
     ByHand::open(&broker).await;
+    broker.stop().await;
+}
+
+/// What a proxy on this machine brings is somebody else's, who may be anywhere: no password is taken from there.
+#[tokio::test]
+async fn threat_17_a_proxy_that_shows_itself_makes_no_password_safe() {
+    let broker = lab::start().await;
+    for field in [
+        "Via: 1.1 proxy.example.org (squid/5.7)\r\n",
+        "Forwarded: for=127.0.0.1;proto=https\r\n",
+        "X-Forwarded-For: 127.0.0.1\r\n",
+    ] {
+        let mut tunnel = ByHand::open_with(&broker, field).await;
+        let content = Map::new().with("name", "alice").with("password", "alice");
+        let answer = tunnel
+            .say(Parcel::new(Family::Login, "login").content(content))
+            .await;
+        assert_eq!(answer.field("mom-tunnel"), None, "{field}");
+        let told = tunnel.until("insecure").await;
+        assert!(String::from_utf8_lossy(&told).contains("TLS"), "{field}");
+    }
     broker.stop().await;
 }
