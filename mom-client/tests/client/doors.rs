@@ -1,4 +1,4 @@
-//! Which doors a secret goes through: those that nobody can listen at (threat 14's other half).
+//! Which doors a secret goes through: those that nobody can listen at.
 
 use std::net::SocketAddr;
 use std::time::Duration;

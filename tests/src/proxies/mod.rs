@@ -25,6 +25,8 @@ pub struct Manners {
     pub closes: bool,
     /// It passes no connections on.
     pub refuses_connect: bool,
+    /// It takes everything to this hub, whichever is named.
+    pub to: Option<SocketAddr>,
 }
 
 /// A proxy that takes whole requests and gives whole answers on: it waits for the end of each. It does not say that it is there.
@@ -108,8 +110,7 @@ async fn serve(mut client: TcpStream, manners: Manners, note: &Mutex<Vec<String>
             }
         }
         let body: Vec<u8> = read.drain(..size).collect();
-        let answer = ask(method, target, fields, &body).await?;
-        let (head, body) = answer;
+        let (head, body) = ask(method, target, fields, &body, manners).await?;
         let version = if manners.old { "HTTP/1.0" } else { "HTTP/1.1" };
         let stays = if manners.closes { "close" } else { "keep-alive" };
         let (status, fields) = head.split_once("\r\n").unwrap_or((&head, ""));
@@ -150,11 +151,17 @@ fn field<'a>(fields: &'a str, wanted: &str) -> Option<&'a str> {
 }
 
 /// Asks the hub, and waits for the end of its answer: its head and its body.
-async fn ask(method: &str, target: &str, fields: &str, body: &[u8]) -> io::Result<(String, Vec<u8>)> {
+async fn ask(
+    method: &str,
+    target: &str,
+    fields: &str,
+    body: &[u8],
+    manners: Manners,
+) -> io::Result<(String, Vec<u8>)> {
     let rest = target.strip_prefix("http://").ok_or(ErrorKind::InvalidInput)?;
     let at = rest.find('/').unwrap_or(rest.len());
     let (authority, path) = rest.split_at(at);
-    let mut hub = TcpStream::connect(authority).await?;
+    let mut hub = reach(authority, manners).await?;
     let kept = fields
         .split("\r\n")
         .filter(|line| !line.is_empty() && !line.to_ascii_lowercase().starts_with("connection:"));
@@ -168,6 +175,14 @@ async fn ask(method: &str, target: &str, fields: &str, body: &[u8]) -> io::Resul
     Ok((head.ok_or(ErrorKind::UnexpectedEof)?, read))
 }
 
+/// Connects to a hub.
+async fn reach(named: &str, manners: Manners) -> io::Result<TcpStream> {
+    match manners.to {
+        Some(hub) => TcpStream::connect(hub).await,
+        None => TcpStream::connect(named).await,
+    }
+}
+
 /// Passes a connection on.
 async fn pass(mut client: TcpStream, target: &str, manners: Manners, read: &[u8]) -> io::Result<()> {
     let version = if manners.old { "HTTP/1.0" } else { "HTTP/1.1" };
@@ -176,7 +191,7 @@ async fn pass(mut client: TcpStream, target: &str, manners: Manners, read: &[u8]
         client.write_all(answer.as_bytes()).await?;
         return client.shutdown().await;
     }
-    let mut hub = TcpStream::connect(target).await?;
+    let mut hub = reach(target, manners).await?;
     let granted = format!("{version} 200 Connection established\r\n\r\n");
     client.write_all(granted.as_bytes()).await?;
     hub.write_all(read).await?;
