@@ -4,8 +4,8 @@ mod daemon;
 
 use std::io::{self, ErrorKind};
 use std::net::SocketAddr;
-use std::sync::Arc;
-use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _, copy_bidirectional};
 use tokio::net::{TcpListener, TcpStream};
@@ -30,11 +30,32 @@ pub struct Manners {
 }
 
 /// A proxy that takes whole requests and gives whole answers on: it waits for the end of each. It does not say that it is there.
+/// With a hub of its own (`to`) it may also stand in that hub's place.
 #[derive(Debug)]
 pub struct BufferingProxy {
     address: SocketAddr,
-    asked: Arc<Mutex<Vec<String>>>,
+    known: Arc<Known>,
     accepting: JoinHandle<()>,
+}
+
+/// What its connections share.
+#[derive(Debug, Default)]
+struct Known {
+    asked: Mutex<Vec<String>>,
+    /// Each n-th request or answer is lost; 0 for none.
+    loses: AtomicUsize,
+}
+
+impl Known {
+    /// Notes a request; whether it is lost, and whether its answer is.
+    fn note(&self, line: &str) -> (bool, bool) {
+        let mut asked = self.asked.lock().expect("nobody panics with it");
+        asked.push(line.to_owned());
+        let each = self.loses.load(Ordering::Relaxed);
+        let lost = each > 0 && asked.len().is_multiple_of(each);
+        let request = (asked.len() / each.max(1)).is_multiple_of(2);
+        (lost && request, lost && !request)
+    }
 }
 
 impl BufferingProxy {
@@ -45,18 +66,18 @@ impl BufferingProxy {
     pub async fn start(manners: Manners) -> BufferingProxy {
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
         let address = listener.local_addr().expect("it is bound");
-        let asked = Arc::new(Mutex::new(Vec::new()));
-        let note = Arc::clone(&asked);
+        let known = Arc::<Known>::default();
+        let shared = Arc::clone(&known);
         let accepting = tokio::spawn(async move {
             while let Ok((stream, _)) = listener.accept().await {
-                let note = Arc::clone(&note);
+                let known = Arc::clone(&shared);
                 // However a connection ends, whoever is at its ends sees it.
-                tokio::spawn(async move { drop(serve(stream, manners, &note).await) });
+                tokio::spawn(async move { drop(serve(stream, manners, &known).await) });
             }
         });
         BufferingProxy {
             address,
-            asked,
+            known,
             accepting,
         }
     }
@@ -76,7 +97,12 @@ impl BufferingProxy {
     /// # Panics
     /// Never.
     pub fn asked(&self) -> Vec<String> {
-        self.asked.lock().expect("nobody panics with it").clone()
+        self.known.asked.lock().expect("nobody panics with it").clone()
+    }
+
+    /// Loses each n-th request from now on, or, in turn, its answer, and the connection with it.
+    pub fn lose_each(&self, count: usize) {
+        self.known.loses.store(count, Ordering::Relaxed);
     }
 }
 
@@ -87,14 +113,14 @@ impl Drop for BufferingProxy {
 }
 
 /// Serves one connection of a client.
-async fn serve(mut client: TcpStream, manners: Manners, note: &Mutex<Vec<String>>) -> io::Result<()> {
+async fn serve(mut client: TcpStream, manners: Manners, known: &Known) -> io::Result<()> {
     let mut read = Vec::new();
     loop {
         let Some(head) = take_head(&mut client, &mut read).await? else {
             return Ok(());
         };
         let (line, fields) = head.split_once("\r\n").ok_or(ErrorKind::InvalidData)?;
-        note.lock().expect("nobody panics with it").push(line.to_owned());
+        let (request_lost, answer_lost) = known.note(line);
         let mut words = line.split(' ');
         let (Some(method), Some(target)) = (words.next(), words.next()) else {
             return Err(ErrorKind::InvalidData.into());
@@ -110,7 +136,13 @@ async fn serve(mut client: TcpStream, manners: Manners, note: &Mutex<Vec<String>
             }
         }
         let body: Vec<u8> = read.drain(..size).collect();
+        if request_lost {
+            return Ok(());
+        }
         let (head, body) = ask(method, target, fields, &body, manners).await?;
+        if answer_lost {
+            return Ok(());
+        }
         let version = if manners.old { "HTTP/1.0" } else { "HTTP/1.1" };
         let stays = if manners.closes { "close" } else { "keep-alive" };
         let (status, fields) = head.split_once("\r\n").unwrap_or((&head, ""));
@@ -158,7 +190,7 @@ async fn ask(
     body: &[u8],
     manners: Manners,
 ) -> io::Result<(String, Vec<u8>)> {
-    let rest = target.strip_prefix("http://").ok_or(ErrorKind::InvalidInput)?;
+    let rest = target.strip_prefix("http://").unwrap_or(target);
     let at = rest.find('/').unwrap_or(rest.len());
     let (authority, path) = rest.split_at(at);
     let mut hub = reach(authority, manners).await?;
