@@ -73,6 +73,7 @@ impl Builder {
                 proof: Proof::Password(String::new()),
                 nickname: None,
                 hub: None,
+                address: None,
             },
             trust: None,
             fault: None,
@@ -93,7 +94,7 @@ impl Builder {
         self
     }
 
-    /// The user's password.
+    /// The user's password. It is sent over TLS or loopback only: over another address [`connect`](Builder::connect) refuses.
     pub fn password(self, password: impl Into<String>) -> Builder {
         self.proof(Proof::Password(password.into()))
     }
@@ -114,7 +115,7 @@ impl Builder {
         }
     }
 
-    /// A token (JWT) of an issuer that the hub trusts; it names the user itself. When it expires the hub closes
+    /// A token (JWT) of an issuer that the hub trusts; it names the user itself, and is sent where a password is. When it expires the hub closes
     /// the link, unless [`Client::authenticate_again`] came before.
     pub fn token(self, token: impl Into<String>) -> Builder {
         self.proof(Proof::Token(token.into()))
@@ -216,9 +217,10 @@ impl Builder {
     /// Connects and logs in, without retrying unless [`wait_for_hub`](Builder::wait_for_hub) says so. Needs a tokio runtime, in which the client's tasks then run.
     ///
     /// # Errors
-    /// `Address` for a wrong address, `Local` for a bad key, `Connection` and `TimedOut` for an unreachable hub, `Refused` with
+    /// `Address` for a wrong address, `Local` for a bad key and, with the code `insecure`, for a password or token that others
+    /// could read on the way, `Connection` and `TimedOut` for an unreachable hub, `Refused` with
     /// `bad-login` and other refusals of the hub.
-    pub async fn connect(self) -> Result<Client, ClientError> {
+    pub async fn connect(mut self) -> Result<Client, ClientError> {
         let mut connector = self.connector?;
         if let Some(error) = self.fault {
             return Err(error);
@@ -232,6 +234,9 @@ impl Builder {
                 _ => None,
             };
             *tls = Some(ClientTls::new(&trust, identity).map_err(|error| unusable(&error))?);
+        }
+        if let Connector::Remote(address, _) = &connector {
+            self.credentials.address = Some(address.clone());
         }
         let ids = AtomicU64::new(1);
         let patience = self.settings.reconnect.as_ref().filter(|_| self.waits);

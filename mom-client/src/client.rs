@@ -98,12 +98,13 @@ impl Client {
     /// [`Event::LinkDown`](crate::Event::LinkDown) and all other consequences of a lost link follow.
     ///
     /// # Errors
-    /// `Refused` with `bad-login` and other refusals of the hub; then nothing changes.
+    /// `Refused` with `bad-login` and other refusals of the hub, `Local` with `insecure` for a password or token that others could
+    /// read on the way; then nothing changes.
     pub async fn authenticate_again(&self, proof: Proof) -> Result<(), ClientError> {
         let shared = self.shared();
         let known = shared.credentials.lock().clone();
         let credentials = Credentials { proof, ..known };
-        let mut reply = self.request(credentials.login()).await?;
+        let mut reply = self.request(credentials.login()?).await?;
         if is_challenge(&reply) {
             reply = self.request(credentials.answer(&reply)?).await?;
         }

@@ -147,6 +147,10 @@ fn explain(hub: &str, who: &UserLogin<'_>, error: ClientError) -> Failure {
             ),
             "start one with: mom lab\nor name another one: --hub bin://HOST:PORT, or MOM_HUB",
         ),
+        ClientError::Local(error) if error.code == Code::INSECURE => Failure::Refused {
+            what: format!("log in to {hub} as {}", who.name()),
+            error,
+        },
         ClientError::Refused(error) if error.code == Code::BAD_LOGIN => unknown(hub, who, &error),
         other => Failure::of_client(format!("log in to {hub} as {}", who.name()), other),
     }

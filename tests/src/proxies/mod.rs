@@ -4,8 +4,8 @@ mod daemon;
 
 use std::io::{self, ErrorKind};
 use std::net::SocketAddr;
-use std::sync::Arc;
-use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _, copy_bidirectional};
 use tokio::net::{TcpListener, TcpStream};
@@ -25,14 +25,37 @@ pub struct Manners {
     pub closes: bool,
     /// It passes no connections on.
     pub refuses_connect: bool,
+    /// It takes everything to this hub, whichever is named.
+    pub to: Option<SocketAddr>,
 }
 
 /// A proxy that takes whole requests and gives whole answers on: it waits for the end of each. It does not say that it is there.
+/// With a hub of its own (`to`) it may also stand in that hub's place.
 #[derive(Debug)]
 pub struct BufferingProxy {
     address: SocketAddr,
-    asked: Arc<Mutex<Vec<String>>>,
+    known: Arc<Known>,
     accepting: JoinHandle<()>,
+}
+
+/// What its connections share.
+#[derive(Debug, Default)]
+struct Known {
+    asked: Mutex<Vec<String>>,
+    /// Each n-th request or answer is lost; 0 for none.
+    loses: AtomicUsize,
+}
+
+impl Known {
+    /// Notes a request; whether it is lost, and whether its answer is.
+    fn note(&self, line: &str) -> (bool, bool) {
+        let mut asked = self.asked.lock().expect("nobody panics with it");
+        asked.push(line.to_owned());
+        let each = self.loses.load(Ordering::Relaxed);
+        let lost = each > 0 && asked.len().is_multiple_of(each);
+        let request = (asked.len() / each.max(1)).is_multiple_of(2);
+        (lost && request, lost && !request)
+    }
 }
 
 impl BufferingProxy {
@@ -43,18 +66,18 @@ impl BufferingProxy {
     pub async fn start(manners: Manners) -> BufferingProxy {
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
         let address = listener.local_addr().expect("it is bound");
-        let asked = Arc::new(Mutex::new(Vec::new()));
-        let note = Arc::clone(&asked);
+        let known = Arc::<Known>::default();
+        let shared = Arc::clone(&known);
         let accepting = tokio::spawn(async move {
             while let Ok((stream, _)) = listener.accept().await {
-                let note = Arc::clone(&note);
+                let known = Arc::clone(&shared);
                 // However a connection ends, whoever is at its ends sees it.
-                tokio::spawn(async move { drop(serve(stream, manners, &note).await) });
+                tokio::spawn(async move { drop(serve(stream, manners, &known).await) });
             }
         });
         BufferingProxy {
             address,
-            asked,
+            known,
             accepting,
         }
     }
@@ -74,7 +97,12 @@ impl BufferingProxy {
     /// # Panics
     /// Never.
     pub fn asked(&self) -> Vec<String> {
-        self.asked.lock().expect("nobody panics with it").clone()
+        self.known.asked.lock().expect("nobody panics with it").clone()
+    }
+
+    /// Loses each n-th request from now on, or, in turn, its answer, and the connection with it.
+    pub fn lose_each(&self, count: usize) {
+        self.known.loses.store(count, Ordering::Relaxed);
     }
 }
 
@@ -85,14 +113,14 @@ impl Drop for BufferingProxy {
 }
 
 /// Serves one connection of a client.
-async fn serve(mut client: TcpStream, manners: Manners, note: &Mutex<Vec<String>>) -> io::Result<()> {
+async fn serve(mut client: TcpStream, manners: Manners, known: &Known) -> io::Result<()> {
     let mut read = Vec::new();
     loop {
         let Some(head) = take_head(&mut client, &mut read).await? else {
             return Ok(());
         };
         let (line, fields) = head.split_once("\r\n").ok_or(ErrorKind::InvalidData)?;
-        note.lock().expect("nobody panics with it").push(line.to_owned());
+        let (request_lost, answer_lost) = known.note(line);
         let mut words = line.split(' ');
         let (Some(method), Some(target)) = (words.next(), words.next()) else {
             return Err(ErrorKind::InvalidData.into());
@@ -108,8 +136,13 @@ async fn serve(mut client: TcpStream, manners: Manners, note: &Mutex<Vec<String>
             }
         }
         let body: Vec<u8> = read.drain(..size).collect();
-        let answer = ask(method, target, fields, &body).await?;
-        let (head, body) = answer;
+        if request_lost {
+            return Ok(());
+        }
+        let (head, body) = ask(method, target, fields, &body, manners).await?;
+        if answer_lost {
+            return Ok(());
+        }
         let version = if manners.old { "HTTP/1.0" } else { "HTTP/1.1" };
         let stays = if manners.closes { "close" } else { "keep-alive" };
         let (status, fields) = head.split_once("\r\n").unwrap_or((&head, ""));
@@ -150,11 +183,17 @@ fn field<'a>(fields: &'a str, wanted: &str) -> Option<&'a str> {
 }
 
 /// Asks the hub, and waits for the end of its answer: its head and its body.
-async fn ask(method: &str, target: &str, fields: &str, body: &[u8]) -> io::Result<(String, Vec<u8>)> {
-    let rest = target.strip_prefix("http://").ok_or(ErrorKind::InvalidInput)?;
+async fn ask(
+    method: &str,
+    target: &str,
+    fields: &str,
+    body: &[u8],
+    manners: Manners,
+) -> io::Result<(String, Vec<u8>)> {
+    let rest = target.strip_prefix("http://").unwrap_or(target);
     let at = rest.find('/').unwrap_or(rest.len());
     let (authority, path) = rest.split_at(at);
-    let mut hub = TcpStream::connect(authority).await?;
+    let mut hub = reach(authority, manners).await?;
     let kept = fields
         .split("\r\n")
         .filter(|line| !line.is_empty() && !line.to_ascii_lowercase().starts_with("connection:"));
@@ -168,6 +207,14 @@ async fn ask(method: &str, target: &str, fields: &str, body: &[u8]) -> io::Resul
     Ok((head.ok_or(ErrorKind::UnexpectedEof)?, read))
 }
 
+/// Connects to a hub.
+async fn reach(named: &str, manners: Manners) -> io::Result<TcpStream> {
+    match manners.to {
+        Some(hub) => TcpStream::connect(hub).await,
+        None => TcpStream::connect(named).await,
+    }
+}
+
 /// Passes a connection on.
 async fn pass(mut client: TcpStream, target: &str, manners: Manners, read: &[u8]) -> io::Result<()> {
     let version = if manners.old { "HTTP/1.0" } else { "HTTP/1.1" };
@@ -176,7 +223,7 @@ async fn pass(mut client: TcpStream, target: &str, manners: Manners, read: &[u8]
         client.write_all(answer.as_bytes()).await?;
         return client.shutdown().await;
     }
-    let mut hub = TcpStream::connect(target).await?;
+    let mut hub = reach(target, manners).await?;
     let granted = format!("{version} 200 Connection established\r\n\r\n");
     client.write_all(granted.as_bytes()).await?;
     hub.write_all(read).await?;

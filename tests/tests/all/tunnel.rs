@@ -89,8 +89,12 @@ struct ByHand {
 
 impl ByHand {
     async fn open(broker: &Broker) -> ByHand {
+        ByHand::open_with(broker, "").await
+    }
+
+    async fn open_with(broker: &Broker, fields: &str) -> ByHand {
         let address = broker.local_addr();
-        let opened = ask(address, &request("POST", "/tunnel", "", b"")).await;
+        let opened = ask(address, &request("POST", "/tunnel", fields, b"")).await;
         assert_eq!(opened.status, 201, "{opened:?}");
         let id = opened.field("mom-tunnel").expect("an id").to_owned();
         assert_eq!((id.len(), opened.said()), (32, id.clone()));
@@ -228,9 +232,57 @@ async fn threat_17_what_goes_up_is_taken_once() {
         );
     }
     tunnel.up = end;
+    // What is cut off is not taken in part.
+    let three = request("POST", &tunnel.path(&format!("at={end}")), "", b"{\"family\":");
+    let mut cut = send(tunnel.address, &three[..three.len() - 4]).await;
+    cut.shutdown().await.expect("it is open");
+    assert_eq!(hear(cut).await.number("mom-taken"), None);
     tunnel.say(message("three")).await;
     assert_eq!(said(&mut events, "three").await, ["one", "two", "three"]);
     carol.close().await;
+    broker.stop().await;
+}
+
+/// What a client and a hub say to each other through a network that loses each fifth request or its answer.
+#[cfg(target_os = "linux")]
+#[tokio::test]
+async fn threat_17_what_is_lost_on_the_way_comes_again() {
+    use mom_tests::proxies::{BufferingProxy, Manners};
+    const COUNT: u32 = 100;
+    let broker = lab::start().await;
+    let (carol, mut heard) = carol(&broker).await;
+    let from_carol = carol.channel("/chat").await.expect("she is there");
+    let manners = Manners {
+        to: Some(broker.local_addr()),
+        ..Manners::default()
+    };
+    let proxy = BufferingProxy::start(manners).await;
+    let alice = Client::builder(proxy.url()).user("alice").password("alice");
+    let alice = alice.no_reconnect().connect().await.expect("nothing is lost yet");
+    let chat = alice.channel("/chat").await.expect("everybody may");
+    let mut events = chat.events();
+    proxy.lose_each(5);
+    for number in 0..COUNT {
+        // Each waits for its receipt, so that they are not one request.
+        let message = chat.message("chat").content(format!("up {number}"));
+        message.send_acknowledged().await.expect("it arrives");
+        from_carol
+            .send("chat", format!("down {number}"))
+            .await
+            .expect("it goes");
+    }
+    for (way, events) in [("up", &mut heard), ("down", &mut events)] {
+        let last = format!("{way} {}", COUNT - 1);
+        let said = said(events, &last).await;
+        let said: Vec<String> = said.into_iter().filter(|text| text.starts_with(way)).collect();
+        let all: Vec<String> = (0..COUNT).map(|number| format!("{way} {number}")).collect();
+        assert_eq!(said, all);
+    }
+    let asked = proxy.asked();
+    assert!(asked.len() > 100, "{}", asked.len());
+    for client in [alice, carol] {
+        client.close().await;
+    }
     broker.stop().await;
 }
 
@@ -462,5 +514,26 @@ async fn threat_17_without_tls_it_is_for_loopback() {
         assert!(answer.said().contains("https://"), "{}", answer.said());
     }
     ByHand::open(&broker).await;
+    broker.stop().await;
+}
+
+/// What a proxy on this machine brings is somebody else's, who may be anywhere: no password is taken from there.
+#[tokio::test]
+async fn threat_17_a_proxy_that_shows_itself_makes_no_password_safe() {
+    let broker = lab::start().await;
+    for field in [
+        "Via: 1.1 proxy.example.org (squid/5.7)\r\n",
+        "Forwarded: for=127.0.0.1;proto=https\r\n",
+        "X-Forwarded-For: 127.0.0.1\r\n",
+    ] {
+        let mut tunnel = ByHand::open_with(&broker, field).await;
+        let content = Map::new().with("name", "alice").with("password", "alice");
+        let answer = tunnel
+            .say(Parcel::new(Family::Login, "login").content(content))
+            .await;
+        assert_eq!(answer.field("mom-tunnel"), None, "{field}");
+        let told = tunnel.until("insecure").await;
+        assert!(String::from_utf8_lossy(&told).contains("TLS"), "{field}");
+    }
     broker.stop().await;
 }
