@@ -153,7 +153,6 @@ async fn threat_27_a_publisher_is_held_back() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn threat_27_a_publisher_is_held_back_at_other_doors() {
     for (form, way) in doors() {
-        println!("{} by {way}", form.word());
         let change = |config: &mut Config| bulk(config, "wait", Delivery::Reliable);
         a_publisher_is_held_back(World::start_by_with(way, form, change).await, form).await;
     }
@@ -200,7 +199,6 @@ async fn threat_27_what_may_be_dropped_is() {
 async fn threat_27_what_may_be_dropped_is_at_other_doors() {
     let form = Form::Binary;
     for way in Way::beside(form) {
-        println!("by {way}");
         let change = |config: &mut Config| bulk(config, "wait", Delivery::Fleeting);
         what_may_be_dropped_is(World::start_by_with(way, form, change).await, form).await;
     }

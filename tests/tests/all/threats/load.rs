@@ -82,7 +82,6 @@ async fn threat_26_a_slow_receiver_is_closed() {
 async fn threat_26_a_slow_receiver_is_closed_at_other_doors() {
     for form in Form::ALL {
         for way in Way::beside(form) {
-            println!("{} by {way}", form.word());
             a_slow_receiver_is_closed(World::start_by_with(way, form, small).await, form).await;
         }
     }

@@ -5,15 +5,9 @@ use mom_tests::bridge::Way;
 
 use crate::threats::{World, framing, lines, markup};
 
-/// The ways of a form; which one it is stands in the output of a test that fails.
-fn ways(form: Form) -> impl Iterator<Item = Way> {
-    let said = move |way: &Way| println!("{} by {way}", form.word());
-    Way::beside(form).into_iter().inspect(said)
-}
-
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn threat_6_lengths_in_xml_at_other_doors() {
-    for way in ways(Form::Xml) {
+    for way in Way::beside(Form::Xml) {
         framing::lengths_in_xml(World::start_by(way, Form::Xml).await).await;
         framing::short_and_long(World::start_by(way, Form::Xml).await).await;
     }
@@ -21,25 +15,25 @@ async fn threat_6_lengths_in_xml_at_other_doors() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn threat_6_lengths_in_binary_at_other_doors() {
-    for way in ways(Form::Binary) {
+    for way in Way::beside(Form::Binary) {
         framing::lengths_in_binary(World::start_by(way, Form::Binary).await).await;
     }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn threat_6_lines_at_other_doors() {
-    for way in ways(Form::Json) {
+    for way in Way::beside(Form::Json) {
         lines::lines(World::start_by(way, Form::Json).await).await;
     }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn threat_5_encoding_at_other_doors() {
-    for way in ways(Form::Json) {
+    for way in Way::beside(Form::Json) {
         lines::encoding(World::start_by(way, Form::Json).await).await;
     }
     for form in [Form::Xml, Form::Binary] {
-        for way in ways(form) {
+        for way in Way::beside(form) {
             markup::encoding(World::start_by(way, form).await).await;
         }
     }
@@ -47,11 +41,11 @@ async fn threat_5_encoding_at_other_doors() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn threat_4_what_is_kept_of_strangers_at_other_doors() {
-    for way in ways(Form::Json) {
+    for way in Way::beside(Form::Json) {
         lines::before_login(World::start_by(way, Form::Json).await).await;
     }
     for form in [Form::Xml, Form::Binary] {
-        for way in ways(form) {
+        for way in Way::beside(form) {
             framing::kept_before_login(World::start_by(way, form).await).await;
         }
     }
