@@ -22,19 +22,16 @@ pub struct Way {
     pub tls: bool,
 }
 
-const TUNNEL: Door = Door::Tunnel { polled: true };
-
 impl Way {
     /// TCP alone.
     pub const PLAIN: Way = Way::new(Door::Stream, false);
 
-    /// The ways of a form beside [`Way::PLAIN`].
+    /// The ways of a form beside [`Way::PLAIN`]: each door once, TLS alone and below one of them.
     pub fn beside(form: Form) -> Vec<Way> {
+        let tunnel = Way::new(Door::Tunnel { polled: true }, false);
         let ways = [
             Way::new(Door::Stream, true),
-            Way::new(TUNNEL, false),
-            Way::new(TUNNEL, true),
-            Way::new(Door::WebSocket, false),
+            tunnel,
             Way::new(Door::WebSocket, true),
         ];
         let carries = |way: &Way| form != Form::Xml || way.door != Door::WebSocket;

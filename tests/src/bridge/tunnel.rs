@@ -10,8 +10,9 @@ use tokio::sync::Mutex;
 
 use crate::asking::{Answer, Asking};
 
-/// Brought up at once: less than a stranger may.
-const MOST_UP: usize = 8 * 1024;
+/// Brought up at once: less than a stranger may, and less than a peer may.
+const MOST_BEFORE_LOGIN: usize = 8 * 1024;
+const MOST_UP: usize = 120 * 1024;
 
 struct Tunnel {
     hub: SocketAddr,
@@ -38,7 +39,8 @@ pub(super) async fn carry(near: TcpStream, hub: SocketAddr) -> io::Result<()> {
 impl Tunnel {
     async fn up(&self, mut near: OwnedReadHalf) -> io::Result<()> {
         let mut asking = Asking::connect(self.hub).await;
-        let (mut bytes, mut at) = (vec![0; MOST_UP], 0);
+        let mut larger = false;
+        let (mut bytes, mut at) = (vec![0; MOST_BEFORE_LOGIN], 0);
         loop {
             let count = near.read(&mut bytes).await?;
             let end = if count == 0 { "&end=1" } else { "" };
@@ -48,6 +50,7 @@ impl Tunnel {
                 let answer = again(&mut asking, self.hub, &first, &bytes[..count]).await;
                 if let Some(new) = answer.header("mom-tunnel") {
                     *id = new.to_owned();
+                    larger = true;
                 }
                 match answer.status {
                     200 => break,
@@ -60,6 +63,9 @@ impl Tunnel {
             at += count;
             if count == 0 {
                 return Ok(());
+            }
+            if larger {
+                bytes.resize(MOST_UP, 0);
             }
         }
     }

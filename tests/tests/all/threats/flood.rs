@@ -7,6 +7,7 @@ use bytes::Bytes;
 use mom_broker::Config;
 use mom_proto::codec::Form;
 use mom_proto::{ContextNumber, Delivery, Family, Map, Parcel, Value, from_value};
+use mom_tests::bridge::Way;
 use mom_tests::lab;
 use mom_tests::raw::{Raw, message};
 use tokio::sync::watch;
@@ -38,6 +39,12 @@ fn bulk(config: &mut Config, overflow: &str, delivery: Delivery) {
 
 async fn world(overflow: &str, delivery: Delivery) -> World {
     World::start_with(|config| bulk(config, overflow, delivery)).await
+}
+
+/// The doors beside TCP, in the forms of those who command.
+fn doors() -> Vec<(Form, Way)> {
+    let of = |form| Way::beside(form).into_iter().map(move |way| (form, way));
+    of(Form::Binary).chain(of(Form::Json).skip(2)).collect()
 }
 
 /// A peer in the channel, whose kernel takes little for it.
@@ -139,53 +146,76 @@ async fn stop_and_go(world: &mut World, robot: &mut Raw, most: i64) -> u64 {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn threat_27_a_publisher_is_held_back() {
     for form in [Form::Binary, Form::Xml] {
-        let mut world = world("wait", Delivery::Reliable).await;
-        world.witness.join(&[BULK]).await;
-        let mut robot = listener(world.address(), form, "camera").await;
-        let mut flood = Flood::start(world.address(), form).await;
-        flood.reach((OUTBOX / SIZE) as u64).await;
-        world.canary.check().await;
-        let mut heard = 0;
-        for _ in 0..STOPS {
-            let waits = queued(&mut world.witness, "camera").await;
-            assert!(waits <= OUTBOX as i64 / 2 + UNDER_WAY, "{waits} bytes wait");
-            let before = stop_passes(&mut world.witness, &mut robot).await;
-            assert!(
-                before < (OUTBOX / SIZE) as u64 / 2,
-                "{before} blocks before a stop"
-            );
-            heard += before;
-            // What was taken in arrives in order, whatever has overtaken it.
-            for _ in 0..8 {
-                heard += 1;
-                let block = robot.next_of(Family::Message, "block").await;
-                assert_eq!(block.id, Some(heard), "lost, twice, or out of order");
-            }
-        }
-        let ahead = flood.sent() - heard;
-        assert!(ahead < KERNEL, "it runs away: {ahead} blocks ahead");
-        drop(flood);
-        end(world, robot).await;
+        a_publisher_is_held_back(world("wait", Delivery::Reliable).await, form).await;
     }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn threat_27_a_publisher_is_held_back_at_other_doors() {
+    for (form, way) in doors() {
+        let change = |config: &mut Config| bulk(config, "wait", Delivery::Reliable);
+        a_publisher_is_held_back(World::start_by_with(way, form, change).await, form).await;
+    }
+}
+
+async fn a_publisher_is_held_back(mut world: World, form: Form) {
+    world.witness.join(&[BULK]).await;
+    let mut robot = listener(world.entrance(form), form, "camera").await;
+    let mut flood = Flood::start(world.entrance(form), form).await;
+    flood.reach((OUTBOX / SIZE) as u64).await;
+    world.canary.check().await;
+    let mut heard = 0;
+    for _ in 0..STOPS {
+        let waits = queued(&mut world.witness, "camera").await;
+        assert!(waits <= OUTBOX as i64 / 2 + UNDER_WAY, "{waits} bytes wait");
+        let before = stop_passes(&mut world.witness, &mut robot).await;
+        assert!(
+            before < (OUTBOX / SIZE) as u64 / 2,
+            "{before} blocks before a stop"
+        );
+        heard += before;
+        // What was taken in arrives in order, whatever has overtaken it.
+        for _ in 0..8 {
+            heard += 1;
+            let block = robot.next_of(Family::Message, "block").await;
+            assert_eq!(block.id, Some(heard), "lost, twice, or out of order");
+        }
+    }
+    let ahead = flood.sent() - heard;
+    assert!(ahead < KERNEL, "it runs away: {ahead} blocks ahead");
+    drop(flood);
+    end(world, robot).await;
 }
 
 /// What may be dropped is dropped for the receiver that is behind: nobody is held back or closed.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn threat_27_what_may_be_dropped_is() {
     for delivery in [Delivery::Latest, Delivery::Fleeting] {
-        let mut world = world("wait", delivery).await;
-        world.witness.join(&[BULK]).await;
-        let mut robot = listener(world.address(), Form::Binary, "camera").await;
-        let mut flood = Flood::start(world.address(), Form::Binary).await;
-        // More than anything between the two could hold.
-        flood.reach(2 * KERNEL).await;
-        let last = stop_and_go(&mut world, &mut robot, OUTBOX as i64 + UNDER_WAY).await;
-        assert!(last > 8 * STOPS as u64, "some were dropped");
-        let told = robot.next_of(Family::Event, "dropped").await.value();
-        assert!(told.get("count").and_then(Value::as_int) > Some(0), "{told:?}");
-        drop(flood);
-        end(world, robot).await;
+        what_may_be_dropped_is(world("wait", delivery).await, Form::Binary).await;
     }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn threat_27_what_may_be_dropped_is_at_other_doors() {
+    let form = Form::Binary;
+    for way in Way::beside(form) {
+        let change = |config: &mut Config| bulk(config, "wait", Delivery::Fleeting);
+        what_may_be_dropped_is(World::start_by_with(way, form, change).await, form).await;
+    }
+}
+
+async fn what_may_be_dropped_is(mut world: World, form: Form) {
+    world.witness.join(&[BULK]).await;
+    let mut robot = listener(world.entrance(form), form, "camera").await;
+    let mut flood = Flood::start(world.address(), Form::Binary).await;
+    // More than anything between the two could hold.
+    flood.reach(2 * KERNEL).await;
+    let last = stop_and_go(&mut world, &mut robot, OUTBOX as i64 + UNDER_WAY).await;
+    assert!(last > 8 * STOPS as u64, "some were dropped");
+    let told = robot.next_of(Family::Event, "dropped").await.value();
+    assert!(told.get("count").and_then(Value::as_int) > Some(0), "{told:?}");
+    drop(flood);
+    end(world, robot).await;
 }
 
 /// One message becomes a hundred: who keeps up hears all, who does not is closed, as its channel says.

@@ -4,8 +4,10 @@ use std::net::SocketAddr;
 use std::time::Duration;
 
 use bytes::Bytes;
+use mom_broker::Config;
 use mom_proto::codec::Form;
 use mom_proto::{Delivery, Family, Parcel, Value};
+use mom_tests::bridge::Way;
 use mom_tests::raw::{Raw, at, message};
 use mom_tests::service::Home;
 
@@ -16,13 +18,17 @@ const SIZE: usize = 32 * 1024;
 /// More than outbox, kernel and one batch of a connection can hold together.
 const MOST: usize = 2000;
 
+fn small(config: &mut Config) {
+    (config.limits.outbox, config.limits.burst) = (OUTBOX, OUTBOX);
+}
+
 async fn world() -> World {
-    World::start_with(|config| (config.limits.outbox, config.limits.burst) = (OUTBOX, OUTBOX)).await
+    World::start_with(small).await
 }
 
 /// A peer in the channel that will not read; the witness leaves it to the two of them.
 async fn sleeper(world: &mut World, form: Form) -> Raw {
-    let mut sleeper = Raw::connect_small(world.address(), form).await;
+    let mut sleeper = Raw::connect_small(world.entrance(form), form).await;
     sleeper.log_in("bob").await;
     sleeper.join(&[CHAT]).await;
     sleeper
@@ -68,23 +74,35 @@ async fn fill(speaker: &mut Raw, delivery: Delivery) -> usize {
 #[tokio::test]
 async fn threat_26_a_slow_receiver_is_closed() {
     for form in Form::ALL {
-        let mut world = world().await;
-        let mut bob = sleeper(&mut world, form).await;
-        let mut carol = speaker(world.address()).await;
-        let taken = fill(&mut carol, Delivery::Reliable).await;
-        assert!(taken >= OUTBOX / SIZE / 2, "the outbox holds something: {taken}");
-        world.check_nothing_arrived("a slow receiver").await;
-        assert_eq!(bob.last_error().await.expect("a reason").word(), "slow-receiver");
-        // It is gone for the channel too.
-        let error = loop {
-            match carol.ask(block(Delivery::Reliable)).await {
-                Ok(_) => {}
-                Err(error) => break error,
-            }
-        };
-        assert_eq!(error.code.word(), "unknown-peer");
-        world.end().await;
+        a_slow_receiver_is_closed(world().await, form).await;
     }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn threat_26_a_slow_receiver_is_closed_at_other_doors() {
+    for form in Form::ALL {
+        for way in Way::beside(form) {
+            a_slow_receiver_is_closed(World::start_by_with(way, form, small).await, form).await;
+        }
+    }
+}
+
+async fn a_slow_receiver_is_closed(mut world: World, form: Form) {
+    let mut bob = sleeper(&mut world, form).await;
+    let mut carol = speaker(world.address()).await;
+    let taken = fill(&mut carol, Delivery::Reliable).await;
+    assert!(taken >= OUTBOX / SIZE / 2, "the outbox holds something: {taken}");
+    world.check_nothing_arrived("a slow receiver").await;
+    assert_eq!(bob.last_error().await.expect("a reason").word(), "slow-receiver");
+    // It is gone for the channel too.
+    let error = loop {
+        match carol.ask(block(Delivery::Reliable)).await {
+            Ok(_) => {}
+            Err(error) => break error,
+        }
+    };
+    assert_eq!(error.code.word(), "unknown-peer");
+    world.end().await;
 }
 
 /// A receiver that reads, and that a burst has overtaken, is not slow.

@@ -22,6 +22,7 @@ mod storm;
 mod tokens;
 mod wall_clock;
 
+use std::io::Write as _;
 use std::net::SocketAddr;
 
 use bytes::Bytes;
@@ -46,6 +47,21 @@ struct World {
     audit: AuditLog,
     /// Where attackers come in by another way than TCP alone, by their forms.
     entrances: Vec<(Form, SocketAddr)>,
+    told: Told,
+}
+
+/// By which way attackers came, said when a test fails.
+#[derive(Default)]
+struct Told(Option<String>);
+
+impl Drop for Told {
+    fn drop(&mut self) {
+        if let Some(way) = self.0.take()
+            && std::thread::panicking()
+        {
+            let _ = writeln!(std::io::stderr(), "attackers came by {way}");
+        }
+    }
 }
 
 /// What becomes of the attacker's connection.
@@ -84,6 +100,7 @@ impl World {
             attacks: 0,
             audit,
             entrances: Vec::new(),
+            told: Told::default(),
         }
     }
 
@@ -100,6 +117,7 @@ impl World {
         .await;
         let entrance = way.to(world.address(), form).await;
         world.entrances.push((form, entrance));
+        world.told = Told(Some(format!("{way} in {}", form.word())));
         world
     }
 

@@ -4,3 +4,4 @@ mod forms;
 mod origins;
 mod requests;
 mod strangers;
+mod tunnels;

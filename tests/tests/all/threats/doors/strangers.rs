@@ -1,10 +1,13 @@
 //! Threats 4 and 28: strangers at the doors of HTTP take their time, and places.
 
-use std::net::{IpAddr, Ipv4Addr};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::time::{Duration, Instant};
 
+use mom_broker::Config;
+use mom_net::Door;
 use mom_proto::codec::Form;
 use mom_tests::asking::{Asking, request, upgrade};
+use mom_tests::bridge::Way;
 use mom_tests::raw::{PATIENCE, Raw};
 
 use crate::threats::World;
@@ -44,18 +47,34 @@ async fn check_too_late(mut slow: Asking, code: &str) {
 /// Threats 4 and 28: half a head, a head and a body that come slowly, and a connection that says nothing more.
 #[tokio::test]
 async fn threat_28_slow_requests() {
-    let mut world = world().await;
+    let world = world().await;
+    let address = world.address();
+    slow_requests(world, address).await;
+}
+
+#[tokio::test]
+async fn threat_28_slow_requests_with_tls() {
+    let tls = Way::beside(Form::Xml)
+        .into_iter()
+        .find(|way| way.door == Door::Stream);
+    let change = |config: &mut Config| config.limits.login_time = LOGIN_TIME;
+    let world = World::start_by_with(tls.expect("TLS alone"), Form::Xml, change).await;
+    let entrance = world.entrance(Form::Xml);
+    slow_requests(world, entrance).await;
+}
+
+async fn slow_requests(mut world: World, address: SocketAddr) {
     let endless = format!("GET / HTTP/1.1\r\nHost: hub\r\nX-One: {}", "a".repeat(10_000));
-    let mut slow = Asking::connect(world.address()).await;
+    let mut slow = Asking::connect(address).await;
     drip(&mut slow, endless.as_bytes()).await;
     check_too_late(slow, "login-timeout").await;
     world.check_nothing_arrived("a slow head").await;
 
-    let mut slow = Asking::connect(world.address()).await;
+    let mut slow = Asking::connect(address).await;
     slow.send("GET / HTTP/1.1\r\nHost: hub\r\n").await;
     check_too_late(slow, "login-timeout").await;
 
-    let mut slow = Asking::connect(world.address()).await;
+    let mut slow = Asking::connect(address).await;
     let path = open(&mut slow).await;
     let body = request(&format!("POST {path}?at=0"), &["Host: hub"], &[b'{'; 10_000]);
     let head = body.len() - 10_000;
@@ -65,7 +84,7 @@ async fn threat_28_slow_requests() {
     world.check_nothing_arrived("a slow body").await;
 
     // A body where none is wanted: answered at once, and not waited for.
-    let mut slow = Asking::connect(world.address()).await;
+    let mut slow = Asking::connect(address).await;
     let body = request("POST /nowhere", &["Host: hub"], &[b'{'; 10_000]);
     slow.send(&body[..body.len() - 10_000]).await;
     assert_eq!(slow.answer().await.expect("answered at once").status, 404);
