@@ -45,6 +45,7 @@ mod text_form;
 mod thinning;
 mod value;
 mod verb;
+mod visible;
 pub mod xml;
 
 pub use challenge::{LOGIN_CONTEXT, NONCE_BYTES, login_challenge};
@@ -73,6 +74,7 @@ pub use stamp::{Micros, Time};
 pub use thinning::{MessageRate, Thinning};
 pub use value::{Value, ValueKind};
 pub use verb::Verb;
+pub use visible::visible;
 
 #[cfg(test)]
 mod tests;

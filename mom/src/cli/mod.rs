@@ -17,7 +17,7 @@ use self::contexts::{CREATE, DELETE};
 pub(crate) use self::parse::parse;
 
 use self::control::{ACCEPT, BREAK, DECLINE, EXPEL, GIVE, GRAB, INHIBIT, INVITE, MANAGE, REQUEST, TOKEN};
-use self::look::TOP;
+use self::look::{LOGS, TOP};
 use self::stop::{STOP, UNSTOP};
 
 /// Look at a hub, talk through it, and drive the devices connected to it.
@@ -101,6 +101,9 @@ pub(crate) enum Command {
     /// Show who is connected, through which door, how well, and who owns what, as it changes
     #[command(after_help = TOP)]
     Top(TopArgs),
+    /// Show what programs have reported of their errors to the hub
+    #[command(after_help = LOGS)]
+    Logs(LogsArgs),
     /// Show what happens in contexts, one line per parcel, until Ctrl-C
     #[command(after_help = WATCH)]
     Watch(WatchArgs),
@@ -291,7 +294,7 @@ pub(crate) use control::{
     AcceptArgs, BreakArgs, DeclineArgs, ExpelArgs, GiveArgs, GrabArgs, HoldArgs, InhibitArgs, InviteArgs,
     ManageArgs, RequestArgs, TokenArgs, WaitArg,
 };
-pub(crate) use look::TopArgs;
+pub(crate) use look::{LogsArgs, TopArgs};
 pub(crate) use stop::StopArgs;
 
 /// `mom run`

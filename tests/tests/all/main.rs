@@ -17,6 +17,7 @@ mod page;
 mod programs;
 mod protocol;
 mod python;
+mod reports;
 mod room;
 mod runs;
 mod states;
