@@ -4,6 +4,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use clap::builder::FalseyValueParser;
 use clap::{Args, Parser, Subcommand};
 use mom_client::{MessageRate, WireError};
 
@@ -75,6 +76,9 @@ pub(crate) struct GlobalArgs {
     /// Log in as a guest, where the hub lets guests in
     #[arg(long, global = true)]
     pub(crate) guest: bool,
+    /// If the hub cannot be reached, report why to it by plain HTTP, which may get through; for mom logs
+    #[arg(long, global = true, env = "MOM_REPORT", value_parser = FalseyValueParser::new())]
+    pub(crate) report: bool,
     /// Write JSON, one object per line
     #[arg(long, global = true)]
     pub(crate) json: bool,

@@ -1,10 +1,10 @@
 //! What programs report of their errors by plain HTTP, without a login: who may read it, and how much it may be.
 
 use mom_broker::{Broker, Config};
-use mom_client::{Client, ClientError, Code, Event, Parcel, Value};
-use mom_tests::lab;
+use mom_client::{Client, ClientError, Code, Event, Parcel, Report, Value, report as report_to};
 use mom_tests::programs::{program, run, text};
 use mom_tests::web::{Answer, ask};
+use mom_tests::{lab, tls};
 use tokio::process::Command;
 use tokio::task::spawn_blocking;
 use tokio::time::timeout;
@@ -175,4 +175,52 @@ async fn a_channel_for_reports_is_one_of_the_file() {
         "[web]\nlog = \"/log\"\n[[contexts]]\npath = \"/log\"\nkind = \"channel\"\nkeep = { parcels = 10 }\n";
     let right = checked(right).await;
     assert_eq!(right.status.code(), Some(0), "{}", text(&right.stderr));
+}
+
+/// The hub's certificate is not to be trusted, so nobody logs in; the report says why all the same, if it is asked for.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_program_that_cannot_connect_reports_why_if_it_is_asked_to() {
+    let broker = lab::start_with(|config| config.tls = tls::of_hub()).await;
+    let carol = log_in(&broker, "carol").await;
+    let log = carol.channel("/log").await.expect("operators may");
+    let mut events = log.events();
+    let built = spawn_blocking(|| program("mom")).await.expect("it is built");
+    let hub = format!("bins://{}?pin={}", broker.local_addr(), "0".repeat(64));
+    let tree = async |args: &[&str]| {
+        let mut command = Command::new(&built);
+        command
+            .args(["--hub", &hub, "tree"])
+            .args(args)
+            .kill_on_drop(true);
+        command
+            .env("MOM_USER", "alice")
+            .env("MOM_PASSWORD", "secret-of-alice");
+        command.output().await.expect("it runs")
+    };
+    assert_eq!(tree(&[]).await.status.code(), Some(1));
+    assert_eq!(tree(&["--report"]).await.status.code(), Some(1));
+    let report = next_report(&mut events).await;
+    let said = report.value();
+    let word = |key: &str| said.get(key).and_then(Value::as_str).unwrap_or_default();
+    assert!(word("text").contains("certificate"), "{said:?}");
+    assert_eq!(
+        (word("program"), word("level"), word("from")),
+        ("mom", "error", "127.0.0.1")
+    );
+    assert!(!format!("{said:?}").contains("secret"), "{said:?}");
+
+    // From a program of one's own; the first run without --report has said nothing.
+    let own = Report {
+        text: "x".repeat(10_000),
+        ..Report::default()
+    }
+    .by("mine", "1");
+    report_to(&format!("bin://{}", broker.local_addr()), &own)
+        .await
+        .expect("it is taken");
+    let second = next_report(&mut events).await;
+    assert_eq!(second.value().get("program"), Some(&Value::from("mine")));
+    let nobody = report_to("bin://127.0.0.1:9", &own).await;
+    assert!(matches!(nobody, Err(ClientError::Connection(_))), "{nobody:?}");
+    broker.stop().await;
 }
