@@ -68,6 +68,7 @@ mod stats;
 mod subscribe;
 mod token;
 mod token_info;
+mod trace;
 mod waits;
 mod wanted;
 
@@ -91,7 +92,8 @@ pub use message::{Message, Receipt};
 pub use mom_net::{Address, DEFAULT_PORT, Identity, NetError, Trust};
 pub use mom_proto::{
     ClockOffset, Code, Content, ContextKind, Delivery, Family, Fence, Fingerprint, HISTORY, HUB, Map,
-    MessageRate, Parcel, Path, Thinning, Time, Value, WireError, event, from_value, to_value, visible,
+    MessageRate, Parcel, Path, TRACE, Thinning, Time, TraceParent, Value, WireError, event, from_value,
+    to_value, visible,
 };
 pub use predict::{Model, Prediction, Predictor};
 pub use probe::Probe;

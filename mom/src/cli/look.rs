@@ -45,6 +45,6 @@ Whoever may join the channel may read it. Reports come from anybody who reaches 
 what they say of themselves is not checked, but the address is.
 
 Examples:
-  mom --user carol logs
-  mom --user carol logs --follow
-  mom --user carol logs --json | jq 'select(.level == \"error\")'";
+  mom logs
+  mom logs --follow
+  mom logs --json | jq 'select(.level == \"error\")'";

@@ -29,5 +29,6 @@ mod time;
 mod tls;
 mod told;
 mod top;
+mod traces;
 mod uplink;
 mod web;

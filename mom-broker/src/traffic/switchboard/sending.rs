@@ -11,6 +11,7 @@ use super::{Switchboard, Touched, flush};
 use crate::traffic::capacity::{NoCapacity, WaitingMessage, no_capacity};
 use crate::traffic::channel::{Channel, HUB_PEER, Message, Outcome, Sender, Unsent, Why, run_ahead, stamped};
 use crate::traffic::outbox::{Outbox, WaiterHandle};
+use crate::traffic::trace;
 
 /// What became of a message that was not refused.
 #[derive(Debug)]
@@ -108,6 +109,27 @@ impl Switchboard {
     }
 
     fn send(
+        &self,
+        sender: &Sender<'_>,
+        limits: &Limits,
+        (parcel, waited): (Box<Parcel>, Option<(Micros, WaiterHandle)>),
+        touched: &mut Touched,
+    ) -> Result<Handled, WireError> {
+        let span = trace::span(&parcel, sender.peer);
+        let begin = if span.is_disabled() { 0 } else { self.clock.now() };
+        let sent = span.in_scope(|| self.try_send(sender, limits, (parcel, waited), touched));
+        if !span.is_disabled() {
+            let result = match &sent {
+                Ok(Handled::Done) => "passed on",
+                Ok(Handled::Waits(_)) => "waits for capacity",
+                Err(_) => "refused",
+            };
+            trace::end(&span, result, self.clock.now().saturating_sub(begin));
+        }
+        sent
+    }
+
+    fn try_send(
         &self,
         sender: &Sender<'_>,
         limits: &Limits,
