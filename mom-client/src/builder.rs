@@ -8,13 +8,14 @@ use std::time::Duration;
 
 use mom_net::{Address, ClientTls, Identity, TlsError, Transceiver, Trust};
 use mom_proto::{Code, Time, WireError};
+use parking_lot::Mutex;
 
 use crate::client::{Client, Handle};
 use crate::clock::{HubClock, Wall};
 use crate::login::Connector;
 use crate::proof::Credentials;
 use crate::shared::{Settings, Shared};
-use crate::{ClientError, Key, Proof, Reconnect, driver, reconnect};
+use crate::{ClientError, Key, Proof, Reconnect, Report, driver, reconnect};
 
 /// Longer than chairs usually have for an answer (M24).
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(40);
@@ -49,6 +50,8 @@ pub struct Builder {
     wall: Wall,
     settings: Settings,
     waits: bool,
+    /// Who reports failures.
+    reporter: Option<(String, String)>,
 }
 
 impl Builder {
@@ -85,6 +88,7 @@ impl Builder {
                 event_buffer: 1024,
             },
             waits: false,
+            reporter: None,
         }
     }
 
@@ -214,6 +218,13 @@ impl Builder {
         self
     }
 
+    /// Reports to the hub, once and by plain HTTP, the error by which the first attempt to connect fails, if it is one of the connection;
+    /// under this name and version of a program. Off by default: it goes in the clear, to whoever answers at the address.
+    pub fn report_failures(mut self, program: &str, version: &str) -> Builder {
+        self.reporter = Some((program.to_owned(), version.to_owned()));
+        self
+    }
+
     /// Connects and logs in, without retrying unless [`wait_for_hub`](Builder::wait_for_hub) says so. Needs a tokio runtime, in which the client's tasks then run.
     ///
     /// # Errors
@@ -240,7 +251,17 @@ impl Builder {
         }
         let ids = AtomicU64::new(1);
         let patience = self.settings.reconnect.as_ref().filter(|_| self.waits);
-        let connect = || connector.connect(&self.credentials, &ids, self.settings.connect_timeout);
+        let reporter = Mutex::new(self.reporter);
+        let connect = || async {
+            let connected = connector
+                .connect(&self.credentials, &ids, self.settings.connect_timeout)
+                .await;
+            if let (Err(error), Connector::Remote(address, _)) = (&connected, &connector) {
+                let reporter = reporter.lock().take();
+                report_failure(reporter, address, error).await;
+            }
+            connected
+        };
         let connected = match patience {
             Some(patience) => reconnect::wait(patience, connect).await?,
             None => connect().await?,
@@ -257,6 +278,20 @@ impl Builder {
         let drive = driver::run(Arc::clone(&shared), connector, connected.transceiver);
         tokio::spawn(drive);
         Ok(Client::of(Arc::new(Handle { shared })))
+    }
+}
+
+/// Reports an error of the connection: what a hub refuses it knows.
+async fn report_failure(reporter: Option<(String, String)>, address: &Address, error: &ClientError) {
+    let (Some((program, version)), ClientError::Connection(_) | ClientError::TimedOut { .. }) =
+        (reporter, error)
+    else {
+        return;
+    };
+    let report = Report::of(error).by(&program, &version);
+    match crate::report::send(address, &report).await {
+        Ok(()) => tracing::info!("the failure is reported to the hub"),
+        Err(error) => tracing::debug!("the failure cannot be reported: {error}"),
     }
 }
 

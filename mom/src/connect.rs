@@ -23,9 +23,14 @@ pub(crate) async fn connect(global: &GlobalArgs, stay: Stay) -> Result<Client, F
     global.hub.parse::<Address>().map_err(wrong_address)?;
     let who = UserLogin::of(global)?;
     let builder = || who.prove(Client::builder(&global.hub));
+    // The hub hears once of what fails.
+    let first = || match global.report {
+        true => builder().report_failures("mom", env!("CARGO_PKG_VERSION")),
+        false => builder(),
+    };
     let connected = match stay {
-        Stay::Once => builder().no_reconnect().connect().await,
-        Stay::Reconnecting => match builder().connect().await {
+        Stay::Once => first().no_reconnect().connect().await,
+        Stay::Reconnecting => match first().connect().await {
             Err(error @ (ClientError::Connection(_) | ClientError::TimedOut { .. })) => {
                 let absent = explain(&global.hub, &who, error);
                 Output::new(global.json).remark(format_args!("{absent}; waiting for it, Ctrl-C ends"));

@@ -16,4 +16,6 @@ pub struct WebConfig {
     pub forwarded_by: Vec<Network>,
     /// The token that `/metrics` is shown for, beside users who may ask for statistics.
     pub metrics_token: Option<KeyFile>,
+    /// The channel in which the hub says what programs report of their errors; none = nothing is taken.
+    pub log: Option<String>,
 }

@@ -6,6 +6,7 @@ mod forwarded;
 mod image;
 mod metrics;
 mod origins;
+mod reports;
 mod tunnels;
 mod visitors;
 
@@ -26,7 +27,7 @@ use hyper_util::rt::TokioTimer;
 use mom_config::{Network, WebConfig};
 use mom_login::KeyFile;
 use mom_net::{HttpStream, Privacy, Protocol, Takes, Transceiver, Tunnels, WebSocketUpgrade};
-use mom_proto::WireError;
+use mom_proto::{Path, WireError};
 use parking_lot::{Mutex, RwLock};
 use tokio::sync::oneshot;
 use tokio::time::{Instant, sleep_until};
@@ -35,6 +36,7 @@ use crate::connection::{Doors, Remote, Seat, Seated, Services, login_time, login
 
 use answers::{Body, allow, refuse};
 use origins::Origins;
+use reports::Reports;
 use visitors::Visitors;
 
 /// The head of a request in bytes, and its lines.
@@ -51,6 +53,7 @@ pub(crate) struct Web {
     tunnels: Arc<Tunnels>,
     rules: RwLock<Arc<Rules>>,
     visitors: Arc<Visitors>,
+    reports: Reports,
     begun: Instant,
 }
 
@@ -60,6 +63,7 @@ struct Rules {
     origins: Origins,
     forwarded_by: Vec<Network>,
     metrics_token: Option<KeyFile>,
+    log: Option<Path>,
 }
 
 /// One connection that asks by HTTP.
@@ -101,6 +105,7 @@ impl Web {
             tunnels: Arc::default(),
             rules: RwLock::new(Arc::new(Rules::new(config))),
             visitors: Arc::default(),
+            reports: Reports::default(),
             begun: Instant::now(),
         }
     }
@@ -195,6 +200,7 @@ impl Rules {
             origins: Origins::new(&config.origins),
             forwarded_by: config.forwarded_by.clone(),
             metrics_token: config.metrics_token.clone(),
+            log: config.log.as_deref().and_then(|path| Path::parse(path).ok()),
         }
     }
 }
@@ -291,6 +297,7 @@ impl HttpConnection {
             (.., Some("")) => self.open_tunnel(&request),
             (.., Some(id)) if id.starts_with('/') => self.use_tunnel(&id[1..], request).await,
             (_, path, _) if path.starts_with("/api/") => self.api(request).await,
+            (.., "/log", _) => self.take_report(request).await,
             (&Method::GET | &Method::HEAD, "/healthz", _) => answers::text(StatusCode::OK, "ok\n"),
             (&Method::GET | &Method::HEAD, "/readyz", _) => self.readiness(),
             (&Method::GET | &Method::HEAD, "/metrics", _) => self.metrics(&request).await,

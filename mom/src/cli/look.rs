@@ -28,3 +28,23 @@ Examples:
   mom top /robot                           of tokens only those of the robot
   mom top --once
   mom top --once --json | jq '.peers[] | {peer, door, queued}'";
+
+/// `mom logs`
+#[derive(Args, Debug)]
+pub(crate) struct LogsArgs {
+    /// The channel of the reports: `log` of the hub's configuration
+    #[arg(default_value = "/log")]
+    pub(crate) path: String,
+    /// Show also those that come, until Ctrl-C
+    #[arg(long, short)]
+    pub(crate) follow: bool,
+}
+
+pub(super) const LOGS: &str = "\
+Whoever may join the channel may read it. Reports come from anybody who reaches the hub over HTTP, without a login:
+what they say of themselves is not checked, but the address is.
+
+Examples:
+  mom logs
+  mom logs --follow
+  mom logs --json | jq 'select(.level == \"error\")'";

@@ -4,6 +4,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use clap::builder::FalseyValueParser;
 use clap::{Args, Parser, Subcommand};
 use mom_client::{MessageRate, WireError};
 
@@ -17,7 +18,7 @@ use self::contexts::{CREATE, DELETE};
 pub(crate) use self::parse::parse;
 
 use self::control::{ACCEPT, BREAK, DECLINE, EXPEL, GIVE, GRAB, INHIBIT, INVITE, MANAGE, REQUEST, TOKEN};
-use self::look::TOP;
+use self::look::{LOGS, TOP};
 use self::stop::{STOP, UNSTOP};
 
 /// Look at a hub, talk through it, and drive the devices connected to it.
@@ -75,6 +76,9 @@ pub(crate) struct GlobalArgs {
     /// Log in as a guest, where the hub lets guests in
     #[arg(long, global = true)]
     pub(crate) guest: bool,
+    /// If the hub cannot be reached, report why to it by plain HTTP, which may get through; for mom logs
+    #[arg(long, global = true, env = "MOM_REPORT", value_parser = FalseyValueParser::new())]
+    pub(crate) report: bool,
     /// Write JSON, one object per line
     #[arg(long, global = true)]
     pub(crate) json: bool,
@@ -101,6 +105,9 @@ pub(crate) enum Command {
     /// Show who is connected, through which door, how well, and who owns what, as it changes
     #[command(after_help = TOP)]
     Top(TopArgs),
+    /// Show what programs have reported of their errors to the hub
+    #[command(after_help = LOGS)]
+    Logs(LogsArgs),
     /// Show what happens in contexts, one line per parcel, until Ctrl-C
     #[command(after_help = WATCH)]
     Watch(WatchArgs),
@@ -291,7 +298,7 @@ pub(crate) use control::{
     AcceptArgs, BreakArgs, DeclineArgs, ExpelArgs, GiveArgs, GrabArgs, HoldArgs, InhibitArgs, InviteArgs,
     ManageArgs, RequestArgs, TokenArgs, WaitArg,
 };
-pub(crate) use look::TopArgs;
+pub(crate) use look::{LogsArgs, TopArgs};
 pub(crate) use stop::StopArgs;
 
 /// `mom run`

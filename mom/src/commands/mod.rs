@@ -14,6 +14,7 @@ mod inhibit;
 mod invite;
 mod keygen;
 mod lab;
+mod logs;
 mod manage;
 mod offers;
 mod request;
@@ -42,6 +43,7 @@ pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Tree(args) => tree::run(args, global, output).await,
         Command::Stats(args) => stats::run(args, global, output).await,
         Command::Top(args) => top::run(args, global, output).await,
+        Command::Logs(args) => logs::run(args, global, output).await,
         Command::Watch(args) => watch::run(args, global, output).await,
         Command::Send(args) => send::run(args, global, output).await,
         Command::Create(args) => create::run(args, global, output).await,

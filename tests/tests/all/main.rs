@@ -20,6 +20,7 @@ mod protocol;
 #[cfg(target_os = "linux")]
 mod proxies;
 mod python;
+mod reports;
 mod room;
 mod runs;
 mod states;
@@ -31,6 +32,7 @@ mod time;
 mod tls;
 mod told;
 mod top;
+mod traces;
 mod tunnel;
 mod uplink;
 mod web;
