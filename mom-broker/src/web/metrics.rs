@@ -1,5 +1,7 @@
 //! Health and figures, for programs that watch the hub.
 
+use std::sync::atomic::AtomicU64;
+
 use http::header::{AUTHORIZATION, HeaderMap};
 use http::{Request, Response, StatusCode};
 use hyper::body::Incoming;
@@ -48,6 +50,8 @@ impl HttpConnection {
             }
         }
         let mut registry = Registry::with_prefix("mom");
+        let named = request.uri().query() == Some("peers=1");
+        self.register_peers(&mut registry, named);
         self.register_traffic(&mut registry);
         self.register_broker(&mut registry);
         let mut text = String::new();
@@ -72,23 +76,43 @@ impl HttpConnection {
         shown.is_some_and(|shown| Sha256::digest(shown) == Sha256::digest(token.text()))
     }
 
+    /// How many peers there are of each kind; each of them by name only if asked, because peers choose their names.
+    fn register_peers(&self, registry: &mut Registry, named: bool) {
+        let (peers, _) = self.services.board.peers(usize::MAX);
+        let kinds = Family::<Labels, Gauge>::default();
+        let [queued, dropped, round_trip] =
+            [(); 3].map(|()| Family::<Labels, Gauge<f64, AtomicU64>>::default());
+        for peer in &peers {
+            let kind = vec![
+                ("form", peer.form().to_owned()),
+                ("door", peer.door().to_owned()),
+                ("tls", peer.login.tls.to_string()),
+            ];
+            kinds.get_or_create(&kind).inc();
+            if !named {
+                continue;
+            }
+            let name = vec![("peer", peer.name.to_string()), ("user", peer.user().to_owned())];
+            queued.get_or_create(&name).set(peer.queued as f64);
+            dropped.get_or_create(&name).set(peer.dropped as f64);
+            if let Some(micros) = peer.round_trip {
+                round_trip.get_or_create(&name).set(micros as f64 / 1e6);
+            }
+        }
+        registry.register("peers", "Peers that have logged in", kinds);
+        if named {
+            registry.register_with_unit("peer_queued", "What waits for a peer", Unit::Bytes, queued);
+            registry.register("peer_dropped", "Parcels dropped on their way to a peer", dropped);
+            registry.register_with_unit("peer_round_trip", "To a peer and back", Unit::Seconds, round_trip);
+        }
+    }
+
     fn register_traffic(&self, registry: &mut Registry) {
         let Totals {
-            connections,
             channels,
             counts,
             queued,
         } = self.services.board.totals();
-        let by_form = Family::<Labels, Gauge>::default();
-        for (form, count) in connections {
-            let form = form.unwrap_or("local").to_owned();
-            by_form.get_or_create(&vec![("form", form)]).set(whole(count));
-        }
-        registry.register(
-            "connections",
-            "Connections that have said in which form they speak",
-            by_form,
-        );
         registry.register("channels", "Channels", ConstGauge::new(whole(channels)));
         let counted = [
             ("messages", "Messages that channels have taken", counts.sent),
@@ -116,7 +140,7 @@ impl HttpConnection {
         registry.register("dropped", "Messages dropped for a receiver", dropped);
         let waiting = ConstGauge::new(whole(queued));
         registry.register_with_unit("queued", "What waits for receivers", Unit::Bytes, waiting);
-        let ages = Family::<Labels, Gauge<f64, std::sync::atomic::AtomicU64>>::default();
+        let ages = Family::<Labels, Gauge<f64, AtomicU64>>::default();
         for (quantile, percent) in [("0.5", 50), ("0.99", 99)] {
             let age = counts.ages.as_ref().and_then(|ages| ages.percentile(percent));
             if let Some(micros) = age {

@@ -95,7 +95,7 @@ async fn metrics_are_for_their_token_and_for_who_may_have_statistics() {
         Some("application/openmetrics-text; version=1.0.0; charset=utf-8")
     );
     for (name, value) in [
-        ("mom_connections{form=\"json\"}", "1"),
+        ("mom_peers{form=\"json\",door=\"tcp\",tls=\"false\"}", "1"),
         ("mom_messages_total", "1"),
         ("mom_deliveries_total", "1"),
     ] {
@@ -104,6 +104,16 @@ async fn metrics_are_for_their_token_and_for_who_may_have_statistics() {
     assert!(
         shown.text().ends_with("# EOF\n") && !shown.text().contains("alice"),
         "no labels of peers"
+    );
+    let named = get(
+        &broker,
+        "/metrics?peers=1",
+        &[&format!("Authorization: Bearer {TOKEN}")],
+    )
+    .await;
+    assert_eq!(
+        figure(&named, "mom_peer_queued_bytes{peer=\"alice\",user=\"alice\"}").as_deref(),
+        Some("0.0")
     );
     for (headers, status) in [
         (&[][..], 401),
@@ -149,6 +159,14 @@ async fn a_session_sees_what_its_user_may_see() {
     assert_eq!(
         (&chat["kind"], &chat["path"]),
         (&json!("channel"), &json!("/chat"))
+    );
+    let peers = get(&broker, "/api/peers", &[&cookie]).await;
+    assert_eq!(peers.status, 200, "{}", peers.text());
+    let peers = peers.json();
+    // The session itself is a peer, inside the hub's process.
+    assert_eq!(
+        (&peers["peers"][0]["user"], &peers["peers"][0]["door"]),
+        (&json!("alice"), &json!("local"))
     );
     let nothing = get(&broker, "/api/contexts/no%20thing", &[&cookie]).await;
     assert_eq!(
