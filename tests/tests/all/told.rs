@@ -89,7 +89,7 @@ async fn the_path_of_an_address_is_the_place() {
 fn a_wrong_address_is_a_wrong_address() {
     for (hub, why) in [
         ("bin://nohost name:1", "\"nohost name\" is no name of a host"),
-        ("http://lab:7666", "no hub is spoken to by http://"),
+        ("ftp://lab:7666", "no hub is spoken to by ftp://"),
         ("lab:7666", "does not begin with bin:// or tcp://"),
         ("bin://lab:", "its port is missing"),
         ("bin://lab:99999", "a port is a number from 0 to 65535"),
