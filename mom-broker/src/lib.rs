@@ -20,7 +20,7 @@ pub use mom_journal::{
     AuditConfig, Decision, Difference, Outcome, RecordConfig, RecordError, Replay, Summary, WriteError,
 };
 pub use mom_login::{
-    FailureRate, JwtConfig, JwtKey, JwtUsers, LoginConfig, LoginStats, ThrottleConfig, UserEntry, hash,
+    FailureRate, JwtConfig, JwtUsers, KeyFile, LoginConfig, LoginStats, ThrottleConfig, UserEntry, hash,
 };
 pub use mom_net::{Protocol, TlsUse};
 pub use mom_store::{StoreConfig, StoreError};

@@ -68,6 +68,7 @@ impl Broker {
             .replace(users, login, configure)
             .map_err(ConfigError::from)?;
         *self.tls.write() = tls;
+        self.web.replace(&config.web);
         *self.services.next_limits.write() = Arc::new(config.limits.clone());
         flush(&mut touched);
         *running = config;
@@ -150,6 +151,7 @@ impl ReloadReport {
         };
         note(running.log == config.log, "log");
         note(running.tls == config.tls, "tls");
+        note(running.web == config.web, "web");
         note(running.reload == config.reload, "reload");
         note(running.root == config.root, "root");
         note(running.login == config.login, "login");

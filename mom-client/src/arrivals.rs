@@ -7,6 +7,7 @@ use crate::Event;
 use crate::info::{map_of, text};
 use crate::pending::AnswerTo;
 use crate::shared::{Shared, State};
+use crate::trace;
 
 impl Shared {
     /// Takes one parcel of the hub.
@@ -18,6 +19,7 @@ impl Shared {
             Family::Event => self.receive_event(parcel),
             Family::Manager if parcel.name() == "consult" => self.receive_consult(parcel),
             _ => {
+                trace::received(&parcel);
                 let paths: Vec<Path> = parcel.context.iter().cloned().collect();
                 self.lock()
                     .subscribers

@@ -8,13 +8,14 @@ use std::time::Duration;
 
 use mom_net::{Address, ClientTls, Identity, TlsError, Transceiver, Trust};
 use mom_proto::{Code, Time, WireError};
+use parking_lot::Mutex;
 
 use crate::client::{Client, Handle};
 use crate::clock::{HubClock, Wall};
 use crate::login::Connector;
 use crate::proof::Credentials;
 use crate::shared::{Settings, Shared};
-use crate::{ClientError, Key, Proof, Reconnect, driver, reconnect};
+use crate::{ClientError, Key, Proof, Reconnect, Report, driver, reconnect};
 
 /// Longer than chairs usually have for an answer (M24).
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(40);
@@ -49,6 +50,8 @@ pub struct Builder {
     wall: Wall,
     settings: Settings,
     waits: bool,
+    /// Who reports failures.
+    reporter: Option<(String, String)>,
 }
 
 impl Builder {
@@ -73,6 +76,7 @@ impl Builder {
                 proof: Proof::Password(String::new()),
                 nickname: None,
                 hub: None,
+                address: None,
             },
             trust: None,
             fault: None,
@@ -84,6 +88,7 @@ impl Builder {
                 event_buffer: 1024,
             },
             waits: false,
+            reporter: None,
         }
     }
 
@@ -93,7 +98,7 @@ impl Builder {
         self
     }
 
-    /// The user's password.
+    /// The user's password. It is sent over TLS or loopback only: over another address [`connect`](Builder::connect) refuses.
     pub fn password(self, password: impl Into<String>) -> Builder {
         self.proof(Proof::Password(password.into()))
     }
@@ -114,7 +119,7 @@ impl Builder {
         }
     }
 
-    /// A token (JWT) of an issuer that the hub trusts; it names the user itself. When it expires the hub closes
+    /// A token (JWT) of an issuer that the hub trusts; it names the user itself, and is sent where a password is. When it expires the hub closes
     /// the link, unless [`Client::authenticate_again`] came before.
     pub fn token(self, token: impl Into<String>) -> Builder {
         self.proof(Proof::Token(token.into()))
@@ -213,12 +218,20 @@ impl Builder {
         self
     }
 
+    /// Reports to the hub, once and by plain HTTP, the error by which the first attempt to connect fails, if it is one of the connection;
+    /// under this name and version of a program. Off by default: it goes in the clear, to whoever answers at the address.
+    pub fn report_failures(mut self, program: &str, version: &str) -> Builder {
+        self.reporter = Some((program.to_owned(), version.to_owned()));
+        self
+    }
+
     /// Connects and logs in, without retrying unless [`wait_for_hub`](Builder::wait_for_hub) says so. Needs a tokio runtime, in which the client's tasks then run.
     ///
     /// # Errors
-    /// `Address` for a wrong address, `Local` for a bad key, `Connection` and `TimedOut` for an unreachable hub, `Refused` with
+    /// `Address` for a wrong address, `Local` for a bad key and, with the code `insecure`, for a password or token that others
+    /// could read on the way, `Connection` and `TimedOut` for an unreachable hub, `Refused` with
     /// `bad-login` and other refusals of the hub.
-    pub async fn connect(self) -> Result<Client, ClientError> {
+    pub async fn connect(mut self) -> Result<Client, ClientError> {
         let mut connector = self.connector?;
         if let Some(error) = self.fault {
             return Err(error);
@@ -233,9 +246,22 @@ impl Builder {
             };
             *tls = Some(ClientTls::new(&trust, identity).map_err(|error| unusable(&error))?);
         }
+        if let Connector::Remote(address, _) = &connector {
+            self.credentials.address = Some(address.clone());
+        }
         let ids = AtomicU64::new(1);
         let patience = self.settings.reconnect.as_ref().filter(|_| self.waits);
-        let connect = || connector.connect(&self.credentials, &ids, self.settings.connect_timeout);
+        let reporter = Mutex::new(self.reporter);
+        let connect = || async {
+            let connected = connector
+                .connect(&self.credentials, &ids, self.settings.connect_timeout)
+                .await;
+            if let (Err(error), Connector::Remote(address, _)) = (&connected, &connector) {
+                let reporter = reporter.lock().take();
+                report_failure(reporter, address, error).await;
+            }
+            connected
+        };
         let connected = match patience {
             Some(patience) => reconnect::wait(patience, connect).await?,
             None => connect().await?,
@@ -252,6 +278,20 @@ impl Builder {
         let drive = driver::run(Arc::clone(&shared), connector, connected.transceiver);
         tokio::spawn(drive);
         Ok(Client::of(Arc::new(Handle { shared })))
+    }
+}
+
+/// Reports an error of the connection: what a hub refuses it knows.
+async fn report_failure(reporter: Option<(String, String)>, address: &Address, error: &ClientError) {
+    let (Some((program, version)), ClientError::Connection(_) | ClientError::TimedOut { .. }) =
+        (reporter, error)
+    else {
+        return;
+    };
+    let report = Report::of(error).by(&program, &version);
+    match crate::report::send(address, &report).await {
+        Ok(()) => tracing::info!("the failure is reported to the hub"),
+        Err(error) => tracing::debug!("the failure cannot be reported: {error}"),
     }
 }
 

@@ -7,11 +7,13 @@ use mom_net::Transceiver;
 use mom_proto::{ContextKind, Family, Map, Parcel, Path, Thinning, Value};
 use tokio::sync::watch;
 use tokio::time::timeout;
+use tracing::Instrument as _;
 
 use crate::info::{map_of, millis};
 use crate::login::Welcome;
 use crate::proof::{Credentials, is_challenge};
 use crate::shared::{Shared, verb};
+use crate::trace;
 use crate::wanted::Terms;
 use crate::{
     Builder, Channel, ClientError, Consults, ContextInfo, Events, HubClock, LinkState, Member, Proof,
@@ -98,12 +100,13 @@ impl Client {
     /// [`Event::LinkDown`](crate::Event::LinkDown) and all other consequences of a lost link follow.
     ///
     /// # Errors
-    /// `Refused` with `bad-login` and other refusals of the hub; then nothing changes.
+    /// `Refused` with `bad-login` and other refusals of the hub, `Local` with `insecure` for a password or token that others could
+    /// read on the way; then nothing changes.
     pub async fn authenticate_again(&self, proof: Proof) -> Result<(), ClientError> {
         let shared = self.shared();
         let known = shared.credentials.lock().clone();
         let credentials = Credentials { proof, ..known };
-        let mut reply = self.request(credentials.login()).await?;
+        let mut reply = self.request(credentials.login()?).await?;
         if is_challenge(&reply) {
             reply = self.request(credentials.answer(&reply)?).await?;
         }
@@ -121,7 +124,10 @@ impl Client {
     /// # Errors
     /// [`ClientError`], any.
     pub async fn request(&self, parcel: Parcel) -> Result<Parcel, ClientError> {
-        self.shared().request(parcel).await
+        let span = trace::sending(&parcel);
+        let answer = self.shared().request(parcel).instrument(span.clone()).await;
+        trace::sent(&span, &answer);
+        answer
     }
 
     /// Sends a message; waits only for capacity in this client's own queue of 4 MiB. It gets a new id unless it has
@@ -131,7 +137,10 @@ impl Client {
     /// `Local` for what cannot be encoded or is too large for the hub, `Connection` while the link is down,
     /// `Closed`.
     pub async fn send(&self, parcel: Parcel) -> Result<(), ClientError> {
-        self.shared().post(parcel, None).await
+        let span = trace::sending(&parcel);
+        let sent = self.shared().post(parcel, None).instrument(span.clone()).await;
+        trace::sent(&span, &sent);
+        sent
     }
 
     /// Looks up a path (M32).

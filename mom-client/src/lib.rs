@@ -59,6 +59,7 @@ mod probe;
 mod proof;
 mod reconnect;
 mod refusal;
+mod report;
 mod sending;
 mod session;
 mod shared;
@@ -67,6 +68,7 @@ mod stats;
 mod subscribe;
 mod token;
 mod token_info;
+mod trace;
 mod waits;
 mod wanted;
 
@@ -90,16 +92,18 @@ pub use message::{Message, Receipt};
 pub use mom_net::{Address, DEFAULT_PORT, Identity, NetError, Trust};
 pub use mom_proto::{
     ClockOffset, Code, Content, ContextKind, Delivery, Family, Fence, Fingerprint, HISTORY, HUB, Map,
-    MessageRate, Parcel, Path, Thinning, Time, Value, WireError, event, from_value, to_value,
+    MessageRate, Parcel, Path, TRACE, Thinning, Time, TraceParent, Value, WireError, event, from_value,
+    to_value, visible,
 };
 pub use predict::{Model, Prediction, Predictor};
 pub use probe::Probe;
 pub use proof::Proof;
 pub use reconnect::{LinkState, Reconnect};
 pub use refusal::{Refusal, ordinal, plain_duration};
+pub use report::{Report, report};
 pub use session::Session;
 pub use state_gate::{BASED_ON, StateGate};
-pub use stats::{AgeStats, ChannelStats, Counts, PeerStats, Stats};
+pub use stats::{AgeStats, ChannelStats, ConnectedPeer, Counts, MemoryStats, PeerStats, Stats};
 pub use subscribe::Events;
 pub use token::Token;
 pub use token_info::{Asking, Delegated, Offered, Reserved, TokenInfo, Waiting};

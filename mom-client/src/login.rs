@@ -65,6 +65,8 @@ impl Connector {
         ids: &AtomicU64,
         after: Duration,
     ) -> Result<Connected, ClientError> {
+        // Nobody is even connected to for what is not said.
+        credentials.check()?;
         let login = async {
             let transceiver = match self {
                 Connector::Remote(address, tls) => {
@@ -92,7 +94,7 @@ async fn log_in(
     let mut id = next();
     let mut asked = false;
     // A hub that refuses may close before it has read everything; its error is more useful than the write error.
-    let mut sent = transceiver.writer.send(credentials.login().id(id)).await;
+    let mut sent = transceiver.writer.send(credentials.login()?.id(id)).await;
     loop {
         let frame = match transceiver.reader.next().await? {
             Some(frame) => frame,

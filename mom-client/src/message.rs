@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_proto::{Content, Delivery, Family, MAX_ID, Parcel, Path, Value, check_message_name};
+use mom_proto::{Content, Delivery, Family, MAX_ID, Parcel, Path, TRACE, Value, check_message_name};
 use serde::Serialize;
 
 use crate::error::bad_reply;
@@ -112,6 +112,12 @@ impl Message {
     pub fn reference(mut self, id: u64) -> Message {
         self.parcel.reference = Some(id);
         self
+    }
+
+    /// The trace that it is part of, as W3C's `traceparent` (`00-TRACE-SPAN-FLAGS`): it goes through the hub unchanged, and both ends
+    /// and the hub write spans of it, target `mom::trace`.
+    pub fn trace(self, traceparent: &str) -> Message {
+        self.slot(TRACE, traceparent)
     }
 
     /// Any other slot (M3).

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use mom_net::Identity;
+use mom_net::{Address, Identity};
 use mom_proto::{
     Code, Family, LOGIN_CONTEXT, Map, NONCE_BYTES, Parcel, Path, Value, WireError, login_challenge,
 };
@@ -49,11 +49,45 @@ pub(crate) struct Credentials {
     pub(crate) nickname: Option<String>,
     /// The hub for which a key signs; none = whichever it says it is.
     pub(crate) hub: Option<String>,
+    /// The address of the hub, if it is not in this process.
+    pub(crate) address: Option<Address>,
 }
 
 impl Credentials {
+    /// Refuses to say a secret that others could read.
+    ///
+    /// # Errors
+    /// `Local`, with an address to use instead.
+    pub(crate) fn check(&self) -> Result<(), ClientError> {
+        let what = match &self.proof {
+            Proof::Password(_) => "password",
+            Proof::Token(_) => "token",
+            Proof::Key(_) | Proof::Certificate(_) | Proof::Guest => return Ok(()),
+        };
+        let Some(address) = self.address.as_ref().filter(|address| !address.is_private()) else {
+            return Ok(());
+        };
+        let between = match address.proxy() {
+            Ok(Some(proxy)) => format!("the proxy {proxy}"),
+            _ => "others".to_owned(),
+        };
+        let safe = Address {
+            tls: true,
+            ..address.clone()
+        };
+        let text = format!(
+            "a {what} is sent over TLS or loopback only, and {between} could read it on the way to {address}: write {safe}, or \
+             log in with a key; nothing was sent"
+        );
+        Err(ClientError::Local(WireError::new(Code::INSECURE, text)))
+    }
+
     /// `login login`
-    pub(crate) fn login(&self) -> Parcel {
+    ///
+    /// # Errors
+    /// As [`Credentials::check`].
+    pub(crate) fn login(&self) -> Result<Parcel, ClientError> {
+        self.check()?;
         let name = Map::new().with("name", self.user.as_str());
         let mut content = match &self.proof {
             Proof::Password(password) => name.with("password", password.as_str()),
@@ -65,7 +99,7 @@ impl Credentials {
         if let Some(nickname) = &self.nickname {
             content.set("nickname", nickname.as_str());
         }
-        said("login", content)
+        Ok(said("login", content))
     }
 
     /// `login answer` to what the hub asks.
@@ -130,6 +164,7 @@ mod tests {
             proof: Proof::Key(key.clone()),
             nickname: None,
             hub: None,
+            address: None,
         };
         let answer = credentials
             .answer(&challenge("lab", LOGIN_CONTEXT, 32))

@@ -3,7 +3,7 @@
 use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
 
-use mom_proto::WireError;
+use mom_proto::{Code, WireError};
 use tokio::time::{Instant, sleep};
 
 use crate::ClientError;
@@ -93,6 +93,8 @@ impl<'a> Attempts<'a> {
                 return Next::Refused(error.clone());
             }
             ClientError::Refused(error) => error.retry_in(),
+            // A proxy has come between.
+            ClientError::Local(error) if error.code == Code::INSECURE => return Next::Refused(error.clone()),
             _ => None,
         };
         let passed = self.begin.elapsed();
@@ -147,8 +149,6 @@ fn shorten(wait: Duration, random: u64) -> Duration {
 
 #[cfg(test)]
 mod tests {
-    use mom_proto::Code;
-
     use super::*;
 
     #[test]

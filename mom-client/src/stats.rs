@@ -7,7 +7,7 @@ use mom_proto::{Map, Parcel, Path, Time, Value};
 
 use crate::ClientError;
 use crate::error::bad_reply;
-use crate::info::{map_of, number, read_list, text};
+use crate::info::{map_of, number, owned, read_list, text};
 
 /// The statistics of a channel, or of the channels of a session, at one moment.
 #[derive(Clone, Debug, PartialEq)]
@@ -18,6 +18,54 @@ pub struct Stats {
     pub channels: Vec<ChannelStats>,
     /// Whether there are more channels than fit into one reply.
     pub more: bool,
+    /// The memory of the hub; only where `/` was asked about.
+    pub memory: Option<MemoryStats>,
+    /// Who has logged in, the first of them in the order of their arrival; only where `/` was asked about.
+    pub peers: Vec<ConnectedPeer>,
+    /// How many more have.
+    pub more_peers: u64,
+}
+
+/// What waits in the hub or is kept there.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MemoryStats {
+    /// Bytes now.
+    pub used: u64,
+    /// The most there may be, if there is a bound.
+    pub bound: Option<u64>,
+    /// Those to whom the most is charged, and how much.
+    pub users: Vec<(String, u64)>,
+}
+
+/// A peer that has logged in, and its connection.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ConnectedPeer {
+    /// Its name at the hub.
+    pub peer: String,
+    /// The user that it logged in as.
+    pub user: String,
+    /// Its wire form: `xml`, `binary`, `json`, `none`.
+    pub form: String,
+    /// What carries it: `tcp`, `websocket`, `tunnel`, `local`.
+    pub door: String,
+    /// Whether its connection is encrypted.
+    pub tls: bool,
+    /// The address that it comes from, none inside the hub's process.
+    pub from: Option<String>,
+    /// When it logged in, by the hub's clock.
+    pub since: Time,
+    /// The time since anything was heard of it.
+    pub heard: Duration,
+    /// From the hub's last answered ping to its answer.
+    pub round_trip: Option<Duration>,
+    /// Bytes waiting for it.
+    pub queued: u64,
+    /// Bytes that its connection took.
+    pub sent: u64,
+    /// Bytes that its connection brought.
+    pub received: u64,
+    /// Parcels dropped on their way to it.
+    pub dropped: u64,
 }
 
 /// The statistics of one channel since it was created.
@@ -80,14 +128,62 @@ impl Stats {
     pub(crate) fn from_reply(reply: &Parcel) -> Result<Stats, ClientError> {
         let map = map_of(reply);
         let time = map.get("time").and_then(Value::as_time);
-        let channels = match map.get("channels") {
-            Some(_) => read_list(reply, "channels", ChannelStats::from_map)?,
-            None => vec![ChannelStats::from_map(&map).ok_or_else(|| bad_reply("figures"))?],
+        let of_session = map.get("channels").is_some();
+        let channels = match of_session {
+            true => read_list(reply, "channels", ChannelStats::from_map)?,
+            false => vec![ChannelStats::from_map(&map).ok_or_else(|| bad_reply("figures"))?],
+        };
+        // Only the root has them; those of a channel are its own, and older hubs do not report them.
+        let peers = match of_session && map.get("peers").is_some() {
+            true => read_list(reply, "peers", ConnectedPeer::from_map)?,
+            false => Vec::new(),
         };
         Ok(Stats {
             time: time.ok_or_else(|| bad_reply("time"))?,
             channels,
             more: map.get("more").and_then(Value::as_bool).unwrap_or_default(),
+            memory: map
+                .get("memory")
+                .and_then(Value::as_map)
+                .and_then(MemoryStats::from_map),
+            peers,
+            more_peers: number(&map, "more-peers").unwrap_or_default(),
+        })
+    }
+}
+
+impl MemoryStats {
+    fn from_map(map: &Map) -> Option<MemoryStats> {
+        let users = map.get("users").and_then(Value::as_list).unwrap_or_default();
+        let user = |user: &Value| {
+            let user = user.as_map()?;
+            Some((text(user, "user")?.to_owned(), number(user, "bytes")?))
+        };
+        Some(MemoryStats {
+            used: number(map, "used")?,
+            bound: number(map, "bound"),
+            users: users.iter().filter_map(user).collect(),
+        })
+    }
+}
+
+impl ConnectedPeer {
+    fn from_map(map: &Map) -> Option<ConnectedPeer> {
+        let micros = |key| number(map, key).map(Duration::from_micros);
+        Some(ConnectedPeer {
+            peer: text(map, "peer")?.to_owned(),
+            user: text(map, "user")?.to_owned(),
+            form: text(map, "form")?.to_owned(),
+            door: text(map, "door")?.to_owned(),
+            tls: map.get("tls").and_then(Value::as_bool)?,
+            from: owned(map, "from"),
+            since: map.get("since").and_then(Value::as_time)?,
+            heard: micros("heard")?,
+            round_trip: micros("round-trip"),
+            queued: number(map, "queued")?,
+            sent: number(map, "sent")?,
+            received: number(map, "received")?,
+            dropped: number(map, "dropped")?,
         })
     }
 }

@@ -52,6 +52,17 @@ pub enum Door {
     },
 }
 
+impl Door {
+    /// Its word in reports.
+    pub fn word(self) -> &'static str {
+        match self {
+            Door::Stream => "tcp",
+            Door::WebSocket => "websocket",
+            Door::Tunnel { .. } => "tunnel",
+        }
+    }
+}
+
 impl Address {
     /// Host and port, as HTTP wants them.
     pub(crate) fn authority(&self) -> String {

@@ -1,6 +1,7 @@
 //! The way to a hub: straight, or through the proxy that the environment names.
 
 use std::io;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 
 use bytes::Bytes;
 use http::header::{HOST, PROXY_AUTHORIZATION};
@@ -12,6 +13,9 @@ use tokio::net::TcpStream;
 use crate::carrier::Carrier;
 use crate::tls::TlsLink;
 use crate::{Address, ClientTls, Door, NetError, http as http_door};
+
+/// The name of this machine everywhere (RFC 6761).
+const LOCALHOST: &str = "localhost";
 
 /// How a hub is reached.
 #[derive(Debug)]
@@ -38,14 +42,10 @@ impl Dialer {
             (true, Some(tls)) => Some(tls.clone()),
             (true, None) => return Err(io::Error::from(io::ErrorKind::Unsupported).into()),
         };
-        let proxy = match address.tls || matches!(address.door, Door::Tunnel { .. }) {
-            true => Proxy::of(address)?,
-            false => None,
-        };
         Ok(Dialer {
             address: address.clone(),
             tls,
-            proxy,
+            proxy: Proxy::of(address)?,
         })
     }
 
@@ -53,6 +53,12 @@ impl Dialer {
     pub(crate) async fn dial(&self) -> Result<Carrier, NetError> {
         let address = &self.address;
         let stream = match &self.proxy {
+            // Whatever a resolver makes of this name.
+            None if address.host.eq_ignore_ascii_case(LOCALHOST) => {
+                let here = [IpAddr::from(Ipv4Addr::LOCALHOST), Ipv6Addr::LOCALHOST.into()];
+                let here = here.map(|ip| SocketAddr::new(ip, address.port));
+                TcpStream::connect(&here[..]).await?
+            }
             None => TcpStream::connect((address.host.as_str(), address.port)).await?,
             Some(proxy) => proxy.connect().await?,
         };
@@ -72,6 +78,16 @@ impl Dialer {
         ))
     }
 
+    /// Why a request was not answered by a hub, with the name of a proxy that may have answered in its place.
+    pub(crate) fn named(&self, error: io::Error) -> io::Error {
+        match &self.proxy {
+            Some(proxy) if self.tls.is_none() && error.kind() == io::ErrorKind::InvalidData => {
+                proxy.named(&error)
+            }
+            _ => error,
+        }
+    }
+
     /// The target of a request for this path, as whoever takes it wants it, and what the proxy has to be shown.
     pub(crate) fn target(&self, path: &str) -> (String, Option<HeaderValue>) {
         match &self.proxy {
@@ -85,8 +101,31 @@ impl Dialer {
     }
 }
 
+impl Address {
+    /// The proxy that a connection there goes through, as `HOST:PORT`, if the environment names one for this door.
+    ///
+    /// # Errors
+    /// `Io` for a proxy that speaks no HTTP.
+    pub fn proxy(&self) -> Result<Option<String>, NetError> {
+        Ok(Proxy::of(self)?.map(|proxy| proxy.name()))
+    }
+
+    /// Whether nobody between could read what is said there: it has TLS, or it is on this machine and no proxy is between. A name
+    /// is another machine, even if it is not now, except `localhost`, which is never looked up.
+    pub fn is_private(&self) -> bool {
+        let here = match self.host.parse::<IpAddr>() {
+            Ok(ip) => ip.to_canonical().is_loopback(),
+            Err(_) => self.host.eq_ignore_ascii_case(LOCALHOST),
+        };
+        self.tls || (here && matches!(Proxy::of(self), Ok(None)))
+    }
+}
+
 impl Proxy {
     fn of(address: &Address) -> Result<Option<Proxy>, NetError> {
+        if !address.tls && !matches!(address.door, Door::Tunnel { .. }) {
+            return Ok(None);
+        }
         let scheme = if address.tls { "https" } else { "http" };
         let target: Result<Uri, _> = format!("{scheme}://{}/", address.authority()).parse();
         let Ok(target) = target else { return Ok(None) };
@@ -117,12 +156,7 @@ impl Proxy {
 
     async fn connect(&self) -> io::Result<TcpStream> {
         let connected = TcpStream::connect((self.host.as_str(), self.port)).await;
-        connected.map_err(|error| {
-            io::Error::new(
-                error.kind(),
-                format!("the proxy {}:{}: {error}", self.host, self.port),
-            )
-        })
+        connected.map_err(|error| self.named(&error))
     }
 
     /// Has the proxy pass a connection on.
@@ -132,12 +166,67 @@ impl Proxy {
             request = request.header(PROXY_AUTHORIZATION, authorization);
         }
         let request = request.body(Empty::<Bytes>::new()).map_err(io::Error::other)?;
-        match http_door::switch(carrier, request, StatusCode::OK).await {
+        // What it says itself is a page for people.
+        let refused = |status, _: &[u8]| io::Error::other(why(status, to));
+        match http_door::switch(carrier, request, StatusCode::OK, refused).await {
             Ok((_, carrier, _)) => Ok(carrier),
-            Err(error) => {
-                let text = format!("the proxy {}:{}: {error}", self.host, self.port);
-                Err(io::Error::other(text))
-            }
+            Err(error) => Err(self.named(&error)),
+        }
+    }
+
+    /// An error with the proxy's name in front.
+    fn named(&self, error: &io::Error) -> io::Error {
+        let text = format!("the proxy {}: {error}", self.name());
+        io::Error::new(error.kind(), text)
+    }
+
+    fn name(&self) -> String {
+        match self.host.contains(':') {
+            true => format!("[{}]:{}", self.host, self.port),
+            false => format!("{}:{}", self.host, self.port),
+        }
+    }
+}
+
+/// Why a proxy passes no connection on.
+fn why(status: StatusCode, to: &str) -> String {
+    let why = match status {
+        StatusCode::PROXY_AUTHENTICATION_REQUIRED => {
+            "it wants a password, which HTTPS_PROXY has as http://USER:PASSWORD@HOST:PORT".to_owned()
+        }
+        StatusCode::BAD_GATEWAY | StatusCode::SERVICE_UNAVAILABLE | StatusCode::GATEWAY_TIMEOUT => {
+            format!("it does not reach {to}")
+        }
+        _ => format!("it does not let anybody connect to {to}"),
+    };
+    format!("{why} (it answers {status})")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_could_read_along() {
+        for (address, private) in [
+            ("bins://lab.example.org", true),
+            ("https://192.0.2.1", true),
+            ("bin://127.0.0.1", true),
+            ("tcp://127.9.9.9:1", true),
+            ("ws://[::1]", true),
+            ("json://[::ffff:127.0.0.1]", true),
+            ("ws://LocalHost:1", true),
+            ("mom://lab.example.org", false),
+            ("bin://192.0.2.1", false),
+            ("tcp://0.0.0.0", false),
+            ("ws://[::]", false),
+            ("http://127.1", false),
+            ("bin://127.0.0.1.example.org", false),
+            ("bin://localhost.example.org", false),
+            ("json://[::ffff:192.0.2.1]", false),
+        ] {
+            let address: Address = address.parse().expect("an address");
+            assert_eq!(address.is_private(), private, "{address}");
         }
     }
 }

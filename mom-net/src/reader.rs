@@ -24,6 +24,8 @@ const AT_ONCE: usize = 256 * 1024;
 #[derive(Debug)]
 pub struct Reader {
     source: Source,
+    /// The bytes that have arrived since it began.
+    received: u64,
 }
 
 #[derive(Debug)]
@@ -43,7 +45,16 @@ pub(crate) enum Source {
 
 impl Reader {
     pub(crate) fn new(source: Source) -> Reader {
-        Reader { source }
+        let received = match &source {
+            Source::Stream { buffer, .. } => buffer.bytes.len() as u64,
+            Source::Local { .. } => 0,
+        };
+        Reader { source, received }
+    }
+
+    /// The bytes that have arrived since it began; none counted inside a process.
+    pub fn received(&self) -> u64 {
+        self.received
     }
 
     /// The wire form, none inside a process.
@@ -121,7 +132,10 @@ impl Reader {
                 match poll_fn(|context| poll_read(stream, buffer, announced, context)).await? {
                     0 if buffer.bytes.is_empty() => Ok(false),
                     0 => Err(io::Error::from(io::ErrorKind::UnexpectedEof).into()),
-                    _ => Ok(true),
+                    count => {
+                        self.received += count as u64;
+                        Ok(true)
+                    }
                 }
             }
         }

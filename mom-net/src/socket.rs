@@ -15,7 +15,7 @@ use crate::carrier::Carrier;
 use crate::tls::TlsLink;
 use crate::tunnel::Pipe;
 use crate::websocket::WebSocket;
-use crate::{TcpState, options};
+use crate::{Door, TcpState, options};
 
 /// Two halves of a connection.
 pub(crate) fn plain(carrier: Carrier) -> (ReadHalf, WriteHalf) {
@@ -111,6 +111,15 @@ impl WriteHalf {
             Ok(written) => Ok(Some(written)),
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(None),
             Err(error) => Err(error),
+        }
+    }
+
+    /// What it is, whether TLS is below or not. A tunnel's end does not know how its answers are fetched.
+    pub(crate) fn door(&self) -> Door {
+        match self {
+            WriteHalf::Tcp(_) | WriteHalf::Tls(_) => Door::Stream,
+            WriteHalf::WebSocket(_) => Door::WebSocket,
+            WriteHalf::Tunnel(_) => Door::Tunnel { polled: false },
         }
     }
 

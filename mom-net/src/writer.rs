@@ -10,7 +10,7 @@ use tokio::sync::mpsc;
 use tokio::sync::mpsc::error::TrySendError;
 
 use crate::socket::WriteHalf;
-use crate::{NetError, Outgoing, TcpState};
+use crate::{Door, NetError, Outgoing, TcpState};
 
 /// Pieces gathered into one system call; half of what Linux takes, two to a parcel.
 pub const GATHER: usize = 512;
@@ -45,6 +45,14 @@ impl Writer {
     pub fn form(&self) -> Option<Form> {
         match &self.sink {
             Sink::Stream { form, .. } => Some(*form),
+            Sink::Local(_) => None,
+        }
+    }
+
+    /// What carries the form, none inside a process.
+    pub fn door(&self) -> Option<Door> {
+        match &self.sink {
+            Sink::Stream { stream, .. } => Some(stream.door()),
             Sink::Local(_) => None,
         }
     }

@@ -43,8 +43,10 @@ mod slots;
 mod stamp;
 mod text_form;
 mod thinning;
+mod trace;
 mod value;
 mod verb;
+mod visible;
 pub mod xml;
 
 pub use challenge::{LOGIN_CONTEXT, NONCE_BYTES, login_challenge};
@@ -71,8 +73,10 @@ pub use serde_value::{from_value, to_value};
 pub use slots::{ReadSlots, SlotValue, write_slots};
 pub use stamp::{Micros, Time};
 pub use thinning::{MessageRate, Thinning};
+pub use trace::{TRACE, TraceParent};
 pub use value::{Value, ValueKind};
 pub use verb::Verb;
+pub use visible::visible;
 
 #[cfg(test)]
 mod tests;

@@ -23,9 +23,14 @@ pub(crate) async fn connect(global: &GlobalArgs, stay: Stay) -> Result<Client, F
     global.hub.parse::<Address>().map_err(wrong_address)?;
     let who = UserLogin::of(global)?;
     let builder = || who.prove(Client::builder(&global.hub));
+    // The hub hears once of what fails.
+    let first = || match global.report {
+        true => builder().report_failures("mom", env!("CARGO_PKG_VERSION")),
+        false => builder(),
+    };
     let connected = match stay {
-        Stay::Once => builder().no_reconnect().connect().await,
-        Stay::Reconnecting => match builder().connect().await {
+        Stay::Once => first().no_reconnect().connect().await,
+        Stay::Reconnecting => match first().connect().await {
             Err(error @ (ClientError::Connection(_) | ClientError::TimedOut { .. })) => {
                 let absent = explain(&global.hub, &who, error);
                 Output::new(global.json).remark(format_args!("{absent}; waiting for it, Ctrl-C ends"));
@@ -132,6 +137,14 @@ fn explain(hub: &str, who: &UserLogin<'_>, error: ClientError) -> Failure {
             "if nobody has signed its certificate, name that in the address: --hub 'bins://HOST:PORT?pin=FINGERPRINT'\n\
              the hub's log has the fingerprint, and `mom lab` prints it",
         ),
+        ClientError::Connection(text) if text.contains("the proxy ") => Failure::new(
+            format!(
+                "cannot reach a hub at {hub}: {}",
+                text.strip_prefix("the link failed: ").unwrap_or(&text)
+            ),
+            "the environment names that proxy (HTTPS_PROXY, HTTP_PROXY, ALL_PROXY): ask who runs it, or name the hub in NO_PROXY\n\
+             to see which doors are open: mom doctor HOST:PORT",
+        ),
         ClientError::Connection(text) => Failure::new(
             format!(
                 "cannot reach a hub at {hub}: {}",
@@ -139,6 +152,10 @@ fn explain(hub: &str, who: &UserLogin<'_>, error: ClientError) -> Failure {
             ),
             "start one with: mom lab\nor name another one: --hub bin://HOST:PORT, or MOM_HUB",
         ),
+        ClientError::Local(error) if error.code == Code::INSECURE => Failure::Refused {
+            what: format!("log in to {hub} as {}", who.name()),
+            error,
+        },
         ClientError::Refused(error) if error.code == Code::BAD_LOGIN => unknown(hub, who, &error),
         other => Failure::of_client(format!("log in to {hub} as {}", who.name()), other),
     }

@@ -8,6 +8,7 @@ mod failure;
 mod input;
 mod interrupt;
 mod output;
+mod top;
 
 use std::process::ExitCode;
 

@@ -12,6 +12,9 @@ pub mod login;
 #[cfg(target_os = "linux")]
 pub mod network;
 pub mod programs;
+#[cfg(target_os = "linux")]
+pub mod proxies;
 pub mod raw;
 pub mod service;
 pub mod tls;
+pub mod web;

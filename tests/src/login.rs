@@ -6,7 +6,7 @@ use ed25519_dalek::pkcs8::spki::der::pem::LineEnding;
 use ed25519_dalek::pkcs8::{EncodePrivateKey, EncodePublicKey};
 use ed25519_dalek::{Signer, SigningKey};
 use jsonwebtoken::{Algorithm, EncodingKey, Header, encode};
-use mom_broker::{JwtConfig, JwtKey, JwtUsers};
+use mom_broker::{JwtConfig, JwtUsers, KeyFile};
 use mom_proto::{Family, Map, Parcel, Value, WireError, login_challenge};
 use serde_json::{Value as Json, json};
 
@@ -128,7 +128,7 @@ impl Issuer {
             issuer: ISSUER.to_owned(),
             audience: AUDIENCE.to_owned(),
             algorithms: vec!["EdDSA".to_owned()],
-            key: JwtKey::from_text(self.public_pem()),
+            key: KeyFile::from_text(self.public_pem()),
             leeway: 0,
             users: JwtUsers::File,
             max_level: 0,

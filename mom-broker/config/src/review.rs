@@ -177,6 +177,20 @@ impl Config {
         found
     }
 
+    /// A channel for reports that is none of this file.
+    pub(super) fn misplaced_log(&self) -> Option<ConfigError> {
+        let log = self.web.log.as_deref()?;
+        let entry = self.entry_of(log).map(|entry| self.contexts[entry].kind.as_str());
+        let why = match entry {
+            Some("channel") => return None,
+            Some(kind) => format!("{log} is a {kind}, and reports are said in a channel"),
+            None => format!(
+                "this file has no {log}; add it to [[contexts]] as a channel, with keep for those who read later"
+            ),
+        };
+        Some(self.remark(&["web", "log"], why))
+    }
+
     /// Guards that guard nothing, and safe states that reach nobody.
     fn review_context(&self, entry: usize, found: &mut Vec<ConfigError>) {
         let context = &self.contexts[entry];

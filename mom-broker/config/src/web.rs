@@ -2,6 +2,8 @@
 
 use serde::Deserialize;
 
+use mom_login::KeyFile;
+
 use super::Network;
 
 /// The `[web]` of the configuration.
@@ -12,4 +14,8 @@ pub struct WebConfig {
     pub origins: Vec<String>,
     /// The proxies whose `Forwarded` is believed.
     pub forwarded_by: Vec<Network>,
+    /// The token that `/metrics` is shown for, beside users who may ask for statistics.
+    pub metrics_token: Option<KeyFile>,
+    /// The channel in which the hub says what programs report of their errors; none = nothing is taken.
+    pub log: Option<String>,
 }

@@ -35,7 +35,7 @@ pub use hashing::LoginStats;
 pub use jwt::Verifier;
 pub use key::Challenge;
 pub use password::hash;
-pub use settings::{FailureRate, JwtConfig, JwtKey, JwtUsers, LoginConfig, ThrottleConfig};
+pub use settings::{FailureRate, JwtConfig, JwtUsers, KeyFile, LoginConfig, ThrottleConfig};
 pub use throttle::network;
 pub use user::UserEntry;
 

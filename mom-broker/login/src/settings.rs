@@ -62,7 +62,7 @@ pub struct JwtConfig {
     /// The accepted algorithms, such as `EdDSA`; all use the same key.
     pub algorithms: Vec<String>,
     /// The issuer's public key, or the secret shared with it.
-    pub key: JwtKey,
+    pub key: KeyFile,
     /// How far the issuer's clock may be off, in ms.
     #[serde(default)]
     pub leeway: u64,
@@ -87,22 +87,22 @@ pub enum JwtUsers {
 
 /// The key against which tokens are checked; in a configuration file the name of its file.
 #[derive(Clone, PartialEq, Eq, Default)]
-pub struct JwtKey {
+pub struct KeyFile {
     file: String,
     text: String,
 }
 
-impl JwtKey {
+impl KeyFile {
     /// A public key as PEM, or a shared secret.
-    pub fn from_text(text: impl Into<String>) -> JwtKey {
-        JwtKey {
+    pub fn from_text(text: impl Into<String>) -> KeyFile {
+        KeyFile {
             file: String::new(),
             text: text.into(),
         }
     }
 
     /// The text, without the line end that editors put after a secret.
-    pub(crate) fn text(&self) -> &str {
+    pub fn text(&self) -> &str {
         self.text.trim_end_matches(['\r', '\n'])
     }
 
@@ -116,17 +116,17 @@ impl JwtKey {
     }
 }
 
-impl fmt::Debug for JwtKey {
+impl fmt::Debug for KeyFile {
     // It may be a secret.
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "JwtKey({:?})", self.file)
+        write!(formatter, "KeyFile({:?})", self.file)
     }
 }
 
-impl<'de> Deserialize<'de> for JwtKey {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<JwtKey, D::Error> {
+impl<'de> Deserialize<'de> for KeyFile {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<KeyFile, D::Error> {
         let file = String::deserialize(deserializer)?;
-        Ok(JwtKey {
+        Ok(KeyFile {
             file,
             text: String::new(),
         })

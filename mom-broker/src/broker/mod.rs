@@ -97,6 +97,7 @@ pub struct Broker {
     doors: Arc<Doors>,
     /// Replaced by [`Broker::reload`].
     pub(crate) tls: Arc<RwLock<Option<ServerTls>>>,
+    pub(crate) web: Arc<Web>,
     /// The configuration that it goes by; see [`Broker::reload`].
     pub(crate) running: Mutex<Config>,
 }
@@ -177,6 +178,7 @@ impl Broker {
             tasks,
             doors,
             tls,
+            web,
             running: Mutex::new(config),
         };
         broker.note_start();

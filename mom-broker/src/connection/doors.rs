@@ -87,6 +87,18 @@ impl Doors {
         self.state.lock().closed = true;
     }
 
+    /// Whether nobody else is let in, not even for another who has not logged in.
+    pub(crate) fn is_full(&self) -> bool {
+        let state = self.state.lock();
+        state.closed || (state.here >= self.caps.all && state.idle.is_empty())
+    }
+
+    /// Connections, and those of them that have not logged in.
+    pub(crate) fn counts(&self) -> (usize, usize) {
+        let state = self.state.lock();
+        (state.here, state.strangers.len())
+    }
+
     /// Takes in a connection, and gives what it is told if it has to go before it has begun, and who has to go for it.
     ///
     /// # Errors

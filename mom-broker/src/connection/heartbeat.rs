@@ -35,7 +35,7 @@ impl Connection {
         self.beat_at = now + beat;
         let quiet = !self.outbox.active.swap(false, Ordering::Relaxed);
         // A peer that only listens has to be asked too, or it would be taken for gone.
-        let silent = !self.outbox.heard.swap(false, Ordering::Relaxed);
+        let silent = !self.outbox.heard.lately.swap(false, Ordering::Relaxed);
         if quiet || silent || self.pings.are_stamped() {
             let mut touched = Touched::new();
             let ping = self.pings.next(&self.services.board.clock);
@@ -60,7 +60,11 @@ impl Connection {
             }
             Ok(_) => {
                 let clock = &self.services.board.clock;
-                if self.measure.learn(parcel, &self.pings, clock) && self.logged_in {
+                let (again, round_trip) = self.measure.learn(parcel, &self.pings, clock);
+                if let Some(micros) = round_trip {
+                    self.outbox.heard.note_round_trip(micros);
+                }
+                if again && self.logged_in {
                     self.ping(touched);
                 }
             }

@@ -10,6 +10,7 @@ use tokio::sync::oneshot;
 use tokio::time::Instant;
 
 use super::Connection;
+use crate::traffic::outbox::LoginFacts;
 use crate::traffic::switchboard::{Touched, flush};
 
 /// Whether this is part of a login.
@@ -126,7 +127,15 @@ impl Connection {
         let name = board.peer_name(peer).unwrap_or_default();
         let limits = &self.services.limits;
         self.charge = Some(account.charge(0));
-        self.outbox.admit(limits, name, account);
+        let link = self.arrival.link();
+        let login = LoginFacts {
+            from: link.from,
+            tls: link.private,
+            since: board.clock.wall(),
+        };
+        // Its first bytes may have come with those by which its form was told.
+        self.outbox.note_heard(reader.received());
+        self.outbox.admit(limits, name, account, login);
         Ok(())
     }
 

@@ -77,17 +77,21 @@ impl Measure {
             && matches!(ping.value().get("sent"), Some(Value::Time(_)))
     }
 
-    /// Learns from the answer to a ping; whether to ask again at once.
-    pub(crate) fn learn(&mut self, pong: &Parcel, pings: &Pings, clock: &Clock) -> bool {
+    /// Learns from the answer to a ping; whether to ask again at once, and the round trip in µs.
+    pub(crate) fn learn(&mut self, pong: &Parcel, pings: &Pings, clock: &Clock) -> (bool, Option<Micros>) {
         let Some(sent) = pings.answered(pong) else {
-            return false;
+            return (false, None);
         };
+        let heard = clock.wall();
+        // Negative where the clock was set meanwhile.
+        let round_trip = Micros::try_from(heard.micros() - sent.micros()).ok();
         // Without stamps it is a sign of life and nothing else.
-        let Some(exchange) = Exchange::of(sent, pong, clock.wall()) else {
-            return false;
+        let Some(exchange) = Exchange::of(sent, pong, heard) else {
+            return (false, round_trip);
         };
         pings.state.lock().stamps = true;
-        self.estimator.push(exchange, clock.now()) && self.estimator.exchanges() < QUICK
+        let again = self.estimator.push(exchange, clock.now()) && self.estimator.exchanges() < QUICK;
+        (again, round_trip)
     }
 
     /// The peer's clock minus the hub's; none if it is not known.

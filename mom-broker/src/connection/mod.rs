@@ -229,7 +229,7 @@ impl Connection {
                     arrived = timeout_at(wake, reader.arrive()) => arrived,
                 };
                 match arrived {
-                    Ok(Ok(true)) => {}
+                    Ok(Ok(true)) => outbox.note_heard(reader.received()),
                     Ok(Ok(false)) => return None,
                     Ok(Err(error)) => return self.failed(error),
                     Err(_) if Instant::now() < self.deadline(login_by) => self.beat(),
@@ -311,7 +311,7 @@ impl Connection {
         flush(&mut touched);
         self.count_held(reader);
         if handled > 0 {
-            self.outbox.heard.store(true, Ordering::Relaxed);
+            self.outbox.heard.lately.store(true, Ordering::Relaxed);
             self.heard_at = Instant::now();
         }
         result

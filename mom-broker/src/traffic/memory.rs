@@ -171,6 +171,12 @@ impl Memory {
         over.then_some(most)
     }
 
+    /// How many bytes are held, and how many may be; none = as many as there are.
+    pub(crate) fn used_and_bound(&self) -> (usize, Option<usize>) {
+        let bound = self.ledger.bound.load(Ordering::Relaxed);
+        (self.ledger.used(), (bound != usize::MAX).then_some(bound))
+    }
+
     /// Bound, use, and who is charged most, for `stats`.
     pub(crate) fn to_map(&self) -> Map {
         let int = |bytes: usize| i64::try_from(bytes).unwrap_or(i64::MAX);

@@ -14,3 +14,4 @@ pub(crate) mod outbox;
 mod replay;
 mod statistics;
 pub(crate) mod switchboard;
+mod trace;

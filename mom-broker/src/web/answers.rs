@@ -2,11 +2,11 @@
 
 use http::header::{
     ACCESS_CONTROL_ALLOW_CREDENTIALS, ACCESS_CONTROL_ALLOW_HEADERS, ACCESS_CONTROL_ALLOW_METHODS,
-    ACCESS_CONTROL_ALLOW_ORIGIN, ACCESS_CONTROL_EXPOSE_HEADERS, CACHE_CONTROL, CONTENT_TYPE, HeaderMap, VARY,
-    X_CONTENT_TYPE_OPTIONS,
+    ACCESS_CONTROL_ALLOW_ORIGIN, ACCESS_CONTROL_EXPOSE_HEADERS, CACHE_CONTROL, CONTENT_TYPE, HeaderMap,
+    RETRY_AFTER, VARY, WWW_AUTHENTICATE, X_CONTENT_TYPE_OPTIONS,
 };
 use http::{HeaderValue, Response, StatusCode};
-use mom_proto::WireError;
+use mom_proto::{Code, WireError};
 use serde_json::json;
 
 /// The body of every answer.
@@ -42,6 +42,36 @@ pub(super) fn refuse(status: StatusCode, code: &str, text: &str) -> Response<Bod
     document(status, &json!({ "code": code, "text": text }))
 }
 
+/// An error of the hub.
+pub(super) fn refuse_wire(error: &WireError) -> Response<Body> {
+    let code = &error.code;
+    let status = match code {
+        _ if [Code::BAD_LOGIN, Code::NOT_LOGGED_IN, Code::REVOKED].contains(code) => StatusCode::UNAUTHORIZED,
+        _ if [Code::DENIED, Code::INSECURE, Code::NOT_MEMBER, Code::NOT_TAKEN].contains(code) => {
+            StatusCode::FORBIDDEN
+        }
+        _ if [Code::UNKNOWN_PATH, Code::UNKNOWN_PEER, Code::TIMED_OUT].contains(code) => {
+            StatusCode::NOT_FOUND
+        }
+        _ if [Code::TOO_LARGE, Code::TOO_LONG].contains(code) => StatusCode::PAYLOAD_TOO_LARGE,
+        _ if [Code::TRY_LATER, Code::TOO_MANY_LOGINS].contains(code) => StatusCode::TOO_MANY_REQUESTS,
+        _ if code.may_retry() || (300..400).contains(&code.number()) => StatusCode::SERVICE_UNAVAILABLE,
+        _ => StatusCode::BAD_REQUEST,
+    };
+    let mut answer = refuse(status, code.word(), &error.text);
+    let headers = answer.headers_mut();
+    if status == StatusCode::UNAUTHORIZED {
+        headers.insert(WWW_AUTHENTICATE, HeaderValue::from_static("Bearer realm=\"mom\""));
+    }
+    if let Some(wait) = error.retry_in() {
+        headers.insert(
+            RETRY_AFTER,
+            HeaderValue::from(wait.as_millis().div_ceil(1000) as u64),
+        );
+    }
+    answer
+}
+
 /// An answer that nobody has asked for, before the connection is closed.
 pub(super) fn raw(status: StatusCode, error: &WireError) -> Vec<u8> {
     let body = json!({ "code": error.code.word(), "text": error.text });
@@ -56,7 +86,7 @@ pub(super) fn allow(headers: &mut HeaderMap, origin: HeaderValue) {
     headers.insert(ACCESS_CONTROL_ALLOW_CREDENTIALS, HeaderValue::from_static("true"));
     headers.insert(
         ACCESS_CONTROL_EXPOSE_HEADERS,
-        HeaderValue::from_static("mom-tunnel, mom-taken, mom-sent, mom-end"),
+        HeaderValue::from_static("mom-tunnel, mom-taken, mom-sent, mom-end, mom-age"),
     );
     headers.append(VARY, HeaderValue::from_static("origin"));
 }

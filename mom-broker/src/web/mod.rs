@@ -1,9 +1,14 @@
 //! What HTTP asks of a hub: to become a WebSocket, a tunnel, its health and figures, and what a user may see of it.
 
 mod answers;
+mod api;
 mod forwarded;
+mod image;
+mod metrics;
 mod origins;
+mod reports;
 mod tunnels;
+mod visitors;
 
 use std::convert::Infallible;
 use std::future::{pending, poll_fn};
@@ -20,9 +25,10 @@ use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::TokioTimer;
 use mom_config::{Network, WebConfig};
+use mom_login::KeyFile;
 use mom_net::{HttpStream, Privacy, Protocol, Takes, Transceiver, Tunnels, WebSocketUpgrade};
-use mom_proto::WireError;
-use parking_lot::Mutex;
+use mom_proto::{Path, WireError};
+use parking_lot::{Mutex, RwLock};
 use tokio::sync::oneshot;
 use tokio::time::{Instant, sleep_until};
 
@@ -30,6 +36,8 @@ use crate::connection::{Doors, Remote, Seat, Seated, Services, login_time, login
 
 use answers::{Body, allow, refuse};
 use origins::Origins;
+use reports::Reports;
+use visitors::Visitors;
 
 /// The head of a request in bytes, and its lines.
 const HEAD: usize = 16 * 1024;
@@ -43,8 +51,19 @@ const IDLE: Duration = Duration::from_secs(60);
 pub(crate) struct Web {
     doors: Arc<Doors>,
     tunnels: Arc<Tunnels>,
+    rules: RwLock<Arc<Rules>>,
+    visitors: Arc<Visitors>,
+    reports: Reports,
+    begun: Instant,
+}
+
+/// What the configuration says.
+#[derive(Debug)]
+struct Rules {
     origins: Origins,
     forwarded_by: Vec<Network>,
+    metrics_token: Option<KeyFile>,
+    log: Option<Path>,
 }
 
 /// One connection that asks by HTTP.
@@ -84,9 +103,20 @@ impl Web {
         Web {
             doors,
             tunnels: Arc::default(),
-            origins: Origins::new(&config.origins),
-            forwarded_by: config.forwarded_by.clone(),
+            rules: RwLock::new(Arc::new(Rules::new(config))),
+            visitors: Arc::default(),
+            reports: Reports::default(),
+            begun: Instant::now(),
         }
+    }
+
+    /// Goes by another configuration from now on.
+    pub(crate) fn replace(&self, config: &WebConfig) {
+        *self.rules.write() = Arc::new(Rules::new(config));
+    }
+
+    fn rules(&self) -> Arc<Rules> {
+        Arc::clone(&self.rules.read())
     }
 
     /// Answers the requests of a connection; gives it back, whose it is, and its seat, if it has become a peer's.
@@ -164,6 +194,17 @@ impl Web {
     }
 }
 
+impl Rules {
+    fn new(config: &WebConfig) -> Rules {
+        Rules {
+            origins: Origins::new(&config.origins),
+            forwarded_by: config.forwarded_by.clone(),
+            metrics_token: config.metrics_token.clone(),
+            log: config.log.as_deref().and_then(|path| Path::parse(path).ok()),
+        }
+    }
+}
+
 /// Waits until a connection has to go for others.
 async fn evicted(told: oneshot::Receiver<WireError>) -> WireError {
     match told.await {
@@ -196,7 +237,7 @@ impl HttpConnection {
             request.method() == Method::HEAD,
         );
         let allowed = match &origin {
-            Some(origin) => self.web.origins.allow(origin, self.port),
+            Some(origin) => self.web.rules().origins.allow(origin, self.port),
             None => true,
         };
         let mut answer = match self.check(&request, allowed) {
@@ -257,6 +298,11 @@ impl HttpConnection {
             (&Method::OPTIONS, ..) => answers::options(),
             (.., Some("")) => self.open_tunnel(&request),
             (.., Some(id)) if id.starts_with('/') => self.use_tunnel(&id[1..], request).await,
+            (_, path, _) if path.starts_with("/api/") => self.api(request).await,
+            (.., "/log", _) => self.take_report(request).await,
+            (&Method::GET | &Method::HEAD, "/healthz", _) => answers::text(StatusCode::OK, "ok\n"),
+            (&Method::GET | &Method::HEAD, "/readyz", _) => self.readiness(),
+            (&Method::GET | &Method::HEAD, "/metrics", _) => self.metrics(&request).await,
             (&Method::GET | &Method::HEAD, "/" | "/mom", _) => answers::text(StatusCode::OK, HERE),
             _ => refuse(
                 StatusCode::NOT_FOUND,
@@ -268,7 +314,18 @@ impl HttpConnection {
 
     /// Whose a request is.
     fn remote_of(&self, headers: &HeaderMap) -> Remote {
-        forwarded::remote(self.remote, headers, &self.web.forwarded_by)
+        forwarded::remote(self.remote, headers, &self.web.rules().forwarded_by)
+    }
+
+    /// Counts the connection as one of a user: what brings a user's requests is no stranger's.
+    fn count_as(&self, user: &str) -> Result<(), WireError> {
+        let mut seat = self.seat.lock();
+        seat.as_mut().map_or(Ok(()), |seat| seat.log_in(user))
+    }
+
+    /// Whether nobody between can read along.
+    fn is_secured(&self, remote: Remote) -> bool {
+        remote.secured || matches!(self.privacy, Privacy::Tls { .. })
     }
 
     /// Refuses what the listener does not take.

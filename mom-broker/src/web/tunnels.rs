@@ -34,7 +34,7 @@ impl HttpConnection {
         let near = |from: IpAddr| from.to_canonical().is_loopback() && !self.remote.relayed;
         if self.privacy == Privacy::Plain && !self.remote.from.is_some_and(near) {
             let text = "a tunnel without TLS is for loopback: others could take it over; use https://";
-            return refuse(StatusCode::FORBIDDEN, "insecure-link", text);
+            return refuse(StatusCode::FORBIDDEN, mom_proto::Code::INSECURE.word(), text);
         }
         let remote = self.remote_of(request.headers());
         let from = remote.from.unwrap_or(IpAddr::V4(Ipv4Addr::UNSPECIFIED));
@@ -107,9 +107,6 @@ impl HttpConnection {
             return Ok(());
         };
         let user = self.services.board.tap.audit.user(PeerId(peer));
-        match (user, &mut *self.seat.lock()) {
-            (Some(user), Some(seat)) => seat.log_in(&user),
-            _ => Ok(()),
-        }
+        user.map_or(Ok(()), |user| self.count_as(&user))
     }
 }

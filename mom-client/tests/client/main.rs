@@ -3,6 +3,7 @@
 
 mod common;
 mod concurrency;
+mod doors;
 mod events;
 mod handover;
 mod login;

@@ -130,6 +130,11 @@ impl Flow {
         self.written += bytes as u64;
     }
 
+    /// The bytes that the link took since it began.
+    pub fn written(&self) -> u64 {
+        self.written
+    }
+
     /// Nothing waits any more, so the time from now on says nothing about the link.
     pub fn rest(&mut self) {
         match self.measure.as_deref_mut() {

@@ -83,11 +83,12 @@ pub(crate) fn refusal(status: StatusCode, said: &[u8]) -> io::Error {
 }
 
 /// Asks for something that makes of the connection another than one for requests, which is answered with this status; gives the
-/// answer, the connection and what has arrived behind the answer.
+/// answer, the connection and what has arrived behind the answer. What another answer means is for `refused` to say.
 pub(crate) async fn switch(
     carrier: Carrier,
     request: Request<Empty<Bytes>>,
     granted: StatusCode,
+    refused: impl FnOnce(StatusCode, &[u8]) -> io::Error,
 ) -> io::Result<(HeaderMap, Carrier, BytesMut)> {
     let stream = HttpStream::new(carrier, BytesMut::new());
     let (mut sender, mut connection) = http1::handshake(stream).await.map_err(into_io)?;
@@ -112,7 +113,7 @@ pub(crate) async fn switch(
             said.as_mut().poll(context)
         });
         let said = said.await.map(|said| said.to_bytes()).unwrap_or_default();
-        return Err(refusal(head.status, &said));
+        return Err(refused(head.status, &said));
     }
     drop(body);
     poll_fn(|context| {

@@ -12,6 +12,7 @@ use http_body_util::{BodyExt as _, Full};
 use hyper::body::Incoming;
 use hyper::client::conn::http1;
 use mom_proto::Limits;
+use mom_proto::codec::Form;
 use parking_lot::Mutex;
 use tokio::sync::Notify;
 use tokio::time::{Instant, sleep, timeout};
@@ -20,7 +21,7 @@ use super::pipe::{Misplaced, Pipe, WINDOW};
 use super::{END, ID, LONGEST, MOST_UP, SENT, TAKEN};
 use crate::carrier::Carrier;
 use crate::dial::Dialer;
-use crate::{Door, HttpStream, NetError, Transceiver, http as http_door, socket, tcp};
+use crate::{Address, Door, HttpStream, NetError, Transceiver, http as http_door, socket, tcp};
 
 /// Brought up by one request before login: the hub takes one parcel.
 const MOST_BEFORE_LOGIN: usize = 16 * 1024;
@@ -50,7 +51,7 @@ pub(crate) async fn connect(dialer: Dialer, limits: &Limits) -> Result<Transceiv
     let answer = timeout(PATIENCE, up.ask(Method::POST, "/tunnel", Bytes::new())).await;
     let (head, said) = answer.map_err(|_| io::Error::from(io::ErrorKind::TimedOut))??;
     let id = read_id(&head.headers).filter(|_| head.status == StatusCode::CREATED);
-    let id = id.ok_or_else(|| http_door::refusal(head.status, &said))?;
+    let id = id.ok_or_else(|| dialer.named(http_door::refusal(head.status, &said)))?;
     let tunnel = Arc::new(Tunnel {
         pipe: Arc::default(),
         id: Mutex::new(id),
@@ -72,6 +73,31 @@ pub(crate) async fn connect(dialer: Dialer, limits: &Limits) -> Result<Transceiv
     });
     let decoder = tcp::client_decoder(form, limits);
     tcp::begin(socket::tunnel(pipe), privacy, form, decoder, BytesMut::new()).await
+}
+
+/// Posts a document to a hub by plain HTTP, through the proxy of the environment if it names one; gives what is answered.
+///
+/// # Errors
+/// A link that cannot be had, or nothing like an answer in time.
+pub async fn post(
+    host: &str,
+    port: u16,
+    path: &str,
+    document: impl Into<Bytes>,
+) -> Result<(StatusCode, Bytes), NetError> {
+    let address = Address {
+        form: Form::Binary,
+        door: Door::Tunnel { polled: true },
+        tls: false,
+        host: host.to_owned(),
+        port,
+        path: None,
+        pin: None,
+    };
+    let mut requests = Requests::new(&Arc::new(Dialer::to(&address, None)?));
+    let answer = timeout(PATIENCE, requests.ask(Method::POST, path, document.into())).await;
+    let (head, body) = answer.map_err(|_| io::Error::from(io::ErrorKind::TimedOut))??;
+    Ok((head.status, body))
 }
 
 #[derive(Debug)]

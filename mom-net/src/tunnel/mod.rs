@@ -5,12 +5,12 @@
 
 mod body;
 mod client;
-mod id;
 mod pipe;
 mod server;
 
 pub use body::TunnelBody;
 pub(crate) use client::connect;
+pub use client::post;
 pub(crate) use pipe::Pipe;
 pub use server::{Tunnel, Tunnels};
 

@@ -16,10 +16,9 @@ use parking_lot::Mutex;
 use tokio::sync::Notify;
 use tokio::time::{Instant, timeout, timeout_at};
 
-use super::id::Id;
 use super::pipe::{Misplaced, Pipe};
 use super::{END, ID, LONGEST, MOST_UP, SENT, TAKEN, TunnelBody};
-use crate::{NetError, Privacy, Transceiver, socket, tcp};
+use crate::{NetError, Privacy, SecretId, Transceiver, socket, tcp};
 
 /// Brought down by one answer that has an end.
 const MOST_DOWN: usize = 64 * 1024;
@@ -30,14 +29,14 @@ const FAREWELL: Duration = Duration::from_secs(3);
 /// All tunnels of a hub.
 #[derive(Debug, Default)]
 pub struct Tunnels {
-    open: Mutex<HashMap<Id, Arc<Tunnel>>>,
+    open: Mutex<HashMap<SecretId, Arc<Tunnel>>>,
 }
 
 /// One tunnel.
 #[derive(Debug)]
 pub struct Tunnel {
     pipe: Arc<Pipe>,
-    id: Mutex<Id>,
+    id: Mutex<SecretId>,
     /// Its id is another than before its login.
     renewed: Mutex<bool>,
     /// Whose it is, in the numbers of the hub; 0 before that is known.
@@ -63,7 +62,7 @@ struct Said {
 impl Tunnels {
     /// Opens a tunnel; none where the system has no randomness.
     pub fn open(&self) -> Option<Arc<Tunnel>> {
-        let id = Id::random()?;
+        let id = SecretId::random()?;
         let tunnel = Arc::new(Tunnel {
             pipe: Arc::default(),
             id: Mutex::new(id),
@@ -95,12 +94,12 @@ impl Tunnels {
     }
 
     /// Gives a tunnel whose peer has logged in another id: whoever has seen the first one has nothing by it.
-    fn renew(&self, tunnel: &Arc<Tunnel>) -> Option<Id> {
+    fn renew(&self, tunnel: &Arc<Tunnel>) -> Option<SecretId> {
         let mut renewed = tunnel.renewed.lock();
         if *renewed || !tunnel.pipe.is_trusted() {
             return None;
         }
-        let new = Id::random()?;
+        let new = SecretId::random()?;
         *renewed = true;
         let mut open = self.open.lock();
         let old = std::mem::replace(&mut *tunnel.id.lock(), new);

@@ -125,6 +125,8 @@ pub(super) struct Incoming {
     in_message: bool,
     /// The payload of a control frame.
     control: Vec<u8>,
+    /// A character of a text whose end is still to come.
+    character: Vec<u8>,
     /// The other side has said that it says no more.
     pub(super) closed: bool,
 }
@@ -194,8 +196,11 @@ impl Incoming {
                     }
                 }
                 _ => {
-                    put(payload, rules, room);
                     self.in_message = !frame.last || frame.left > 0;
+                    if rules.text {
+                        self.check_text(payload)?;
+                    }
+                    put(payload, rules, room);
                     if rules.text && !self.in_message {
                         room.put_u8(b'\n');
                     }
@@ -250,6 +255,9 @@ impl Incoming {
             }
             size => u64::from(size),
         };
+        if size > i64::MAX as u64 {
+            return Err(fault("no frame is so large"));
+        }
         match kind {
             CLOSE | PING | PONG if size > CONTROL || !last => {
                 return Err(fault("a control frame is whole and has at most 125 bytes"));
@@ -273,6 +281,34 @@ impl Incoming {
             size,
             left: size,
         })
+    }
+
+    /// Checks that a text is one, as far as it has come.
+    fn check_text(&mut self, mut payload: &[u8]) -> Result<(), Fault> {
+        const NO_TEXT: Fault = Fault {
+            status: 1007,
+            text: "a text message is UTF-8",
+        };
+        // At most four bytes are one.
+        while let Some((first, rest)) = payload.split_first().filter(|_| !self.character.is_empty()) {
+            self.character.push(*first);
+            payload = rest;
+            match std::str::from_utf8(&self.character) {
+                Ok(_) => self.character.clear(),
+                Err(error) if error.error_len().is_some() => return Err(NO_TEXT),
+                Err(_) => {}
+            }
+        }
+        if let Err(error) = std::str::from_utf8(payload) {
+            if error.error_len().is_some() {
+                return Err(NO_TEXT);
+            }
+            self.character.extend_from_slice(&payload[error.valid_up_to()..]);
+        }
+        match self.in_message || self.character.is_empty() {
+            true => Ok(()),
+            false => Err(NO_TEXT),
+        }
     }
 
     /// Does what a control frame asks for.

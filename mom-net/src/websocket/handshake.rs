@@ -184,7 +184,8 @@ pub(crate) async fn connect(
         .body(Empty::<Bytes>::new())
         .map_err(io::Error::other)?;
     let granted = StatusCode::SWITCHING_PROTOCOLS;
-    let (headers, carrier, arrived) = http_door::switch(carrier, request, granted).await?;
+    let (headers, carrier, arrived) =
+        http_door::switch(carrier, request, granted, http_door::refusal).await?;
     let accept = headers.get(SEC_WEBSOCKET_ACCEPT);
     let protocol = headers.get(SEC_WEBSOCKET_PROTOCOL);
     if accept.map(HeaderValue::as_bytes) != Some(accept_of(key.as_bytes()).as_bytes())

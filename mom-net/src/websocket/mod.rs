@@ -37,7 +37,7 @@ const FRAMES: usize = 256;
 
 thread_local! {
     /// What has arrived and is not taken apart: used within a turn only, so that idle connections need no memory for it.
-    static ARRIVED: RefCell<BytesMut> = RefCell::default();
+    static ARRIVED: RefCell<BytesMut> = RefCell::new(BytesMut::with_capacity(AT_ONCE));
 }
 
 /// One WebSocket connection, shared by its two halves.
@@ -62,6 +62,8 @@ struct State {
     in_message: bool,
     /// The end was said.
     finished: bool,
+    /// What is wrong with what the other side has sent: said at the end, behind what there is to say in its own words.
+    fault: Option<Fault>,
     /// Bytes given to the network, and bytes taken from writers.
     sent: u64,
     taken: u64,
@@ -77,6 +79,7 @@ impl WebSocket {
             out: BytesMut::new(),
             owed: false,
             in_message: false,
+            fault: None,
             finished: false,
             sent: 0,
             taken: 0,
@@ -99,7 +102,16 @@ impl WebSocket {
         loop {
             let open = ARRIVED.with_borrow_mut(|arrived| {
                 arrived.clear();
-                let first = std::mem::take(&mut self.state.lock().first);
+                let mut state = self.state.lock();
+                if let Some(fault) = state.fault {
+                    return Poll::Ready(Err(io::Error::new(ErrorKind::InvalidData, wire_error(fault))));
+                }
+                if state.incoming.closed {
+                    // The close came together with what was read before it.
+                    return Poll::Ready(Ok(false));
+                }
+                let first = std::mem::take(&mut state.first);
+                drop(state);
                 if first.is_empty() {
                     let mut some = arrived.limit(AT_ONCE.min(room.remaining_mut()));
                     if ready!(self.carrier.poll_read(&mut some, context))? == 0 {
@@ -125,7 +137,7 @@ impl WebSocket {
         let State { incoming, out, .. } = &mut *state;
         let taken = incoming.take(arrived, self.rules, room, out);
         if let Err(fault) = taken {
-            state.finish(fault, self.rules);
+            state.fault.get_or_insert(fault);
         } else if state.incoming.closed {
             state.finish(frame::NORMAL, self.rules);
         }
@@ -168,7 +180,8 @@ impl WebSocket {
     /// Says that nothing more comes from this end.
     pub(crate) fn finish(&self) {
         let mut state = self.state.lock();
-        state.finish(frame::NORMAL, self.rules);
+        let fault = state.fault.take().unwrap_or(frame::NORMAL);
+        state.finish(fault, self.rules);
         // A link that is gone or full needs no goodbye.
         let _ = state.send(&self.carrier);
         self.carrier.finish();

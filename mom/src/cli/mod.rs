@@ -4,11 +4,13 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use clap::builder::FalseyValueParser;
 use clap::{Args, Parser, Subcommand};
 use mom_client::{MessageRate, WireError};
 
 mod contexts;
 mod control;
+mod look;
 mod parse;
 mod stop;
 
@@ -16,6 +18,7 @@ use self::contexts::{CREATE, DELETE};
 pub(crate) use self::parse::parse;
 
 use self::control::{ACCEPT, BREAK, DECLINE, EXPEL, GIVE, GRAB, INHIBIT, INVITE, MANAGE, REQUEST, TOKEN};
+use self::look::{LOGS, TOP};
 use self::stop::{STOP, UNSTOP};
 
 /// Look at a hub, talk through it, and drive the devices connected to it.
@@ -73,6 +76,9 @@ pub(crate) struct GlobalArgs {
     /// Log in as a guest, where the hub lets guests in
     #[arg(long, global = true)]
     pub(crate) guest: bool,
+    /// If the hub cannot be reached, report why to it by plain HTTP, which may get through; for mom logs
+    #[arg(long, global = true, env = "MOM_REPORT", value_parser = FalseyValueParser::new())]
+    pub(crate) report: bool,
     /// Write JSON, one object per line
     #[arg(long, global = true)]
     pub(crate) json: bool,
@@ -96,6 +102,12 @@ pub(crate) enum Command {
     /// Show statistics of channels: sent, delivered, dropped, ages
     #[command(after_help = STATS)]
     Stats(StatsArgs),
+    /// Show who is connected, through which door, how well, and who owns what, as it changes
+    #[command(after_help = TOP)]
+    Top(TopArgs),
+    /// Show what programs have reported of their errors to the hub
+    #[command(after_help = LOGS)]
+    Logs(LogsArgs),
     /// Show what happens in contexts, one line per parcel, until Ctrl-C
     #[command(after_help = WATCH)]
     Watch(WatchArgs),
@@ -286,6 +298,7 @@ pub(crate) use control::{
     AcceptArgs, BreakArgs, DeclineArgs, ExpelArgs, GiveArgs, GrabArgs, HoldArgs, InhibitArgs, InviteArgs,
     ManageArgs, RequestArgs, TokenArgs, WaitArg,
 };
+pub(crate) use look::{LogsArgs, TopArgs};
 pub(crate) use stop::StopArgs;
 
 /// `mom run`

@@ -14,6 +14,7 @@ mod inhibit;
 mod invite;
 mod keygen;
 mod lab;
+mod logs;
 mod manage;
 mod offers;
 mod request;
@@ -30,6 +31,7 @@ use crate::cli::{Cli, Command};
 use crate::doctor;
 use crate::failure::Failure;
 use crate::output::Output;
+use crate::top;
 
 /// Runs a command.
 pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
@@ -40,6 +42,8 @@ pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Lab(args) => lab::run(args, output).await,
         Command::Tree(args) => tree::run(args, global, output).await,
         Command::Stats(args) => stats::run(args, global, output).await,
+        Command::Top(args) => top::run(args, global, output).await,
+        Command::Logs(args) => logs::run(args, global, output).await,
         Command::Watch(args) => watch::run(args, global, output).await,
         Command::Send(args) => send::run(args, global, output).await,
         Command::Create(args) => create::run(args, global, output).await,

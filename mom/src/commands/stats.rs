@@ -240,6 +240,9 @@ mod tests {
                 peers: vec![arm],
             }],
             more: false,
+            memory: None,
+            peers: Vec::new(),
+            more_peers: 0,
         }
     }
 

@@ -27,7 +27,7 @@ pub(crate) enum Blocked {
     NoHub(String),
     /// A hub answers, and does not take this: its words.
     NotTaken(String),
-    /// Something in between answers in the hub's place: its words.
+    /// A proxy lets nothing through, or something in between answers in the hub's place: what happens.
     Proxy(String),
     /// Anything else.
     Failed(String),
@@ -47,6 +47,8 @@ impl Blocked {
     pub(crate) fn of_io(error: &io::Error) -> Blocked {
         let text = error.to_string();
         match error.kind() {
+            // Whatever it is, it is there and not at the hub.
+            _ if text.starts_with("the proxy ") => Blocked::Proxy(text),
             ErrorKind::ConnectionRefused => Blocked::Refused,
             ErrorKind::TimedOut => Blocked::TimedOut("the connection"),
             ErrorKind::HostUnreachable | ErrorKind::NetworkUnreachable => Blocked::Unreachable(text),
@@ -62,7 +64,6 @@ impl Blocked {
                     .map_or(text.clone(), |(_, what)| what.to_owned()),
             ),
             ErrorKind::InvalidData => Blocked::Tls(text),
-            _ if text.to_lowercase().contains("proxy") => Blocked::Proxy(text),
             _ => Blocked::Failed(text),
         }
     }
@@ -84,7 +85,7 @@ impl Blocked {
                     .iter()
                     .any(|word| lower.contains(word));
                 match between {
-                    true => Blocked::Proxy(line),
+                    true => Blocked::Proxy(format!("something in between answers: {line}")),
                     false => Blocked::NoHub(format!("an HTTP server: {line}")),
                 }
             }
@@ -124,7 +125,7 @@ impl Blocked {
             Blocked::Tls(why) => format!("no TLS: {why}"),
             Blocked::NoHub(what) => format!("not a MOM hub: {what}"),
             Blocked::NotTaken(why) => format!("not taken: the hub says: {why}"),
-            Blocked::Proxy(said) => format!("proxy: something in between answers: {said}"),
+            Blocked::Proxy(said) => format!("proxy: {said}"),
             Blocked::Failed(why) => format!("failed: {why}"),
         }
     }
@@ -160,7 +161,9 @@ impl Blocked {
             Blocked::NotTaken(_) => {
                 "use a door that is open, or change what the hub takes in its configuration".to_owned()
             }
-            Blocked::Proxy(_) => "ask who runs the network whether the proxy may let this through".to_owned(),
+            Blocked::Proxy(_) => {
+                "ask who runs the network whether the proxy may let this through, or name the hub in NO_PROXY".to_owned()
+            },
             Blocked::Failed(_) => "try again; if it stays so, look at the hub's log".to_owned(),
         }
     }
@@ -210,8 +213,11 @@ mod tests {
         }
         let untrusted = io::Error::new(ErrorKind::InvalidData, "invalid peer certificate: UnknownIssuer");
         assert_eq!(Blocked::of_io(&untrusted).word(), "not-trusted");
-        let proxy = io::Error::other("the proxy answers 403");
-        assert_eq!(Blocked::of_io(&proxy).word(), "proxy");
+        let proxy = io::Error::new(ErrorKind::ConnectionRefused, "the proxy lab:3128: nobody listens");
+        assert_eq!(
+            Blocked::of_io(&proxy).text(),
+            "proxy: the proxy lab:3128: nobody listens"
+        );
     }
 
     #[test]

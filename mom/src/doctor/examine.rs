@@ -1,5 +1,6 @@
 //! Goes through a door, as far as it gets, and measures what it is like behind it.
 
+use std::io;
 use std::net::{IpAddr, SocketAddr};
 use std::time::{Duration, Instant};
 
@@ -50,7 +51,7 @@ impl Effort {
 /// What the way in took, step by step.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Entry {
-    /// Where the host is.
+    /// Where the host is, or the proxy before it.
     pub(crate) at: IpAddr,
     /// Looking its name up.
     pub(crate) name: Duration,
@@ -85,22 +86,22 @@ pub(crate) struct Measured {
 /// Goes through a door and says one word to the hub.
 pub(crate) async fn enter(door: &DoorTried, address: &Address, effort: Effort) -> Result<Entry, Blocked> {
     let within = effort.patience;
-    let start = Instant::now();
-    let found = timeout(within, lookup_host((address.host.as_str(), address.port))).await;
-    let found = found.map_err(|_| Blocked::TimedOut("looking the name up"))?;
-    let found: Vec<SocketAddr> = found
-        .map_err(|error| Blocked::UnknownName(error.to_string()))?
-        .collect();
-    let name = start.elapsed();
-    let (at, tcp) = timeout(within, connect(&found))
-        .await
-        .map_err(|_| Blocked::TimedOut("the connection"))??;
+    let proxy = address.proxy().map_err(|error| Blocked::of(&error))?;
+    // Behind a proxy nothing else may be reached, and names may be known to it alone.
+    let reached = match &proxy {
+        Some(proxy) => reach(lookup_host(proxy), within)
+            .await
+            .map_err(|blocked| Blocked::Proxy(format!("the proxy {proxy}: {}", blocked.text())))?,
+        None => reach(lookup_host((address.host.as_str(), address.port)), within).await?,
+    };
+    let Reached { at, name, tcp } = reached;
+    let straight = proxy.is_none().then_some(at);
     let start = Instant::now();
     let probe = timeout(within, Probe::connect(address, None)).await;
     let probe = probe.map_err(|_| Blocked::TimedOut("the handshake"))?;
     let mut probe = match probe {
         Ok(probe) => probe,
-        Err(error) => return Err(diagnose(door, address, at, Blocked::of(&error), effort).await),
+        Err(error) => return Err(diagnose(door, address, straight, Blocked::of(&error), effort).await),
     };
     let open = start.elapsed();
     let answer = timeout(within, probe.ping(0)).await;
@@ -112,8 +113,35 @@ pub(crate) async fn enter(door: &DoorTried, address: &Address, effort: Effort) -
             open,
             answer,
         }),
-        Err(error) => Err(diagnose(door, address, at, Blocked::of(&error), effort).await),
+        Err(error) => Err(diagnose(door, address, straight, Blocked::of(&error), effort).await),
     }
+}
+
+/// The nearer end of a way in.
+struct Reached {
+    at: SocketAddr,
+    /// What looking it up took.
+    name: Duration,
+    /// What connecting took.
+    tcp: Duration,
+}
+
+/// Looks a host up and connects to it.
+async fn reach<A>(lookup: impl Future<Output = io::Result<A>>, within: Duration) -> Result<Reached, Blocked>
+where
+    A: Iterator<Item = SocketAddr>,
+{
+    let start = Instant::now();
+    let found = timeout(within, lookup).await;
+    let found = found.map_err(|_| Blocked::TimedOut("looking the name up"))?;
+    let found: Vec<SocketAddr> = found
+        .map_err(|error| Blocked::UnknownName(error.to_string()))?
+        .collect();
+    let name = start.elapsed();
+    let (at, tcp) = timeout(within, connect(&found))
+        .await
+        .map_err(|_| Blocked::TimedOut("the connection"))??;
+    Ok(Reached { at, name, tcp })
 }
 
 /// The first of these that takes a connection, and how long that took.
@@ -129,24 +157,24 @@ async fn connect(found: &[SocketAddr]) -> Result<(SocketAddr, Duration), Blocked
     Err(blocked)
 }
 
-/// Finds out more of what is in the way, where something answers there.
+/// Finds out more of what is in the way, where something answers there and no proxy is between.
 async fn diagnose(
     door: &DoorTried,
     address: &Address,
-    at: SocketAddr,
+    straight: Option<SocketAddr>,
     blocked: Blocked,
     effort: Effort,
 ) -> Blocked {
-    match blocked {
-        Blocked::Untrusted(why, None) if address.pin.is_none() => {
+    match (blocked, straight) {
+        (Blocked::Untrusted(why, None), _) if address.pin.is_none() => {
             let shown = timeout(effort.patience, shown_certificate(address)).await;
             Blocked::Untrusted(why, shown.ok().flatten())
         }
-        Blocked::Tls(_) | Blocked::NoHub(_) | Blocked::Closed | Blocked::Reset => {
+        (blocked @ (Blocked::Tls(_) | Blocked::NoHub(_) | Blocked::Closed | Blocked::Reset), Some(at)) => {
             let said = listen(at, door.hello, effort.patience).await;
             Blocked::of_answer(&said).unwrap_or(blocked)
         }
-        other => other,
+        (other, _) => other,
     }
 }
 

@@ -22,19 +22,24 @@ use crate::output::Output;
 pub(crate) struct Examined {
     door: &'static DoorTried,
     address: Address,
+    /// The proxy that it goes through.
+    proxy: Option<String>,
     outcome: Result<Measured, Blocked>,
 }
 
 impl Examined {
-    /// Where the hub is.
+    /// Where the hub is, if that can be seen from here.
     fn at(&self) -> Option<IpAddr> {
+        if self.proxy.is_some() {
+            return None;
+        }
         let measured = self.outcome.as_ref().ok()?;
         measured.entries.first().map(|entry| entry.at)
     }
 
-    /// Whether a hub takes passwords there: nobody in between could read them.
+    /// Whether passwords go through it: nobody in between could read them.
     fn takes_password(&self) -> bool {
-        self.at().is_some_and(|at| self.address.tls || at.is_loopback())
+        self.outcome.is_ok() && self.address.is_private()
     }
 }
 
@@ -86,6 +91,8 @@ async fn try_all(target: &Target, effort: Effort) -> Result<Vec<Examined>, Failu
             let entered = examine::enter(door, &address, effort).await;
             Examined {
                 door,
+                // One that speaks no HTTP is what blocks.
+                proxy: address.proxy().ok().flatten(),
                 address,
                 outcome: entered.map(|entry| Measured {
                     entries: vec![entry],

@@ -1,6 +1,5 @@
 //! What was found, as a table and as JSON.
 
-use std::env;
 use std::time::Duration;
 
 use mom_client::ClockOffset;
@@ -15,16 +14,6 @@ use crate::output::words::{self, visible};
 const HEADINGS: [&str; 7] = ["TCP", "open", "answer", "1 B", "1 kB", "10 kB", "password"];
 /// The sizes among them.
 const SHOWN: [usize; 3] = [1, 1000, 10_000];
-
-/// What names a proxy that other programs go through.
-const PROXIES: [&str; 6] = [
-    "HTTPS_PROXY",
-    "https_proxy",
-    "ALL_PROXY",
-    "all_proxy",
-    "HTTP_PROXY",
-    "http_proxy",
-];
 
 /// The table: a row for each door, open or not.
 pub(super) fn table(hub: &str, examined: &[Examined]) -> String {
@@ -138,19 +127,26 @@ pub(super) fn advice(hub: &str, examined: &[Examined]) -> Vec<String> {
             advice.push(line);
         }
     }
-    // Its value may hold a password.
-    if let Some(name) = proxy() {
+    let through = |examined: &&Examined| examined.proxy.is_some();
+    let doors: Vec<&str> = examined
+        .iter()
+        .filter(through)
+        .map(|examined| examined.door.name)
+        .collect();
+    if let Some(proxy) = proxy(examined) {
         advice.push(format!(
-            "{} {name} is set; these doors go past that proxy",
-            ink("proxy:", Tone::Notice)
+            "{} these doors go through {}, which the environment names: {}; the others go past it",
+            ink("proxy:", Tone::Notice),
+            visible(proxy),
+            doors.join("; ")
         ));
     }
     advice
 }
 
-fn proxy() -> Option<&'static str> {
-    let set = |name: &&str| env::var_os(name).is_some_and(|value| !value.is_empty());
-    PROXIES.into_iter().find(set)
+/// The proxy that some of the doors go through.
+fn proxy(examined: &[Examined]) -> Option<&str> {
+    examined.iter().find_map(|examined| examined.proxy.as_deref())
 }
 
 /// Times in µs.
@@ -161,6 +157,7 @@ pub(super) fn to_json(hub: &str, examined: &[Examined]) -> Json {
             "address": examined.address.to_string(),
             "open": examined.outcome.is_ok(),
             "password": examined.takes_password(),
+            "proxy": examined.proxy,
         });
         match &examined.outcome {
             Ok(measured) => {
@@ -177,7 +174,7 @@ pub(super) fn to_json(hub: &str, examined: &[Examined]) -> Json {
     });
     let clock = clock(examined).map(|clock| json!({"offset": clock.micros, "error": clock.error}));
     let doors: Vec<Json> = doors.collect();
-    json!({"hub": hub, "clock": clock, "proxy": proxy(), "doors": doors})
+    json!({"hub": hub, "clock": clock, "proxy": proxy(examined), "doors": doors})
 }
 
 fn connect(measured: &Measured) -> Json {
@@ -245,6 +242,7 @@ mod tests {
         let of = |(door, outcome)| Examined {
             door,
             address: target.address(door).unwrap(),
+            proxy: None,
             outcome,
         };
         tried.map(of).collect()

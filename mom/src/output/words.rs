@@ -7,7 +7,7 @@ use mom_client::{Content, HISTORY, Map, Parcel, Value};
 /// Beyond this a line is cut where a person reads it; JSON is never cut.
 const LONGEST: usize = 200;
 
-pub(crate) use mom_client::plain_duration as duration;
+pub(crate) use mom_client::{plain_duration as duration, visible};
 
 /// A duration in ms, for JSON.
 pub(crate) fn in_millis(duration: Duration) -> u64 {
@@ -58,20 +58,6 @@ pub(crate) fn count(number: u64, one: &str) -> String {
         1 => format!("1 {one}"),
         _ => format!("{number} {one}s"),
     }
-}
-
-/// Text of others, safe to show on one line of a terminal: what would move the cursor, start a new line or
-/// turn the direction of writing is shown as an escape.
-pub(crate) fn visible(text: &str) -> String {
-    let mut shown = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '\t' => shown.push(' '),
-            c if c.is_control() || turns_direction(c) => shown.extend(c.escape_default()),
-            c => shown.push(c),
-        }
-    }
-    shown
 }
 
 /// The age of a message from a channel's history: `history, 12 s old`; none for a new message.
@@ -186,10 +172,6 @@ pub(crate) fn shorten(text: &str) -> String {
     }
 }
 
-fn turns_direction(c: char) -> bool {
-    matches!(c, '\u{200E}' | '\u{200F}' | '\u{2028}'..='\u{202E}' | '\u{2066}'..='\u{2069}')
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -217,19 +199,6 @@ mod tests {
             (1_572_864, "1.5 MiB"),
         ] {
             assert_eq!(size(bytes), words);
-        }
-    }
-
-    #[test]
-    fn nobody_paints_on_our_terminal() {
-        for (text, shown) in [
-            ("good morning", "good morning"),
-            ("Zoë 名前 😀", "Zoë 名前 😀"),
-            ("a\nb\r\tc", "a\\nb\\r c"),
-            ("\u{9b}2J", "\\u{9b}2J"),
-            ("ab\u{202e}c", "ab\\u{202e}c"),
-        ] {
-            assert_eq!(visible(text), shown);
         }
     }
 

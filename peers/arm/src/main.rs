@@ -29,6 +29,9 @@ struct ArmArgs {
     /// The hub, as bin://host:port (binary) or tcp://host:port (XML), bins:// or tcps:// with TLS, which may end in ?pin=FINGERPRINT
     #[arg(long, env = "MOM_HUB", default_value = "bin://127.0.0.1:7666")]
     hub: String,
+    /// If the hub cannot be reached, report why to it by plain HTTP, which may get through; for mom logs
+    #[arg(long, env = "MOM_REPORT", value_parser = clap::builder::FalseyValueParser::new())]
+    report: bool,
     /// The user to log in as
     #[arg(long, default_value = "arm")]
     user: String,
@@ -56,10 +59,13 @@ async fn main() -> anyhow::Result<()> {
         .with_ansi(std::io::stderr().is_terminal())
         .init();
     let mut shutdown = pin!(shutdown()?);
-    let builder = Client::builder(&args.hub)
+    let mut builder = Client::builder(&args.hub)
         .user(&args.user)
         .proof(proof(&args)?)
         .wait_for_hub();
+    if args.report {
+        builder = builder.report_failures("mom-arm", env!("CARGO_PKG_VERSION"));
+    }
     let connected = tokio::select! {
         connected = builder.connect() => connected,
         () = &mut shutdown => return Ok(()),

@@ -29,6 +29,9 @@ struct CameraArgs {
     /// The hub, as bin://host:port (binary) or tcp://host:port (XML), bins:// or tcps:// with TLS, which may end in ?pin=FINGERPRINT
     #[arg(long, env = "MOM_HUB", default_value = "bin://127.0.0.1:7666")]
     hub: String,
+    /// If the hub cannot be reached, report why to it by plain HTTP, which may get through; for mom logs
+    #[arg(long, env = "MOM_REPORT", value_parser = clap::builder::FalseyValueParser::new())]
+    report: bool,
     /// The user to log in as
     #[arg(long, default_value = "camera")]
     user: String,
@@ -84,10 +87,13 @@ async fn main() -> anyhow::Result<()> {
         .init();
     let mut shutdown = pin!(shutdown()?);
     let options = options(&args)?;
-    let builder = Client::builder(&args.hub)
+    let mut builder = Client::builder(&args.hub)
         .user(&args.user)
         .proof(proof(&args)?)
         .wait_for_hub();
+    if args.report {
+        builder = builder.report_failures("mom-camera", env!("CARGO_PKG_VERSION"));
+    }
     let connected = tokio::select! {
         connected = builder.connect() => connected,
         () = &mut shutdown => return Ok(()),

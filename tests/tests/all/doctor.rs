@@ -11,18 +11,31 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::task::spawn_blocking;
 
 async fn doctor(args: &[&str]) -> Output {
+    doctor_in(args, &[]).await
+}
+
+async fn doctor_in(args: &[&str], environment: &[(&'static str, String)]) -> Output {
+    let environment = environment.to_vec();
     let args: Vec<String> = args.iter().map(|arg| (*arg).to_owned()).collect();
     let run = move || {
         let args: Vec<&str> = args.iter().map(String::as_str).collect();
         // The environment of the tests may have a proxy, and trusts some or nobody.
-        programs::run("mom", &[&["doctor", "--quick"], &args[..]].concat(), &[])
+        let environment: Vec<(&str, &str)> = environment
+            .iter()
+            .map(|(name, value)| (*name, &**value))
+            .collect();
+        programs::run("mom", &[&["doctor", "--quick"], &args[..]].concat(), &environment)
     };
     spawn_blocking(run).await.expect("it runs")
 }
 
 /// What it says of each door, and its exit code.
 async fn examine(host: &str) -> (Vec<Json>, Option<i32>) {
-    let output = doctor(&["--json", host]).await;
+    examine_in(host, &[]).await
+}
+
+async fn examine_in(host: &str, environment: &[(&'static str, String)]) -> (Vec<Json>, Option<i32>) {
+    let output = doctor_in(&["--json", host], environment).await;
     let said: Json = serde_json::from_slice(&output.stdout)
         .unwrap_or_else(|error| panic!("{error}: {} {}", text(&output.stdout), text(&output.stderr)));
     let doors = said["doors"].as_array().expect("a list").clone();
@@ -215,6 +228,84 @@ async fn who_is_no_hub_is_told_by_what_it_says() {
     all_blocked(&gate, "proxy", "403").await;
     let mute = serve_words(false, "").await;
     all_blocked(&mute, "closed", "without an answer").await;
+}
+
+/// What the environment names is where the doors go that know of proxies, and nothing else is tried for them.
+#[cfg(target_os = "linux")]
+#[tokio::test(flavor = "multi_thread")]
+async fn doors_go_through_the_proxy_of_the_environment() {
+    use mom_tests::proxies::{BufferingProxy, Manners};
+    let broker = hub_with_tls().await;
+    let pin = broker.fingerprint().expect("it has a certificate");
+    // TCP goes to no group of hosts, so what gets there went through the proxy.
+    let host = format!("224.0.0.1:7666?pin={pin}");
+    let manners = Manners {
+        to: Some(broker.local_addr()),
+        ..Manners::default()
+    };
+    let proxy = BufferingProxy::start(manners).await;
+    let names = |url: String| [("HTTPS_PROXY", url.clone()), ("HTTP_PROXY", url)];
+    let (doors, code) = examine_in(&host, &names(proxy.url())).await;
+    assert_eq!(code, Some(0));
+    for door in &doors {
+        let through = has_tls(door) || door["door"] == "tunnel";
+        assert_eq!(door["open"], through, "{door}");
+        assert_eq!(door["password"], has_tls(door), "the proxy reads along: {door}");
+        match through {
+            true => assert_eq!(door["proxy"], proxy.address().to_string(), "{door}"),
+            false => assert_eq!(
+                (&door["proxy"], &door["blocked"]),
+                (&Json::Null, &Json::from("unreachable"))
+            ),
+        }
+    }
+    let asked = proxy.asked();
+    for line in ["CONNECT 224.0.0.1:7666 ", "POST http://224.0.0.1:7666/tunnel"] {
+        assert!(asked.iter().any(|asked| asked.starts_with(line)), "{asked:?}");
+    }
+    let output = doctor_in(&[&host], &names(proxy.url())).await;
+    let told = text(&output.stderr);
+    for part in [
+        &*proxy.address().to_string(),
+        "go through",
+        "binary, TLS; ",
+        "the others go past it",
+    ] {
+        assert!(told.contains(part), "{part}: {told}");
+    }
+    let named = |door: &Json| {
+        let text = door["text"].as_str().unwrap_or_default();
+        door["blocked"] == "proxy" && text.contains("the proxy 127.0.0.1:")
+    };
+    // One that refuses, one that is not there, and none for this hub.
+    let refusing = BufferingProxy::start(Manners {
+        refuses_connect: true,
+        ..manners
+    })
+    .await;
+    let hub = format!("{}?pin={pin}", broker.local_addr());
+    for url in [refusing.url(), "http://127.0.0.1:1".to_owned()] {
+        let (doors, _) = examine_in(&hub, &names(url)).await;
+        assert!(doors.iter().filter(|door| has_tls(door)).all(named), "{doors:?}");
+        assert!(
+            doors
+                .iter()
+                .any(|door| door["door"] == "binary" && door["open"] == true)
+        );
+    }
+    let past = [
+        &names("http://127.0.0.1:1".to_owned())[..],
+        &[("NO_PROXY", "127.0.0.1".to_owned())],
+    ]
+    .concat();
+    let (doors, _) = examine_in(&hub, &past).await;
+    assert!(
+        doors
+            .iter()
+            .all(|door| door["open"] == true && door["proxy"].is_null()),
+        "{doors:?}"
+    );
+    broker.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,14 +1,15 @@
 //! What channels have counted, for who may ask: through a real broker, and by the command line.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use mom_broker::{Broker, Clock};
 use mom_client::{Client, ClientError, Code};
 use mom_proto::codec::Form;
 use mom_proto::{Delivery, Family, Map, Parcel, Time, Value};
-use mom_tests::lab;
 use mom_tests::programs::{program, text};
 use mom_tests::raw::{Raw, message};
+use mom_tests::{lab, login, tls};
 use tokio::process::Command;
 use tokio::task::spawn_blocking;
 
@@ -91,6 +92,95 @@ async fn what_was_sent_and_how_old_it_was() {
     assert_eq!((chat.all.sent, chat.peers[1].counts.sent), (4, 0));
 }
 
+/// Who is here, through which door, and how they are: over each door, plain and with TLS, and inside the process.
+#[tokio::test]
+async fn who_is_here_and_through_which_door() {
+    let broker = Arc::new(lab::start_with(|config| config.tls = tls::of_hub()).await);
+    let mut alice = measured(&broker, &Clock::system()).await;
+    alice.join(&["/chat"]).await;
+    let address = broker.local_addr();
+    let pin = broker.fingerprint().expect("it has a certificate");
+    let mut clients = Vec::new();
+    for url in [
+        format!("tcp://{address}"),
+        format!("jsons://{address}?pin={pin}"),
+        format!("ws://{address}"),
+        format!("wss://{address}?form=json&pin={pin}"),
+        format!("http://{address}"),
+        format!("https://{address}?poll=1&pin={pin}"),
+    ] {
+        let client = Client::builder(url).user("bob").password("bob");
+        clients.push(client.connect().await.expect("a user of the lab"));
+    }
+    let local = Arc::clone(&broker);
+    let inside = Client::builder_local(move || local.connect_local());
+    let inside = inside.user("carol").password("carol");
+    clients.push(inside.connect().await.expect("a user of the lab"));
+    let asks = &clients[0];
+    let stats = asks.stats("/").await.expect("people may");
+    let seen: Vec<(&str, &str, &str, &str, bool)> = stats
+        .peers
+        .iter()
+        .map(|peer| (&*peer.peer, &*peer.user, &*peer.form, &*peer.door, peer.tls))
+        .collect();
+    assert_eq!(
+        seen,
+        [
+            ("alice", "alice", "binary", "tcp", false),
+            ("bob", "bob", "xml", "tcp", false),
+            ("bob~2", "bob", "json", "tcp", true),
+            ("bob~3", "bob", "binary", "websocket", false),
+            ("bob~4", "bob", "json", "websocket", true),
+            ("bob~5", "bob", "binary", "tunnel", false),
+            ("bob~6", "bob", "binary", "tunnel", true),
+            ("carol", "carol", "none", "local", false),
+        ]
+    );
+    let [alice, bob, .., inside] = stats.peers.as_slice() else {
+        panic!("{stats:?}")
+    };
+    assert!(
+        bob.heard < alice.heard,
+        "he asks, and she has said nothing since: {stats:?}"
+    );
+    assert_eq!(
+        (alice.from.as_deref(), inside.from.as_deref()),
+        (Some("127.0.0.1"), None)
+    );
+    assert!(alice.round_trip.is_some(), "its pongs were heard: {alice:?}");
+    assert!(alice.since < bob.since && inside.since < stats.time, "{stats:?}");
+    for peer in &stats.peers[..7] {
+        assert!(peer.sent > 0 && peer.received > 0, "{peer:?}");
+        assert_eq!(peer.dropped, 0, "{peer:?}");
+    }
+    assert!(
+        stats
+            .memory
+            .is_some_and(|memory| memory.bound > Some(memory.used))
+    );
+    assert_eq!(stats.more_peers, 0);
+    // A session below the root tells nothing of it, and who has gone is gone.
+    assert!(asks.stats("/robot").await.expect("people may").peers.is_empty());
+    clients.pop().expect("the one inside").close().await;
+    let again = clients[0].stats("/").await.expect("people may");
+    assert_eq!(again.peers.len(), 7);
+}
+
+#[tokio::test]
+async fn only_the_first_256_peers_are_listed() {
+    let broker = lab::start_with(|config| config.login.guests = true).await;
+    let mut guests = Vec::new();
+    for _ in 0..257 {
+        let mut guest = Raw::connect(broker.local_addr(), Form::Binary).await;
+        let asked = login::log_in(&mut guest, Map::new().with("guest", true)).await;
+        asked.expect("guests may");
+        guests.push(guest);
+    }
+    let alice = log_in(&broker, "bin", "alice").await;
+    let stats = alice.stats("/").await.expect("people may");
+    assert_eq!((stats.peers.len(), stats.more_peers), (256, 2));
+}
+
 #[tokio::test]
 async fn what_was_dropped_and_what_waits() {
     let broker = lab::start_with(|config| config.limits.outbox = 64 * 1024).await;
@@ -120,6 +210,9 @@ async fn what_was_dropped_and_what_waits() {
             assert_eq!(all.dropped.get("queue-full"), Some(&dropped));
             assert_eq!(all.dropped_classes, [("fleeting".to_owned(), dropped)].into());
             assert!(all.delivered <= all.sent, "one receiver: {all:?}");
+            let peers = carol.stats("/").await.expect("operators may").peers;
+            let bob = peers.iter().find(|peer| peer.peer == "bob").expect("he is here");
+            assert!(bob.dropped >= dropped && bob.queued > 16 * 1024, "{bob:?}");
             break;
         }
     }

@@ -57,6 +57,7 @@ const ARROWS: &[(&str, May)] = &[
             "mom-store",
             "mom-journal",
             "mom-config",
+            "mom-client",
         ]),
     ),
     ("mom-arm", May::Use(&["mom-client"])),

@@ -44,6 +44,8 @@ pub fn config_schema() -> Value {
             "What HTTP may ask.",
             &json!({
                 "origins": with_default(names("Where pages come from that may use the hub, such as https://lab.example.org; those that the hub itself serves may."), json!([])),
+                "log": text("The channel in which the hub says what programs report of their errors by POST /log; absent = nothing is taken."),
+                "metrics-token": text("A file with the token that /metrics is shown for, 16 characters at least; relative to this file."),
                 "forwarded-by": with_default(names("The addresses or networks of proxies that are believed what their header Forwarded says of clients."), json!([]))
             }),
             &[]

@@ -4,7 +4,7 @@
 //! private halves are gone.
 
 use super::*;
-use crate::JwtKey;
+use crate::KeyFile;
 
 /// 2048 bits.
 const RSA: &str = "\
@@ -78,7 +78,7 @@ fn config(algorithm: &str, key: &str) -> JwtConfig {
         issuer: "https://id.example.org".to_owned(),
         audience: "mom".to_owned(),
         algorithms: vec![algorithm.to_owned()],
-        key: JwtKey::from_text(key),
+        key: KeyFile::from_text(key),
         leeway: 0,
         users: JwtUsers::File,
         max_level: 0,

@@ -159,6 +159,11 @@ impl Channel {
         path
     }
 
+    /// The present route.
+    pub(crate) fn route(&self) -> Arc<Route> {
+        Arc::clone(&self.state.lock().route)
+    }
+
     /// Forgets what is kept of an account.
     pub(crate) fn forget(&self, account: &Arc<Account>) {
         if let Some(history) = &mut self.state.lock().history {
@@ -307,12 +312,15 @@ fn fence_open(route: &Route) -> u64 {
         .map_or(0, |guard| guard.fence)
 }
 
+/// The number of no peer: what the hub itself says.
+pub(crate) const HUB_PEER: PeerId = PeerId(0);
+
 /// The origin of what the hub itself says.
 pub(crate) fn hub_origin(parcel: &Parcel) -> Origin {
     let context = parcel.number.unwrap_or(ContextNumber(0));
     Origin {
         context,
-        sender: PeerId(0),
+        sender: HUB_PEER,
         name: Arc::clone(&parcel.name),
     }
 }

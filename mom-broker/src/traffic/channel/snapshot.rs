@@ -24,6 +24,11 @@ pub(crate) struct MemberSnapshot {
 }
 
 impl Channel {
+    /// Its counts, of all who were ever in it.
+    pub(crate) fn counts(&self) -> Counts {
+        self.state.lock().statistics.all().clone()
+    }
+
     /// Its counts, and those of each member.
     pub(crate) fn snapshot(&self) -> Snapshot {
         let state = self.state.lock();

@@ -3,6 +3,7 @@
 //! Whoever puts parcels in also tries to write them, in the same turn: on an idle link that saves waking a
 //! task, which costs more than the write. What the link does not take at once is the writer's.
 
+mod figures;
 mod packet;
 mod queue;
 mod waiter;
@@ -16,6 +17,7 @@ use mom_net::{Flow, NetError, Pause, Piece, Rest, Taken, Writer, write_batch};
 use mom_proto::codec::Form;
 use mom_proto::{ContextNumber, Limits, Micros, WireError};
 
+pub(crate) use figures::{Heard, LoginFacts, PeerFigures};
 pub(crate) use packet::{Charged, Dropped, Gate, Origin, Packet};
 pub(crate) use queue::PeerQueue;
 pub(crate) use waiter::WaiterHandle;
@@ -46,8 +48,7 @@ pub(crate) struct Outbox {
     pub(crate) end: Notify,
     /// Something was written since the heartbeat last looked.
     pub(crate) active: AtomicBool,
-    /// Something was read since the heartbeat last looked.
-    pub(crate) heard: AtomicBool,
+    pub(crate) heard: Heard,
     /// When a thread has come to its connection, µs.
     pub(crate) slice_began: AtomicU64,
 }
@@ -63,6 +64,7 @@ struct Who {
     /// Empty before login.
     name: Arc<str>,
     account: Option<Arc<Account>>,
+    login: Option<Box<LoginFacts>>,
 }
 
 impl Default for Who {
@@ -70,6 +72,7 @@ impl Default for Who {
         Who {
             name: "".into(),
             account: None,
+            login: None,
         }
     }
 }
@@ -109,7 +112,7 @@ impl Outbox {
             closed: AtomicBool::new(false),
             end: Notify::new(),
             active: AtomicBool::new(false),
-            heard: AtomicBool::new(false),
+            heard: Heard::default(),
             slice_began: AtomicU64::new(0),
         }
     }
@@ -207,13 +210,18 @@ impl Outbox {
         self.call_all();
     }
 
-    /// Changes the bounds, and notes the peer's name and account, as after login.
-    pub(crate) fn admit(&self, limits: &Limits, name: Arc<str>, account: Arc<Account>) {
+    /// Changes the bounds, and notes whose it is and how it has come, as after login.
+    pub(crate) fn admit(&self, limits: &Limits, name: Arc<str>, account: Arc<Account>, login: LoginFacts) {
         self.queue.lock().set_limits(limits);
         *self.who.lock() = Who {
             name,
             account: Some(account),
+            login: Some(Box::new(login)),
         };
+    }
+
+    pub(crate) fn is_logged_in(&self) -> bool {
+        self.who.lock().login.is_some()
     }
 
     /// What its peer's user has waiting here and elsewhere; none before login.

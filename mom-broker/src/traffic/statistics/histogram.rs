@@ -35,6 +35,15 @@ impl Histogram {
         self.most = self.most.max(age);
     }
 
+    /// Counts what another has counted.
+    pub(crate) fn add(&mut self, other: &Histogram) {
+        for (bucket, count) in self.buckets.iter_mut().zip(other.buckets) {
+            *bucket = bucket.saturating_add(count);
+        }
+        self.count += other.count;
+        self.most = self.most.max(other.most);
+    }
+
     pub(crate) fn count(&self) -> u64 {
         self.count
     }

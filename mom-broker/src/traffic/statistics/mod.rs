@@ -22,14 +22,14 @@ pub(crate) struct Statistics {
 /// The counts of one peer in a channel, or of all.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Counts {
-    sent: u64,
-    bytes: u64,
+    pub(crate) sent: u64,
+    pub(crate) bytes: u64,
     /// Taken by a receiver's outbox.
-    delivered: u64,
+    pub(crate) delivered: u64,
     /// Dropped for a receiver, at its outbox or while it waited there, by reason and class.
-    dropped: BTreeMap<(DropReason, Delivery), u64>,
+    pub(crate) dropped: BTreeMap<(DropReason, Delivery), u64>,
     /// The ages at ingress of what was sent, where they are known; made with the first.
-    ages: Option<Box<Histogram>>,
+    pub(crate) ages: Option<Box<Histogram>>,
 }
 
 impl Statistics {
@@ -99,6 +99,20 @@ impl Counts {
         if let Some(age) = age {
             let ages = self.ages.get_or_insert_with(|| Box::new(Histogram::new()));
             ages.note(age);
+        }
+    }
+
+    /// Counts what others have counted.
+    pub(crate) fn add(&mut self, other: &Counts) {
+        self.sent += other.sent;
+        self.bytes += other.bytes;
+        self.delivered += other.delivered;
+        for (key, count) in &other.dropped {
+            *self.dropped.entry(*key).or_default() += count;
+        }
+        if let Some(ages) = &other.ages {
+            let all = self.ages.get_or_insert_with(|| Box::new(Histogram::new()));
+            all.add(ages);
         }
     }
 

@@ -17,6 +17,7 @@ use crate::traffic::channel::{Channel, LARGEST_STOP, Sent, control, hub_origin, 
 use crate::traffic::encodings::{Bounds, Encoder, Encodings};
 use crate::traffic::memory::Memory;
 use crate::traffic::outbox::{Dropped, Outbox, Packet};
+use crate::traffic::statistics::Counts;
 
 mod effects;
 mod relief;
@@ -24,10 +25,12 @@ mod sending;
 mod statistics;
 #[cfg(test)]
 mod tests;
+mod totals;
 
 use effects::Decisions;
 pub(crate) use effects::Work;
 pub(crate) use sending::Handled;
+pub(crate) use totals::Totals;
 
 /// The switchboard of one broker.
 ///
@@ -50,6 +53,8 @@ pub(crate) struct Switchboard {
     pub(crate) store: Option<Store>,
     pub(crate) outboxes: DashMap<PeerId, Arc<Outbox>>,
     batch_writer: BatchWriter,
+    /// What channels have counted that are gone.
+    gone: Mutex<Counts>,
     last_peer: AtomicU64,
     /// The hub's deadline may have come closer.
     pub(crate) deadline_changed: Notify,
@@ -77,6 +82,7 @@ impl Switchboard {
             store,
             outboxes: DashMap::new(),
             batch_writer: BatchWriter::default(),
+            gone: Mutex::new(Counts::default()),
             last_peer: AtomicU64::new(0),
             deadline_changed: Notify::new(),
             empty: Notify::new(),
@@ -250,6 +256,7 @@ impl Switchboard {
 
     fn drop_route(&self, number: ContextNumber) {
         if let Some((_, channel)) = self.channels.remove(&number) {
+            self.gone.lock().add(&channel.counts());
             // A reader that found the channel just before gets what it would get after.
             let path = channel.end();
             self.by_path.remove_if(&path, |_, known| *known == number);

@@ -3,14 +3,15 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_hub::{Input, PeerId, Route};
+use mom_hub::{Input, PeerId, Receivers, Route};
 use mom_net::Reader;
-use mom_proto::{Code, Limits, Micros, Parcel, Path, WireError};
+use mom_proto::{Code, Family, Limits, Map, Micros, Parcel, Path, WireError};
 
-use super::{Switchboard, Touched};
+use super::{Switchboard, Touched, flush};
 use crate::traffic::capacity::{NoCapacity, WaitingMessage, no_capacity};
-use crate::traffic::channel::{Channel, Message, Outcome, Sender, Unsent, Why, run_ahead};
+use crate::traffic::channel::{Channel, HUB_PEER, Message, Outcome, Sender, Unsent, Why, run_ahead, stamped};
 use crate::traffic::outbox::{Outbox, WaiterHandle};
+use crate::traffic::trace;
 
 /// What became of a message that was not refused.
 #[derive(Debug)]
@@ -63,6 +64,27 @@ impl Switchboard {
         true
     }
 
+    /// Says something in the hub's own name to all members of a channel, and to those who come later; false if there is no such
+    /// channel.
+    pub(crate) fn say(&self, path: &Path, name: &str, content: Map) -> bool {
+        let number = self.by_path.get(path).map(|number| *number);
+        let Some((number, channel)) = number.and_then(|number| Some((number, self.channel(number)?))) else {
+            return false;
+        };
+        let mut parcel = Parcel::new(Family::Message, name)
+            .context(path.clone())
+            .content(content);
+        parcel.number = Some(number);
+        parcel.received = Some(self.clock.wall());
+        let parcel = Box::new(stamped(parcel, self.clock.wall()));
+        let route = channel.route();
+        let mut touched = Touched::new();
+        let message = Message::Admitted(parcel, &route, Receivers::All, None);
+        self.send_admitted(HUB_PEER, message, &channel, &mut touched);
+        flush(&mut touched);
+        true
+    }
+
     /// Sends a message that the hub has admitted.
     pub(super) fn send_admitted(
         &self,
@@ -87,6 +109,27 @@ impl Switchboard {
     }
 
     fn send(
+        &self,
+        sender: &Sender<'_>,
+        limits: &Limits,
+        (parcel, waited): (Box<Parcel>, Option<(Micros, WaiterHandle)>),
+        touched: &mut Touched,
+    ) -> Result<Handled, WireError> {
+        let span = trace::span(&parcel, sender.peer);
+        let begin = if span.is_disabled() { 0 } else { self.clock.now() };
+        let sent = span.in_scope(|| self.try_send(sender, limits, (parcel, waited), touched));
+        if !span.is_disabled() {
+            let result = match &sent {
+                Ok(Handled::Done) => "passed on",
+                Ok(Handled::Waits(_)) => "waits for capacity",
+                Err(_) => "refused",
+            };
+            trace::end(&span, result, self.clock.now().saturating_sub(begin));
+        }
+        sent
+    }
+
+    fn try_send(
         &self,
         sender: &Sender<'_>,
         limits: &Limits,

@@ -6,9 +6,23 @@ use mom_hub::PeerId;
 use mom_proto::{ContextNumber, Map, Parcel, Path, Value};
 
 use crate::traffic::channel::{MemberSnapshot, Snapshot};
+use crate::traffic::outbox::{Outbox, PeerFigures};
 use crate::traffic::switchboard::{Switchboard, Touched};
 
+/// Peers of which one reply tells at most.
+const MOST_PEERS: usize = 256;
+
 impl Switchboard {
+    /// The first peers that have logged in, in the order of their arrival, and how many more there are.
+    pub(crate) fn peers(&self, most: usize) -> (Vec<PeerFigures>, usize) {
+        let mut outboxes: Vec<Arc<Outbox>> = self.outboxes.iter().map(|outbox| Arc::clone(&outbox)).collect();
+        outboxes.sort_unstable_by_key(|outbox| outbox.peer);
+        let mut outboxes = outboxes.into_iter().filter(|outbox| outbox.is_logged_in());
+        let first = outboxes.by_ref().take(most);
+        let peers = first.filter_map(|outbox| outbox.figures()).collect();
+        (peers, outboxes.count())
+    }
+
     /// Answers with the figures of these channels: of one with those of each member, or of several.
     pub(crate) fn push_stats(
         &self,
@@ -25,6 +39,7 @@ impl Switchboard {
         content.set("time", self.clock.wall());
         if parcel.context.as_ref().is_some_and(Path::is_root) {
             content.set("memory", self.memory.to_map());
+            self.put_peers(&mut content);
         }
         let snapshots = channels.iter().filter_map(|number| {
             let channel = self.channel(*number)?;
@@ -52,6 +67,15 @@ impl Switchboard {
         let mut reply = parcel.clone();
         reply.content = Some(content.into());
         self.push_to_all(&[to], &Arc::new(reply), touched);
+    }
+
+    fn put_peers(&self, content: &mut Map) {
+        let (peers, more) = self.peers(MOST_PEERS);
+        let peers: Vec<Value> = peers.iter().map(|peer| peer.to_map().into()).collect();
+        content.set("peers", peers);
+        if more > 0 {
+            content.set("more-peers", i64::try_from(more).unwrap_or(i64::MAX));
+        }
     }
 }
 

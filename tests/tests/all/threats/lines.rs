@@ -66,6 +66,12 @@ async fn threat_5_encoding_in_json() {
 }
 
 pub(super) async fn encoding(mut world: World) {
+    encoding_that(&mut world, After::Kept).await;
+    world.end().await;
+}
+
+/// After bytes that are no UTF-8 a text message of WebSocket is over, and with it the connection (RFC 6455, 8.1).
+pub(super) async fn encoding_that(world: &mut World, after_no_text: After) {
     let with = |bytes: &[u8]| chat_json([b"\"content\":\"", bytes, b"\""].concat());
     for (what, bytes, code) in [
         ("no UTF-8", &b"\xff"[..], "bad-encoding"),
@@ -83,9 +89,11 @@ pub(super) async fn encoding(mut world: World) {
         ("two of one kind", b"\\ud800\\ud800", "bad-json"),
         ("a tab as it is", b"\t", "bad-json"),
     ] {
-        world
-            .attack(what, Form::Json, &with(bytes), code, After::Kept)
-            .await;
+        let (code, after) = match (std::str::from_utf8(bytes), after_no_text) {
+            (Err(_), After::Closed) => ("bad-frame", After::Closed),
+            _ => (code, After::Kept),
+        };
+        world.attack(what, Form::Json, &with(bytes), code, after).await;
     }
     let marked = ["\u{feff}".as_bytes(), &with(b"")].concat();
     world
@@ -97,7 +105,6 @@ pub(super) async fn encoding(mut world: World) {
             After::Kept,
         )
         .await;
-    world.end().await;
 }
 
 /// Threat 6: lines that are no parcel, cut or joined, and one that is longer than any may be.

@@ -37,7 +37,11 @@ pub(crate) struct PeerQueue {
 
 /// What was dropped since the last look, and how many.
 #[derive(Debug, Default)]
-struct Drops(BTreeMap<Dropped, u64>);
+struct Drops {
+    lately: BTreeMap<Dropped, u64>,
+    /// Since the connection began.
+    all: u64,
+}
 
 impl DropPolicy<Packet> for Drops {
     fn stale(&self, packet: &Packet, now: Micros) -> Option<DropReason> {
@@ -55,7 +59,8 @@ impl DropPolicy<Packet> for Drops {
             reason,
             class: packet.delivery,
         };
-        *self.0.entry(key).or_default() += parcels;
+        *self.lately.entry(key).or_default() += parcels;
+        self.all += parcels;
     }
 }
 
@@ -139,7 +144,12 @@ impl PeerQueue {
 
     /// What was dropped since the last call.
     pub(crate) fn take_drops(&mut self) -> BTreeMap<Dropped, u64> {
-        std::mem::take(&mut self.queue.policy().0)
+        std::mem::take(&mut self.queue.policy().lately)
+    }
+
+    /// How many parcels were dropped since the connection began.
+    pub(crate) fn dropped(&mut self) -> u64 {
+        self.queue.policy().all
     }
 
     /// The bytes of messages, replies and events that wait.

@@ -1,9 +1,10 @@
 //! Threats 4, 5 and 6 inside the forms, through the doors beside TCP: no door makes of what is wrong anything else.
 
+use mom_net::Door;
 use mom_proto::codec::Form;
 use mom_tests::bridge::Way;
 
-use crate::threats::{World, framing, lines, markup};
+use crate::threats::{After, World, framing, lines, markup};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn threat_6_lengths_in_xml_at_other_doors() {
@@ -30,7 +31,13 @@ async fn threat_6_lines_at_other_doors() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn threat_5_encoding_at_other_doors() {
     for way in Way::beside(Form::Json) {
-        lines::encoding(World::start_by(way, Form::Json).await).await;
+        let after = match way.door {
+            Door::WebSocket => After::Closed,
+            _ => After::Kept,
+        };
+        let mut world = World::start_by(way, Form::Json).await;
+        lines::encoding_that(&mut world, after).await;
+        world.end().await;
     }
     for form in [Form::Xml, Form::Binary] {
         for way in Way::beside(form) {

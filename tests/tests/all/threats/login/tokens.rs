@@ -5,7 +5,7 @@ use std::time::Duration;
 use base64::Engine;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
 use jsonwebtoken::{Algorithm, EncodingKey, Header, encode};
-use mom_broker::{Config, JwtConfig, JwtKey, JwtUsers};
+use mom_broker::{Config, JwtConfig, JwtUsers, KeyFile};
 use mom_proto::codec::Form;
 use mom_proto::{Family, Parcel, Time, Value};
 use mom_tests::login::{AUDIENCE, Issuer, claims, password, token, unsigned, with};
@@ -190,7 +190,7 @@ async fn threat_14_tokens_by_a_shared_secret() {
     let issuer = Issuer::number(1);
     let jwt = JwtConfig {
         algorithms: vec!["HS256".to_owned()],
-        key: JwtKey::from_text(String::from_utf8_lossy(secret).into_owned() + "\n"),
+        key: KeyFile::from_text(String::from_utf8_lossy(secret).into_owned() + "\n"),
         ..issuer.config()
     };
     let world = World::start_at(clock(), trusting(jwt)).await;

@@ -1,0 +1,218 @@
+//! `mom top`: who is connected to a hub, how, and what they own, as it changes.
+
+mod rows;
+mod sample;
+mod view;
+
+use std::io::{self, IsTerminal as _};
+use std::thread;
+use std::time::Duration;
+
+use mom_client::{Client, ClientError, ContextInfo, LinkState};
+use ratatui::DefaultTerminal;
+use ratatui::crossterm::event::{self, Event};
+use tokio::sync::mpsc;
+use tokio::time::{MissedTickBehavior, interval, sleep};
+
+use self::sample::{Owned, Sample, TokenWalk};
+use self::view::{HubLink, View};
+use crate::cli::{self, GlobalArgs};
+use crate::connect::{Stay, connect};
+use crate::failure::{Doing as _, Failure};
+use crate::interrupt::Interrupt;
+use crate::output::Output;
+
+/// Owners of tokens are asked for so often.
+const TOKENS_EVERY: Duration = Duration::from_secs(3);
+
+/// What the request is called where it fails.
+const ASKING: &str = "ask for the statistics of / and its peers";
+
+/// What comes from the hub.
+enum News {
+    Sample(Result<Sample, ClientError>),
+    Owned(Owned),
+}
+
+pub(crate) async fn run(args: &cli::TopArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
+    let live = !args.once && !output.is_json();
+    if live && !io::stdout().is_terminal() {
+        return Err(Failure::usage(
+            "there is no terminal to draw on",
+            "mom top --once prints the table, --json one object for each look",
+        ));
+    }
+    let stay = match args.once {
+        true => Stay::Once,
+        false => Stay::Reconnecting,
+    };
+    let client = connect(global, stay).await?;
+    let mut tops: Vec<ContextInfo> = Vec::new();
+    for path in &args.paths {
+        tops.push(client.lookup(path).await.doing(format!("look up {path}"))?);
+    }
+    let mut walk = TokenWalk::new(tops);
+    let first = Sample::ask(&client).await.doing(ASKING)?;
+    let hub = &global.hub;
+    if args.once {
+        let owned = walk.owned(&client).await;
+        client.close().await;
+        return Ok(output.tell(
+            || rows::to_json(hub, &first, &owned, None),
+            || rows::text(hub, &first, &owned),
+        )?);
+    }
+    let mut interrupt = Interrupt::install()?;
+    let news = follow(&client, walk, Duration::from_secs(args.every));
+    match live {
+        true => show(&client, View::new(hub, first), news, &mut interrupt).await?,
+        false => tell(hub, first, news, &mut interrupt, output).await?,
+    }
+    client.close().await;
+    Ok(())
+}
+
+/// Asks the hub again and again, apart for peers and for tokens: a large tree takes its time.
+fn follow(client: &Client, mut walk: TokenWalk, every: Duration) -> mpsc::Receiver<News> {
+    let (sender, receiver) = mpsc::channel(4);
+    let (samples, owners) = (sender.clone(), sender);
+    let asks = client.clone();
+    tokio::spawn(async move {
+        let mut ticks = interval(every);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        // The first is at once, and the hub has been asked a moment ago.
+        ticks.tick().await;
+        loop {
+            ticks.tick().await;
+            let sample = Sample::ask(&asks).await;
+            if samples.send(News::Sample(sample)).await.is_err() {
+                return;
+            }
+        }
+    });
+    let asks = client.clone();
+    tokio::spawn(async move {
+        loop {
+            let owned = walk.owned(&asks).await;
+            if owners.send(News::Owned(owned)).await.is_err() {
+                return;
+            }
+            sleep(TOKENS_EVERY).await;
+        }
+    });
+    receiver
+}
+
+/// A refusal that stays one ends the command; what is wrong with the connection does not.
+fn refused(error: ClientError) -> Result<(), Failure> {
+    match error {
+        ClientError::Refused(error) if error.retry_in().is_none() => {
+            Err(ClientError::Refused(error)).doing(ASKING)
+        }
+        ClientError::Closed(error) => Err(ClientError::Closed(error)).doing(ASKING),
+        _ => Ok(()),
+    }
+}
+
+/// One JSON object for each look.
+async fn tell(
+    hub: &str,
+    first: Sample,
+    mut news: mpsc::Receiver<News>,
+    interrupt: &mut Interrupt,
+    output: Output,
+) -> Result<(), Failure> {
+    let (mut owned, mut last) = (Owned::new(), first);
+    loop {
+        let next = tokio::select! {
+            () = interrupt.wait() => return Ok(()),
+            next = news.recv() => next,
+        };
+        match next {
+            None => return Ok(()),
+            Some(News::Owned(now)) => owned = now,
+            Some(News::Sample(Err(error))) => refused(error)?,
+            Some(News::Sample(Ok(sample))) => {
+                let rates = sample.rates_since(&last);
+                let json = || rows::to_json(hub, &sample, &owned, Some(rates));
+                output.tell(json, String::new)?;
+                last = sample;
+            }
+        }
+    }
+}
+
+/// The terminal, which is as it was before when this is dropped.
+struct Screen {
+    terminal: DefaultTerminal,
+}
+
+impl Screen {
+    fn take() -> io::Result<Screen> {
+        let terminal = ratatui::try_init()?;
+        Ok(Screen { terminal })
+    }
+}
+
+impl Drop for Screen {
+    fn drop(&mut self) {
+        // Nobody could be told on this terminal.
+        let _ = ratatui::try_restore();
+    }
+}
+
+/// Draws until a key or a signal ends it.
+async fn show(
+    client: &Client,
+    mut view: View,
+    mut news: mpsc::Receiver<News>,
+    interrupt: &mut Interrupt,
+) -> Result<(), Failure> {
+    let mut state = client.state();
+    let mut screen = Screen::take()?;
+    let mut keys = keys();
+    // For how long a connection is lost changes without news.
+    let mut seconds = interval(Duration::from_secs(1));
+    loop {
+        screen.terminal.draw(|frame| view.draw(frame))?;
+        tokio::select! {
+            () = interrupt.wait() => return Ok(()),
+            Some(event) = keys.recv() => {
+                if !view.on_event(&event?) {
+                    return Ok(());
+                }
+            }
+            Some(next) = news.recv() => match next {
+                News::Owned(owned) => view.owned = owned,
+                News::Sample(Ok(sample)) => view.update(sample),
+                News::Sample(Err(error)) => refused(error)?,
+            },
+            Ok(()) = state.changed() => {
+                view.link = match &*state.borrow_and_update() {
+                    LinkState::Up => HubLink::Up,
+                    LinkState::Down { since, attempt } => HubLink::Down { since: *since, attempt: *attempt },
+                    LinkState::Closed(error) => return Err(ClientError::Closed(error.clone())).doing(ASKING),
+                };
+            }
+            _ = seconds.tick() => {}
+        }
+    }
+}
+
+/// What is typed, read by a thread of its own that lasts as long as the program.
+fn keys() -> mpsc::UnboundedReceiver<io::Result<Event>> {
+    let (sender, receiver) = mpsc::unbounded_channel();
+    thread::spawn(move || {
+        loop {
+            let event = event::read();
+            let failed = event.is_err();
+            if sender.send(event).is_err() || failed {
+                return;
+            }
+        }
+    });
+    receiver
+}
+
+#[cfg(test)]
+mod tests;

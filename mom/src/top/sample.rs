@@ -1,0 +1,173 @@
+//! What the hub tells of its peers, what follows from two such answers, and who owns which token.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use mom_client::{Client, ClientError, ConnectedPeer, ContextInfo, ContextKind, Path, Stats, Value};
+
+/// Contexts that one walk looks at, at most.
+const LOOKS: usize = 1000;
+
+/// Tokens whose owners are asked for, at most.
+const TOKENS: usize = 256;
+
+/// Owners are asked for so many times before the tree is walked again for new tokens.
+const ROUNDS: u32 = 10;
+
+/// One answer of the hub.
+#[derive(Clone, Debug)]
+pub(super) struct Sample {
+    pub(super) stats: Stats,
+    at: Instant,
+}
+
+/// What happened between two answers, per second.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Rates {
+    /// Messages, and what became of them.
+    pub(super) messages: f64,
+    pub(super) delivered: f64,
+    pub(super) dropped: f64,
+    /// Bytes from peers and to them.
+    pub(super) received: f64,
+    pub(super) sent: f64,
+}
+
+impl Sample {
+    pub(super) async fn ask(client: &Client) -> Result<Sample, ClientError> {
+        let stats = client.stats("/").await?;
+        Ok(Sample::new(stats, Instant::now()))
+    }
+
+    pub(super) fn new(stats: Stats, at: Instant) -> Sample {
+        Sample { stats, at }
+    }
+
+    pub(super) fn connections(&self) -> u64 {
+        self.stats.peers.len() as u64 + self.stats.more_peers
+    }
+
+    /// What happened since an earlier answer. Whoever came or went meanwhile is left out: its counts are not known at both ends.
+    pub(super) fn rates_since(&self, before: &Sample) -> Rates {
+        let time = self.at.duration_since(before.at).max(Duration::from_millis(1));
+        let rate = |count: u64| count as f64 / time.as_secs_f64();
+        let mut rates = Rates::default();
+        let earlier: BTreeMap<&Path, _> = before
+            .stats
+            .channels
+            .iter()
+            .map(|channel| (&channel.path, &channel.all))
+            .collect();
+        for channel in &self.stats.channels {
+            if let Some(earlier) = earlier.get(&channel.path) {
+                let now = &channel.all;
+                rates.messages += rate(now.sent.saturating_sub(earlier.sent));
+                rates.delivered += rate(now.delivered.saturating_sub(earlier.delivered));
+                rates.dropped += rate(now.lost().saturating_sub(earlier.lost()));
+            }
+        }
+        let earlier: BTreeMap<_, _> = before.stats.peers.iter().map(|peer| (key(peer), peer)).collect();
+        for peer in &self.stats.peers {
+            if let Some(earlier) = earlier.get(&key(peer)) {
+                rates.received += rate(peer.received.saturating_sub(earlier.received));
+                rates.sent += rate(peer.sent.saturating_sub(earlier.sent));
+            }
+        }
+        rates
+    }
+}
+
+/// A name may be another connection's a moment later.
+fn key(peer: &ConnectedPeer) -> (&str, i64) {
+    (&peer.peer, peer.since.micros())
+}
+
+/// The tokens that each peer owns, by the peer's name.
+pub(super) type Owned = BTreeMap<String, Vec<Path>>;
+
+/// Looks for tokens and their owners, below some contexts.
+#[derive(Debug)]
+pub(super) struct TokenWalk {
+    tops: Vec<ContextInfo>,
+    tokens: Vec<Path>,
+    rounds: u32,
+}
+
+impl TokenWalk {
+    pub(super) fn new(tops: Vec<ContextInfo>) -> TokenWalk {
+        TokenWalk {
+            tops,
+            tokens: Vec::new(),
+            rounds: 0,
+        }
+    }
+
+    /// Asks who owns what now. What this user may not know is left out.
+    pub(super) async fn owned(&mut self, client: &Client) -> Owned {
+        if self.rounds == 0 {
+            self.tokens = self.look(client).await;
+            self.rounds = ROUNDS;
+        }
+        self.rounds -= 1;
+        let mut owned = Owned::new();
+        for path in &self.tokens {
+            let Ok(facts) = client.info(path.as_str()).await else {
+                continue;
+            };
+            let holders = facts.get("holders").and_then(Value::as_list).unwrap_or_default();
+            let owner = facts.get("owner").into_iter().chain(holders);
+            for owner in owner.filter_map(Value::as_str) {
+                let tokens = owned.entry(owner.to_owned()).or_default();
+                if tokens.last() != Some(path) {
+                    tokens.push(path.clone());
+                }
+            }
+        }
+        owned
+    }
+
+    async fn look(&self, client: &Client) -> Vec<Path> {
+        let (mut tokens, mut looks) = (Vec::new(), 0);
+        let mut next: Vec<ContextInfo> = self.tops.clone();
+        while let Some(info) = next.pop() {
+            looks += 1;
+            if looks > LOOKS || tokens.len() == TOKENS {
+                break;
+            }
+            match info.kind {
+                ContextKind::Token => tokens.push(info.path),
+                ContextKind::Session => {
+                    let below = client.list(info.path.as_str()).await;
+                    next.extend(below.unwrap_or_default().into_iter().rev());
+                }
+                ContextKind::Channel => {}
+            }
+        }
+        tokens
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{peer, stats};
+    use super::*;
+
+    #[test]
+    fn rates_are_of_those_that_were_here_before() {
+        let begin = Instant::now();
+        let old = stats(vec![peer("alice", |peer| peer.received = 1000)]);
+        let mut new = stats(vec![
+            peer("alice", |peer| (peer.received, peer.sent) = (3000, 500)),
+            peer("bob", |peer| peer.received = 1 << 30),
+        ]);
+        new.channels[0].all.sent += 20;
+        let before = Sample::new(old, begin);
+        let now = Sample::new(new, begin + Duration::from_secs(2));
+        let rates = now.rates_since(&before);
+        assert_eq!(
+            (rates.received, rates.sent, rates.messages),
+            (1000.0, 250.0, 10.0)
+        );
+        assert_eq!((rates.dropped, now.connections()), (0.0, 2));
+    }
+}
