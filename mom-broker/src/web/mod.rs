@@ -182,8 +182,8 @@ impl Web {
         };
         let parts = connection.into_parts();
         let upgrade = shared.upgrade.lock().take();
-        let Some(upgrade) = upgrade else {
-            parts.io.close(&shared.last_words(refused)).await;
+        let Some(upgrade) = upgrade.filter(|_| refused.is_none()) else {
+            shared.part(parts.io, refused).await;
             return None;
         };
         let limits = limits.before_login();
@@ -214,17 +214,19 @@ async fn evicted(told: oneshot::Receiver<WireError>) -> WireError {
 }
 
 impl HttpConnection {
-    /// What is said to one that is closed before it has asked anything; later nobody knows where in an answer it is.
-    fn last_words(&self, refused: Option<(StatusCode, WireError)>) -> Vec<u8> {
+    /// Ends the connection. One that has asked nothing yet hears why; later nobody knows where in an answer it is.
+    async fn part(&self, stream: HttpStream, refused: Option<(StatusCode, WireError)>) {
         match refused {
+            None => stream.close(&[]).await,
             Some((status, error)) if !self.asked.load(Ordering::Relaxed) => {
                 let code = error.code.word();
                 if self.services.is_first("closed", self.remote.from, Some(code)) {
                     tracing::info!(from = ?self.remote.from, code, "closed");
                 }
-                answers::raw(status, &error)
+                stream.close(&answers::raw(status, &error)).await;
             }
-            _ => Vec::new(),
+            // At once: nothing is under way, or its descriptor is somebody else's.
+            Some(_) => {}
         }
     }
 
