@@ -75,7 +75,7 @@ pub(crate) async fn connect(dialer: Dialer, limits: &Limits) -> Result<Transceiv
     tcp::begin(socket::tunnel(pipe), privacy, form, decoder, BytesMut::new()).await
 }
 
-/// Posts a document to a hub by plain HTTP, through the proxy of the environment if it names one; gives what is answered.
+/// Posts a document of JSON to a hub by plain HTTP, through the proxy of the environment if it names one; gives what is answered.
 ///
 /// # Errors
 /// A link that cannot be had, or nothing like an answer in time.
@@ -95,6 +95,7 @@ pub async fn post(
         pin: None,
     };
     let mut requests = Requests::new(&Arc::new(Dialer::to(&address, None)?));
+    requests.media = "application/json";
     let answer = timeout(PATIENCE, requests.ask(Method::POST, path, document.into())).await;
     let (head, body) = answer.map_err(|_| io::Error::from(io::ErrorKind::TimedOut))??;
     Ok((head.status, body))
@@ -317,6 +318,8 @@ fn read_id(headers: &HeaderMap) -> Option<String> {
 /// Requests one after the other, over one connection as long as it lasts.
 struct Requests {
     dialer: Arc<Dialer>,
+    /// The media type of bodies.
+    media: &'static str,
     sender: Option<http1::SendRequest<Full<Bytes>>>,
 }
 
@@ -324,6 +327,7 @@ impl Requests {
     fn new(dialer: &Arc<Dialer>) -> Requests {
         Requests {
             dialer: Arc::clone(dialer),
+            media: "application/octet-stream",
             sender: None,
         }
     }
@@ -355,7 +359,7 @@ impl Requests {
             .header(HOST, self.dialer.address.authority())
             .header(CACHE_CONTROL, "no-store");
         if !body.is_empty() {
-            request = request.header(CONTENT_TYPE, "application/octet-stream");
+            request = request.header(CONTENT_TYPE, self.media);
         }
         if let Some(authorization) = authorization {
             request = request.header(PROXY_AUTHORIZATION, authorization);

@@ -4,11 +4,12 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use mom_hub::{Effect, Input, PeerId};
-use mom_proto::{Parcel, event};
+use mom_proto::{Parcel, Path, event};
 use mom_system::sync::Mutex;
 
 use crate::traffic::batch;
 use crate::traffic::channel::Message;
+use crate::traffic::switchboard::statistics::MOST_PEERS;
 use crate::traffic::switchboard::{Switchboard, Touched};
 
 /// Decisions on their way out of the hub's lock: they are carried out in the order in which they were made, and
@@ -53,10 +54,13 @@ const LISTED: usize = 64;
 pub(crate) struct Work(pub(crate) u64);
 
 impl Work {
-    fn of(effects: &[Effect]) -> Work {
+    fn of(effects: &[Effect], connections: usize) -> Work {
         let one = |effect: &Effect| match effect {
             Effect::Deliver { to, .. } => to.len(),
             Effect::Route(route) => route.members.len(),
+            Effect::Stats { parcel, channels, .. } if parcel.context.as_ref().is_some_and(Path::is_root) => {
+                channels.len() + connections.min(MOST_PEERS)
+            }
             Effect::Stats { channels, .. } => channels.len(),
             // Of a list, each entry was a question to a manager.
             Effect::Reply { parcel, .. } => parcel.size() / LISTED,
@@ -78,7 +82,7 @@ impl Switchboard {
         let before = hub.deadline();
         self.tap.handle(&mut hub, input, &mut effects);
         let sooner = hub.deadline() != before;
-        let work = Work::of(&effects);
+        let work = Work::of(&effects, self.outboxes.len());
         // Under the hub's lock, so that replies and events leave in the order of decisions.
         let number = self.decisions.add(effects);
         drop(hub);

@@ -10,7 +10,7 @@ use crate::traffic::outbox::{Outbox, PeerFigures};
 use crate::traffic::switchboard::{Switchboard, Touched};
 
 /// Peers of which one reply tells at most.
-const MOST_PEERS: usize = 256;
+pub(super) const MOST_PEERS: usize = 256;
 
 impl Switchboard {
     /// The first peers that have logged in, in the order of their arrival, and how many more there are.
