@@ -14,7 +14,7 @@ use crate::traffic::channel::Sender;
 use crate::traffic::channel::control;
 use crate::traffic::encodings::Encodings;
 use crate::traffic::memory::Memory;
-use crate::traffic::outbox::{Origin, Outbox};
+use crate::traffic::outbox::{LoginFacts, Origin, Outbox};
 use crate::traffic::switchboard::{Handled, Switchboard, Touched};
 
 const BULK: &str = "/lab/bulk";
@@ -52,7 +52,12 @@ impl Scene {
             parcel: Limit::Unlimited,
             ..Limits::default()
         };
-        robot.admit(&limits, "robot".into(), account);
+        let login = LoginFacts {
+            from: None,
+            tls: false,
+            since: lab.board.clock.wall(),
+        };
+        robot.admit(&limits, "robot".into(), account, login);
         Scene {
             lab,
             alice,
