@@ -13,6 +13,7 @@
 pub mod codecs;
 pub mod control;
 pub mod decisions;
+pub mod doors;
 mod driver;
 mod error;
 pub mod experiments;

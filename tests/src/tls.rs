@@ -42,6 +42,12 @@ pub fn make(folder: &Path, name: &str) -> Identity {
     }
 }
 
+/// The fingerprint of a certificate.
+pub fn fingerprint(files: &Identity) -> Option<String> {
+    let made = mom_net::ServerTls::from_files(&files.certificate, &files.key).ok()?;
+    Some(made.fingerprint().to_string())
+}
+
 fn folder() -> &'static Path {
     static FOLDER: OnceLock<TempDir> = OnceLock::new();
     FOLDER

@@ -19,6 +19,8 @@ pub struct DoorHub {
     pub hub: Hub,
     /// Where it is and by which door.
     pub passage: Passage,
+    /// The hub itself.
+    pub address: SocketAddr,
     // It ends with this.
     _gateway: Process,
 }
@@ -57,7 +59,7 @@ impl Programs {
             _ => &mut command,
         };
         let gateway = Process::start(command)?;
-        let address = gateway.address().to_owned();
+        let (door, address) = (address, gateway.address().to_owned());
         let driver: Box<dyn Driver> = match kind {
             Kind::Mom => Hub::broker(&address, Form::Binary)?.driver,
             Kind::Nats => Box::new(NatsDriver::new(&address)),
@@ -72,8 +74,18 @@ impl Programs {
         Ok(DoorHub {
             hub,
             passage,
+            address: door,
             _gateway: gateway,
         })
+    }
+
+    /// What clients know the certificate of the doors by.
+    ///
+    /// # Errors
+    /// No certificate yet.
+    pub fn pin(&self) -> Result<String, Error> {
+        let files = tls::make(self.scratch(), "hub");
+        tls::fingerprint(&files).ok_or_else(|| Error::Unexpected("no certificate".to_owned()))
     }
 
     fn door_command(

@@ -15,13 +15,14 @@ fn check_says_whether_a_file_is_right() {
     assert!(right.status.success(), "{right:?}");
     let (first, tree) = said.split_once('\n').expect("lines");
     assert!(
-        first.ends_with("lab.toml: right; 2 managers, 6 contexts, 5 users"),
+        first.ends_with("lab.toml: right; 3 managers, 7 contexts, 5 users"),
         "{first}"
     );
     let expected = "  /            session  lab
   ├─ camera    session  lab (of /)
   │  └─ x      channel  lab (of /)
   ├─ chat      channel  lab (of /)
+  ├─ log       channel  log
   └─ robot     session  lab (of /)
      ├─ arm    channel  lab (of /); command needs /robot/token
      └─ token  token    robot-token; lease 180000 ms, lazy

@@ -99,6 +99,58 @@ fn main() -> Result<()> {
             )?;
         }
     }
+    by_client(&cli, &programs, &gateway, out)
+}
+
+/// MOM's own doors with its own client at both ends, the tunnel too.
+fn by_client(cli: &Cli, programs: &Programs, gateway: &Path, out: &mut impl std::io::Write) -> Result<()> {
+    writeln!(
+        out,
+        "\n| address | 256 B/s | 16 KiB/s | p50 µs | p99 µs | KiB per idle peer |"
+    )?;
+    writeln!(out, "|---|---|---|---|---|---|")?;
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    let time = Duration::from_millis(if cli.quick { 300 } else { 3000 });
+    // The client's ends are in this process, and a tunnel has four of them.
+    let idle = cli.idle.min(1000);
+    for scheme in ["bin", "bins", "ws", "wss", "http", "https", "https-polled"] {
+        let door = programs.start_door(Kind::Mom, Passage::Tcp, gateway)?;
+        let hub = door
+            .hub
+            .process
+            .as_deref()
+            .context("a hub in a process of its own")?;
+        let (scheme, polled) = match scheme.strip_suffix("-polled") {
+            Some(scheme) => (scheme, true),
+            None => (scheme, false),
+        };
+        let mut query = Vec::new();
+        if polled {
+            query.push("poll=1".to_owned());
+        }
+        if scheme.ends_with('s') && scheme != "ws" {
+            query.push(format!("pin={}", programs.pin()?));
+        }
+        let address = format!("{scheme}://{}?{}", door.address, query.join("&"));
+        let figures = runtime.block_on(mom_benches::doors::by_client(
+            &address,
+            hub,
+            &SIZES.map(|(_, size)| size),
+            time,
+            idle,
+        ));
+        let figures = figures.with_context(|| address.clone())?;
+        writeln!(
+            out,
+            "| {scheme}://{} | {:.0} | {:.0} | {:.0} | {:.0} | {} |",
+            if polled { ", polled" } else { "" },
+            figures.rates[0],
+            figures.rates[1],
+            figures.trips.quantile(0.5),
+            figures.trips.quantile(0.99),
+            figures.memory.map_or_else(String::new, |kib| format!("{kib:.1}")),
+        )?;
+    }
     Ok(())
 }
 
