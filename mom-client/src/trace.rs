@@ -13,6 +13,7 @@ pub(crate) fn sending(parcel: &Parcel) -> Span {
         "send",
         trace = trace.trace_id(),
         parent = trace.span_id(),
+        sampled = trace.is_sampled(),
         context = parcel.context.as_ref().map(tracing::field::display),
         message = parcel.name(),
     )
@@ -38,6 +39,7 @@ pub(crate) fn received(parcel: &Parcel) {
         "receive",
         trace = trace.trace_id(),
         parent = trace.span_id(),
+        sampled = trace.is_sampled(),
         context = parcel.context.as_ref().map(tracing::field::display),
         message = parcel.name(),
         sender = parcel.sender.as_deref(),

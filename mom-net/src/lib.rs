@@ -57,7 +57,7 @@ pub use secret_id::SecretId;
 pub use takes::{Protocol, Takes, TlsUse};
 pub use tcp::{Accepted, accept, connect, refuse};
 pub use tls::{ClientTls, Identity, SelfSigned, ServerTls, TlsError, Trust};
-pub use tunnel::{Tunnel, TunnelBody, Tunnels, post};
+pub use tunnel::{Tunnel, TunnelBody, Tunnels, ask, post};
 pub use websocket::{UpgradeRefused, WebSocketUpgrade};
 pub use writer::{GATHER, Progress, Writer};
 

@@ -3,6 +3,8 @@
 mod check;
 mod descriptors;
 mod explain;
+#[cfg(feature = "otlp")]
+mod otlp;
 mod passwd;
 mod schema;
 mod serve;

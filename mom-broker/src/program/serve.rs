@@ -8,9 +8,13 @@ use anyhow::{Context, Result};
 use mom_broker::{Broker, BrokerError, Config, ConfigErrors, ReloadOn, check_address};
 use mom_journal::LogWriter;
 use tokio::signal::unix::{SignalKind, signal};
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::layer::SubscriberExt as _;
+use tracing_subscriber::util::SubscriberInitExt as _;
+use tracing_subscriber::{EnvFilter, Layer, Registry};
 
 use super::descriptors;
+#[cfg(feature = "otlp")]
+use super::otlp;
 use super::watch::FileWatch;
 
 #[derive(clap::Args)]
@@ -31,6 +35,10 @@ pub(super) struct ServeArgs {
 
 /// How long an ending broker waits for what it has logged to be written.
 const LAST_LINES: Duration = Duration::from_secs(1);
+
+/// How long it waits for a collector to take the last spans.
+#[cfg(feature = "otlp")]
+const LAST_SPANS: Duration = Duration::from_secs(3);
 
 /// A thread that always has something to do asks the system for new events after so many slices. Each lasts some 200 µs at
 /// most, and an event may be a stop.
@@ -53,6 +61,9 @@ fn listen_address(text: &str) -> Result<String, String> {
     check_address(text).map(|()| text.to_owned())
 }
 
+/// Takes spans and events beside the log.
+type OtherLayer = Box<dyn Layer<Registry> + Send + Sync>;
+
 /// Changes what is logged.
 type LogFilter = Box<dyn Fn(EnvFilter) -> Result<()>>;
 
@@ -61,7 +72,11 @@ pub(super) fn run(args: &ServeArgs) -> Result<()> {
     let watch = args.config.clone().map(FileWatch::new);
     let config = args.load()?;
     let lines = LogWriter::start(std::io::stderr()).context("cannot start the log's thread")?;
-    let log_filter = log(&config.log, args.log_json, &lines)?;
+    #[cfg(feature = "otlp")]
+    let (spans, export) = otlp::start()?.unzip();
+    #[cfg(not(feature = "otlp"))]
+    let spans = None;
+    let log_filter = log(&config.log, args.log_json, &lines, spans)?;
     if args.config.is_none() {
         tracing::warn!("no configuration: nobody can log in; try --config config/lab.toml");
     } else if config.store.path.is_none() {
@@ -75,6 +90,10 @@ pub(super) fn run(args: &ServeArgs) -> Result<()> {
         .build()
         .context("cannot start the runtime")?;
     let ended = runtime.block_on(args.serve(config, watch, &log_filter));
+    #[cfg(feature = "otlp")]
+    if let Some(export) = export {
+        export.finish(LAST_SPANS);
+    }
     lines.finish(LAST_LINES);
     #[cfg(feature = "lock-times")]
     for line in mom_system::sync::lock_times() {
@@ -197,25 +216,19 @@ impl ServeArgs {
     }
 }
 
-fn log(filter: &str, json: bool, lines: &LogWriter) -> Result<LogFilter> {
+/// Starts the log, and whatever else takes what is traced.
+fn log(filter: &str, json: bool, lines: &LogWriter, others: Option<OtherLayer>) -> Result<LogFilter> {
     let filter = EnvFilter::try_new(filter).with_context(|| format!("log: {filter:?} is no filter"))?;
     let lines = lines.clone();
-    let builder = tracing_subscriber::fmt()
-        .with_env_filter(filter)
+    let shown = tracing_subscriber::fmt::layer()
         .with_ansi(std::io::stderr().is_terminal())
         .with_writer(move || lines.clone());
-    Ok(match json {
-        true => {
-            let builder = builder.json().with_filter_reloading();
-            let handle = builder.reload_handle();
-            builder.init();
-            Box::new(move |filter| Ok(handle.reload(filter)?))
-        }
-        false => {
-            let builder = builder.with_filter_reloading();
-            let handle = builder.reload_handle();
-            builder.init();
-            Box::new(move |filter| Ok(handle.reload(filter)?))
-        }
-    })
+    let shown = if json { shown.json().boxed() } else { shown.boxed() };
+    // The filter is this layer's own: others have theirs.
+    let (filter, handle) = tracing_subscriber::reload::Layer::new(filter);
+    tracing_subscriber::registry()
+        .with(others)
+        .with(shown.with_filter(filter))
+        .init();
+    Ok(Box::new(move |filter| Ok(handle.reload(filter)?)))
 }

@@ -16,6 +16,7 @@ pub(crate) fn span(parcel: &Parcel, sender: PeerId) -> Span {
         "pass",
         trace = trace.trace_id(),
         parent = trace.span_id(),
+        sampled = trace.is_sampled(),
         context = parcel.context.as_ref().map(tracing::field::display),
         number = parcel.number.map(|number| number.0),
         message = %mom_proto::visible(parcel.name()),

@@ -2,6 +2,8 @@
 
 mod descriptors;
 mod explain;
+#[cfg(feature = "otlp")]
+mod otlp;
 mod reload;
 
 use std::fs;

@@ -7,7 +7,8 @@ use std::time::Duration;
 
 use bytes::{Bytes, BytesMut};
 use http::header::{CACHE_CONTROL, CONTENT_TYPE, HOST, HeaderMap, PROXY_AUTHORIZATION};
-use http::{HeaderName, Method, Request, Response, StatusCode};
+use http::uri::PathAndQuery;
+use http::{HeaderName, HeaderValue, Method, Request, Response, StatusCode};
 use http_body_util::{BodyExt as _, Full};
 use hyper::body::Incoming;
 use hyper::client::conn::http1;
@@ -21,7 +22,7 @@ use super::pipe::{Misplaced, Pipe, WINDOW};
 use super::{END, ID, LONGEST, MOST_UP, SENT, TAKEN};
 use crate::carrier::Carrier;
 use crate::dial::Dialer;
-use crate::{Address, Door, HttpStream, NetError, Transceiver, http as http_door, socket, tcp};
+use crate::{Address, ClientTls, Door, HttpStream, NetError, Transceiver, http as http_door, socket, tcp};
 
 /// Brought up by one request before login: the hub takes one parcel.
 const MOST_BEFORE_LOGIN: usize = 16 * 1024;
@@ -85,20 +86,57 @@ pub async fn post(
     path: &str,
     document: impl Into<Bytes>,
 ) -> Result<(StatusCode, Bytes), NetError> {
-    let address = Address {
+    let request = Request::post(path)
+        .header(CONTENT_TYPE, "application/json")
+        .body(document.into())
+        .map_err(io::Error::other)?;
+    let answer = ask_once(&http_address(host, port, false), None, request).await?;
+    Ok((answer.status(), answer.into_body()))
+}
+
+/// Sends a request to the server that its URL names, which is no hub, over a connection of its own and through the proxy of the
+/// environment if it names one; gives the whole answer. `https` needs to know whom to trust.
+///
+/// # Errors
+/// A URL without a host, a link that cannot be had, or nothing like an answer in time.
+pub async fn ask(tls: Option<&ClientTls>, request: Request<Bytes>) -> Result<Response<Bytes>, NetError> {
+    let url = request.uri();
+    let host = url.host().ok_or_else(|| {
+        let text = format!("{url} names no host: write http://HOST:PORT or https://HOST:PORT");
+        io::Error::new(io::ErrorKind::InvalidInput, text)
+    })?;
+    let host = host.trim_start_matches('[').trim_end_matches(']');
+    let secure = url.scheme_str() == Some("https");
+    let port = url.port_u16().unwrap_or(if secure { 443 } else { 80 });
+    ask_once(&http_address(host, port, secure), tls, request).await
+}
+
+async fn ask_once(
+    address: &Address,
+    tls: Option<&ClientTls>,
+    request: Request<Bytes>,
+) -> Result<Response<Bytes>, NetError> {
+    let mut requests = Requests::new(&Arc::new(Dialer::to(address, tls)?));
+    let answer = timeout(PATIENCE, async {
+        whole(requests.send(request.map(Full::new)).await?).await
+    });
+    let (head, body) = answer
+        .await
+        .map_err(|_| io::Error::from(io::ErrorKind::TimedOut))??;
+    Ok(Response::from_parts(head, body))
+}
+
+/// A server of HTTP, as an address.
+fn http_address(host: &str, port: u16, tls: bool) -> Address {
+    Address {
         form: Form::Binary,
         door: Door::Tunnel { polled: true },
-        tls: false,
+        tls,
         host: host.to_owned(),
         port,
         path: None,
         pin: None,
-    };
-    let mut requests = Requests::new(&Arc::new(Dialer::to(&address, None)?));
-    requests.media = "application/json";
-    let answer = timeout(PATIENCE, requests.ask(Method::POST, path, document.into())).await;
-    let (head, body) = answer.map_err(|_| io::Error::from(io::ErrorKind::TimedOut))??;
-    Ok((head.status, body))
+    }
 }
 
 #[derive(Debug)]
@@ -318,8 +356,6 @@ fn read_id(headers: &HeaderMap) -> Option<String> {
 /// Requests one after the other, over one connection as long as it lasts.
 struct Requests {
     dialer: Arc<Dialer>,
-    /// The media type of bodies.
-    media: &'static str,
     sender: Option<http1::SendRequest<Full<Bytes>>>,
 }
 
@@ -327,7 +363,6 @@ impl Requests {
     fn new(dialer: &Arc<Dialer>) -> Requests {
         Requests {
             dialer: Arc::clone(dialer),
-            media: "application/octet-stream",
             sender: None,
         }
     }
@@ -344,6 +379,16 @@ impl Requests {
 
     /// Asks, and waits for the head of the answer.
     async fn open(&mut self, method: Method, path: &str, body: Bytes) -> io::Result<Response<Incoming>> {
+        let mut request = Request::builder().method(method).uri(path);
+        if !body.is_empty() {
+            request = request.header(CONTENT_TYPE, "application/octet-stream");
+        }
+        let request = request.body(Full::new(body)).map_err(io::Error::other)?;
+        self.send(request).await
+    }
+
+    /// Sends a request, whose headers are completed, and waits for the head of the answer.
+    async fn send(&mut self, mut request: Request<Full<Bytes>>) -> io::Result<Response<Incoming>> {
         let usable = match &mut self.sender {
             Some(sender) => sender.ready().await.is_ok(),
             None => false,
@@ -352,19 +397,17 @@ impl Requests {
             let carrier = self.dialer.dial().await.map_err(into_io)?;
             self.take(carrier).await.map_err(into_io)?;
         }
+        let path = request.uri().path_and_query().map_or("/", PathAndQuery::as_str);
         let (target, authorization) = self.dialer.target(path);
-        let mut request = Request::builder()
-            .method(method)
-            .uri(target)
-            .header(HOST, self.dialer.address.authority())
-            .header(CACHE_CONTROL, "no-store");
-        if !body.is_empty() {
-            request = request.header(CONTENT_TYPE, self.media);
-        }
+        *request.uri_mut() = target.parse().map_err(io::Error::other)?;
+        let host = self.dialer.address.authority();
+        let host = HeaderValue::from_str(&host).map_err(io::Error::other)?;
+        let headers = request.headers_mut();
+        headers.insert(HOST, host);
+        headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
         if let Some(authorization) = authorization {
-            request = request.header(PROXY_AUTHORIZATION, authorization);
+            headers.insert(PROXY_AUTHORIZATION, authorization);
         }
-        let request = request.body(Full::new(body)).map_err(io::Error::other)?;
         let sender = self.sender.as_mut().ok_or(io::ErrorKind::NotConnected)?;
         sender.send_request(request).await.map_err(http_door::into_io)
     }
@@ -376,10 +419,15 @@ impl Requests {
         path: &str,
         body: Bytes,
     ) -> io::Result<(http::response::Parts, Bytes)> {
-        let (head, body) = self.open(method, path, body).await?.into_parts();
-        let body = http_body_util::Limited::new(body, MOST_UP).collect().await;
-        Ok((head, body.map_err(io::Error::other)?.to_bytes()))
+        whole(self.open(method, path, body).await?).await
     }
+}
+
+/// Waits for the rest of an answer.
+async fn whole(answer: Response<Incoming>) -> io::Result<(http::response::Parts, Bytes)> {
+    let (head, body) = answer.into_parts();
+    let body = http_body_util::Limited::new(body, MOST_UP).collect().await;
+    Ok((head, body.map_err(io::Error::other)?.to_bytes()))
 }
 
 fn into_io(error: NetError) -> io::Error {

@@ -10,7 +10,7 @@ mod server;
 
 pub use body::TunnelBody;
 pub(crate) use client::connect;
-pub use client::post;
+pub use client::{ask, post};
 pub(crate) use pipe::Pipe;
 pub use server::{Tunnel, Tunnels};
 

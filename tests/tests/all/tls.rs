@@ -6,7 +6,7 @@ use mom_broker::{Broker, Config};
 use mom_client::{Client, ClientError, Code, Identity, Trust};
 use mom_net::{Address, ClientTls, NetError};
 use mom_proto::codec::Frame;
-use mom_proto::{Limits, Parcel};
+use mom_proto::{Fingerprint, Limits, Parcel};
 use mom_tests::programs::{self, PATIENCE};
 use mom_tests::{lab, tls};
 use tempfile::TempDir;
@@ -263,6 +263,27 @@ async fn threat_28_half_handshakes() {
     let _ = noise.write_all(&bytes).await;
     let heard = timeout(PATIENCE, noise.read_to_end(&mut Vec::new())).await;
     let _ = heard.expect("it is closed");
+    broker.stop().await;
+}
+
+/// Servers that are no hub, such as collectors of traces, are asked by the same TLS.
+#[tokio::test]
+async fn a_server_of_http_is_asked_over_tls_if_it_is_trusted() {
+    let broker = broker(|_| {}).await;
+    let ask = async |trust: Trust, path: &str| {
+        let tls = ClientTls::new(&trust, None).expect("whom to trust");
+        let url = format!("https://{}{path}", broker.local_addr());
+        let request = http::Request::post(url).body(bytes::Bytes::from_static(b"{}"));
+        mom_net::ask(Some(&tls), request.expect("a request")).await
+    };
+    let answer = ask(pinned(&broker), "/v1/traces").await.expect("the right one");
+    assert_eq!(answer.status(), http::StatusCode::NOT_FOUND, "{answer:?}");
+    let other = Trust::Pinned(Fingerprint::new([1; 32]));
+    ask(other, "/v1/traces").await.expect_err("it is another");
+    let nowhere = http::Request::post("/v1/traces").body(bytes::Bytes::new());
+    let error = mom_net::ask(None, nowhere.expect("a request")).await;
+    let error = error.expect_err("nobody is named").to_string();
+    assert!(error.contains("https://HOST:PORT"), "{error}");
     broker.stop().await;
 }
 
