@@ -11,15 +11,14 @@ use tokio::time::timeout;
 use super::links::{Far, LINKS, LinkKind, Trouble, inputs, over_all};
 use super::{IMAGES, Section, Settings, quantile};
 
-/// The doors, with the names that a plot has for them; those that the client does not have yet are left out.
-const DOORS: [(&str, &str); 8] = [
+/// The doors, with the names that a plot has for them. A tunnel without TLS is for loopback only.
+const DOORS: [(&str, &str); 7] = [
     ("bin", "binary"),
     ("tcp", "XML"),
     ("bins", "binary, TLS"),
     ("tcps", "XML, TLS"),
     ("ws", "WebSocket"),
     ("wss", "WebSocket, TLS"),
-    ("http", "tunnel"),
     ("https", "tunnel, TLS"),
 ];
 

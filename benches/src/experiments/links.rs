@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use anyhow::{Context as _, Result};
-use mom_net::ServerTls;
+use mom_net::{Address, ServerTls};
 use mom_tests::network::{RelayedLink, Shape};
 use mom_tests::tls;
 use tempfile::TempDir;
@@ -102,9 +102,10 @@ impl Far {
 
     /// The address of a door: with TLS it names the certificate.
     pub(super) fn address(&self, scheme: &str) -> String {
-        match scheme.ends_with('s') {
-            true => format!("{scheme}://{}?pin={}", self.hub, self.pin),
-            false => format!("{scheme}://{}", self.hub),
+        let plain = format!("{scheme}://{}", self.hub);
+        match plain.parse::<Address>() {
+            Ok(address) if address.tls => format!("{plain}?pin={}", self.pin),
+            _ => plain,
         }
     }
 

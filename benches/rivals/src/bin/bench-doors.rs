@@ -33,7 +33,7 @@ struct Cli {
     #[arg(long, default_value_t = 5)]
     runs: usize,
     /// Idle peers of which the memory is measured.
-    #[arg(long, default_value_t = 10_000)]
+    #[arg(long, default_value_t = 9_000)]
     idle: usize,
     /// Where peers are kept that the system does not have.
     #[arg(long)]
