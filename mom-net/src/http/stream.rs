@@ -15,7 +15,7 @@ use crate::{Privacy, tcp};
 const AT_ONCE: usize = 64 * 1024;
 
 thread_local! {
-    static ARRIVED: RefCell<BytesMut> = RefCell::default();
+    static ARRIVED: RefCell<BytesMut> = RefCell::new(BytesMut::with_capacity(AT_ONCE));
 }
 
 /// A connection whose first bytes have begun an HTTP request, or on which one will be sent.
