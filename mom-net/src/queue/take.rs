@@ -201,7 +201,7 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         Some(Piece::whole(Entry::new(item, LAST), self.form))
     }
 
-    fn put_back_unpaced(&mut self, entry: Entry<I>) {
+    pub(super) fn put_back_unpaced(&mut self, entry: Entry<I>) {
         if self
             .unpaced
             .iter()
@@ -217,7 +217,7 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         self.unpaced.insert(behind.unwrap_or(self.unpaced.len()), entry);
     }
 
-    fn put_back_control(&mut self, entry: Entry<I>) {
+    pub(super) fn put_back_control(&mut self, entry: Entry<I>) {
         if self.unpaced.iter().any(|stop| stop.item.overrules(&entry.item)) {
             self.leave(&entry.item);
             return self.note(&entry, DropReason::Overruled);
@@ -225,7 +225,7 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         self.control.push_front(entry);
     }
 
-    fn put_back_data(&mut self, entry: Entry<I>, priority: Reverse<i32>) {
+    pub(super) fn put_back_data(&mut self, entry: Entry<I>, priority: Reverse<i32>) {
         let key = (entry.item.delivery() == Delivery::Latest).then(|| entry.item.key());
         if key.as_ref().is_some_and(|key| self.latest.contains_key(key)) {
             self.leave(&entry.item);

@@ -139,7 +139,7 @@ impl PeerQueue {
     /// Drops what waits and of which `goes` says so, for want of memory; gives it, and its bytes.
     #[must_use = "freeing it takes its time, which is better done where nobody waits"]
     pub(crate) fn drop_for_memory(&mut self, goes: impl Fn(&Packet) -> bool) -> (Vec<Arc<Packet>>, usize) {
-        self.queue.drop_for_memory(goes)
+        self.queue.drop_data_of(DropReason::Memory, goes)
     }
 
     /// What was dropped since the last call.
