@@ -89,6 +89,22 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         }
     }
 
+    /// Whether the link has taken a part of something.
+    pub fn has_begun(&self) -> bool {
+        self.begun.is_some()
+    }
+
+    /// Puts what is left of a run, as `rest` makes it of the run and the bytes that have left, in the place of the run: what
+    /// has left of it has no meaning in another form. For a queue that was restarted.
+    pub fn split_begun(&mut self, rest: impl Fn(&Arc<I>, usize) -> Arc<I>) {
+        for lane in self.data.values_mut() {
+            if let Some(front) = lane.front_mut().filter(|front| front.is_begun()) {
+                front.item = rest(&front.item, front.progress.sent);
+                front.progress = Progress::default();
+            }
+        }
+    }
+
     /// Goes on in another form: what waits counts what it takes there.
     pub fn change_form(&mut self, form: Option<Form>) {
         if form == self.form {
