@@ -6,6 +6,8 @@ mod explain;
 #[cfg(feature = "otlp")]
 mod otlp;
 mod passwd;
+#[cfg(target_os = "linux")]
+mod ready;
 mod schema;
 mod serve;
 mod watch;
