@@ -10,6 +10,8 @@ pub mod lab;
 pub mod load;
 pub mod login;
 #[cfg(target_os = "linux")]
+pub mod machine;
+#[cfg(target_os = "linux")]
 pub mod network;
 pub mod programs;
 #[cfg(target_os = "linux")]

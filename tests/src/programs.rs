@@ -63,7 +63,7 @@ pub struct Running {
     /// None once it was waited for.
     child: Option<Child>,
     /// Where it keeps its state, unless its environment says otherwise.
-    _state: tempfile::TempDir,
+    _state: Option<tempfile::TempDir>,
     lines: mpsc::Receiver<String>,
 }
 
@@ -86,8 +86,18 @@ impl Running {
         command
             .env_remove("STATE_DIRECTORY")
             .env("XDG_STATE_HOME", state.path());
-        command.args(args).envs(environment.iter().copied());
-        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(log);
+        command.args(args).envs(environment.iter().copied()).stderr(log);
+        let mut running = Running::of(name, &mut command);
+        running._state = Some(state);
+        running
+    }
+
+    /// The same of a command that knows all but where its output goes.
+    ///
+    /// # Panics
+    /// If it cannot be started.
+    pub fn of(name: &str, command: &mut Command) -> Running {
+        command.stdin(Stdio::null()).stdout(Stdio::piped());
         let mut child = command.spawn().expect("the program starts");
         let stdout = child.stdout.take().expect("its output is piped");
         let (sender, lines) = mpsc::channel();
@@ -101,7 +111,7 @@ impl Running {
         Running {
             name: name.to_owned(),
             child: Some(child),
-            _state: state,
+            _state: None,
             lines,
         }
     }

@@ -63,6 +63,12 @@ pub(crate) const FOR_TESTS: &[Need] = &[
         why: "a test has it judge the unit of the broker; it need not run",
     },
     Need {
+        what: "adduser",
+        detect: ("test", &["-x", "/usr/sbin/adduser"]),
+        source: Source::Debian("adduser"),
+        why: "the package makes its user with it, on a copy of this machine",
+    },
+    Need {
         what: "debootstrap",
         detect: ("test", &["-x", "/usr/sbin/debootstrap"]),
         source: Source::Debian("debootstrap"),

@@ -128,6 +128,8 @@ fn lay_out(root: &Path, programs: &Path, tree: &Path) -> Result<()> {
             0o644,
         )?;
     }
+    let unit = "mom-broker.service";
+    copy(&root.join("packages").join(unit), &tree.join(unit), 0o644)?;
     put(&tree.join("licences"), &licences::of(root, &PROGRAMS)?, 0o644)
 }
 
