@@ -26,6 +26,10 @@ pub fn write(command: &clap::Command, folder: &Path) -> io::Result<()> {
     let man = folder.join("man");
     fs::create_dir_all(&man)?;
     clap_mangen::generate_to(command.clone(), &man)?;
+    for page in fs::read_dir(&man)? {
+        let page = page?.path();
+        fs::write(&page, with_examples(&fs::read_to_string(&page)?))?;
+    }
     let name = command.get_name();
     for (shell, file) in [
         (Shell::Bash, format!("bash/{name}")),
@@ -41,6 +45,24 @@ pub fn write(command: &clap::Command, folder: &Path) -> io::Result<()> {
     Ok(())
 }
 
+/// The page with its examples as they were written: otherwise they are filled, as text is.
+fn with_examples(page: &str) -> String {
+    let Some((before, notes)) = page.split_once("\n.SH EXTRA\n") else {
+        return page.to_owned();
+    };
+    let mut text = format!("{before}\n.SH NOTES\n");
+    let mut within = false;
+    for line in notes.lines() {
+        if line.starts_with("  ") != within {
+            within = !within;
+            text.push_str(if within { ".nf\n" } else { ".fi\n" });
+        }
+        text.push_str(line);
+        text.push('\n');
+    }
+    text
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -51,6 +73,7 @@ mod tests {
         let shown = clap::Command::new("grab").about("Grab a token");
         let hidden = clap::Command::new("secret").hide(true);
         let command = clap::Command::new("mom").subcommands([shown, hidden]);
+        let command = command.after_help("Examples:\n  mom grab   one\n  mom grab   two\nThe end.");
         write(&command, folder.path()).unwrap();
         for file in [
             "man/mom.1",
@@ -62,6 +85,9 @@ mod tests {
             let text = fs::read_to_string(folder.path().join(file)).unwrap();
             assert!(text.contains("grab"), "{file}: {text}");
         }
+        let page = fs::read_to_string(folder.path().join("man/mom.1")).unwrap();
+        let notes = "\n.SH NOTES\nExamples:\n.nf\n  mom grab   one\n  mom grab   two\n.fi\nThe end.\n";
+        assert!(page.contains(notes), "{page}");
         assert!(!folder.path().join("man/mom-secret.1").exists());
     }
 }
