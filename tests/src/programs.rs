@@ -132,17 +132,21 @@ impl Running {
         }
     }
 
+    /// The number of its process.
+    ///
+    /// # Panics
+    /// Never: it runs until it is waited for.
+    pub fn id(&self) -> u32 {
+        let child = self.child.as_ref();
+        child.map(Child::id).expect("it runs until it is waited for")
+    }
+
     /// Sends a signal by its name, such as `TERM`.
     ///
     /// # Panics
     /// If it cannot be sent.
     pub fn signal(&self, name: &str) {
-        let id = self
-            .child
-            .as_ref()
-            .map(Child::id)
-            .expect("it runs until it is waited for")
-            .to_string();
+        let id = self.id().to_string();
         let status = Command::new("kill").args([&format!("-{name}"), &id]).status();
         assert!(
             status.is_ok_and(|status| status.success()),
