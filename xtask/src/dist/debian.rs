@@ -7,7 +7,7 @@ use std::process::Command;
 
 use anyhow::{Context as _, Result};
 
-use super::files::{copy, kept, put};
+use super::files::{copy, kept, open, put};
 use super::{PROGRAMS, Release};
 use crate::command::output;
 
@@ -45,6 +45,7 @@ pub(super) fn pack(root: &Path, release: &Release, tree: &Path, out: &Path) -> R
     }
     put(&control.join("control"), &text, 0o644)?;
     put(&control.join("md5sums"), &sums(&package)?, 0o644)?;
+    open(&package)?;
     let name = format!("mom_{}_{}.deb", release.version, architecture.trim());
     let mut build = Command::new("dpkg-deb");
     // xz is what each dpkg can unpack. The times in it are the commit's at the latest.

@@ -33,6 +33,18 @@ fn make_above(file: &Path) -> Result<()> {
     Ok(())
 }
 
+/// Lets everybody look into a folder and those below it.
+pub(super) fn open(folder: &Path) -> Result<()> {
+    set_mode(folder, 0o755)?;
+    for entry in fs::read_dir(folder)? {
+        let path = entry?.path();
+        if path.is_dir() {
+            open(&path)?;
+        }
+    }
+    Ok(())
+}
+
 /// All files in a folder and those below it, in the order of their names.
 pub(super) fn kept(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut files = Vec::new();

@@ -11,7 +11,7 @@ use std::{env, fs};
 use anyhow::{Context as _, Result, ensure};
 
 use crate::command::{cargo, line, output, shows};
-use files::{copy, kept, put};
+use files::{copy, kept, open, put};
 
 /// The programs that are packed. Each has a package of its name.
 const PROGRAMS: [&str; 4] = ["mom-broker", "mom-arm", "mom-camera", "mom"];
@@ -130,7 +130,8 @@ fn lay_out(root: &Path, programs: &Path, tree: &Path) -> Result<()> {
     }
     let unit = "mom-broker.service";
     copy(&root.join("packages").join(unit), &tree.join(unit), 0o644)?;
-    put(&tree.join("licences"), &licences::of(root, &PROGRAMS)?, 0o644)
+    put(&tree.join("licences"), &licences::of(root, &PROGRAMS)?, 0o644)?;
+    open(tree)
 }
 
 /// Packs the folder beside itself; the archive's name.

@@ -18,9 +18,15 @@ const PASSWORD: [(&str, &str); 1] = [("MOM_PASSWORD", "secret")];
 
 /// Packs the programs of the tests in the same way as those that are shipped; the package.
 fn packed(out: &Path) -> PathBuf {
+    packed_with("022", out)
+}
+
+fn packed_with(umask: &str, out: &Path) -> PathBuf {
     let programs = program("mom");
-    let mut dist = Command::new(build(&["xtask"]).join("xtask"));
-    dist.args(["dist", "--fast", "--programs"]);
+    let mut dist = Command::new("sh");
+    dist.args(["-c", &format!("umask {umask}; exec \"$@\""), "sh"]);
+    dist.arg(build(&["xtask"]).join("xtask"))
+        .args(["dist", "--fast", "--programs"]);
     dist.arg(programs.parent().expect("a folder"))
         .arg("--out")
         .arg(out);
@@ -55,6 +61,13 @@ fn archive_and_package_have_the_same_programs_and_all_pages() {
     sums.current_dir(dist).args(["--check", "SHA256SUMS"]);
     let sums = lines_of(sums);
     assert_eq!(sums.len(), 3, "{sums:?}");
+    // Whoever packs the same commit gets the same files, with other habits too.
+    let again = packed_with("077", &folder.path().join("again"));
+    let sums_of = |package: &Path| std::fs::read_to_string(package.with_file_name("SHA256SUMS"));
+    assert_eq!(
+        sums_of(&package).expect("a file"),
+        sums_of(&again).expect("a file")
+    );
     let archive = sums.iter().find_map(|line| line.split_once(".tar.gz:"));
     let name = archive.expect("an archive").0;
     let mut tar = Command::new("tar");
