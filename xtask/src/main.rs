@@ -1,5 +1,5 @@
 //! The project tasks of MOM: `cargo xtask ci`, `cargo xtask test`, `cargo xtask shuttle`, `cargo xtask tidy`, `cargo xtask
-//! mutants`, `cargo xtask instructions`, `cargo xtask bench-peers`, `cargo xtask experiments`, `cargo xtask advisories`.
+//! mutants`, `cargo xtask instructions`, `cargo xtask bench-peers`, `cargo xtask experiments`, `cargo xtask advisories`, `cargo xtask dist`.
 //!
 //! Everything that CI demands can be run here by the same commands, so that nothing is found only after a push.
 #![allow(
@@ -11,6 +11,7 @@
 mod advisories;
 mod ci;
 mod command;
+mod dist;
 mod experiments;
 mod instructions;
 mod long;
@@ -48,6 +49,7 @@ const EXAMPLES: &str = "Examples:
   cargo xtask experiments --only reach        what the papers measured, again, into docs/experiments.md
   cargo xtask instructions                    what the hot path costs, held to benches/instructions.toml
   cargo xtask advisories                      known vulnerabilities of what we depend upon
+  cargo xtask dist                            what is installed: programs, packages, checksums, into target/dist
   cargo xtask ci                              everything that must hold before a change lands";
 
 #[derive(Subcommand)]
@@ -85,6 +87,9 @@ enum Task {
         #[arg(long)]
         write: bool,
     },
+    /// Build what is installed: stripped programs with man pages and completions, as an archive and as a package for
+    /// Debian, with checksums.
+    Dist(DistArgs),
     /// Look for known vulnerabilities in what we depend upon; downloads the list of them, and says so where it cannot.
     Advisories,
     /// Format, lints, docs, tidy, licences, tests: all that must hold before a change lands.
@@ -147,6 +152,21 @@ struct ExperimentsArgs {
     experiment: Vec<String>,
 }
 
+#[derive(Args)]
+struct DistArgs {
+    /// Pack the programs in this folder, instead of building them as they are shipped.
+    #[arg(long, value_name = "FOLDER")]
+    programs: Option<PathBuf>,
+    /// Where to, instead of target/dist: a folder that is empty, or not there yet.
+    #[arg(long, value_name = "FOLDER")]
+    out: Option<PathBuf>,
+    /// Compress little, for a try.
+    #[arg(long)]
+    fast: bool,
+    #[command(flatten)]
+    install: InstallArgs,
+}
+
 #[derive(Args, Clone, Copy)]
 struct InstallArgs {
     /// Install what is missing with the system's ordinary package clients.
@@ -201,6 +221,12 @@ fn run(task: Task) -> Result<ExitCode> {
                 "cargo xtask instructions",
             )?;
             Ok(exit_code(instructions::run(&root, write)?))
+        }
+        Task::Dist(args) => {
+            needs::ensure(needs::FOR_DIST, args.install.install, "cargo xtask dist")?;
+            let (programs, out) = (args.programs.as_deref(), args.out.as_deref());
+            dist::run(&root, programs, out, args.fast)?;
+            Ok(ExitCode::SUCCESS)
         }
         Task::Advisories => Ok(exit_code(advisories::run(&root)?)),
         Task::Tidy => Ok(exit_code(tidy::run(&root)?)),
