@@ -6,6 +6,7 @@ pub mod audit;
 pub mod bridge;
 pub mod canary;
 pub mod dialogue;
+pub mod faulty;
 pub mod lab;
 pub mod linked;
 pub mod load;

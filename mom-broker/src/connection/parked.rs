@@ -44,12 +44,11 @@ impl Connection {
         };
         self.ended = true;
         let board = Arc::clone(&self.services.board);
-        let error = match served.link.is_claimed() {
-            true => Some(super::resume::taken_over()),
-            false => error,
-        };
-        if let Some((writer, error)) = self.outbox.detach().zip(error) {
-            let _ = writer.try_last_word(self.services.answer(&error));
+        let writer = self.outbox.detach();
+        // Only who is not to come back: any other would count what it hears.
+        if let Some(writer) = writer.filter(|_| served.link.is_claimed()) {
+            let error = self.services.answer(&super::resume::taken_over());
+            let _ = writer.try_last_word(error);
         }
         let (peer, grace) = (self.peer, served.link.grace);
         let grace_micros = u64::try_from(grace.as_micros()).unwrap_or(u64::MAX);

@@ -119,7 +119,7 @@ impl Outbox {
     pub(crate) async fn drained(&self) {
         while let Some(writer) = self.writer() {
             self.flush();
-            if self.queue.lock().is_empty() || writer.ready().await.is_err() {
+            if self.is_closed() || self.queue.lock().is_empty() || writer.ready().await.is_err() {
                 return;
             }
         }

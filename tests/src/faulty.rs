@@ -1,0 +1,170 @@
+//! A network that fails: between a client and a hub, connections are cut, frozen, slowed and sliced as a test says.
+
+use std::io;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
+use tokio::time::sleep;
+
+/// What becomes of one connection.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Fault {
+    /// How it ends.
+    pub end: End,
+    /// Bytes that pass at once; 0 = as they come.
+    pub slice: usize,
+    /// How long each of these waits.
+    pub delay: Duration,
+}
+
+/// How a connection ends.
+#[derive(Clone, Copy, Debug, Default)]
+pub enum End {
+    /// As its ends wish.
+    #[default]
+    Whole,
+    /// Both ends are reset after so many bytes, of both directions together.
+    Reset(u64),
+    /// Both ends hear of its end after so many bytes, as if the other had closed.
+    Closed(u64),
+    /// After so many bytes nothing passes any more, and neither end hears why.
+    Frozen(u64),
+}
+
+/// A port from which connections go to a hub, each with its fault.
+#[derive(Debug)]
+pub struct FaultyNetwork {
+    /// Where to connect.
+    pub address: SocketAddr,
+    cut: Arc<AtomicU64>,
+    /// All connections through it end when it changes.
+    severed: watch::Sender<u64>,
+    accepting: JoinHandle<()>,
+}
+
+impl FaultyNetwork {
+    /// In front of this hub; `fault` says what becomes of the nth connection, from 0.
+    ///
+    /// # Panics
+    /// If there is no port.
+    pub async fn to(hub: SocketAddr, mut fault: impl FnMut(u64) -> Fault + Send + 'static) -> FaultyNetwork {
+        let listener = TcpListener::bind(("127.0.0.1", 0)).await.expect("a port");
+        let address = listener.local_addr().expect("it has one");
+        let cut = Arc::new(AtomicU64::new(0));
+        let severed = watch::Sender::new(0);
+        let (count, sever) = (Arc::clone(&cut), severed.clone());
+        let accepting = tokio::spawn(async move {
+            for number in 0.. {
+                let Ok((near, _)) = listener.accept().await else {
+                    return;
+                };
+                let (fault, count, mut severed) = (fault(number), Arc::clone(&count), sever.subscribe());
+                tokio::spawn(async move {
+                    let Ok(far) = TcpStream::connect(hub).await else {
+                        return;
+                    };
+                    let ended = tokio::select! {
+                        ended = carry(&near, &far, fault) => ended,
+                        _ = severed.changed() => Ok(true),
+                    };
+                    if !matches!(ended, Ok(false)) {
+                        count.fetch_add(1, Ordering::Relaxed);
+                    }
+                    if !matches!(fault.end, End::Closed(_)) {
+                        let _ = (near.set_zero_linger(), far.set_zero_linger());
+                    }
+                });
+            }
+        });
+        FaultyNetwork {
+            address,
+            cut,
+            severed,
+            accepting,
+        }
+    }
+
+    /// How many connections it has ended.
+    pub fn cut(&self) -> u64 {
+        self.cut.load(Ordering::Relaxed)
+    }
+
+    /// Ends all connections that go through it now.
+    pub fn sever(&self) {
+        self.severed.send_modify(|times| *times += 1);
+    }
+}
+
+impl Drop for FaultyNetwork {
+    fn drop(&mut self) {
+        self.accepting.abort();
+    }
+}
+
+/// Carries bytes until the fault comes (true) or an end closes.
+async fn carry(near: &TcpStream, far: &TcpStream, fault: Fault) -> io::Result<bool> {
+    near.set_nodelay(true)?;
+    far.set_nodelay(true)?;
+    let passed = AtomicU64::new(0);
+    let most = match fault.end {
+        End::Whole => u64::MAX,
+        End::Reset(most) | End::Closed(most) | End::Frozen(most) => most,
+    };
+    let cut = tokio::select! {
+        cut = pass(near, far, &passed, most, fault) => cut?,
+        cut = pass(far, near, &passed, most, fault) => cut?,
+    };
+    if cut && matches!(fault.end, End::Frozen(_)) {
+        std::future::pending::<()>().await;
+    }
+    Ok(cut)
+}
+
+async fn pass(
+    from: &TcpStream,
+    to: &TcpStream,
+    passed: &AtomicU64,
+    most: u64,
+    fault: Fault,
+) -> io::Result<bool> {
+    let mut bytes = [0; 16 * 1024];
+    let slice = if fault.slice == 0 {
+        bytes.len()
+    } else {
+        fault.slice
+    };
+    loop {
+        let before = passed.load(Ordering::Relaxed);
+        let left = usize::try_from(most.saturating_sub(before)).unwrap_or(usize::MAX);
+        if left == 0 {
+            return Ok(true);
+        }
+        let wanted = bytes.len().min(slice).min(left);
+        from.readable().await?;
+        // The other direction may have come to the end of what passes meanwhile.
+        let read = match from.try_read(&mut bytes[..wanted]) {
+            Ok(0) => return Ok(false),
+            Ok(read) => read,
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => continue,
+            Err(error) => return Err(error),
+        };
+        passed.fetch_add(read as u64, Ordering::Relaxed);
+        if !fault.delay.is_zero() {
+            sleep(fault.delay).await;
+        }
+        let mut rest = &bytes[..read];
+        while !rest.is_empty() {
+            to.writable().await?;
+            match to.try_write(rest) {
+                Ok(written) => rest = &rest[written..],
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+                Err(error) => return Err(error),
+            }
+        }
+    }
+}
