@@ -24,6 +24,15 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
             }
             self.put_in_front(entry);
         }
+        // Signs of life are of the connection that they were said on.
+        self.unpaced.retain(|entry| entry.item.counts());
+        self.control.retain(|entry| {
+            let counts = entry.item.counts();
+            if !counts {
+                self.control_bytes -= entry.item.charge(self.form);
+            }
+            counts
+        });
     }
 
     /// Takes in how many parcels the other side has read: as many as it acknowledges are kept no longer.

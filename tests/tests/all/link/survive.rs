@@ -240,7 +240,7 @@ async fn over_tcp() {
 
 #[tokio::test]
 async fn over_tcp_in_xml() {
-    survive("tcp", "", 4000).await;
+    survive("tcp", "", 16_000).await;
 }
 
 #[tokio::test]
