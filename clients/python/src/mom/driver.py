@@ -28,6 +28,9 @@ _FINAL = ("insecure", "bad-login", "bad-content", "not-encodable")
 _worked: Dict[Tuple[str, int], Address] = {}
 """The door of each hub that worked last."""
 
+_plain: Set[Tuple[str, int]] = set()
+"""The hubs that do not know of links."""
+
 
 @dataclass
 class Options:
@@ -204,8 +207,8 @@ class Driver:
         except RefusedError as error:
             if error.wire.slot not in ("content/link", "content/heartbeat"):
                 raise
-            # A hub of an earlier version refuses what it does not know.
-            self.options.link, self.options.heartbeat = False, None
+            # A hub of an earlier version refuses what it does not know, and counts that as a failed login: once is enough.
+            _plain.add((self.options.address.host, self.options.address.port))
             parcel = await self._ask(connection, Parcel("login", "login", "/", self._login()))
         if parcel.is_("reply", "challenge"):
             parcel = await self._ask(
@@ -217,6 +220,8 @@ class Driver:
 
     def _login(self) -> Dict[str, object]:
         content = self.credentials.content()
+        if (self.options.address.host, self.options.address.port) in _plain:
+            return content
         if self.options.link:
             grace = self.options.grace
             content["link"] = True if grace is None else {"grace": int(grace * 1000)}
