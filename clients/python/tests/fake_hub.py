@@ -102,6 +102,8 @@ class FakeHub:
         if parcel.id is not None and not self.silent and (parcel.family != "message" or parcel.receipt):
             reply = self.replies.get(parcel.name, {"delivered": 1, "dropped": []})
             self.say(Parcel("reply", "ok", parcel.context, reply, reference=parcel.id))
+        if parcel.name == "logout" and self.writer:
+            self.writer.close()
         return True
 
     def _enter(self, parcel: Parcel, content: Dict[str, Any]) -> bool:

@@ -14,7 +14,7 @@ from .errors import ConnectionDownError, LocalError, MomError, RefusedError, Wir
 from .events import Dropped
 from .link import Link
 from .login import Credentials
-from .outbox import AGAIN, Entry
+from .outbox import Entry
 from .parcel import Parcel
 from .states import LinkState, Reconnect
 from .transport import Trust, has_websockets
@@ -275,10 +275,7 @@ class Driver:
         if both is None:
             raise ConnectionDownError("the hub resumed a link by counts that cannot be")
         self.welcomed(reply)
-        for entry in both[0]:
-            # As a whole, and before anything that was not sent yet.
-            entry.pieces, entry.lane, entry.priority, entry.deadline = None, AGAIN, 0, None
-            self.core.outbox.put(entry)
+        self.core.outbox.put_again(both[0])
         for entry in both[1]:
             if entry.parcel.family == "message":
                 self.core.dropped(entry, "older-fence" if entry.guarded else "disconnected")

@@ -105,6 +105,19 @@ class Outbox:
             self._newest[key] = entry
         self._push(entry)
 
+    def put_again(self, entries: List[Entry]) -> None:
+        """Lets entries wait that were sent and not read: before all that was not sent, in their old order."""
+        # What an earlier resume has begun to send again comes behind what it had sent.
+        left = sorted(entry for entry in self._heap if entry.lane == AGAIN)
+        self._heap = [entry for entry in self._heap if entry.lane != AGAIN]
+        heapq.heapify(self._heap)
+        self._bytes -= sum(entry.size for entry in left)
+        for entry in entries + left:
+            self._numbers += 1
+            entry.number, entry.pieces, entry.deadline = self._numbers, None, None
+            entry.lane, entry.priority = AGAIN, 0
+            self._push(entry)
+
     def _push(self, entry: Entry) -> None:
         heapq.heappush(self._heap, entry)
         self._bytes += entry.size
