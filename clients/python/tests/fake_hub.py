@@ -30,6 +30,8 @@ class FakeHub:
         """So many of the last parcels are as if they had not been read, when a resume comes."""
         self.cut_after: Optional[int] = None
         """Ends each connection when so many bytes have come on it; a low one ends only one, as none gets further."""
+        self.forgotten = 0
+        """So many parcels it says that it had not kept."""
         self.silent = False
         """Answers nothing."""
         self.replies: Dict[str, Any] = {}
@@ -118,7 +120,7 @@ class FakeHub:
             self._nonce = os.urandom(32)
             answer.name, answer.content = "challenge", {"nonce": self._nonce, "hub": "lab", "context": "mom-link-1"}
             if not self.resumable or content != {"link": self.id}:
-                answer = Parcel("error", "not-resumed", "/", {"code": 307, "resumed": False}, reference=parcel.id)
+                answer = Parcel("error", "not-resumed", "/", {"code": 209, "resumed": False}, reference=parcel.id)
         else:
             signed = b"mom-link-1\0lab\0" + self.id.encode() + b"\0" + self._nonce
             assert content["proof"] == hmac.new(self.secret, signed, hashlib.sha256).digest()
@@ -132,8 +134,7 @@ class FakeHub:
         self.read -= self.lag
         del self.heard[len(self.heard) - self.lag :]
         answer.content = {
-            "resumed": True, "read": self.read, "peer": "alice", "user": "alice", "level": 1, "groups": [],
-            "limits": self.limits, "dropped": {"latest": 0, "fleeting": 0},
+            "resumed": True, "read": self.read, "dropped": self.forgotten, "peer": "alice", "limits": self.limits,
         }  # fmt: skip
         self.raw(answer)
         again = self.kept[len(self.kept) - (self.sent - read) :] if self.sent > read else []

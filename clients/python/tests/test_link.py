@@ -157,13 +157,14 @@ async def test_tokens_and_waiting_requests_outlive_a_connection(hub: FakeHub) ->
     async with connect(hub) as client:
         hub.replies["join"] = {"kind": "token"}
         token = await client.token("/t")
-        guard, events = await token.grab(), token.events()
-        hub.silent = True
+        guard, events, others = await token.grab(), token.events(), client.unaddressed()
+        hub.silent, hub.forgotten = True, 3
         waiting = asyncio.ensure_future(client.info("/t"))
         await until(lambda: hub.heard[-1].name == "info")
         hub.cut()
         await until(lambda: hub.resumes)
         assert not guard.is_lost and not waiting.done()
+        assert (await heard(others, mom.Dropped)).count == 3
         hub.silent = False
         hub.say(Parcel("reply", "ok", "/t", {"fence": 7}, reference=hub.heard[-1].id))
         assert (await asyncio.wait_for(waiting, PATIENCE))["fence"] == 7
@@ -209,7 +210,7 @@ async def test_after_the_grace_time_all_is_lost(hub: FakeHub) -> None:
         assert not hub.resumes and len(hub.logins) == 2
 
 
-@pytest.mark.parametrize("code, number, back", [("shutdown", 300, True), ("revoked", 406, False), ("taken-over", 408, False)])
+@pytest.mark.parametrize("code, number, back", [("shutdown", 300, True), ("revoked", 406, False), ("taken-over", 409, False)])
 async def test_a_code_that_closes_ends_the_link(hub: FakeHub, code: str, number: int, back: bool) -> None:
     client = await connect(hub)
     hub.raw(Parcel("error", code, "/", {"code": number, "text": "said why"}))

@@ -231,11 +231,10 @@ class Driver:
 
     def welcomed(self, reply: Parcel) -> None:
         """Takes the hub's reply to a login, or to a resume."""
-        content = reply.map()
+        content = {**self.core.welcome, **reply.map()}
         if not isinstance(content.get("peer"), str) or not isinstance(content.get("user"), str):
             raise ConnectionDownError("the hub's reply to the login names no peer")
-        self.core.welcome = {**self.core.welcome, **content}
-        self.core.welcome.pop("link", None)
+        self.core.welcome = {key: value for key, value in content.items() if key not in ("link", "resumed", "read", "dropped")}
         self.core.outbox.most = self.core.limit("outbox", 4 << 20)
 
     async def _ask(self, connection: Connection, parcel: Parcel) -> Parcel:
@@ -266,7 +265,7 @@ class Driver:
             answer = Parcel("login", "answer", "/", link.answer(challenge))
             reply = await self._ask(connection, answer)
         except RefusedError as error:
-            if error.wire.code != "not-resumed" and error.wire.closes:
+            if error.wire.closes:
                 raise
             LOG.info("the link is not resumed: %s", error)
             return False
@@ -281,9 +280,8 @@ class Driver:
                 self.core.dropped(entry, "older-fence" if entry.guarded else "disconnected")
         self.core.post(Parcel("time", "resent"), again=True)
         dropped = content.get("dropped")
-        count = sum(number for number in dropped.values() if isinstance(number, int)) if isinstance(dropped, dict) else 0
-        if count:
-            self.core.subscribers.deliver_others(Dropped("disconnected", count, reply))
+        if isinstance(dropped, int) and dropped > 0:
+            self.core.subscribers.deliver_others(Dropped("lost", dropped, reply))
         return True
 
     # One connection.
