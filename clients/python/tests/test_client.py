@@ -273,7 +273,7 @@ async def test_the_hub_comes_later_and_comes_back(own_broker: Broker) -> None:
         own_broker.connect(reconnect=patient, on_state=lambda state: words.append(state.word))._run()
     )
     while words.count("trying") < 3:
-        await asyncio.sleep(0.01)
+        await asyncio.sleep(0.01)  # tidy: looks again until it has tried thrice
     own_broker.start()
     client = await asyncio.wait_for(coming, PATIENCE)
     chat = await client.channel("/chat")

@@ -33,7 +33,7 @@ def connect(hub: FakeHub, **options: Any) -> mom.Connect:
 async def until(condition: Callable[[], Any]) -> None:
     async def wait() -> None:
         while not condition():
-            await asyncio.sleep(0.002)
+            await asyncio.sleep(0.002)  # tidy: looks again until it is so
 
     await asyncio.wait_for(wait(), PATIENCE)
 
@@ -52,7 +52,7 @@ async def test_what_was_said_arrives_once_and_in_order_over_a_hundred_lost_conne
             if number % 20 == 10:
                 hub.cut_after = random.randrange(1, 3000)
                 answers.append(asyncio.ensure_future(channel.send_acknowledged("ask", number + 0.5)))
-                await asyncio.sleep(0)
+                await asyncio.sleep(0)  # tidy: lets the other begin
             if number % 20 == 0:
                 await until(lambda: client.state.word == "connected")
                 hub.cut()
@@ -81,7 +81,7 @@ async def test_what_the_hub_says_is_heard_once(hub: FakeHub) -> None:
         for number in range(300):
             hub.say(Parcel("message", "say", "/c", number, sender="bob"))
             if number % 25 == 0:
-                await asyncio.sleep(0)
+                await asyncio.sleep(0)  # tidy: lets the other begin
                 hub.cut()
                 await until(lambda: client.state.word == "connected" and not hub.writer.transport.is_closing())
         taken = [(await heard(events, mom.Message)).content for _ in range(300)]

@@ -100,7 +100,7 @@ async def test_the_first_door_that_leads_to_a_hub_is_taken_and_remembered(
     async def to(door: Address, *_: Any) -> Any:
         tried.append(str(door).split(":")[0])
         if door.tls:
-            await asyncio.sleep(60)
+            await asyncio.sleep(60)  # tidy: a door that never opens
         if door.door != "websocket":
             raise mom.ConnectionDownError("closed")
         return "a connection"
@@ -222,7 +222,7 @@ async def test_the_queue_is_bounded() -> None:
     outbox.put(large)
     assert not outbox.has_capacity(Entry(Parcel("message", "a", "/c")))
     waiting = asyncio.ensure_future(outbox.capacity(Entry(Parcel("message", "a", "/c"))))
-    await asyncio.sleep(0)
+    await asyncio.sleep(0)  # tidy: lets the other begin
     assert not waiting.done()
     outbox.lose(lambda entry: True, "disconnected")
     await asyncio.wait_for(waiting, 5)
