@@ -213,6 +213,22 @@ async def test_what_is_urgent_goes_between_the_pieces() -> None:
     assert dropped == ["state replaced", "stop replaced"]
 
 
+@pytest.mark.parametrize("pieces, kept", [(1, True), (7, False)])
+async def test_what_was_passed_on_whole_counts_though_nobody_says_that_it_was_taken(pieces: int, kept: bool) -> None:
+    outbox, wire, sent = Outbox(lambda entry, reason: None), Wire(), []
+    image = Entry(Parcel("message", "image", "/c", bytes(100_000)))
+    outbox.put(image)
+    sending = asyncio.ensure_future(outbox.send_all(wire, sent.append))  # type: ignore
+    for _ in range(pieces - 1):
+        await asyncio.wait_for(wire.frames.get(), 5)
+    await asyncio.wait([sending], timeout=0.05)
+    sending.cancel()
+    await asyncio.wait([sending])
+    assert sent == ([] if kept else [image]) and (outbox._bytes > 0) is kept
+    outbox.lose(lambda entry: False, "")
+    assert not kept or image.pieces is None, "it begins anew"
+
+
 async def test_the_queue_is_bounded() -> None:
     dropped: List[Any] = []
     outbox = Outbox(lambda entry, reason: dropped.append((entry.parcel.content[:1], reason)))

@@ -143,8 +143,9 @@ class Driver:
             raise
         self._door = str(door)
         self.core.is_up = True
-        # Before anything that others may say from here on.
-        self._rejoining = self.core.rejoin_all() if self._logins > 1 and self._fresh else []
+        if self._logins > 1 and self._fresh:
+            # Before anything that others may say from here on. Kept, as the loop itself does not.
+            self._rejoining = self.core.rejoin_all()
         self.core.enter(LinkState("connected", door=self._door))
         return connection
 
@@ -303,9 +304,9 @@ class Driver:
         finally:
             core.is_up = False
             connection.abort()
-            for task in [*tasks, *self._rejoining]:
+            for task in tasks:
                 task.cancel()
-            await asyncio.gather(*tasks, *self._rejoining, return_exceptions=True)
+            await asyncio.gather(*tasks, return_exceptions=True)
         for task in (reader, pulse, sender):
             error = None if task.cancelled() else task.exception()
             if error is not None and not isinstance(error, MomError):

@@ -152,28 +152,31 @@ class Outbox:
             if entry.deadline is not None and entry.pieces is None and entry.deadline <= loop.time():
                 self._dropped(entry, "expired")
                 continue
-            try:
-                if await self._send(connection, entry):
-                    wrote(entry)
-            except BaseException:
-                # Not all of it has left: it is sent as a whole when there is another connection.
-                self._push(entry)
-                raise
+            await self._send(connection, entry, wrote)
 
-    async def _send(self, connection: Connection, entry: Entry) -> bool:
-        """Sends an entry, or as much of it as nothing more urgent waits for; whether all of it was sent."""
+    async def _send(self, connection: Connection, entry: Entry, wrote: Callable[[Entry], None]) -> None:
+        """Sends an entry, or as much of it as nothing more urgent waits for."""
         if entry.pieces is None:
             entry.pieces = Pieces(entry.body, connection.next_stream)
         else:
             self._partial.remove(entry)
         while not entry.pieces.done:
-            await connection.write(entry.pieces.next())
+            piece = entry.pieces.next()
+            if entry.pieces.done:
+                # From here on the hub may read all of it, even if this side never hears that it was taken.
+                wrote(entry)
+            try:
+                await connection.write(piece)
+            except BaseException:
+                if not entry.pieces.done:
+                    # It is sent as a whole when there is another connection.
+                    self._push(entry)
+                raise
             urgent = bool(self._heap) and self._heap[0].rank < entry.rank
             if urgent and not entry.pieces.done and len(self._partial) < _OPEN_STREAMS:
                 self._partial.append(entry)
                 self._push(entry)
-                return False
-        return True
+                return
 
     def lose(self, which: Callable[[Entry], bool], reason: str) -> None:
         """Drops what waits and is so; what is left begins anew on the next connection."""
