@@ -52,6 +52,33 @@ async def test_a_hub_with_another_certificate_hears_no_password(broker: Broker, 
         pass
 
 
+@pytest.mark.parametrize("scheme", ["bins", "wss", "https"])
+async def test_a_proxy_of_the_environment(broker: Broker, scheme: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: List[str] = []
+
+    async def pass_on(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        while data := await reader.read(65536):
+            writer.write(data)
+        writer.close()
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        asked.append((await reader.readuntil(b"\r\n\r\n")).decode())
+        there, back = await asyncio.open_connection("127.0.0.1", broker.port)
+        writer.write(b"HTTP/1.1 200 fine\r\n\r\n")
+        await asyncio.gather(pass_on(reader, back), pass_on(there, writer), return_exceptions=True)
+
+    proxy = await asyncio.start_server(serve, "127.0.0.1", 0)
+    port = proxy.sockets[0].getsockname()[1]
+    monkeypatch.setenv("HTTPS_PROXY", f"http://me:pass%20word@127.0.0.1:{port}")
+    monkeypatch.delenv("NO_PROXY", raising=False)
+    monkeypatch.delenv("no_proxy", raising=False)
+    async with broker.connect("alice", scheme) as alice:
+        assert (await alice.lookup("/chat")).kind == "channel"
+    head = asked[0]
+    assert head.startswith(f"CONNECT 127.0.0.1:{broker.port} HTTP/1.1") and "Basic bWU6cGFzcyB3b3Jk" in head
+    proxy.close()
+
+
 async def test_a_key_a_guest_and_a_nickname(broker: Broker, tmp_path: Path) -> None:
     file = tmp_path / "robot.key"
     file.write_text(broker.device.to_pem())
