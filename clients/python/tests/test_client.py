@@ -87,7 +87,7 @@ async def test_a_key_a_guest_and_a_nickname(broker: Broker, tmp_path: Path) -> N
     async with mom.connect(broker.address(), user="robot", key=key, hub_name="lab", nickname="arm-7") as robot:
         assert (robot.name, robot.user) == ("arm-7", "robot")
         await robot.authenticate_again(key=key)
-        assert robot.name == "arm-7"
+        assert robot.name == "arm-7" and (await robot.lookup("/chat")).kind == "channel"
     async with mom.connect(broker.address(), guest=True) as guest:
         assert guest.user == "guest"
     with pytest.raises(mom.LocalError, match="nothing was signed"):
@@ -244,6 +244,19 @@ async def test_thinning(broker: Broker) -> None:
         assert all(member.user != "bob" for member in await alice.members("/chat"))
 
 
+async def test_as_another_user_it_is_another_peer(broker: Broker) -> None:
+    async with broker.connect("bob") as bob:
+        chat, guard = await bob.channel("/chat"), await (await bob.token("/robot/token")).grab()
+        events = chat.events()
+        bob._driver.credentials.user = "alice"
+        await bob.authenticate_again(password="alice")
+        assert bob.user == "alice" and (await guard.lost()).reason == "disconnected"
+        await heard(events, mom.LinkDown)
+        await heard(events, mom.Rejoined)
+        await chat.send_acknowledged("say")
+        assert (await heard(events, mom.Message)).sender == bob.name
+
+
 async def test_the_age_of_messages(broker: Broker) -> None:
     async with broker.connect("alice") as alice, broker.connect("bob") as bob:
         chat, events = await alice.channel("/chat"), (await bob.channel("/chat")).events()
@@ -276,7 +289,7 @@ async def test_managing_peers_are_asked(broker: Broker) -> None:
                 await (await bob.channel("/club")).send_acknowledged("hello")
             assert caught.value.code == "declined"
             await asyncio.wait_for(answering, PATIENCE)
-            await questions.aclose()
+            questions.close()
         finally:
             await carol.delete("/club")
 

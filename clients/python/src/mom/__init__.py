@@ -20,7 +20,7 @@ resumed is told by the events `LinkDown` and `Rejoined`; then tokens are lost, a
 """
 
 from .address import DEFAULT_PORT, Address
-from .client import Client, Connect, Consult, connect
+from .client import Client, Connect, Consult, Consults, connect
 from .clock import Age, HubClock
 from .connection import Connection
 from .errors import (
@@ -89,6 +89,7 @@ __all__ = [
     "Connection",
     "ConnectionDownError",
     "Consult",
+    "Consults",
     "ContextInfo",
     "Count",
     "Created",

@@ -230,30 +230,29 @@ class Client:
         """Events that no other subscription takes, from now on; and the state of the link."""
         return self._core.subscribers.unaddressed()
 
-    async def consults(self) -> AsyncIterator[Consult]:
-        """The hub's questions about contexts that this peer manages or chairs."""
-        events = self._core.subscribers.consults()
-        try:
-            async for event in events:
-                if isinstance(event, Other):
-                    yield Consult(self._core, event.parcel)
-        finally:
-            events.close()
+    def consults(self) -> Consults:
+        """The hub's questions about contexts that this peer manages or chairs, from now on."""
+        return Consults(self._core)
 
     # Login.
 
     async def authenticate_again(
         self, *, password: Optional[str] = None, key: Optional[Key] = None, token: Optional[str] = None
     ) -> None:
-        """Authenticates the same user again, for example before a token expires; later reconnects use this proof, too."""
+        """Authenticates again, for example before a token expires; later reconnects use this proof, too.
+
+        As another user this becomes another peer: `LinkDown` and `Rejoined` follow, as after a lost link.
+        """
         known = self._driver.credentials
         again = replace(known, password=password, key=key, token=token, certificate=False, guest=False)
         again.doors(self._driver.options.address)
         reply = await self._core.request(Parcel("login", "login", "/", again.content()))
         if reply.name == "challenge":
             reply = await self._core.request(Parcel("login", "answer", "/", again.answer(reply)))
-        self._driver.credentials = again
+        before, self._driver.credentials = self.user, again
         self._driver.welcomed(reply)
+        if self.user != before:
+            self._driver.begin_anew("logged in as another user")
 
     async def close(self) -> None:
         """Logs out after everything sent before, and waits briefly for the answer."""
@@ -274,6 +273,26 @@ class Client:
         self, kind: Optional[Type[BaseException]], error: Optional[BaseException], trace: Optional[TracebackType]
     ) -> None:
         await self.close()
+
+
+class Consults:
+    """The hub's questions, taken by `async for`; `close` ends it."""
+
+    def __init__(self, core: Core) -> None:
+        self._core, self._events = core, core.subscribers.consults()
+
+    def __aiter__(self) -> AsyncIterator[Consult]:
+        return self
+
+    async def __anext__(self) -> Consult:
+        async for event in self._events:
+            if isinstance(event, Other):
+                return Consult(self._core, event.parcel)
+        raise StopAsyncIteration
+
+    def close(self) -> None:
+        """Takes no more of them: then the hub asks others, or refuses when the time is over."""
+        self._events.close()
 
 
 class Consult:

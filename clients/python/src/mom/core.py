@@ -68,6 +68,8 @@ class Core:
         """A limit of the hub."""
         limits = self.welcome.get("limits")
         found = limits.get(key) if isinstance(limits, dict) else None
+        if found == "unlimited":
+            return (1 << 32) - 1
         return found if isinstance(found, int) and found > 0 else default
 
     def next_id(self) -> int:

@@ -54,6 +54,7 @@ class Driver:
         """Whether the client is being closed."""
         self._door = ""
         self._written = 0.0
+        self._connection: Optional[Connection] = None
         self._logins, self._fresh = 0, False
         self._rejoining: List[asyncio.Task[None]] = []
 
@@ -133,6 +134,7 @@ class Driver:
 
     async def _once(self) -> Connection:
         connection, door = await self._open()
+        self._connection = connection
         try:
             await asyncio.wait_for(self._enter(connection), self.options.connect_timeout)
         except asyncio.TimeoutError:
@@ -219,6 +221,12 @@ class Driver:
         self._logins, self._fresh = self._logins + 1, True
         self.core.link = Link.of_reply(parcel.map(), self.core.outbox.most) if self.options.link else None
 
+    def begin_anew(self, why: str) -> None:
+        """This is another peer from now on: nothing of the old one belongs to it."""
+        self.core.lose_all(why)
+        self.core.is_up = True
+        self._rejoining = self.core.rejoin_all()
+
     def _login(self) -> Dict[str, object]:
         content = self.credentials.content()
         if (self.options.address.host, self.options.address.port) in _plain:
@@ -237,6 +245,8 @@ class Driver:
             raise ConnectionDownError("the hub's reply to the login names no peer")
         self.core.welcome = {key: value for key, value in content.items() if key not in ("link", "resumed", "read", "dropped")}
         self.core.outbox.most = self.core.limit("outbox", 4 << 20)
+        if self._connection is not None:
+            self._connection.decoder.most = self.core.limit("parcel", 8 << 20)
 
     async def _ask(self, connection: Connection, parcel: Parcel) -> Parcel:
         """A request before anything else is said; `RefusedError` for a refusal."""
