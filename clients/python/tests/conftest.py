@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import datetime
 import hashlib
 import os
 import re
@@ -14,6 +15,10 @@ from typing import Any, AsyncIterator, Iterator, List, Optional, Set
 
 import pytest
 import pytest_asyncio
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import NameOID
 
 import mom
 
@@ -43,11 +48,25 @@ class Broker:
         text = (ROOT / "config/lab.toml").read_text().replace('root = "lab"\n', "").replace('users = "lab-users.toml"\n', "")
         (folder / "hub.toml").write_text(CONFIG + text)
         users = (ROOT / "config/lab-users.toml").read_text()
-        user = f'[[users]]\nname = "robot"\nkeys = ["{self.device.public()}"]\nlevel = 1\ngroups = ["operator"]\n'
+        proofs = f'keys = ["{self.device.public()}"]\ncertificates = ["{self._certificate()}"]'
+        user = f'[[users]]\nname = "robot"\n{proofs}\nlevel = 1\ngroups = ["operator"]\n'
         (folder / "users.toml").write_text(users + user)
         self.port = 0
         self._process: Optional[subprocess.Popen[str]] = None
         self.start()
+
+    def _certificate(self) -> str:
+        """Makes a certificate for the robot; gives its fingerprint."""
+        key = ec.generate_private_key(ec.SECP256R1())
+        name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "robot")])
+        day = datetime.timedelta(days=1)
+        today = datetime.datetime.now(datetime.timezone.utc)
+        builder = x509.CertificateBuilder(name, name, key.public_key(), 1, today - day, today + day)
+        made = builder.sign(key, hashes.SHA256())
+        plain = serialization.NoEncryption()
+        forms = (serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, plain)
+        (self.folder / "robot.pem").write_bytes(made.public_bytes(forms[0]) + key.private_bytes(*forms))
+        return "sha256:" + made.fingerprint(hashes.SHA256()).hex()
 
     def start(self) -> None:
         """Starts it; at the port that it had before, if it had one."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import ssl
 from pathlib import Path
 from typing import List
 
@@ -95,6 +96,14 @@ async def test_a_key_a_guest_and_a_nickname(broker: Broker, tmp_path: Path) -> N
     with pytest.raises(mom.RefusedError) as caught:
         await mom.connect(broker.address(), user="robot", key=mom.Key.generate())
     assert caught.value.code == "bad-login"
+
+
+async def test_a_certificate(broker: Broker) -> None:
+    trust = ssl.create_default_context(cafile=str(broker.folder / "hub.crt"))
+    trust.load_cert_chain(broker.folder / "robot.pem")
+    address = f"bins://localhost:{broker.port}"
+    async with mom.connect(address, user="robot", certificate=True, trust=trust) as robot:
+        assert robot.user == "robot"
 
 
 def test_what_is_no_key_is_refused(tmp_path: Path) -> None:

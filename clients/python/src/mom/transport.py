@@ -235,7 +235,8 @@ async def _open_websocket(address: Address, trust: Trust, context: Optional[ssl.
     from websockets.exceptions import WebSocketException
     from websockets.typing import Subprotocol
 
-    scheme = "wss" if address.tls else "ws"
+    scheme, proxy = "wss" if address.tls else "ws", _proxy(address)
+    through = {"sock": await _through(proxy, address)} if proxy else {}
     try:
         link = await connect(
             f"{scheme}://{address.authority}/mom",
@@ -246,8 +247,9 @@ async def _open_websocket(address: Address, trust: Trust, context: Optional[ssl.
             ping_interval=None,
             open_timeout=None,
             close_timeout=1,
-            # Without TLS a proxy could read along, and has no part in it.
-            proxy=True if address.tls else None,
+            # It is on the way already.
+            proxy=None,
+            **through,
         )
     except WebSocketException as error:
         raise ConnectionDownError(f"{address}: {error}") from error
