@@ -7,7 +7,7 @@ import base64
 import hashlib
 import socket
 import ssl
-from typing import Any, Optional, Tuple, Union
+from typing import Any, Dict, Optional, Tuple, Union
 from urllib.parse import SplitResult, unquote, urlsplit
 from urllib.request import getproxies, proxy_bypass
 
@@ -236,7 +236,7 @@ async def _open_websocket(address: Address, trust: Trust, context: Optional[ssl.
     from websockets.typing import Subprotocol
 
     scheme, proxy = "wss" if address.tls else "ws", _proxy(address)
-    through = {"sock": await _through(proxy, address)} if proxy else {}
+    through: Dict[str, Any] = {"sock": await _through(proxy, address)} if proxy else {}
     try:
         link = await connect(
             f"{scheme}://{address.authority}/mom",
