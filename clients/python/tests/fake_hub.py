@@ -30,6 +30,8 @@ class FakeHub:
         """So many of the last parcels are as if they had not been read, when a resume comes."""
         self.cut_after: Optional[int] = None
         """Ends each connection when so many bytes have come on it; a low one ends only one, as none gets further."""
+        self.left: Optional[int] = None
+        """Ends the connection when it has said so many bytes more; once."""
         self.forgotten = 0
         """So many parcels it says that it had not kept."""
         self.silent = False
@@ -64,8 +66,13 @@ class FakeHub:
 
     def raw(self, parcel: Parcel) -> None:
         """Says something that does not count."""
+        data = frame(encode(parcel))
         if self.writer and not self.writer.transport.is_closing():
-            self.writer.write(frame(encode(parcel)))
+            self.writer.write(data if self.left is None else data[: self.left])
+            self.left = None if self.left is None else self.left - len(data)
+            if self.left is not None and self.left <= 0:
+                self.left = None
+                self.writer.close()
 
     def say(self, parcel: Parcel) -> None:
         """Says something that counts, now or when the peer is back."""

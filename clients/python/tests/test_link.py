@@ -65,6 +65,19 @@ async def test_what_was_said_arrives_once_and_in_order_over_a_hundred_lost_conne
         assert len(hub.logins) == 1 and len(hub.resumes) >= 100
 
 
+@pytest.mark.parametrize("direction", ["up", "down"])
+async def test_a_connection_may_be_lost_at_every_byte_of_a_resume(hub: FakeHub, direction: str) -> None:
+    hasty = mom.Reconnect(first=0.001, most=0.002)
+    async with connect(hub, reconnect=hasty) as client:
+        channel = await client.channel("/c")
+        for byte in range(1, 360):
+            hub.cut_after, hub.left = (byte, None) if direction == "up" else (None, byte)
+            hub.cut()
+            assert await asyncio.wait_for(channel.send_acknowledged("ask", byte), PATIENCE) == mom.Receipt(1, [])
+            hub.cut_after = hub.left = None
+        assert contents(hub.heard) == list(range(1, 360)) and len(hub.logins) == 1
+
+
 async def test_large_parcels_are_begun_again_as_a_whole(hub: FakeHub) -> None:
     async with connect(hub) as client:
         channel = await client.channel("/c")
