@@ -159,8 +159,13 @@ class Cutter:
         if self.refuses:
             writer.transport.abort()
             return
+        self._writers.add(writer)
         there, back = await asyncio.open_connection("127.0.0.1", self.hub)
-        self._writers |= {writer, back}
+        if writer not in self._writers:
+            # Cut meanwhile.
+            back.transport.abort()
+            return
+        self._writers.add(back)
         passed = [0]
         ways = [self._pass(reader, back, passed), self._pass(there, writer, passed)]
         self._tasks += map(asyncio.ensure_future, ways)

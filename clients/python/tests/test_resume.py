@@ -22,8 +22,7 @@ async def alice(cutter: Cutter) -> AsyncIterator[mom.Client]:
     """Behind the cutter."""
     address = f"bin://127.0.0.1:{cutter.port}"
     async with mom.connect(address, user="alice", password="alice", reconnect=QUICK) as alice:
-        if alice._core.link is None:
-            pytest.skip("this hub gives no links")
+        assert alice._core.link is not None, "the hub gives a link"
         yield alice
 
 
@@ -35,11 +34,16 @@ async def lost_and_back(client: mom.Client, cutter: Cutter) -> None:
         await asyncio.sleep(0.002)  # tidy: looks again until it is so
 
 
-async def test_nothing_is_lost_and_nothing_comes_twice(broker: Broker, cutter: Cutter, alice: mom.Client) -> None:
+@pytest.mark.parametrize("scheme, seed", [("bin", 1), ("bin", 2), ("ws", 3), ("bins", 4), ("http", 5)])
+async def test_nothing_is_lost_and_nothing_comes_twice(broker: Broker, cutter: Cutter, scheme: str, seed: int) -> None:
     """Cut in both directions at any byte, while both talk."""
-    random.seed(3)
-    address = f"bin://127.0.0.1:{cutter.port}"
-    async with mom.connect(address, user="bob", password="bob", reconnect=QUICK) as bob:
+    random.seed(seed)
+    address = broker.address(scheme).replace(str(broker.port), str(cutter.port))
+
+    def connect(user: str) -> mom.Connect:
+        return mom.connect(address, user=user, password=user, reconnect=QUICK)
+
+    async with connect("alice") as alice, connect("bob") as bob:
         mine, theirs = await alice.channel("/chat"), await bob.channel("/chat")
         heard_here, heard_there = mine.events(), theirs.events()
         downs: List[Any] = []
@@ -49,7 +53,7 @@ async def test_nothing_is_lost_and_nothing_comes_twice(broker: Broker, cutter: C
             await theirs.send("b", number, echo=False)
             if number % 10 == 5:
                 receipts.append(asyncio.ensure_future(mine.send_acknowledged("c", number, echo=False)))
-                cutter.after = random.randrange(600, 6000)
+                cutter.after = random.randrange(2000, 9000)
                 await asyncio.sleep(0)  # tidy: lets both go on
             if number % 20 == 0:
                 await lost_and_back(alice, cutter)
@@ -68,7 +72,7 @@ async def test_nothing_is_lost_and_nothing_comes_twice(broker: Broker, cutter: C
         assert await taken(heard_here, "b") == list(range(600))
         answers = await asyncio.wait_for(asyncio.gather(*receipts), PATIENCE)
         assert len(answers) == 60 and not downs and not guard.is_lost
-        assert cutter.connections > 60
+        assert cutter.connections > 30
         await guard.release()
 
 
@@ -137,8 +141,6 @@ async def test_a_half_open_connection_is_noticed(broker: Broker, cutter: Cutter)
     async with mom.connect(
         address, user="alice", password="alice", heartbeat=0.2, reconnect=QUICK, on_state=lambda state: words.append(state.word)
     ) as client:
-        if client._core.link is None:
-            pytest.skip("this hub gives no links")
         assert client.welcome["limits"]["heartbeat"] == 200 and client.welcome["limits"]["gone"] == 600
         chat = await client.channel("/chat")
         cutter.hold()
@@ -152,8 +154,6 @@ async def test_a_half_open_connection_is_noticed(broker: Broker, cutter: Cutter)
 
 async def test_after_a_restart_of_the_hub_all_begins_anew(own_broker: Broker) -> None:
     async with own_broker.connect("alice", reconnect=QUICK) as alice:
-        if alice._core.link is None:
-            pytest.skip("this hub gives no links")
         chat, guard = await alice.channel("/chat"), await (await alice.token(TOKEN)).grab()
         events = chat.events()
         own_broker.stop()

@@ -144,9 +144,10 @@ class TunnelTransport(Transport):
     def abort(self) -> None:
         for task in self._tasks:
             task.cancel()
+        self._break_off("it was ended here")
 
     def _break_off(self, why: str) -> None:
-        self._broken = f"the tunnel broke off: {why}"
+        self._broken = self._broken or f"the tunnel broke off: {why}"
         self._changed()
 
     async def _bring_up(self, requests: _Requests) -> None:
