@@ -142,7 +142,7 @@ class Cutter:
         self.refuses = False
         """Whether new connections are closed at once."""
         self.after: Optional[int] = None
-        """Cuts a connection when it has passed so many bytes."""
+        """Cuts when a connection has passed so many bytes; once, as few of them let nobody in."""
         self._flows = asyncio.Event()
         self._flows.set()
         self._writers: Set[asyncio.StreamWriter] = set()
@@ -178,6 +178,7 @@ class Cutter:
                 if self.after is not None and passed[0] > self.after:
                     writer.write(data[: max(0, len(data) - (passed[0] - self.after))])
                     await writer.drain()
+                    self.after = None
                     self.cut()
                     return
                 writer.write(data)

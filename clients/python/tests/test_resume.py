@@ -38,6 +38,8 @@ async def lost_and_back(client: mom.Client, cutter: Cutter) -> None:
 async def test_nothing_is_lost_and_nothing_comes_twice(broker: Broker, cutter: Cutter, scheme: str, seed: int) -> None:
     """Cut in both directions at any byte, while both talk."""
     random.seed(seed)
+    # A tunnel goes on over other connections by itself, after pauses: it is cut less often.
+    each = 100 if scheme == "http" else 20
     address = broker.address(scheme).replace(str(broker.port), str(cutter.port))
 
     def connect(user: str) -> mom.Connect:
@@ -53,9 +55,9 @@ async def test_nothing_is_lost_and_nothing_comes_twice(broker: Broker, cutter: C
             await theirs.send("b", number, echo=False)
             if number % 10 == 5:
                 receipts.append(asyncio.ensure_future(mine.send_acknowledged("c", number, echo=False)))
-                cutter.after = random.randrange(2000, 9000)
+                cutter.after = random.randrange(1, 9000) if number % each == 5 else None
                 await asyncio.sleep(0)  # tidy: lets both go on
-            if number % 20 == 0:
+            if number % each == 0:
                 await lost_and_back(alice, cutter)
         cutter.after = None
 
@@ -72,7 +74,7 @@ async def test_nothing_is_lost_and_nothing_comes_twice(broker: Broker, cutter: C
         assert await taken(heard_here, "b") == list(range(600))
         answers = await asyncio.wait_for(asyncio.gather(*receipts), PATIENCE)
         assert len(answers) == 60 and not downs and not guard.is_lost
-        assert cutter.connections > 30
+        assert cutter.connections > 600 / each
         await guard.release()
 
 

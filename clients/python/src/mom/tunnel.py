@@ -192,7 +192,7 @@ class TunnelTransport(Transport):
         failures = iter(_AGAIN)
         try:
             while True:
-                known = self._id
+                known, before = self._id, self._arrived
                 wait = f"&wait={int(_LONGEST * 1000)}" if self._polled else ""
                 self._told = max(self._told, self._arrived)
                 try:
@@ -210,6 +210,9 @@ class TunnelTransport(Transport):
                     failures = iter(_AGAIN)
                 except (*_FAILED, LocalError) as error:
                     requests.drop()
+                    if self._arrived > before:
+                        # It was lost on the way, and not refused.
+                        failures = iter(_AGAIN)
                     pause = next(failures, None)
                     if pause is None:
                         return self._break_off(str(error) or type(error).__name__)
