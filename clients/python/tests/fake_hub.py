@@ -26,6 +26,8 @@ class FakeHub:
         """The names of all parcels in their order, those of family `time` too."""
         self.limits: Dict[str, int] = {"heartbeat": 10_000, "gone": 30_000}
         self.grace, self.gives_link, self.resumable = 30_000, True, True
+        self.knows_link = True
+        """A hub of an earlier version refuses what it does not know."""
         self.lag = 0
         """So many of the last parcels are as if they had not been read, when a resume comes."""
         self.cut_after: Optional[int] = None
@@ -119,6 +121,10 @@ class FakeHub:
         answer = Parcel("reply", "ok", "/", reference=parcel.id)
         if parcel.name == "login":
             self.logins.append(content)
+            if "link" in content and not self.knows_link:
+                error = {"code": 223, "text": "content/link: it is not known", "slot": "content/link"}
+                self.raw(Parcel("error", "bad-content", "/", error, reference=parcel.id))
+                return False
             answer.content = {"peer": "alice", "user": "alice", "level": 1, "limits": self.limits}
             if self.gives_link and content.get("link"):
                 self.id, self.secret, self.read, self.sent, self.kept = os.urandom(16).hex(), os.urandom(32), 0, 0, []

@@ -273,6 +273,17 @@ async def test_a_hub_without_links(hub: FakeHub) -> None:
         assert len(hub.logins) == 2 and (await channel.send_acknowledged("say")).delivered == 1
 
 
+async def test_a_hub_that_refuses_links_is_asked_once(hub: FakeHub) -> None:
+    """Because it counts what it does not know as a failed login."""
+    hub.knows_link = False
+    async with connect(hub) as client:
+        events = (await client.channel("/c")).events()
+        hub.cut()
+        await heard(events, mom.Rejoined)
+    async with connect(hub):
+        assert ["link" in content for content in hub.logins] == [True, False, False, False]
+
+
 async def test_a_parcel_that_cannot_be_read_is_told_and_counted(hub: FakeHub) -> None:
     async with connect(hub) as client:
         events = (await client.channel("/c")).events()
