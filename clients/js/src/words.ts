@@ -1,0 +1,13 @@
+import type { Delivery, Family } from "./parcel.js";
+
+export const FAMILIES: readonly Family[] = ["message", "login", "context", "token", "manager", "event", "reply", "error", "time"];
+export const DELIVERIES: readonly Delivery[] = ["reliable", "latest", "fleeting"];
+
+/** Names that are written as numbers; the table only grows, at its end. */
+export const WORDS: readonly string[] = (
+  "command state status image chat stop unstop halt login answer resume logout create lookup list info stats join leave delete " +
+  "members invite expel grab release renew give accept decline request break inhibit uninhibit consult verdict joined left created " +
+  "deleted grabbed released requested offer lapsed queued invited expelled dropped notice ok challenge ping pong hub inhibited uninhibited"
+).split(" ");
+
+export const NUMBERS: ReadonlyMap<string, number> = new Map(WORDS.map((word, number) => [word, number]));
