@@ -36,7 +36,8 @@ class Tunnel implements Pipe {
   #ends = false;
   #over = false;
   #wake: () => void = () => undefined;
-  #renewed: () => void = () => undefined;
+  #closing: ReturnType<typeof setTimeout> | undefined;
+  #posting: Promise<unknown> | null = null;
   #reading = new AbortController();
   readonly #stop = new AbortController();
   waiting = 0;
@@ -62,12 +63,13 @@ class Tunnel implements Pipe {
     this.#ends = true;
     this.#wake();
     // What it says last still comes down, unless it says nothing more.
-    setTimeout(() => this.end("the tunnel is closed"), 1000);
+    this.#closing ??= setTimeout(() => this.end("the tunnel is closed"), 1000);
   }
 
   end(why: string): void {
     if (this.#over) return;
     this.#over = true;
+    clearTimeout(this.#closing);
     this.#stop.abort();
     this.#wake();
     this.heard.end(why);
@@ -109,15 +111,11 @@ class Tunnel implements Pipe {
         this.#told = this.#down;
         return `/tunnel/${this.id}?at=${at}&ack=${this.#down}${last ? "&end=1" : ""}`;
       };
-      const answer = await this.#ask("POST", target, bytes, LONGEST + PATIENCE);
+      const posted = this.#post(target, bytes);
+      this.#posting = posted;
+      const answer = await posted;
+      this.#posting = null;
       if (!answer) return;
-      await answer.arrayBuffer().catch(() => undefined);
-      const renewed = answer.headers.get("mom-tunnel");
-      if (renewed) {
-        this.id = renewed;
-        this.#most = MOST_UP;
-        this.#renewed();
-      }
       this.#expect(number(answer, "mom-sent"));
       const taken = number(answer, "mom-taken");
       if (answer.status === 503) await sleep(AGAIN[0]!);
@@ -125,6 +123,15 @@ class Tunnel implements Pipe {
       else return this.end(`the hub answers ${answer.status} through the tunnel`);
       if (last && answer.ok && !this.waiting) return;
     }
+  }
+
+  /** Brings bytes up; the answer to those that log in has another id. */
+  async #post(target: () => string, bytes: Uint8Array): Promise<Response | null> {
+    const answer = await this.#ask("POST", target, bytes, LONGEST + PATIENCE);
+    const renewed = answer?.headers.get("mom-tunnel");
+    if (renewed) [this.id, this.#most] = [renewed, MOST_UP];
+    await answer?.arrayBuffer().catch(() => undefined);
+    return answer;
   }
 
   /** What waits, up to so much. */
@@ -184,13 +191,10 @@ class Tunnel implements Pipe {
     }
   }
 
-  /** Its id may just have been renewed. */
+  /** Its id may just be renewed, by the answer to what is under way. */
   async #isRenewed(id: string): Promise<boolean> {
-    if (this.id !== id) return true;
-    return new Promise((resolve) => {
-      const timer = setTimeout(() => resolve(false), PATIENCE);
-      this.#renewed = () => (clearTimeout(timer), resolve(true));
-    });
+    if (this.id === id) await this.#posting;
+    return this.id !== id;
   }
 
   async #read(answer: Response): Promise<boolean> {
