@@ -106,9 +106,13 @@ export class Outbox {
     this.#push({ parcel: mark, frame: encode(mark), reliable: false, guarded: false, lane: AGAIN, at: 0, stream: 0 });
   }
 
-  /** Waits until there is capacity. */
-  async room(): Promise<void> {
-    while (this.bytes >= this.most) await new Promise<void>((resolve) => this.#full.push(resolve));
+  /** Waits until there may be capacity. */
+  room(): Promise<void> {
+    return new Promise<void>((resolve) => this.#full.push(resolve));
+  }
+
+  #wake(): void {
+    if (this.bytes < this.most) for (const wake of this.#full.splice(0)) wake();
   }
 
   /** Sends what the pipe takes. */
@@ -119,7 +123,7 @@ export class Outbox {
       if (!entry || !this.permits(entry)) break;
       this.#write(pipe, entry);
     }
-    if (this.bytes < this.most) for (const wake of this.#full.splice(0)) wake();
+    this.#wake();
   }
 
   /** The most urgent one; where it may not begin a stream, the most urgent of those that have. */
@@ -184,6 +188,7 @@ export class Outbox {
       else this.#lanes.delete(number);
     }
     for (const entry of taken) this.bytes -= entry.frame.length;
+    this.#wake();
     return taken;
   }
 }

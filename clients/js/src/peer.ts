@@ -46,6 +46,9 @@ export class Peer {
   #lastId = 0;
   #heard = 0;
   #pinged = 0;
+  /** Messages that wait for the outbox, one after the other. */
+  #turns = 0;
+  #turn: Promise<void> = Promise.resolve();
   #sentTo = new Map<number, string>();
   #graceOver: ReturnType<typeof setTimeout> | undefined;
   #endServing: (why: string) => void = () => undefined;
@@ -379,6 +382,26 @@ export class Peer {
     if (!this.#wire && !this.#link) throw disconnected("there is no connection to the hub at this moment");
   }
 
+  /** Puts a message into the outbox in its turn, where it is full as soon as it is not. */
+  async #putInTurn(parcel: Parcel): Promise<void> {
+    if (!this.#turns && this.outbox.bytes < this.outbox.most) return this.#put(parcel);
+    this.#turns += 1;
+    const before = this.#turn;
+    this.#turn = (async () => {
+      await before.catch(() => undefined);
+      try {
+        while (this.outbox.bytes >= this.outbox.most) {
+          await this.outbox.room();
+          this.#check();
+        }
+        this.#put(parcel);
+      } finally {
+        this.#turns -= 1;
+      }
+    })();
+    return this.#turn;
+  }
+
   #put(parcel: Parcel): void {
     const place = this.places.get(parcel.context ?? "");
     const message = parcel.family === "message";
@@ -396,13 +419,12 @@ export class Peer {
     this.#check();
     const id = parcel.id ?? ++this.#lastId;
     const sent = { ...parcel, id, timestamp: parcel.timestamp ?? Time.now() };
-    if (parcel.family === "message" && this.outbox.bytes >= this.outbox.most) {
-      await this.outbox.room();
-      this.#check();
-    }
     const answer = this.pending.wait(sent, id, timeout, late);
+    // It may fail while the message still waits.
+    answer.catch(() => undefined);
     try {
-      this.#put(sent);
+      if (parcel.family === "message") await this.#putInTurn(sent);
+      else this.#put(sent);
     } catch (error) {
       this.pending.fail(id, error as MomError);
     }
@@ -413,11 +435,7 @@ export class Peer {
   async post(parcel: Parcel): Promise<void> {
     this.#check();
     const id = parcel.id ?? ++this.#lastId;
-    if (this.outbox.bytes >= this.outbox.most) {
-      await this.outbox.room();
-      this.#check();
-    }
-    this.#put({ ...parcel, id, timestamp: parcel.timestamp ?? Time.now() });
+    await this.#putInTurn({ ...parcel, id, timestamp: parcel.timestamp ?? Time.now() });
     if (parcel.context === undefined) return;
     this.#sentTo.set(id, parcel.context);
     for (const old of this.#sentTo.keys()) {
