@@ -10,6 +10,7 @@
 
 mod advisories;
 mod ci;
+mod clients;
 mod command;
 mod experiments;
 mod instructions;
@@ -47,6 +48,7 @@ const EXAMPLES: &str = "Examples:
   cargo xtask bench-peers --quick --peers nats,redis
   cargo xtask experiments --only reach        what the papers measured, again, into docs/experiments.md
   cargo xtask instructions                    what the hot path costs, held to benches/instructions.toml
+  cargo xtask pack python                     the client in Python as a wheel, into target/packages
   cargo xtask advisories                      known vulnerabilities of what we depend upon
   cargo xtask ci                              everything that must hold before a change lands";
 
@@ -84,6 +86,13 @@ enum Task {
         /// Store what is counted now.
         #[arg(long)]
         write: bool,
+    },
+    /// Write a client in another language as a package, into target/packages.
+    Pack {
+        /// Its language: python.
+        language: String,
+        #[command(flatten)]
+        install: InstallArgs,
     },
     /// Look for known vulnerabilities in what we depend upon; downloads the list of them, and says so where it cannot.
     Advisories,
@@ -166,9 +175,12 @@ fn main() -> ExitCode {
 
 fn run(task: Task) -> Result<ExitCode> {
     let root = workspace_root()?;
+    // What is needed and installed is named from there.
+    std::env::set_current_dir(&root).with_context(|| format!("{} cannot be entered", root.display()))?;
     match task {
         Task::Test(args) => {
             needs::ensure(needs::FOR_TESTS, args.install.install, "cargo xtask test")?;
+            needs::ensure(needs::FOR_CLIENTS, args.install.install, "cargo xtask test")?;
             let counts = test::run(&root, &args.cargo_test)?;
             println!("{counts}");
             Ok(exit_code(counts.is_success()))
@@ -202,11 +214,17 @@ fn run(task: Task) -> Result<ExitCode> {
             )?;
             Ok(exit_code(instructions::run(&root, write)?))
         }
+        Task::Pack { language, install } => {
+            needs::ensure(needs::FOR_CLIENTS, install.install, "cargo xtask pack")?;
+            clients::pack(&root, &language)?;
+            Ok(ExitCode::SUCCESS)
+        }
         Task::Advisories => Ok(exit_code(advisories::run(&root)?)),
         Task::Tidy => Ok(exit_code(tidy::run(&root)?)),
         Task::Ci(args) => {
             needs::ensure(needs::FOR_CI, args.install, "cargo xtask ci")?;
             needs::ensure(needs::FOR_TESTS, args.install, "cargo xtask ci")?;
+            needs::ensure(needs::FOR_CLIENTS, args.install, "cargo xtask ci")?;
             needs::ensure(needs::FOR_INSTRUCTIONS, args.install, "cargo xtask ci")?;
             Ok(exit_code(ci::run(&root)?))
         }

@@ -4,7 +4,11 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Result, bail};
 
+use crate::clients::PYTHON;
 use crate::command::{shows, succeeds};
+
+/// The folder of `PYTHON`.
+const PYTHON_FOLDER: &str = "target/python";
 
 /// One thing that a task needs.
 #[derive(Clone, Copy)]
@@ -19,7 +23,7 @@ pub(crate) struct Need {
     why: &'static str,
 }
 
-/// Where a need comes from. A new kind of package (npm, PyPI) is one variant here and one arm in `commands`.
+/// Where a need comes from. A new kind of package (npm) is one variant here and one arm in `commands`.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Source {
     /// A package of Debian and its relatives.
@@ -28,6 +32,8 @@ enum Source {
     Crate(&'static str),
     /// A component of the installed Rust toolchain.
     Rustup(&'static str),
+    /// Packages of PyPI, into a folder of their own below `target`.
+    PyPi(&'static [&'static str]),
     /// Nothing that should be installed behind one's back; the text says how to get it.
     ByHand(&'static str),
 }
@@ -38,6 +44,41 @@ const CARGO: Need = Need {
     source: Source::ByHand("install Rust with rustup, see https://rustup.rs"),
     why: "builds everything",
 };
+
+/// The packages of the client in Python, and of its tests; the tests find them in `PYTHON`.
+const PYTHON_PACKAGES: &[&str] = &[
+    "msgpack",
+    "websockets",
+    "cryptography",
+    "pytest",
+    "pytest-asyncio",
+    "mypy",
+    "pdoc",
+    "build",
+    "hatchling",
+];
+
+/// What the tests of the clients in other languages need; in this order, as one brings the next.
+pub(crate) const FOR_CLIENTS: &[Need] = &[
+    Need {
+        what: "python3-venv",
+        detect: ("python3", &["-c", "import ensurepip, venv"]),
+        source: Source::Debian("python3-venv"),
+        why: "the packages for the client in Python get a folder of their own",
+    },
+    Need {
+        what: "packages for clients/python",
+        detect: (
+            PYTHON,
+            &[
+                "-c",
+                "import msgpack, websockets, cryptography, pytest, pytest_asyncio, mypy, pdoc, build, hatchling",
+            ],
+        ),
+        source: Source::PyPi(PYTHON_PACKAGES),
+        why: "the client in Python and its tests",
+    },
+];
 
 /// What `cargo xtask test` needs.
 pub(crate) const FOR_TESTS: &[Need] = &[
@@ -183,7 +224,7 @@ pub(crate) fn ensure(needs: &[Need], install: bool, task: &str) -> Result<()> {
     if let Some(need) = missing(&absent).first() {
         match need.source {
             Source::ByHand(how) => bail!("{} is missing: {how}, then run `{task}` again", need.what),
-            Source::Debian(_) | Source::Crate(_) | Source::Rustup(_) => bail!(
+            Source::Debian(_) | Source::Crate(_) | Source::Rustup(_) | Source::PyPi(_) => bail!(
                 "{} was installed, but `{} {}` still fails: run it by hand to see why",
                 need.what,
                 need.detect.0,
@@ -235,6 +276,11 @@ fn commands(needs: &[Need], prefix: &[String]) -> Vec<Vec<String>> {
                 all.push(words(prefix, &["apt-get", "install", "-y", package]));
             }
             Source::Crate(name) => all.push(words(&[], &["cargo", "install", "--locked", name])),
+            Source::PyPi(packages) => {
+                all.push(words(&[], &["python3", "-m", "venv", PYTHON_FOLDER]));
+                let install = words(&[], &[PYTHON, "-m", "pip", "install", "--quiet"]);
+                all.push(words(&install, packages));
+            }
             Source::Rustup(component) => all.push(words(&[], &["rustup", "component", "add", component])),
             Source::ByHand(_) => {}
         }
@@ -311,6 +357,7 @@ mod tests {
             absent("c", Source::Rustup("clippy")),
             absent("b", Source::Debian("pkg-b")),
             absent("d", Source::Crate("cargo-d")),
+            absent("e", Source::PyPi(&["e", "f"])),
         ];
         let typed: Vec<_> = commands(&needs, &["sudo".to_owned()])
             .iter()
@@ -324,6 +371,8 @@ mod tests {
                 "rustup component add clippy",
                 "sudo apt-get install -y pkg-b",
                 "cargo install --locked cargo-d",
+                "python3 -m venv target/python",
+                "target/python/bin/python -m pip install --quiet e f",
             ]
         );
     }

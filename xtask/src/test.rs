@@ -1,4 +1,4 @@
-//! `cargo xtask test`: every test and doctest of the workspace, added up into one line.
+//! `cargo xtask test`: every test and doctest of the workspace and of the clients in other languages, added up into one line.
 
 use std::fmt;
 use std::io::{BufRead, BufReader, Read};
@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use anyhow::{Context as _, Result};
 
+use crate::clients;
 use crate::command::{cargo, line};
 
 /// How many tests passed and failed; shown as `N passed, N failed`.
@@ -38,17 +39,30 @@ impl Counts {
             let Ok(number) = number.parse::<u64>() else {
                 continue;
             };
-            match kind {
-                "passed" => self.passed += number,
-                "failed" => self.failed += number,
-                _ => {}
-            }
+            self.add(kind, number);
+        }
+    }
+
+    /// Adds so many tests of a kind, by the words of the languages' tools.
+    pub(crate) fn add(&mut self, kind: &str, number: u64) {
+        match kind {
+            "passed" => self.passed += number,
+            "failed" | "error" | "errors" => self.failed += number,
+            _ => {}
+        }
+    }
+
+    /// Both together.
+    pub(crate) fn and(self, other: Counts) -> Counts {
+        Counts {
+            passed: self.passed + other.passed,
+            failed: self.failed + other.failed,
         }
     }
 
     /// The counts once cargo has ended. A build that fails or a test program that dies leaves no line of results,
     /// and must not look like a success to who reads only the last line: it counts as one failure.
-    fn concluded(mut self, cargo_succeeded: bool) -> Counts {
+    pub(crate) fn concluded(mut self, cargo_succeeded: bool) -> Counts {
         if !cargo_succeeded && self.failed == 0 {
             self.failed = 1;
         }
@@ -79,7 +93,11 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<Counts> {
     if counts.passed + counts.failed == 0 {
         eprintln!("no test ran: the filter fits none; `cargo xtask test` runs all");
     }
-    Ok(counts)
+    // Whoever asks for a part of the tests asks cargo for it.
+    match args.is_empty() {
+        true => Ok(counts.and(clients::test(root)?)),
+        false => Ok(counts),
+    }
 }
 
 /// The whole workspace, unless the caller names packages; every program runs even when one has failed.

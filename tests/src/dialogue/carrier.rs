@@ -7,6 +7,8 @@ use mom_net::{Address, ClientTls, Door, Transceiver, Trust};
 use mom_proto::Limits;
 use mom_proto::codec::Form;
 
+use super::program::Client;
+
 /// How the peers of a dialogue are connected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Carrier {
@@ -16,6 +18,8 @@ pub enum Carrier {
     Local,
     /// Each next peer by the next of them, so that senders and receivers differ.
     Mixed,
+    /// The binary form through a door, with TLS or without, by a client in another language.
+    Program(Client, Door, bool),
 }
 
 const STREAMED: Door = Door::Tunnel { polled: false };
@@ -41,6 +45,7 @@ impl Carrier {
     pub(crate) async fn connect(self, broker: &Broker, before: usize) -> Result<Transceiver, String> {
         let (form, door, tls) = match self {
             Carrier::Remote(form, door, tls) => (form, door, tls),
+            Carrier::Program(_, door, tls) => (Form::Binary, door, tls),
             Carrier::Local => return Ok(broker.connect_local()),
             Carrier::Mixed => return Box::pin(MIX[before % MIX.len()].connect(broker, before)).await,
         };
@@ -52,8 +57,11 @@ impl Carrier {
             host: address.ip().to_string(),
             port: address.port(),
             path: None,
-            pin: None,
+            pin: broker.fingerprint().filter(|_| tls),
         };
+        if let Carrier::Program(client, ..) = self {
+            return client.connect(&address).await;
+        }
         let trust = broker.fingerprint().map(Trust::Pinned).unwrap_or_default();
         let client = ClientTls::new(&trust, None).map_err(|error| error.to_string())?;
         mom_net::connect(&address, &Limits::default(), Some(&client))
@@ -68,15 +76,22 @@ impl fmt::Display for Carrier {
             Carrier::Local => formatter.write_str("in process"),
             Carrier::Mixed => formatter.write_str("mixed"),
             Carrier::Remote(form, door, tls) => {
-                let door = match *door {
-                    Door::Stream => "TCP",
-                    Door::WebSocket => "WebSocket",
-                    STREAMED => "a tunnel",
-                    Door::Tunnel { .. } => "a polled tunnel",
-                };
-                let tls = if *tls { " with TLS" } else { "" };
-                write!(formatter, "{} over {door}{tls}", form.word())
+                write!(formatter, "{} over {}", form.word(), way(*door, *tls))
+            }
+            Carrier::Program(client, door, tls) => {
+                write!(formatter, "{} over {}", client.language, way(*door, *tls))
             }
         }
     }
+}
+
+fn way(door: Door, tls: bool) -> String {
+    let door = match door {
+        Door::Stream => "TCP",
+        Door::WebSocket => "WebSocket",
+        STREAMED => "a tunnel",
+        Door::Tunnel { .. } => "a polled tunnel",
+    };
+    let tls = if tls { " with TLS" } else { "" };
+    format!("{door}{tls}")
 }

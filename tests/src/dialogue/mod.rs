@@ -48,6 +48,7 @@ mod carrier;
 mod hear;
 mod notation;
 mod peer;
+mod program;
 mod runner;
 mod say;
 mod script;
@@ -56,6 +57,7 @@ mod show;
 use std::path::Path;
 
 pub use carrier::Carrier;
+pub use program::{CLIENTS, Client};
 use script::Script;
 
 /// A dialogue that did not go as written.

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use mom_net::Door;
 use mom_proto::codec::Form;
-use mom_tests::dialogue::{Carrier, Dialogue};
+use mom_tests::dialogue::{CLIENTS, Carrier, Dialogue};
 
 fn files() -> Vec<PathBuf> {
     let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/dialogues");
@@ -21,6 +21,11 @@ fn files() -> Vec<PathBuf> {
 /// Runs all dialogues, or those whose name contains `DIALOGUE`, and tells of all that fail.
 fn check(carrier: Carrier) {
     let chosen = std::env::var("DIALOGUE").unwrap_or_default();
+    check_some(carrier, &[&chosen]);
+}
+
+/// Runs those whose name contains one of these, and tells of all that fail.
+fn check_some(carrier: Carrier, chosen: &[&str]) {
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
         .enable_all()
@@ -29,7 +34,7 @@ fn check(carrier: Carrier) {
     let mut failures = Vec::new();
     for file in files() {
         let name = file.file_name().unwrap().to_string_lossy().into_owned();
-        if !name.contains(&chosen) {
+        if !chosen.iter().any(|part| name.contains(part)) {
             continue;
         }
         let text = std::fs::read_to_string(&file).unwrap();
@@ -93,6 +98,24 @@ fn in_process() {
 #[test]
 fn mixed() {
     check(Carrier::Mixed);
+}
+
+/// All of them through one door, and through the others those in which parcels of every kind are said.
+#[test]
+fn through_clients_of_other_languages() {
+    for client in CLIENTS {
+        check(Carrier::Program(client, Door::Stream, false));
+        for (door, tls) in [
+            (Door::Stream, true),
+            (Door::WebSocket, false),
+            (Door::Tunnel { polled: false }, false),
+        ] {
+            check_some(
+                Carrier::Program(client, door, tls),
+                &["values", "slots", "safe-state"],
+            );
+        }
+    }
 }
 
 #[test]

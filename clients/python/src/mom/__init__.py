@@ -1,0 +1,1 @@
+"""The client of MOM, message-oriented middleware for robots."""

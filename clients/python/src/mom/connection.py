@@ -1,0 +1,140 @@
+"""One connection to a hub, without a login: parcels as they are."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from typing import Callable, Deque, Dict, Optional, Tuple
+
+from . import binary
+from .address import Address
+from .errors import ConnectionDownError, LocalError
+from .parcel import Parcel
+from .transport import Transport, Trust, open_transport
+
+PIECE = 16 * 1024
+"""Larger parcels are cut into chunks of this size, so that others can go between them."""
+
+_BROKEN = (OSError, EOFError, asyncio.IncompleteReadError)
+
+
+class Connection:
+    """One connection to a hub, without a login: for tests, and for programs that speak the protocol themselves.
+
+    Everything else is done by `mom.Client`, which is made of one such connection after another.
+    """
+
+    def __init__(self, transport: Transport, numbers: Optional[Dict[int, str]] = None) -> None:
+        self.decoder = binary.Decoder(numbers)
+        self.read_bytes = 0
+        """How many bytes of whole parcels were given by `receive`."""
+        self._transport = transport
+        self._parcels: Deque[Tuple[Parcel, int]] = deque()
+        self._streams = 0
+
+    @classmethod
+    async def open(cls, address: str, *, trust: Trust = None, timeout: float = 10) -> Connection:
+        """Connects through the door of an address, and waits for the hub's preface.
+
+        `AddressError`, `ConnectionDownError`, `LocalError` for a hub that is none or not the one meant.
+        """
+        return await cls.to(Address.parse(address), trust, timeout=timeout)
+
+    @classmethod
+    async def to(
+        cls, address: Address, trust: Trust = None, numbers: Optional[Dict[int, str]] = None, timeout: float = 10
+    ) -> Connection:
+        """The same for an address that was read; `numbers` are those of contexts, known from earlier connections."""
+        try:
+            return await asyncio.wait_for(cls._to(address, trust, numbers), timeout)
+        except asyncio.TimeoutError:
+            raise ConnectionDownError(f"{address}: nothing was heard within {timeout:g} s") from None
+
+    @classmethod
+    async def _to(cls, address: Address, trust: Trust, numbers: Optional[Dict[int, str]]) -> Connection:
+        transport = await open_transport(address, trust)
+        connection = cls(transport, numbers)
+        try:
+            await transport.write(binary.PREFACE)
+            # Whoever takes connections is no hub yet: its preface says so.
+            while not connection.decoder.began:
+                if not await connection._arrive():
+                    raise ConnectionDownError(f"{address}: closed before a word was said")
+        except _BROKEN as error:
+            transport.abort()
+            raise ConnectionDownError(f"{address}: {error}") from error
+        except BaseException:
+            transport.abort()
+            raise
+        return connection
+
+    async def _arrive(self) -> bool:
+        data = await self._transport.read()
+        if data:
+            self._parcels.extend(self.decoder.feed(data))
+        return bool(data)
+
+    async def receive(self) -> Optional[Parcel]:
+        """The next parcel; `None` at the end of the connection. `ConnectionDownError` for one that broke."""
+        while not self._parcels:
+            try:
+                if not await self._arrive():
+                    return None
+            except _BROKEN as error:
+                raise ConnectionDownError(str(error) or type(error).__name__) from error
+        parcel, size = self._parcels.popleft()
+        self.read_bytes += size
+        return parcel
+
+    async def send_parcel(self, parcel: Parcel) -> None:
+        """Sends a parcel as it is, in chunks if it is large."""
+        body = binary.encode(parcel)
+        pieces = Pieces(body, self.next_stream)
+        while not pieces.done:
+            await self.write(pieces.next())
+
+    def next_stream(self) -> int:
+        """A number for a stream of chunks, used by no other."""
+        self._streams += 1
+        return self._streams
+
+    async def write(self, data: bytes) -> None:
+        """Passes bytes on; waits while too many wait. `ConnectionDownError` for a connection that broke."""
+        try:
+            await self._transport.write(data)
+        except _BROKEN as error:
+            raise ConnectionDownError(str(error) or type(error).__name__) from error
+
+    async def close(self) -> None:
+        """Ends the connection."""
+        try:
+            await self._transport.close()
+        except (*_BROKEN, LocalError):
+            self._transport.abort()
+
+    def abort(self) -> None:
+        """Ends the connection at once."""
+        self._transport.abort()
+
+
+class Pieces:
+    """The frames of one parcel: one, or chunks."""
+
+    def __init__(self, body: bytes, stream: Callable[[], int]) -> None:
+        self._body, self._at, self._next_stream = body, 0, stream
+        self._stream: Optional[int] = None
+        self.done = False
+        """Whether all of it was given."""
+
+    def next(self) -> bytes:
+        """The next frame."""
+        body = self._body
+        if self._at == 0 and len(body) <= 2 * PIECE:
+            self.done = True
+            return binary.frame(body)
+        if self._stream is None:
+            self._stream = self._next_stream()
+        piece = body[self._at : self._at + PIECE]
+        first, self._at = self._at == 0, self._at + len(piece)
+        self.done = self._at >= len(body)
+        return binary.chunk(self._stream, piece, len(body), first, self.done)

@@ -1,0 +1,207 @@
+"""What carries the bytes of a connection: TCP, TLS on it, a WebSocket."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import socket
+import ssl
+from typing import Any, Optional, Union
+
+from .address import TCP, TUNNEL, WEBSOCKET, Address
+from .errors import ConnectionDownError, LocalError
+
+Trust = Union[None, str, ssl.SSLContext]
+"""Which hub is the right one over TLS: `None` = one that this system trusts, or that the address pins; a string = the
+fingerprint of its certificate (`sha256:…`); a context of `ssl` = whatever that trusts, and a certificate to show."""
+
+_NOTSENT_LOWAT = getattr(socket, "TCP_NOTSENT_LOWAT", 25)
+_WAITING = 64 * 1024
+
+
+class Transport:
+    """Carries bytes both ways."""
+
+    async def read(self) -> bytes:
+        """What has arrived; nothing at the end."""
+        raise NotImplementedError
+
+    async def write(self, data: bytes) -> None:
+        """Passes bytes on; waits while too many wait."""
+        raise NotImplementedError
+
+    async def close(self) -> None:
+        """Ends it."""
+        raise NotImplementedError
+
+    def abort(self) -> None:
+        """Ends it at once, without a word."""
+        raise NotImplementedError
+
+
+class StreamTransport(Transport):
+    """TCP, or TLS on it."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._reader, self._writer = reader, writer
+        stream = writer.get_extra_info("socket")
+        writer.transport.set_write_buffer_limits(high=_WAITING)
+        if stream is not None:
+            bound_waiting(stream)
+
+    async def read(self) -> bytes:
+        return await self._reader.read(256 * 1024)
+
+    async def write(self, data: bytes) -> None:
+        self._writer.write(data)
+        await self._writer.drain()
+
+    async def close(self) -> None:
+        self._writer.close()
+        try:
+            await asyncio.wait_for(self._writer.wait_closed(), 1)
+        except (OSError, asyncio.TimeoutError):
+            self.abort()
+
+    def abort(self) -> None:
+        self._writer.transport.abort()
+
+
+class WebSocketTransport(Transport):
+    """A WebSocket, by the package `websockets`."""
+
+    def __init__(self, link: Any) -> None:
+        self._link = link
+
+    async def read(self) -> bytes:
+        from websockets.exceptions import ConnectionClosed
+
+        try:
+            data = await self._link.recv()
+        except ConnectionClosed:
+            return b""
+        if isinstance(data, str):
+            raise LocalError("bad-frame", "the hub sent text over a WebSocket of the binary form")
+        return bytes(data)
+
+    async def write(self, data: bytes) -> None:
+        from websockets.exceptions import ConnectionClosed
+
+        try:
+            await self._link.send(data)
+        except ConnectionClosed as error:
+            raise ConnectionResetError(str(error)) from None
+
+    async def close(self) -> None:
+        await self._link.close()
+
+    def abort(self) -> None:
+        self._link.transport.abort()
+
+
+def bound_waiting(stream: Any) -> None:
+    """Sends at once, and lets little wait in the kernel, so that what is urgent does not wait behind it."""
+    try:
+        stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        stream.setsockopt(socket.IPPROTO_TCP, _NOTSENT_LOWAT, _WAITING)
+    except OSError:
+        pass  # Not every system has the second one; it only makes urgent things faster.
+
+
+def tls_context(address: Address, trust: Trust) -> Optional[ssl.SSLContext]:
+    """What checks the hub's certificate; none without TLS."""
+    if not address.tls:
+        return None
+    if isinstance(trust, ssl.SSLContext):
+        return trust
+    context = ssl.create_default_context()
+    if _pin(address, trust):
+        # The fingerprint is compared instead, when the hub has shown its certificate.
+        context.check_hostname = False
+        context.verify_mode = ssl.CERT_NONE
+    return context
+
+
+def check_pin(address: Address, trust: Trust, tls: Any) -> None:
+    """Refuses a hub with another certificate than the one that is pinned."""
+    pin = _pin(address, trust)
+    if not address.tls or not pin:
+        return
+    shown = hashlib.sha256((tls.getpeercert(True) if tls else None) or b"").hexdigest()
+    if shown != pin:
+        raise LocalError(
+            "bad-login", f"{address} has another certificate than the one that is pinned: sha256:{shown}; nothing was sent"
+        )
+
+
+def _pin(address: Address, trust: Trust) -> Optional[str]:
+    pin = trust if isinstance(trust, str) else address.pin if trust is None else None
+    return pin.lower().split(":")[-1] if pin else None
+
+
+def has_websockets() -> bool:
+    """Whether the optional package for WebSockets is installed."""
+    try:
+        import websockets.asyncio.client  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
+async def open_transport(address: Address, trust: Trust) -> Transport:
+    """Connects through one door."""
+    context = tls_context(address, trust)
+    try:
+        if address.door == WEBSOCKET:
+            return await _open_websocket(address, trust, context)
+        if address.door == TUNNEL:
+            from .tunnel import open_tunnel
+
+            return await open_tunnel(address, trust, context)
+        if address.door != TCP:
+            raise LocalError("bad-slot", f"{address} is no single door: try those of Address.doors")
+        name = address.host if context else None
+        reader, writer = await asyncio.open_connection(
+            address.host, address.port, ssl=context, server_hostname=name, limit=1 << 20
+        )
+        transport = StreamTransport(reader, writer)
+        try:
+            check_pin(address, trust, writer.get_extra_info("ssl_object"))
+        except LocalError:
+            transport.abort()
+            raise
+        return transport
+    except (OSError, EOFError) as error:
+        raise ConnectionDownError(f"{address}: {error}") from error
+
+
+async def _open_websocket(address: Address, trust: Trust, context: Optional[ssl.SSLContext]) -> Transport:
+    if not has_websockets():
+        raise LocalError("not-taken", f"{address} needs the package websockets: pip install 'mom-client[web]'")
+    from websockets.asyncio.client import connect
+    from websockets.exceptions import WebSocketException
+    from websockets.typing import Subprotocol
+
+    scheme = "wss" if address.tls else "ws"
+    try:
+        link = await connect(
+            f"{scheme}://{address.authority}/mom",
+            ssl=context,
+            subprotocols=[Subprotocol("mom.bin.v1")],
+            compression=None,
+            max_size=None,
+            ping_interval=None,
+            open_timeout=None,
+            close_timeout=1,
+            # Without TLS a proxy could read along, and has no part in it.
+            proxy=True if address.tls else None,
+        )
+    except WebSocketException as error:
+        raise ConnectionDownError(f"{address}: {error}") from error
+    bound_waiting(link.transport.get_extra_info("socket"))
+    try:
+        check_pin(address, trust, link.transport.get_extra_info("ssl_object"))
+    except LocalError:
+        link.transport.abort()
+        raise
+    return WebSocketTransport(link)
