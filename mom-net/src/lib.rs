@@ -51,7 +51,9 @@ pub use local::pair;
 pub use outgoing::Outgoing;
 pub use part::Part;
 pub use proxy::proxied;
-pub use queue::{DropPolicy, DropReason, Item, Lane, Piece, Rest, SendQueue, Taken, write_batch};
+pub use queue::{
+    BadCount, DropPolicy, DropReason, Item, Lane, Ledger, Piece, Rest, Rewound, SendQueue, Taken, write_batch,
+};
 pub use reader::Reader;
 pub use secret_id::SecretId;
 pub use takes::{Protocol, Takes, TlsUse};

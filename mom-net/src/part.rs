@@ -111,6 +111,21 @@ impl Part {
         add(&frame.body[from.max(split) - split..to.max(split) - split]);
     }
 
+    /// Where its bytes lie in the frame.
+    pub(crate) fn bytes(&self) -> Range<usize> {
+        self.bytes.clone()
+    }
+
+    /// How many bytes the link has taken, of plain ones.
+    pub(crate) fn written(&self) -> usize {
+        self.done
+    }
+
+    /// Begins anew.
+    pub(crate) fn restart(&mut self) {
+        self.done = 0;
+    }
+
     /// Counts written bytes; gives back how many were not its own.
     #[inline]
     pub fn advance(&mut self, written: usize) -> usize {

@@ -69,6 +69,34 @@ impl Form {
         }
     }
 
+    /// Reads whole frames, such as [`Form::encode`] writes.
+    ///
+    /// # Errors
+    /// Frames that are broken or hold something else than parcels.
+    pub fn read(self, frames: &[u8]) -> Result<Vec<Parcel>, WireError> {
+        let limits = Limits {
+            parcel: Limit::Unlimited,
+            ..Limits::default()
+        };
+        let mut input = BytesMut::with_capacity(frames.len() + binary::PREFACE.len());
+        let mut decoder = match self {
+            Form::Binary => {
+                input.extend_from_slice(&binary::PREFACE);
+                Decoder::Binary(Box::new(BinaryDecoder::for_peer(&limits)))
+            }
+            form => Decoder::new(form, &limits),
+        };
+        input.extend_from_slice(frames);
+        let mut parcels = Vec::new();
+        while let Some(frame) = decoder.decode(&mut input)? {
+            match frame {
+                Frame::Parcel(parcel) => parcels.push(*parcel),
+                Frame::Malformed { error, .. } => return Err(error),
+            }
+        }
+        Ok(parcels)
+    }
+
     /// As [`Form::encode`]; where content has to be opened, of so many levels at most, and into a frame of so many bytes.
     /// The bounds hold while it is written. Binary content stays closed and is not bounded here.
     ///

@@ -58,6 +58,8 @@ impl Code {
     pub const EXPIRED: Code = Code::new(207, "expired");
     /// The device has moved since the state that the command was based on (M35).
     pub const STALE_STATE: Code = Code::new(208, "stale-state");
+    /// What a resume has asked for cannot be resumed: log in and join anew.
+    pub const NOT_RESUMED: Code = Code::new(209, "not-resumed");
     /// No context has this path.
     pub const UNKNOWN_PATH: Code = Code::new(210, "unknown-path");
     /// No peer has this name here.
@@ -132,6 +134,10 @@ impl Code {
     pub const REVOKED: Code = Code::new(406, "revoked");
     /// A form, or TLS, that the listener does not take.
     pub const NOT_TAKEN: Code = Code::new(407, "not-taken");
+    /// A count of parcels that cannot be: the two ends of a link do not agree on what was said.
+    pub const BAD_COUNT: Code = Code::new(408, "bad-count");
+    /// The link was resumed over another connection.
+    pub const TAKEN_OVER: Code = Code::new(409, "taken-over");
 
     /// Every code, in the order of its number.
     pub const TABLE: &[Code] = &[
@@ -153,6 +159,7 @@ impl Code {
         Code::BAD_FENCE,
         Code::EXPIRED,
         Code::STALE_STATE,
+        Code::NOT_RESUMED,
         Code::UNKNOWN_PATH,
         Code::UNKNOWN_PEER,
         Code::UNKNOWN_VERB,
@@ -189,6 +196,8 @@ impl Code {
         Code::TOO_MANY_LOGINS,
         Code::REVOKED,
         Code::NOT_TAKEN,
+        Code::BAD_COUNT,
+        Code::TAKEN_OVER,
     ];
 
     const fn new(number: u16, word: &'static str) -> Code {

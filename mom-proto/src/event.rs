@@ -35,6 +35,10 @@ pub const DROPPED: &str = "dropped";
 /// A stop went out without its content.
 pub const SHORTENED: &str = "shortened";
 
+/// A peer has lost its connection and may come back for a while.
+pub const LOST: &str = "lost";
+/// It has come back.
+pub const RESUMED: &str = "resumed";
 /// The safe-state message sent by the hub when ownership ends.
 pub const HALT: &str = "halt";
 /// The reserved message that halts a device until `unstop`.

@@ -49,7 +49,9 @@ mod verb;
 mod visible;
 pub mod xml;
 
-pub use challenge::{LOGIN_CONTEXT, NONCE_BYTES, login_challenge};
+pub use challenge::{
+    LINK_CONTEXT, LOGIN_CONTEXT, NONCE_BYTES, SECRET_BYTES, link_challenge, login_challenge,
+};
 pub use clock_offset::{ClockOffset, Exchange, OffsetEstimator};
 pub use codes::Code;
 pub use content::Content;

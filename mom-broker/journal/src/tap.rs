@@ -62,7 +62,11 @@ impl Tap {
     pub fn handle(&self, hub: &mut Hub, input: Input, effects: &mut Vec<Effect>) {
         let now = self.clock.now();
         let peer = match &input {
-            Input::Login { peer, .. } | Input::Request { peer, .. } | Input::Gone { peer } => Some(*peer),
+            Input::Login { peer, .. }
+            | Input::Request { peer, .. }
+            | Input::Gone { peer }
+            | Input::Lost { peer, .. }
+            | Input::Resumed { peer } => Some(*peer),
             Input::Stored { .. } | Input::Configure(_) | Input::Tick | Input::Wall { .. } => None,
         };
         if let Input::Login { peer, user, .. } = &input {

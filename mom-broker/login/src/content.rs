@@ -1,7 +1,9 @@
 //! The content of a login. Its errors quote nothing, because it may be a secret in the wrong field.
 
 use mom_proto::nearest::nearest;
-use mom_proto::{Code, Map, Parcel, Value, ValueKind, WireError, check_name};
+use mom_proto::{Code, Map, Parcel, SECRET_BYTES, Value, ValueKind, WireError, check_name};
+
+use crate::resume::{LinkWish, Wishes};
 
 /// A login request.
 #[derive(Debug)]
@@ -9,6 +11,7 @@ pub(super) struct LoginRequest {
     pub(super) proof: ClaimedProof,
     /// The requested nickname.
     pub(super) nickname: Option<String>,
+    pub(super) wishes: Wishes,
 }
 
 /// The proof that it claims to have.
@@ -33,7 +36,7 @@ impl std::fmt::Debug for ClaimedProof {
     }
 }
 
-const KEYS: [&str; 7] = [
+const KEYS: [&str; 9] = [
     "name",
     "password",
     "key",
@@ -41,7 +44,12 @@ const KEYS: [&str; 7] = [
     "token",
     "guest",
     "nickname",
+    "link",
+    "heartbeat",
 ];
+
+/// The shortest time between signs of life that a peer may ask for, ms.
+const SHORTEST_BEAT: u64 = 100;
 
 impl LoginRequest {
     /// Reads the content of `login login`.
@@ -57,7 +65,15 @@ impl LoginRequest {
         let token = take_text(&mut map, "token")?;
         let guest = take_true(&mut map, "guest")?;
         let nickname = take_text(&mut map, "nickname")?;
+        let wishes = Wishes {
+            link: take_link(&mut map)?,
+            heartbeat: take_count(&mut map, "heartbeat")?,
+        };
         check_rest(&map, &KEYS)?;
+        if wishes.heartbeat.is_some_and(|beat| beat < SHORTEST_BEAT) {
+            let text = format!("it is in ms, and {SHORTEST_BEAT} at least");
+            return Err(wrong("heartbeat", &text));
+        }
         if let Some(nickname) = &nickname {
             check_name(nickname).map_err(|error| error.slot("content/nickname"))?;
         }
@@ -79,7 +95,11 @@ impl LoginRequest {
             (Some(_), ..) => return Err(wrong("name", "a token or a guest names no user")),
             (None, ..) => return Err(wrong("name", "it is missing")),
         };
-        Ok(LoginRequest { proof, nickname })
+        Ok(LoginRequest {
+            proof,
+            nickname,
+            wishes,
+        })
     }
 }
 
@@ -93,6 +113,35 @@ pub(super) fn read_signature(parcel: &Parcel) -> Result<[u8; 64], WireError> {
         .as_binary()
         .and_then(|bytes| <[u8; 64]>::try_from(&bytes[..]).ok())
         .ok_or_else(|| wrong("signature", "64 bytes, binary, are wanted"))
+}
+
+/// Reads the content of `login resume`: the id of a link, of so many bytes at most.
+pub(super) fn read_link(parcel: &Parcel, longest: usize) -> Result<String, WireError> {
+    let mut map = map_of(parcel, "a resume needs content {link}")?;
+    let link = take_text(&mut map, "link")?;
+    check_rest(&map, &["link"])?;
+    let link = link.ok_or_else(|| wrong("link", "it is missing"))?;
+    match link.len() <= longest {
+        true => Ok(link),
+        false => Err(wrong("link", "that is no id of a link")),
+    }
+}
+
+/// Reads the content of the answer to a resume's challenge.
+pub(super) fn read_proof(parcel: &Parcel) -> Result<(Vec<u8>, u64), WireError> {
+    let mut map = map_of(parcel, "an answer to a resume needs content {proof, read}")?;
+    let proof = take(&mut map, "proof");
+    let read = take_count(&mut map, "read")?;
+    check_rest(&map, &["proof", "read"])?;
+    let proof = proof.ok_or_else(|| wrong("proof", "it is missing"))?;
+    let proof = proof
+        .as_binary()
+        .filter(|proof| proof.len() == SECRET_BYTES)
+        .ok_or_else(|| wrong("proof", "32 bytes, binary, are wanted"))?;
+    Ok((
+        proof.to_vec(),
+        read.ok_or_else(|| wrong("read", "it is missing"))?,
+    ))
 }
 
 fn map_of(parcel: &Parcel, wanted: &str) -> Result<Map, WireError> {
@@ -117,6 +166,29 @@ fn take_text(map: &mut Map, key: &str) -> Result<Option<String>, WireError> {
         None => Ok(None),
         Some(Value::String(text)) => Ok(Some(text)),
         Some(other) => Err(wrong_kind(key, &other, "a string")),
+    }
+}
+
+fn take_count(map: &mut Map, key: &str) -> Result<Option<u64>, WireError> {
+    match take(map, key) {
+        None => Ok(None),
+        Some(Value::Int(count)) => u64::try_from(count)
+            .map(Some)
+            .map_err(|_| wrong(key, "it is not negative")),
+        Some(other) => Err(wrong_kind(key, &other, "an int")),
+    }
+}
+
+fn take_link(map: &mut Map) -> Result<Option<LinkWish>, WireError> {
+    match take(map, "link") {
+        None | Some(Value::Bool(false)) => Ok(None),
+        Some(Value::Bool(true)) => Ok(Some(LinkWish::default())),
+        Some(Value::Map(mut link)) => {
+            let grace = take_count(&mut link, "grace")?;
+            check_rest(&link, &["grace"])?;
+            Ok(Some(LinkWish { grace }))
+        }
+        Some(other) => Err(wrong_kind("link", &other, "a boolean or a map")),
     }
 }
 

@@ -3,6 +3,7 @@
 use std::hint::black_box;
 use std::time::Duration;
 
+use crate::resume::Wishes;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use ed25519_dalek::{Signature, VerifyingKey};
@@ -14,11 +15,18 @@ const DUMMY: [u8; 32] = [
     0xe1, 0x72, 0xf3, 0xda, 0xa6, 0x23, 0x25, 0xaf, 0x02, 0x1a, 0x68, 0xf7, 0x07, 0x51, 0x1a,
 ];
 
+/// What a login asks for beside who it is.
+#[derive(Debug, Default)]
+pub(super) struct Asked {
+    pub(super) nickname: Option<String>,
+    pub(super) wishes: Wishes,
+}
+
 /// A challenge to one connection, to be answered once and soon.
 #[derive(Debug)]
 pub struct Challenge {
     pub(super) user: String,
-    pub(super) nickname: Option<String>,
+    pub(super) asked: Asked,
     hub: String,
     nonce: [u8; NONCE_BYTES],
     until: Micros,
@@ -29,12 +37,7 @@ impl Challenge {
     ///
     /// # Errors
     /// `try-later` if the system gives no randomness.
-    pub(super) fn new(
-        user: String,
-        nickname: Option<String>,
-        hub: &str,
-        until: Micros,
-    ) -> Result<Challenge, WireError> {
+    pub(super) fn new(user: String, asked: Asked, hub: &str, until: Micros) -> Result<Challenge, WireError> {
         let mut nonce = [0; NONCE_BYTES];
         getrandom::fill(&mut nonce).map_err(|_| {
             WireError::new(Code::TRY_LATER, "the system gives no random numbers now")
@@ -42,7 +45,7 @@ impl Challenge {
         })?;
         Ok(Challenge {
             user,
-            nickname,
+            asked,
             hub: hub.to_owned(),
             nonce,
             until,
@@ -123,7 +126,7 @@ mod tests {
     }
 
     fn challenge(user: &str, hub: &str) -> Challenge {
-        Challenge::new(user.to_owned(), None, hub, 10).expect("randomness")
+        Challenge::new(user.to_owned(), Asked::default(), hub, 10).expect("randomness")
     }
 
     fn sign(challenge: &Challenge, hub: &str, user: &str, key: &SigningKey) -> [u8; 64] {

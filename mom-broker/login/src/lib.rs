@@ -8,6 +8,7 @@ mod jwt;
 mod key;
 mod password;
 mod places;
+mod resume;
 mod settings;
 mod subjects;
 mod throttle;
@@ -25,6 +26,7 @@ use parking_lot::RwLock;
 
 use self::book::{Book, Identity};
 use self::content::{ClaimedProof, LoginRequest, read_signature};
+use self::key::Asked;
 use self::places::Places;
 use self::subjects::Subjects;
 use self::throttle::Throttle;
@@ -35,6 +37,7 @@ pub use hashing::LoginStats;
 pub use jwt::Verifier;
 pub use key::Challenge;
 pub use password::hash;
+pub use resume::{LinkWish, ResumeAnswer, ResumeChallenge, Secret, Wishes};
 pub use settings::{FailureRate, JwtConfig, JwtUsers, KeyFile, LoginConfig, ThrottleConfig};
 pub use throttle::network;
 pub use user::UserEntry;
@@ -66,6 +69,7 @@ pub enum LoginStep {
 pub struct Granted {
     standing: Identity,
     nickname: Option<String>,
+    wishes: Wishes,
     until: Option<Time>,
     /// By which it was proven.
     book: Arc<Book>,
@@ -174,7 +178,11 @@ impl Logins {
     pub async fn check(&self, parcel: &Parcel, link: &LoginLink) -> Result<LoginStep, WireError> {
         let (book, from) = (self.book(), link.from);
         let request = LoginRequest::read(parcel).map_err(|error| self.malformed(&book, from, error));
-        let LoginRequest { proof, nickname } = request?;
+        let LoginRequest {
+            proof,
+            nickname,
+            wishes,
+        } = request?;
         let (standing, until) = match proof {
             ClaimedProof::Password { name, password } => {
                 (self.by_password(&book, &name, password, link).await?, None)
@@ -184,12 +192,23 @@ impl Logins {
             ClaimedProof::Guest => (book.guest()?, None),
             ClaimedProof::Key { name } => {
                 let until = self.clock.now().saturating_add(book.challenge_time());
-                let challenge = Challenge::new(name, nickname, &book.settings.hub, until)?;
+                let asked = Asked { nickname, wishes };
+                let challenge = Challenge::new(name, asked, &book.settings.hub, until)?;
                 return Ok(LoginStep::Challenge(challenge));
             }
         };
-        self.grant(standing, nickname, until, book)
+        self.grant(standing, Asked { nickname, wishes }, until, book)
             .map(LoginStep::Granted)
+    }
+
+    /// Asks who wants to go on with a link for a proof.
+    ///
+    /// # Errors
+    /// `bad-content`, or `try-later` if the system gives no randomness.
+    pub fn resume(&self, parcel: &Parcel) -> Result<ResumeChallenge, WireError> {
+        let book = self.book();
+        let until = self.clock.now().saturating_add(book.challenge_time());
+        ResumeChallenge::new(parcel, &book.settings.hub, until)
     }
 
     /// Checks a `login answer` to the last challenge of its connection, and consumes the challenge.
@@ -218,7 +237,7 @@ impl Logins {
         match entry.zip(challenge.is_answered(keys, book.keys, &signature)) {
             Some((entry, key)) => {
                 let standing = Identity::of_file(entry, book::ShownProof::Key(Box::new(key)));
-                self.grant(standing, challenge.nickname, None, Arc::clone(&book))
+                self.grant(standing, challenge.asked, None, Arc::clone(&book))
             }
             None => {
                 attempt.fail();
@@ -243,6 +262,7 @@ impl Logins {
             nickname,
             until,
             book,
+            ..
         } = granted;
         let now = self.book.read();
         if !Arc::ptr_eq(&book, &now) {
@@ -357,7 +377,7 @@ impl Logins {
     fn grant(
         &self,
         standing: Identity,
-        nickname: Option<String>,
+        Asked { nickname, wishes }: Asked,
         until: Option<Time>,
         book: Arc<Book>,
     ) -> Result<Granted, WireError> {
@@ -368,6 +388,7 @@ impl Logins {
         Ok(Granted {
             standing,
             nickname,
+            wishes,
             until,
             book,
         })
@@ -427,6 +448,11 @@ impl Granted {
     /// The user's name, for logs.
     pub fn user(&self) -> &str {
         &self.standing.user.name
+    }
+
+    /// What else was asked for.
+    pub fn wishes(&self) -> Wishes {
+        self.wishes
     }
 
     /// Where the user comes from, for logs.

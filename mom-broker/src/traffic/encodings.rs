@@ -2,8 +2,9 @@
 
 use std::sync::Arc;
 
+use bytes::Bytes;
 use mom_proto::codec::{Encoded, Form, Scratch};
-use mom_proto::{Code, HARD_DEPTH, Limit, Parcel, WireError};
+use mom_proto::{Code, HARD_DEPTH, Limit, Parcel, WireError, binary};
 use mom_system::Workers;
 
 use crate::traffic::later_text::LaterText;
@@ -60,6 +61,8 @@ pub(crate) enum Unready {
     Text(Arc<LaterText>),
     /// It stands for others, the next of which have to take its place.
     Replay(Arc<Replay>),
+    /// It was made for receivers of other forms, before this one has come back and speaks another.
+    Foreign,
 }
 
 impl Encoder {
@@ -174,6 +177,22 @@ impl Encodings {
         }
     }
 
+    /// What is left of a run after so many bytes, and how many parcels that are.
+    pub(crate) fn rest_of_run(&self, sent: usize) -> (Encodings, u32) {
+        let head = self
+            .binary
+            .as_ref()
+            .map(|frames| frames.head.clone())
+            .unwrap_or_default();
+        let head = head.slice(sent.min(head.len())..);
+        let count = binary::cut(&head, head.len()).1;
+        let rest = Encoded {
+            head,
+            body: Bytes::new(),
+        };
+        (Encodings::of_run(rest), count)
+    }
+
     /// What stands for messages that are kept.
     pub(crate) fn of_replay(replay: Replay) -> Encodings {
         Encodings {
@@ -222,8 +241,10 @@ impl Encodings {
         if let Some(replay) = &self.replay {
             return Some(Unready::Replay(Arc::clone(replay)));
         }
-        match self.text(form?)? {
-            Text::Later(later) if later.written().is_none() => Some(Unready::Text(Arc::clone(later))),
+        match self.text(form?) {
+            Some(Text::Later(later)) if later.written().is_none() => Some(Unready::Text(Arc::clone(later))),
+            Some(Text::None) => Some(Unready::Foreign),
+            None if self.binary.is_none() => Some(Unready::Foreign),
             _ => None,
         }
     }
@@ -246,6 +267,27 @@ impl Encodings {
         self.xml.size() + self.json.size() + binary + local + replay
     }
 
+    /// The parcels in it, read again from whatever form they are in.
+    ///
+    /// # Errors
+    /// What no form can hold.
+    pub(crate) fn parcels(&self) -> Result<Vec<Parcel>, WireError> {
+        if let Some(parcel) = &self.local {
+            return Ok(vec![(**parcel).clone()]);
+        }
+        if let Some(frames) = &self.binary {
+            return Form::Binary.read(&frames.to_vec());
+        }
+        for (form, text) in [(Form::Xml, &self.xml), (Form::Json, &self.json)] {
+            match text {
+                Text::Written(written) => return form.read(&written.to_vec()),
+                Text::Later(later) => return Ok(vec![later.parcel().clone()]),
+                Text::None | Text::Bad => {}
+            }
+        }
+        Ok(Vec::new())
+    }
+
     /// The parcel for a receiver inside this process.
     pub(crate) fn local(&self) -> Option<&Arc<Parcel>> {
         self.local.as_ref()
@@ -259,7 +301,9 @@ impl Encodings {
         }
         match form.map(|form| self.text(form)) {
             None => SLOTS + self.local.as_ref().map_or(0, |parcel| parcel.size()),
+            Some(None) if self.binary.is_none() => self.memory(),
             Some(None) => self.binary.as_ref().map_or(0, Encoded::len),
+            Some(Some(Text::None)) => self.memory(),
             Some(Some(text)) => text.size(),
         }
     }

@@ -47,6 +47,11 @@ impl LaterText {
         }
     }
 
+    /// What is to be written.
+    pub(crate) fn parcel(&self) -> &Parcel {
+        &self.parcel
+    }
+
     /// The bytes of the parcel as it came.
     pub(crate) fn size(&self) -> usize {
         self.size

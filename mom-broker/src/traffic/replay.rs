@@ -64,6 +64,7 @@ impl Replay {
             expires_at: None,
             gate: None,
             count,
+            counts: true,
             encodings,
         })
     }
@@ -133,6 +134,7 @@ impl Replay {
             expires_at,
             gate: None,
             count: 1,
+            counts: true,
         }))
     }
 }

@@ -53,17 +53,37 @@ impl World {
         match (context, self.token(wish.at)) {
             (Some(context), Some(token)) if denial.code == Code::HELD => {
                 let error = self.with_place(error, token, peer);
-                match self.token_facts(context, peer) {
+                let error = match self.token_facts(context, peer) {
                     Some(TokenFacts {
                         owner: Some(owner),
                         lease_end,
                         ..
                     }) => held(error, &owner, lease_end, asked, self.now),
                     _ => error,
-                }
+                };
+                self.with_loss(error, token)
             }
             _ => error,
         }
+    }
+
+    /// Adds until when an owner may come back that has lost its connection, if its lease is not over before.
+    fn with_loss(&self, mut error: WireError, token: &Token) -> WireError {
+        let owner = token.owner.as_ref();
+        let lost = owner.and_then(|owner| Some((owner, self.lost_until(owner.peer)?)));
+        let Some((owner, until)) = lost else {
+            return error;
+        };
+        let free = owner.lease_end.map_or(until, |lease| lease.min(until));
+        let left = Duration::from_micros(free.saturating_sub(self.now));
+        error.text = format!(
+            "{}; its connection is lost, and it may come back for {} s",
+            error.text,
+            until.saturating_sub(self.now).div_ceil(1_000_000)
+        );
+        error
+            .retry_after(left)
+            .detail("owner-lost", self.millis_until(until))
     }
 
     /// Adds the place in the queue that the peer has, or would have.

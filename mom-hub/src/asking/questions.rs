@@ -274,6 +274,29 @@ impl Questions {
         Ok(())
     }
 
+    /// The questions about messages of a peer.
+    pub(crate) fn sends_of(&self, peer: PeerId) -> Vec<u64> {
+        let sends = self.own(peer).filter(|(_, pending)| pending.channel.is_some());
+        sends.map(|(question, _)| question).collect()
+    }
+
+    /// Takes back the question about a message; gives it and those behind it.
+    pub(crate) fn withdraw_send(&mut self, world: &mut World, question: u64) -> Vec<Due> {
+        let Some(pending) = self.take(world, question) else {
+            return Vec::new();
+        };
+        let peer = pending.request.peer;
+        if let Some(channel) = pending.channel {
+            hold_sends(world, channel, peer, false);
+        }
+        let behind = pending.behind.into_iter().map(|parcel| Due {
+            peer,
+            parcel,
+            answers: Vec::new(),
+        });
+        std::iter::once(pending.request).chain(behind).collect()
+    }
+
     /// Refuses the waiting requests of a peer that goes: its connection may be somebody else's next.
     pub(crate) fn refuse_all_of(&mut self, world: &mut World, peer: PeerId, out: &mut Vec<Effect>) {
         let own = self.of_peer.get(&peer).into_iter().flatten();

@@ -44,6 +44,23 @@ impl World {
         self.push_event(name, &path, self.tree.members_of(number), content, out);
     }
 
+    /// Tells the members of a context what has become of one of them, where each is told of by name.
+    pub(super) fn push_by_name(&self, number: ContextNumber, name: &str, who: Map, out: &mut Vec<Effect>) {
+        let above = self.settings.counts_above;
+        // It may have been deleted since.
+        let Some(context) = self.tree.get(number) else {
+            return;
+        };
+        let named = match context.presence {
+            Presence::None => false,
+            Presence::All => true,
+            Presence::Counts => context.members.len() <= above,
+        };
+        if named {
+            self.push_event(name, &context.path, self.tree.members_of(number), who, out);
+        }
+    }
+
     /// Sends the count that was held back, also if so many have left that each is told of by name again.
     pub(crate) fn push_count(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
         let next = self.now + self.settings.counts_every;

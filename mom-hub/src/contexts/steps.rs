@@ -42,6 +42,11 @@ impl World {
                 }
                 false => self.jobs.push_back(Job::Leave(leaving)),
             },
+            Job::Link(mut news) => {
+                if !self.link_step(&mut news, out) {
+                    self.jobs.push_back(Job::Link(news));
+                }
+            }
         }
         if !self.jobs.is_empty() {
             self.timers.insert((self.after(PAUSE), Timer::Step));

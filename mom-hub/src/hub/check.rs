@@ -22,6 +22,7 @@ impl Hub {
     ///   knows it.
     /// - Requests on a token are held back only while a change of it is being stored.
     /// - Questions that wait have somebody to answer, and a timer.
+    /// - A timer waits for exactly each peer that may come back.
     ///
     /// # Panics
     /// If one of them does not hold: the hub's own fault.
@@ -55,6 +56,15 @@ impl Hub {
                 );
             }
         }
+        let lost = self.world.peers.iter();
+        let lost = lost.filter_map(|(id, peer)| Some((peer.lost?, Timer::Grace(id))));
+        let timers = self.world.timers.iter().copied();
+        let timers = timers.filter(|(_, timer)| matches!(timer, Timer::Grace(_)));
+        assert_eq!(
+            lost.collect::<BTreeSet<_>>(),
+            timers.collect(),
+            "who may come back has a timer"
+        );
         self.questions.check();
         for (question, pending) in &self.questions.pending {
             assert!(

@@ -1,7 +1,7 @@
 //! What the hub is told.
 
 use mom_managers::Registry;
-use mom_proto::{Limits, Parcel, Value};
+use mom_proto::{Limits, Micros, Parcel, Value};
 
 use crate::{ContextSpec, PeerClock, PeerId, Ticket, User};
 
@@ -22,6 +22,18 @@ pub enum Input {
     /// A connection ended.
     Gone {
         /// Which.
+        peer: PeerId,
+    },
+    /// The connection of a peer was lost that may come back. Until then its devices are safe and its places are kept.
+    Lost {
+        /// Whose.
+        peer: PeerId,
+        /// For so long.
+        grace: Micros,
+    },
+    /// It has come back.
+    Resumed {
+        /// Who.
         peer: PeerId,
     },
     /// A parcel of a peer that has logged in.

@@ -84,6 +84,11 @@ impl Hub {
                 id,
             } => login::log_in(world, questions, (peer, user, nickname), id, out),
             Input::Gone { peer } => verbs::depart(world, questions, peer, out),
+            Input::Lost { peer, grace } => {
+                let due = verbs::lose(world, questions, peer, grace, out);
+                verbs::run_all(world, questions, due, out);
+            }
+            Input::Resumed { peer } => verbs::resume(world, peer, out),
             Input::Request { peer, parcel, clock } => {
                 // Only messages have an age, and one may still wait when something else is asked.
                 let message = parcel.family == Family::Message;
@@ -138,6 +143,7 @@ impl Hub {
                 }
             }
             Timer::Reserved(token) => world.end_reservation(token, out),
+            Timer::Grace(peer) => verbs::end_grace(world, questions, peer, out),
         }
     }
 

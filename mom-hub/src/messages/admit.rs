@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use mom_managers::{Answer, Denial, PeerFacts, Rate};
 use mom_proto::nearest::nearest;
-use mom_proto::{Code, Family, Fence, HISTORY, Micros, Parcel, Time, Verb, WireError, event};
+use mom_proto::{Code, Family, Fence, HISTORY, Micros, Parcel, Time, WireError, event};
 
 use super::age::{age_of, aged, check_age, check_life, is_ahead, is_within};
 use super::route::{Guard, GuardOwner, Route};
@@ -204,12 +204,7 @@ fn check_guard(
         let text = "halt is the hub's word for the safe state; a peer that wants a device to halt sends stop";
         return Err(WireError::new(Code::DENIED, text).slot("name"));
     }
-    let needs_no_token = matches!(Verb::of(Family::Message, name), Ok(Verb::Stop | Verb::Unstop));
-    let Some(guard) = route
-        .guard
-        .as_ref()
-        .filter(|guard| !needs_no_token && guard.covers(name))
-    else {
+    let Some(guard) = route.guard.as_ref().filter(|guard| guard.covers(name)) else {
         return Ok(None);
     };
     let given = parcel.fence;

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use mom_proto::{ContextNumber, Delivery, Micros, Overflow, Path};
+use mom_proto::{ContextNumber, Delivery, Family, Micros, Overflow, Path, Verb};
 
 use crate::{Keep, Member, PeerId};
 
@@ -53,6 +53,9 @@ pub struct GuardOwner {
     pub lost_at: Option<Micros>,
     /// How many commands it still has, where the token was given for a number of them.
     pub commands: Option<u64>,
+    /// How often it has lost its connection since it has the token. Each time the safe state went out, and no command of
+    /// before may follow it.
+    pub halts: u64,
 }
 
 impl Route {
@@ -72,6 +75,7 @@ impl Route {
 impl Guard {
     /// Whether messages of this name need the token.
     pub fn covers(&self, name: &str) -> bool {
-        self.names.iter().any(|listed| listed == name || listed == "*")
+        let anybodys = matches!(Verb::of(Family::Message, name), Ok(Verb::Stop | Verb::Unstop));
+        !anybodys && self.names.iter().any(|listed| listed == name || listed == "*")
     }
 }

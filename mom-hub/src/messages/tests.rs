@@ -69,6 +69,7 @@ fn route() -> Route {
                 lease_end: Some(5_000_000),
                 lost_at: None,
                 commands: None,
+                halts: 0,
             }),
             fence: FENCE,
         }),

@@ -72,6 +72,19 @@ impl World {
         self.lose(number, reason, by, out);
     }
 
+    /// Makes safe what a token moves whose owner has lost its connection. It stays the owner, but nothing that it has said
+    /// so far reaches a device any more.
+    pub(crate) fn halt_owned(&mut self, number: ContextNumber, owner: PeerId, out: &mut Vec<Effect>) {
+        // It may have been lost, or deleted, since the connection was.
+        let ownership = self.token_mut(number).and_then(|token| token.owner.as_mut());
+        let Some(ownership) = ownership.filter(|ownership| ownership.peer == owner) else {
+            return;
+        };
+        ownership.halts += 1;
+        self.change_guarded_routes(number);
+        push_safe_state(self, number, out);
+    }
+
     /// The one place where a token's owner changes. Where that is `agreed`, a token may say that the device stays in hand
     /// until the next owner has it: no safe state.
     pub(crate) fn change_owner(

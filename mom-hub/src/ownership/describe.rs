@@ -18,6 +18,9 @@ pub(crate) fn describe_owner(world: &World, token: &Token) -> Map {
             "lease-left",
             owner.lease_end.map_or(Value::Null, |end| world.millis_until(end)),
         );
+        if let Some(until) = world.lost_until(owner.peer) {
+            map.set("owner-lost", world.millis_until(until));
+        }
     }
     map.set("fence", token.fence);
     map

@@ -8,6 +8,7 @@ use mom_proto::{ContextNumber, Fence, Map};
 
 use super::describe::granted;
 use crate::world::World;
+use crate::world::events::peer_map;
 use crate::{Audit, Effect, PeerId};
 
 /// An ownership that has ended, and how.
@@ -86,6 +87,25 @@ pub(super) fn push_grabbed(
         ..world.fact("granted", new)
     };
     world.audit(fact, out);
+}
+
+impl World {
+    /// Tells whoever a token concerns that its owner has lost its connection, or has come back.
+    pub(crate) fn push_link(&self, number: ContextNumber, owner: PeerId, out: &mut Vec<Effect>) {
+        let (Some(context), Some(known)) = (self.tree.get(number), self.peers.get(owner)) else {
+            return self.fault("a token or its owner is not there");
+        };
+        let mut content = peer_map(&known.facts);
+        let name = match known.lost {
+            Some(until) => {
+                content.set("within", self.millis_until(until));
+                event::LOST
+            }
+            None => event::RESUMED,
+        };
+        let to = concerned(self, number).into_iter().collect();
+        self.push_event(name, &context.path, to, content, out);
+    }
 }
 
 /// The members of a token and of the channels that it guards.

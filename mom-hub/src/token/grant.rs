@@ -133,6 +133,7 @@ impl Token {
                 until: grantee.until,
                 noticed: None,
                 delegation: grantee.delegation,
+                halts: 0,
             });
         }
         old.map(|ownership| Former { ownership, fence })

@@ -68,6 +68,8 @@ pub(crate) struct Ownership {
     /// The end of its turn that the owner was told last.
     pub(crate) noticed: Option<Micros>,
     pub(crate) delegation: Option<Delegation>,
+    /// How often the safe state went out under it, because the owner had lost its connection.
+    pub(crate) halts: u64,
 }
 
 /// An ownership that returns to the peer that gave it (M41).

@@ -32,6 +32,8 @@ pub(crate) struct Peer {
     pub(crate) involved: BTreeSet<ContextNumber>,
     /// Its clock, as known at its last request, and when that was.
     pub(crate) clock: Option<(PeerClock, Micros)>,
+    /// Until when it may come back, if its connection is lost.
+    pub(crate) lost: Option<Micros>,
 }
 
 /// All peers by connection and by name.
@@ -109,6 +111,7 @@ impl Peers {
                 owns: BTreeSet::new(),
                 involved: BTreeSet::new(),
                 clock: None,
+                lost: None,
             },
         );
         facts

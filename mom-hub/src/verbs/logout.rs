@@ -5,8 +5,8 @@ use mom_proto::event::{self, Reason};
 
 use super::checks::Request;
 use crate::asking::questions::Questions;
-use crate::world::World;
 use crate::world::steps::{Leaving, Then};
+use crate::world::{Timer, World};
 use crate::{Effect, PeerId};
 
 pub(crate) fn on(world: &mut World, questions: &mut Questions, request: &Request, out: &mut Vec<Effect>) {
@@ -73,7 +73,10 @@ fn forget(world: &mut World, questions: &mut Questions, peer: PeerId, out: &mut 
     questions.refuse_all_of(world, peer, out);
     world.audit(fact, out);
     let rest = world.after(world.settings.name_rest);
-    world.peers.remove(peer, rest);
+    let gone = world.peers.remove(peer, rest);
+    if let Some(until) = gone.and_then(|gone| gone.lost) {
+        world.timers.remove(&(until, Timer::Grace(peer)));
+    }
     world.tree.forget(peer, usize::MAX);
     for question in questions.left_by(peer) {
         let due = questions.unanswered(world, question, out);

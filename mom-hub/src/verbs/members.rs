@@ -38,6 +38,9 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         last = Some(*peer);
         let mut map = peer_map(&member.facts);
         member.describe_terms(&mut map);
+        if let Some(until) = world.lost_until(*peer) {
+            map.set("lost", world.millis_until(until));
+        }
         Value::Map(map)
     });
     let page: Vec<Value> = page.collect();

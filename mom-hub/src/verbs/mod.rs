@@ -20,6 +20,7 @@ mod leave;
 mod list;
 mod logout;
 mod lookup;
+mod lost;
 mod members;
 mod release;
 mod renew;
@@ -41,6 +42,7 @@ pub(crate) use checks::of_kind;
 pub(crate) use expel::{kept_out, put_out};
 pub(crate) use held_back::run_held_back;
 pub(crate) use logout::{depart, follow};
+pub(crate) use lost::{end_grace, lose, resume};
 
 /// Carries out a request, and answers it if it is refused.
 pub(crate) fn run(world: &mut World, questions: &mut Questions, request: Due, out: &mut Vec<Effect>) {

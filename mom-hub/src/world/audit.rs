@@ -38,9 +38,11 @@ pub struct Audit {
 
 impl Audit {
     /// All values of [`Audit::what`].
-    pub const WORDS: [&'static str; 14] = [
+    pub const WORDS: [&'static str; 16] = [
         "login",
         "gone",
+        "link-lost",
+        "resumed",
         "granted",
         "lost",
         "refused",

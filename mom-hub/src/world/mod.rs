@@ -75,6 +75,8 @@ pub(crate) enum Timer {
     Step,
     /// Ends the time for which only the owner of before a restart may have a token.
     Reserved(ContextNumber),
+    /// Ends the time in which a peer may come back that has lost its connection.
+    Grace(PeerId),
 }
 
 impl World {

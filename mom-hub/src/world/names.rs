@@ -7,6 +7,11 @@ use crate::token::state::Token;
 use crate::{Holder, PeerId};
 
 impl World {
+    /// Until when a peer may come back whose connection is lost.
+    pub(crate) fn lost_until(&self, peer: PeerId) -> Option<Micros> {
+        self.peers.get(peer)?.lost
+    }
+
     /// The name of a peer; empty if it is not there any more.
     pub(crate) fn name_of(&self, peer: PeerId) -> String {
         self.peers

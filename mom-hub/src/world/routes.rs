@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use mom_proto::ContextNumber;
+use mom_proto::{ContextNumber, Parcel};
 
 use super::World;
 use crate::tree::context::GuardSpec;
@@ -37,6 +37,7 @@ impl World {
                 lease_end: owner.lease_end,
                 lost_at: token.deadline(),
                 commands: owner.delegation.as_ref().and_then(|given| given.commands),
+                halts: owner.halts,
             })
         });
         Guard {
@@ -45,6 +46,17 @@ impl World {
             owner,
             fence: token.map_or(spec.lost_fence, |token| token.fence).into(),
         }
+    }
+
+    /// Whether a message needs a token.
+    pub(crate) fn is_guarded(&self, parcel: &Parcel) -> bool {
+        let channel = match (&parcel.context, parcel.number) {
+            (Some(path), _) => self.tree.find(path),
+            (None, Some(number)) => self.tree.get(number),
+            (None, None) => None,
+        };
+        let guard = channel.and_then(|context| context.channel()?.guard.as_ref());
+        guard.is_some_and(|guard| self.guard(guard).covers(&parcel.name))
     }
 
     /// The routes of all channels.

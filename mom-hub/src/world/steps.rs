@@ -10,6 +10,18 @@ use crate::{Audit, PeerId};
 pub(crate) enum Job {
     Delete(Box<Deletion>),
     Leave(Leaving),
+    Link(LinkNews),
+}
+
+/// A peer has lost its connection, or has come back.
+#[derive(Debug)]
+pub(crate) struct LinkNews {
+    pub(crate) peer: PeerId,
+    pub(crate) lost: bool,
+    /// Tokens whose devices have to be made safe.
+    pub(crate) halts: Vec<ContextNumber>,
+    /// Where members have to be told.
+    pub(crate) told: Vec<ContextNumber>,
 }
 
 /// A deletion that goes on. What it concerns is closed to all requests.

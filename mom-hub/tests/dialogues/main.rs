@@ -10,6 +10,7 @@ mod hidden;
 mod identity;
 mod judge;
 mod large;
+mod link;
 mod made;
 mod presence;
 mod review;

@@ -69,6 +69,16 @@ impl<I: Item> DataLane<I> {
         self.entries.front().and_then(Option::as_ref)
     }
 
+    /// The same, to be changed.
+    pub(super) fn front_mut(&mut self) -> Option<&mut Entry<I>> {
+        self.front()?;
+        self.entries.front_mut().and_then(Option::as_mut)
+    }
+
+    pub(super) fn iter(&self) -> impl Iterator<Item = &Entry<I>> {
+        self.entries.iter().flatten()
+    }
+
     #[inline]
     pub(super) fn pop(&mut self) -> Option<Entry<I>> {
         self.front()?;

@@ -66,6 +66,11 @@ pub trait Item: Debug {
         1
     }
 
+    /// Whether the two ends of a link count it.
+    fn counts(&self) -> bool {
+        true
+    }
+
     /// Whether, as a stop, it takes the place of this older one.
     fn repeats(&self, _older: &Self) -> bool {
         false
@@ -107,6 +112,8 @@ pub enum DropReason {
     Memory,
     /// A stop came after this `unstop`, before it had left.
     Overruled,
+    /// It needs a token, and the receiver has lost its connection since: what comes so late would move a device.
+    Lost,
 }
 
 impl DropReason {
@@ -122,6 +129,7 @@ impl DropReason {
             DropReason::Rate => "rate",
             DropReason::BadContent => "bad-content",
             DropReason::Memory => "memory",
+            DropReason::Lost => "lost",
         }
     }
 }

@@ -9,7 +9,9 @@
 
 mod data_lane;
 mod item;
+mod ledger;
 mod piece;
+mod restart;
 mod take;
 #[cfg(test)]
 mod tests;
@@ -23,6 +25,7 @@ use mom_proto::codec::Form;
 use mom_proto::{Delivery, Limit};
 
 pub use item::{DropPolicy, DropReason, Item, Lane};
+pub use ledger::{BadCount, Ledger, Rewound};
 pub use piece::Piece;
 pub use write::write_batch;
 
@@ -217,10 +220,9 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         dropped
     }
 
-    /// Drops all waiting data of which `goes` says so, for want of memory; gives it, and its bytes. What the link has begun
-    /// to take goes on.
+    /// Drops all waiting data of which `goes` says so; gives it, and its bytes. What the link has begun to take goes on.
     #[must_use = "freeing it takes its time, which is better done where nobody waits"]
-    pub fn drop_for_memory(&mut self, goes: impl Fn(&I) -> bool) -> (Vec<Arc<I>>, usize) {
+    pub fn drop_data_of(&mut self, reason: DropReason, goes: impl Fn(&I) -> bool) -> (Vec<Arc<I>>, usize) {
         let (mut dropped, mut freed) = (Vec::new(), 0);
         let priorities: Vec<Reverse<i32>> = self.data.keys().copied().collect();
         for priority in priorities {
@@ -235,7 +237,7 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
                 if entry.item.delivery() == Delivery::Latest {
                     self.latest.remove(&entry.item.key());
                 }
-                self.note(&entry, DropReason::Memory);
+                self.note(&entry, reason);
                 dropped.push(entry.item);
             }
             self.close_holes(priority);

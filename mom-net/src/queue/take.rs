@@ -68,7 +68,7 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
     /// more.
     pub fn replace_front(&mut self, item: &Arc<I>, others: Vec<Arc<I>>) -> bool {
         let Lane::Data(priority) = item.lane() else {
-            return false;
+            return self.replace_control(item, others);
         };
         let Some(lane) = self.data.get_mut(&Reverse(priority)) else {
             return false;
@@ -93,6 +93,29 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         true
     }
 
+    fn replace_control(&mut self, item: &Arc<I>, others: Vec<Arc<I>>) -> bool {
+        let lane = match item.lane() {
+            Lane::Control => &mut self.control,
+            _ => &mut self.unpaced,
+        };
+        if lane.front().is_none_or(|front| !Arc::ptr_eq(&front.item, item)) {
+            return false;
+        }
+        let Some(entry) = lane.pop_front() else {
+            return false;
+        };
+        self.leave(&entry.item);
+        for other in others.into_iter().rev() {
+            if other.lane() == Lane::Control {
+                self.control_bytes += self.charge(&other);
+                self.control.push_front(Entry::new(other, entry.number));
+            } else {
+                self.unpaced.push_front(Entry::new(other, entry.number));
+            }
+        }
+        true
+    }
+
     /// The next piece for the link, of about `most` bytes if there is a way to cut it; what became stale on the
     /// way is dropped.
     pub fn pop(&mut self, now: u64, most: usize) -> Option<Piece<I>> {
@@ -103,6 +126,11 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
     }
 
     fn pop_next(&mut self, now: u64, most: usize) -> Next<Piece<I>, I> {
+        if let Some(front) = self.unpaced.front()
+            && !front.item.is_ready(self.form)
+        {
+            return Next::Unready(Arc::clone(&front.item));
+        }
         if let Some(unpaced) = self.pop_unpaced() {
             return Next::Ready(unpaced);
         }
@@ -131,7 +159,12 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
     /// The next piece that pacing does not hold back: a stop, or a sign of life.
     pub fn pop_unpaced(&mut self) -> Option<Piece<I>> {
         let form = self.form;
-        self.unpaced.pop_front().map(|entry| Piece::whole(entry, form))
+        let ready = self
+            .unpaced
+            .front()
+            .is_some_and(|front| front.item.is_ready(form));
+        let front = if ready { self.unpaced.pop_front() } else { None };
+        front.map(|entry| Piece::whole(entry, form))
     }
 
     /// Puts a batch back, of which the link took nothing more.
@@ -201,7 +234,7 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         Some(Piece::whole(Entry::new(item, LAST), self.form))
     }
 
-    fn put_back_unpaced(&mut self, entry: Entry<I>) {
+    pub(super) fn put_back_unpaced(&mut self, entry: Entry<I>) {
         if self
             .unpaced
             .iter()
@@ -217,7 +250,7 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         self.unpaced.insert(behind.unwrap_or(self.unpaced.len()), entry);
     }
 
-    fn put_back_control(&mut self, entry: Entry<I>) {
+    pub(super) fn put_back_control(&mut self, entry: Entry<I>) {
         if self.unpaced.iter().any(|stop| stop.item.overrules(&entry.item)) {
             self.leave(&entry.item);
             return self.note(&entry, DropReason::Overruled);
@@ -225,7 +258,7 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         self.control.push_front(entry);
     }
 
-    fn put_back_data(&mut self, entry: Entry<I>, priority: Reverse<i32>) {
+    pub(super) fn put_back_data(&mut self, entry: Entry<I>, priority: Reverse<i32>) {
         let key = (entry.item.delivery() == Delivery::Latest).then(|| entry.item.key());
         if key.as_ref().is_some_and(|key| self.latest.contains_key(key)) {
             self.leave(&entry.item);
@@ -250,7 +283,10 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
                 Next::Ready(self.open.remove(open))
             }
             (_, Some(Lane::Data(priority))) => self.next_data(Reverse(priority), now),
-            (_, Some(_)) => self.pop_control().map_or(Next::None, Next::Ready),
+            (_, Some(_)) => match self.control.front() {
+                Some(front) if !front.item.is_ready(self.form) => Next::Unready(Arc::clone(&front.item)),
+                _ => self.pop_control().map_or(Next::None, Next::Ready),
+            },
             (_, None) => Next::None,
         }
     }

@@ -48,7 +48,7 @@ use bytes::Bytes;
 
 pub use chunks::{ChunkHead, STREAMS, chunks};
 pub use decoder::BinaryDecoder;
-pub use plain::{ParcelRun, Plain, cut};
+pub use plain::{ParcelRun, Plain, cut, first, whole};
 pub use words::WORDS;
 
 use crate::codec::{Encoded, Scratch};

@@ -278,6 +278,31 @@ pub fn cut(run: &[u8], least: usize) -> (usize, u32) {
     (at.min(run.len()), count)
 }
 
+/// The first frames of a run that lie whole in its first `most` bytes: their length and their count.
+pub fn whole(run: &[u8], most: usize) -> (usize, u32) {
+    let (mut at, mut count) = (0, 0);
+    while let Some(length) = run.get(at..).and_then(<[u8]>::first_chunk::<4>) {
+        let end = at + 4 + u32::from_be_bytes(*length) as usize;
+        if end > most.min(run.len()) {
+            break;
+        }
+        (at, count) = (end, count + 1);
+    }
+    (at, count)
+}
+
+/// The length of so many frames of a run from its beginning.
+pub fn first(run: &[u8], count: u64) -> usize {
+    let mut at = 0;
+    for _ in 0..count {
+        let Some(length) = run.get(at..).and_then(<[u8]>::first_chunk::<4>) else {
+            break;
+        };
+        at += 4 + u32::from_be_bytes(*length) as usize;
+    }
+    at.min(run.len())
+}
+
 #[cfg(test)]
 mod tests {
     use bytes::{Buf, BytesMut};

@@ -61,6 +61,10 @@ pub const WORDS: &[&str] = &[
     "hub",
     "inhibited",
     "uninhibited",
+    "ack",
+    "resent",
+    "lost",
+    "resumed",
 ];
 
 static NUMBERS: LazyLock<HashMap<&'static str, u64>> =

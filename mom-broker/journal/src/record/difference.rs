@@ -77,6 +77,8 @@ impl Difference {
         let (what, message, context) = match input {
             Told::Login(_) => ("login", None, None),
             Told::Gone(_) => ("gone", None, None),
+            Told::Lost(..) => ("lost", None, None),
+            Told::Resumed(_) => ("resumed", None, None),
             Told::Request(request) => {
                 let message = (request.family == "message").then(|| request.name.clone());
                 let verb = if message.is_some() { "send" } else { &request.name };

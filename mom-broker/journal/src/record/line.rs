@@ -82,6 +82,9 @@ pub(super) struct RecordedStep {
 pub(super) enum Told {
     Login(LoginTold),
     Gone(u64),
+    /// With how many µs it has to come back.
+    Lost(u64, u64),
+    Resumed(u64),
     Request(Box<RequestTold>),
     Stored(u64, bool),
     /// The configuration was changed: its file's name and the SHA-256 of its text, as far as known.
@@ -211,6 +214,8 @@ impl Told {
                 id: *id,
             }),
             Input::Gone { peer } => Told::Gone(peer.0),
+            Input::Lost { peer, grace } => Told::Lost(peer.0, *grace),
+            Input::Resumed { peer } => Told::Resumed(peer.0),
             Input::Request { peer, parcel, clock } => {
                 Told::Request(Box::new(RequestTold::of(peer.0, parcel, *clock, hub)))
             }
@@ -228,7 +233,7 @@ impl Told {
     pub(super) fn peer(&self) -> Option<u64> {
         match self {
             Told::Login(login) => Some(login.peer),
-            Told::Gone(peer) => Some(*peer),
+            Told::Gone(peer) | Told::Lost(peer, _) | Told::Resumed(peer) => Some(*peer),
             Told::Request(request) => Some(request.peer),
             Told::Stored(..) | Told::Configure(..) | Told::Tick | Told::Wall(_) => None,
         }

@@ -232,6 +232,11 @@ impl Replay {
                 id: login.id,
             },
             Told::Gone(peer) => Input::Gone { peer: PeerId(*peer) },
+            Told::Lost(peer, grace) => Input::Lost {
+                peer: PeerId(*peer),
+                grace: *grace,
+            },
+            Told::Resumed(peer) => Input::Resumed { peer: PeerId(*peer) },
             Told::Request(request) => Input::Request {
                 peer: PeerId(request.peer),
                 parcel: Box::new(self.parcel(request)?),

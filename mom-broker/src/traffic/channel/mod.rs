@@ -11,7 +11,7 @@ use std::sync::Arc;
 use mom_hub::{PeerId, Receivers, Route, Usage};
 use mom_net::{DropReason, Lane, Taken};
 use mom_proto::codec::Form;
-use mom_proto::{ContextNumber, Delivery, Parcel, Path, Time, Verb};
+use mom_proto::{ContextNumber, Delivery, Family, Parcel, Path, Time, Verb};
 use mom_system::Clock;
 use mom_system::sync::Mutex;
 use mom_system::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -326,7 +326,12 @@ pub(crate) fn hub_origin(parcel: &Parcel) -> Origin {
 }
 
 /// What goes by the control lane.
-pub(crate) fn control(encodings: Encodings, origin: Origin, account: Option<&Arc<Account>>) -> Arc<Packet> {
+pub(crate) fn control(
+    family: Family,
+    encodings: Encodings,
+    origin: Origin,
+    account: Option<&Arc<Account>>,
+) -> Arc<Packet> {
     Arc::new(Packet {
         charged: Charged::to(account, &encodings),
         encodings,
@@ -336,6 +341,7 @@ pub(crate) fn control(encodings: Encodings, origin: Origin, account: Option<&Arc
         expires_at: None,
         gate: None,
         count: 1,
+        counts: family != Family::Time,
     })
 }
 

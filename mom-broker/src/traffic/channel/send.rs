@@ -225,6 +225,7 @@ impl State {
             expires_at,
             gate,
             count: 1,
+            counts: true,
         });
         let claimed = waiting.map(|parcel| self.claim(&packet, &positions, parcel, when_full));
         // Given up when all is put in, so that the next one sees it.
@@ -306,6 +307,7 @@ impl State {
             expires_at: None,
             gate: first.fence.map(|fence| (Arc::clone(&self.gate), fence)),
             count,
+            counts: true,
         });
         let delivered = self.put(&packet, &self.positions(&receivers), ingress.now);
         self.sent(delivered, None)

@@ -126,13 +126,13 @@ impl Outbox {
             name,
             account,
             form: self.form(),
-            door: self.writer.door(),
+            door: self.writer().and_then(|writer| writer.door()),
             login,
             heard: self.clock.now().saturating_sub(at),
             round_trip: (round_trip > 0).then_some(round_trip),
             queued,
             // Whoever writes never waits for the link.
-            sent: self.flow.lock().written(),
+            sent: self.way.lock().flow.written(),
             received: self.heard.bytes.load(Ordering::Relaxed),
             dropped,
         })

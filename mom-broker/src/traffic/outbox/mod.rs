@@ -4,6 +4,8 @@
 //! task, which costs more than the write. What the link does not take at once is the writer's.
 
 mod figures;
+mod foreign;
+mod link;
 mod packet;
 mod queue;
 mod waiter;
@@ -13,19 +15,22 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use mom_hub::PeerId;
-use mom_net::{Flow, NetError, Pause, Piece, Rest, Taken, Writer, write_batch};
+use mom_net::{Flow, Ledger, NetError, Pause, Piece, Rest, Taken, Writer, write_batch};
 use mom_proto::codec::Form;
 use mom_proto::{ContextNumber, Limits, Micros, WireError};
 
 pub(crate) use figures::{Heard, LoginFacts, PeerFigures};
+pub(crate) use link::Paths;
 pub(crate) use packet::{Charged, Dropped, Gate, Origin, Packet};
 pub(crate) use queue::PeerQueue;
 pub(crate) use waiter::WaiterHandle;
 
+use link::Link;
+
 use crate::traffic::encodings::Unready;
 use crate::traffic::memory::Account;
 use mom_system::Clock;
-use mom_system::sync::atomic::{AtomicBool, AtomicU64, Ordering, fence};
+use mom_system::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering, fence};
 use mom_system::sync::{Mutex, MutexGuard, Notify};
 
 /// The outbox of one connection.
@@ -35,9 +40,10 @@ pub(crate) struct Outbox {
     who: Mutex<Who>,
     clock: Clock,
     queue: Mutex<PeerQueue>,
-    writer: Writer,
+    /// The wire form, as its place in [`FORMS`].
+    form: AtomicU8,
     /// Held by whoever writes.
-    flow: Mutex<Flow>,
+    way: Mutex<Way>,
     /// Something waits that nobody has tried to write yet.
     touched: AtomicBool,
     /// Senders wait for capacity.
@@ -51,6 +57,28 @@ pub(crate) struct Outbox {
     pub(crate) heard: Heard,
     /// When a thread has come to its connection, µs.
     pub(crate) slice_began: AtomicU64,
+}
+
+/// The connection that an outbox writes to.
+#[derive(Debug)]
+struct Way {
+    /// None while it is lost.
+    writer: Option<Arc<Writer>>,
+    flow: Flow,
+    /// Where the connection can be resumed.
+    link: Option<Box<Link>>,
+}
+
+/// The forms that a peer may speak, none inside this process.
+const FORMS: [Option<Form>; 4] = [None, Some(Form::Xml), Some(Form::Binary), Some(Form::Json)];
+
+fn place_of(form: Option<Form>) -> u8 {
+    match form {
+        None => 0,
+        Some(Form::Xml) => 1,
+        Some(Form::Binary) => 2,
+        Some(Form::Json) => 3,
+    }
 }
 
 thread_local! {
@@ -103,8 +131,12 @@ impl Outbox {
             who: Mutex::new(Who::default()),
             clock,
             queue: Mutex::new(PeerQueue::new(writer.form(), limit)),
-            writer,
-            flow: Mutex::new(Flow::default()),
+            form: AtomicU8::new(place_of(writer.form())),
+            way: Mutex::new(Way {
+                writer: Some(Arc::new(writer)),
+                flow: Flow::default(),
+                link: None,
+            }),
             touched: AtomicBool::new(false),
             awaited: AtomicBool::new(false),
             wake: Notify::new(),
@@ -119,7 +151,7 @@ impl Outbox {
 
     /// The wire form, none for a peer in this process.
     pub(crate) fn form(&self) -> Option<Form> {
-        self.writer.form()
+        FORMS[usize::from(self.form.load(Ordering::Relaxed))]
     }
 
     /// Puts a packet in. True the first time since the last [`Outbox::flush`], and for what is urgent: then somebody has
@@ -291,7 +323,9 @@ impl Outbox {
                 return self.broken(&error);
             }
             if ends {
-                self.writer.finish();
+                if let Some(writer) = self.writer() {
+                    writer.finish();
+                }
                 return;
             }
         }
@@ -303,10 +337,13 @@ impl Outbox {
         loop {
             match flushed {
                 Flushed::Done => return Ok(()),
-                Flushed::Blocked => self.writer.ready().await?,
+                Flushed::Blocked => match self.writer() {
+                    Some(writer) => writer.ready().await?,
+                    None => return Ok(()),
+                },
                 Flushed::Paced => {
                     tokio::time::sleep(pause.time()).await;
-                    pause.look(&self.flow.lock());
+                    pause.look(&self.way.lock().flow);
                 }
                 Flushed::Unready(packet) => self.make_ready(&packet).await,
             }
@@ -323,6 +360,10 @@ impl Outbox {
                     () = later.write() => {}
                     () = self.wake.notified() => {}
                 }
+            }
+            Some(Unready::Foreign) => {
+                self.translate(packet);
+                tokio::task::yield_now().await;
             }
             Some(Unready::Replay(replay)) => {
                 let next = replay.step(self.form(), &self.clock, self.account().as_ref());
@@ -351,10 +392,10 @@ impl Outbox {
     fn try_flush(&self) -> Result<Flushed, NetError> {
         loop {
             // Whoever is writing looks at `touched` again after letting go, so nothing is forgotten.
-            let Some(flow) = self.flow.try_lock() else {
+            let Some(way) = self.way.try_lock() else {
                 return Ok(Flushed::Done);
             };
-            if let Some(flushed) = self.flush_once(flow)? {
+            if let Some(flushed) = self.flush_once(way)? {
                 return Ok(flushed);
             }
         }
@@ -363,26 +404,32 @@ impl Outbox {
     /// Waits for whoever is writing now, who never waits for the link: when this says done, all is written.
     fn flush_after_others(&self) -> Result<Flushed, NetError> {
         loop {
-            if let Some(flushed) = self.flush_once(self.flow.lock())? {
+            if let Some(flushed) = self.flush_once(self.way.lock())? {
                 return Ok(flushed);
             }
         }
     }
 
     /// Writes what waits; none if there is more by now.
-    fn flush_once(&self, mut flow: MutexGuard<'_, Flow>) -> Result<Option<Flushed>, NetError> {
+    fn flush_once(&self, mut way: MutexGuard<'_, Way>) -> Result<Option<Flushed>, NetError> {
         self.touched.store(false, Ordering::Release);
-        let flushed = self.write_all(&mut flow)?;
-        drop(flow);
+        let flushed = self.write_all(&mut way)?;
+        drop(way);
         self.call_next();
         fence(Ordering::SeqCst);
         let settled = !matches!(flushed, Flushed::Done) || !self.touched.load(Ordering::Acquire);
         Ok(settled.then_some(flushed))
     }
 
-    fn write_all(&self, flow: &mut Flow) -> Result<Flushed, NetError> {
+    fn write_all(&self, way: &mut Way) -> Result<Flushed, NetError> {
+        let Way { writer, flow, link } = way;
+        // All that waits does so until the peer has come back.
+        let Some(writer) = writer else {
+            return Ok(Flushed::Done);
+        };
         let mut batch = BATCH.take();
-        let result = self.write_batches(&mut batch, flow);
+        let ledger = link.as_mut().map(|link| &mut link.ledger);
+        let result = self.write_batches(&mut batch, writer, flow, ledger);
         if !batch.is_empty() {
             // It may be overtaken, replaced, or lose its owner before the link takes more.
             self.queue.lock().put_back(&mut batch);
@@ -394,12 +441,15 @@ impl Outbox {
     fn write_batches(
         &self,
         batch: &mut VecDeque<Piece<Packet>>,
+        writer: &Writer,
         flow: &mut Flow,
+        mut ledger: Option<&mut Ledger<Packet>>,
     ) -> Result<Flushed, NetError> {
+        let form = writer.form();
         loop {
             // All that was taken has left, so its capacity is real.
             self.call_next();
-            let (allowance, now) = (flow.allowance(&self.writer), self.clock.now());
+            let (allowance, now) = (flow.allowance(writer), self.clock.now());
             let rest = self.queue.lock().take(now, allowance, batch);
             match rest {
                 Rest::None => {}
@@ -411,7 +461,12 @@ impl Outbox {
                 return Ok(Flushed::Done);
             }
             self.active.store(true, Ordering::Relaxed);
-            if !write_batch(&self.writer, flow, batch, |_| {})? {
+            let all = write_batch(writer, flow, batch, |piece| {
+                if let Some(ledger) = &mut ledger {
+                    ledger.note(piece, form);
+                }
+            })?;
+            if !all {
                 return Ok(Flushed::Blocked);
             }
         }
@@ -419,6 +474,10 @@ impl Outbox {
 
     fn broken(&self, error: &NetError) {
         tracing::debug!(peer = self.peer.0, %error, "link failed");
-        self.close(None, None, false);
+        // Its reader ends, and decides what follows.
+        match self.is_linked() {
+            true => self.end.notify_one(),
+            false => self.close(None, None, false),
+        }
     }
 }

@@ -33,6 +33,8 @@ pub(crate) struct Packet {
     pub(crate) gate: Option<(Gate, u64)>,
     /// How many parcels it has; more than one only in the binary form.
     pub(crate) count: u32,
+    /// Whether the two ends of a link count it: all but signs of life.
+    pub(crate) counts: bool,
     pub(crate) charged: Charged,
 }
 
@@ -100,6 +102,23 @@ impl Packet {
             expires_at: self.expires_at,
             gate: self.gate.clone(),
             count: self.count,
+            counts: self.counts,
+            charged: Charged::With(Arc::clone(self)),
+        }
+    }
+
+    /// What is left of a run after so many bytes of its frames.
+    pub(crate) fn rest(self: &Arc<Packet>, sent: usize) -> Packet {
+        let (encodings, count) = self.encodings.rest_of_run(sent);
+        Packet {
+            encodings,
+            lane: self.lane,
+            delivery: self.delivery,
+            origin: self.origin.clone(),
+            expires_at: self.expires_at,
+            gate: self.gate.clone(),
+            count,
+            counts: self.counts,
             charged: Charged::With(Arc::clone(self)),
         }
     }
@@ -165,6 +184,10 @@ impl Item for Packet {
 
     fn count(&self) -> u32 {
         self.count
+    }
+
+    fn counts(&self) -> bool {
+        self.counts
     }
 
     // One pending per context: a second stop says nothing that the first does not.

@@ -128,7 +128,7 @@ impl Switchboard {
             let parcel = stamped(error.to_parcel(None), self.clock.wall());
             let origin = hub_origin(&parcel);
             let encodings = Encodings::new(parcel, std::iter::once(outbox.form())).ok()?;
-            Some(control(encodings, origin, None))
+            Some(control(Family::Error, encodings, origin, None))
         });
         // Whoever goes by its own wish, or because the broker stops, gets all that waits; whoever is put out does not.
         let drain = error.as_ref().is_none_or(|error| error.code == Code::SHUTDOWN);
@@ -330,7 +330,7 @@ impl Switchboard {
                     [outbox] => outbox.account(),
                     _ => None,
                 };
-                let packet = control(encodings, hub_origin(parcel), account.as_ref());
+                let packet = control(parcel.family, encodings, hub_origin(parcel), account.as_ref());
                 for outbox in outboxes {
                     self.push(&outbox, Arc::clone(&packet), touched);
                 }
@@ -341,10 +341,14 @@ impl Switchboard {
     }
 
     fn push_control(&self, outbox: &Arc<Outbox>, parcel: Parcel, touched: &mut Touched) {
-        let origin = hub_origin(&parcel);
+        let (family, origin) = (parcel.family, hub_origin(&parcel));
         if let Ok(encodings) = Encodings::new(parcel, std::iter::once(outbox.form())) {
             let account = outbox.account();
-            self.push(outbox, control(encodings, origin, account.as_ref()), touched);
+            self.push(
+                outbox,
+                control(family, encodings, origin, account.as_ref()),
+                touched,
+            );
         }
     }
 

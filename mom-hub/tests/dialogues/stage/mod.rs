@@ -153,6 +153,22 @@ impl Stage {
         self.give(input)
     }
 
+    /// The same with one value more in its content.
+    pub(crate) fn say_with(&mut self, name: &str, line: &str, key: &str, value: Value) -> Vec<String> {
+        let Input::Request {
+            peer,
+            mut parcel,
+            clock,
+        } = self.request(name, line)
+        else {
+            unreachable!("a line is a request")
+        };
+        let mut content = parcel.value().as_map().cloned().unwrap_or_default();
+        content.set(key, value);
+        *parcel = parcel.content(content);
+        self.give(Input::Request { peer, parcel, clock })
+    }
+
     /// What [`Stage::say`] would give the hub.
     pub(crate) fn request(&mut self, name: &str, line: &str) -> Input {
         self.id += 1;
@@ -196,6 +212,18 @@ impl Stage {
         let heard = self.give(Input::Gone { peer });
         self.peers.remove(name);
         heard
+    }
+
+    /// A peer loses its connection, and may come back for so many ms.
+    pub(crate) fn lost(&mut self, name: &str, grace: u64) -> Vec<String> {
+        let peer = self.peers[name];
+        let grace = grace * MS;
+        self.give(Input::Lost { peer, grace })
+    }
+
+    pub(crate) fn resumed(&mut self, name: &str) -> Vec<String> {
+        let peer = self.peers[name];
+        self.give(Input::Resumed { peer })
     }
 
     /// Time goes on to this many ms.

@@ -1,6 +1,7 @@
 //! The promises of the queue.
 
 mod chunks;
+mod ledger;
 
 use std::cell::Cell;
 use std::collections::BTreeMap;

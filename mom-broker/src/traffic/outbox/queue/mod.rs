@@ -8,7 +8,9 @@ mod waiters;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-use mom_net::{Allowance, DropPolicy, DropReason, Lane, Piece, Rest, SendQueue, Taken};
+use mom_net::{
+    Allowance, BadCount, DropPolicy, DropReason, Lane, Ledger, Piece, Rest, Rewound, SendQueue, Taken,
+};
 use mom_proto::codec::Form;
 use mom_proto::{Limits, Micros};
 
@@ -33,6 +35,8 @@ pub(crate) struct PeerQueue {
     waiters: Option<Box<Waiters>>,
     /// What waits for its time, where the receiver asked for a rate.
     thinner: Option<Box<Thinner>>,
+    /// The connection is lost, and may come back.
+    lost: bool,
 }
 
 /// What was dropped since the last look, and how many.
@@ -73,12 +77,16 @@ impl PeerQueue {
             behind_since: 0,
             waiters: None,
             thinner: None,
+            lost: false,
         }
     }
 
     /// Puts a packet in. A receiver is slow if it stays behind, not if it is behind: for a while more may wait than the
     /// bound says.
     pub(crate) fn push(&mut self, packet: Arc<Packet>, clock: &Clock) -> Taken {
+        if self.lost {
+            return self.push_lost(packet);
+        }
         if self.queue.data_bytes() <= self.queue.limit() {
             self.behind_since = 0;
         }
@@ -93,6 +101,63 @@ impl PeerQueue {
             self.behind_since = clock.now().max(1);
         }
         taken
+    }
+
+    /// The same for a peer that has lost its connection. What needs a token would move a device when it comes back, long
+    /// after it was said.
+    fn push_lost(&mut self, packet: Arc<Packet>) -> Taken {
+        if packet.gate.is_some() {
+            self.queue.note_dropped(&packet, DropReason::Lost);
+            return Taken::Dropped;
+        }
+        self.queue.push(packet)
+    }
+
+    /// The connection is lost; says whether it has taken whole parcels only, and gives what was dropped for that.
+    #[must_use = "freeing it takes its time, which is better done where nobody waits"]
+    pub(crate) fn lose(&mut self, ledger: &mut Ledger<Packet>) -> (bool, Vec<Arc<Packet>>) {
+        let is_whole = !self.queue.has_begun();
+        self.lost = true;
+        self.queue.restart(ledger);
+        let guarded = |packet: &Packet| packet.gate.is_some();
+        let (mut dropped, _) = self.queue.drop_data_of(DropReason::Lost, guarded);
+        for (packet, count) in ledger.drop_kept(guarded) {
+            self.note_unread(&packet, count, DropReason::Lost);
+            dropped.push(packet);
+        }
+        (is_whole, dropped)
+    }
+
+    /// The peer has come back.
+    pub(crate) fn find(&mut self) {
+        self.lost = false;
+        self.behind_since = 0;
+    }
+
+    /// Puts what the peer has not read in front.
+    pub(crate) fn resend(&mut self, ledger: &mut Ledger<Packet>, read: u64) -> Result<Rewound, BadCount> {
+        self.queue.resend(ledger, read)
+    }
+
+    /// Takes in how many parcels the peer has read.
+    pub(crate) fn acknowledge(&self, ledger: &mut Ledger<Packet>, read: u64) -> Result<(), BadCount> {
+        self.queue.acknowledge(ledger, read)
+    }
+
+    /// Goes on in another form.
+    pub(crate) fn change_form(&mut self, form: Option<Form>) {
+        self.queue.split_begun(|packet, sent| Arc::new(packet.rest(sent)));
+        self.queue.change_form(form);
+    }
+
+    /// Notes parcels that will not be sent, or not again.
+    pub(crate) fn note_unread(&mut self, packet: &Arc<Packet>, count: u64, reason: DropReason) {
+        self.queue.note_unread(packet, count, reason);
+    }
+
+    /// Whether nothing waits.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.queue.is_empty()
     }
 
     /// Takes in the last word to a connection, however much waits: it leaves after all else.
@@ -139,7 +204,7 @@ impl PeerQueue {
     /// Drops what waits and of which `goes` says so, for want of memory; gives it, and its bytes.
     #[must_use = "freeing it takes its time, which is better done where nobody waits"]
     pub(crate) fn drop_for_memory(&mut self, goes: impl Fn(&Packet) -> bool) -> (Vec<Arc<Packet>>, usize) {
-        self.queue.drop_for_memory(goes)
+        self.queue.drop_data_of(DropReason::Memory, goes)
     }
 
     /// What was dropped since the last call.

@@ -1,0 +1,122 @@
+//! An outbox whose connection may be lost and come back: what it has sent is counted and kept until it was read.
+
+use std::sync::{Arc, Weak};
+
+use mom_net::{BadCount, Flow, Ledger, Rewound, Writer};
+use mom_proto::{ContextNumber, Path};
+use mom_system::sync::atomic::Ordering;
+
+use super::{Outbox, Packet, place_of};
+
+/// What an outbox knows of its link.
+#[derive(Debug)]
+pub(super) struct Link {
+    pub(super) ledger: Ledger<Packet>,
+    /// Where the paths of contexts are known, once the peer has come back in another form.
+    pub(super) paths: Option<Weak<dyn Paths>>,
+}
+
+/// What knows the paths of contexts.
+pub(crate) trait Paths: std::fmt::Debug + Send + Sync {
+    /// The path of a channel, none if it is no more.
+    fn path(&self, number: ContextNumber) -> Option<Path>;
+}
+
+impl Outbox {
+    /// The connection; none while it is lost.
+    pub(super) fn writer(&self) -> Option<Arc<Writer>> {
+        self.way.lock().writer.clone()
+    }
+
+    /// Whether its connection can be resumed.
+    pub(crate) fn is_linked(&self) -> bool {
+        self.way.lock().link.is_some()
+    }
+
+    /// Counts what leaves from here on, but for the next parcel, and keeps so many bytes; false if something waits, of
+    /// which nobody could say on which side of the beginning it is.
+    pub(crate) fn begin_link(&self, limit: usize) -> bool {
+        self.flush();
+        let mut way = self.way.lock();
+        if !self.queue.lock().is_empty() {
+            return false;
+        }
+        way.link = Some(Box::new(Link {
+            ledger: Ledger::new(limit),
+            paths: None,
+        }));
+        true
+    }
+
+    /// Ends the link: the next end of the connection is the end of the peer.
+    pub(crate) fn end_link(&self) {
+        let link = self.way.lock().link.take();
+        // What it kept is freed where nobody waits.
+        drop(link);
+    }
+
+    /// Takes in how many parcels the peer has read.
+    ///
+    /// # Errors
+    /// A count that cannot be.
+    pub(crate) fn acknowledge(&self, read: u64) -> Result<(), BadCount> {
+        let mut way = self.way.lock();
+        match &mut way.link {
+            Some(link) => self.queue.lock().acknowledge(&mut link.ledger, read),
+            None => Ok(()),
+        }
+    }
+
+    /// The connection is lost. Gives what has written to it, if what it was given last ends with a whole parcel.
+    pub(crate) fn detach(&self) -> Option<Arc<Writer>> {
+        let mut way = self.way.lock();
+        let writer = way.writer.take();
+        way.flow = Flow::default();
+        let link = way.link.as_mut()?;
+        let (is_whole, dropped) = self.queue.lock().lose(&mut link.ledger);
+        drop(way);
+        drop(dropped);
+        self.call_all();
+        writer.filter(|_| is_whole)
+    }
+
+    /// Puts what the peer has not read in front of what waits, for a connection that goes on with this writer. Nothing is
+    /// written before [`Outbox::attach`].
+    ///
+    /// # Errors
+    /// A count that cannot be.
+    pub(crate) fn resend(
+        &self,
+        read: u64,
+        writer: &Writer,
+        paths: Weak<dyn Paths>,
+    ) -> Result<Rewound, BadCount> {
+        let mut way = self.way.lock();
+        let Some(link) = &mut way.link else {
+            return Ok(Rewound::Lost(0));
+        };
+        let mut queue = self.queue.lock();
+        let rewound = queue.resend(&mut link.ledger, read)?;
+        let form = writer.form();
+        if form != self.form() {
+            link.paths = Some(paths);
+            // Whoever encodes for it from here on does so in the new form.
+            self.form.store(place_of(form), Ordering::Relaxed);
+            queue.change_form(form);
+        }
+        Ok(rewound)
+    }
+
+    /// Goes on with this connection.
+    pub(crate) fn attach(&self, writer: Arc<Writer>) {
+        self.way.lock().writer = Some(writer);
+        self.queue.lock().find();
+        self.touched.store(true, Ordering::Release);
+        self.wake.notify_one();
+    }
+
+    /// Gives up its connection, for another outbox to go on with.
+    pub(crate) fn take_writer(&self) -> Option<Arc<Writer>> {
+        self.way.lock().writer.take()
+    }
+}

@@ -1,0 +1,81 @@
+//! A peer loses its connection and may come back: its devices are made safe at once, its places are kept for a while.
+
+use mom_proto::Path;
+use mom_proto::{Code, Micros, WireError};
+
+use super::logout::depart;
+use crate::asking::questions::{Due, Questions};
+use crate::world::{Timer, World};
+use crate::{Effect, PeerId};
+
+/// Notes that a peer has lost its connection; gives the requests that are due because messages before them are refused.
+pub(crate) fn lose(
+    world: &mut World,
+    questions: &mut Questions,
+    peer: PeerId,
+    grace: Micros,
+    out: &mut Vec<Effect>,
+) -> Vec<Due> {
+    let until = world.after(grace);
+    let leaves = world.is_leaving(peer, &Path::root());
+    let Some(known) = world
+        .peers
+        .get_mut(peer)
+        .filter(|known| known.lost.is_none() && !leaves)
+    else {
+        return Vec::new();
+    };
+    known.lost = Some(until);
+    world.timers.insert((until, Timer::Grace(peer)));
+    let fact = world.fact("link-lost", peer);
+    world.audit(fact, out);
+    let due = refuse_commands(world, questions, peer, out);
+    world.tell_of_link(peer, out);
+    due
+}
+
+/// What a peer has said under a token and what still waits for an answer would move a device after its safe state.
+fn refuse_commands(
+    world: &mut World,
+    questions: &mut Questions,
+    peer: PeerId,
+    out: &mut Vec<Effect>,
+) -> Vec<Due> {
+    let text = "the connection was lost after this was sent, and the safe state has gone out since";
+    let error = WireError::new(Code::OLDER_FENCE, text);
+    let mut due = Vec::new();
+    for question in questions.sends_of(peer) {
+        let waiting = questions.withdraw_send(world, question);
+        for request in waiting {
+            match world.is_guarded(&request.parcel) {
+                true => world.push_refusal(peer, &request.parcel, &error, out),
+                false => due.push(request),
+            }
+        }
+    }
+    due
+}
+
+/// Notes that a peer has come back.
+pub(crate) fn resume(world: &mut World, peer: PeerId, out: &mut Vec<Effect>) {
+    let until = world.peers.get_mut(peer).and_then(|known| known.lost.take());
+    let Some(until) = until else {
+        return;
+    };
+    world.timers.remove(&(until, Timer::Grace(peer)));
+    let fact = world.fact("resumed", peer);
+    world.audit(fact, out);
+    world.tell_of_link(peer, out);
+}
+
+/// Ends a peer that has not come back in its time.
+pub(crate) fn end_grace(world: &mut World, questions: &mut Questions, peer: PeerId, out: &mut Vec<Effect>) {
+    match world.peers.get_mut(peer) {
+        Some(known) => known.lost = None,
+        None => return world.fault("a peer is not there whose time to come back is over"),
+    }
+    depart(world, questions, peer, out);
+    let text = "the connection was not resumed in time";
+    let error = Some(WireError::new(Code::DISCONNECTED, text));
+    out.push(Effect::Close { peer, error });
+}

@@ -1,0 +1,222 @@
+//! A peer that loses its connection and may come back: its devices are safe at once, its places are kept for a while.
+
+use mom_hub::{Effect, Route};
+use mom_proto::{Map, Value};
+
+use crate::stage::{Stage, context, lab, level_or_lease, of};
+
+/// ms
+const GRACE: u64 = 30_000;
+
+/// Alice drives the arm, which is a peer itself; bob looks on.
+fn driven(lease: i64, expiry: &str) -> Stage {
+    let mut stage = Stage::new(lab(level_or_lease(lease, expiry)));
+    for name in ["alice", "arm", "bob"] {
+        stage.enter(name, 1);
+    }
+    stage.say("alice", "token grab /lab/key");
+    stage
+}
+
+fn gates(stage: &Stage) -> Vec<(usize, u64, u64)> {
+    let gate = |(place, effect): (usize, &Effect)| match effect {
+        Effect::Route(route) => {
+            let Route { guard, .. } = &**route;
+            let guard = guard.as_ref()?;
+            Some((place, guard.fence & 0xFFFFF, guard.owner.as_ref()?.halts))
+        }
+        _ => None,
+    };
+    stage.effects.iter().enumerate().filter_map(gate).collect()
+}
+
+#[test]
+fn a_lost_owner_halts_its_device_and_keeps_the_token() {
+    let mut stage = driven(180_000, "lazy");
+    let heard = stage.lost("alice", GRACE);
+    assert_eq!(
+        of(&heard, &["arm"]),
+        ["arm< halt of hub", "arm< lost peer=alice"],
+        "the safe state first, then who is lost where: {heard:?}"
+    );
+    assert_eq!(
+        gates(&stage),
+        [(0, 1, 1)],
+        "before all else nothing of hers passes any more"
+    );
+    assert_eq!(stage.facts(), ["what=link-lost peer=alice user=alice level=1"]);
+    let heard = stage.say("bob", "token grab /lab/key");
+    assert_eq!(of(&heard, &["bob"]), ["bob< held rule=level-or-lease"]);
+    let Some(Effect::Reply { parcel, .. }) = stage.effects.first() else {
+        panic!("{:?}", stage.effects)
+    };
+    let content = parcel.value();
+    assert_eq!(content.get("owner-lost"), Some(&Value::Int(30_000)));
+    assert_eq!(
+        content.get("retry-after"),
+        Some(&Value::Int(30_000)),
+        "before the lease is over"
+    );
+    let text = content.get("text").and_then(Value::as_str).unwrap_or_default();
+    assert!(
+        text.ends_with("; its connection is lost, and it may come back for 30 s"),
+        "{text}"
+    );
+    stage.at(10_000);
+    let heard = stage.resumed("alice");
+    assert_eq!(of(&heard, &["arm"]), ["arm< resumed peer=alice"], "{heard:?}");
+    let heard = stage.say("alice", "message command /lab/arm");
+    assert_eq!(
+        of(&heard, &["arm"]),
+        ["arm< command of alice fence=1"],
+        "{heard:?}"
+    );
+    stage.lost("alice", GRACE);
+    assert_eq!(gates(&stage), [(0, 1, 2)], "each loss closes the gate");
+}
+
+#[test]
+fn who_does_not_come_back_in_time_is_gone() {
+    let mut stage = driven(180_000, "lazy");
+    stage.lost("alice", GRACE);
+    assert!(stage.at(29_999).is_empty());
+    let heard = stage.at(30_000);
+    assert_eq!(
+        of(&heard, &["arm", "alice"])[..2],
+        ["alice< halt of hub", "arm< halt of hub"],
+        "{heard:?}"
+    );
+    let released = "arm< released owner=alice reason=disconnected fence=1";
+    assert!(heard.iter().any(|line| line == released), "{heard:?}");
+    assert_eq!(heard.last().map(String::as_str), Some("alice closed"));
+    assert!(stage.at(40_000).is_empty());
+    let heard = stage.say("bob", "token grab /lab/key");
+    assert!(heard.contains(&"bob< ok fence=2".to_owned()), "{heard:?}");
+}
+
+#[test]
+fn a_lease_runs_on_while_its_owner_is_lost() {
+    let mut stage = driven(5000, "eager");
+    stage.lost("alice", GRACE);
+    let heard = stage.say("bob", "token grab /lab/key");
+    assert_eq!(of(&heard, &["bob"]), ["bob< held rule=level-or-lease"]);
+    let Some(Effect::Reply { parcel, .. }) = stage.effects.first() else {
+        panic!("{:?}", stage.effects)
+    };
+    assert_eq!(
+        parcel.value().get("retry-after"),
+        Some(&Value::Int(5000)),
+        "the lease is over before the grace time is"
+    );
+    let heard = stage.at(5000);
+    assert_eq!(
+        of(&heard, &["arm"])[1],
+        "arm< released owner=alice reason=expired fence=1"
+    );
+    stage.resumed("alice");
+    let heard = stage.say("alice", "message command /lab/arm");
+    assert_eq!(
+        of(&heard, &["alice"]),
+        ["alice< not-owner rule=guard of /lab/arm"]
+    );
+}
+
+#[test]
+fn a_command_that_waits_for_a_verdict_is_refused_at_the_loss() {
+    let contexts = vec![context("/lab", "session").with("presence", "none")];
+    let mut stage = Stage::new(contexts);
+    for name in ["alice", "bob"] {
+        stage.enter(name, 1);
+    }
+    stage.say("bob", "context create /lab/key kind=token");
+    let guard = Map::new()
+        .with("token", "/lab/key")
+        .with("names", vec!["command".into()]);
+    stage.say_with(
+        "bob",
+        "context create /lab/arm kind=channel manager=self presence=none",
+        "guard",
+        Value::Map(guard),
+    );
+    stage.say("bob", "context join /lab/arm");
+    stage.say("alice", "context join /lab/arm");
+    stage.say("bob", "manager verdict / consult=1 allow=true");
+    stage.say("alice", "token grab /lab/key");
+    stage.say("alice", "message command /lab/arm");
+    stage.say("alice", "message chat /lab/arm");
+    stage.say("alice", "message command /lab/arm");
+    let heard = stage.lost("alice", GRACE);
+    assert_eq!(
+        of(&heard, &["alice"])[..3],
+        ["alice< older-fence", "alice< older-fence", "alice< halt of hub"],
+        "commands are refused, and the sender told: {heard:?}"
+    );
+    let asked = heard.iter().filter(|line| line.starts_with("bob< consult"));
+    assert_eq!(asked.count(), 1, "about the chat, which is next: {heard:?}");
+    let heard = stage.say("bob", "manager verdict / consult=3 allow=true");
+    assert_eq!(of(&heard, &["bob"])[0], "bob< chat of alice", "{heard:?}");
+}
+
+#[test]
+fn a_list_says_who_is_lost() {
+    let mut stage = driven(180_000, "lazy");
+    stage.lost("alice", GRACE);
+    stage.at(1000);
+    stage.say("bob", "context members /lab/arm");
+    let Some(Effect::Reply { parcel, .. }) = stage.effects.first() else {
+        panic!("{:?}", stage.effects)
+    };
+    let members = parcel.value();
+    let lost = |member: &Value| member.as_map().and_then(|member| member.get("lost").cloned());
+    let lost: Vec<_> = members
+        .get("members")
+        .and_then(Value::as_list)
+        .unwrap_or_default()
+        .iter()
+        .map(lost)
+        .collect();
+    assert_eq!(lost, [Some(Value::Int(29_000)), None, None]);
+}
+
+#[test]
+fn much_is_made_safe_and_told_in_steps() {
+    let mut contexts = vec![context("/lab", "session")];
+    for number in 0..100 {
+        let (key, arm) = (format!("/lab/key{number}"), format!("/lab/arm{number}"));
+        contexts.push(context(&key, "token"));
+        let guard = Map::new()
+            .with("token", key.as_str())
+            .with("names", vec!["command".into()]);
+        contexts.push(context(&arm, "channel").with("guard", guard));
+    }
+    let mut stage = Stage::new(contexts);
+    for name in ["alice", "arm"] {
+        stage.arrive(name, 1);
+        stage.say(name, "context join /lab");
+    }
+    for number in 0..100 {
+        stage.say("alice", &format!("token grab /lab/key{number}"));
+        stage.say("arm", &format!("context join /lab/arm{number}"));
+    }
+    let halts = |heard: &[String]| heard.iter().filter(|line| *line == "arm< halt of hub").count();
+    let first = stage.lost("alice", GRACE);
+    assert_eq!(halts(&first), 32, "one step");
+    stage.resumed("alice");
+    let mut all = halts(&first);
+    for step in 1..20 {
+        all += halts(&stage.at(step));
+    }
+    assert_eq!(all, 100, "also of one that came back meanwhile");
+}
+
+#[test]
+fn who_logs_out_or_is_put_out_while_lost_is_gone_at_once() {
+    let mut stage = driven(180_000, "lazy");
+    stage.enter("chief", 9);
+    stage.lost("alice", GRACE);
+    let heard = stage.say("chief", "context expel / peer=alice for=0");
+    assert!(heard.contains(&"alice closed".to_owned()), "{heard:?}");
+    stage.lost("bob", GRACE);
+    stage.gone("bob");
+    assert!(stage.at(40_000).is_empty(), "no timer is left");
+}

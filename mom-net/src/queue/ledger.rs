@@ -1,0 +1,252 @@
+//! Parcels counted as they leave, and kept until the other side has read them: for a connection that can be resumed.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use mom_proto::Delivery;
+use mom_proto::binary;
+use mom_proto::codec::Form;
+
+use super::piece::{Entry, Progress};
+use super::{Item, Piece};
+
+/// What has left over a link and was not acknowledged.
+#[derive(Debug)]
+pub struct Ledger<I> {
+    /// Parcels that have left.
+    sent: u64,
+    /// As many of them as the other side has said that it has read.
+    acknowledged: u64,
+    /// Those of the others that must not be lost, in their order.
+    kept: VecDeque<Kept<I>>,
+    bytes: usize,
+    /// The most bytes that are kept.
+    limit: usize,
+    /// The place of the last parcel that had to be kept, and was not for want of room.
+    forgotten: u64,
+    /// The next parcel does not count: it tells the other side of the link.
+    skips: bool,
+    /// How many parcels of the run that the link is taking are counted already.
+    part: u64,
+}
+
+/// A parcel, or several of a run.
+#[derive(Debug)]
+pub(super) struct Kept<I> {
+    pub(super) item: Arc<I>,
+    pub(super) number: u64,
+    /// Where they begin in the item's frames.
+    pub(super) offset: usize,
+    count: u64,
+    /// The place of the last one.
+    last: u64,
+    size: usize,
+}
+
+/// A count that cannot be: of more than was sent, or of less than was acknowledged before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BadCount {
+    /// What the other side says that it has read.
+    pub read: u64,
+    /// What has left.
+    pub sent: u64,
+    /// What was acknowledged before.
+    pub acknowledged: u64,
+}
+
+/// What a resumed connection does not send again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rewound {
+    /// So many parcels that were not kept, because they need not be.
+    Dropped(u64),
+    /// Some that had to be kept are lost: so many at most. The connection cannot be resumed.
+    Lost(u64),
+}
+
+impl<I: Item> Ledger<I> {
+    /// Counts from here on, and keeps so many bytes. The first parcel does not count.
+    pub fn new(limit: usize) -> Ledger<I> {
+        Ledger {
+            sent: 0,
+            acknowledged: 0,
+            kept: VecDeque::new(),
+            bytes: 0,
+            limit,
+            forgotten: 0,
+            skips: true,
+            part: 0,
+        }
+    }
+
+    /// The parcels that have left.
+    pub fn sent(&self) -> u64 {
+        self.sent
+    }
+
+    /// The bytes that are kept.
+    pub fn bytes(&self) -> usize {
+        self.bytes
+    }
+
+    /// Whether something is kept, or waits for its acknowledgement.
+    pub fn is_settled(&self) -> bool {
+        self.sent == self.acknowledged
+    }
+
+    /// Notes a piece that has left.
+    pub fn note(&mut self, piece: &Piece<I>, form: Option<Form>) {
+        let Some(item) = piece.item.as_ref().filter(|item| item.counts()) else {
+            return;
+        };
+        if item.count() == 1 {
+            return self.count(item, piece.number, 0, u64::from(piece.last), form);
+        }
+        let (counted, bytes) = (std::mem::take(&mut self.part), piece.part.bytes());
+        if piece.last && piece.before.sent == 0 && counted == 0 {
+            return self.count(item, piece.number, 0, u64::from(item.count()), form);
+        }
+        let run = item
+            .frames(form)
+            .map_or(&[][..], |frames| &frames.head[bytes.clone()]);
+        let count = u64::from(binary::cut(run, run.len()).1);
+        let offset = bytes.start + binary::first(run, counted);
+        self.count(item, piece.number, offset, count - counted, form);
+    }
+
+    /// Notes how much the link has taken of a run; gives the length of the parcels that it has whole.
+    pub(super) fn note_part(&mut self, piece: &Piece<I>, form: Option<Form>) -> usize {
+        let Some(item) = piece.item.as_ref().filter(|item| item.count() > 1) else {
+            return 0;
+        };
+        let from = piece.part.bytes().start;
+        let frames = item.frames(form).map_or(&[][..], |frames| &frames.head);
+        let run = frames.get(from..).unwrap_or_default();
+        let (length, count) = binary::whole(run, piece.part.written());
+        let counted = std::mem::replace(&mut self.part, u64::from(count));
+        if item.counts() {
+            let offset = from + binary::first(run, counted);
+            self.count(item, piece.number, offset, u64::from(count) - counted, form);
+        }
+        length
+    }
+
+    /// Counts parcels of an item that have left, from this byte of its frames on.
+    fn count(&mut self, item: &Arc<I>, number: u64, offset: usize, count: u64, form: Option<Form>) {
+        if count == 0 {
+            return;
+        }
+        if std::mem::take(&mut self.skips) {
+            return;
+        }
+        self.sent += count;
+        if item.delivery() != Delivery::Reliable {
+            return;
+        }
+        if let Some(before) = self.kept.back_mut()
+            && item.count() > 1
+            && Arc::ptr_eq(&before.item, item)
+        {
+            before.count += count;
+            before.last = self.sent;
+            return;
+        }
+        let size = item.charge(form);
+        self.bytes += size;
+        self.kept.push_back(Kept {
+            item: Arc::clone(item),
+            number,
+            offset,
+            count,
+            last: self.sent,
+            size,
+        });
+        while self.bytes > self.limit
+            && let Some(kept) = self.kept.pop_front()
+        {
+            self.bytes -= kept.size;
+            self.forgotten = kept.last;
+        }
+    }
+
+    /// Takes in how many parcels the other side has read.
+    pub(super) fn acknowledge(&mut self, read: u64, form: Option<Form>) -> Result<(), BadCount> {
+        if read > self.sent || read < self.acknowledged {
+            return Err(BadCount {
+                read,
+                sent: self.sent,
+                acknowledged: self.acknowledged,
+            });
+        }
+        self.acknowledged = read;
+        while let Some(kept) = self.kept.front_mut() {
+            if kept.last <= read {
+                self.bytes -= kept.size;
+                self.kept.pop_front();
+                continue;
+            }
+            // The first ones of a run.
+            let over = (kept.count + read).saturating_sub(kept.last);
+            if over > 0 {
+                let frames = kept.item.frames(form).map_or(&[][..], |frames| &frames.head);
+                let run = frames.get(kept.offset..).unwrap_or_default();
+                kept.offset += binary::first(run, over);
+                kept.count -= over;
+            }
+            break;
+        }
+        // What was kept in a burst is not kept for ever.
+        if self.kept.is_empty() {
+            self.kept = VecDeque::new();
+        }
+        Ok(())
+    }
+
+    /// Forgets what `goes` says, which is not to be sent again; gives the items and how many parcels of each.
+    pub fn drop_kept(&mut self, goes: impl Fn(&I) -> bool) -> Vec<(Arc<I>, u64)> {
+        let mut dropped = Vec::new();
+        self.kept.retain(|kept| {
+            let goes = goes(&kept.item);
+            if goes {
+                self.bytes -= kept.size;
+                dropped.push((Arc::clone(&kept.item), kept.count));
+            }
+            !goes
+        });
+        dropped
+    }
+
+    /// Goes back to what the other side has read, and gives what has to be sent again.
+    ///
+    /// # Errors
+    /// A count that cannot be.
+    pub(super) fn rewind(
+        &mut self,
+        read: u64,
+        form: Option<Form>,
+    ) -> Result<(Rewound, VecDeque<Kept<I>>), BadCount> {
+        self.acknowledge(read, form)?;
+        if self.forgotten > read {
+            return Ok((Rewound::Lost(self.forgotten - read), VecDeque::new()));
+        }
+        let again: u64 = self.kept.iter().map(|kept| kept.count).sum();
+        let dropped = self.sent - read - again;
+        self.sent = read;
+        self.skips = false;
+        self.part = 0;
+        self.bytes = 0;
+        Ok((Rewound::Dropped(dropped), std::mem::take(&mut self.kept)))
+    }
+}
+
+impl<I> Kept<I> {
+    pub(super) fn into_entry(self) -> Entry<I> {
+        Entry {
+            item: self.item,
+            number: self.number,
+            progress: Progress {
+                sent: self.offset,
+                stream: 0,
+            },
+        }
+    }
+}
