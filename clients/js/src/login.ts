@@ -113,7 +113,7 @@ export async function resume(wire: Wire, link: Link, read: number, nextId: NextI
     return content["resumed"] === true ? { read: int(content, "read") ?? -1, content } : null;
   } catch (error) {
     // Others than `not-resumed` are those of a hub that knows no links, or not this one: a login says more.
-    if (error instanceof MomError && error.kind === "refused" && (error.code === "not-resumed" || error.number < 300)) return null;
+    if (error instanceof MomError && error.kind === "refused" && error.number < 300) return null;
     throw error;
   }
 }

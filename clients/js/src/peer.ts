@@ -122,8 +122,10 @@ export class Peer {
       } catch (failed) {
         if (!(failed instanceof MomError)) throw failed;
         error = failed;
+        const badCount = failed.code === "bad-count" && this.#link !== null;
         if (failed.kind === "refused" && failed.number >= 300 && this.#link) this.#lose(failed);
-        attempts.failed(failed);
+        // A new login counts anew.
+        if (!badCount) attempts.failed(failed);
       }
     }
   }
@@ -134,7 +136,7 @@ export class Peer {
     const unread = this.#ledger.resumed(read);
     if (!unread) {
       wire.drop();
-      throw new MomError("refused", "bad-count", `the hub has read ${read} parcels, more than were sent`, 300);
+      throw new MomError("refused", "bad-count", `the hub has read ${read} parcels, more than were sent`, 408);
     }
     const all = [...unread, ...this.outbox.takeAgain()];
     const goes = (entry: Entry): boolean => entry.reliable && !entry.guarded;
@@ -142,11 +144,8 @@ export class Peer {
     const dropped = [...all.filter((entry) => !goes(entry)), ...this.outbox.take((entry) => entry.guarded)];
     this.outbox.again(all.filter(goes), { family: "time", name: "resent" });
     for (const entry of dropped) this.#lostMessage(entry.parcel, entry.guarded ? "older-fence" : "disconnected");
-    const lost = fieldsOf(content["dropped"]);
-    for (const delivery of ["latest", "fleeting"]) {
-      const count = int(lost, delivery) ?? 0;
-      if (count) this.subscribers.deliver([], { type: "dropped", path: "/", reason: "disconnected", count, delivery });
-    }
+    const count = int(content, "dropped") ?? 0;
+    if (count) this.subscribers.deliver([], { type: "dropped", path: "/", reason: "disconnected", count });
     return this.#up(wire, true);
   }
 

@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import { createHash, createHmac, randomBytes } from "node:crypto";
 import { readFileSync } from "node:fs";
 import test from "node:test";
-import { Double, Frames, PREFACE, Reader, Time, Unpacker, Writer, chunk, decode, encode, hmac, pack, sha256 } from "../dist/test/internals.js";
+import { Double, Frames, PREFACE, Reader, Time, Unpacker, WORDS, Writer, chunk, decode, encode, hmac, pack, sha256 } from "../dist/test/internals.js";
 
 /** A golden file of mom-proto: the hex of one frame. */
 const golden = (name) => {
@@ -96,6 +96,14 @@ test("what is no value is a fault of the content and of nothing else", () => {
     assert.equal(parcel.content, undefined, digits);
     assert.ok(parcel.fault, digits);
   }
+});
+
+test("the table of words is that of mom-proto, and words of later versions are sent as text", () => {
+  const rust = readFileSync(new URL("../../../mom-proto/src/binary/words.rs", import.meta.url), "utf8");
+  const words = [.../WORDS[^=]*= (?:&?\[)([\s\S]*?)\];/.exec(rust)[1].matchAll(/"([^"]+)"/g)].map(([, word]) => word);
+  assert.deepEqual(WORDS.slice(0, words.length), words);
+  assert.equal(hex(encode({ family: "message", name: "uninhibited" })), "00000003000 26f".replace(/ /g, ""));
+  assert.equal(hex(encode({ family: "message", name: "lost" })), "0000000700 0208 6c6f7374".replace(/ /g, ""));
 });
 
 test("what a later version says is skipped", () => {

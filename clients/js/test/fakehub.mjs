@@ -78,7 +78,11 @@ class Connection {
   #resume(parcel) {
     const { link, nonce } = this.#asked;
     const proof = link && createHmac("sha256", link.secret).update(`mom-link-1\0fake\0${link.id}\0`).update(nonce).digest("hex");
-    if (!link || this.hub.forgets || proof !== Buffer.from(parcel.content.proof).toString("hex")) return this.error(307, "not-resumed", parcel, { resumed: false });
+    if (!link || this.hub.forgets || proof !== Buffer.from(parcel.content.proof).toString("hex")) return this.error(209, "not-resumed", parcel, { resumed: false });
+    if (this.hub.miscounts) {
+      this.error(408, "bad-count", parcel);
+      return this.socket.close();
+    }
     const dropped = link.resume(this, parcel.content.read);
     this.reply(parcel, { resumed: true, read: link.read, peer: "alice", user: "alice", level: 1, dropped });
     this.link = link;
@@ -132,7 +136,7 @@ class Link {
     this.resent = false;
     this.sent = read;
     this.#again = this.kept.splice(0);
-    return { latest: this.#again.filter((one) => !one.reliable).length, fleeting: 0 };
+    return this.#again.filter((one) => !one.reliable).length;
   }
 
   again() {
@@ -151,6 +155,7 @@ export class FakeHub {
   links = true;
   refuses = false;
   forgets = false;
+  miscounts = false;
   deaf = false;
   acknowledges = true;
   heartbeat = 10_000;

@@ -10,3 +10,4 @@ export { Queue } from "../src/queue.js";
 export { sha256, hmac } from "../src/sha256.js";
 export { doorsOf, shown } from "../src/address.js";
 export { Attempts } from "../src/connector.js";
+export { WORDS } from "../src/words.js";
