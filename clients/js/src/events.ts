@@ -142,7 +142,7 @@ export function eventOf(parcel: Parcel): Event {
 export type Events = Queue<Event>;
 
 /** Kept from a join on for who has not asked yet. */
-const EARLY = 1024;
+const EARLY = 4096;
 
 /** @internal Who hears what. */
 export class Subscribers {

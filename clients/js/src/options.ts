@@ -38,7 +38,7 @@ export interface ConnectOptions extends Proof {
   giveUpAfter?: number;
   /** `false`: a lost connection closes the client. */
   reconnect?: boolean;
-  /** The most events that wait for one subscriber; 1024. */
+  /** The most events that wait for one subscriber; 4096, which is more than one read of the network brings. */
   eventBuffer?: number;
   /** Called with each state of the link, also before the first connection. */
   onState?: (state: LinkState) => void;

@@ -57,7 +57,7 @@ export class Peer {
   readonly closed = new Promise<void>((resolve) => (this.#noteClosed = resolve));
 
   constructor(address: string, readonly options: ConnectOptions) {
-    this.subscribers = new Subscribers(options.eventBuffer ?? 1024, (event) => this.#isOver(event));
+    this.subscribers = new Subscribers(options.eventBuffer ?? 4096, (event) => this.#isOver(event));
     this.connector = new Connector(address, options, () => ++this.#lastId);
     this.outbox.wrote = (entry) => this.#link && this.#ledger.wrote(entry);
     // What is not known to be read is kept, and has the same bound as at the hub.
