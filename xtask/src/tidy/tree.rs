@@ -33,7 +33,7 @@ impl From<String> for File {
 /// Folders that begin with a dot hold the tools' own things, save these.
 const DOT_FOLDERS: &[&str] = &[".cargo", ".ci", ".github"];
 /// Folders of things fetched or built.
-const SKIPPED_FOLDERS: &[&str] = &["node_modules", "dist"];
+const SKIPPED_FOLDERS: &[&str] = &["node_modules", "__pycache__", "dist"];
 
 impl Tree {
     /// Reads the checkout at `root`. What is built is left out: cargo marks its folders with a `CACHEDIR.TAG`.

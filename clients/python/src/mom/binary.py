@@ -16,7 +16,7 @@ NAMES = (
     "command state status image chat stop unstop halt login answer resume logout create lookup list info stats join leave "
     "delete members invite expel grab release renew give accept decline request break inhibit uninhibit consult verdict "
     "joined left created deleted grabbed released requested offer lapsed queued invited expelled dropped notice ok "
-    "challenge ping pong hub inhibited uninhibited"
+    "challenge ping pong hub inhibited uninhibited ack resent lost resumed"
 ).split()
 """The words that have a number, in its order."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from typing import Callable, Deque, Dict, Optional, Tuple
+from typing import Callable, Deque, Dict, Optional
 
 from . import binary
 from .address import Address
@@ -26,10 +26,10 @@ class Connection:
 
     def __init__(self, transport: Transport, numbers: Optional[Dict[int, str]] = None) -> None:
         self.decoder = binary.Decoder(numbers)
-        self.read_bytes = 0
-        """How many bytes of whole parcels were given by `receive`."""
+        self.heard = 0.0
+        """When something arrived last, by the loop's clock."""
         self._transport = transport
-        self._parcels: Deque[Tuple[Parcel, int]] = deque()
+        self._parcels: Deque[Parcel] = deque()
         self._streams = 0
 
     @classmethod
@@ -70,8 +70,10 @@ class Connection:
 
     async def _arrive(self) -> bool:
         data = await self._transport.read()
-        if data:
-            self._parcels.extend(self.decoder.feed(data))
+        self.heard = asyncio.get_running_loop().time()
+        for parcel, size in self.decoder.feed(data) if data else ():
+            parcel.size = size
+            self._parcels.append(parcel)
         return bool(data)
 
     async def receive(self) -> Optional[Parcel]:
@@ -82,9 +84,7 @@ class Connection:
                     return None
             except _BROKEN as error:
                 raise ConnectionDownError(str(error) or type(error).__name__) from error
-        parcel, size = self._parcels.popleft()
-        self.read_bytes += size
-        return parcel
+        return self._parcels.popleft()
 
     async def send_parcel(self, parcel: Parcel) -> None:
         """Sends a parcel as it is, in chunks if it is large."""

@@ -8,7 +8,7 @@ CODES: Dict[str, int] = {
     "try-later": 100, "held": 101, "timed-out": 102, "full": 103, "declined": 104, "withdrawn": 105,
     "over-quota": 106, "storage-failed": 107, "over-memory": 108,
     "denied": 200, "bad-login": 201, "not-logged-in": 202, "not-member": 203, "not-owner": 204,
-    "older-fence": 205, "bad-fence": 206, "expired": 207, "stale-state": 208, "unknown-path": 210,
+    "older-fence": 205, "bad-fence": 206, "expired": 207, "stale-state": 208, "not-resumed": 209, "unknown-path": 210,
     "unknown-peer": 211, "unknown-verb": 212, "unknown-manager": 213, "exists": 214, "wrong-kind": 215,
     "permanent": 216, "no-offer": 217, "too-late": 218, "bad-slot": 220, "bad-path": 221, "bad-name": 222,
     "bad-content": 223, "bad-encoding": 224, "bad-xml": 225, "bad-mime": 226, "bad-cid": 227, "too-deep": 228,
@@ -16,7 +16,8 @@ CODES: Dict[str, int] = {
     "shutdown": 300, "slow-receiver": 301, "silent": 302, "login-timeout": 303, "too-many-connections": 304,
     "disconnected": 305, "out-of-memory": 306,
     "bad-frame": 400, "bad-version": 401, "restricted-xml": 402, "too-large": 403, "insecure": 404,
-    "too-many-logins": 405, "revoked": 406, "not-taken": 407,
+    "too-many-logins": 405, "revoked": 406, "not-taken": 407, "bad-count": 408,
+    "taken-over": 409,
 }  # fmt: skip
 """The codes of errors: word and number. A hub may know more; go by the range of the number then."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from datetime import datetime
 from typing import Any, Dict, List, Optional
 
@@ -12,7 +12,7 @@ FAMILIES = ("message", "login", "context", "token", "manager", "event", "reply",
 DELIVERIES = ("reliable", "latest", "fleeting")
 
 
-@dataclass
+@dataclass(repr=False)
 class Parcel:
     """A parcel, with the slots of docs/PROTOCOL.md. What is `None` is absent."""
 
@@ -58,6 +58,12 @@ class Parcel:
     """Whether the slot `content` is there although its value is `None`."""
     fault: Optional[str] = field(default=None, compare=False)
     """What is wrong with a parcel that cannot be read whole; it is never delivered as a message."""
+    size: int = field(default=0, compare=False, repr=False)
+    """Its bytes on the wire, of one that has arrived."""
+
+    def __repr__(self) -> str:
+        slots = [(slot.name, getattr(self, slot.name)) for slot in fields(self) if slot.repr]
+        return f"Parcel({', '.join(f'{name}={value!r}' for name, value in slots if value not in (None, {}, False))})"
 
     @property
     def history(self) -> bool:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import hashlib
 import socket
 import ssl
-from typing import Any, Optional, Union
+from typing import Any, Optional, Tuple, Union
+from urllib.parse import SplitResult, unquote, urlsplit
+from urllib.request import getproxies, proxy_bypass
 
 from .address import TCP, TUNNEL, WEBSOCKET, Address
 from .errors import ConnectionDownError, LocalError
@@ -148,6 +151,66 @@ def has_websockets() -> bool:
     return True
 
 
+async def dial(
+    address: Address, trust: Trust, context: Optional[ssl.SSLContext]
+) -> Tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    """Connects, with TLS through the proxy that the environment names (`HTTPS_PROXY`, `NO_PROXY`), and checks who is there."""
+    name, proxy = address.host if context else None, _proxy(address)
+    if proxy is None:
+        reader, writer = await asyncio.open_connection(
+            address.host, address.port, ssl=context, server_hostname=name, limit=1 << 20
+        )
+    else:
+        through = await _through(proxy, address)
+        reader, writer = await asyncio.open_connection(sock=through, ssl=context, server_hostname=name, limit=1 << 20)
+    try:
+        check_pin(address, trust, writer.get_extra_info("ssl_object"))
+    except LocalError:
+        writer.transport.abort()
+        raise
+    return reader, writer
+
+
+def _proxy(address: Address) -> Optional[SplitResult]:
+    """The proxy on the way; none without TLS, as it could read along."""
+    url = getproxies().get("https") if address.tls else None
+    if not url or proxy_bypass(address.host):
+        return None
+    proxy = urlsplit(url if "://" in url else f"http://{url}")
+    if proxy.scheme != "http" or not proxy.hostname:
+        raise LocalError("not-taken", f"HTTPS_PROXY is {proxy.scheme}://{proxy.hostname}: only proxies of http:// are known")
+    return proxy
+
+
+async def _through(proxy: SplitResult, address: Address) -> socket.socket:
+    """Has a proxy connect to the hub."""
+    loop, port = asyncio.get_running_loop(), proxy.port or 80
+    found = await loop.getaddrinfo(proxy.hostname, port, type=socket.SOCK_STREAM)
+    stream = socket.socket(found[0][0], socket.SOCK_STREAM)
+    try:
+        stream.setblocking(False)
+        await loop.sock_connect(stream, found[0][4])
+        head = f"CONNECT {address.authority} HTTP/1.1\r\nHost: {address.authority}\r\n"
+        if proxy.username:
+            pair = f"{unquote(proxy.username)}:{unquote(proxy.password or '')}"
+            head += f"Proxy-Authorization: Basic {base64.b64encode(pair.encode()).decode()}\r\n"
+        await loop.sock_sendall(stream, (head + "\r\n").encode())
+        said = b""
+        while not said.endswith(b"\r\n\r\n"):
+            # One byte at a time, as what follows is not ours to read.
+            byte = await loop.sock_recv(stream, 1)
+            said += byte
+            if not byte or len(said) > 16_384:
+                raise ConnectionDownError(f"{address}: the proxy {proxy.hostname}:{port} gives no answer")
+        status = said.split(b"\r\n")[0].decode("latin-1").split(" ", 1)[-1]
+        if not status.startswith("2"):
+            raise ConnectionDownError(f"{address}: the proxy {proxy.hostname}:{port} answers {status}")
+        return stream
+    except BaseException:
+        stream.close()
+        raise
+
+
 async def open_transport(address: Address, trust: Trust) -> Transport:
     """Connects through one door."""
     context = tls_context(address, trust)
@@ -160,17 +223,7 @@ async def open_transport(address: Address, trust: Trust) -> Transport:
             return await open_tunnel(address, trust, context)
         if address.door != TCP:
             raise LocalError("bad-slot", f"{address} is no single door: try those of Address.doors")
-        name = address.host if context else None
-        reader, writer = await asyncio.open_connection(
-            address.host, address.port, ssl=context, server_hostname=name, limit=1 << 20
-        )
-        transport = StreamTransport(reader, writer)
-        try:
-            check_pin(address, trust, writer.get_extra_info("ssl_object"))
-        except LocalError:
-            transport.abort()
-            raise
-        return transport
+        return StreamTransport(*await dial(address, trust, context))
     except (OSError, EOFError) as error:
         raise ConnectionDownError(f"{address}: {error}") from error
 

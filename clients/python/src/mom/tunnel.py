@@ -8,7 +8,7 @@ from typing import Dict, Optional, Tuple
 
 from .address import Address
 from .errors import ConnectionDownError, LocalError
-from .transport import Transport, Trust, check_pin
+from .transport import Transport, Trust, dial
 
 _BEFORE_LOGIN, _MOST_UP = 16 * 1024, 128 * 1024
 _WINDOW, _LONGEST, _PATIENCE = 64 * 1024, 20.0, 30.0
@@ -29,11 +29,7 @@ class _Requests:
     async def open(self, method: str, path: str, body: bytes = b"") -> Tuple[int, Dict[str, str]]:
         """Asks, and waits for the head of the answer."""
         if self._reader is None or self._writer is None:
-            name = self._address.host if self._context else None
-            self._reader, self._writer = await asyncio.open_connection(
-                self._address.host, self._address.port, ssl=self._context, server_hostname=name
-            )
-            check_pin(self._address, self._trust, self._writer.get_extra_info("ssl_object"))
+            self._reader, self._writer = await dial(self._address, self._trust, self._context)
         head = f"{method} {path} HTTP/1.1\r\nHost: {self._address.authority}\r\nCache-Control: no-store\r\n"
         kind = "Content-Type: application/octet-stream\r\n" if body else ""
         length = f"Content-Length: {len(body)}\r\n" if body or method == "POST" else ""

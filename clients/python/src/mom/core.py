@@ -1,0 +1,359 @@
+"""What all proxies and the tasks of a client share: requests, memberships, subscriptions, the queue."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import OrderedDict
+from datetime import datetime
+from typing import Any, Callable, Dict, List, Optional, Tuple
+
+from .clock import HubClock
+from .errors import ClosedError, ConnectionDownError, MomError, RefusedError, TimedOutError, WireError
+from .events import Dropped, LinkDown, Other, Refused, Rejoined, StateChanged, Subscribers, is_within, of_parcel
+from .gate import FenceGate
+from .holds import Holds
+from .link import Link
+from .outbox import AGAIN, Entry, Outbox
+from .parcel import Parcel
+from .states import LinkState
+
+_REMEMBERED = 1024
+"""The sent messages whose channels are known when a refusal comes."""
+
+
+class Place:
+    """A context that this client is in."""
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+        self.terms: Dict[str, Any] = {}
+        """What it asked for there: thinning, `device`."""
+        self.gate = FenceGate()
+        self.info: Dict[str, Any] = {}
+        """What the hub said when it was joined."""
+        self.joining: Optional[asyncio.Future[Dict[str, Any]]] = None
+
+
+class Core:
+    """The state of a client."""
+
+    def __init__(self, wall: Callable[[], datetime], event_buffer: int, request_timeout: float) -> None:
+        self.clock = HubClock(wall)
+        self.wall = wall
+        self.request_timeout = request_timeout
+        self.subscribers = Subscribers(event_buffer, self._is_over)
+        self.outbox = Outbox(self.dropped)
+        self.holds = Holds(self)
+        self.places: Dict[str, Place] = {}
+        self.numbers: Dict[int, str] = {}
+        self.welcome: Dict[str, Any] = {}
+        """The content of the hub's reply to the login."""
+        self.link: Optional[Link] = None
+        self.is_up = False
+        """Whether there is a connection on which this peer is logged in."""
+        self.closing: Optional[WireError] = None
+        """With what error the hub ends the connection."""
+        self.state = LinkState("trying")
+        self.on_state: List[Callable[[LinkState], None]] = []
+        self._pending: Dict[int, Tuple[asyncio.Future[Parcel], Optional[str]]] = {}
+        self._sent: OrderedDict[int, Optional[str]] = OrderedDict()
+        self._ids = 0
+
+    @property
+    def peer(self) -> str:
+        """The name that the hub gave."""
+        return str(self.welcome.get("peer", ""))
+
+    def limit(self, key: str, default: int) -> int:
+        """A limit of the hub."""
+        limits = self.welcome.get("limits")
+        found = limits.get(key) if isinstance(limits, dict) else None
+        return found if isinstance(found, int) and found > 0 else default
+
+    def next_id(self) -> int:
+        """A number for a parcel, used by no other."""
+        self._ids += 1
+        return self._ids
+
+    def enter(self, state: LinkState) -> None:
+        """Tells of another state of the link."""
+        if state != self.state:
+            self.state = state
+            self.subscribers.deliver_all(StateChanged(state))
+            for told in list(self.on_state):
+                told(state)
+
+    # What is said.
+
+    def check_up(self) -> None:
+        """Refuses what cannot be sent, now or when the link is resumed."""
+        if self.state.word == "closed":
+            raise ClosedError(self.state.error)
+        if not self.is_up and self.link is None:
+            raise ConnectionDownError("the link to the hub is down")
+
+    async def send(self, parcel: Parcel) -> int:
+        """Sends a message, once there is room for it; gives its id."""
+        self.check_up()
+        if parcel.id is None:
+            parcel.id = self.next_id()
+        if parcel.timestamp is None:
+            parcel.timestamp = self.wall()
+        place = self.places.get(parcel.context or "")
+        guard = place.gate.guard if place else None
+        delivery = parcel.delivery or (place.info.get("delivery") if place else None) or "reliable"
+        entry = Entry(parcel, str(delivery), guard is not None and guard.covers(parcel.name))
+        most = self.limit("parcel", 8 << 20)
+        if entry.size > most:
+            raise RefusedError(WireError("too-long", f"{entry.size} bytes; the hub takes {most}"))
+        if parcel.expires is not None and parcel.name != "stop":
+            entry.deadline = asyncio.get_running_loop().time() + parcel.expires / 1000
+        await self.outbox.capacity(entry)
+        self.check_up()
+        self._sent[parcel.id] = parcel.context
+        if len(self._sent) > _REMEMBERED:
+            self._sent.popitem(last=False)
+        if not self.is_up and (entry.guarded or entry.delivery != "reliable"):
+            # What was meant for the moment must not happen later.
+            self.dropped(entry, "older-fence" if entry.guarded else "disconnected")
+        else:
+            self.outbox.put(entry)
+        return parcel.id
+
+    def post(self, parcel: Parcel, again: bool = False) -> None:
+        """Lets a parcel wait without asking for room: requests, signs of life."""
+        entry = Entry(parcel)
+        if again:
+            entry.lane, entry.priority = AGAIN, 0
+        self.outbox.put(entry)
+
+    def begin(self, parcel: Parcel) -> asyncio.Future[Parcel]:
+        """Lets a request wait to be sent; gives its answer to come."""
+        parcel.id = self.next_id() if parcel.id is None else parcel.id
+        number, future = parcel.id, asyncio.get_running_loop().create_future()
+        self._pending[number] = (future, parcel.context)
+        future.add_done_callback(lambda _: self._pending.pop(number, None))
+        if parcel.family != "message":
+            self.post(parcel)
+        return future
+
+    async def request(self, parcel: Parcel, timeout: Optional[float] = None, wait: bool = True) -> Parcel:
+        """Sends a request and waits for its answer; `wait` = `False`: as long as it takes."""
+        self.check_up()
+        future, after = self.begin(parcel), timeout or self.request_timeout
+        try:
+            if parcel.family == "message":
+                await self.send(parcel)
+            return await asyncio.wait_for(future, after if wait else None)
+        except asyncio.TimeoutError:
+            what = f"{parcel.family} {parcel.name} {parcel.context or ''}".strip()
+            raise TimedOutError(what, after) from None
+        finally:
+            future.cancel()
+
+    async def ask(self, family: str, name: str, path: str, content: Any = None, **options: Any) -> Parcel:
+        """A request about a context."""
+        return await self.request(Parcel(family, name, path, content or None), **options)
+
+    # What is heard.
+
+    def receive(self, parcel: Parcel) -> None:
+        """Takes a parcel of the hub, other than those of family `time`."""
+        if parcel.fault is not None:
+            self._receive_faulty(parcel)
+        elif parcel.family in ("reply", "error"):
+            self._receive_answer(parcel)
+        elif parcel.family == "event":
+            self._receive_event(parcel)
+        elif parcel.is_("manager", "consult") and self.subscribers.deliver_consult(Other(parcel)):
+            pass
+        else:
+            self.subscribers.deliver(_paths(parcel), of_parcel(parcel))
+
+    def _receive_faulty(self, parcel: Parcel) -> None:
+        # The hub passes content on as it came; what cannot be read is as good as lost.
+        self.subscribers.deliver(_paths(parcel), Dropped("bad-content", 1, parcel))
+
+    def _receive_answer(self, parcel: Parcel) -> None:
+        error = parcel.error() if parcel.family == "error" else None
+        if error is not None and error.closes:
+            self.closing = error
+        future, _ = self._pending.get(parcel.reference or 0, (None, None))
+        if future is not None and not future.done():
+            if error is None:
+                future.set_result(parcel)
+            else:
+                future.set_exception(RefusedError(error))
+        elif error is not None:
+            path = self._sent.get(parcel.reference or 0) or parcel.context
+            self.subscribers.deliver([path] if path else [], Refused(error, parcel.reference))
+
+    def _receive_event(self, parcel: Parcel) -> None:
+        path, name, event = parcel.context or "/", parcel.name, of_parcel(parcel)
+        place = self.places.get(path)
+        mine = parcel.map().get("peer") == self.peer
+        if name == "joined" and mine and place is not None and place.joining is not None:
+            # The reply to the join says so, too.
+            return
+        if name in ("grabbed", "released"):
+            guarded = [one for one in self.places.values() if one.gate.guard and one.gate.guard.token == path]
+            for one in guarded:
+                one.gate.observe(parcel)
+            self.holds.heard(path, parcel)
+            self.subscribers.deliver([path] + [one.path for one in guarded], event)
+            return
+        if name in ("lapsed", "uninhibited"):
+            self.holds.heard(path, parcel)
+        if name == "deleted":
+            above = path.rsplit("/", 1)[0] or "/"
+            self.subscribers.deliver([path, above], event)
+        else:
+            self.subscribers.deliver([path], event)
+        if name == "deleted" or (name == "expelled" and mine):
+            self.forget_within(path, "deleted" if name == "deleted" else "revoked")
+
+    # Memberships.
+
+    async def enter_all(self, path: str, kind: Optional[str] = None, terms: Optional[Dict[str, Any]] = None) -> Place:
+        """Joins a context, parents first."""
+        parts = [part for part in path.split("/") if part]
+        place = Place("/")
+        for depth in range(1, len(parts) + 1):
+            here = "/" + "/".join(parts[:depth])
+            place = await self._enter(here, terms if depth == len(parts) else None)
+        if kind is not None and parts and place.info.get("kind") != kind:
+            found = place.info.get("kind")
+            raise RefusedError(WireError("wrong-kind", f"{path} is a {found}, not a {kind}"))
+        return place
+
+    async def _enter(self, path: str, terms: Optional[Dict[str, Any]]) -> Place:
+        place = self.places.get(path)
+        if place is not None and place.joining is not None:
+            await asyncio.shield(place.joining)
+            place = self.places.get(path)
+        if place is not None and (terms is None or terms == place.terms):
+            return place
+        if place is not None:
+            await self._join(place, terms)
+            return place
+        place = self.places[path] = Place(path)
+        try:
+            await self._join(place, terms)
+        except BaseException:
+            self.places.pop(path, None)
+            raise
+        return place
+
+    async def _join(self, place: Place, terms: Optional[Dict[str, Any]]) -> None:
+        self.check_up()
+        await self._joined(place, terms, self._begin_join(place, terms))
+
+    def _begin_join(self, place: Place, terms: Optional[Dict[str, Any]]) -> asyncio.Future[Parcel]:
+        place.joining = asyncio.get_running_loop().create_future()
+        self.subscribers.keep_early(place.path)
+        return self.begin(Parcel("context", "join", place.path, terms, has_content=terms is not None))
+
+    async def _joined(
+        self, place: Place, terms: Optional[Dict[str, Any]], answer: asyncio.Future[Parcel]
+    ) -> None:
+        joining, place_info = place.joining, {}
+        try:
+            place_info = (await asyncio.wait_for(answer, self.request_timeout)).map()
+        except asyncio.TimeoutError:
+            raise TimedOutError(f"context join {place.path}", self.request_timeout) from None
+        finally:
+            place.joining = None
+            if place_info:
+                place.terms = place.terms if terms is None else terms
+                place.info = place_info
+                place.gate.joined(place_info)
+            if joining is not None and not joining.done():
+                joining.set_result(place_info)
+
+    def rejoin_all(self) -> List[asyncio.Task[None]]:
+        """Asks to join all contexts again, parents first, after a login that began anew: before anything else is said."""
+        asked = []
+        for path, place in sorted(self.places.items()):
+            answer = self._begin_join(place, place.terms or None)
+            asked.append(asyncio.ensure_future(self._rejoined(path, place, answer)))
+        if not asked:
+            self.subscribers.deliver_others(Rejoined())
+        return asked
+
+    async def _rejoined(self, path: str, place: Place, answer: asyncio.Future[Parcel]) -> None:
+        try:
+            await self._joined(place, None, answer)
+            self.subscribers.deliver([path], Rejoined())
+        except RefusedError as error:
+            self.subscribers.deliver_only(path, Refused(error.wire))
+            self.forget_within(path, "disconnected")
+        except MomError:
+            # The connection was lost once more: then all of it begins again.
+            pass
+
+    async def leave(self, path: str) -> None:
+        """Leaves a context and all below it."""
+        await self.ask("context", "leave", path)
+        self.forget_within(path, "released")
+
+    def forget_within(self, path: str, reason: str) -> None:
+        """Forgets a context and all below it, as the hub did."""
+        for known in [known for known in self.places if is_within(known, path)]:
+            del self.places[known]
+        self.holds.lose_within(path, reason)
+        self.subscribers.close_within(path)
+
+    # Losses.
+
+    def dropped(self, entry: Entry, reason: str) -> None:
+        """Tells of a parcel that will not be sent."""
+        parcel = entry.parcel
+        future, _ = self._pending.get(parcel.id or 0, (None, None))
+        if future is not None and not future.done():
+            if entry.guarded and reason == "older-fence":
+                text = f"{parcel.name} was said before the connection was lost, and the device was made safe"
+                future.set_exception(RefusedError(WireError("older-fence", text)))
+            else:
+                future.set_exception(ConnectionDownError(f"{parcel.name} was not sent: {reason}"))
+        elif parcel.family == "message":
+            self.subscribers.deliver(_paths(parcel), Dropped(reason, 1, parcel))
+
+    def suspend(self) -> None:
+        """The connection is lost, and the link is not: what was meant for the moment is not said later."""
+        self.is_up = False
+        self.outbox.lose(lambda entry: entry.guarded, "older-fence")
+        self.outbox.lose(lambda entry: not entry.is_reliable, "disconnected")
+
+    def lose_all(self, why: str) -> None:
+        """The link is gone: open requests get no answer, and tokens are lost."""
+        self.link, self.is_up = None, False
+        self.clock._forget()
+        self.numbers.clear()
+        self.outbox.lose(lambda entry: True, "disconnected")
+        self.holds.lose_within("/", "disconnected")
+        for place in self.places.values():
+            place.gate.forget_owner()
+        for future, _ in list(self._pending.values()):
+            if not future.done():
+                future.set_exception(ConnectionDownError(why))
+        self.subscribers.deliver_all(LinkDown())
+
+    def close(self, error: Optional[WireError]) -> None:
+        """Nothing will come any more."""
+        self.link, self.is_up = None, False
+        self.enter(LinkState("closed", error=error))
+        self.holds.lose_within("/", "disconnected")
+        for future, _ in list(self._pending.values()):
+            if not future.done():
+                future.set_exception(ClosedError(error))
+        self.outbox.lose(lambda entry: True, "disconnected")
+        self.subscribers.close_all()
+
+    def _is_over(self, parcel: Parcel) -> bool:
+        over = self.clock.is_expired(parcel)
+        self.clock.expired += over
+        return over
+
+
+def _paths(parcel: Parcel) -> List[str]:
+    return [parcel.context] if parcel.context else []

@@ -1,0 +1,383 @@
+"""The life of a client: one connection after another until it is closed."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from dataclasses import dataclass
+from typing import Dict, List, Optional, Set, Tuple
+
+from .address import WEBSOCKET, Address
+from .connection import Connection
+from .core import Core
+from .errors import ConnectionDownError, LocalError, MomError, RefusedError, WireError
+from .events import Dropped
+from .link import Link
+from .login import Credentials
+from .outbox import Entry
+from .parcel import Parcel
+from .states import LinkState, Reconnect
+from .transport import Trust, has_websockets
+
+LOG = logging.getLogger("mom")
+
+_NEXT_DOOR = 0.25
+_LAST_WORDS = 2.0
+_FINAL = ("insecure", "bad-login", "bad-content", "not-encodable")
+
+_worked: Dict[Tuple[str, int], Address] = {}
+"""The door of each hub that worked last."""
+
+_plain: Set[Tuple[str, int]] = set()
+"""The hubs that do not know of links."""
+
+
+@dataclass
+class Options:
+    """How to connect."""
+
+    address: Address
+    trust: Trust
+    link: bool
+    grace: Optional[float]
+    heartbeat: Optional[float]
+    connect_timeout: float
+    reconnect: Optional[Reconnect]
+
+
+class Driver:
+    """Connects, logs in, resumes, and drives each connection."""
+
+    def __init__(self, core: Core, credentials: Credentials, options: Options) -> None:
+        self.core, self.credentials, self.options = core, credentials, options
+        self.ending = False
+        """Whether the client is being closed."""
+        self._door = ""
+        self._written = 0.0
+        self._logins, self._fresh = 0, False
+        self._rejoining: List[asyncio.Task[None]] = []
+
+    async def first(self) -> Connection:
+        """Connects for the first time. What is wrong on this side, or refused for good, is an error at once."""
+        self.credentials.doors(self.options.address)
+        for told in self.core.on_state:
+            told(self.core.state)
+        try:
+            return await self._attempts(at_once=True)
+        except MomError as error:
+            self.core.enter(LinkState("closed", error=error.wire))
+            raise
+
+    async def run(self, connection: Connection) -> None:
+        """Drives connections until the client is closed."""
+        core, error = self.core, None
+        try:
+            while not self.ending:
+                why = await self._serve(connection)
+                closing, core.closing = core.closing, None
+                error = closing
+                if self.ending or (closing is not None and not closing.may_reconnect):
+                    break
+                if self.options.reconnect is None:
+                    error = closing or WireError("disconnected", why)
+                    break
+                LOG.info("the connection is lost: %s", closing or why)
+                if closing is not None or core.link is None or not core.link.is_whole:
+                    core.lose_all(str(closing or why))
+                else:
+                    core.suspend()
+                connection = await self._attempts(at_once=False)
+        except MomError as failed:
+            error = failed.wire or WireError("disconnected", str(failed))
+        except Exception as failed:
+            # Whoever waits must hear of it.
+            LOG.exception("the client failed")
+            error = WireError("disconnected", f"the client failed: {failed!r}")
+        finally:
+            core.close(None if self.ending else error)
+
+    async def _attempts(self, at_once: bool) -> Connection:
+        """Tries until it is logged in or has resumed, is refused for good, or it takes too long."""
+        loop, core, reconnect = asyncio.get_running_loop(), self.core, self.options.reconnect
+        begin, attempt, said = loop.time(), 0, ""
+        last: Optional[MomError] = None
+        while True:
+            word = "trying" if core.link is None else "resuming"
+            core.enter(LinkState(word, attempt, error=last.wire if last else None))
+            if (attempt or not at_once) and reconnect is not None:
+                wait = reconnect.delay(attempt, last.retry_after if last else None)
+                if core.link is not None:
+                    wait = min(wait, max(0.0, begin + core.link.grace - loop.time()))
+                await asyncio.sleep(wait)
+            if core.link is not None and loop.time() - begin >= core.link.grace:
+                core.lose_all("the connection was lost for longer than the hub waits")
+            try:
+                return await self._once()
+            except RefusedError as error:
+                if not error.wire.may_retry and not error.wire.may_reconnect:
+                    raise
+                last = error
+            except LocalError as error:
+                if error.code in _FINAL:
+                    raise
+                last = error
+            except ConnectionDownError as error:
+                last = error
+            attempt += 1
+            passed = loop.time() - begin
+            if reconnect is None or (reconnect.give_up_after is not None and passed >= reconnect.give_up_after):
+                raise last
+            if said != str(last):
+                said = str(last)
+                LOG.warning("waiting for the hub: %s", said)
+
+    async def _once(self) -> Connection:
+        connection, door = await self._open()
+        try:
+            await asyncio.wait_for(self._enter(connection), self.options.connect_timeout)
+        except asyncio.TimeoutError:
+            connection.abort()
+            raise ConnectionDownError(f"{door}: no answer to the login") from None
+        except BaseException:
+            connection.abort()
+            raise
+        self._door = str(door)
+        self.core.is_up = True
+        if self._logins > 1 and self._fresh:
+            # Before anything that others may say from here on. Kept, as the loop itself does not.
+            self._rejoining = self.core.rejoin_all()
+        self.core.enter(LinkState("connected", door=self._door))
+        return connection
+
+    async def _open(self) -> Tuple[Connection, Address]:
+        """Tries the doors, each a moment after the previous; the first that leads to a hub is it."""
+        address = self.options.address
+        doors = self.credentials.doors(address)
+        if len(doors) > 1 and not has_websockets():
+            doors = [door for door in doors if door.door != WEBSOCKET]
+        known = _worked.get((address.host, address.port))
+        if known in doors:
+            doors.sort(key=lambda door: door != known)
+        connection, door = await self._race(doors)
+        _worked[(address.host, address.port)] = door
+        return connection, door
+
+    async def _race(self, doors: List[Address]) -> Tuple[Connection, Address]:
+        timeout, numbers = self.options.connect_timeout, self.core.numbers
+        pending: Set[asyncio.Task[Connection]] = set()
+        tried: Dict[asyncio.Task[Connection], Address] = {}
+        errors: List[MomError] = []
+        waiting = list(doors)
+        try:
+            while waiting or pending:
+                if waiting:
+                    door = waiting.pop(0)
+                    task = asyncio.ensure_future(Connection.to(door, self.options.trust, numbers, timeout))
+                    pending.add(task)
+                    tried[task] = door
+                done, pending = await asyncio.wait(
+                    pending, timeout=_NEXT_DOOR if waiting else None, return_when=asyncio.FIRST_COMPLETED
+                )
+                for task in done:
+                    error = task.exception()
+                    if error is None:
+                        pending |= done - {task}
+                        return task.result(), tried[task]
+                    if not isinstance(error, MomError):
+                        raise error
+                    errors.append(error)
+        finally:
+            for task in pending:
+                task.add_done_callback(_close)
+                task.cancel()
+        if all(isinstance(error, LocalError) for error in errors):
+            raise errors[0]
+        raise ConnectionDownError("; ".join(str(error).replace("no connection: ", "") for error in errors))
+
+    # Entering.
+
+    async def _enter(self, connection: Connection) -> None:
+        """Resumes the link, or logs in."""
+        if self.core.link is not None:
+            if await self._resume(connection, self.core.link):
+                self._fresh = False
+                return
+            self.core.lose_all("the link could not be resumed")
+        try:
+            parcel = await self._ask(connection, Parcel("login", "login", "/", self._login()))
+        except RefusedError as error:
+            if error.wire.slot not in ("content/link", "content/heartbeat"):
+                raise
+            # A hub of an earlier version refuses what it does not know, and counts that as a failed login: once is enough.
+            _plain.add((self.options.address.host, self.options.address.port))
+            parcel = await self._ask(connection, Parcel("login", "login", "/", self._login()))
+        if parcel.is_("reply", "challenge"):
+            parcel = await self._ask(
+                connection, Parcel("login", "answer", "/", self.credentials.answer(parcel))
+            )
+        self.welcomed(parcel)
+        self._logins, self._fresh = self._logins + 1, True
+        self.core.link = Link.of_reply(parcel.map(), self.core.outbox.most) if self.options.link else None
+
+    def _login(self) -> Dict[str, object]:
+        content = self.credentials.content()
+        if (self.options.address.host, self.options.address.port) in _plain:
+            return content
+        if self.options.link:
+            grace = self.options.grace
+            content["link"] = True if grace is None else {"grace": int(grace * 1000)}
+        if self.options.heartbeat is not None:
+            content["heartbeat"] = int(self.options.heartbeat * 1000)
+        return content
+
+    def welcomed(self, reply: Parcel) -> None:
+        """Takes the hub's reply to a login, or to a resume."""
+        content = {**self.core.welcome, **reply.map()}
+        if not isinstance(content.get("peer"), str) or not isinstance(content.get("user"), str):
+            raise ConnectionDownError("the hub's reply to the login names no peer")
+        self.core.welcome = {key: value for key, value in content.items() if key not in ("link", "resumed", "read", "dropped")}
+        self.core.outbox.most = self.core.limit("outbox", 4 << 20)
+
+    async def _ask(self, connection: Connection, parcel: Parcel) -> Parcel:
+        """A request before anything else is said; `RefusedError` for a refusal."""
+        parcel.id = self.core.next_id()
+        failed: Optional[ConnectionDownError] = None
+        try:
+            await connection.send_parcel(parcel)
+        except ConnectionDownError as error:
+            # A hub that refuses may close before it has read everything; its error is more useful.
+            failed = error
+        while True:
+            heard = await connection.receive()
+            if heard is None:
+                raise failed or ConnectionDownError("the hub closed the connection at login")
+            if heard.is_("time", "ping"):
+                content = self.core.clock._answer()
+                await connection.send_parcel(Parcel("time", "pong", reference=heard.id, content=content))
+            elif heard.family == "error":
+                raise RefusedError(heard.error())
+            elif heard.family == "reply" and heard.reference == parcel.id:
+                return heard
+
+    async def _resume(self, connection: Connection, link: Link) -> bool:
+        """Whether the link goes on over this connection; if not, a login may follow on it."""
+        try:
+            challenge = await self._ask(connection, Parcel("login", "resume", "/", {"link": link.name}))
+            answer = Parcel("login", "answer", "/", link.answer(challenge))
+            reply = await self._ask(connection, answer)
+        except RefusedError as error:
+            if error.wire.closes:
+                raise
+            LOG.info("the link is not resumed: %s", error)
+            return False
+        content = reply.map()
+        both = link.resumed(content.get("read")) if content.get("resumed") is True else None
+        if both is None:
+            raise ConnectionDownError("the hub resumed a link by counts that cannot be")
+        self.welcomed(reply)
+        self.core.outbox.put_again(both[0])
+        for entry in both[1]:
+            if entry.parcel.family == "message":
+                self.core.dropped(entry, "older-fence" if entry.guarded else "disconnected")
+        self.core.post(Parcel("time", "resent"), again=True)
+        dropped = content.get("dropped")
+        if isinstance(dropped, int) and dropped > 0:
+            self.core.subscribers.deliver_others(Dropped("lost", dropped, reply))
+        return True
+
+    # One connection.
+
+    async def _serve(self, connection: Connection) -> str:
+        """Drives one connection to its end; says why it ended."""
+        core = self.core
+        self._written = asyncio.get_running_loop().time()
+        self._ping()
+        sender = asyncio.ensure_future(core.outbox.send_all(connection, self._wrote))
+        reader = asyncio.ensure_future(self._read(connection))
+        pulse = asyncio.ensure_future(self._pulse(connection))
+        tasks: List[asyncio.Future[None]] = [sender, reader, pulse]
+        try:
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            if sender.done() and not reader.done():
+                # Writing fails first where the hub has closed; what it said last is still to be read.
+                await asyncio.wait([reader], timeout=_LAST_WORDS)
+        finally:
+            core.is_up = False
+            connection.abort()
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+        for task in (reader, pulse, sender):
+            error = None if task.cancelled() else task.exception()
+            if error is not None and not isinstance(error, MomError):
+                raise error
+            if error is not None:
+                return str(error)
+        return "nothing was heard of the hub" if pulse.done() and not pulse.cancelled() else "the hub closed"
+
+    def _wrote(self, entry: Entry) -> None:
+        self._written = asyncio.get_running_loop().time()
+        if self.core.link is not None:
+            self.core.link.wrote(entry)
+
+    async def _read(self, connection: Connection) -> None:
+        core = self.core
+        while True:
+            parcel = await connection.receive()
+            if parcel is None:
+                return
+            if core.state.word == "stale":
+                core.enter(LinkState("connected", door=self._door))
+            due = core.link is not None and core.link.count(parcel)
+            if parcel.family == "time":
+                self._receive_time(parcel)
+            else:
+                core.receive(parcel)
+            if due:
+                self._acknowledge()
+
+    def _receive_time(self, parcel: Parcel) -> None:
+        core = self.core
+        if parcel.name == "ping":
+            self._acknowledge()
+            core.post(Parcel("time", "pong", reference=parcel.id, content=core.clock._answer()))
+        elif parcel.name == "pong" and core.clock._answered(parcel):
+            self._ping()
+        elif parcel.name == "ack" and core.link is not None:
+            if not core.link.acknowledged(parcel.map().get("read")):
+                core.link = None
+                raise ConnectionDownError("the hub says that it has read what was never sent")
+
+    def _acknowledge(self) -> None:
+        said = self.core.link.acknowledgement() if self.core.link is not None else None
+        if said is not None:
+            self.core.post(said)
+
+    def _ping(self) -> None:
+        self._acknowledge()
+        number = self.core.next_id()
+        self.core.post(Parcel("time", "ping", id=number, content=self.core.clock._ask(number)))
+
+    async def _pulse(self, connection: Connection) -> None:
+        """Says signs of life, and ends when nothing is heard for too long."""
+        loop, core = asyncio.get_running_loop(), self.core
+        heartbeat, gone = core.limit("heartbeat", 10_000) / 1000, core.limit("gone", 30_000) / 1000
+        pinged = loop.time()
+        while True:
+            await asyncio.sleep(heartbeat / 8)
+            now = loop.time()
+            silent = now - connection.heard
+            if silent >= gone:
+                return
+            if silent >= 1.5 * heartbeat and core.state.word == "connected":
+                core.enter(LinkState("stale", door=self._door))
+            quiet = now - self._written >= heartbeat * 7 / 8 or silent >= heartbeat
+            if quiet and now - pinged >= heartbeat / 2:
+                pinged = now
+                self._ping()
+
+
+def _close(task: "asyncio.Task[Connection]") -> None:
+    """Ends a connection that came too late."""
+    if not task.cancelled() and task.exception() is None:
+        task.result().abort()

@@ -1,0 +1,93 @@
+"""The link: what both sides have counted, so that a lost connection loses nothing."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+from collections import deque
+from typing import Any, Deque, Dict, List, Optional, Tuple
+
+from .login import _LINK, read_challenge
+from .outbox import Entry
+from .parcel import Parcel
+
+_ACK_PARCELS, _ACK_BYTES = 256, 64 * 1024
+
+
+class Link:
+    """The counts of one link, which outlives its connections.
+
+    Each side counts the parcels of each direction, without a number on the wire. What is reliable is kept until the hub
+    has said that it has read it; of the rest only the place in the count.
+    """
+
+    def __init__(self, name: str, secret: bytes, grace: float, most: int) -> None:
+        self.name, self.grace = name, grace
+        self.sent, self.read = 0, 0
+        """How many parcels were written whole, and how many were read whole."""
+        self._secret, self._most = secret, most
+        self._kept: Deque[Entry] = deque()
+        self._kept_bytes = 0
+        self._said, self._bytes = 0, 0
+        self.is_whole = True
+        """Whether all that is reliable and not acknowledged is kept."""
+
+    @staticmethod
+    def of_reply(content: Dict[str, Any], most: int) -> Optional[Link]:
+        """Reads the reply to a login; `None` for a hub that gives no link."""
+        told = content.get("link")
+        if not isinstance(told, dict):
+            return None
+        name, secret, grace = told.get("id"), told.get("secret"), told.get("grace")
+        if not isinstance(name, str) or not isinstance(secret, bytes) or not isinstance(grace, int):
+            return None
+        return Link(name, secret, grace / 1000, most)
+
+    def wrote(self, entry: Entry) -> None:
+        """Notes that the last byte of a parcel is written."""
+        if not entry.counted:
+            return
+        self.sent += 1
+        self._kept.append(entry)
+        if entry.is_reliable:
+            self._kept_bytes += entry.size
+            # One parcel of any size may be under way.
+            self.is_whole = self.is_whole and (self._kept_bytes <= self._most or self._kept_bytes == entry.size)
+
+    def acknowledged(self, read: Any) -> bool:
+        """Forgets what the hub has read; whether that can be."""
+        if not isinstance(read, int) or not self.sent - len(self._kept) <= read <= self.sent:
+            return False
+        while self.sent - len(self._kept) < read:
+            entry = self._kept.popleft()
+            self._kept_bytes -= entry.size if entry.is_reliable else 0
+        return True
+
+    def count(self, parcel: Parcel) -> bool:
+        """Counts a parcel of the hub; whether it is time to say so."""
+        if parcel.family != "time":
+            self.read += 1
+            self._bytes += parcel.size
+        return self.read - self._said >= _ACK_PARCELS or self._bytes >= _ACK_BYTES
+
+    def acknowledgement(self) -> Optional[Parcel]:
+        """What to say of what was read; `None` if all of it is said."""
+        if self.read == self._said:
+            return None
+        self._said, self._bytes = self.read, 0
+        return Parcel("time", "ack", content={"read": self.read})
+
+    def answer(self, challenge: Parcel) -> Dict[str, Any]:
+        """The content of the answer to the challenge of a resume."""
+        hub, nonce = read_challenge(challenge, _LINK)
+        signed = b"\0".join([_LINK, hub.encode(), self.name.encode(), nonce])
+        self._said, self._bytes = self.read, 0
+        return {"proof": hmac.new(self._secret, signed, hashlib.sha256).digest(), "read": self.read}
+
+    def resumed(self, read: Any) -> Optional[Tuple[List[Entry], List[Entry]]]:
+        """After a resume: what is to be sent again, in the old order, and what is not; `None` for a count that cannot be."""
+        if not self.acknowledged(read):
+            return None
+        left, self._kept, self._kept_bytes = list(self._kept), deque(), 0
+        self.sent = read
+        return [entry for entry in left if entry.is_reliable], [entry for entry in left if not entry.is_reliable]

@@ -1,0 +1,282 @@
+"""Parts of the client that need no hub: addresses, doors, delays, clocks, gates, the queue."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any, Dict, List, Optional
+
+import pytest
+
+import mom
+from mom.address import Address
+from mom.clock import OffsetEstimator
+from mom.connection import Connection
+from mom.events import of_parcel
+from mom.login import Credentials
+from mom.outbox import Entry, Outbox
+from mom.parcel import Parcel
+
+PIN = "4355a46b19d348dc2f57c046f8ef63d4538ebb936000f3c9ee954a27460dd865"
+
+
+@pytest.mark.parametrize(
+    "text, shown",
+    [
+        ("bin://lab", "bin://lab:7666"),
+        ("bins://lab:1/robot/arm", "bins://lab:1/robot/arm"),
+        ("mom://[::1]", "mom://[::1]:7666"),
+        ("wss://lab", "wss://lab:443"),
+        ("http://lab/", "http://lab:80"),
+        ("https://lab:1?poll=1", "https://lab:1?poll=1"),
+        (f"moms://lab?pin={PIN}", f"moms://lab:7666?pin=sha256:{PIN}"),
+        (f"mom://lab?pin=sha256:{PIN.upper()}", f"moms://lab:7666?pin=sha256:{PIN}"),
+    ],
+)
+def test_addresses(text: str, shown: str) -> None:
+    assert str(Address.parse(text)) == shown
+
+
+@pytest.mark.parametrize(
+    "text, why",
+    [
+        ("", "begin with"),
+        ("lab:7666", "begin with"),
+        ("ftp://lab", "ftp://"),
+        ("tcp://lab", "XML: bin://"),
+        ("jsons://lab", "JSON: bins://"),
+        ("bin://", "no host"),
+        ("bin://:1", "no host"),
+        ("bin://lab:", "port"),
+        ("bin://lab:70000", "port"),
+        ("bin://::1:7666", "brackets"),
+        ("bin://[lab]:7666", "brackets"),
+        ("bin://alice@lab", "no name of a host"),
+        ("bins://lab?pin=12", "64 hexadecimal digits"),
+        ("bins://lab?name=12", "pin="),
+        (f"bin://lab?pin={PIN}", "for TLS"),
+    ],
+)
+def test_what_is_no_address(text: str, why: str) -> None:
+    with pytest.raises(mom.AddressError, match="is no address of a hub") as caught:
+        Address.parse(text)
+    assert why in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "address, private",
+    [("bin://localhost", 1), ("bin://127.9.9.9", 1), ("bin://[::1]", 1), ("bin://[::ffff:127.0.0.1]", 1), ("bins://lab", 1)]
+    + [("bin://localhost.example.org", 0), ("bin://10.0.0.1", 0), ("ws://lab", 0), ("http://0.0.0.0", 0)],
+)
+def test_where_nobody_reads_along(address: str, private: int) -> None:
+    assert Address.parse(address).is_private == bool(private)
+
+
+@pytest.mark.parametrize(
+    "address, secret, doors",
+    [
+        ("mom://lab", True, ["bins://lab:7666", "wss://lab:443", "https://lab:443"]),
+        ("mom://lab", False, ["bins://lab:7666", "wss://lab:443", "https://lab:443", "bin://lab:7666", "ws://lab:80"]),
+        ("moms://lab:9", False, ["bins://lab:9", "wss://lab:9", "https://lab:9"]),
+        (
+            "mom://127.0.0.1:9",
+            True,
+            [f"{scheme}://127.0.0.1:9" for scheme in ("bin", "ws", "http", "bins", "wss", "https")],
+        ),
+        ("bin://lab", False, ["bin://lab:7666"]),
+    ],
+)
+def test_the_doors_that_a_login_permits(address: str, secret: bool, doors: List[str]) -> None:
+    proof: Dict[str, Any] = {"user": "alice", "password": "x"} if secret else {"guest": True}
+    assert [str(door) for door in Credentials(**proof).doors(Address.parse(address))] == doors
+
+
+async def test_the_first_door_that_leads_to_a_hub_is_taken_and_remembered(
+    unused_tcp_port_factory: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from mom.driver import Driver, Options
+
+    tried: List[str] = []
+
+    async def to(door: Address, *_: Any) -> Any:
+        tried.append(str(door).split(":")[0])
+        if door.tls:
+            await asyncio.sleep(60)  # tidy: a door that never opens
+        if door.door != "websocket":
+            raise mom.ConnectionDownError("closed")
+        return "a connection"
+
+    monkeypatch.setattr(Connection, "to", to)
+    address = Address.parse(f"mom://127.0.0.1:{unused_tcp_port_factory()}")
+    options = Options(address, None, True, None, None, 10.0, None)
+    driver = Driver.__new__(Driver)
+    driver.options, driver.credentials = options, Credentials(guest=True)
+    driver.core = type("Core", (), {"numbers": {}})()
+    assert str((await driver._open())[1]).startswith("ws://") and tried == ["bin", "ws"]
+    tried.clear()
+    await driver._open()
+    assert tried == ["ws"]
+
+
+def test_delays_have_full_jitter() -> None:
+    reconnect = mom.Reconnect()
+    for attempt, most in [(0, 0.1), (1, 0.2), (5, 3.2), (50, 30.0)]:
+        delays = [reconnect.delay(attempt) for _ in range(300)]
+        assert 0 <= min(delays) < most / 4 and most * 3 / 4 < max(delays) <= most
+    assert reconnect.delay(0, 9.0) == 9.0, "no less than the hub asked for"
+
+
+def test_the_offset_of_another_clock() -> None:
+    hour, estimator = 3_600_000_000, OffsetEstimator()
+    assert estimator.at(0) is None
+    assert estimator.push(0, hour + 300, hour + 320, 420, 420)
+    assert estimator.at(420) == (hour + 100, 202)
+    assert estimator.push(1000, hour + 1150, hour + 1150, 1100, 1100), "a quicker one says more"
+    assert (estimator.at(1100) or (0, 999))[1] < 100
+    later = estimator.at(1_001_100)
+    assert later is not None and later[1] >= 100, "drift widens it"
+    assert not estimator.push(10, 5, 4, 20, 20), "a clock was set meanwhile"
+    assert estimator.push(0, 300, 320, 420, 420) and len(estimator) == 1, "a contradiction counts alone"
+
+
+def guard(owner: Optional[str], fence: int) -> Dict[str, Any]:
+    return {"guard": {"token": "/t", "names": ["command"], "owner": owner, "fence": fence}}
+
+
+def told(name: str, owner: str, fence: int, path: str = "/t") -> Parcel:
+    return Parcel("event", name, path, {"owner": owner, "fence": fence})
+
+
+def test_fences_never_fall() -> None:
+    gate = mom.FenceGate()
+    gate.check(Parcel("message", "command"))
+    gate.joined(guard("ally", 7))
+    for event, owner, fence in [
+        (told("grabbed", "bob", 6), "ally", 7),
+        (told("grabbed", "bob", 9, "/other"), "ally", 7),
+        (told("grabbed", "bob", 9), "bob", 9),
+        (told("released", "ally", 7), "bob", 9),
+        (told("released", "bob", 9), None, 9),
+    ]:
+        gate.observe(event)
+        assert gate.guard and (gate.guard.owner, gate.guard.fence) == (owner, fence)
+    gate.joined(guard("ally", 5))
+    assert gate.guard and (gate.guard.owner, gate.guard.fence) == (None, 9), "a hub with older fences"
+    gate.joined(guard("ally", 10))
+    gate.check(Parcel("message", "command", fence=10))
+    gate.check(Parcel("message", "halt", sender="hub"))
+    gate.check(Parcel("message", "state", fence=1))
+    for parcel in (Parcel("message", "command"), Parcel("message", "command", fence=9)):
+        with pytest.raises(mom.StaleError):
+            gate.check(parcel)
+    gate.forget_owner()
+    with pytest.raises(mom.StaleError):
+        gate.check(Parcel("message", "command", fence=10))
+
+
+class Wire:
+    """A connection of which the test says when it takes more."""
+
+    def __init__(self) -> None:
+        self.frames: "asyncio.Queue[bytes]" = asyncio.Queue(1)
+        self.streams = 0
+
+    async def write(self, data: bytes) -> None:
+        await self.frames.put(data)
+
+    def next_stream(self) -> int:
+        self.streams += 1
+        return self.streams
+
+
+async def test_what_is_urgent_goes_between_the_pieces() -> None:
+    dropped: List[str] = []
+    outbox, wire, sent = Outbox(lambda entry, reason: dropped.append(f"{entry.parcel.name} {reason}")), Wire(), []
+    outbox.put(Entry(Parcel("message", "image", "/c", bytes(100_000))))
+    sending = asyncio.ensure_future(outbox.send_all(wire, lambda entry: sent.append(entry.parcel.name)))  # type: ignore
+    await wire.frames.get()
+    for parcel in [
+        Parcel("message", "later", "/c"),
+        Parcel("login", "logout", "/"),
+        Parcel("message", "urgent", "/c", priority=9),
+        Parcel("context", "list", "/"),
+        Parcel("message", "state", "/c", 1, delivery="latest"),
+        Parcel("message", "state", "/c", 2, delivery="latest"),
+        Parcel("time", "ping"),
+        Parcel("message", "stop", "/c"),
+        Parcel("message", "stop", "/c"),
+    ]:
+        outbox.put(Entry(parcel, parcel.delivery or "reliable"))
+    for _ in range(13):
+        await asyncio.wait_for(wire.frames.get(), 5)
+    sending.cancel()
+    assert sent[:7] == ["stop", "ping", "list", "urgent", "image", "later", "state"]
+    assert dropped == ["state replaced", "stop replaced"]
+
+
+@pytest.mark.parametrize("pieces, kept", [(1, True), (7, False)])
+async def test_what_was_passed_on_whole_counts_though_nobody_says_that_it_was_taken(pieces: int, kept: bool) -> None:
+    outbox, wire, sent = Outbox(lambda entry, reason: None), Wire(), []
+    image = Entry(Parcel("message", "image", "/c", bytes(100_000)))
+    outbox.put(image)
+    sending = asyncio.ensure_future(outbox.send_all(wire, sent.append))  # type: ignore
+    for _ in range(pieces - 1):
+        await asyncio.wait_for(wire.frames.get(), 5)
+    await asyncio.wait([sending], timeout=0.05)
+    sending.cancel()
+    await asyncio.wait([sending])
+    assert sent == ([] if kept else [image]) and (outbox._bytes > 0) is kept
+    outbox.lose(lambda entry: False, "")
+    assert not kept or image.pieces is None, "it begins anew"
+
+
+async def test_the_queue_is_bounded() -> None:
+    dropped: List[Any] = []
+    outbox = Outbox(lambda entry, reason: dropped.append((entry.parcel.content[:1], reason)))
+    outbox.most = 1000
+    large = Entry(Parcel("message", "image", "/c", bytes(5000)))
+    await outbox.capacity(large)
+    outbox.put(large)
+    assert not outbox.has_capacity(Entry(Parcel("message", "a", "/c")))
+    waiting = asyncio.ensure_future(outbox.capacity(Entry(Parcel("message", "a", "/c"))))
+    await asyncio.sleep(0)  # tidy: lets the other begin
+    assert not waiting.done()
+    outbox.lose(lambda entry: True, "disconnected")
+    await asyncio.wait_for(waiting, 5)
+    dropped.clear()
+    for number in range(4):
+        entry = Entry(Parcel("message", "frame", "/c", bytes([number]) * 300), "fleeting")
+        await outbox.capacity(entry)
+        outbox.put(entry)
+    assert dropped == [(b"\0", "queue-full")], "the oldest fleeting one makes room"
+
+
+@pytest.mark.parametrize(
+    "name, content, event",
+    [
+        ("joined", {"count": 300}, mom.Count(300)),
+        ("lost", {"peer": "a", "user": "b", "level": 1, "within": 30000}, mom.PeerLost(mom.Member("a", "b", 1), 30.0)),
+        ("resumed", {"peer": "a", "user": "b", "level": 1}, mom.PeerResumed(mom.Member("a", "b", 1))),
+        ("notice", {"within": 5000, "waiting": 2}, mom.Notice("/t", 5.0, 2)),
+        ("lapsed", {"what": "offer", "by": "a", "to": "b", "reason": "left"}, mom.Lapsed("/t", "offer", "a", "b", "left")),
+        ("queued", {"place": 3}, mom.Queued("/t", 3, None)),
+        ("dropped", {}, mom.Dropped("", 0, Parcel("event", "dropped", "/t", {}))),
+    ],
+)
+def test_events_are_typed(name: str, content: Dict[str, Any], event: mom.Event) -> None:
+    assert of_parcel(Parcel("event", name, "/t", content)) == event
+
+
+def test_an_unknown_event_stays_a_parcel() -> None:
+    parcel = Parcel("event", "eclipse", "/t", {})
+    assert of_parcel(parcel) == mom.Other(parcel)
+
+
+def test_parcels_and_errors_are_shown_short() -> None:
+    assert repr(Parcel("message", "say", "/c", "hi", id=1)) == (
+        "Parcel(family='message', name='say', context='/c', content='hi', id=1)"
+    )
+    wire = mom.WireError("held", "alice drives", {"code": 101, "retry-after": 1500, "rule": "r", "holders": ["a"]})
+    error = mom.RefusedError(wire)
+    assert str(error) == "refused: held: alice drives"
+    assert (error.code, error.number, error.retry_after, error.rule, wire.holders) == ("held", 101, 1.5, "r", ["a"])
+    assert "alice" not in repr(Credentials(user="bob", password="alice"))
