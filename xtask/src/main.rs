@@ -14,6 +14,7 @@ mod clients;
 mod command;
 mod experiments;
 mod instructions;
+mod javascript;
 mod long;
 mod mutants;
 mod needs;
@@ -89,7 +90,7 @@ enum Task {
     },
     /// Write a client in another language as a package, into target/packages.
     Pack {
-        /// Its language: python.
+        /// Its language: python or javascript.
         language: String,
         #[command(flatten)]
         install: InstallArgs,
