@@ -52,7 +52,12 @@ export async function connect(address: string, options: ConnectOptions): Promise
 /** A peer that is logged in at a hub. */
 export class Client {
   /** @internal */
-  constructor(readonly peer: Peer) {}
+  readonly peer: Peer;
+
+  /** @internal */
+  constructor(peer: Peer) {
+    this.peer = peer;
+  }
 
   /** The peer's name at the hub. It may be another one after a new login. */
   get name(): string {

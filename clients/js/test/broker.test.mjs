@@ -1,6 +1,7 @@
 // The client against a real broker.
 import assert from "node:assert/strict";
 import { generateKeyPairSync } from "node:crypto";
+import { readFileSync } from "node:fs";
 import test, { after, afterEach, before } from "node:test";
 import { WebSocket } from "ws";
 import { Key, MomError, connect } from "../dist/mom-client.js";
@@ -57,6 +58,18 @@ test("a client logs in by key, as a guest and under a nickname", async () => {
   await assert.rejects(connect(ws(), as("alice", { password: "wrong" })), { code: "bad-login", kind: "refused", number: 201 });
   await assert.rejects(connect(ws(), { user: "alice", webSocket: WebSocket }), { kind: "local" });
   await assert.rejects(Key.fromPem("no key"), { code: "bad-encoding" });
+});
+
+test("the first example of the README fits ten lines, and runs", async () => {
+  const [, example] = /```js\n([\s\S]*?)```/.exec(readFileSync(new URL("../README.md", import.meta.url), "utf8"));
+  assert.ok(example.trimEnd().split("\n").length <= 10);
+  const lines = example.replace(/^import .*$/m, "").replace("mom://lab.example.org", `mom://127.0.0.1:${lab.port}`).replace("secret", "alice");
+  const AsyncFunction = (async () => undefined).constructor;
+  const seen = await new Promise((resolve, reject) => {
+    const mine = (address, options) => open(address, { ...options, webSocket: WebSocket });
+    void new AsyncFunction("connect", "console", lines)(mine, { log: (...words) => resolve(words) }).catch(reject);
+  });
+  assert.deepEqual(seen, ["alice", "good morning"]);
 });
 
 test("a secret goes over no door that others can read", async () => {
