@@ -20,7 +20,6 @@ test("the bundle imports nothing, and its types are there", () => {
 test("a program in TypeScript can rely on the types", () => {
   execFileSync("npx", ["tsc", "--project", "test"], { cwd: here("..").pathname, stdio: ["ignore", "inherit", "ignore"] });
 });
-});
 
 test("the lock file names no registry", () => {
   assert.doesNotMatch(readFileSync(here("../package-lock.json"), "utf8"), /"resolved"|https?:\/\/(?!opencollective|github|www\.patreon|tidelift|paulmillr)[^"]*\.tgz/);
