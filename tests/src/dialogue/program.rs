@@ -55,15 +55,19 @@ impl Client {
             format!("{program} does not run: {error}; `cargo xtask test --install` installs what it needs")
         };
         let inside = program.contains('/');
-        let mut child = Command::new(if inside { root().join(program) } else { program.into() })
-            .args(args)
-            .arg(address.to_string())
-            .current_dir(root())
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .kill_on_drop(true)
-            .spawn()
-            .map_err(failed)?;
+        let mut child = Command::new(if inside {
+            root().join(program)
+        } else {
+            program.into()
+        })
+        .args(args)
+        .arg(address.to_string())
+        .current_dir(root())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .kill_on_drop(true)
+        .spawn()
+        .map_err(failed)?;
         let (Some(input), Some(output)) = (child.stdin.take(), child.stdout.take()) else {
             return Err(format!("{program} has no pipes"));
         };
