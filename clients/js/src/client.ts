@@ -44,8 +44,11 @@ export interface Thinning {
 export async function connect(address: string, options: ConnectOptions): Promise<Client> {
   const peer = new Peer(address, options);
   await peer.start();
-  const hide = globalThis.document && options.logoutOnHide !== false;
-  if (hide) globalThis.addEventListener("pagehide", (event) => event.persisted || void peer.end());
+  if (globalThis.document && options.logoutOnHide !== false) {
+    const hide = (): void => void peer.end();
+    globalThis.addEventListener("pagehide", hide);
+    void peer.closed.then(() => globalThis.removeEventListener("pagehide", hide));
+  }
   return new Client(peer);
 }
 

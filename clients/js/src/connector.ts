@@ -63,36 +63,46 @@ export class Connector {
     return new Attempts(within, this.#ended.signal);
   }
 
-  /** One attempt: a link is resumed; if it cannot be, it is lost and a login follows. */
+  /** One attempt, within its time: a link is resumed; if it cannot be, it is lost and a login follows. */
   async connect(link: Link | null, read: number, notResumed: () => void): Promise<Connected> {
     const secret = isSecret(this.options);
     const doors = doorsOf(this.address, secret, globalThis.location?.protocol === "https:");
     const first = worked.get(this.address);
     doors.sort((a, b) => Number(shown(b) === first) - Number(shown(a) === first));
-    const late = AbortSignal.timeout(this.options.connectTimeout ?? 10_000);
-    const stop = AbortSignal.any([late, this.#ended.signal]);
+    const attempt = new AbortController();
+    const stop = attempt.signal;
+    const late = disconnected("the hub did not answer the login in time");
+    const timer = setTimeout(() => attempt.abort(late), this.options.connectTimeout ?? 10_000);
+    const end = (): void => attempt.abort();
+    this.#ended.signal.addEventListener("abort", end);
+    if (this.#ended.signal.aborted) end();
     const make = this.options.webSocket ?? (globalThis.WebSocket as WebSocketClass | undefined);
-    const wire = await connectWire(doors, make, {}, stop);
-    const drop = (): void => wire.drop();
-    stop.addEventListener("abort", drop, { once: true });
+    let wire: Wire | null = null;
+    stop.addEventListener("abort", () => wire?.drop());
     try {
-      if (secret && !isPrivate(wire.pipe.door)) throw local("insecure", "others could read this door");
-      if (link) for (const [number, path] of this.numbers) wire.numbers.set(number, path);
-      const resumed = link ? await resume(wire, link, read, this.nextId) : null;
-      if (link && !resumed) {
-        notResumed();
-        wire.numbers.clear();
-      }
-      const welcome = resumed ? null : await logIn(wire, this.options, this.nextId);
-      wire.numbers = this.#keep(wire.numbers);
-      worked.set(this.address, shown(wire.pipe.door));
-      return { wire, resumed, welcome };
+      wire = await connectWire(doors, make, {}, stop);
+      return await this.#enter(wire, secret, link, read, notResumed);
     } catch (error) {
-      wire.drop();
-      throw late.aborted && error instanceof MomError && error.kind === "connection" ? disconnected("the hub did not answer the login in time") : error;
+      wire?.drop();
+      throw wire && stop.reason === late ? late : error;
     } finally {
-      stop.removeEventListener("abort", drop);
+      clearTimeout(timer);
+      this.#ended.signal.removeEventListener("abort", end);
     }
+  }
+
+  async #enter(wire: Wire, secret: boolean, link: Link | null, read: number, notResumed: () => void): Promise<Connected> {
+    if (secret && !isPrivate(wire.pipe.door)) throw local("insecure", "others could read this door");
+    if (link) for (const [number, path] of this.numbers) wire.numbers.set(number, path);
+    const resumed = link ? await resume(wire, link, read, this.nextId) : null;
+    if (link && !resumed) {
+      notResumed();
+      wire.numbers.clear();
+    }
+    const welcome = resumed ? null : await logIn(wire, this.options, this.nextId);
+    wire.numbers = this.#keep(wire.numbers);
+    worked.set(this.address, shown(wire.pipe.door));
+    return { wire, resumed, welcome };
   }
 
   #keep(numbers: Map<number, string>): Map<number, string> {

@@ -25,7 +25,9 @@ export interface RawConnection {
  */
 export async function connectRaw(address: string, options: RawOptions): Promise<RawConnection> {
   const make = options.webSocket ?? (globalThis.WebSocket as WebSocketClass | undefined);
-  const wire = await connectWire(doorsOf(address, false, false), make, options, AbortSignal.timeout(10_000));
+  const late = new AbortController();
+  const timer = setTimeout(() => late.abort(), 10_000);
+  const wire = await connectWire(doorsOf(address, false, false), make, options, late.signal).finally(() => clearTimeout(timer));
   wire.take({
     parcel: (parcel) => parcel && (parcel.family !== "time" || parcel.name !== "ping") && options.onParcel(parcel),
     drained: () => undefined,

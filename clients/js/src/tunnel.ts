@@ -15,6 +15,7 @@ const LONGEST = 20_000;
 const PATIENCE = 10_000;
 /** Bytes that were sent and are not here after so long are held back by somebody who waits for the answer's end. */
 const HELD_BACK = 1000;
+const HELD = new Error("somebody holds the stream back");
 /** Requests that fail are made again after these times; then the tunnel is broken. */
 const AGAIN = [50, 250, 1000, 3000];
 
@@ -39,7 +40,7 @@ class Tunnel implements Pipe {
   #closing: ReturnType<typeof setTimeout> | undefined;
   #posting: Promise<unknown> | null = null;
   #reading = new AbortController();
-  readonly #stop = new AbortController();
+  #writing = new AbortController();
   waiting = 0;
 
   constructor(
@@ -70,27 +71,32 @@ class Tunnel implements Pipe {
     if (this.#over) return;
     this.#over = true;
     clearTimeout(this.#closing);
-    this.#stop.abort();
+    this.#reading.abort();
+    this.#writing.abort();
     this.#wake();
     this.heard.end(why);
   }
 
-  /** Asks until there is an answer of the hub. */
-  async #ask(method: string, target: () => string, body: Uint8Array | undefined, most: number): Promise<Response | null> {
+  /** Asks until there is an answer of the hub; null where it is not waited for any more. */
+  async #ask(method: "GET" | "POST", target: () => string, body: Uint8Array | undefined, most: number): Promise<Response | null> {
     for (let failures = 0; !this.#over; failures++) {
-      const late = AbortSignal.any([this.#stop.signal, this.#reading.signal, AbortSignal.timeout(most)]);
-      const stop = method === "POST" ? AbortSignal.any([this.#stop.signal, AbortSignal.timeout(most)]) : late;
+      const stop = new AbortController();
+      if (method === "GET") this.#reading = stop;
+      else this.#writing = stop;
+      const timer = most < Infinity ? setTimeout(() => stop.abort(), most) : undefined;
       try {
         const answer = await fetch(`${shown(this.door)}${target()}`, {
           method,
           ...(body?.length ? { body: body as Uint8Array<ArrayBuffer> } : {}),
           cache: "no-store",
           credentials: "omit",
-          signal: stop,
+          signal: stop.signal,
         });
         if (answer.status !== 502 && answer.status !== 504) return answer;
       } catch {
-        if (method === "GET" && this.#reading.signal.aborted) return null;
+        if (stop.signal.reason === HELD) return null;
+      } finally {
+        clearTimeout(timer);
       }
       const pause = AGAIN[failures];
       if (pause === undefined) this.end("the tunnel broke off: no answer came");
@@ -165,20 +171,19 @@ class Tunnel implements Pipe {
     setTimeout(() => {
       if (!this.#streams || this.#down >= sent) return;
       this.#streams = false;
-      this.#reading.abort();
+      this.#reading.abort(HELD);
     }, HELD_BACK);
   }
 
   /** Brings down what the hub says, as a stream or, where somebody between holds that back, by asking again and again. */
   async #bringDown(): Promise<void> {
     for (let failures = 0; !this.#over; ) {
-      this.#reading = new AbortController();
       const id = this.id;
       const target = (): string => {
         this.#told = Math.max(this.#told, this.#down);
         return `/tunnel/${this.id}?at=${this.#down}${this.#streams ? "" : `&wait=${LONGEST}`}`;
       };
-      const answer = await this.#ask("GET", target, undefined, this.#streams ? 2 ** 31 - 1 : LONGEST + PATIENCE);
+      const answer = await this.#ask("GET", target, undefined, this.#streams ? Infinity : LONGEST + PATIENCE);
       if (!answer) continue;
       if (answer.status === 404 && (await this.#isRenewed(id))) continue;
       if (answer.headers.has("mom-end") || answer.status === 404) return this.end("the hub closed the tunnel");

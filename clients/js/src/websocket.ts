@@ -60,8 +60,9 @@ export function openWebSocket(door: Door, make: WebSocketClass, heard: Heard, ab
       if (data instanceof ArrayBuffer) heard.bytes(new Uint8Array(data));
       else end("text where bytes are spoken");
     };
-    // What is wrong stands in the close that follows, as far as a browser tells it.
-    socket.onerror = () => undefined;
-    socket.onclose = ({ code, reason }: { code: number; reason: unknown }) => end(`the WebSocket is closed: ${code} ${String(reason)}`.trimEnd());
+    // A browser tells nothing, to keep pages from looking around in networks.
+    let error = "";
+    socket.onerror = ({ message }: { message?: string }) => (error = message ?? "");
+    socket.onclose = ({ code, reason }: { code: number; reason: unknown }) => end(`the WebSocket is closed: ${code} ${error || String(reason)}`.trimEnd());
   });
 }

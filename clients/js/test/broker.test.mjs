@@ -1,5 +1,6 @@
 // The client against a real broker.
 import assert from "node:assert/strict";
+import { spawnSync } from "node:child_process";
 import { generateKeyPairSync } from "node:crypto";
 import { readFileSync } from "node:fs";
 import test, { after, afterEach, before } from "node:test";
@@ -70,6 +71,52 @@ test("the first example of the README fits ten lines, and runs", async () => {
     void new AsyncFunction("connect", "console", lines)(mine, { log: (...words) => resolve(words) }).catch(reject);
   });
   assert.deepEqual(seen, ["alice", "good morning"]);
+});
+
+test("who authenticates again stays the peer that it was", async () => {
+  const alice = await open(ws(), as("alice"));
+  const chat = await alice.channel("/chat");
+  await alice.authenticateAgain({ password: "alice" });
+  assert.equal((await chat.sendAcknowledged("chat", "still here")).delivered, 1);
+  await assert.rejects(alice.authenticateAgain({ password: "wrong" }), { code: "bad-login" });
+  const rover = await open(ws(), { user: "rover", key: await Key.fromPem(pem), webSocket: WebSocket });
+  await rover.authenticateAgain({ key: await Key.fromPem(pem) });
+  assert.equal(rover.user, "rover");
+});
+
+test("a guard renews its lease and its deadman time", async () => {
+  const carol = await open(ws(), as("carol"));
+  await carol.create("/deadman", { kind: "token", manager: "open", deadman: 1500 });
+  const guard = await (await carol.token("/deadman")).grab();
+  assert.equal(guard.deadman, 1500);
+  // Longer than it lasts without a renewal.
+  await new Promise((resolve) => setTimeout(resolve, 2500));
+  assert.equal(guard.isLost, null);
+  assert.equal((await carol.info("/deadman")).owner, "carol");
+  await carol.delete("/deadman");
+  assert.equal((await guard.lost).reason, "deleted");
+});
+
+test("by TLS a secret goes anywhere, over WebSocket and tunnel", async () => {
+  const secure = await startLab({ config: `\n[tls]\ncertificate = "hub.crt"\nkey = "hub.key"\nself-signed = true\nhosts = ["127.0.0.1"]\n` });
+  try {
+    const program = `
+      import { WebSocket } from "ws";
+      import { connect } from "./dist/mom-client.js";
+      for (const scheme of ["wss", "https", "moms"]) {
+        const client = await connect(\`\${scheme}://127.0.0.1:${secure.port}\`, { user: "alice", password: "alice", webSocket: WebSocket, connectWithin: 1 });
+        const chat = await client.channel("/chat");
+        await chat.sendAcknowledged("chat", "hello");
+        console.log(client.state.door.split(":")[0]);
+        await client.close();
+      }`;
+    const run = (env) => spawnSync(process.execPath, ["--input-type=module", "--eval", program], { cwd: new URL("..", import.meta.url), encoding: "utf8", env: { ...process.env, ...env } });
+    assert.equal(run({ NODE_EXTRA_CA_CERTS: `${secure.folder}/hub.crt` }).stdout, "wss\nhttps\nwss\n");
+    // A hub that nobody vouches for is none.
+    assert.match(run({}).stderr, /self-signed certificate/);
+  } finally {
+    await secure.stop();
+  }
 });
 
 test("a secret goes over no door that others can read", async () => {
