@@ -146,6 +146,17 @@ impl Writer {
         Ok(())
     }
 
+    /// Writes one parcel as far as the link takes it at once, and that nothing more comes from this end.
+    ///
+    /// # Errors
+    /// As [`Writer::send`].
+    pub fn try_last_word(&self, parcel: Parcel) -> Result<(), NetError> {
+        let mut queue = VecDeque::from([self.prepare(Arc::new(parcel))?]);
+        self.try_write(&mut queue)?;
+        self.finish();
+        Ok(())
+    }
+
     /// Says that nothing more comes from this end. In a process that is when the writer is dropped.
     pub fn finish(&self) {
         if let Sink::Stream { stream, .. } = &self.sink {

@@ -79,13 +79,10 @@ impl Form {
             ..Limits::default()
         };
         let mut input = BytesMut::with_capacity(frames.len() + binary::PREFACE.len());
-        let mut decoder = match self {
-            Form::Binary => {
-                input.extend_from_slice(&binary::PREFACE);
-                Decoder::Binary(Box::new(BinaryDecoder::for_peer(&limits)))
-            }
-            form => Decoder::new(form, &limits),
-        };
+        let mut decoder = Decoder::new(self, &limits);
+        if self == Form::Binary {
+            input.extend_from_slice(&binary::PREFACE);
+        }
         input.extend_from_slice(frames);
         let mut parcels = Vec::new();
         while let Some(frame) = decoder.decode(&mut input)? {

@@ -137,6 +137,8 @@ pub struct Limits {
     pub heartbeat: u64,
     /// A peer that sends nothing for so long is closed as `silent`.
     pub gone: u64,
+    /// For how long a peer with a link may be away at most.
+    pub grace: u64,
     /// How far beyond the error of its clock a peer's stamp may lie in the future.
     pub future: u64,
     /// Contexts in the whole tree.
@@ -170,6 +172,7 @@ impl Default for Limits {
             stalled: 5_000,
             heartbeat: 10_000,
             gone: 30_000,
+            grace: 300_000,
             future: 1_000,
             contexts: Limit::At(100_000),
             user_contexts: Limit::At(10_000),

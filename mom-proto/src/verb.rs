@@ -14,6 +14,8 @@ pub enum Verb {
     Login,
     /// `login answer`: prove a key by signing the hub's challenge.
     Answer,
+    /// `login resume`: go on with a link over another connection.
+    Resume,
     /// `login logout`: leave for good.
     Logout,
     /// `context create`: make a session, channel or token (M22, M24).
@@ -70,13 +72,18 @@ pub enum Verb {
     Ping,
     /// `time pong`.
     Pong,
+    /// `time ack`: how many parcels were read.
+    Ack,
+    /// `time resent`: what follows was not said before the connection was lost.
+    Resent,
 }
 
 impl Verb {
     /// All verbs.
-    pub const ALL: [Verb; 30] = [
+    pub const ALL: [Verb; 33] = [
         Verb::Login,
         Verb::Answer,
+        Verb::Resume,
         Verb::Logout,
         Verb::Create,
         Verb::Lookup,
@@ -105,6 +112,8 @@ impl Verb {
         Verb::Verdict,
         Verb::Ping,
         Verb::Pong,
+        Verb::Ack,
+        Verb::Resent,
     ];
 
     /// The word of rules, logs and parcels.
@@ -112,6 +121,7 @@ impl Verb {
         match self {
             Verb::Login => "login",
             Verb::Answer => "answer",
+            Verb::Resume => "resume",
             Verb::Logout => "logout",
             Verb::Create => "create",
             Verb::Lookup => "lookup",
@@ -140,13 +150,15 @@ impl Verb {
             Verb::Unstop => "unstop",
             Verb::Ping => "ping",
             Verb::Pong => "pong",
+            Verb::Ack => "ack",
+            Verb::Resent => "resent",
         }
     }
 
     /// The family whose parcels ask for this.
     pub fn family(self) -> Family {
         match self {
-            Verb::Login | Verb::Answer | Verb::Logout => Family::Login,
+            Verb::Login | Verb::Answer | Verb::Resume | Verb::Logout => Family::Login,
             Verb::Create | Verb::Lookup | Verb::List | Verb::Info => Family::Context,
             Verb::Join | Verb::Leave | Verb::Delete | Verb::Members => Family::Context,
             Verb::Stats | Verb::Invite | Verb::Expel => Family::Context,
@@ -155,7 +167,7 @@ impl Verb {
             Verb::Break | Verb::Inhibit | Verb::Uninhibit => Family::Token,
             Verb::Verdict => Family::Manager,
             Verb::Send | Verb::Stop | Verb::Unstop => Family::Message,
-            Verb::Ping | Verb::Pong => Family::Time,
+            Verb::Ping | Verb::Pong | Verb::Ack | Verb::Resent => Family::Time,
         }
     }
 
@@ -210,6 +222,8 @@ impl Verb {
                 | Verb::Logout
                 | Verb::Ping
                 | Verb::Pong
+                | Verb::Ack
+                | Verb::Resent
         )
     }
 }

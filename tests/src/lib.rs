@@ -7,6 +7,7 @@ pub mod bridge;
 pub mod canary;
 pub mod dialogue;
 pub mod lab;
+pub mod linked;
 pub mod load;
 pub mod login;
 #[cfg(target_os = "linux")]

@@ -136,6 +136,19 @@ impl Tap {
         self.audit.login(peer, fact);
     }
 
+    /// Notes that a connection has asked for the link of a peer, or of nobody, and could not prove its secret.
+    pub fn resume_refused(&self, by: PeerId, name: Option<Arc<str>>, user: Option<Arc<str>>) {
+        let audit = Audit {
+            peer: name,
+            user: Some(user.unwrap_or_else(|| "unknown".into())),
+            verb: Some(Verb::Resume),
+            code: Some(Code::NOT_RESUMED),
+            ..Audit::new("refused")
+        };
+        let fact = Fact::new(self.clock.civil(), audit);
+        self.audit.login(by, fact);
+    }
+
     /// Writes `stopped` and waits until all is written.
     pub async fn stop(&self) {
         self.lines.report(self.clock.now(), true);

@@ -55,6 +55,15 @@ pub struct LoginLink {
     pub certificate: Option<Fingerprint>,
 }
 
+impl LoginLink {
+    /// Whether nobody else can read what is said on it.
+    pub fn is_private(&self) -> bool {
+        // A dual-stack listener sees IPv4 loopback as an IPv4-mapped IPv6 address.
+        let local = |from: IpAddr| from.to_canonical().is_loopback() && !self.relayed;
+        self.private || self.from.is_none_or(local)
+    }
+}
+
 /// The next step of a login that is not refused.
 #[derive(Debug)]
 pub enum LoginStep {

@@ -25,9 +25,7 @@ pub(crate) fn is_hash(text: &str) -> bool {
 
 /// Refuses a secret that others could have read on its way.
 pub(super) fn check_private(link: &LoginLink, what: &str) -> Result<(), WireError> {
-    // A dual-stack listener sees IPv4 loopback as an IPv4-mapped IPv6 address.
-    let local = |from: std::net::IpAddr| from.to_canonical().is_loopback() && !link.relayed;
-    if link.private || link.from.is_none_or(local) {
+    if link.is_private() {
         return Ok(());
     }
     let text = format!(

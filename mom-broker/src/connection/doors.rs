@@ -74,6 +74,22 @@ pub(crate) struct Seat {
     user: Option<Arc<str>>,
 }
 
+/// A peer that has lost its connection, and counts as one of its user until it is back or gone.
+#[derive(Debug)]
+pub(super) struct UserPlace {
+    doors: Arc<Doors>,
+    /// None once another connection counts in its place.
+    user: Option<Arc<str>>,
+}
+
+impl Drop for UserPlace {
+    fn drop(&mut self) {
+        if let Some(user) = &self.user {
+            self.doors.state.lock().leave(user);
+        }
+    }
+}
+
 impl Doors {
     pub(crate) fn new(caps: ConnectionCaps) -> Doors {
         Doors {
@@ -244,6 +260,23 @@ impl Seat {
         *state.users.entry(Arc::clone(&user)).or_default() += 1;
         self.user = Some(user);
         Ok(())
+    }
+
+    /// The connection is lost, and its peer may come back; none if nobody has logged in.
+    pub(super) fn park(mut self) -> Option<UserPlace> {
+        let user = self.user.take()?;
+        self.doors.state.lock().here -= 1;
+        Some(UserPlace {
+            doors: Arc::clone(&self.doors),
+            user: Some(user),
+        })
+    }
+
+    /// Counts in the place of a peer that has come back over this connection.
+    pub(super) fn take_over(&mut self, mut place: UserPlace) {
+        // Its proof was being checked, so nobody has told it to go.
+        drop(self.doors.state.lock().remove(self.id));
+        self.user = place.user.take();
     }
 
     /// Whether nobody has logged in.

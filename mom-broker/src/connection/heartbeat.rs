@@ -4,7 +4,7 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use mom_hub::PeerClock;
-use mom_proto::{Micros, Parcel, Verb};
+use mom_proto::{Micros, Parcel, Verb, WireError};
 use tokio::time::Instant;
 
 use super::Connection;
@@ -27,7 +27,7 @@ impl Connection {
 
     /// Asks a peer that says or hears nothing else whether it is there, and one that stamps its answers for its
     /// clock.
-    pub(super) fn beat(&mut self) {
+    pub(super) fn beat(&mut self, received: u64) {
         let (now, beat) = (
             Instant::now(),
             Duration::from_millis(self.services.limits.heartbeat),
@@ -36,8 +36,10 @@ impl Connection {
         let quiet = !self.outbox.active.swap(false, Ordering::Relaxed);
         // A peer that only listens has to be asked too, or it would be taken for gone.
         let silent = !self.outbox.heard.lately.swap(false, Ordering::Relaxed);
+        let mut touched = Touched::new();
+        self.tell_read(received, &mut touched);
+        flush(&mut touched);
         if quiet || silent || self.pings.are_stamped() {
-            let mut touched = Touched::new();
             let ping = self.pings.next(&self.services.board.clock);
             self.services.board.tell(self.peer, ping, &mut touched);
             flush(&mut touched);
@@ -49,13 +51,25 @@ impl Connection {
         }
     }
 
-    pub(super) fn time(&mut self, parcel: &Parcel, touched: &mut Touched) {
+    /// Handles a sign of life.
+    ///
+    /// # Errors
+    /// A count that cannot be: the connection ends.
+    pub(super) fn time(&mut self, parcel: &Parcel, touched: &mut Touched) -> Result<(), WireError> {
         match Verb::of(parcel.family, &parcel.name) {
             Ok(Verb::Ping) => {
                 let pong = Measure::pong(parcel, &self.services.board.clock);
+                let told_at = self.link.as_ref().map_or(0, |served| served.told_at);
+                self.tell_read(told_at, touched);
                 self.services.board.tell(self.peer, pong, touched);
                 if self.logged_in && self.measure.begins(parcel, &self.pings) {
                     self.ping(touched);
+                }
+            }
+            Ok(Verb::Ack) => return self.acknowledged(parcel),
+            Ok(Verb::Resent) => {
+                if let Some(served) = &mut self.link {
+                    served.resending = false;
                 }
             }
             Ok(_) => {
@@ -70,6 +84,7 @@ impl Connection {
             }
             Err(error) => self.refuse(&error, parcel.id, touched),
         }
+        Ok(())
     }
 
     pub(super) fn peer_clock(&self, now: Micros) -> Option<PeerClock> {

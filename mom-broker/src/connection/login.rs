@@ -2,20 +2,34 @@
 
 use std::sync::Arc;
 
-use mom_hub::Input;
-use mom_login::{Challenge, Granted, LoginStep};
+use std::time::Duration;
+
+use mom_hub::{Input, User};
+use mom_login::{Granted, LoginStep};
 use mom_net::Reader;
-use mom_proto::{Code, Family, Limits, Parcel, Path, Value, Verb, WireError};
+use mom_proto::{Code, Family, Limits, Map, Parcel, Path, Value, Verb, WireError};
 use tokio::sync::oneshot;
 use tokio::time::Instant;
 
-use super::Connection;
+use super::links::Served;
+use super::{Asked, Connection};
 use crate::traffic::outbox::LoginFacts;
 use crate::traffic::switchboard::{Touched, flush};
 
+/// How a login went that does not end its connection.
+pub(super) enum Login {
+    /// It goes on with the same peer.
+    Goes,
+    /// It goes on with the peer of another connection.
+    Became,
+}
+
+/// A peer that has asked for its own signs of life is silent after so many of them.
+const BEATS: u64 = 3;
+
 /// Whether this is part of a login.
 pub(super) fn concerns(parcel: &Parcel) -> bool {
-    [Verb::Login, Verb::Answer]
+    [Verb::Login, Verb::Answer, Verb::Resume]
         .iter()
         .any(|verb| verb.word() == parcel.name())
 }
@@ -32,39 +46,57 @@ impl Connection {
         reader: &mut Reader,
         parcel: &Parcel,
         touched: &mut Touched,
-    ) -> Result<(), WireError> {
+    ) -> Result<Login, WireError> {
         // What was caused so far must not wait for a password to be hashed.
         flush(touched);
         let logins = Arc::clone(&self.services.logins);
         let claimed = self.claimed(parcel);
         // Whatever comes now, the last challenge is over.
-        let challenge = self.challenge.take();
-        if let Some(seat) = &self.arrival.seat {
-            seat.set_proving(true);
-        }
-        let step = if parcel.name() == Verb::Answer.word() {
-            logins
-                .answer(
-                    parcel,
-                    challenge.map(|challenge| *challenge),
-                    self.arrival.remote.from,
-                )
-                .map(LoginStep::Granted)
-        } else {
-            logins.check(parcel, &self.arrival.link()).await
+        let asked = self.asked.take();
+        self.set_proving(true);
+        let answers = parcel.name() == Verb::Answer.word();
+        let step = match asked {
+            Some(Asked::Link(challenge)) if answers => {
+                let resumed = self.resume(reader, &challenge, parcel).await;
+                self.set_proving(false);
+                return match resumed {
+                    Ok(()) => Ok(Login::Became),
+                    Err(error) => self.refuse_login(error, None, parcel.id, touched),
+                };
+            }
+            _ if parcel.name() == Verb::Resume.word() => {
+                let asked = self.ask_for_proof(parcel, touched);
+                self.set_proving(false);
+                return match asked {
+                    Ok(()) => Ok(Login::Goes),
+                    Err(error) => self.refuse_login(error, None, parcel.id, touched),
+                };
+            }
+            Some(Asked::Key(challenge)) if answers => logins
+                .answer(parcel, Some(*challenge), self.arrival.remote.from)
+                .map(LoginStep::Granted),
+            _ if answers => logins
+                .answer(parcel, None, self.arrival.remote.from)
+                .map(LoginStep::Granted),
+            _ => logins.check(parcel, &self.arrival.link()).await,
         };
         let refused = match step {
             Ok(LoginStep::Challenge(challenge)) => {
-                self.challenge(challenge, parcel.id, touched);
-                Ok(())
+                self.challenge(challenge.content(), parcel.id, touched);
+                self.asked = Some(Asked::Key(Box::new(challenge)));
+                Ok(Login::Goes)
             }
             Ok(LoginStep::Granted(granted)) => self.admit(reader, granted, parcel.id, touched),
             Err(error) => Err(error),
         };
-        if let Some(seat) = &self.arrival.seat {
-            seat.set_proving(false);
-        }
+        self.set_proving(false);
         refused.or_else(|error| self.refuse_login(error, claimed, parcel.id, touched))
+    }
+
+    fn set_proving(&self, proving: bool) {
+        if let Some(seat) = &self.arrival.seat {
+            seat.set_proving(proving);
+        }
     }
 
     /// Waits until the proof of who the peer is, if it is one for a time, is over.
@@ -81,13 +113,12 @@ impl Connection {
         until.is_some_and(|until| self.services.board.clock.is_over(*until))
     }
 
-    fn challenge(&mut self, challenge: Challenge, reference: Option<u64>, touched: &mut Touched) {
+    pub(super) fn challenge(&self, content: Map, reference: Option<u64>, touched: &mut Touched) {
         let mut reply = Parcel::new(Family::Reply, "challenge")
             .context(Path::root())
-            .content(challenge.content());
+            .content(content);
         reply.reference = reference;
         self.services.board.tell(self.peer, reply, touched);
-        self.challenge = Some(Box::new(challenge));
     }
 
     fn admit(
@@ -96,7 +127,7 @@ impl Connection {
         granted: Granted,
         id: Option<u64>,
         touched: &mut Touched,
-    ) -> Result<(), WireError> {
+    ) -> Result<Login, WireError> {
         let (peer, board) = (self.peer, Arc::clone(&self.services.board));
         if let Some(seat) = &mut self.arrival.seat {
             seat.log_in(granted.user())?;
@@ -108,10 +139,13 @@ impl Connection {
             tracing::info!(peer = peer.0, user = granted.user(), origin = ?granted.origin(), from = ?self.arrival.remote.from, "logged in");
         }
         let account = board.memory.account(&granted.user().into());
+        let told = self.grant_wishes(&granted);
         let logged_in = &mut self.logged_in;
-        let decide = |user, nickname| {
+        let decide = |mut user: User, nickname| {
             // First: whatever happens then, the hub hears of the end.
             *logged_in = true;
+            told.into_iter()
+                .for_each(|(key, value)| user.details.set(&key, value));
             let login = Input::Login {
                 peer,
                 user,
@@ -136,7 +170,55 @@ impl Connection {
         // Its first bytes may have come with those by which its form was told.
         self.outbox.note_heard(reader.received());
         self.outbox.admit(limits, name, account, login);
-        Ok(())
+        Ok(Login::Goes)
+    }
+
+    /// Grants what a login asks for beside entry; gives what its reply tells of that.
+    fn grant_wishes(&mut self, granted: &Granted) -> Map {
+        let (mut told, wishes) = (Map::new(), granted.wishes());
+        if let Some(beat) = wishes.heartbeat {
+            let limits = &self.services.limits;
+            if beat < limits.heartbeat {
+                let gone = beat.saturating_mul(BEATS).min(limits.gone);
+                self.services.limits = Arc::new(Limits {
+                    heartbeat: beat,
+                    gone,
+                    ..Limits::clone(limits)
+                });
+                self.beat_at = Instant::now() + Duration::from_millis(beat);
+            }
+            told.set("limits", self.services.limits.to_map());
+        }
+        // Another user on the same connection is another peer.
+        if self.logged_in {
+            if self.services.board.tap.audit.user(self.peer).as_deref() != Some(granted.user()) {
+                self.end_link();
+            }
+            return told;
+        }
+        let (limits, link) = (&self.services.limits, self.arrival.link());
+        if let Some(wish) = wishes.link
+            && self.outbox.form().is_some()
+            && link.is_private()
+            && self.outbox.begin_link(limits.outbox)
+        {
+            match self.services.links.open(&self.outbox, wish.grace, limits.grace) {
+                Some(link) => {
+                    told.set("link", link.to_map());
+                    self.link = Some(Served::new(link));
+                }
+                None => self.outbox.end_link(),
+            }
+        }
+        told
+    }
+
+    /// The end of this connection is the end of its peer from now on.
+    pub(super) fn end_link(&mut self) {
+        if let Some(served) = self.link.take() {
+            self.services.links.close(&served.link);
+            self.outbox.end_link();
+        }
     }
 
     fn refuse_login(
@@ -145,15 +227,17 @@ impl Connection {
         claimed: Option<Arc<str>>,
         reference: Option<u64>,
         touched: &mut Touched,
-    ) -> Result<(), WireError> {
-        self.audit_login(claimed.clone(), &error.code);
+    ) -> Result<Login, WireError> {
+        if error.code != Code::NOT_RESUMED {
+            self.audit_login(claimed.clone(), &error.code);
+        }
         if self
             .services
             .is_first("login refused", self.arrival.remote.from, Some(error.code.word()))
         {
             tracing::info!(peer = self.peer.0, from = ?self.arrival.remote.from, code = %error.code, "login refused");
         }
-        if [Code::BAD_LOGIN, Code::BAD_CONTENT].contains(&error.code) {
+        if [Code::BAD_LOGIN, Code::BAD_CONTENT, Code::NOT_RESUMED].contains(&error.code) {
             self.failures += 1;
         }
         if error.code.closes() {
@@ -161,7 +245,7 @@ impl Connection {
         }
         self.refuse(&error, reference, touched);
         if self.failures < self.services.logins.attempts() {
-            return Ok(());
+            return Ok(Login::Goes);
         }
         self.audit_login(claimed, &Code::TOO_MANY_LOGINS);
         Err(WireError::new(
@@ -173,8 +257,8 @@ impl Connection {
     /// The user that a peer claims to be, if there is one of that name: others may be secrets in the wrong place.
     fn claimed(&self, parcel: &Parcel) -> Option<Arc<str>> {
         let content = parcel.value();
-        let name = match &self.challenge {
-            Some(challenge) if parcel.name() == Verb::Answer.word() => Some(challenge.user()),
+        let name = match &self.asked {
+            Some(Asked::Key(challenge)) if parcel.name() == Verb::Answer.word() => Some(challenge.user()),
             _ => content.get("name").and_then(Value::as_str),
         };
         let known = |name: &&str| self.services.logins.knows(name);

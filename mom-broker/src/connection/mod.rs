@@ -2,9 +2,12 @@
 
 mod doors;
 mod heartbeat;
+mod links;
 mod login;
 mod measure;
+mod parked;
 mod requests;
+mod resume;
 mod serving;
 #[cfg(test)]
 mod tests;
@@ -14,8 +17,8 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use mom_hub::{Input, PeerId};
-use mom_login::{Challenge, LoginLink, Logins, network};
+use mom_hub::{Input, PeerClock, PeerId};
+use mom_login::{Challenge, LoginLink, Logins, ResumeChallenge, network};
 use mom_net::{NetError, Privacy, Reader};
 use mom_proto::codec::{Deferred, Frame};
 use mom_proto::{Code, Content, Family, Limits, Micros, Parcel, Verb, WireError};
@@ -30,6 +33,8 @@ use crate::traffic::memory::{Charge, Gate, over_memory};
 use crate::traffic::outbox::Outbox;
 use crate::traffic::switchboard::{Handled, Switchboard, Touched, flush};
 
+use links::{Links, Served};
+use login::Login;
 use measure::{Measure, Pings};
 
 pub(crate) use doors::{Doors, Seat, full};
@@ -54,6 +59,7 @@ const SMALL: usize = 16 * 1024;
 pub(crate) struct Services {
     pub(crate) board: Arc<Switchboard>,
     pub(crate) logins: Arc<Logins>,
+    pub(crate) links: Arc<Links>,
     /// What holds for this connection as long as it lasts: it was told so.
     pub(crate) limits: Arc<Limits>,
     /// What holds for the next one.
@@ -69,6 +75,7 @@ impl Services {
         Services {
             board: Arc::new(board),
             logins: Arc::new(logins),
+            links: Arc::default(),
             next_limits: Arc::new(RwLock::new(Arc::clone(&limits))),
             limits,
         }
@@ -128,14 +135,22 @@ struct Connection {
     pings: Pings,
     /// What its pongs say of its clock.
     measure: Measure,
-    /// What a key has to answer.
-    challenge: Option<Box<Challenge>>,
+    /// What it has to answer.
+    asked: Option<Asked>,
+    /// None if the end of the connection is the end of the peer.
+    link: Option<Box<Served>>,
     /// When the proof of who it is will be over, none if it lasts.
     proven_until: Option<Box<Expiry>>,
     requests: requests::Requests,
     /// What is here of parcels that are not whole, charged to the user; none before login.
     charge: Option<Charge>,
     ended: bool,
+}
+
+/// A challenge that is open.
+enum Asked {
+    Key(Box<Challenge>),
+    Link(Box<ResumeChallenge>),
 }
 
 /// Where a connection comes from.
@@ -173,10 +188,26 @@ impl Arrival {
     }
 }
 
+/// How reading ends.
+enum End {
+    /// The connection is over, for this reason if there is one to tell.
+    Over(Option<WireError>),
+    /// It is the connection of another peer from now on.
+    Became,
+}
+
+impl From<Option<WireError>> for End {
+    fn from(error: Option<WireError>) -> End {
+        End::Over(error)
+    }
+}
+
 /// What a reader does after a frame.
 enum Next {
     /// It reads on.
     Frame,
+    /// It ends the connection.
+    End(WireError),
     /// It logs its peer in.
     Login(Box<Parcel>),
     /// It waits so long: too many requests were refused.
@@ -199,13 +230,9 @@ impl Drop for Connection {
 }
 
 impl Connection {
-    /// Reads until the connection ends; gives the error to say if there is one.
+    /// Reads until the connection ends, or goes on as that of another peer.
     #[expect(clippy::manual_async_fn, reason = "an async fn keeps what it is given twice")]
-    fn read<'a>(
-        &'a mut self,
-        reader: &'a mut Reader,
-        login_by: Instant,
-    ) -> impl Future<Output = Option<WireError>> + 'a {
+    fn read<'a>(&'a mut self, reader: &'a mut Reader, login_by: Instant) -> impl Future<Output = End> + 'a {
         async move {
             // What came with the first bytes, by which the form was told.
             if let Err(end) = self.handle_arrived(reader).await {
@@ -216,7 +243,7 @@ impl Connection {
                 if self.charge.as_ref().is_some_and(Charge::is_held)
                     && let Err(end) = Box::pin(self.wait_for_memory(&mut Touched::new())).await
                 {
-                    return end;
+                    return end.into();
                 }
                 if self.is_late() {
                     tokio::task::yield_now().await;
@@ -224,21 +251,33 @@ impl Connection {
                 let wake = self.deadline(login_by).min(self.beat_at);
                 let arrived = tokio::select! {
                     biased;
-                    () = outbox.end.notified() => return outbox.closing().and_then(|closing| closing.error),
-                    () = self.proof_over() => return Some(login::proof_over()),
+                    error = self.called() => return error.into(),
+                    () = self.proof_over() => return Some(login::proof_over()).into(),
                     arrived = timeout_at(wake, reader.arrive()) => arrived,
                 };
                 match arrived {
                     Ok(Ok(true)) => outbox.note_heard(reader.received()),
-                    Ok(Ok(false)) => return None,
-                    Ok(Err(error)) => return self.failed(error),
-                    Err(_) if Instant::now() < self.deadline(login_by) => self.beat(),
-                    Err(_) if self.logged_in => return Some(silent(self.gone())),
-                    Err(_) => return Some(login_timeout(self.services.limits.login_time)),
+                    Ok(Ok(false)) => return End::Over(None),
+                    Ok(Err(error)) => return self.failed(error).into(),
+                    Err(_) if Instant::now() < self.deadline(login_by) => self.beat(reader.received()),
+                    Err(_) if self.logged_in => return Some(silent(self.gone())).into(),
+                    Err(_) => return Some(login_timeout(self.services.limits.login_time)).into(),
                 }
                 if let Err(end) = self.handle_arrived(reader).await {
                     return end;
                 }
+            }
+        }
+    }
+
+    /// Waits until the connection is to end; gives the error to say if there is one.
+    async fn called(&self) -> Option<WireError> {
+        loop {
+            self.outbox.end.notified().await;
+            // It may have been called before, on another connection of the same peer.
+            let claimed = self.link.as_ref().is_some_and(|served| served.link.is_claimed());
+            if self.outbox.is_closed() || claimed || self.outbox.is_broken() {
+                return self.outbox.closing().and_then(|closing| closing.error);
             }
         }
     }
@@ -250,7 +289,7 @@ impl Connection {
     }
 
     /// Handles all that has arrived, and flushes what it caused.
-    async fn handle_arrived(&mut self, reader: &mut Reader) -> Result<(), Option<WireError>> {
+    async fn handle_arrived(&mut self, reader: &mut Reader) -> Result<(), End> {
         let mut touched = Touched::new();
         let mut handled = 0;
         let result = loop {
@@ -259,22 +298,26 @@ impl Connection {
                 break Ok(());
             }
             let run = self.run(reader, &mut touched);
-            if !run {
+            let mut counts = self.link.is_some();
+            if let Some(count) = run {
+                self.count_read(u64::from(count));
+            } else {
                 let frame = match reader.try_next() {
                     Ok(None) => match reader.take_deferred() {
                         None => break Ok(()),
                         Some(frame) => match Box::pin(self.open(frame, &mut touched)).await {
                             Ok(frame) => frame,
-                            Err(end) => break Err(end),
+                            Err(end) => break Err(end.into()),
                         },
                     },
                     Ok(Some(frame)) => frame,
-                    Err(error) => break Err(self.failed(error)),
+                    Err(error) => break Err(self.failed(error).into()),
                 };
+                counts &= !matches!(&frame, Frame::Parcel(parcel) if parcel.family == Family::Time);
                 let mut next = self.handle(frame, &mut touched);
                 if let Next::Memory(message) = next {
                     if let Err(end) = Box::pin(self.wait_for_memory(&mut touched)).await {
-                        break Err(end);
+                        break Err(end.into());
                     }
                     next = self.send(message, &mut touched);
                 }
@@ -282,32 +325,46 @@ impl Connection {
                     Next::Frame | Next::Memory(_) => {}
                     Next::Pause(time) => {
                         if let Err(end) = Box::pin(self.pause(time, &mut touched)).await {
-                            break Err(end);
+                            break Err(end.into());
                         }
                     }
                     Next::Login(login) => {
                         // Apart, for it is rare and needs more memory than all the rest of a connection.
                         let login = Box::pin(self.login(reader, &login, &mut touched));
-                        if let Err(error) = login.await {
-                            break Err(Some(error));
+                        match login.await {
+                            Ok(Login::Goes) => {}
+                            Ok(Login::Became) => break Err(End::Became),
+                            Err(error) => break Err(Some(error).into()),
                         }
                     }
                     Next::Capacity(held, reference) => {
                         // Nothing is read meanwhile, so the network holds the peer back.
                         let waiting = Box::pin(self.wait_for_capacity(held, reference, &mut touched));
                         if let Err(end) = waiting.await {
-                            break Err(end);
+                            break Err(end.into());
                         }
                     }
+                    Next::End(error) => break Err(Some(error).into()),
+                }
+                // Not before all is done with it: what was not handled comes again after a loss.
+                if counts {
+                    self.count_read(1);
                 }
             }
             handled += 1;
-            let late = (run || handled % LOOK == 0) && self.is_late();
+            let late = (run.is_some() || handled % LOOK == 0) && self.is_late();
             if late || handled % FRAMES == 0 {
                 flush(&mut touched);
                 tokio::task::yield_now().await;
             }
         };
+        if self
+            .link
+            .as_ref()
+            .is_some_and(|served| served.is_due(reader.received()))
+        {
+            self.tell_read(reader.received(), &mut touched);
+        }
         flush(&mut touched);
         self.count_held(reader);
         if handled > 0 {
@@ -317,14 +374,29 @@ impl Connection {
         result
     }
 
-    /// Passes on plain messages that are alike.
-    fn run(&self, reader: &mut Reader, touched: &mut Touched) -> bool {
+    /// Passes on plain messages that are alike; gives how many.
+    fn run(&self, reader: &mut Reader, touched: &mut Touched) -> Option<u32> {
         let clock = |now| self.peer_clock(now);
-        let sender = Sender {
+        let sender = self.sender(&clock);
+        let runs = self.gate() == Gate::Open && self.logged_in && !sender.late;
+        runs.then(|| self.services.board.run(&sender, reader, touched))
+            .flatten()
+    }
+
+    /// As whom it sends.
+    fn sender<'a>(&self, clock: &'a dyn Fn(Micros) -> Option<PeerClock>) -> Sender<'a> {
+        Sender {
             peer: self.peer,
-            clock: &clock,
-        };
-        self.gate() == Gate::Open && self.logged_in && self.services.board.run(&sender, reader, touched)
+            clock,
+            late: self.link.as_ref().is_some_and(|served| served.resending),
+        }
+    }
+
+    /// Counts what was read and handled, where both sides count.
+    fn count_read(&mut self, parcels: u64) {
+        if let Some(served) = &mut self.link {
+            served.read += parcels;
+        }
     }
 
     /// Has a large frame of a text form read by a thread that gives way to this one, and waits for that; gives the error to say if
@@ -350,20 +422,16 @@ impl Connection {
         reference: Option<u64>,
         touched: &mut Touched,
     ) -> Result<(), Option<WireError>> {
-        let outbox = Arc::clone(&self.outbox);
         loop {
             flush(touched);
             tokio::select! {
                 biased;
-                () = outbox.end.notified() => return Err(outbox.closing().and_then(|closing| closing.error)),
+                error = self.called() => return Err(error),
                 () = self.proof_over() => return Err(Some(login::proof_over())),
                 () = held.ready(&self.services.board.clock) => {}
             }
             let clock = |now| self.peer_clock(now);
-            let sender = Sender {
-                peer: self.peer,
-                clock: &clock,
-            };
+            let sender = self.sender(&clock);
             match self
                 .services
                 .board
@@ -406,7 +474,11 @@ impl Connection {
                     false => Next::Memory(parcel),
                 };
             }
-            Family::Time => self.time(&parcel, touched),
+            Family::Time => {
+                if let Err(error) = self.time(&parcel, touched) {
+                    return Next::End(error);
+                }
+            }
             Family::Login if login::concerns(&parcel) => return Next::Login(parcel),
             _ if self.logged_in => {
                 let most = self.services.limits.control;
@@ -453,10 +525,7 @@ impl Connection {
             return Next::Frame;
         }
         let clock = |now| self.peer_clock(now);
-        let sender = Sender {
-            peer: self.peer,
-            clock: &clock,
-        };
+        let sender = self.sender(&clock);
         match self
             .services
             .board
@@ -491,13 +560,13 @@ impl Connection {
         let Some(account) = self.charge.as_ref().map(|charge| Arc::clone(charge.account())) else {
             return Ok(());
         };
-        let (outbox, clock) = (Arc::clone(&self.outbox), &self.services.board.clock);
+        let clock = &self.services.board.clock;
         let until = clock
             .now()
             .saturating_add(self.services.limits.send_wait.saturating_mul(1000));
         tokio::select! {
             biased;
-            () = outbox.end.notified() => Err(outbox.closing().and_then(|closing| closing.error)),
+            error = self.called() => Err(error),
             () = self.proof_over() => Err(Some(login::proof_over())),
             () = account.relieved(clock, until) => Ok(()),
         }
@@ -506,10 +575,9 @@ impl Connection {
     /// Reads nothing for a time; gives the error to say if the connection ends meanwhile.
     async fn pause(&self, time: Duration, touched: &mut Touched) -> Result<(), Option<WireError>> {
         flush(touched);
-        let outbox = Arc::clone(&self.outbox);
         tokio::select! {
             biased;
-            () = outbox.end.notified() => Err(outbox.closing().and_then(|closing| closing.error)),
+            error = self.called() => Err(error),
             () = self.proof_over() => Err(Some(login::proof_over())),
             () = tokio::time::sleep(time) => Ok(()),
         }
@@ -528,6 +596,7 @@ impl Connection {
         self.ended = true;
         let mut touched = Touched::new();
         self.services.logins.forget(self.peer);
+        self.end_link();
         if self.logged_in {
             let name = self.services.board.peer_name(self.peer).unwrap_or_default();
             let user = self.services.board.tap.audit.user(self.peer);

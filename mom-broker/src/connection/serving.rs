@@ -12,7 +12,7 @@ use tokio::time::{Instant, timeout};
 
 use super::doors::Seat;
 use super::measure::{Measure, Pings};
-use super::{Arrival, Connection, Remote, Services, requests};
+use super::{Arrival, Connection, End, Remote, Services, requests};
 use crate::traffic::outbox::Outbox;
 
 /// A stop lets what waits go out for at most so long.
@@ -74,7 +74,8 @@ impl Serving {
             beat_at: Instant::now() + beat,
             pings: Pings::default(),
             measure: Measure::default(),
-            challenge: None,
+            asked: None,
+            link: None,
             proven_until: None,
             requests: requests::Requests::default(),
             charge: None,
@@ -94,13 +95,19 @@ impl Serving {
 
     /// Serves it until it ends.
     pub(crate) async fn run(&mut self) {
+        // Once more for each peer that it becomes the connection of.
+        while self.serve_peer().await {}
+    }
+
+    /// Serves one peer; true if another one is next.
+    async fn serve_peer(&mut self) -> bool {
         let outbox = Arc::clone(&self.connection.outbox);
         // In the same task: for a connection that waits, a task of its own would be a tenth of its memory.
         let mut writer = Writing {
             future: pin!(outbox.run()),
             over: false,
         };
-        let error = {
+        let end = {
             let mut read = pin!(self.connection.read(&mut self.reader, self.login_by));
             poll_fn(|task| {
                 outbox.begin_slice();
@@ -109,8 +116,15 @@ impl Serving {
             })
             .await
         };
-        self.connection.end(error);
-        Box::pin(self.part(&mut writer)).await;
+        match end {
+            End::Became => return true,
+            End::Over(error) if self.connection.is_lost(error.as_ref()) => self.connection.lose(error),
+            End::Over(error) => {
+                self.connection.end(error);
+                Box::pin(self.part(&mut writer)).await;
+            }
+        }
+        false
     }
 
     /// Gives the last words their time.

@@ -122,6 +122,7 @@ pub(super) fn say_to(board: &Switchboard, peer: PeerId, parcel: Parcel) -> bool 
     let sender = Sender {
         peer,
         clock: &|_| None,
+        late: false,
     };
     let mut sent = board.message(&sender, &limits, Box::new(parcel), &mut touched);
     loop {

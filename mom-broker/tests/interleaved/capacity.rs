@@ -170,6 +170,7 @@ fn who_goes_makes_way() {
             let sender = Sender {
                 peer: alice,
                 clock: &|_| None,
+                late: false,
             };
             let mut waited = 0;
             for _ in 0..6 {

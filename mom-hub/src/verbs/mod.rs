@@ -168,7 +168,13 @@ fn carry_out(
             Ok(())
         }
         // Those need what the hub does not have: passwords, keys and clocks. The broker answers them.
-        verb @ (Verb::Login | Verb::Answer | Verb::Ping | Verb::Pong) => {
+        verb @ (Verb::Login
+        | Verb::Answer
+        | Verb::Resume
+        | Verb::Ping
+        | Verb::Pong
+        | Verb::Ack
+        | Verb::Resent) => {
             let text = format!("{verb} is not answered here");
             Err(WireError::new(Code::UNKNOWN_VERB, text).into())
         }

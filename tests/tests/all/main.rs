@@ -10,6 +10,7 @@ mod doctor;
 mod faults;
 mod first_hour;
 mod late;
+mod link;
 mod listen;
 mod login;
 mod losses;

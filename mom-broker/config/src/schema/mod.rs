@@ -190,6 +190,10 @@ fn limits() -> Value {
             "A peer that sends nothing for so long is closed as silent, in ms; longer than heartbeat.",
         ),
         (
+            "grace",
+            "The longest that a peer with a link may be away after it has lost its connection, in ms; 0 lets nobody come back.",
+        ),
+        (
             "future",
             "How far ahead the timestamp of a message may be, beyond the error of its sender's clock, in ms.",
         ),

@@ -150,6 +150,13 @@ impl AuditLog {
         self.connections.insert(peer, connection);
     }
 
+    /// A peer has come back from this address.
+    pub fn moved(&self, peer: PeerId, from: Option<IpAddr>) {
+        if let Some(mut known) = self.connections.get_mut(&peer) {
+            known.from = from;
+        }
+    }
+
     /// A user has logged in on it.
     pub fn is_user(&self, peer: PeerId, user: &str) {
         if let Some(mut known) = self.connections.get_mut(&peer) {

@@ -105,6 +105,11 @@ impl Channel {
         outbox: impl Fn(PeerId) -> Option<Arc<Outbox>>,
     ) -> Vec<Arc<Outbox>> {
         let mut state = self.state.lock();
+        if halts(&route) != halts(&state.route) {
+            // The safe state has gone out, and what waits of before does not follow it.
+            state.gate.store(0, Ordering::Release);
+            state.gate = Arc::default();
+        }
         state.gate.store(fence_open(&route), Ordering::Release);
         state.settle_thinning(&route);
         // What they wait for may be gone, or not allowed any more.
@@ -302,6 +307,12 @@ pub(crate) fn expires_at(parcel: &Parcel, now: u64) -> Option<u64> {
         .and_then(|age| u64::try_from(age).ok())
         .unwrap_or_default();
     Some(now.saturating_add(life.saturating_sub(age)))
+}
+
+/// How often the owner has lost its connection since it has the token.
+fn halts(route: &Route) -> Option<u64> {
+    let guard = route.guard.as_ref()?;
+    guard.owner.as_ref().map(|owner| owner.halts)
 }
 
 fn fence_open(route: &Route) -> u64 {

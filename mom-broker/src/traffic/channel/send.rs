@@ -9,7 +9,7 @@ use mom_managers::Rate;
 use mom_net::Lane;
 use mom_net::Reader;
 use mom_proto::binary::{ParcelRun, Plain};
-use mom_proto::{Content, ContextNumber, Delivery, Map, Micros, Overflow, Parcel, WireError};
+use mom_proto::{Code, Content, ContextNumber, Delivery, Fence, Map, Micros, Overflow, Parcel, WireError};
 use mom_system::Clock;
 
 use super::{Channel, Delivered, State, expires_at, lane_of};
@@ -34,6 +34,8 @@ pub(crate) struct Sender<'a> {
     pub(crate) peer: PeerId,
     /// Its clock at a time of the hub.
     pub(crate) clock: &'a dyn Fn(Micros) -> Option<PeerClock>,
+    /// What it says now was said before it lost its connection.
+    pub(crate) late: bool,
 }
 
 /// What is to be sent.
@@ -61,6 +63,8 @@ pub(crate) enum Outcome {
 /// A message, or a run of them, that is in the outboxes of its receivers.
 pub(crate) struct Sent {
     pub(crate) delivered: Delivered,
+    /// How many messages it is.
+    pub(crate) count: u32,
     pub(crate) route: Arc<Route>,
     /// The reference of the receipt that was asked for.
     pub(crate) receipt: Option<Option<u64>>,
@@ -156,6 +160,9 @@ impl State {
         // Inside the critical section, so that hub time never runs against the channel's order.
         let ingress = ingress(sender, since, clock);
         let (message, reference) = (Arc::clone(&parcel.name), parcel.id);
+        if let Some(error) = self.too_late(sender, &message) {
+            return self.unsent(Why::Refused(error), message, reference);
+        }
         match admit(&self.route, sender.peer, &mut parcel, &ingress) {
             Ok(Admission::Pass(receivers, rate)) => {
                 let now = ingress.now;
@@ -177,11 +184,22 @@ impl State {
         }
     }
 
+    /// Why a message may not follow the safe state that its sender's loss has caused.
+    fn too_late(&self, sender: &Sender<'_>, name: &str) -> Option<WireError> {
+        let guard = self.route.guard.as_ref();
+        let guard = guard.filter(|guard| sender.late && guard.covers(name))?;
+        let text = format!(
+            "it was sent before the connection was lost, and the safe state of {} has gone out since",
+            guard.token
+        );
+        Some(WireError::new(Code::OLDER_FENCE, text).detail("fence", Fence::from(guard.fence)))
+    }
+
     fn deliver(&mut self, sender: PeerId, admitted: Admitted) -> Outcome {
         let receipt = (admitted.parcel.receipt == Some(true)).then_some(admitted.parcel.id);
         let (message, reference) = (Arc::clone(&admitted.parcel.name), admitted.parcel.id);
         match self.try_deliver(sender, admitted) {
-            Ok(delivered) => self.sent(delivered, receipt),
+            Ok(delivered) => self.sent(delivered, 1, receipt),
             Err(why) => self.unsent(why, message, reference),
         }
     }
@@ -310,7 +328,7 @@ impl State {
             counts: true,
         });
         let delivered = self.put(&packet, &self.positions(&receivers), ingress.now);
-        self.sent(delivered, None)
+        self.sent(delivered, count, None)
     }
 
     /// Whether plain messages may go through here as a run: nobody needs another form or only some of them, nothing is
@@ -342,10 +360,11 @@ impl State {
         }
     }
 
-    fn sent(&self, delivered: Delivered, receipt: Option<Option<u64>>) -> Outcome {
+    fn sent(&self, delivered: Delivered, count: u32, receipt: Option<Option<u64>>) -> Outcome {
         let route = Arc::clone(&self.route);
         Outcome::Sent(Sent {
             delivered,
+            count,
             route,
             receipt,
         })

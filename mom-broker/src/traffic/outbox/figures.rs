@@ -109,6 +109,13 @@ impl Outbox {
         self.heard.bytes.store(bytes, Ordering::Relaxed);
     }
 
+    /// Notes that its peer has come back from there.
+    pub(crate) fn note_move(&self, from: Option<IpAddr>, tls: bool) {
+        if let Some(login) = &mut self.who.lock().login {
+            (login.from, login.tls) = (from, tls);
+        }
+    }
+
     /// What is known of its peer, none before login.
     pub(crate) fn figures(&self) -> Option<PeerFigures> {
         let (name, account, login) = {

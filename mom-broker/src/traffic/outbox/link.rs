@@ -24,7 +24,7 @@ pub(crate) trait Paths: std::fmt::Debug + Send + Sync {
 
 impl Outbox {
     /// The connection; none while it is lost.
-    pub(super) fn writer(&self) -> Option<Arc<Writer>> {
+    pub(crate) fn writer(&self) -> Option<Arc<Writer>> {
         self.way.lock().writer.clone()
     }
 
@@ -113,6 +113,21 @@ impl Outbox {
         self.queue.lock().find();
         self.touched.store(true, Ordering::Release);
         self.wake.notify_one();
+    }
+
+    /// Waits until all that waits is written, or the connection is lost.
+    pub(crate) async fn drained(&self) {
+        while let Some(writer) = self.writer() {
+            self.flush();
+            if self.queue.lock().is_empty() || writer.ready().await.is_err() {
+                return;
+            }
+        }
+    }
+
+    /// Whether its connection has failed, and nobody has noted so yet.
+    pub(crate) fn is_broken(&self) -> bool {
+        self.way.lock().writer.is_none()
     }
 
     /// Gives up its connection, for another outbox to go on with.

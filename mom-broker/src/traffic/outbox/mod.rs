@@ -476,7 +476,10 @@ impl Outbox {
         tracing::debug!(peer = self.peer.0, %error, "link failed");
         // Its reader ends, and decides what follows.
         match self.is_linked() {
-            true => self.end.notify_one(),
+            true => {
+                self.take_writer();
+                self.end.notify_one();
+            }
             false => self.close(None, None, false),
         }
     }

@@ -16,7 +16,7 @@ use crate::traffic::batch::{self, BatchWriter};
 use crate::traffic::channel::{Channel, LARGEST_STOP, Sent, control, hub_origin, stamped};
 use crate::traffic::encodings::{Bounds, Encoder, Encodings};
 use crate::traffic::memory::Memory;
-use crate::traffic::outbox::{Dropped, Outbox, Packet};
+use crate::traffic::outbox::{Dropped, Outbox, Packet, Paths};
 use crate::traffic::statistics::Counts;
 
 mod effects;
@@ -278,6 +278,7 @@ impl Switchboard {
             delivered,
             route,
             receipt,
+            ..
         } = sent;
         let path = &route.path;
         if delivered.lively && delivered.touched.len() >= batch::RECEIVERS {
@@ -361,6 +362,12 @@ impl Switchboard {
             let text = "replies and events that waited for this peer reached its limit";
             self.close(outbox, Some(WireError::new(Code::SLOW_RECEIVER, text)));
         }
+    }
+}
+
+impl Paths for Switchboard {
+    fn path(&self, number: ContextNumber) -> Option<Path> {
+        Some(self.channel(number)?.route().path.clone())
     }
 }
 

@@ -53,15 +53,16 @@ impl Switchboard {
     }
 
     /// Sends the plain messages that lie in front of a reader, as long as they are alike, and takes them from it.
-    /// False if there are none, or if what lies there needs [`Switchboard::message`]; nothing is taken then.
-    pub(crate) fn run(&self, sender: &Sender<'_>, reader: &mut Reader, touched: &mut Touched) -> bool {
+    /// Gives how many. None if there are none, or if what lies there needs [`Switchboard::message`]; nothing is taken then.
+    pub(crate) fn run(&self, sender: &Sender<'_>, reader: &mut Reader, touched: &mut Touched) -> Option<u32> {
         let channel = run_ahead(reader).and_then(|number| self.channel(number));
         let outcome = channel.map(|channel| channel.send(sender, Message::Run(reader), &self.clock));
         let Some(Outcome::Sent(sent)) = outcome else {
-            return false;
+            return None;
         };
+        let count = sent.count;
         self.settle(sender.peer, sent, touched);
-        true
+        Some(count)
     }
 
     /// Says something in the hub's own name to all members of a channel, and to those who come later; false if there is no such
@@ -96,6 +97,7 @@ impl Switchboard {
         let sender = Sender {
             peer: from,
             clock: &|_| None,
+            late: false,
         };
         match channel.send(&sender, message, &self.clock) {
             Outcome::Sent(sent) => self.settle(from, sent, touched),

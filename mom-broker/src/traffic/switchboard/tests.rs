@@ -307,9 +307,10 @@ impl World {
         let sender = Sender {
             peer: self.peers[0].id,
             clock: &clock,
+            late: false,
         };
         loop {
-            if self.runs && self.board.run(&sender, &mut self.heard, &mut touched) {
+            if self.runs && self.board.run(&sender, &mut self.heard, &mut touched).is_some() {
                 self.made += 1;
                 continue;
             }

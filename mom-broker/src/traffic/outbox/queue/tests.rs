@@ -43,6 +43,7 @@ fn frame(name: &str, lane: Lane, delivery: Delivery, frame: Vec<u8>) -> Packet {
         expires_at: None,
         gate: None,
         count: 1,
+        counts: true,
     }
 }
 

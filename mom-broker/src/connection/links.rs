@@ -1,0 +1,134 @@
+//! Links: peers whose connection may be lost and come back over another one.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use mom_hub::PeerId;
+use mom_login::{ResumeAnswer, ResumeChallenge, Secret};
+use mom_net::SecretId;
+use mom_proto::{Map, Micros};
+use parking_lot::Mutex;
+use tokio::sync::oneshot;
+
+use super::parked::Parked;
+use crate::traffic::outbox::Outbox;
+
+/// For how long a peer may be away that does not say.
+const GRACE: Duration = Duration::from_secs(30);
+
+/// All links of a broker.
+#[derive(Debug, Default)]
+pub(crate) struct Links {
+    known: Mutex<HashMap<SecretId, Arc<Link>>>,
+}
+
+/// One link. Whoever serves its peer looks here when it is woken: another connection may go on with it.
+#[derive(Debug)]
+pub(super) struct Link {
+    id: SecretId,
+    secret: Secret,
+    pub(super) outbox: Arc<Outbox>,
+    /// For how long its peer may be away.
+    pub(super) grace: Duration,
+    claim: Mutex<Option<oneshot::Sender<Parked>>>,
+}
+
+/// A link as the connection sees it that serves its peer now.
+#[derive(Debug)]
+pub(super) struct Served {
+    pub(super) link: Arc<Link>,
+    /// The parcels of the peer that were read whole and handled.
+    pub(super) read: u64,
+    /// Those of them that the peer knows of, and when it was told, by the bytes that had come.
+    pub(super) told: u64,
+    pub(super) told_at: u64,
+    /// What comes was said before the connection was lost.
+    pub(super) resending: bool,
+}
+
+/// Parcels and bytes after which a peer is told what was read.
+const TELL_PARCELS: u64 = 256;
+const TELL_BYTES: u64 = 64 * 1024;
+
+impl Links {
+    /// A link for a peer that may be away for so long; none where the system has no randomness.
+    pub(super) fn open(&self, outbox: &Arc<Outbox>, grace: Option<u64>, most: u64) -> Option<Arc<Link>> {
+        let grace = grace.map_or(GRACE, Duration::from_millis);
+        let link = Arc::new(Link {
+            id: SecretId::random()?,
+            secret: Secret::random()?,
+            outbox: Arc::clone(outbox),
+            grace: grace.min(Duration::from_millis(most)),
+            claim: Mutex::new(None),
+        });
+        self.known.lock().insert(link.id, Arc::clone(&link));
+        Some(link)
+    }
+
+    /// The link has ended.
+    pub(super) fn close(&self, link: &Link) {
+        self.known.lock().remove(&link.id);
+    }
+
+    /// The link that a challenge was about, if there is one.
+    pub(super) fn find(&self, challenge: &ResumeChallenge) -> Option<Arc<Link>> {
+        let id = challenge.link().parse().ok()?;
+        self.known.lock().get(&id).map(Arc::clone)
+    }
+}
+
+impl Link {
+    /// For the reply to the login.
+    pub(super) fn to_map(&self) -> Map {
+        let grace = i64::try_from(self.grace.as_millis()).unwrap_or(i64::MAX);
+        Map::new()
+            .with("id", self.id.to_string())
+            .with("secret", self.secret.to_value())
+            .with("grace", grace)
+    }
+
+    pub(super) fn peer(&self) -> PeerId {
+        self.outbox.peer
+    }
+
+    /// Whether this answer to a challenge proves the secret.
+    pub(super) fn is_proven(&self, challenge: &ResumeChallenge, answer: &ResumeAnswer, now: Micros) -> bool {
+        challenge.is_answered(&self.secret, answer, now)
+    }
+
+    /// Asks whoever serves the peer to give it up; one that has asked before and waits still gets nothing.
+    pub(super) fn claim(&self) -> oneshot::Receiver<Parked> {
+        let (give, given) = oneshot::channel();
+        *self.claim.lock() = Some(give);
+        self.outbox.end.notify_one();
+        given
+    }
+
+    /// Who wants to go on with the peer.
+    pub(super) fn claimed(&self) -> Option<oneshot::Sender<Parked>> {
+        self.claim.lock().take()
+    }
+
+    pub(super) fn is_claimed(&self) -> bool {
+        self.claim.lock().is_some()
+    }
+}
+
+impl Served {
+    pub(super) fn new(link: Arc<Link>) -> Box<Served> {
+        Box::new(Served {
+            link,
+            read: 0,
+            told: 0,
+            told_at: 0,
+            resending: false,
+        })
+    }
+
+    /// Notes what was handled; whether the peer has to be told, at so many bytes that have come.
+    pub(super) fn is_due(&self, bytes: u64) -> bool {
+        self.read - self.told >= TELL_PARCELS
+            || (self.read > self.told && bytes.saturating_sub(self.told_at) >= TELL_BYTES)
+    }
+}
