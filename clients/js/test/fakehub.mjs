@@ -198,17 +198,20 @@ export class FakeHub {
   }
 }
 
-/** A network that resets its connections after so many bytes. */
-export async function faultyNetwork(port, next) {
+/** A network that resets its connections after so many bytes, and those at once whose first bytes it does not let pass. */
+export async function faultyNetwork(port, next, passes = () => true) {
   const open = new Set();
   const server = createServer((near) => {
     const far = connectTcp(port, "127.0.0.1");
     let left = next();
+    let first = true;
     for (const [from, to] of [[near, far], [far, near]]) {
       open.add(from);
       from.setNoDelay(true);
       from.on("data", (bytes) => {
-        to.write(bytes.subarray(0, left));
+        if (first && from === near && !passes(bytes.toString("latin1"))) left = 0;
+        first = false;
+        to.write(bytes.subarray(0, Math.max(0, left)));
         left -= bytes.length;
         if (left <= 0) {
           // What was written still arrives.
@@ -221,10 +224,7 @@ export async function faultyNetwork(port, next) {
     }
   });
   await new Promise((resolve) => server.listen(0, "127.0.0.1", resolve));
-  const stop = () => {
-    for (const socket of open) socket.destroy();
-    return new Promise((resolve) => server.close(resolve));
-  };
   const cut = () => open.forEach((socket) => socket.destroy());
+  const stop = () => (cut(), new Promise((resolve) => server.close(resolve)));
   return { port: server.address().port, cut, stop };
 }

@@ -95,7 +95,6 @@ fn built() -> String {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "the hub does not resume links yet"]
 async fn a_page_and_a_worker_resume_over_websocket_and_tunnel() {
     let (tell, told) = tokio::sync::oneshot::channel();
     let network = Network::start(told).await;
