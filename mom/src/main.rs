@@ -23,6 +23,12 @@ fn main() -> ExitCode {
     if std::env::args_os().len() == 1 {
         return output::help(&mut Cli::command());
     }
+    if let Some(written) = mom_pages::asked::<Cli>() {
+        return match written {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(error) => Output::new(false).failure(&Failure::from(error)),
+        };
+    }
     let cli = cli::parse();
     let output = Output::new(cli.global.json);
     let runtime = match tokio::runtime::Builder::new_multi_thread().enable_all().build() {

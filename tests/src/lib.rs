@@ -11,6 +11,8 @@ pub mod linked;
 pub mod load;
 pub mod login;
 #[cfg(target_os = "linux")]
+pub mod machine;
+#[cfg(target_os = "linux")]
 pub mod network;
 pub mod programs;
 #[cfg(target_os = "linux")]

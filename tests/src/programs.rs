@@ -41,6 +41,13 @@ pub fn build(packages: &[&str]) -> PathBuf {
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let mut command = Command::new(cargo);
     command.args(["build", "--quiet", "--locked", "--bins"]);
+    // Those of this package: ring's build script watches them, and it and all above it would be built again each time.
+    for (name, _) in std::env::vars_os() {
+        let text = name.to_string_lossy();
+        if text.starts_with("CARGO_PKG_") || text.starts_with("CARGO_MANIFEST_") {
+            command.env_remove(name);
+        }
+    }
     for package in packages {
         command.args(["-p", package]);
     }
@@ -63,7 +70,7 @@ pub struct Running {
     /// None once it was waited for.
     child: Option<Child>,
     /// Where it keeps its state, unless its environment says otherwise.
-    _state: tempfile::TempDir,
+    _state: Option<tempfile::TempDir>,
     lines: mpsc::Receiver<String>,
 }
 
@@ -86,8 +93,18 @@ impl Running {
         command
             .env_remove("STATE_DIRECTORY")
             .env("XDG_STATE_HOME", state.path());
-        command.args(args).envs(environment.iter().copied());
-        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(log);
+        command.args(args).envs(environment.iter().copied()).stderr(log);
+        let mut running = Running::of(name, &mut command);
+        running._state = Some(state);
+        running
+    }
+
+    /// The same of a command that knows all but where its output goes.
+    ///
+    /// # Panics
+    /// If it cannot be started.
+    pub fn of(name: &str, command: &mut Command) -> Running {
+        command.stdin(Stdio::null()).stdout(Stdio::piped());
         let mut child = command.spawn().expect("the program starts");
         let stdout = child.stdout.take().expect("its output is piped");
         let (sender, lines) = mpsc::channel();
@@ -101,7 +118,7 @@ impl Running {
         Running {
             name: name.to_owned(),
             child: Some(child),
-            _state: state,
+            _state: None,
             lines,
         }
     }
@@ -122,17 +139,21 @@ impl Running {
         }
     }
 
+    /// The number of its process.
+    ///
+    /// # Panics
+    /// Never: it runs until it is waited for.
+    pub fn id(&self) -> u32 {
+        let child = self.child.as_ref();
+        child.map(Child::id).expect("it runs until it is waited for")
+    }
+
     /// Sends a signal by its name, such as `TERM`.
     ///
     /// # Panics
     /// If it cannot be sent.
     pub fn signal(&self, name: &str) {
-        let id = self
-            .child
-            .as_ref()
-            .map(Child::id)
-            .expect("it runs until it is waited for")
-            .to_string();
+        let id = self.id().to_string();
         let status = Command::new("kill").args([&format!("-{name}"), &id]).status();
         assert!(
             status.is_ok_and(|status| status.success()),

@@ -9,6 +9,13 @@ use anyhow::{Context as _, Result, bail};
 /// The cargo that started this program, so that all steps use one toolchain.
 pub(crate) fn cargo(root: &Path) -> Command {
     let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| OsString::from("cargo")));
+    // Those of this package: ring's build script watches them, and it and all above it would be built again each time.
+    for (name, _) in std::env::vars_os() {
+        let text = name.to_string_lossy();
+        if text.starts_with("CARGO_PKG_") || text.starts_with("CARGO_MANIFEST_") {
+            command.env_remove(name);
+        }
+    }
     // No step may wait for an answer: CI has no one to give it.
     command.current_dir(root).stdin(Stdio::null());
     command

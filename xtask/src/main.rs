@@ -1,5 +1,5 @@
 //! The project tasks of MOM: `cargo xtask ci`, `cargo xtask test`, `cargo xtask shuttle`, `cargo xtask tidy`, `cargo xtask
-//! mutants`, `cargo xtask instructions`, `cargo xtask bench-peers`, `cargo xtask experiments`, `cargo xtask advisories`.
+//! mutants`, `cargo xtask instructions`, `cargo xtask bench-peers`, `cargo xtask experiments`, `cargo xtask advisories`, `cargo xtask dist`.
 //!
 //! Everything that CI demands can be run here by the same commands, so that nothing is found only after a push.
 #![allow(
@@ -12,6 +12,7 @@ mod advisories;
 mod ci;
 mod clients;
 mod command;
+mod dist;
 mod experiments;
 mod instructions;
 mod javascript;
@@ -51,6 +52,7 @@ const EXAMPLES: &str = "Examples:
   cargo xtask instructions                    what the hot path costs, held to benches/instructions.toml
   cargo xtask pack python                     the client in Python as a wheel, into target/packages
   cargo xtask advisories                      known vulnerabilities of what we depend upon
+  cargo xtask dist                            what is installed: programs, packages, checksums, into target/dist
   cargo xtask ci                              everything that must hold before a change lands";
 
 #[derive(Subcommand)]
@@ -95,6 +97,9 @@ enum Task {
         #[command(flatten)]
         install: InstallArgs,
     },
+    /// Build what is installed: stripped programs with man pages and completions, as an archive and as a package for
+    /// Debian, with checksums.
+    Dist(DistArgs),
     /// Look for known vulnerabilities in what we depend upon; downloads the list of them, and says so where it cannot.
     Advisories,
     /// Format, lints, docs, tidy, licences, tests: all that must hold before a change lands.
@@ -155,6 +160,21 @@ struct ExperimentsArgs {
     /// Arguments for the experiments: --seed, --only, --quick, --no-write, --help.
     #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGS")]
     experiment: Vec<String>,
+}
+
+#[derive(Args)]
+struct DistArgs {
+    /// Pack the programs in this folder, instead of building them as they are shipped.
+    #[arg(long, value_name = "FOLDER")]
+    programs: Option<PathBuf>,
+    /// Where to, instead of target/dist: a folder that is empty, or not there yet.
+    #[arg(long, value_name = "FOLDER")]
+    out: Option<PathBuf>,
+    /// Compress little, for a try.
+    #[arg(long)]
+    fast: bool,
+    #[command(flatten)]
+    install: InstallArgs,
 }
 
 #[derive(Args, Clone, Copy)]
@@ -218,6 +238,12 @@ fn run(task: Task) -> Result<ExitCode> {
         Task::Pack { language, install } => {
             needs::ensure(needs::FOR_CLIENTS, install.install, "cargo xtask pack")?;
             clients::pack(&root, &language)?;
+            Ok(ExitCode::SUCCESS)
+        }
+        Task::Dist(args) => {
+            needs::ensure(needs::FOR_DIST, args.install.install, "cargo xtask dist")?;
+            let (programs, out) = (args.programs.as_deref(), args.out.as_deref());
+            dist::run(&root, programs, out, args.fast)?;
             Ok(ExitCode::SUCCESS)
         }
         Task::Advisories => Ok(exit_code(advisories::run(&root)?)),

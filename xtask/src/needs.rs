@@ -101,6 +101,13 @@ pub(crate) const FOR_CLIENTS: &[Need] = &[
     },
 ];
 
+const GIT: Need = Need {
+    what: "git",
+    detect: ("git", &["--version"]),
+    source: Source::Debian("git"),
+    why: "the checkout is a git repository",
+};
+
 /// What `cargo xtask test` needs.
 pub(crate) const FOR_TESTS: &[Need] = &[
     CARGO,
@@ -110,11 +117,24 @@ pub(crate) const FOR_TESTS: &[Need] = &[
         source: Source::Debian("python3"),
         why: "a test's peer is written in Python with nothing but a socket",
     },
+    GIT,
     Need {
-        what: "git",
-        detect: ("git", &["--version"]),
-        source: Source::Debian("git"),
-        why: "the checkout is a git repository",
+        what: "systemd",
+        detect: ("systemd-analyze", &["--version"]),
+        source: Source::Debian("systemd"),
+        why: "a test has it judge the unit of the broker; it need not run",
+    },
+    Need {
+        what: "adduser",
+        detect: ("test", &["-x", "/usr/sbin/adduser"]),
+        source: Source::Debian("adduser"),
+        why: "the package makes its user with it, on a copy of this machine",
+    },
+    Need {
+        what: "debootstrap",
+        detect: ("test", &["-x", "/usr/sbin/debootstrap"]),
+        source: Source::Debian("debootstrap"),
+        why: "a test carries out the steps of the container file on it",
     },
     Need {
         what: "faketime",
@@ -171,6 +191,24 @@ pub(crate) const FOR_PEERS: &[Need] = &[
     debian("sh", &["-c", "command -v prosody"], "prosody"),
     debian("ip", &["-V"], "iproute2"),
     PIP,
+];
+
+/// What `cargo xtask dist` needs. The others of its programs are on each Debian, and none is needed elsewhere.
+pub(crate) const FOR_DIST: &[Need] = &[
+    CARGO,
+    GIT,
+    Need {
+        what: "binutils",
+        detect: ("strip", &["--version"]),
+        source: Source::Debian("binutils"),
+        why: "takes the symbols from the programs, and tells what they are linked with",
+    },
+    Need {
+        what: "dpkg",
+        detect: ("dpkg-deb", &["--version"]),
+        source: Source::ByHand("pack on Debian or a relative of it"),
+        why: "makes the package",
+    },
 ];
 
 /// What `cargo xtask instructions` needs.

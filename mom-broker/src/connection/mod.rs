@@ -196,6 +196,16 @@ enum End {
     Became,
 }
 
+/// What follows when reading has ended.
+enum Settled {
+    /// It has said that it ends, and gives its last words their time.
+    Parts,
+    /// Its peer waits for another connection.
+    Lost,
+    /// It goes on as the connection of another peer.
+    Became,
+}
+
 impl From<Option<WireError>> for End {
     fn from(error: Option<WireError>) -> End {
         End::Over(error)
@@ -207,7 +217,7 @@ enum Next {
     /// It reads on.
     Frame,
     /// It ends the connection.
-    End(WireError),
+    End(Box<WireError>),
     /// It logs its peer in.
     Login(Box<Parcel>),
     /// It waits so long: too many requests were refused.
@@ -251,7 +261,11 @@ impl Connection {
                 let wake = self.deadline(login_by).min(self.beat_at);
                 let arrived = tokio::select! {
                     biased;
-                    error = self.called() => return error.into(),
+                    () = outbox.end.notified() => match self.is_called() {
+                        true => return self.closing().into(),
+                        // It was called before, on another connection of the same peer.
+                        false => continue,
+                    },
                     () = self.proof_over() => return Some(login::proof_over()).into(),
                     arrived = timeout_at(wake, reader.arrive()) => arrived,
                 };
@@ -270,16 +284,25 @@ impl Connection {
         }
     }
 
-    /// Waits until the connection is to end; gives the error to say if there is one.
-    async fn called(&self) -> Option<WireError> {
+    /// Waits until the connection is to end.
+    async fn called(&self) {
         loop {
             self.outbox.end.notified().await;
             // It may have been called before, on another connection of the same peer.
-            let claimed = self.link.as_ref().is_some_and(|served| served.link.is_claimed());
-            if self.outbox.is_closed() || claimed || self.outbox.is_broken() {
-                return self.outbox.closing().and_then(|closing| closing.error);
+            if self.is_called() {
+                return;
             }
         }
+    }
+
+    fn is_called(&self) -> bool {
+        let claimed = self.link.as_ref().is_some_and(|served| served.link.is_claimed());
+        claimed || self.outbox.is_closed() || self.outbox.is_broken()
+    }
+
+    /// What to say at the end.
+    fn closing(&self) -> Option<WireError> {
+        self.outbox.closing().and_then(|closing| closing.error)
     }
 
     /// Whether others should have the thread.
@@ -344,7 +367,7 @@ impl Connection {
                             break Err(end.into());
                         }
                     }
-                    Next::End(error) => break Err(Some(error).into()),
+                    Next::End(error) => break Err(Some(*error).into()),
                 }
                 // Not before all is done with it: what was not handled comes again after a loss.
                 if counts {
@@ -426,7 +449,7 @@ impl Connection {
             flush(touched);
             tokio::select! {
                 biased;
-                error = self.called() => return Err(error),
+                () = self.called() => return Err(self.closing()),
                 () = self.proof_over() => return Err(Some(login::proof_over())),
                 () = held.ready(&self.services.board.clock) => {}
             }
@@ -476,7 +499,7 @@ impl Connection {
             }
             Family::Time => {
                 if let Err(error) = self.time(&parcel, touched) {
-                    return Next::End(error);
+                    return Next::End(Box::new(error));
                 }
             }
             Family::Login if login::concerns(&parcel) => return Next::Login(parcel),
@@ -566,7 +589,7 @@ impl Connection {
             .saturating_add(self.services.limits.send_wait.saturating_mul(1000));
         tokio::select! {
             biased;
-            error = self.called() => Err(error),
+            () = self.called() => Err(self.closing()),
             () = self.proof_over() => Err(Some(login::proof_over())),
             () = account.relieved(clock, until) => Ok(()),
         }
@@ -577,7 +600,7 @@ impl Connection {
         flush(touched);
         tokio::select! {
             biased;
-            error = self.called() => Err(error),
+            () = self.called() => Err(self.closing()),
             () = self.proof_over() => Err(Some(login::proof_over())),
             () = tokio::time::sleep(time) => Ok(()),
         }
@@ -589,6 +612,21 @@ impl Connection {
         self.services
             .board
             .tell(self.peer, error.to_parcel(reference), touched);
+    }
+
+    /// Does what the end of reading asks for.
+    fn settle(&mut self, end: End) -> Settled {
+        match end {
+            End::Became => Settled::Became,
+            End::Over(error) if self.is_lost(error.as_ref()) => {
+                self.lose(error);
+                Settled::Lost
+            }
+            End::Over(error) => {
+                self.end(error);
+                Settled::Parts
+            }
+        }
     }
 
     /// Ends the connection: the hub first, so that tokens are free before anything else.

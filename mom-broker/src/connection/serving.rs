@@ -12,7 +12,7 @@ use tokio::time::{Instant, timeout};
 
 use super::doors::Seat;
 use super::measure::{Measure, Pings};
-use super::{Arrival, Connection, End, Remote, Services, requests};
+use super::{Arrival, Connection, Remote, Services, Settled, requests};
 use crate::traffic::outbox::Outbox;
 
 /// A stop lets what waits go out for at most so long.
@@ -96,35 +96,28 @@ impl Serving {
     /// Serves it until it ends.
     pub(crate) async fn run(&mut self) {
         // Once more for each peer that it becomes the connection of.
-        while self.serve_peer().await {}
-    }
-
-    /// Serves one peer; true if another one is next.
-    async fn serve_peer(&mut self) -> bool {
-        let outbox = Arc::clone(&self.connection.outbox);
-        // In the same task: for a connection that waits, a task of its own would be a tenth of its memory.
-        let mut writer = Writing {
-            future: pin!(outbox.run()),
-            over: false,
-        };
-        let end = {
-            let mut read = pin!(self.connection.read(&mut self.reader, self.login_by));
-            poll_fn(|task| {
-                outbox.begin_slice();
-                let _ = writer.poll(task);
-                read.as_mut().poll(task)
-            })
-            .await
-        };
-        match end {
-            End::Became => return true,
-            End::Over(error) if self.connection.is_lost(error.as_ref()) => self.connection.lose(error),
-            End::Over(error) => {
-                self.connection.end(error);
-                Box::pin(self.part(&mut writer)).await;
+        loop {
+            let outbox = Arc::clone(&self.connection.outbox);
+            // In the same task: for a connection that waits, a task of its own would be a tenth of its memory.
+            let mut writer = Writing {
+                future: pin!(outbox.run()),
+                over: false,
+            };
+            let end = {
+                let mut read = pin!(self.connection.read(&mut self.reader, self.login_by));
+                poll_fn(|task| {
+                    outbox.begin_slice();
+                    let _ = writer.poll(task);
+                    read.as_mut().poll(task).map(Box::new)
+                })
+                .await
+            };
+            match self.connection.settle(*end) {
+                Settled::Became => {}
+                Settled::Lost => return,
+                Settled::Parts => return Box::pin(self.part(&mut writer)).await,
             }
         }
-        false
     }
 
     /// Gives the last words their time.

@@ -6,6 +6,8 @@ mod explain;
 #[cfg(feature = "otlp")]
 mod otlp;
 mod passwd;
+#[cfg(target_os = "linux")]
+mod ready;
 mod schema;
 mod serve;
 mod watch;
@@ -54,6 +56,9 @@ enum BrokerCommand {
 
 /// Runs the command.
 pub(crate) fn main() -> ExitCode {
+    if let Some(written) = mom_pages::asked::<BrokerCli>() {
+        return report(written.map(|()| ExitCode::SUCCESS).map_err(Into::into));
+    }
     let cli = BrokerCli::parse();
     let result = match &cli.command {
         Some(BrokerCommand::Check(args)) => return report(check::run(args)),

@@ -15,6 +15,8 @@ use tracing_subscriber::{EnvFilter, Layer, Registry};
 use super::descriptors;
 #[cfg(feature = "otlp")]
 use super::otlp;
+#[cfg(target_os = "linux")]
+use super::ready;
 use super::watch::FileWatch;
 
 #[derive(clap::Args)]
@@ -141,6 +143,8 @@ impl ServeArgs {
             writeln!(std::io::stdout(), "listening at {}", listener.shown(*address))?;
         }
         std::io::stdout().flush()?;
+        #[cfg(target_os = "linux")]
+        ready::tell();
         loop {
             let changed = async {
                 match watch.as_mut().filter(|_| on_change) {

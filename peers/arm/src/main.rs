@@ -51,6 +51,9 @@ struct ArmArgs {
 
 #[tokio::main]
 async fn main() -> anyhow::Result<()> {
+    if let Some(written) = mom_pages::asked::<ArmArgs>() {
+        return Ok(written?);
+    }
     let args = ArmArgs::parse();
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
     tracing_subscriber::fmt()

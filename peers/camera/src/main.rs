@@ -78,6 +78,9 @@ struct CameraArgs {
 
 #[tokio::main]
 async fn main() -> anyhow::Result<()> {
+    if let Some(written) = mom_pages::asked::<CameraArgs>() {
+        return Ok(written?);
+    }
     let args = CameraArgs::parse();
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
     tracing_subscriber::fmt()

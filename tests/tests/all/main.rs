@@ -15,6 +15,8 @@ mod listen;
 mod login;
 mod losses;
 mod order;
+#[cfg(target_os = "linux")]
+mod packages;
 mod page;
 mod programs;
 mod protocol;

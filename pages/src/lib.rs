@@ -1,0 +1,93 @@
+//! Man pages and shell completions, which each program writes itself, so that they are those of the program that is installed.
+
+use std::ffi::OsString;
+use std::path::Path;
+use std::{fs, io};
+
+use clap::CommandFactory;
+use clap_complete::Shell;
+
+/// The first of the two arguments that ask for them. It is no option of the programs, because it is for packagers only.
+pub const ASK: &str = "--write-pages";
+
+/// Writes the pages of a program that was started with [`ASK`] and a folder; none = it was asked for something else.
+pub fn asked<C: CommandFactory>() -> Option<io::Result<()>> {
+    let args: Vec<OsString> = std::env::args_os().skip(1).collect();
+    let [ask, folder] = &args[..] else { return None };
+    (ask == ASK).then(|| write(&C::command(), Path::new(folder)))
+}
+
+/// Writes `man/*.1`, a page for each command, and a file for each of the shells `bash`, `zsh` and `fish` into folders of
+/// their names, named as each shell looks for it.
+///
+/// # Errors
+/// A folder or file that cannot be written.
+pub fn write(command: &clap::Command, folder: &Path) -> io::Result<()> {
+    let man = folder.join("man");
+    fs::create_dir_all(&man)?;
+    clap_mangen::generate_to(command.clone(), &man)?;
+    for page in fs::read_dir(&man)? {
+        let page = page?.path();
+        fs::write(&page, with_examples(&fs::read_to_string(&page)?))?;
+    }
+    let name = command.get_name();
+    for (shell, file) in [
+        (Shell::Bash, format!("bash/{name}")),
+        (Shell::Zsh, format!("zsh/_{name}")),
+        (Shell::Fish, format!("fish/{name}.fish")),
+    ] {
+        let mut text = Vec::new();
+        clap_complete::generate(shell, &mut command.clone(), name, &mut text);
+        let file = folder.join(file);
+        file.parent().map_or(Ok(()), fs::create_dir_all)?;
+        fs::write(file, text)?;
+    }
+    Ok(())
+}
+
+/// The page with its examples as they were written: otherwise they are filled, as text is.
+fn with_examples(page: &str) -> String {
+    let Some((before, notes)) = page.split_once("\n.SH EXTRA\n") else {
+        return page.to_owned();
+    };
+    let mut text = format!("{before}\n.SH NOTES\n");
+    let mut within = false;
+    for line in notes.lines() {
+        if line.starts_with("  ") != within {
+            within = !within;
+            text.push_str(if within { ".nf\n" } else { ".fi\n" });
+        }
+        text.push_str(line);
+        text.push('\n');
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_command_has_a_page_and_each_shell_a_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let shown = clap::Command::new("grab").about("Grab a token");
+        let hidden = clap::Command::new("secret").hide(true);
+        let command = clap::Command::new("mom").subcommands([shown, hidden]);
+        let command = command.after_help("Examples:\n  mom grab   one\n  mom grab   two\nThe end.");
+        write(&command, folder.path()).unwrap();
+        for file in [
+            "man/mom.1",
+            "man/mom-grab.1",
+            "bash/mom",
+            "zsh/_mom",
+            "fish/mom.fish",
+        ] {
+            let text = fs::read_to_string(folder.path().join(file)).unwrap();
+            assert!(text.contains("grab"), "{file}: {text}");
+        }
+        let page = fs::read_to_string(folder.path().join("man/mom.1")).unwrap();
+        let notes = "\n.SH NOTES\nExamples:\n.nf\n  mom grab   one\n  mom grab   two\n.fi\nThe end.\n";
+        assert!(page.contains(notes), "{page}");
+        assert!(!folder.path().join("man/mom-secret.1").exists());
+    }
+}

@@ -1,0 +1,86 @@
+//! The licences of the libraries inside the programs: whoever gets a program has to get them too.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Context as _, Result};
+use serde_json::Value;
+
+use crate::command::{cargo, output};
+
+/// Every library that is linked into the packages' programs: name, version, licence, and the texts that come with it.
+pub(super) fn of(root: &Path, packages: &[&str]) -> Result<String> {
+    let mut tree = cargo(root);
+    tree.args([
+        "tree", "--locked", "--edges", "normal", "--prefix", "none", "--format", "{p}",
+    ]);
+    for package in packages {
+        tree.args(["--package", package]);
+    }
+    let tree = output(&mut tree)?;
+    let linked: Vec<(&str, &str)> = tree.lines().filter_map(name_and_version).collect();
+    let mut metadata = cargo(root);
+    metadata.args(["metadata", "--locked", "--format-version", "1"]);
+    let metadata: Value = serde_json::from_str(&output(&mut metadata)?)?;
+    let known = metadata["packages"].as_array().context("cargo knows packages")?;
+    let mut told = BTreeMap::new();
+    for package in known {
+        let word = |key: &str| package[key].as_str().unwrap_or_default();
+        // Ours have no source; their licence is told elsewhere.
+        if package["source"].is_string() && linked.contains(&(word("name"), word("version"))) {
+            let heading = format!("{} {}: {}", word("name"), word("version"), word("license"));
+            told.insert(heading, texts(Path::new(word("manifest_path")))?);
+        }
+    }
+    let mut all = String::from("The programs contain these libraries.\n");
+    for (heading, texts) in told {
+        all.push_str(&format!("\n==== {heading}\n{texts}"));
+    }
+    Ok(all)
+}
+
+/// From a line such as `clap v4.6.7` or `mom v0.1.0 (here) (*)`.
+fn name_and_version(line: &str) -> Option<(&str, &str)> {
+    let mut words = line.split(' ');
+    Some((words.next()?, words.next()?.strip_prefix('v')?))
+}
+
+/// The licences and notices beside a manifest.
+fn texts(manifest: &Path) -> Result<String> {
+    let folder = manifest.parent().context("a manifest is in a folder")?;
+    let mut texts = BTreeMap::new();
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let wanted = ["license", "licence", "copying", "copyright", "notice"];
+        let is_wanted = wanted.iter().any(|word| name.to_lowercase().starts_with(word));
+        if is_wanted && entry.path().is_file() {
+            let text = fs::read(entry.path())?;
+            texts.insert(name, String::from_utf8_lossy(&text).into_owned());
+        }
+    }
+    Ok(texts
+        .into_iter()
+        .map(|(name, text)| format!("\n-- {name}\n{}\n", text.trim()))
+        .collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn libraries_are_told_with_their_texts_and_ours_are_not() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        let told = of(&root, &["mom-proto"]).unwrap();
+        assert!(
+            told.contains("\n==== bytes 1.") && told.contains("Permission is hereby granted"),
+            "{told}"
+        );
+        assert!(
+            !told.contains("\n==== mom") && !told.contains("\n==== clap"),
+            "{told}"
+        );
+    }
+}
