@@ -12,6 +12,8 @@ const AHEAD_HIDDEN = 1024 * 1024;
 const PIECE = 16 * 1024;
 /** Streams of chunks that are open at once; a hub takes eight. */
 const STREAMS = 4;
+/** Above it are lanes of what is no data. */
+export const MOST_PRIORITY = 100;
 /** Before what is sent again, and before all else. */
 const STOP = 3e9;
 const AGAIN = 2e9;
@@ -56,7 +58,7 @@ export class Outbox {
   /** Puts a parcel where it belongs, or behind all others. */
   put(parcel: Parcel, marks: { reliable: boolean; guarded: boolean }, last = false): Entry {
     const message = parcel.family === "message";
-    const lane = last ? LAST : !message ? CONTROL : parcel.name === "stop" ? STOP : Math.max(-100, Math.min(100, parcel.priority ?? 0));
+    const lane = last ? LAST : !message ? CONTROL : parcel.name === "stop" ? STOP : Math.max(-MOST_PRIORITY, Math.min(MOST_PRIORITY, parcel.priority ?? 0));
     const entry: Entry = { parcel, frame: encode(parcel), ...marks, lane, at: 0, stream: 0 };
     if (entry.frame.length - 4 > this.parcelLimit) {
       throw local("too-large", `the parcel has ${entry.frame.length - 4} bytes, and the hub takes ${this.parcelLimit}`);

@@ -8,7 +8,7 @@ import { Guards, type Hold } from "./guards.js";
 import { Ledger } from "./ledger.js";
 import type { Link, Welcome } from "./login.js";
 import type { ConnectOptions, LinkState } from "./options.js";
-import { type Entry, Outbox } from "./outbox.js";
+import { type Entry, MOST_PRIORITY, Outbox } from "./outbox.js";
 import type { Parcel } from "./parcel.js";
 import { Pending } from "./pending.js";
 import { type Place, Places, wayTo } from "./places.js";
@@ -60,8 +60,8 @@ export class Peer {
     this.subscribers = new Subscribers(options.eventBuffer ?? 4096, (event) => this.#isOver(event));
     this.connector = new Connector(address, options, () => ++this.#lastId);
     this.outbox.wrote = (entry) => this.#link && this.#ledger.wrote(entry);
-    // What is not known to be read is kept, and has the same bound as at the hub.
-    this.outbox.permits = (entry) => !this.#ledger.bytes || this.#ledger.bytes + entry.frame.length <= this.outbox.most;
+    // What is not known to be read is kept, and has the same bound as at the hub; a stop does not wait for that.
+    this.outbox.permits = (entry) => entry.lane > MOST_PRIORITY || !this.#ledger.bytes || this.#ledger.bytes + entry.frame.length <= this.outbox.most;
   }
 
   // The life of the link.
@@ -381,9 +381,10 @@ export class Peer {
     if (!this.#wire && !this.#link) throw disconnected("there is no connection to the hub at this moment");
   }
 
-  /** Puts a message into the outbox in its turn, where it is full as soon as it is not. */
+  /** Puts a message into the outbox in its turn, where it is full as soon as it is not; a stop waits for nothing. */
   async #putInTurn(parcel: Parcel): Promise<void> {
-    if (!this.#turns && this.outbox.bytes < this.outbox.most) return this.#put(parcel);
+    const free = !this.#turns && this.outbox.bytes < this.outbox.most;
+    if (free || parcel.name === "stop") return this.#put(parcel);
     this.#turns += 1;
     const before = this.#turn;
     this.#turn = (async () => {

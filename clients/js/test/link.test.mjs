@@ -103,8 +103,11 @@ test("parcels are counted, acknowledged and kept", async () => {
   let sent = 0;
   for (let number = 0; number < 12; number++) void chat.send("image", large, { priority: number % 2 }).then(() => (sent += 1), () => undefined);
   await eventually(() => texts(hub).length === 3);
+  await chat.send("stop");
+  await eventually(() => hub.heard.at(-1).name === "stop");
+  assert.equal(texts(hub).length, 4);
   hub.link.tell();
-  await eventually(() => texts(hub).length === 6);
+  await eventually(() => texts(hub).length === 7);
   assert.ok(sent < 12);
 });
 
