@@ -74,3 +74,56 @@ test("a page that lost its WebSocket goes on through the tunnel", async () => {
     await network.stop();
   }
 });
+
+test("while a driver is lost the robot is safe, and he drives on with the same token", async () => {
+  const network = await faultyNetwork(lab.port, () => Infinity);
+  const bob = await connect(`ws://127.0.0.1:${lab.port}`, as("bob"));
+  const alice = await connect(`ws://127.0.0.1:${network.port}`, as("alice"));
+  try {
+    const heard = (await bob.channel("/robot/arm")).events();
+    const arm = await alice.channel("/robot/arm");
+    const [guard, states] = [await (await alice.token("/robot/token")).grab(), alice.states()];
+    await arm.sendAcknowledged("command", "grip open");
+    await until(heard, (event) => event.type === "message" && event.name === "command");
+    network.cut();
+    await until(heard, (event) => event.type === "message" && event.name === "halt");
+    const lost = await until(heard, (event) => event.type === "lost");
+    assert.ok(lost.member.peer === "alice" && lost.within > 0);
+    const refused = await (await bob.token("/robot/token")).grab().catch((error) => error);
+    assert.deepEqual([refused.code, refused.owner], ["held", "alice"]);
+    await until(states, (state) => state.state === "connected" && state.resumed);
+    assert.equal((await until(heard, (event) => event.type === "resumed")).member.peer, "alice");
+    await arm.sendAcknowledged("command", "grip close");
+    const command = await until(heard, (event) => event.type === "message" && event.name === "command");
+    assert.deepEqual([command.content, command.parcel.fence], ["grip close", guard.fence]);
+    await guard.release();
+  } finally {
+    await alice.close();
+    await bob.close();
+    await network.stop();
+  }
+});
+
+test("who is away for longer than the grace time logs in and joins anew", async () => {
+  let there = true;
+  const network = await faultyNetwork(lab.port, () => Infinity, () => there);
+  const bob = await connect(`ws://127.0.0.1:${lab.port}`, as("bob"));
+  const alice = await connect(`ws://127.0.0.1:${network.port}`, as("alice", { link: { grace: 100 } }));
+  try {
+    const [token, chat] = [await bob.token("/robot/token"), await alice.channel("/chat")];
+    const [his, mine] = [token.events(), chat.events()];
+    const guard = await (await alice.token("/robot/token")).grab();
+    there = false;
+    network.cut();
+    assert.equal((await until(his, (event) => event.type === "released")).reason, "disconnected");
+    assert.equal((await guard.lost).reason, "disconnected");
+    await until(mine, (event) => event.type === "link-down");
+    there = true;
+    await until(mine, (event) => event.type === "rejoined");
+    assert.ok((await chat.sendAcknowledged("chat", "back")).delivered >= 1);
+  } finally {
+    await alice.close();
+    await bob.close();
+    await network.stop();
+  }
+});
