@@ -165,7 +165,7 @@ export class FakeHub {
 
   static async start(settings = {}) {
     const hub = Object.assign(new FakeHub(), settings);
-    hub.server = new WebSocketServer({ host: "127.0.0.1", port: 0, handleProtocols: () => "mom.bin.v1", perMessageDeflate: false });
+    hub.server = new WebSocketServer({ host: "127.0.0.1", port: hub.port ?? 0, handleProtocols: () => "mom.bin.v1", perMessageDeflate: false });
     hub.server.on("connection", (socket) => hub.connections.add(new Connection(hub, socket)));
     await new Promise((resolve) => hub.server.once("listening", resolve));
     hub.port = hub.server.address().port;
