@@ -46,7 +46,8 @@ async function ask(wire: Wire, nextId: NextId, name: string, content: Fields): P
 export async function logIn(wire: Wire, options: ConnectOptions, nextId: NextId): Promise<Welcome> {
   const plain = await credentials(options);
   const more: Fields = {};
-  const { link = true } = options;
+  // Who does not come back leaves at once.
+  const { link = options.reconnect !== false } = options;
   if (link) more["link"] = link === true ? true : { grace: link.grace };
   if (options.heartbeat !== undefined) more["heartbeat"] = options.heartbeat;
   try {

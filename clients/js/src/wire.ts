@@ -146,12 +146,12 @@ export async function connectWire(doors: readonly Door[], make: WebSocketClass |
       clearTimeout(timer);
     };
     let timer: ReturnType<typeof setTimeout>;
-    const give_up = (): void => {
+    const giveUp = (): void => {
       settle();
       for (const each of tries) each.abort();
       reject(disconnected(`no door opened in time${failures.length ? ` (${failures.join("; ")})` : ""}`));
     };
-    signal.addEventListener("abort", () => settled || give_up(), { once: true });
+    signal.addEventListener("abort", () => settled || giveUp(), { once: true });
     const start = (): void => {
       clearTimeout(timer);
       const place = started++;

@@ -211,6 +211,16 @@ test("a silent hub is stale, then lost, then resumed", async () => {
   assert.deepEqual(seen, ["connected", "stale", "resuming", "connected"]);
 });
 
+test("who does not come back asks for no link", async () => {
+  const hub = await start();
+  const client = await open(hub.url, { reconnect: false });
+  const states = client.states();
+  assert.equal(hub.logins[0].content.link, undefined);
+  hub.cut();
+  const closed = await until(states, (state) => state.state === "closed");
+  assert.equal(closed.error.kind, "connection");
+});
+
 /** A generator whose numbers are those of its seed. */
 const random = (seed) => () => {
   seed = (Math.imul(seed, 1103515245) + 12345) & 0x7fffffff;
