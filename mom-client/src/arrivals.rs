@@ -15,6 +15,7 @@ impl Shared {
         match parcel.family {
             Family::Reply | Family::Error => self.receive_answer(parcel),
             Family::Time if parcel.name() == "ping" => self.pong(parcel.id),
+            Family::Time if parcel.name() == "ack" => self.acknowledged(&parcel),
             Family::Time => self.receive_pong(&parcel),
             Family::Event => self.receive_event(parcel),
             Family::Manager if parcel.name() == "consult" => self.receive_consult(parcel),
@@ -69,6 +70,7 @@ impl Shared {
         let mut state = self.lock();
         // Nothing is sent after the farewell, and a lost link needs no heartbeat.
         if !state.outbox.is_finished() {
+            self.tell_read(&mut state);
             let _ = self.ask_in(&mut state, ping, &mut Some(AnswerTo::Nobody));
         }
         drop(state);
@@ -78,8 +80,11 @@ impl Shared {
     fn pong(&self, reference: Option<u64>) {
         let mut pong = Parcel::new(Family::Time, "pong").content(self.clock.answer());
         pong.reference = reference;
+        let mut state = self.lock();
+        self.tell_read(&mut state);
         // A lost link needs no pong, and a pong has no answer.
-        let _ = self.ask_in(&mut self.lock(), pong, &mut None);
+        let _ = self.ask_in(&mut state, pong, &mut None);
+        drop(state);
         self.outgoing.notify_one();
     }
 

@@ -15,6 +15,7 @@ use crate::clock::{HubClock, Wall};
 use crate::login::Connector;
 use crate::proof::Credentials;
 use crate::shared::{Settings, Shared};
+use crate::survive::LinkSecret;
 use crate::{ClientError, Key, Proof, Reconnect, Report, driver, reconnect};
 
 /// Longer than chairs usually have for an answer (M24).
@@ -77,6 +78,8 @@ impl Builder {
                 nickname: None,
                 hub: None,
                 address: None,
+                link: None,
+                heartbeat: None,
             },
             trust: None,
             fault: None,
@@ -178,6 +181,22 @@ impl Builder {
         self
     }
 
+    /// Asks for a link that survives the loss of its connection for so long: this peer keeps its memberships, its tokens while
+    /// their leases run, and what was under way. A hub gives one over TLS and on its own machine, since the link has a secret.
+    ///
+    /// What needs a token is never sent late: the hub has halted the devices, and says so by [`Event::Dropped`](crate::Event::Dropped).
+    pub fn link(mut self, grace: Duration) -> Builder {
+        self.credentials.link = Some(grace);
+        self
+    }
+
+    /// How often both sides say that they are there, from 100 ms up; by default as the hub says. A connection is lost after three
+    /// times that without a word: whoever drives a device over a link that may fail wants it short.
+    pub fn heartbeat(mut self, every: Duration) -> Builder {
+        self.credentials.heartbeat = Some(every);
+        self
+    }
+
     /// How long to wait for a reply, and for a connection with its login. The defaults are 40 s for a reply, because
     /// a manager may have to ask somebody, and 10 s for a connection. A lost link ends the wait sooner.
     pub fn request_timeout(mut self, timeout: Duration) -> Builder {
@@ -266,6 +285,7 @@ impl Builder {
             Some(patience) => reconnect::wait(patience, connect).await?,
             None => connect().await?,
         };
+        let secret = LinkSecret::read(&connected.welcome.content);
         let shared = Shared::new(
             self.settings,
             self.credentials,
@@ -273,6 +293,10 @@ impl Builder {
             connector.form(),
             ids,
             connected.welcome,
+        );
+        shared.begin_link(
+            &mut shared.lock(),
+            secret.filter(|_| shared.settings.reconnect.is_some()),
         );
         let shared = Arc::new(shared);
         let drive = driver::run(Arc::clone(&shared), connector, connected.transceiver);

@@ -2,17 +2,19 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::Duration;
 
-use mom_net::DropReason;
+use mom_net::{DropReason, Transceiver};
 use mom_proto::event as names;
 use mom_proto::{Code, Family, Map, Parcel, Path, WireError};
 use tokio::time::sleep;
 
-use crate::login::{Connected, Connector, Welcome};
+use crate::login::{Connector, Welcome};
 use crate::outbox::{Capacity, Entry};
 use crate::pending::AnswerTo;
 use crate::reconnect::{Attempts, Next};
-use crate::shared::{Shared, State, Status, join};
+use crate::shared::{Shared, State, Status, join, verb};
+use crate::survive::{Counted, LinkSecret};
 use crate::{ClientError, Event, LinkState, Lost, Reconnect, link};
 
 /// Drives links until the client is closed.
@@ -31,46 +33,56 @@ pub(crate) async fn run(shared: Arc<Shared>, connector: Connector, first: mom_ne
             }
             (Some(reconnect), _) => reconnect.clone(),
         };
-        shared.lose_link(&why, true);
+        if !shared.suspend() {
+            shared.lose_link(&why, true);
+        }
         match again(&shared, &connector, &reconnect).await {
-            Ok(connected) => {
-                shared.raise_link(connected.welcome);
-                transceiver = connected.transceiver;
-            }
+            Ok(next) => transceiver = next,
             Err(error) => return shared.close(error),
         }
     }
 }
 
-/// Tries to connect until it succeeds, is refused for good, or takes too long.
+/// Tries to connect until it succeeds, is refused for good, or takes too long. The link goes on as long as it can, and begins anew
+/// else.
 async fn again(
     shared: &Shared,
     connector: &Connector,
     reconnect: &Reconnect,
-) -> Result<Connected, Option<WireError>> {
+) -> Result<Transceiver, Option<WireError>> {
     let mut ending = shared.ending.subscribe();
     let mut attempts = Attempts::new(reconnect);
     let mut wait = attempts.wait(None);
     let mut attempt = 0;
     loop {
-        shared.link.send_replace(LinkState::Down {
-            since: attempts.begin().into_std(),
-            attempt,
+        let since = attempts.begin().into_std();
+        let resumable = shared.resumable();
+        shared.link.send_replace(match resumable {
+            Some(_) => LinkState::Resuming { since, attempt },
+            None => LinkState::Trying { since, attempt },
         });
         let attempted = async {
             sleep(wait).await;
-            let credentials = shared.credentials.lock().clone();
-            connector
-                .connect(&credentials, &shared.ids, shared.settings.connect_timeout)
-                .await
+            attempt_once(shared, connector, resumable.as_ref()).await
         };
-        let error = tokio::select! {
-            attempted = attempted => match attempted {
-                Ok(connected) => return Ok(connected),
-                Err(error) => error,
-            },
+        let attempted = tokio::select! {
+            attempted = attempted => attempted,
             _ = ending.wait_for(|ending| *ending) => return Err(None),
         };
+        let over = resumable.is_some_and(|counted| attempts.begin().elapsed() >= counted.secret.grace);
+        let error = match attempted {
+            Ok(Some(transceiver)) => return Ok(transceiver),
+            Ok(None) => {
+                // Nothing is left to resume: the next attempt is a login, and it is made at once.
+                shared.lose_link("the link could not be resumed", true);
+                wait = Duration::ZERO;
+                continue;
+            }
+            Err(error) => error,
+        };
+        if over {
+            shared.lose_link("the hub could not be reached within the grace time", true);
+        }
         tracing::debug!(%error, attempt, "no link yet");
         attempt += 1;
         wait = match attempts.after(&error) {
@@ -84,15 +96,68 @@ async fn again(
     }
 }
 
+/// Connects once, to go on with the link or to begin anew; none if the link cannot go on.
+async fn attempt_once(
+    shared: &Shared,
+    connector: &Connector,
+    resumable: Option<&Counted>,
+) -> Result<Option<Transceiver>, ClientError> {
+    let after = shared.settings.connect_timeout;
+    let Some(counted) = resumable else {
+        let credentials = shared.credentials.lock().clone();
+        let connected = connector.connect(&credentials, &shared.ids, after).await?;
+        shared.raise_link(connected.welcome);
+        return Ok(Some(connected.transceiver));
+    };
+    let resumed = connector.resume(counted, &shared.ids, after).await;
+    let (mut transceiver, resumption) = match resumed {
+        Err(ClientError::Refused(error)) if [Code::NOT_RESUMED, Code::BAD_COUNT].contains(&error.code) => {
+            return Ok(None);
+        }
+        resumed => resumed?,
+    };
+    transceiver.reader.know(shared.numbers());
+    if shared.go_on(&resumption) {
+        return Ok(Some(transceiver));
+    }
+    // What is lost on this side the hub must not wait for.
+    let _ = transceiver
+        .writer
+        .send(verb(Family::Login, "logout", &Path::root()))
+        .await;
+    Ok(None)
+}
+
 impl Shared {
+    /// The hub has not been heard of for a while, or has been again.
+    pub(crate) fn note_stale(&self, heard: tokio::time::Instant, stale: bool) {
+        self.link.send_if_modified(|link| match (&*link, stale) {
+            (LinkState::Connected, true) => {
+                let since = heard.into_std();
+                *link = LinkState::Stale { since };
+                true
+            }
+            (LinkState::Stale { .. }, false) => {
+                *link = LinkState::Connected;
+                true
+            }
+            _ => false,
+        });
+    }
+
     /// The link is gone: open requests get no answer, and tokens are lost (design §5).
     fn lose_link(&self, why: &str, link_is_gone: bool) {
         let mut state = self.lock();
+        // Whoever hears of it has heard that the connection is lost.
+        let told = matches!(state.status, Status::Resuming);
         state.status = Status::Down;
+        self.begin_link(&mut state, None);
         state.lose_holds(&Lost::new(names::Reason::Disconnected.word(), None));
         let unsent = state.outbox.clear(link_is_gone);
         let capacity = state.lose(&unsent);
-        state.subscribers.deliver_all(&Event::LinkDown);
+        if !told {
+            state.subscribers.deliver_all(&Event::LinkDown);
+        }
         let joins = state.places.lose_link();
         let waiters = state.pending.take_all();
         drop(state);
@@ -121,6 +186,7 @@ impl Shared {
     fn raise_link(&self, welcome: Welcome) {
         let mut state = self.lock();
         state.status = Status::Up;
+        self.begin_link(&mut state, LinkSecret::read(&welcome.content));
         state.me = Arc::new(welcome);
         let places = state.places.rejoin();
         state.rejoining = places.len();
@@ -133,7 +199,7 @@ impl Shared {
             let _ = self.ask_in(&mut state, join(&path, terms), &mut waiter);
         }
         drop(state);
-        self.link.send_replace(LinkState::Up);
+        self.link.send_replace(LinkState::Connected);
         self.outgoing.notify_one();
     }
 
@@ -193,7 +259,7 @@ impl State {
 }
 
 /// The event that the hub would send for parcels dropped on its side.
-fn dropped(path: &Path, reason: &str, count: u64) -> Event {
+pub(crate) fn dropped(path: &Path, reason: &str, count: u64) -> Event {
     let content = Map::new()
         .with("reason", reason)
         .with("count", i64::try_from(count).unwrap_or(i64::MAX));

@@ -66,6 +66,7 @@ mod shared;
 mod state_gate;
 mod stats;
 mod subscribe;
+mod survive;
 mod token;
 mod token_info;
 mod trace;

@@ -28,21 +28,33 @@ pub(crate) async fn run(shared: &Arc<Shared>, transceiver: Transceiver) -> Strin
     let link = shared.lock().outbox.mark().link;
     tasks.spawn(sending::write(Arc::clone(shared), transceiver.writer, link));
     let first = tokio::select! {
-        ended = tasks.join_next_with_id() => ended,
-        () = keep(shared, &heard) => return "the hub has been silent for too long".to_owned(),
+        ended = tasks.join_next_with_id() => Ended::Task(ended),
+        () = keep(shared, &heard) => Ended::Silence,
     };
-    match first {
-        Some(Ok((id, ended))) if id != reading => {
+    let why = match first {
+        Ended::Silence => "the hub has been silent for too long".to_owned(),
+        Ended::Task(Some(Ok((id, ended)))) if id != reading => {
             // The hub's last error says whether to reconnect.
             match timeout(LAST_WORDS, tasks.join_next()).await {
                 Ok(Some(Ok(Err(error)))) if ended.is_ok() => error.to_string(),
                 _ => words(ended),
             }
         }
-        Some(Ok((_, ended))) => words(ended),
-        Some(Err(failed)) => failed.to_string(),
-        None => words(Ok(())),
-    }
+        Ended::Task(Some(Ok((_, ended)))) => words(ended),
+        Ended::Task(Some(Err(failed))) => failed.to_string(),
+        Ended::Task(None) => words(Ok(())),
+    };
+    // What both ends have counted is final, and all that was not sent is back in the outbox.
+    tasks.shutdown().await;
+    why
+}
+
+/// What has ended first.
+enum Ended {
+    /// Reading or writing.
+    Task(Option<Result<(tokio::task::Id, Result<(), NetError>), tokio::task::JoinError>>),
+    /// Nothing: the hub says nothing any more.
+    Silence,
 }
 
 fn words(ended: Result<(), NetError>) -> String {
@@ -55,9 +67,13 @@ fn words(ended: Result<(), NetError>) -> String {
 async fn read(shared: Arc<Shared>, heard: Arc<Moment>, mut reader: Reader) -> Result<(), NetError> {
     while let Some(frame) = reader.next().await? {
         heard.note();
+        let counts = !matches!(&frame, Frame::Parcel(parcel) if parcel.family == Family::Time);
         match frame {
             Frame::Parcel(parcel) => shared.receive(*parcel),
             Frame::Malformed { error, .. } => shared.receive_malformed(error),
+        }
+        if counts {
+            shared.count_read(reader.received());
         }
     }
     Ok(())
@@ -74,6 +90,7 @@ async fn keep(shared: &Shared, heard: &Moment) {
         if now >= heard.at() + limits.gone {
             return;
         }
+        shared.note_stale(heard.at(), now >= heard.at() + limits.heartbeat * 3 / 2);
         // Also on a busy link: a peer that only sends would not learn that the hub is alive, a peer that only
         // receives would seem dead to it, and the estimate of the hub's clock would grow old.
         if now >= pinged + limits.heartbeat {
@@ -85,6 +102,9 @@ async fn keep(shared: &Shared, heard: &Moment) {
         let renewal = shared.lock().guards.next_renewal();
         let wake = (pinged + limits.heartbeat).min(heard.at() + limits.gone);
         let wake = renewal.map_or(wake, |renewal| wake.min(renewal));
+        // A pong that does not come is noticed before the connection is given up.
+        let stale = heard.at() + limits.heartbeat * 3 / 2;
+        let wake = if stale > now { wake.min(stale) } else { wake };
         tokio::select! {
             () = sleep_until(wake) => {}
             () = shared.keeping.notified() => {}

@@ -13,6 +13,7 @@ use crate::ClientError;
 use crate::error::bad_reply;
 use crate::info::{level, map_of, number, text};
 use crate::proof::{Credentials, is_challenge};
+use crate::survive::{Counted, Resumption};
 
 /// Gives one more end of an in-process pair whose other end the hub has.
 pub(crate) type Local = Arc<dyn Fn() -> Transceiver + Send + Sync>;
@@ -82,6 +83,74 @@ impl Connector {
                 after,
             })
         })
+    }
+}
+
+impl Connector {
+    /// Connects and goes on with a link.
+    pub(crate) async fn resume(
+        &self,
+        counted: &Counted,
+        ids: &AtomicU64,
+        after: Duration,
+    ) -> Result<(Transceiver, Resumption), ClientError> {
+        let Connector::Remote(address, tls) = self else {
+            return Err(ClientError::Connection(
+                "this hub is in the same process".to_owned(),
+            ));
+        };
+        let resume = async {
+            let transceiver = mom_net::connect(address, &Limits::default(), tls.as_ref()).await?;
+            resume(transceiver, counted, ids).await
+        };
+        timeout(after, resume).await.unwrap_or_else(|_| {
+            Err(ClientError::TimedOut {
+                what: "resume".to_owned(),
+                after,
+            })
+        })
+    }
+}
+
+async fn resume(
+    mut transceiver: Transceiver,
+    counted: &Counted,
+    ids: &AtomicU64,
+) -> Result<(Transceiver, Resumption), ClientError> {
+    let next = || ids.fetch_add(1, Ordering::Relaxed);
+    let mut id = next();
+    let resume = counted.secret.resume().id(id);
+    let mut sent = transceiver.writer.send(resume).await;
+    loop {
+        let frame = match transceiver.reader.next().await? {
+            Some(frame) => frame,
+            None => {
+                sent?;
+                return Err(ClientError::Connection(
+                    "the hub closed the connection at the resume".to_owned(),
+                ));
+            }
+        };
+        let parcel = match frame {
+            Frame::Parcel(parcel) => parcel,
+            Frame::Malformed { error, .. } => return Err(ClientError::Local(error)),
+        };
+        match parcel.family {
+            Family::Reply if parcel.reference == Some(id) && is_challenge(&parcel) => {
+                id = next();
+                let answer = counted.secret.answer(&parcel, counted.read)?;
+                sent = transceiver.writer.send(answer.id(id)).await;
+            }
+            Family::Reply if parcel.reference == Some(id) => {
+                let resumption = Resumption::read(map_of(&parcel))?;
+                let limits = resumption.content.get("limits").and_then(Value::as_map);
+                let limits = PeerLimits::read(limits).for_decoder();
+                transceiver.reader.set_limits(&limits);
+                return Ok((transceiver, resumption));
+            }
+            Family::Error => return Err(ClientError::Refused(WireError::from_parcel(&parcel))),
+            _ => tracing::debug!(family = %parcel.family, name = parcel.name(), "before the resume's reply"),
+        }
     }
 }
 

@@ -1,6 +1,7 @@
 //! A peer's proof of identity (M12) and its login parcels.
 
 use std::fmt;
+use std::time::Duration;
 
 use mom_net::{Address, Identity};
 use mom_proto::{
@@ -51,6 +52,10 @@ pub(crate) struct Credentials {
     pub(crate) hub: Option<String>,
     /// The address of the hub, if it is not in this process.
     pub(crate) address: Option<Address>,
+    /// For how long the hub is to keep this peer's place when its connection is lost; none = not at all.
+    pub(crate) link: Option<Duration>,
+    /// How often both sides say that they are there; none = as the hub says.
+    pub(crate) heartbeat: Option<Duration>,
 }
 
 impl Credentials {
@@ -98,6 +103,13 @@ impl Credentials {
         };
         if let Some(nickname) = &self.nickname {
             content.set("nickname", nickname.as_str());
+        }
+        let millis = |time: Duration| i64::try_from(time.as_millis()).unwrap_or(i64::MAX);
+        if let Some(grace) = self.link {
+            content.set("link", Map::new().with("grace", millis(grace)));
+        }
+        if let Some(heartbeat) = self.heartbeat {
+            content.set("heartbeat", millis(heartbeat));
         }
         Ok(said("login", content))
     }
@@ -165,6 +177,8 @@ mod tests {
             nickname: None,
             hub: None,
             address: None,
+            link: None,
+            heartbeat: None,
         };
         let answer = credentials
             .answer(&challenge("lab", LOGIN_CONTEXT, 32))

@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 use mom_net::{Flow, NetError, Pause, Piece, Writer, write_batch};
 use tokio::time::{Instant, sleep_until};
@@ -79,10 +80,19 @@ impl LinkWriter {
             return Ok(taken);
         }
         let mut capacity = Capacity::default();
-        let written = write_batch(&self.writer, &mut self.flow, &mut self.batch, |piece| {
-            let entry = piece.item().filter(|_| piece.is_last());
-            capacity += entry.map(|entry| entry.capacity()).unwrap_or_default();
-        });
+        let form = self.writer.form();
+        let written = {
+            // Writing never waits.
+            let counts = self.shared.counts.load(Ordering::Relaxed);
+            let mut ledger = counts.then(|| self.shared.ledger.lock());
+            write_batch(&self.writer, &mut self.flow, &mut self.batch, |piece| {
+                let entry = piece.item().filter(|_| piece.is_last());
+                capacity += entry.map(|entry| entry.capacity()).unwrap_or_default();
+                if let Some(ledger) = ledger.as_mut().and_then(|ledger| ledger.as_mut()) {
+                    ledger.note(piece, form);
+                }
+            })
+        };
         self.shared.give_capacity(capacity);
         if !self.batch.is_empty() {
             let dropped = {

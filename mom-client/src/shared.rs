@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-use mom_net::{DropReason, Lane, Outgoing};
+use mom_net::{DropReason, Lane, Ledger, Outgoing};
 use mom_proto::codec::Form;
 use mom_proto::{Code, Family, Parcel, Path, Thinning, Verb, WireError};
 use parking_lot::{Mutex, MutexGuard};
@@ -16,10 +16,11 @@ use crate::clock::HubClock;
 use crate::guards::Guards;
 use crate::handover::Handovers;
 use crate::login::Welcome;
-use crate::outbox::{Capacity, Dropped, Message, Outbox};
+use crate::outbox::{Capacity, Dropped, Entry, Message, Outbox};
 use crate::pending::{AnswerTo, OpenRequests};
 use crate::proof::Credentials;
 use crate::subscribe::{EventQueue, Subscribers};
+use crate::survive::Counted;
 use crate::waits::Waits;
 use crate::wanted::{Terms, Want, WantedContexts};
 use crate::{ClientError, LinkState, Reconnect};
@@ -52,6 +53,10 @@ pub(crate) struct Shared {
     pub(crate) ids: AtomicU64,
     capacity: Semaphore,
     urgent_capacity: Semaphore,
+    /// What the hub has not read yet of what was sent, if a lost connection may be resumed. Taken after the state.
+    pub(crate) ledger: Mutex<Option<Box<Ledger<Entry>>>>,
+    /// Whether parcels are counted.
+    pub(crate) counts: AtomicBool,
     /// Wakes the writer.
     pub(crate) outgoing: Notify,
     /// Wakes the keeper of leases and heartbeats.
@@ -80,11 +85,17 @@ pub(crate) struct State {
     pub(crate) rejoining: usize,
     /// What the hub said before it closed the link.
     pub(crate) closing: Option<WireError>,
+    /// What both ends have counted, where a lost connection may be resumed.
+    pub(crate) counted: Option<Box<Counted>>,
+    /// How many messages that had left were given up when the connection was lost.
+    pub(crate) told_lost: u64,
 }
 
 #[derive(Clone, Debug)]
 pub(crate) enum Status {
     Up,
+    /// The connection is lost, and another one is to go on with all that waits.
+    Resuming,
     Down,
     Closed(Option<WireError>),
 }
@@ -112,6 +123,8 @@ impl Shared {
             handovers: Handovers::default(),
             rejoining: 0,
             closing: None,
+            counted: None,
+            told_lost: 0,
         };
         Shared {
             settings,
@@ -122,9 +135,11 @@ impl Shared {
             ids,
             capacity: Semaphore::new(CAPACITY as usize),
             urgent_capacity: Semaphore::new(URGENT_CAPACITY as usize),
+            ledger: Mutex::new(None),
+            counts: AtomicBool::new(false),
             outgoing: Notify::new(),
             keeping: Notify::new(),
-            link: watch::Sender::new(LinkState::Up),
+            link: watch::Sender::new(LinkState::Connected),
             ending: watch::Sender::new(false),
         }
     }
@@ -215,6 +230,11 @@ impl Shared {
         };
         let mut state = self.lock();
         state.check_up()?;
+        let guarded = state.is_guarded(&parcel);
+        if guarded && matches!(state.status, Status::Resuming) {
+            let text = "the connection is lost: what needs a token is not sent late";
+            return Err(ClientError::Connection(text.to_owned()));
+        }
         permit.into_iter().for_each(SemaphorePermit::forget);
         // The context is for those who are told of a loss; one that waits is told by its answer.
         let path = parcel.context.clone().filter(|_| waiter.is_none());
@@ -226,6 +246,7 @@ impl Shared {
         let message = Message {
             capacity,
             path,
+            guarded,
             outgoing,
         };
         let dropped = state.outbox.push_message(&parcel, message);
@@ -434,10 +455,17 @@ impl Shared {
 }
 
 impl State {
+    /// Whether a message needs a token, as far as this peer knows.
+    fn is_guarded(&self, parcel: &Parcel) -> bool {
+        let path = parcel.context.as_ref();
+        let guard = path.and_then(|path| self.places.gate(path).guard());
+        guard.is_some_and(|guard| guard.covers(parcel.name()))
+    }
+
     /// Whether anything can be sent now.
     pub(crate) fn check_up(&self) -> Result<(), ClientError> {
         match &self.status {
-            Status::Up => Ok(()),
+            Status::Up | Status::Resuming => Ok(()),
             Status::Down => Err(ClientError::Connection("the link is down".to_owned())),
             Status::Closed(error) => Err(ClientError::Closed(error.clone())),
         }
@@ -489,6 +517,10 @@ fn unsent(reason: DropReason) -> Option<WireError> {
         ),
         DropReason::Replaced => (Code::WITHDRAWN, "a newer one came after it, before it was sent"),
         DropReason::Expired => (Code::EXPIRED, "its time was over before it was sent"),
+        DropReason::Lost => (
+            Code::DISCONNECTED,
+            "the connection was lost before the hub had read it, and it needs a token: it is not sent late",
+        ),
         _ => return None,
     };
     Some(WireError::new(code, text))

@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use mom_proto::{Map, Path, Thinning};
+use mom_proto::{ContextNumber, Map, Path, Thinning};
 use tokio::sync::oneshot;
 
+use crate::info::number;
 use crate::{ClientError, FenceGate};
 
 pub(crate) type Joined = Result<Arc<Map>, ClientError>;
@@ -140,6 +141,15 @@ impl WantedContexts {
     /// On what terms this client is in a context.
     pub(crate) fn terms(&self, path: &Path) -> Terms {
         self.places.get(path).map(|place| place.terms).unwrap_or_default()
+    }
+
+    /// The numbers of the contexts that this peer is in.
+    pub(crate) fn numbers(&self) -> Vec<(ContextNumber, Path)> {
+        let number = |(path, place): (&Path, &WantedContext)| match &place.phase {
+            JoinPhase::Joined(info) => Some((ContextNumber(number(info, "number")?), path.clone())),
+            _ => None,
+        };
+        self.places.iter().filter_map(number).collect()
     }
 
     /// The gate of a channel.

@@ -6,10 +6,9 @@ use std::sync::Arc;
 use std::task::{Context, Poll};
 
 use bytes::{Buf, BufMut};
-use mom_proto::Limits;
-use mom_proto::Parcel;
 use mom_proto::binary::Plain;
 use mom_proto::codec::{Decoder, Deferred, Form, Frame};
+use mom_proto::{ContextNumber, Limits, Parcel, Path};
 use tokio::sync::mpsc;
 
 use crate::socket::ReadHalf;
@@ -69,6 +68,13 @@ impl Reader {
     pub fn set_limits(&mut self, limits: &Limits) {
         if let Source::Stream { decoder, .. } = &mut self.source {
             decoder.set_limits(limits);
+        }
+    }
+
+    /// Gives the numbers of contexts that the other side may use without their paths.
+    pub fn know(&mut self, contexts: Vec<(ContextNumber, Path)>) {
+        if let Source::Stream { decoder, .. } = &mut self.source {
+            decoder.know(contexts);
         }
     }
 

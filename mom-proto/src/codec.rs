@@ -5,7 +5,7 @@ use bytes::{Bytes, BytesMut};
 use crate::binary::BinaryDecoder;
 use crate::json::{DeferredLine, JsonDecoder};
 use crate::xml::{DeferredEntity, XmlDecoder};
-use crate::{Limit, Limits, Parcel, WireError, binary, json, xml};
+use crate::{ContextNumber, Limit, Limits, Parcel, Path, WireError, binary, json, xml};
 
 /// A wire form.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -234,6 +234,13 @@ impl Decoder {
             Decoder::Xml(decoder) => decoder.set_limits(limits),
             Decoder::Binary(decoder) => decoder.set_limits(limits),
             Decoder::Json(decoder) => decoder.set_limits(limits),
+        }
+    }
+
+    /// Gives the numbers of contexts that the other side may use without their paths: the binary form has numbers alone.
+    pub fn know(&mut self, contexts: Vec<(ContextNumber, Path)>) {
+        if let Decoder::Binary(decoder) = self {
+            decoder.know(contexts);
         }
     }
 

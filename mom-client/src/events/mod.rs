@@ -171,8 +171,11 @@ pub enum Event {
     Refused(WireError, Option<u64>),
     /// The number of events that were dropped here because they were not taken in time.
     Lagged(u64),
-    /// The link to the hub is lost; tokens are lost with it.
+    /// The connection to the hub is lost. Tokens are lost with it, unless [`Resumed`](Event::Resumed) comes next.
     LinkDown,
+    /// The link goes on over another connection: nothing was lost but what [`Dropped`](Event::Dropped) tells. Tokens are still held,
+    /// as far as their leases have not ended; the devices that they move were halted.
+    Resumed,
     /// The link is back and this context joined again.
     Rejoined,
     /// Any other parcel of the hub.

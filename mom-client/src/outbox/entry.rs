@@ -29,6 +29,8 @@ pub(crate) struct Message {
     pub(crate) capacity: Capacity,
     /// Its context, if a loss of it is told there; one that is awaited is told by its answer.
     pub(crate) path: Option<Path>,
+    /// It needs a token.
+    pub(crate) guarded: bool,
     pub(crate) outgoing: Outgoing,
 }
 
@@ -54,6 +56,8 @@ pub(crate) struct Entry {
     /// None of what is no message.
     capacity: Option<Capacity>,
     path: Option<Path>,
+    /// It needs a token.
+    pub(super) guarded: bool,
 }
 
 impl Entry {
@@ -68,6 +72,7 @@ impl Entry {
             expires_at: None,
             capacity: None,
             path: None,
+            guarded: false,
         }
     }
 
@@ -92,6 +97,22 @@ impl Entry {
             expires_at: expires_at(parcel).filter(|_| lane != Lane::Stop),
             capacity: Some(message.capacity),
             path: message.path,
+            guarded: message.guarded,
+        }
+    }
+
+    /// The same once it has left: its capacity was given back then.
+    pub(super) fn without_capacity(&self) -> Entry {
+        Entry {
+            lane: self.lane,
+            delivery: self.delivery,
+            outgoing: self.outgoing.clone(),
+            id: self.id,
+            destination: self.destination.clone(),
+            expires_at: self.expires_at,
+            capacity: Some(Capacity::default()),
+            path: self.path.clone(),
+            guarded: self.guarded,
         }
     }
 
@@ -142,6 +163,11 @@ impl Item for Entry {
             Outgoing::Parcel(parcel) => Some(parcel),
             Outgoing::Encoded(_) => None,
         }
+    }
+
+    // Signs of life do not count.
+    fn counts(&self) -> bool {
+        self.lane != Lane::Sign
     }
 
     fn charge(&self, _: Option<Form>) -> usize {

@@ -6,7 +6,9 @@ mod entry;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use mom_net::{Allowance, DropPolicy, DropReason, Lane, Outgoing, Piece, Rest, SendQueue};
+use mom_net::{
+    Allowance, BadCount, DropPolicy, DropReason, Lane, Ledger, Outgoing, Piece, Rest, Rewound, SendQueue,
+};
 use mom_proto::codec::Form;
 use mom_proto::{Family, Limit, Parcel, Verb};
 
@@ -143,6 +145,30 @@ impl Outbox {
     /// The messages that were dropped since this was last asked.
     pub(crate) fn take_dropped(&mut self) -> Dropped {
         std::mem::take(&mut self.queue.policy().0)
+    }
+
+    /// Takes in how many parcels the hub has read.
+    pub(crate) fn acknowledge(&self, ledger: &mut Ledger<Entry>, read: u64) -> Result<(), BadCount> {
+        self.queue.acknowledge(ledger, read)
+    }
+
+    /// The connection is lost and may be resumed. Gives what must not be sent late.
+    pub(crate) fn suspend(&mut self, ledger: &mut Ledger<Entry>) -> Dropped {
+        self.now.link += 1;
+        self.queue.restart(ledger);
+        let guarded = |entry: &Entry| entry.guarded;
+        // The policy notes what was dropped.
+        drop(self.queue.drop_data_of(DropReason::Lost, guarded));
+        let left = ledger.drop_kept(guarded).into_iter();
+        let left = left.map(|(entry, _)| (Arc::new(entry.without_capacity()), DropReason::Lost));
+        let mut dropped = self.take_dropped();
+        dropped.extend(left);
+        dropped
+    }
+
+    /// Puts what the hub has not read in front of what waits.
+    pub(crate) fn resend(&mut self, ledger: &mut Ledger<Entry>, read: u64) -> Result<Rewound, BadCount> {
+        self.queue.resend(ledger, read)
     }
 
     /// Forgets everything, as the peer is another one from now on, on this link or, if that is gone, the next; gives

@@ -73,6 +73,7 @@ fn say(outbox: &mut Outbox, name: &str, size: usize, priority: i32) -> Dropped {
     let message = Message {
         capacity: Capacity { usual: 1, urgent: 0 },
         path: Some(path()),
+        guarded: false,
         outgoing: frame(&parcel),
     };
     outbox.push_message(&parcel, message)
@@ -351,6 +352,7 @@ fn the_newest_state_replaces_older_ones() {
         let message = Message {
             capacity: Capacity { usual: 1, urgent: 0 },
             path: None,
+            guarded: false,
             outgoing: frame(&parcel),
         };
         outbox.push_message(&parcel, message)
@@ -377,6 +379,7 @@ fn what_is_over_does_not_leave() {
         let message = Message {
             capacity: Capacity { usual: 1, urgent: 0 },
             path: Some(path()),
+            guarded: false,
             outgoing: frame(&parcel),
         };
         outbox.push_message(&parcel, message);

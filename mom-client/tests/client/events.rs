@@ -298,7 +298,7 @@ async fn a_client_that_only_sends_still_asks_whether_the_hub_lives() {
         tokio::time::sleep(Duration::from_millis(500)).await; // tidy: moves the paused clock
     }
     assert!(pings >= 5, "{pings} pings");
-    assert_eq!(*client.state().borrow(), LinkState::Up);
+    assert_eq!(*client.state().borrow(), LinkState::Connected);
 }
 
 #[tokio::test(start_paused = true)]
@@ -308,6 +308,9 @@ async fn a_silent_hub_is_a_lost_link() {
     let (client, _peer) = logged_in_with(&mut hub, builder.no_reconnect(), limits).await;
     let start = Instant::now();
     let mut state = client.state();
+    state.changed().await.unwrap();
+    assert!(matches!(*state.borrow_and_update(), LinkState::Stale { .. }));
+    assert_eq!(start.elapsed().as_secs(), 3, "one and a half heartbeats");
     state.changed().await.unwrap();
     assert_eq!(start.elapsed().as_secs(), 9);
     let LinkState::Closed(Some(error)) = state.borrow().clone() else {

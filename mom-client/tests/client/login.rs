@@ -202,7 +202,7 @@ async fn authenticating_again() {
     assert_eq!(next(&mut events).await, Event::LinkDown);
     peer.join_one("/chat", "channel", Map::new()).await;
     assert_eq!(next(&mut events).await, Event::Rejoined);
-    assert_eq!(*client.state().borrow(), LinkState::Up);
+    assert_eq!(*client.state().borrow(), LinkState::Connected);
     chat.send("chat", "good morning").await.unwrap();
     assert_eq!(peer.hear().await.context, Some(path("/chat")));
 }

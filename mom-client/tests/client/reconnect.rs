@@ -56,7 +56,7 @@ async fn everything_is_joined_again_parents_first() {
         let mut peer = back(&mut hub, "ally~2").await;
         client
             .state()
-            .wait_for(|link| *link == LinkState::Up)
+            .wait_for(|link| *link == LinkState::Connected)
             .await
             .unwrap();
         assert_eq!(client.name(), "ally~2");
@@ -107,7 +107,7 @@ async fn what_one_is_spared_of_is_asked_for_again() {
     peer.ok(&join, member.clone()).await;
     client
         .state()
-        .wait_for(|link| *link == LinkState::Up)
+        .wait_for(|link| *link == LinkState::Connected)
         .await
         .unwrap();
     let (ended, ()) = tokio::join!(chat.thin(Thinning::default()), async {
@@ -214,7 +214,7 @@ async fn what_was_asked_fails_and_what_waited_is_counted() {
 
     // While it is down nothing is taken.
     let down = client.state().borrow().clone();
-    assert!(matches!(down, LinkState::Down { .. }), "{down:?}");
+    assert!(matches!(down, LinkState::Trying { .. }), "{down:?}");
     assert_eq!(
         chat.send("chat", "x").await.unwrap_err().kind(),
         ErrorKind::Connection
@@ -248,7 +248,7 @@ async fn attempts_back_off() {
         );
         let down = client.state().borrow().clone();
         assert!(
-            matches!(down, LinkState::Down { attempt: failed, .. } if failed as usize == attempt),
+            matches!(down, LinkState::Trying { attempt: failed, .. } if failed as usize == attempt),
             "{down:?}"
         );
         since = Instant::now();
@@ -257,7 +257,7 @@ async fn attempts_back_off() {
     let _peer = back(&mut hub, "ally").await;
     client
         .state()
-        .wait_for(|link| *link == LinkState::Up)
+        .wait_for(|link| *link == LinkState::Connected)
         .await
         .unwrap();
 }
@@ -319,7 +319,7 @@ async fn a_refused_login_ends_or_goes_on_by_its_code() {
             );
             client
                 .state()
-                .wait_for(|link| *link == LinkState::Up)
+                .wait_for(|link| *link == LinkState::Connected)
                 .await
                 .unwrap();
         } else {

@@ -486,7 +486,10 @@ async fn closing_says_goodbye_after_all_that_was_sent() {
             };
             tokio::join!(close, script);
             assert_eq!(
-                *state.wait_for(|link| *link != LinkState::Up).await.unwrap(),
+                *state
+                    .wait_for(|link| *link != LinkState::Connected)
+                    .await
+                    .unwrap(),
                 LinkState::Closed(None)
             );
             assert_eq!(others.next().await, None, "{form}");

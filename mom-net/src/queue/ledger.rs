@@ -64,7 +64,7 @@ pub enum Rewound {
 }
 
 impl<I: Item> Ledger<I> {
-    /// Counts from here on, and keeps so many bytes. The first parcel does not count.
+    /// Counts from here on, and keeps so many bytes.
     pub fn new(limit: usize) -> Ledger<I> {
         Ledger {
             sent: 0,
@@ -73,8 +73,16 @@ impl<I: Item> Ledger<I> {
             bytes: 0,
             limit,
             forgotten: 0,
-            skips: true,
+            skips: false,
             part: 0,
+        }
+    }
+
+    /// The same after the next parcel, which tells the other side of the link.
+    pub fn after_next(limit: usize) -> Ledger<I> {
+        Ledger {
+            skips: true,
+            ..Ledger::new(limit)
         }
     }
 

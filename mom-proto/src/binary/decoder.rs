@@ -10,7 +10,7 @@ use super::plain::Plain;
 use super::words::NameCache;
 use super::{FIRST_SKIPPABLE_KIND, KIND_CHUNK, KIND_PARCEL, PREFACE_MAGIC, header};
 use crate::codec::Frame;
-use crate::{Code, Limit, Limits, PROTOCOL_VERSION, Parcel, Path, WireError};
+use crate::{Code, ContextNumber, Limit, Limits, PROTOCOL_VERSION, Parcel, Path, WireError};
 
 /// Reads the preface and then frames; learns the numbers of contexts from parcels that bind them.
 #[derive(Debug)]
@@ -51,6 +51,12 @@ impl BinaryDecoder {
             chunks: true,
             ..BinaryDecoder::new(limits)
         }
+    }
+
+    /// Gives numbers that were bound to paths on an earlier connection of the same link.
+    pub(crate) fn know(&mut self, contexts: Vec<(ContextNumber, Path)>) {
+        let contexts = contexts.into_iter().map(|(number, path)| (number.0, path));
+        self.contexts.extend(contexts);
     }
 
     /// The bytes that are here of parcels in chunks whose end has not come.

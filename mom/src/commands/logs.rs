@@ -49,7 +49,7 @@ pub(crate) async fn run(args: &cli::LogsArgs, global: &GlobalArgs, output: Outpu
                 output.tell(|| record(&parcel), || line(&parcel))?;
                 count += 1;
             }
-            Ok(Some(event @ (Event::LinkDown | Event::Rejoined | Event::Lagged(_)))) => {
+            Ok(Some(event @ (Event::LinkDown | Event::Resumed | Event::Rejoined | Event::Lagged(_)))) => {
                 output.remark(ink(event_words(&event), Tone::Faint));
             }
             Ok(Some(_)) => {}

@@ -93,7 +93,7 @@ async fn subscribe(
             while let Some(event) = events.next().await {
                 let elsewhere = match &event {
                     // The link is one for all contexts.
-                    Event::LinkDown => index > 0,
+                    Event::LinkDown | Event::Resumed => index > 0,
                     // Also told to the channels that the token guards.
                     Event::Grabbed { path, .. } | Event::Released { path, .. } => {
                         *path != context && watched.contains(path)
@@ -131,7 +131,12 @@ pub(super) async fn events(
 fn is_news(event: &Event) -> bool {
     !matches!(
         event,
-        Event::Message(_) | Event::Lagged(_) | Event::LinkDown | Event::Rejoined | Event::Refused(..)
+        Event::Message(_)
+            | Event::Lagged(_)
+            | Event::LinkDown
+            | Event::Resumed
+            | Event::Rejoined
+            | Event::Refused(..)
     )
 }
 

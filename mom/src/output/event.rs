@@ -71,6 +71,7 @@ pub(crate) fn event_words(event: &Event) -> String {
         }
         Event::LinkDown => "the connection is lost; connecting again".to_owned(),
         Event::Rejoined => "connected again".to_owned(),
+        Event::Resumed => "connected again; nothing was lost".to_owned(),
         Event::Message(parcel) | Event::Other(parcel) => name(parcel.name()),
         _ => "something this program does not know".to_owned(),
     }
@@ -193,6 +194,7 @@ pub(super) fn event_slots(event: &Event) -> (&'static str, Map) {
         Event::Lagged(count) => ("lagged", Map::new().with("count", number(*count))),
         Event::LinkDown => ("link-down", Map::new()),
         Event::Rejoined => ("rejoined", Map::new()),
+        Event::Resumed => ("resumed", Map::new()),
         Event::Message(_) | Event::Other(_) => ("other", Map::new()),
         _ => ("unknown", Map::new()),
     }

@@ -53,7 +53,7 @@ impl OutputRecord {
                 let (name, content) = event_slots(other);
                 let family = match other {
                     Event::Refused(..) => "error",
-                    Event::Lagged(_) | Event::LinkDown | Event::Rejoined => "client",
+                    Event::Lagged(_) | Event::LinkDown | Event::Resumed | Event::Rejoined => "client",
                     _ => "event",
                 };
                 let words = event_words(other);

@@ -189,8 +189,10 @@ async fn show(
             },
             Ok(()) = state.changed() => {
                 view.link = match &*state.borrow_and_update() {
-                    LinkState::Up => HubLink::Up,
-                    LinkState::Down { since, attempt } => HubLink::Down { since: *since, attempt: *attempt },
+                    LinkState::Connected | LinkState::Stale { .. } => HubLink::Up,
+                    LinkState::Trying { since, attempt } | LinkState::Resuming { since, attempt } => {
+                        HubLink::Down { since: *since, attempt: *attempt }
+                    }
                     LinkState::Closed(error) => return Err(ClientError::Closed(error.clone())).doing(ASKING),
                 };
             }

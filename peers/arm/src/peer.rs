@@ -74,7 +74,7 @@ pub async fn run(
                     server.handle(&event, &gate, micros(begin), &mut out);
                     match event {
                         Event::LinkDown => outlet.set_down(true),
-                        Event::Rejoined => outlet.set_down(false),
+                        Event::Rejoined | Event::Resumed => outlet.set_down(false),
                         _ => {}
                     }
                 }
@@ -107,6 +107,7 @@ fn log(event: &Event) {
         Event::Lagged(count) => tracing::error!(count, "events were lost; the arm stops"),
         Event::LinkDown => tracing::warn!("the link is lost; the arm halts"),
         Event::Rejoined => tracing::info!("joined again"),
+        Event::Resumed => tracing::info!("the link goes on; the arm is at rest"),
         event => tracing::debug!(?event),
     }
 }

@@ -4,6 +4,7 @@ use std::future::Future;
 use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::pin::pin;
+use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 use clap::Parser;
@@ -11,6 +12,9 @@ use mom_camera::{CameraOptions, CameraSettings, SettingsChange, View, peer};
 use mom_client::{Client, Identity, Key, Proof};
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
+
+/// For how long the hub keeps its place when the connection is lost.
+const GRACE: Duration = Duration::from_secs(30);
 
 const EXAMPLES: &str = "\
 Examples:
@@ -93,6 +97,7 @@ async fn main() -> anyhow::Result<()> {
     let mut builder = Client::builder(&args.hub)
         .user(&args.user)
         .proof(proof(&args)?)
+        .link(GRACE)
         .wait_for_hub();
     if args.report {
         builder = builder.report_failures("mom-camera", env!("CARGO_PKG_VERSION"));

@@ -118,7 +118,7 @@ pub async fn run(
                 server.handle_token(&event);
                 match event {
                     Event::LinkDown => tracing::warn!("the link is lost"),
-                    Event::Rejoined | Event::Lagged(_) => ask_owner(&token, &mut server).await,
+                    Event::Rejoined | Event::Resumed | Event::Lagged(_) => ask_owner(&token, &mut server).await,
                     _ => {}
                 }
             }

@@ -42,7 +42,7 @@ impl Outbox {
             return false;
         }
         way.link = Some(Box::new(Link {
-            ledger: Ledger::new(limit),
+            ledger: Ledger::after_next(limit),
             paths: None,
         }));
         true

@@ -37,7 +37,7 @@ impl Link {
         let (decoder, bytes) = decoder();
         let mut link = Link {
             queue: queue(1 << 24),
-            ledger: Ledger::new(limit),
+            ledger: Ledger::after_next(limit),
             batch: VecDeque::new(),
             bytes,
             decoder,

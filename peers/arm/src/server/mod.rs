@@ -107,7 +107,7 @@ impl RobotServer {
                 state
             })),
             // Without names of who joined, all are told.
-            Event::Count(_) | Event::Rejoined => self.report(out),
+            Event::Count(_) | Event::Rejoined | Event::Resumed => self.report(out),
             Event::Grabbed { fence, .. } => {
                 let agreed = std::mem::take(&mut self.handing_over);
                 self.change_owner(agreed, *fence, now, out);
