@@ -6,6 +6,7 @@ use std::process::{Command, Stdio};
 use anyhow::{Context as _, Result, bail};
 
 use crate::command::{cargo, line, output, shows};
+use crate::javascript;
 use crate::test::Counts;
 
 /// Where the packages for the client in Python are, from the workspace's folder; `cargo xtask test --install` makes it.
@@ -21,11 +22,12 @@ pub(crate) fn test(root: &Path) -> Result<Counts> {
             line(&build)
         );
     }
+    let broker = target(root).join("debug/mom-broker");
     let mut pytest = Command::new(root.join(PYTHON));
     pytest
         .args(["-m", "pytest"])
         .current_dir(root.join("clients/python"))
-        .env("MOM_BROKER", target(root).join("debug/mom-broker"))
+        .env("MOM_BROKER", &broker)
         .stdin(Stdio::null())
         .stdout(Stdio::piped());
     println!("$ {} (clients/python)", line(&pytest));
@@ -34,7 +36,8 @@ pub(crate) fn test(root: &Path) -> Result<Counts> {
         .with_context(|| format!("{PYTHON} cannot be started: `cargo xtask test --install` makes it"))?;
     let text = String::from_utf8_lossy(&said.stdout);
     print!("{text}");
-    Ok(counted(&text).concluded(said.status.success()))
+    let python = counted(&text).concluded(said.status.success());
+    Ok(python.and(javascript::test(root, &broker)?))
 }
 
 /// Writes the client of this language as a package; says where it is.
@@ -51,7 +54,8 @@ pub(crate) fn pack(root: &Path, language: &str) -> Result<()> {
             println!("in {}", target(root).join("packages").display());
             Ok(())
         }
-        other => bail!("there is no client in {other:?} to be packed: python"),
+        "javascript" => javascript::pack(root, &target(root).join("packages")),
+        other => bail!("there is no client in {other:?} to be packed: python, javascript"),
     }
 }
 

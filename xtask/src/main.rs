@@ -15,6 +15,7 @@ mod command;
 mod dist;
 mod experiments;
 mod instructions;
+mod javascript;
 mod long;
 mod mutants;
 mod needs;
@@ -91,7 +92,7 @@ enum Task {
     },
     /// Write a client in another language as a package, into target/packages.
     Pack {
-        /// Its language: python.
+        /// Its language: python or javascript.
         language: String,
         #[command(flatten)]
         install: InstallArgs,

@@ -6,6 +6,7 @@ use anyhow::{Result, bail};
 
 use crate::clients::PYTHON;
 use crate::command::{shows, succeeds};
+use crate::javascript;
 
 /// The folder of `PYTHON`.
 const PYTHON_FOLDER: &str = "target/python";
@@ -23,7 +24,7 @@ pub(crate) struct Need {
     why: &'static str,
 }
 
-/// Where a need comes from. A new kind of package (npm) is one variant here and one arm in `commands`.
+/// Where a need comes from. A new kind of package is one variant here and one arm in `commands`.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Source {
     /// A package of Debian and its relatives.
@@ -34,6 +35,8 @@ enum Source {
     Rustup(&'static str),
     /// Packages of PyPI, into a folder of their own below `target`.
     PyPi(&'static [&'static str]),
+    /// The packages of npm that the lock file in this folder names.
+    Npm(&'static str),
     /// Nothing that should be installed behind one's back; the text says how to get it.
     ByHand(&'static str),
 }
@@ -77,6 +80,24 @@ pub(crate) const FOR_CLIENTS: &[Need] = &[
         ),
         source: Source::PyPi(PYTHON_PACKAGES),
         why: "the client in Python and its tests",
+    },
+    Need {
+        what: "Node 20 or newer, with npm",
+        detect: (
+            "sh",
+            &[
+                "-c",
+                "npm --version && node -e 'process.exit(+(parseInt(process.versions.node) < 20))'",
+            ],
+        ),
+        source: Source::ByHand("install it from https://nodejs.org or by your system's packages"),
+        why: "the client in JavaScript is built and tested by it",
+    },
+    Need {
+        what: "packages for clients/js",
+        detect: ("npm", &["ls", "--prefix", javascript::FOLDER]),
+        source: Source::Npm(javascript::FOLDER),
+        why: "the client in JavaScript and its tests",
     },
 ];
 
@@ -262,7 +283,7 @@ pub(crate) fn ensure(needs: &[Need], install: bool, task: &str) -> Result<()> {
     if let Some(need) = missing(&absent).first() {
         match need.source {
             Source::ByHand(how) => bail!("{} is missing: {how}, then run `{task}` again", need.what),
-            Source::Debian(_) | Source::Crate(_) | Source::Rustup(_) | Source::PyPi(_) => bail!(
+            _ => bail!(
                 "{} was installed, but `{} {}` still fails: run it by hand to see why",
                 need.what,
                 need.detect.0,
@@ -319,6 +340,7 @@ fn commands(needs: &[Need], prefix: &[String]) -> Vec<Vec<String>> {
                 let install = words(&[], &[PYTHON, "-m", "pip", "install", "--quiet"]);
                 all.push(words(&install, packages));
             }
+            Source::Npm(folder) => all.push(words(&[], &["npm", "ci", "--prefix", folder])),
             Source::Rustup(component) => all.push(words(&[], &["rustup", "component", "add", component])),
             Source::ByHand(_) => {}
         }

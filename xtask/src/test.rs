@@ -11,6 +11,7 @@ use anyhow::{Context as _, Result};
 
 use crate::clients;
 use crate::command::{cargo, line};
+use crate::javascript;
 
 /// How many tests passed and failed; shown as `N passed, N failed`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -78,6 +79,8 @@ impl fmt::Display for Counts {
 
 /// Runs the tests with their output shown. The caller prints the counts, because they have to be the last line.
 pub(crate) fn run(root: &Path, args: &[String]) -> Result<Counts> {
+    // Dialogues run through it.
+    javascript::build(root)?;
     let mut command = cargo(root);
     command.args(arguments(args)).stdout(Stdio::piped());
     println!("$ {}", line(&command));

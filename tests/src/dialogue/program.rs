@@ -7,7 +7,7 @@
 
 use std::process::Stdio;
 
-use mom_net::{Address, NetError, Transceiver};
+use mom_net::{Address, Door, NetError, Transceiver};
 use mom_proto::Limits;
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::net::{TcpListener, TcpStream};
@@ -16,10 +16,26 @@ use tokio::process::{Child, ChildStdin, ChildStdout, Command};
 use super::root;
 
 /// The programs, by language: the command that starts one, from the project's folder.
-pub const CLIENTS: [Client; 1] = [Client {
-    language: "python",
-    command: &["target/python/bin/python", "clients/python/tests/adapter.py"],
-}];
+pub const CLIENTS: [Client; 2] = [
+    Client {
+        language: "python",
+        command: &["target/python/bin/python", "clients/python/tests/adapter.py"],
+        doors: &[
+            (Door::Stream, false),
+            (Door::Stream, true),
+            (Door::WebSocket, false),
+            (TUNNEL, false),
+        ],
+    },
+    // It trusts the certificates that browsers trust, and no fingerprint.
+    Client {
+        language: "javascript",
+        command: &["node", "clients/js/test/adapter.mjs"],
+        doors: &[(Door::WebSocket, false), (TUNNEL, false)],
+    },
+];
+
+const TUNNEL: Door = Door::Tunnel { polled: false };
 
 /// A client in another language.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,6 +43,8 @@ pub struct Client {
     /// What it is written in.
     pub language: &'static str,
     command: &'static [&'static str],
+    /// The doors that it can take, with TLS or without: through the first go all dialogues.
+    pub doors: &'static [(Door, bool)],
 }
 
 impl Client {
@@ -36,15 +54,20 @@ impl Client {
         let failed = |error: std::io::Error| {
             format!("{program} does not run: {error}; `cargo xtask test --install` installs what it needs")
         };
-        let mut child = Command::new(root().join(program))
-            .args(args)
-            .arg(address.to_string())
-            .current_dir(root())
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .kill_on_drop(true)
-            .spawn()
-            .map_err(failed)?;
+        let inside = program.contains('/');
+        let mut child = Command::new(if inside {
+            root().join(program)
+        } else {
+            program.into()
+        })
+        .args(args)
+        .arg(address.to_string())
+        .current_dir(root())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .kill_on_drop(true)
+        .spawn()
+        .map_err(failed)?;
         let (Some(input), Some(output)) = (child.stdin.take(), child.stdout.take()) else {
             return Err(format!("{program} has no pipes"));
         };

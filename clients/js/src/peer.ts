@@ -1,0 +1,523 @@
+// One peer: what it wants and knows, over one connection after another.
+import { shown } from "./address.js";
+import { HubClock } from "./clock.js";
+import { Connector } from "./connector.js";
+import { MomError, disconnected } from "./error.js";
+import { type Event, type Events, Subscribers, eventOf } from "./events.js";
+import { Guards, type Hold } from "./guards.js";
+import { Ledger } from "./ledger.js";
+import type { Link, Welcome } from "./login.js";
+import type { ConnectOptions, LinkState } from "./options.js";
+import { type Entry, MOST_PRIORITY, Outbox } from "./outbox.js";
+import type { Parcel } from "./parcel.js";
+import { Pending } from "./pending.js";
+import { type Place, Places, wayTo } from "./places.js";
+import { Queue } from "./queue.js";
+import { type Fields, Time, fieldsOf, int, wallMicros } from "./value.js";
+import type { Wire } from "./wire.js";
+
+/** Sent messages whose refusal is still told by the channel that they were sent to. */
+const REMEMBERED = 1024;
+const LAST_WORDS = 1000;
+
+/** A question of the hub to a peer that manages a context. */
+export type ConsultListener = (parcel: Parcel) => void;
+
+export class Peer {
+  state: LinkState = { state: "trying", attempt: 0 };
+  me: Welcome | null = null;
+  readonly clock = new HubClock();
+  readonly places = new Places();
+  readonly guards = new Guards((hold) => this.#renew(hold));
+  readonly pending = new Pending();
+  readonly subscribers: Subscribers;
+  readonly consults = new Set<ConsultListener>();
+  readonly onQueued = new Map<string, (place: number, expected: number | undefined) => void>();
+  readonly onGrabbed = new Map<string, (grant: Fields) => boolean>();
+  readonly outbox = new Outbox((parcel, reason) => this.#lostMessage(parcel, reason));
+  readonly connector: Connector;
+  readonly #states = new Set<Queue<LinkState>>();
+  #link: Link | null = null;
+  #ledger = new Ledger();
+  #wire: Wire | null = null;
+  /** The hub's reason for closing. */
+  #closing: MomError | null = null;
+  #ending = false;
+  #lastId = 0;
+  #heard = 0;
+  #pinged = 0;
+  /** Messages that wait for the outbox, one after the other. */
+  #turns = 0;
+  #turn: Promise<void> = Promise.resolve();
+  #sentTo = new Map<number, string>();
+  #graceOver: ReturnType<typeof setTimeout> | undefined;
+  #endServing: (why: string) => void = () => undefined;
+  #noteClosed: () => void = () => undefined;
+  /** Fulfilled when it is closed for good. */
+  readonly closed = new Promise<void>((resolve) => (this.#noteClosed = resolve));
+
+  constructor(address: string, readonly options: ConnectOptions) {
+    this.subscribers = new Subscribers(options.eventBuffer ?? 4096, (event) => this.#isOver(event));
+    this.connector = new Connector(address, options, () => ++this.#lastId);
+    this.outbox.wrote = (entry) => this.#link && this.#ledger.wrote(entry);
+    // What is not known to be read is kept, and has the same bound as at the hub; a stop does not wait for that.
+    this.outbox.permits = (entry) => entry.lane > MOST_PRIORITY || !this.#ledger.bytes || this.#ledger.bytes + entry.frame.length <= this.outbox.most;
+  }
+
+  // The life of the link.
+
+  /** Connects for the first time; then goes on until it is closed. */
+  async start(): Promise<void> {
+    this.#state({ state: "trying", attempt: 0 });
+    this.options.signal?.addEventListener("abort", () => void this.end(), { once: true });
+    const first = await this.#connect(this.options.connectWithin ?? 60_000).catch((error: unknown) => {
+      this.#close(error as MomError);
+      throw error;
+    });
+    void this.#live(first);
+  }
+
+  async #live(first: () => Promise<string>): Promise<void> {
+    for (let serve = first; ; ) {
+      const why = await serve();
+      const closing = this.#closing;
+      this.#wire = null;
+      this.outbox.detach();
+      if (this.#ending || (closing && !closing.mayReconnect)) return this.#close(this.#ending ? null : closing);
+      const lost = closing ?? disconnected(why);
+      if (closing || !this.#link) this.#lose(lost);
+      else this.#waitForGrace(this.#link.grace, lost);
+      if (this.options.reconnect === false) return this.#close(lost);
+      try {
+        serve = await this.#connect(this.options.giveUpAfter ?? Infinity, lost);
+      } catch (error) {
+        return this.#close(this.#ending ? null : (error as MomError));
+      }
+    }
+  }
+
+  /** After that time the hub has given this peer up. */
+  #waitForGrace(grace: number, lost: MomError): void {
+    clearTimeout(this.#graceOver);
+    this.#graceOver = setTimeout(() => this.#lose(lost), Math.min(grace, 2 ** 31 - 1));
+  }
+
+  /** Tries until there is a connection; gives what serves it to its end. */
+  async #connect(within: number, lost?: MomError): Promise<() => Promise<string>> {
+    const attempts = this.connector.attempts(within);
+    let error = lost;
+    for (let attempt = 0; ; attempt++) {
+      if (attempt > 0 || lost) {
+        const state = this.#link ? "resuming" : "trying";
+        this.#state(error ? { state, attempt, error } : { state, attempt });
+        await attempts.wait(error);
+      }
+      try {
+        const link = this.#link;
+        const { wire, resumed, welcome } = await this.connector.connect(link, this.#ledger.read, () => this.#lose(lost ?? disconnected("the link was not resumed")));
+        // Its time may be over meanwhile.
+        if (resumed && link !== this.#link) wire.drop();
+        else if (resumed) return this.#resumed(wire, resumed.read, resumed.content);
+        else if (welcome) return this.#welcomed(wire, welcome, lost !== undefined);
+      } catch (failed) {
+        if (!(failed instanceof MomError)) throw failed;
+        error = failed;
+        const badCount = failed.code === "bad-count" && this.#link !== null;
+        if (failed.kind === "refused" && failed.number >= 300 && this.#link) this.#lose(failed);
+        // A new login counts anew.
+        if (!badCount) attempts.failed(failed);
+      }
+    }
+  }
+
+  /** The link goes on where it was. */
+  #resumed(wire: Wire, read: number, content: Fields): () => Promise<string> {
+    clearTimeout(this.#graceOver);
+    const unread = this.#ledger.resumed(read);
+    if (!unread) {
+      wire.drop();
+      throw new MomError("refused", "bad-count", `the hub has read ${read} parcels, more than were sent`, 408);
+    }
+    const all = [...unread, ...this.outbox.takeAgain()];
+    const goes = (entry: Entry): boolean => entry.reliable && !entry.guarded;
+    // Sent before the safe state, guarded messages must not move anything after it.
+    const dropped = [...all.filter((entry) => !goes(entry)), ...this.outbox.take((entry) => entry.guarded)];
+    this.outbox.again(all.filter(goes), { family: "time", name: "resent" });
+    for (const entry of dropped) this.#lostMessage(entry.parcel, entry.guarded ? "older-fence" : "disconnected");
+    const count = int(content, "dropped") ?? 0;
+    if (count) this.subscribers.deliver([], { type: "dropped", path: "/", reason: "disconnected", count });
+    return this.#up(wire, true);
+  }
+
+  /** A new login: all that is wanted is joined again before anything else is sent. */
+  #welcomed(wire: Wire, welcome: Welcome, again: boolean): () => Promise<string> {
+    [this.me, this.#link, this.#ledger] = [welcome, welcome.link, new Ledger()];
+    [this.outbox.most, this.outbox.parcelLimit] = [welcome.limits.outbox, welcome.limits.parcel];
+    const places = this.places.all();
+    if (again && !places.length) this.subscribers.deliver([], { type: "rejoined" });
+    const serve = this.#up(wire, false);
+    for (const place of again ? places : []) {
+      place.joined = this.#join(place);
+      place.joined.then(
+        () => this.subscribers.deliver([place.path], { type: "rejoined" }),
+        (error: MomError) => {
+          if (error.kind !== "refused") return;
+          this.subscribers.deliver([place.path], { type: "refused", path: place.path, error, id: undefined });
+          this.#forget(place.path);
+        },
+      );
+    }
+    return serve;
+  }
+
+  #up(wire: Wire, resumed: boolean): () => Promise<string> {
+    this.#wire = wire;
+    this.#closing = null;
+    this.#heard = performance.now();
+    wire.frames.most = this.me!.limits.parcel;
+    wire.beforePong = () => this.#tell();
+    if (!resumed) this.clock.forget();
+    this.#state({ state: "connected", door: shown(wire.pipe.door), resumed });
+    return () => this.#serve(wire);
+  }
+
+  /** Serves a connection to its end; gives why it ended. */
+  #serve(wire: Wire): Promise<string> {
+    const { heartbeat, gone } = this.me!.limits;
+    return new Promise((resolve) => {
+      const keeper = setInterval(() => this.#keep(heartbeat, gone), heartbeat / 4);
+      this.#endServing = (why) => {
+        clearInterval(keeper);
+        wire.drop();
+        resolve(why);
+      };
+      this.#ping();
+      wire.take({
+        parcel: (parcel, size) => this.#receive(parcel, size),
+        drained: () => this.pump(),
+        ended: (why) => this.#endServing(why),
+      });
+      this.pump();
+    });
+  }
+
+  #keep(heartbeat: number, gone: number): void {
+    const now = performance.now();
+    const silent = now - this.#heard;
+    if (silent > gone) return this.#endServing("the hub has been silent for too long");
+    if (silent > 1.5 * heartbeat && this.state.state === "connected") this.#state({ state: "stale" });
+    if (now - this.#pinged >= heartbeat) this.#ping();
+  }
+
+  #ping(): void {
+    if (!this.#wire) return;
+    this.#pinged = performance.now();
+    this.#tell();
+    const id = ++this.#lastId;
+    const sent = wallMicros();
+    this.clock.asks(id, sent);
+    this.#wire.post({ family: "time", name: "ping", id, content: { sent: new Time(BigInt(Math.round(sent))) } });
+  }
+
+  /** Says how much was read. */
+  #tell(): void {
+    const read = this.#link ? this.#ledger.tell() : null;
+    if (read !== null) this.#wire?.post({ family: "time", name: "ack", content: { read } });
+  }
+
+  /** Everything that belonged to the old link is lost. */
+  #lose(error: MomError): void {
+    clearTimeout(this.#graceOver);
+    [this.#link, this.#ledger] = [null, new Ledger()];
+    this.connector.numbers.clear();
+    this.guards.loseWithin("/", { reason: "disconnected" });
+    const unsent = this.outbox.take(() => true);
+    this.pending.failAll(error);
+    for (const entry of unsent) this.#lostMessage(entry.parcel, "disconnected");
+    this.subscribers.deliverAll({ type: "link-down" });
+    if (this.state.state === "resuming") this.#state({ ...this.state, state: "trying" });
+  }
+
+  #close(error: MomError | null): void {
+    clearTimeout(this.#graceOver);
+    this.#ending = true;
+    const closed = new MomError("closed", error?.code ?? "disconnected", error ? `closed: ${error.text}` : "this client is closed", error?.number ?? 305, error?.content);
+    this.#link = null;
+    this.outbox.take(() => true);
+    this.guards.loseWithin("/", { reason: "disconnected" });
+    this.pending.failAll(closed);
+    this.subscribers.closeAll();
+    this.#state(error ? { state: "closed", error } : { state: "closed" });
+    for (const queue of this.#states) queue.close();
+    this.#noteClosed();
+  }
+
+  /** Logs out after everything that was sent before. */
+  async end(): Promise<void> {
+    if (this.#ending) return this.closed;
+    this.#ending = true;
+    this.connector.end();
+    if (!this.#wire) return this.closed;
+    const id = ++this.#lastId;
+    const answered = this.pending.wait({ family: "login", name: "logout" }, id, LAST_WORDS).catch(() => undefined);
+    this.outbox.put({ family: "login", name: "logout", id }, { reliable: true, guarded: false }, true);
+    this.pump();
+    await answered;
+    this.#endServing("logged out");
+    return this.closed;
+  }
+
+  #state(state: LinkState): void {
+    this.state = state;
+    for (const queue of this.#states) queue.push(state);
+    this.options.onState?.(state);
+  }
+
+  /** The states from now on, the present one first. */
+  states(): Queue<LinkState> {
+    const queue = new Queue<LinkState>(1024, () => this.state, () => this.#states.delete(queue));
+    queue.push(this.state);
+    if (this.state.state === "closed") queue.close();
+    else this.#states.add(queue);
+    return queue;
+  }
+
+  // What comes.
+
+  #receive(parcel: Parcel | null, size: number): void {
+    this.#heard = performance.now();
+    if (this.state.state === "stale") this.#state({ state: "connected", door: shown(this.#wire!.pipe.door), resumed: false });
+    if (parcel?.family === "time") return this.#time(parcel);
+    if (this.#link && this.#ledger.heard(size)) this.#tell();
+    if (!parcel?.name) return;
+    if (parcel.family === "reply" || parcel.family === "error") this.#answer(parcel);
+    else if (parcel.family === "manager") for (const listener of this.consults) listener(parcel);
+    else this.#event(parcel);
+  }
+
+  #time(parcel: Parcel): void {
+    const fields = fieldsOf(parcel.content);
+    if (parcel.name === "pong") this.clock.answered(parcel.reference, fields["received"], fields["sent"]);
+    else if (parcel.name === "ack" && this.#link) {
+      if (!this.#ledger.acknowledged(int(fields, "read") ?? -1)) {
+        this.#link = null;
+        return this.#endServing("the hub acknowledges what was never sent");
+      }
+      this.pump();
+    }
+  }
+
+  #answer(parcel: Parcel): void {
+    if (this.pending.answer(parcel) || parcel.family === "reply") return;
+    const error = MomError.of(parcel);
+    if (error.number >= 300 && error.number < 500) {
+      this.#closing = error;
+      return;
+    }
+    const path = this.#sentTo.get(parcel.reference ?? -1);
+    this.subscribers.deliver(path === undefined ? [] : [path], { type: "refused", path, error, id: parcel.reference });
+  }
+
+  #event(parcel: Parcel): void {
+    const event = eventOf(parcel);
+    const path = parcel.context ?? "/";
+    switch (event.type) {
+      case "grabbed":
+      case "released":
+      case "inhibited":
+      case "uninhibited":
+        return this.#tokenEvent(event, parcel);
+      case "queued":
+        this.onQueued.get(path)?.(event.place, event.expected);
+        break;
+      case "deleted":
+        this.subscribers.deliver([...new Set([path, event.path])], event);
+        return this.#forget(event.path);
+      case "expelled":
+        this.subscribers.deliver([path], event);
+        if (event.peer === this.me?.peer) this.#forget(path);
+        return;
+    }
+    this.subscribers.deliver([path], event);
+  }
+
+  #tokenEvent(event: Event & { path: string }, parcel: Parcel): void {
+    const channels = this.places.guardedBy(event.path);
+    const grant = fieldsOf(parcel.content);
+    if (event.type === "grabbed") {
+      for (const { guard } of channels) if (guard) [guard.fence, guard.owner] = [event.fence, event.owner];
+      if (event.owner === this.me?.peer && this.onGrabbed.get(event.path)?.(grant)) this.onGrabbed.delete(event.path);
+    } else if (event.type === "released") {
+      for (const { guard } of channels) delete guard?.owner;
+      if (event.owner === this.me?.peer) this.guards.released(event.path, event.fence, { reason: event.reason, ...(event.by === undefined ? {} : { by: event.by }) });
+    } else if (event.type === "uninhibited" && event.peer === this.me?.peer) {
+      this.guards.unshared(event.path, { reason: event.reason ?? "released" });
+    }
+    this.subscribers.deliver([event.path, ...channels.map((place) => place.path)], event);
+  }
+
+  /** This peer is not there any more. */
+  #forget(path: string): void {
+    this.places.removeWithin(path);
+    this.guards.loseWithin(path, { reason: "left" });
+    this.subscribers.closeWithin(path);
+  }
+
+  #isOver(event: Event): boolean {
+    const over = event.type === "message" && this.clock.isExpired(event.parcel);
+    if (over) this.clock.expired += 1;
+    return over;
+  }
+
+  // What goes.
+
+  pump(): void {
+    if (this.#wire) this.outbox.pump(this.#wire.pipe);
+  }
+
+  /** That something can be sent now or, while a link is resumed, later. */
+  #check(): void {
+    if (this.#ending) throw new MomError("closed", "disconnected", "this client is closed");
+    if (!this.#wire && !this.#link) throw disconnected("there is no connection to the hub at this moment");
+  }
+
+  /** Puts a message into the outbox in its turn, where it is full as soon as it is not; a stop waits for nothing. */
+  async #putInTurn(parcel: Parcel): Promise<void> {
+    const free = !this.#turns && this.outbox.bytes < this.outbox.most;
+    if (free || parcel.name === "stop") return this.#put(parcel);
+    this.#turns += 1;
+    const before = this.#turn;
+    this.#turn = (async () => {
+      await before.catch(() => undefined);
+      try {
+        while (this.outbox.bytes >= this.outbox.most) {
+          await this.outbox.room();
+          this.#check();
+        }
+        this.#put(parcel);
+      } finally {
+        this.#turns -= 1;
+      }
+    })();
+    return this.#turn;
+  }
+
+  #put(parcel: Parcel): void {
+    const place = this.places.get(parcel.context ?? "");
+    const message = parcel.family === "message";
+    const reliable = !message || (parcel.delivery ?? place?.delivery ?? "reliable") === "reliable";
+    const guarded = message && this.places.isGuarded(parcel.context, parcel.name);
+    if (guarded && !this.#wire) {
+      throw new MomError("connection", "older-fence", `${parcel.name} was not sent: the connection is lost, and what ${parcel.context} moves was made safe meanwhile`, 205);
+    }
+    this.outbox.put(parcel, { reliable, guarded });
+    this.pump();
+  }
+
+  /** Sends a request and waits for its answer. */
+  async request(parcel: Parcel, timeout = this.options.requestTimeout ?? 40_000, late?: (reply: Parcel) => void): Promise<Parcel> {
+    this.#check();
+    const id = parcel.id ?? ++this.#lastId;
+    const sent = { ...parcel, id, timestamp: parcel.timestamp ?? Time.now() };
+    const answer = this.pending.wait(sent, id, timeout, late);
+    // It may fail while the message still waits.
+    answer.catch(() => undefined);
+    try {
+      if (parcel.family === "message") await this.#putInTurn(sent);
+      else this.#put(sent);
+    } catch (error) {
+      this.pending.fail(id, error as MomError);
+    }
+    return answer;
+  }
+
+  /** Sends a parcel without waiting for an answer. */
+  async post(parcel: Parcel): Promise<void> {
+    this.#check();
+    const id = parcel.id ?? ++this.#lastId;
+    await this.#putInTurn({ ...parcel, id, timestamp: parcel.timestamp ?? Time.now() });
+    if (parcel.context === undefined) return;
+    this.#sentTo.set(id, parcel.context);
+    for (const old of this.#sentTo.keys()) {
+      if (this.#sentTo.size <= REMEMBERED) break;
+      this.#sentTo.delete(old);
+    }
+  }
+
+  /** A message will not be sent. */
+  #lostMessage(parcel: Parcel, reason: string): void {
+    const { id, context: path = "/", delivery } = parcel;
+    if (id !== undefined && this.pending.has(id)) {
+      this.pending.fail(id, new MomError("connection", reason, `${parcel.name} was dropped before it was sent`, 305));
+    } else if (parcel.family === "message") {
+      this.subscribers.deliver([path], { type: "dropped", path, reason, count: 1, parcel, ...(delivery ? { delivery } : {}) });
+    }
+  }
+
+  // Contexts.
+
+  async #join(place: Place): Promise<Fields> {
+    const parcel: Parcel = { family: "context", name: "join", context: place.path };
+    if (place.terms) parcel.content = place.terms;
+    // From here on, since what comes right behind the answer is its first subscriber's.
+    this.subscribers.keepEarly(place.path);
+    const reply = fieldsOf((await this.request(parcel)).content);
+    this.places.joined(place, reply);
+    return reply;
+  }
+
+  /** Joins a context, parents first. */
+  async enter(path: string, kind?: string, terms?: Fields): Promise<void> {
+    if (!/^\/([^/]+(\/[^/]+)*)?$/.test(path)) throw new MomError("local", "bad-path", `${JSON.stringify(path)} is no path: write / or /a/b`, 221);
+    const entered: Place[] = [];
+    for (const each of wayTo(path)) {
+      let place = this.places.get(each);
+      const wanted = each === path ? terms : undefined;
+      if (!place || wanted) {
+        place ??= this.places.add(each, wanted);
+        place.terms = wanted ?? place.terms;
+        place.joined = this.#join(place);
+        const own = place.joined;
+        own.catch(() => place?.joined === own && this.places.remove(place));
+      }
+      entered.push(place);
+    }
+    for (const place of entered) await place.joined;
+    const found = entered.at(-1)?.kind ?? "session";
+    if (kind !== undefined && found !== kind) throw new MomError("local", "wrong-kind", `${path} is a ${found}, no ${kind}`, 215);
+  }
+
+  /** Leaves a context and all below it. */
+  async leave(path: string): Promise<void> {
+    this.places.removeWithin(path);
+    try {
+      await this.request({ family: "context", name: "leave", context: path });
+    } finally {
+      this.#forget(path);
+    }
+  }
+
+  events(path: string): Events {
+    return this.subscribers.subscribe(path);
+  }
+
+  #renew(hold: Hold): void {
+    this.request({ family: "token", name: "renew", context: hold.path }).then(
+      (reply) => hold.terms(fieldsOf(reply.content)),
+      (error: MomError) => {
+        if (error.kind === "refused" && !error.mayRetry) this.guards.released(hold.path, hold.fence, { reason: error.code });
+        else if (!hold.is) hold.terms({ lease: hold.lease ?? undefined, deadman: hold.deadman ?? undefined });
+      },
+    );
+  }
+
+  /** Takes the answer to a login on a live connection. */
+  renewed(welcome: Welcome): void {
+    if (this.me && welcome.user !== this.me.user) {
+      // Another user is another peer, and nothing of the old one belongs to it.
+      this.#lose(disconnected("logged in as another user"));
+      this.places.removeWithin("/");
+    }
+    this.me = welcome;
+  }
+}

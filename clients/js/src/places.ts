@@ -1,0 +1,80 @@
+// The contexts that this peer wants to be in.
+import { type Fields, fieldsOf, int, isFields, list, text } from "./value.js";
+import type { Delivery } from "./parcel.js";
+
+/** The token that guards a channel, as far as is known. */
+export interface GuardState {
+  token: string;
+  /** The names of messages that only the owner may send; `*` is all. */
+  names: string[];
+  /** The present fence. */
+  fence: number;
+  owner?: string;
+}
+
+/** One of them. */
+export interface Place {
+  readonly path: string;
+  /** What its join asks for. */
+  terms: Fields | undefined;
+  /** The reply of the hub, or why there is none. */
+  joined: Promise<Fields>;
+  kind: string;
+  delivery: Delivery;
+  guard: GuardState | null;
+}
+
+/** The path and those above it, the uppermost first, without the root. */
+export function wayTo(path: string): string[] {
+  const segments = path.split("/").slice(1);
+  return path === "/" ? [] : segments.map((_, place) => `/${segments.slice(0, place + 1).join("/")}`);
+}
+
+export class Places {
+  readonly #all = new Map<string, Place>();
+
+  get(path: string): Place | undefined {
+    return this.#all.get(path);
+  }
+
+  /** Parents come first, since they were entered first. */
+  all(): Place[] {
+    return [...this.#all.values()];
+  }
+
+  add(path: string, terms: Fields | undefined): Place {
+    const place: Place = { path, terms, joined: Promise.resolve({}), kind: "", delivery: "reliable", guard: null };
+    this.#all.set(path, place);
+    return place;
+  }
+
+  /** Takes what the hub says to a join. */
+  joined(place: Place, reply: Fields): void {
+    place.kind = text(reply, "kind") ?? "";
+    place.delivery = (text(reply, "delivery") ?? "reliable") as Delivery;
+    const guard = fieldsOf(reply["guard"]);
+    const [token, owner] = [text(guard, "token"), text(guard, "owner")];
+    place.guard = null;
+    if (!isFields(reply["guard"]) || token === undefined) return;
+    place.guard = { token, names: list(guard, "names").map(String), fence: int(guard, "fence") ?? 0, ...(owner === undefined ? {} : { owner }) };
+  }
+
+  remove(place: Place): void {
+    if (this.#all.get(place.path) === place) this.#all.delete(place.path);
+  }
+
+  removeWithin(top: string): void {
+    for (const path of [...this.#all.keys()]) if (top === "/" || path === top || path.startsWith(`${top}/`)) this.#all.delete(path);
+  }
+
+  /** The channels that a token guards. */
+  guardedBy(token: string): Place[] {
+    return this.all().filter((place) => place.guard?.token === token);
+  }
+
+  /** Whether a token guards messages of this name there. */
+  isGuarded(path: string | undefined, name: string): boolean {
+    const names = this.#all.get(path ?? "")?.guard?.names;
+    return names !== undefined && (names.includes("*") || names.includes(name));
+  }
+}

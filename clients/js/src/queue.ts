@@ -1,0 +1,76 @@
+/** Things in their order, for one who takes them; beyond the most the oldest are dropped and counted. */
+export class Queue<T> implements AsyncIterableIterator<T> {
+  #waiting: T[] = [];
+  #takers: ((result: IteratorResult<T>) => void)[] = [];
+  #lost = 0;
+  #closed = false;
+
+  constructor(
+    public most: number,
+    /** What tells of those that were dropped. */
+    readonly lagged: (count: number) => T,
+    /** Called when nobody takes more. */
+    readonly ends: (queue: Queue<T>) => void,
+    /** Which are not given out. */
+    readonly skips: (item: T) => boolean = () => false,
+  ) {}
+
+  get length(): number {
+    return this.#waiting.length;
+  }
+
+  /** @internal */
+  push(item: T): void {
+    if (this.#closed) return;
+    const taker = this.#takers.shift();
+    if (taker && !this.skips(item)) return taker({ done: false, value: item });
+    if (taker) {
+      this.#takers.unshift(taker);
+      return;
+    }
+    this.#waiting.push(item);
+    if (this.#waiting.length > this.most) {
+      this.#waiting.shift();
+      this.#lost += 1;
+    }
+  }
+
+  /** @internal What waits can still be taken. */
+  close(): void {
+    this.#closed = true;
+    for (const taker of this.#takers.splice(0)) taker({ done: true, value: undefined });
+  }
+
+  /** The next one, if one waits. */
+  tryNext(): T | undefined {
+    if (this.#lost > 0) {
+      const lost = this.#lost;
+      this.#lost = 0;
+      return this.lagged(lost);
+    }
+    for (;;) {
+      if (!this.#waiting.length) return undefined;
+      const item = this.#waiting.shift()!;
+      if (!this.skips(item)) return item;
+    }
+  }
+
+  next(): Promise<IteratorResult<T>> {
+    const item = this.tryNext();
+    if (item !== undefined) return Promise.resolve({ done: false, value: item });
+    if (this.#closed) return Promise.resolve({ done: true, value: undefined });
+    return new Promise((resolve) => this.#takers.push(resolve));
+  }
+
+  /** Nobody takes more. */
+  return(): Promise<IteratorResult<T>> {
+    this.close();
+    this.#waiting = [];
+    this.ends(this);
+    return Promise.resolve({ done: true, value: undefined });
+  }
+
+  [Symbol.asyncIterator](): this {
+    return this;
+  }
+}

@@ -1,0 +1,191 @@
+import type { Door } from "./address.js";
+import { PREFACE, decode, encode } from "./binary.js";
+import { MomError, disconnected } from "./error.js";
+import { Frames } from "./frames.js";
+import type { Parcel } from "./parcel.js";
+import type { Heard, Pipe, WebSocketClass } from "./pipe.js";
+import { Time } from "./value.js";
+import { openTunnel } from "./tunnel.js";
+import { openWebSocket } from "./websocket.js";
+
+/** Who uses a connection. */
+export interface Listener {
+  /** A parcel was read whole; null for one that says nothing to this client. */
+  parcel(parcel: Parcel | null, size: number): void;
+  drained(): void;
+  ended(why: string): void;
+}
+
+/** How a connection reads and answers. */
+export interface WireOptions {
+  /** Maps as `Map`, whole doubles as `Double`. */
+  exact?: boolean;
+  /** Whether pongs tell the time, so that the hub measures this clock. */
+  stamps?: boolean;
+}
+
+/** One connection to a hub: parcels both ways. Until somebody takes it, what comes waits. */
+export class Wire implements Heard {
+  pipe!: Pipe;
+  /** Called before a pong. */
+  beforePong: () => void = () => undefined;
+  /** The paths of contexts that the hub names by number. */
+  numbers = new Map<number, string>();
+  readonly frames = new Frames();
+  #waiting: [Parcel | null, number][] = [];
+  #wake: () => void = () => undefined;
+  #listener: Listener | null = null;
+  #ended: string | null = null;
+
+  constructor(readonly options: WireOptions = {}) {}
+
+  bytes(bytes: Uint8Array): void {
+    if (this.#ended !== null) return;
+    try {
+      for (const frame of this.frames.push(bytes)) this.#frame(frame);
+    } catch (error) {
+      if (!(error instanceof MomError)) throw error;
+      this.pipe.close();
+      this.end(error.message);
+    }
+  }
+
+  drained(): void {
+    this.#listener?.drained();
+  }
+
+  end(why: string): void {
+    if (this.#ended !== null) return;
+    this.#ended = why;
+    this.#wake();
+    this.#listener?.ended(why);
+  }
+
+  /** Sends a parcel at once. */
+  post(parcel: Parcel): void {
+    this.pipe.send(encode(parcel));
+  }
+
+  /** The next parcel, before anybody takes the connection. */
+  async next(): Promise<Parcel> {
+    for (;;) {
+      const [parcel] = this.#waiting.shift() ?? [];
+      if (parcel) return parcel;
+      if (parcel === null) continue;
+      if (this.#ended !== null) throw disconnected(this.#ended);
+      await new Promise<void>((resolve) => (this.#wake = resolve));
+    }
+  }
+
+  /** Gives a listener what comes from now on, and what waits. */
+  take(listener: Listener): void {
+    this.#listener = listener;
+    for (const [parcel, size] of this.#waiting.splice(0)) listener.parcel(parcel, size);
+    if (this.#ended !== null) listener.ended(this.#ended);
+  }
+
+  /** Nobody hears anything of it any more. */
+  drop(): void {
+    this.#listener = null;
+    this.#ended ??= "it was given up";
+    this.#wake();
+    this.pipe?.close();
+  }
+
+  #frame(frame: Uint8Array): void {
+    const parcel = this.#read(frame);
+    if (parcel?.family === "time" && parcel.name === "ping") this.#pong(parcel);
+    if (this.#listener) this.#listener.parcel(parcel, frame.length + 5);
+    else {
+      this.#waiting.push([parcel, frame.length + 5]);
+      this.#wake();
+    }
+  }
+
+  #read(frame: Uint8Array): Parcel | null {
+    try {
+      const parcel = decode(frame, this.options.exact);
+      if (parcel?.number !== undefined) {
+        if (parcel.context === undefined) {
+          const path = this.numbers.get(parcel.number);
+          if (path !== undefined) parcel.context = path;
+        } else this.numbers.set(parcel.number, parcel.context);
+      }
+      return parcel;
+    } catch (error) {
+      if (error instanceof MomError) return null;
+      throw error;
+    }
+  }
+
+  #pong(ping: Parcel): void {
+    this.beforePong();
+    const pong: Parcel = { family: "time", name: "pong" };
+    if (ping.id !== undefined) pong.reference = ping.id;
+    if (this.options.stamps !== false) {
+      const received = Time.now();
+      pong.content = { received, sent: received };
+    }
+    this.post(pong);
+  }
+}
+
+/** A door opens so long after the one before it. */
+const STAGGER = 250;
+
+/** Connects through the first of the doors that opens; each is tried 250 ms after the one before, or when that has failed. */
+export async function connectWire(doors: readonly Door[], make: WebSocketClass | undefined, options: WireOptions, signal: AbortSignal): Promise<Wire> {
+  const failures: string[] = [];
+  const tries = doors.map(() => new AbortController());
+  return new Promise<Wire>((resolve, reject) => {
+    let left = doors.length;
+    let started = 0;
+    let settled = false;
+    const settle = (): void => {
+      settled = true;
+      clearTimeout(timer);
+    };
+    let timer: ReturnType<typeof setTimeout>;
+    const giveUp = (): void => {
+      settle();
+      for (const each of tries) each.abort();
+      reject(disconnected(`no door opened in time${failures.length ? ` (${failures.join("; ")})` : ""}`));
+    };
+    signal.addEventListener("abort", () => settled || giveUp(), { once: true });
+    const start = (): void => {
+      clearTimeout(timer);
+      const place = started++;
+      const door = doors[place];
+      if (!door || settled) return;
+      timer = setTimeout(start, STAGGER);
+      const wire = new Wire(options);
+      open(door, make, wire, tries[place]!.signal).then(
+        (pipe) => {
+          wire.pipe = pipe;
+          if (settled) return wire.drop();
+          settle();
+          tries.forEach((each, other) => other === place || each.abort());
+          pipe.send(PREFACE);
+          resolve(wire);
+        },
+        (error: unknown) => {
+          const why = error instanceof MomError ? error.text : String(error);
+          failures.push(`${door.kind} ${door.tls ? "with TLS " : ""}at ${door.host}:${door.port}: ${why}`);
+          left -= 1;
+          if (settled) return;
+          if (left === 0) {
+            settle();
+            reject(disconnected(failures.join("; ")));
+          } else start();
+        },
+      );
+    };
+    start();
+  });
+}
+
+async function open(door: Door, make: WebSocketClass | undefined, heard: Heard, aborted: AbortSignal): Promise<Pipe> {
+  if (door.kind === "tunnel") return openTunnel(door, heard, aborted);
+  if (!make) throw disconnected("there is no WebSocket here: give one as `webSocket`, for example that of the package ws");
+  return openWebSocket(door, make, heard, aborted);
+}

@@ -1,0 +1,129 @@
+// Lost connections, against a real broker.
+import assert from "node:assert/strict";
+import test, { after, before } from "node:test";
+import { connect } from "../dist/mom-client.js";
+import { faultyNetwork } from "./fakehub.mjs";
+import { as, startLab, until } from "./lab.mjs";
+
+let lab;
+before(async () => (lab = await startLab()));
+after(() => lab.stop());
+
+for (const [scheme, cuts, least] of [["ws", 50, 1500], ["http", 15, 6000]]) {
+  test(`of ${cuts} lost connections of ${scheme} none loses or repeats a message`, async () => {
+    let seed = 11;
+    const random = () => (seed = (Math.imul(seed, 1103515245) + 12345) & 0x7fffffff) / 0x7fffffff;
+    let made = 0;
+    const network = await faultyNetwork(lab.port, () => (made++ < cuts ? least + Math.floor(random() * 30_000) : Infinity));
+    const bob = await connect(`ws://127.0.0.1:${lab.port}`, as("bob"));
+    const client = await connect(`${scheme}://127.0.0.1:${network.port}`, as("alice"));
+    try {
+      const [here, there] = [await client.channel("/chat"), await bob.channel("/chat")];
+      const [mine, his] = [here.events(), there.events()];
+      const guard = await (await client.token("/robot/token")).grab();
+      const read = async (events) => {
+        const numbers = [];
+        await until(events, (event) => {
+          assert.notEqual(event.type, "link-down");
+          if (event.type === "message" && event.name === "count") numbers.push(event.content);
+          return event.type === "message" && event.name === "end";
+        });
+        return numbers;
+      };
+      const both = [read(mine), read(his)];
+      const asked = [];
+      let number = 0;
+      while (made < cuts) {
+        await here.send("count", number++);
+        if (number % 7 === 0) await here.send("image", new Uint8Array(Math.floor(random() * 50_000)), { priority: -1, echo: false });
+        if (number % 5 === 0) asked.push(here.sendAcknowledged("note", number));
+        await new Promise((resolve) => setTimeout(resolve, client.peer?.outbox.bytes > 100_000 ? 10 : 1));
+      }
+      await here.send("end", null, { priority: -2 });
+      const expected = Array.from({ length: number }, (_, place) => place);
+      for (const numbers of await Promise.all(both)) assert.deepEqual(numbers, expected);
+      for (const receipt of await Promise.all(asked)) assert.equal(receipt.delivered, 2);
+      // The lease of three minutes has lasted.
+      assert.equal(guard.isLost, null);
+      await guard.release();
+    } finally {
+      await client.close();
+      await bob.close();
+      await network.stop();
+    }
+  });
+}
+
+test("a page that lost its WebSocket goes on through the tunnel", async () => {
+  let websockets = true;
+  const network = await faultyNetwork(lab.port, () => Infinity, (first) => websockets || !first.startsWith("GET /mom"));
+  const client = await connect(`mom://127.0.0.1:${network.port}`, as("alice"));
+  try {
+    const [chat, states] = [await client.channel("/chat"), client.states()];
+    assert.match((await until(states, (state) => state.state === "connected")).door, /^ws:/);
+    const events = chat.events();
+    websockets = false;
+    network.cut();
+    await until(states, (state) => state.state === "resuming");
+    await chat.send("chat", "meanwhile");
+    const { door, resumed } = await until(states, (state) => state.state === "connected");
+    assert.deepEqual([door.split(":")[0], resumed], ["http", true]);
+    await until(events, (event) => event.type === "message" && event.content === "meanwhile");
+  } finally {
+    await client.close();
+    await network.stop();
+  }
+});
+
+test("while a driver is lost the robot is safe, and he drives on with the same token", async () => {
+  const network = await faultyNetwork(lab.port, () => Infinity);
+  const bob = await connect(`ws://127.0.0.1:${lab.port}`, as("bob"));
+  const alice = await connect(`ws://127.0.0.1:${network.port}`, as("alice"));
+  try {
+    const heard = (await bob.channel("/robot/arm")).events();
+    const arm = await alice.channel("/robot/arm");
+    const [guard, states] = [await (await alice.token("/robot/token")).grab(), alice.states()];
+    await arm.sendAcknowledged("command", "grip open");
+    await until(heard, (event) => event.type === "message" && event.name === "command");
+    network.cut();
+    await until(heard, (event) => event.type === "message" && event.name === "halt");
+    const lost = await until(heard, (event) => event.type === "lost");
+    assert.ok(lost.member.peer === "alice" && lost.within > 0);
+    const refused = await (await bob.token("/robot/token")).grab().catch((error) => error);
+    assert.deepEqual([refused.code, refused.owner], ["held", "alice"]);
+    await until(states, (state) => state.state === "connected" && state.resumed);
+    assert.equal((await until(heard, (event) => event.type === "resumed")).member.peer, "alice");
+    await arm.sendAcknowledged("command", "grip close");
+    const command = await until(heard, (event) => event.type === "message" && event.name === "command");
+    assert.deepEqual([command.content, command.parcel.fence], ["grip close", guard.fence]);
+    await guard.release();
+  } finally {
+    await alice.close();
+    await bob.close();
+    await network.stop();
+  }
+});
+
+test("who is away for longer than the grace time logs in and joins anew", async () => {
+  let there = true;
+  const network = await faultyNetwork(lab.port, () => Infinity, () => there);
+  const bob = await connect(`ws://127.0.0.1:${lab.port}`, as("bob"));
+  const alice = await connect(`ws://127.0.0.1:${network.port}`, as("alice", { link: { grace: 100 } }));
+  try {
+    const [token, chat] = [await bob.token("/robot/token"), await alice.channel("/chat")];
+    const [his, mine] = [token.events(), chat.events()];
+    const guard = await (await alice.token("/robot/token")).grab();
+    there = false;
+    network.cut();
+    assert.equal((await until(his, (event) => event.type === "released")).reason, "disconnected");
+    assert.equal((await guard.lost).reason, "disconnected");
+    await until(mine, (event) => event.type === "link-down");
+    there = true;
+    await until(mine, (event) => event.type === "rejoined");
+    assert.ok((await chat.sendAcknowledged("chat", "back")).delivered >= 1);
+  } finally {
+    await alice.close();
+    await bob.close();
+    await network.stop();
+  }
+});
