@@ -49,10 +49,13 @@ pub(crate) async fn run(shared: &Arc<Shared>, transceiver: Transceiver) -> Strin
     why
 }
 
+/// How a task has ended, and which.
+type Joined = Result<(tokio::task::Id, Result<(), NetError>), tokio::task::JoinError>;
+
 /// What has ended first.
 enum Ended {
     /// Reading or writing.
-    Task(Option<Result<(tokio::task::Id, Result<(), NetError>), tokio::task::JoinError>>),
+    Task(Option<Joined>),
     /// Nothing: the hub says nothing any more.
     Silence,
 }

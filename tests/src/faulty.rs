@@ -155,7 +155,7 @@ async fn pass(
         };
         passed.fetch_add(read as u64, Ordering::Relaxed);
         if !fault.delay.is_zero() {
-            sleep(fault.delay).await;
+            sleep(fault.delay).await; // tidy: a slow network is what this makes
         }
         let mut rest = &bytes[..read];
         while !rest.is_empty() {

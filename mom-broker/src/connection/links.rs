@@ -20,12 +20,12 @@ const GRACE: Duration = Duration::from_secs(30);
 /// All links of a broker.
 #[derive(Debug, Default)]
 pub(crate) struct Links {
-    known: Mutex<HashMap<SecretId, Arc<Link>>>,
+    known: Mutex<HashMap<SecretId, Arc<PeerLink>>>,
 }
 
 /// One link. Whoever serves its peer looks here when it is woken: another connection may go on with it.
 #[derive(Debug)]
-pub(super) struct Link {
+pub(super) struct PeerLink {
     id: SecretId,
     secret: Secret,
     pub(super) outbox: Arc<Outbox>,
@@ -37,7 +37,7 @@ pub(super) struct Link {
 /// A link as the connection sees it that serves its peer now.
 #[derive(Debug)]
 pub(super) struct Served {
-    pub(super) link: Arc<Link>,
+    pub(super) link: Arc<PeerLink>,
     /// The parcels of the peer that were read whole and handled.
     pub(super) read: u64,
     /// Those of them that the peer knows of, and when it was told, by the bytes that had come.
@@ -53,9 +53,9 @@ const TELL_BYTES: u64 = 64 * 1024;
 
 impl Links {
     /// A link for a peer that may be away for so long; none where the system has no randomness.
-    pub(super) fn open(&self, outbox: &Arc<Outbox>, grace: Option<u64>, most: u64) -> Option<Arc<Link>> {
+    pub(super) fn open(&self, outbox: &Arc<Outbox>, grace: Option<u64>, most: u64) -> Option<Arc<PeerLink>> {
         let grace = grace.map_or(GRACE, Duration::from_millis);
-        let link = Arc::new(Link {
+        let link = Arc::new(PeerLink {
             id: SecretId::random()?,
             secret: Secret::random()?,
             outbox: Arc::clone(outbox),
@@ -67,18 +67,18 @@ impl Links {
     }
 
     /// The link has ended.
-    pub(super) fn close(&self, link: &Link) {
+    pub(super) fn close(&self, link: &PeerLink) {
         self.known.lock().remove(&link.id);
     }
 
     /// The link that a challenge was about, if there is one.
-    pub(super) fn find(&self, challenge: &ResumeChallenge) -> Option<Arc<Link>> {
+    pub(super) fn find(&self, challenge: &ResumeChallenge) -> Option<Arc<PeerLink>> {
         let id = challenge.link().parse().ok()?;
         self.known.lock().get(&id).map(Arc::clone)
     }
 }
 
-impl Link {
+impl PeerLink {
     /// For the reply to the login.
     pub(super) fn to_map(&self) -> Map {
         let grace = i64::try_from(self.grace.as_millis()).unwrap_or(i64::MAX);
@@ -116,7 +116,7 @@ impl Link {
 }
 
 impl Served {
-    pub(super) fn new(link: Arc<Link>) -> Box<Served> {
+    pub(super) fn new(link: Arc<PeerLink>) -> Box<Served> {
         Box::new(Served {
             link,
             read: 0,

@@ -11,6 +11,7 @@ mod resume;
 mod serving;
 #[cfg(test)]
 mod tests;
+mod waiting;
 
 use std::net::IpAddr;
 use std::sync::Arc;
@@ -20,7 +21,7 @@ use std::time::Duration;
 use mom_hub::{Input, PeerClock, PeerId};
 use mom_login::{Challenge, LoginLink, Logins, ResumeChallenge, network};
 use mom_net::{NetError, Privacy, Reader};
-use mom_proto::codec::{Deferred, Frame};
+use mom_proto::codec::Frame;
 use mom_proto::{Code, Content, Family, Limits, Micros, Parcel, Verb, WireError};
 use mom_system::Expiry;
 use parking_lot::RwLock;
@@ -34,7 +35,6 @@ use crate::traffic::outbox::Outbox;
 use crate::traffic::switchboard::{Handled, Switchboard, Touched, flush};
 
 use links::{Links, Served};
-use login::Login;
 use measure::{Measure, Pings};
 
 pub(crate) use doors::{Doors, Seat, full};
@@ -284,27 +284,6 @@ impl Connection {
         }
     }
 
-    /// Waits until the connection is to end.
-    async fn called(&self) {
-        loop {
-            self.outbox.end.notified().await;
-            // It may have been called before, on another connection of the same peer.
-            if self.is_called() {
-                return;
-            }
-        }
-    }
-
-    fn is_called(&self) -> bool {
-        let claimed = self.link.as_ref().is_some_and(|served| served.link.is_claimed());
-        claimed || self.outbox.is_closed() || self.outbox.is_broken()
-    }
-
-    /// What to say at the end.
-    fn closing(&self) -> Option<WireError> {
-        self.outbox.closing().and_then(|closing| closing.error)
-    }
-
     /// Whether others should have the thread.
     fn is_late(&self) -> bool {
         let began = self.outbox.slice_began.load(Ordering::Relaxed);
@@ -337,37 +316,12 @@ impl Connection {
                     Err(error) => break Err(self.failed(error).into()),
                 };
                 counts &= !matches!(&frame, Frame::Parcel(parcel) if parcel.family == Family::Time);
-                let mut next = self.handle(frame, &mut touched);
-                if let Next::Memory(message) = next {
-                    if let Err(end) = Box::pin(self.wait_for_memory(&mut touched)).await {
-                        break Err(end.into());
-                    }
-                    next = self.send(message, &mut touched);
-                }
-                match next {
-                    Next::Frame | Next::Memory(_) => {}
-                    Next::Pause(time) => {
-                        if let Err(end) = Box::pin(self.pause(time, &mut touched)).await {
-                            break Err(end.into());
-                        }
-                    }
-                    Next::Login(login) => {
-                        // Apart, for it is rare and needs more memory than all the rest of a connection.
-                        let login = Box::pin(self.login(reader, &login, &mut touched));
-                        match login.await {
-                            Ok(Login::Goes) => {}
-                            Ok(Login::Became) => break Err(End::Became),
-                            Err(error) => break Err(Some(error).into()),
-                        }
-                    }
-                    Next::Capacity(held, reference) => {
-                        // Nothing is read meanwhile, so the network holds the peer back.
-                        let waiting = Box::pin(self.wait_for_capacity(held, reference, &mut touched));
-                        if let Err(end) = waiting.await {
-                            break Err(end.into());
-                        }
-                    }
-                    Next::End(error) => break Err(Some(*error).into()),
+                let next = self.handle(frame, &mut touched);
+                // Apart, for it is rare and needs more memory than all the rest of a connection.
+                if !matches!(next, Next::Frame)
+                    && let Err(end) = Box::pin(self.go_on(next, reader, &mut touched)).await
+                {
+                    break Err(end);
                 }
                 // Not before all is done with it: what was not handled comes again after a loss.
                 if counts {
@@ -381,11 +335,8 @@ impl Connection {
                 tokio::task::yield_now().await;
             }
         };
-        if self
-            .link
-            .as_ref()
-            .is_some_and(|served| served.is_due(reader.received()))
-        {
+        let link = self.link.as_ref();
+        if link.is_some_and(|served| served.is_due(reader.received())) {
             self.tell_read(reader.received(), &mut touched);
         }
         flush(&mut touched);
@@ -419,54 +370,6 @@ impl Connection {
     fn count_read(&mut self, parcels: u64) {
         if let Some(served) = &mut self.link {
             served.read += parcels;
-        }
-    }
-
-    /// Has a large frame of a text form read by a thread that gives way to this one, and waits for that; gives the error to say if
-    /// the connection ends meanwhile.
-    async fn open(&mut self, frame: Deferred, touched: &mut Touched) -> Result<Frame, Option<WireError>> {
-        flush(touched);
-        let (answer, answered) = oneshot::channel();
-        self.services.board.workers.run(move || {
-            let frame = frame.open().map(closed);
-            // Nobody listens if the connection has ended.
-            let _ = answer.send(frame);
-        });
-        match answered.await {
-            Ok(frame) => frame.map_err(Some),
-            Err(_) => Err(None),
-        }
-    }
-
-    /// Waits until a message can go, or is refused; gives the error to say if the connection ends meanwhile.
-    async fn wait_for_capacity(
-        &mut self,
-        mut held: Box<WaitingMessage>,
-        reference: Option<u64>,
-        touched: &mut Touched,
-    ) -> Result<(), Option<WireError>> {
-        loop {
-            flush(touched);
-            tokio::select! {
-                biased;
-                () = self.called() => return Err(self.closing()),
-                () = self.proof_over() => return Err(Some(login::proof_over())),
-                () = held.ready(&self.services.board.clock) => {}
-            }
-            let clock = |now| self.peer_clock(now);
-            let sender = self.sender(&clock);
-            match self
-                .services
-                .board
-                .resume(&sender, &self.services.limits, *held, touched)
-            {
-                Ok(Handled::Done) => return Ok(()),
-                Ok(Handled::Waits(still)) => held = still,
-                Err(error) => {
-                    self.refuse(&error, reference, touched);
-                    return Ok(());
-                }
-            }
         }
     }
 
@@ -573,36 +476,6 @@ impl Connection {
         if let Some(charge) = &mut self.charge {
             let held = reader.held();
             charge.set(if held > SMALL { held } else { 0 });
-        }
-    }
-
-    /// Waits until the hub has memory for more of this user, as long as a sender waits; gives the error to say if the
-    /// connection ends meanwhile. Nothing is read meanwhile, so the network holds the peer back.
-    async fn wait_for_memory(&mut self, touched: &mut Touched) -> Result<(), Option<WireError>> {
-        flush(touched);
-        let Some(account) = self.charge.as_ref().map(|charge| Arc::clone(charge.account())) else {
-            return Ok(());
-        };
-        let clock = &self.services.board.clock;
-        let until = clock
-            .now()
-            .saturating_add(self.services.limits.send_wait.saturating_mul(1000));
-        tokio::select! {
-            biased;
-            () = self.called() => Err(self.closing()),
-            () = self.proof_over() => Err(Some(login::proof_over())),
-            () = account.relieved(clock, until) => Ok(()),
-        }
-    }
-
-    /// Reads nothing for a time; gives the error to say if the connection ends meanwhile.
-    async fn pause(&self, time: Duration, touched: &mut Touched) -> Result<(), Option<WireError>> {
-        flush(touched);
-        tokio::select! {
-            biased;
-            () = self.called() => Err(self.closing()),
-            () = self.proof_over() => Err(Some(login::proof_over())),
-            () = tokio::time::sleep(time) => Ok(()),
         }
     }
 

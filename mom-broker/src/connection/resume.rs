@@ -9,7 +9,7 @@ use mom_net::{BadCount, Reader, Rewound};
 use mom_proto::{Code, Family, Map, Parcel, Path, WireError};
 use tokio::time::{Instant, timeout};
 
-use super::links::Link;
+use super::links::PeerLink;
 use super::parked::Parked;
 use super::{Asked, Connection};
 use crate::traffic::outbox::Paths;
@@ -151,7 +151,7 @@ impl Connection {
     }
 
     /// Notes that somebody has asked for a link without its secret.
-    fn audit_resume(&self, link: Option<&Link>) {
+    fn audit_resume(&self, link: Option<&PeerLink>) {
         let tap = &self.services.board.tap;
         let name = link.map(|link| link.outbox.name());
         let user = link.and_then(|link| tap.audit.user(link.peer()));

@@ -10,7 +10,7 @@ use super::{Outbox, Packet, place_of};
 
 /// What an outbox knows of its link.
 #[derive(Debug)]
-pub(super) struct Link {
+pub(super) struct LinkLedger {
     pub(super) ledger: Ledger<Packet>,
     /// Where the paths of contexts are known, once the peer has come back in another form.
     pub(super) paths: Option<Weak<dyn Paths>>,
@@ -41,7 +41,7 @@ impl Outbox {
         if !self.queue.lock().is_empty() {
             return false;
         }
-        way.link = Some(Box::new(Link {
+        way.link = Some(Box::new(LinkLedger {
             ledger: Ledger::after_next(limit),
             paths: None,
         }));

@@ -25,7 +25,7 @@ pub(crate) use packet::{Charged, Dropped, Gate, Origin, Packet};
 pub(crate) use queue::PeerQueue;
 pub(crate) use waiter::WaiterHandle;
 
-use link::Link;
+use link::LinkLedger;
 
 use crate::traffic::encodings::Unready;
 use crate::traffic::memory::Account;
@@ -66,7 +66,7 @@ struct Way {
     writer: Option<Arc<Writer>>,
     flow: Flow,
     /// Where the connection can be resumed.
-    link: Option<Box<Link>>,
+    link: Option<Box<LinkLedger>>,
 }
 
 /// The forms that a peer may speak, none inside this process.

@@ -35,7 +35,7 @@ fn fault(number: u64, resume: u64) -> Fault {
     };
     Fault {
         end,
-        slice: if number % 5 == 0 { 7 } else { 0 },
+        slice: if number.is_multiple_of(5) { 7 } else { 0 },
         delay: Duration::ZERO,
     }
 }
@@ -149,25 +149,27 @@ async fn drive(client: Client, mut over: watch::Receiver<bool>, ready: oneshot::
     resumes
 }
 
-async fn survive(scheme: &str, query: &str, resume: u64) {
-    let broker = lab::start_with(|config| config.tls = tls::of_hub()).await;
-    let network = FaultyNetwork::to(broker.local_addr(), move |number| fault(number, resume)).await;
+/// Alice's client, on the other side of a network that fails.
+async fn behind(network: &FaultyNetwork, scheme: &str, query: &str) -> Client {
     let reconnect = Reconnect {
         first: Duration::from_millis(1),
         most: Duration::from_millis(5),
         give_up_after: None,
     };
-    let address = format!("{scheme}://{}{query}", network.address);
     let trust = Trust::Authorities(tls::of_hub().certificate.expect("one"));
-    let alice = builder(&address, "alice")
+    let builder = builder(&format!("{scheme}://{}{query}", network.address), "alice")
         .trust(trust)
         .link(Duration::from_secs(120))
         .heartbeat(Duration::from_millis(100))
         .reconnect(reconnect)
-        .wait_for_hub()
-        .connect()
-        .await
-        .expect("alice");
+        .wait_for_hub();
+    builder.connect().await.expect("alice")
+}
+
+async fn survive(scheme: &str, query: &str, resume: u64) {
+    let broker = lab::start_with(|config| config.tls = tls::of_hub()).await;
+    let network = FaultyNetwork::to(broker.local_addr(), move |number| fault(number, resume)).await;
+    let alice = behind(&network, scheme, query).await;
     let (stop, obeying) = obey(steady(&broker, "arm").await).await;
     let bob = steady(&broker, "bob").await;
     let mut from_alice = hear(bob.clone(), "alice").await;
