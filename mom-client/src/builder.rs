@@ -12,7 +12,8 @@ use parking_lot::Mutex;
 
 use crate::client::{Client, Handle};
 use crate::clock::{HubClock, Wall};
-use crate::login::Connector;
+use crate::doors::Doors;
+use crate::login::{Connector, Local};
 use crate::proof::Credentials;
 use crate::shared::{Settings, Shared};
 use crate::survive::LinkSecret;
@@ -42,7 +43,8 @@ const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
 /// ```
 #[must_use = "a builder does nothing until connect"]
 pub struct Builder {
-    connector: Result<Connector, ClientError>,
+    /// Where the hub is.
+    hub: Result<HubPlace, ClientError>,
     credentials: Credentials,
     /// Which hub is the right one, over TLS.
     trust: Option<Trust>,
@@ -55,23 +57,29 @@ pub struct Builder {
     reporter: Option<(String, String)>,
 }
 
+/// Where a hub is.
+enum HubPlace {
+    Address(Address),
+    Here(Local),
+}
+
 impl Builder {
     pub(crate) fn remote(address: &str) -> Builder {
         Builder::new(
             address
                 .parse::<Address>()
-                .map(|address| Connector::Remote(address, None))
+                .map(HubPlace::Address)
                 .map_err(ClientError::from),
         )
     }
 
     pub(crate) fn local(connect: impl Fn() -> Transceiver + Send + Sync + 'static) -> Builder {
-        Builder::new(Ok(Connector::Local(Arc::new(connect))))
+        Builder::new(Ok(HubPlace::Here(Arc::new(connect))))
     }
 
-    fn new(connector: Result<Connector, ClientError>) -> Builder {
+    fn new(hub: Result<HubPlace, ClientError>) -> Builder {
         Builder {
-            connector,
+            hub,
             credentials: Credentials {
                 user: String::new(),
                 proof: Proof::Password(String::new()),
@@ -251,23 +259,16 @@ impl Builder {
     /// could read on the way, `Connection` and `TimedOut` for an unreachable hub, `Refused` with
     /// `bad-login` and other refusals of the hub.
     pub async fn connect(mut self) -> Result<Client, ClientError> {
-        let mut connector = self.connector?;
         if let Some(error) = self.fault {
             return Err(error);
         }
-        if let Connector::Remote(address, tls) = &mut connector
-            && address.tls
-        {
-            let trust = self.trust.or(address.pin.map(Trust::Pinned)).unwrap_or_default();
-            let identity = match &self.credentials.proof {
-                Proof::Certificate(identity) => Some(identity),
-                _ => None,
-            };
-            *tls = Some(ClientTls::new(&trust, identity).map_err(|error| unusable(&error))?);
-        }
-        if let Connector::Remote(address, _) = &connector {
-            self.credentials.address = Some(address.clone());
-        }
+        let connector = match self.hub? {
+            HubPlace::Address(address) => {
+                let doors = doors(&address, &mut self.credentials, self.trust)?;
+                Connector::Remote(doors)
+            }
+            HubPlace::Here(local) => Connector::Local(local),
+        };
         let ids = AtomicU64::new(1);
         let patience = self.settings.reconnect.as_ref().filter(|_| self.waits);
         let reporter = Mutex::new(self.reporter);
@@ -275,9 +276,9 @@ impl Builder {
             let connected = connector
                 .connect(&self.credentials, &ids, self.settings.connect_timeout)
                 .await;
-            if let (Err(error), Connector::Remote(address, _)) = (&connected, &connector) {
+            if let (Err(error), Some(address)) = (&connected, connector.address()) {
                 let reporter = reporter.lock().take();
-                report_failure(reporter, address, error).await;
+                report_failure(reporter, &address, error).await;
             }
             connected
         };
@@ -285,6 +286,7 @@ impl Builder {
             Some(patience) => reconnect::wait(patience, connect).await?,
             None => connect().await?,
         };
+        self.credentials.address = connector.address();
         let secret = LinkSecret::read(&connected.welcome.content);
         let shared = Shared::new(
             self.settings,
@@ -303,6 +305,37 @@ impl Builder {
         tokio::spawn(drive);
         Ok(Client::of(Arc::new(Handle { shared })))
     }
+}
+
+/// The doors that these credentials may be said through.
+fn doors(
+    address: &Address,
+    credentials: &mut Credentials,
+    trust: Option<Trust>,
+) -> Result<Doors, ClientError> {
+    let secret = matches!(credentials.proof, Proof::Password(_) | Proof::Token(_));
+    let mut permitted = address.doors(address.any && secret);
+    if matches!(credentials.proof, Proof::Certificate(_)) {
+        permitted.retain(|door| door.tls || !address.any);
+    }
+    // Of an address that names one door, its own words say what is wrong with that.
+    credentials.address = Some(permitted.first().unwrap_or(address).clone());
+    credentials.check()?;
+    let mut tls = None;
+    if permitted.iter().any(|door| door.tls) {
+        let trust = trust.or(address.pin.map(Trust::Pinned)).unwrap_or_default();
+        let identity = match &credentials.proof {
+            Proof::Certificate(identity) => Some(identity),
+            _ => None,
+        };
+        match ClientTls::new(&trust, identity) {
+            Ok(made) => tls = Some(made),
+            // On a machine that trusts nobody its own hub is still there.
+            Err(_) if permitted.iter().any(|door| !door.tls) => permitted.retain(|door| !door.tls),
+            Err(error) => return Err(unusable(&error)),
+        }
+    }
+    Ok(Doors::new(permitted, tls))
 }
 
 /// Reports an error of the connection: what a hub refuses it knows.

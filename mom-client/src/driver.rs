@@ -106,6 +106,7 @@ async fn attempt_once(
     let Some(counted) = resumable else {
         let credentials = shared.credentials.lock().clone();
         let connected = connector.connect(&credentials, &shared.ids, after).await?;
+        shared.credentials.lock().address = connector.address();
         shared.raise_link(connected.welcome);
         return Ok(Some(connected.transceiver));
     };

@@ -34,6 +34,7 @@ mod channel;
 mod client;
 mod clock;
 mod consults;
+mod doors;
 mod driver;
 mod error;
 mod events;

@@ -4,12 +4,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use mom_net::{Address, ClientTls, Transceiver};
+use mom_net::{Address, Transceiver};
 use mom_proto::codec::{Form, Frame};
 use mom_proto::{Family, Limit, Limits, Map, Value, WireError};
 use tokio::time::timeout;
 
 use crate::ClientError;
+use crate::doors::Doors;
 use crate::error::bad_reply;
 use crate::info::{level, map_of, number, text};
 use crate::proof::{Credentials, is_challenge};
@@ -21,7 +22,7 @@ pub(crate) type Local = Arc<dyn Fn() -> Transceiver + Send + Sync>;
 /// Where the hub is.
 #[derive(Clone)]
 pub(crate) enum Connector {
-    Remote(Address, Option<ClientTls>),
+    Remote(Doors),
     Local(Local),
 }
 
@@ -52,9 +53,17 @@ pub(crate) struct Connected {
 }
 
 impl Connector {
+    /// The address of the door in use, if the hub is not in this process.
+    pub(crate) fn address(&self) -> Option<Address> {
+        match self {
+            Connector::Remote(doors) => Some(doors.current().clone()),
+            Connector::Local(_) => None,
+        }
+    }
+
     pub(crate) fn form(&self) -> Option<Form> {
         match self {
-            Connector::Remote(address, _) => Some(address.form),
+            Connector::Remote(doors) => Some(doors.current().form),
             Connector::Local(_) => None,
         }
     }
@@ -69,13 +78,20 @@ impl Connector {
         // Nobody is even connected to for what is not said.
         credentials.check()?;
         let login = async {
-            let transceiver = match self {
-                Connector::Remote(address, tls) => {
-                    mom_net::connect(address, &Limits::default(), tls.as_ref()).await?
-                }
-                Connector::Local(connect) => connect(),
+            let doors = match self {
+                Connector::Remote(doors) => doors,
+                Connector::Local(connect) => return log_in(connect(), credentials, ids).await,
             };
-            log_in(transceiver, credentials, ids).await
+            let mut opening = doors.open();
+            loop {
+                let error = match log_in(opening.next().await?, credentials, ids).await {
+                    Ok(connected) => return Ok(connected),
+                    Err(error) => error,
+                };
+                if !opening.came_to_nothing(error) {
+                    return Err(opening.failed());
+                }
+            }
         };
         timeout(after, login).await.unwrap_or_else(|_| {
             Err(ClientError::TimedOut {
@@ -94,14 +110,22 @@ impl Connector {
         ids: &AtomicU64,
         after: Duration,
     ) -> Result<(Transceiver, Resumption), ClientError> {
-        let Connector::Remote(address, tls) = self else {
+        let Connector::Remote(doors) = self else {
             return Err(ClientError::Connection(
                 "this hub is in the same process".to_owned(),
             ));
         };
         let resume = async {
-            let transceiver = mom_net::connect(address, &Limits::default(), tls.as_ref()).await?;
-            resume(transceiver, counted, ids).await
+            let mut opening = doors.open();
+            loop {
+                let error = match resume(opening.next().await?, counted, ids).await {
+                    Ok(resumed) => return Ok(resumed),
+                    Err(error) => error,
+                };
+                if !opening.came_to_nothing(error) {
+                    return Err(opening.failed());
+                }
+            }
         };
         timeout(after, resume).await.unwrap_or_else(|_| {
             Err(ClientError::TimedOut {

@@ -11,7 +11,7 @@ use crate::NetError;
 pub const DEFAULT_PORT: u16 = 7666;
 
 /// Where a hub is and how to speak to it: `tcp://host:port/path` for XML, `bin://…` for binary, `json://…` for JSON, `mom://…` for
-/// whichever the client prefers, which is binary; `ws://…` for a WebSocket and `http://…` for a tunnel, both binary unless `?form=`
+/// whichever [door](Address::doors) opens, in the binary form; `ws://…` for a WebSocket and `http://…` for a tunnel, both binary unless `?form=`
 /// says another. With TLS `tcps://…`, `bins://…`, `jsons://…`, `moms://…`, `wss://…` and `https://…`, which may end in `?pin=` and the
 /// fingerprint of the hub's certificate.
 ///
@@ -36,6 +36,10 @@ pub struct Address {
     pub path: Option<Path>,
     /// The certificate that the hub has to show.
     pub pin: Option<Fingerprint>,
+    /// Any door will do, and `door` is the one to try first.
+    pub any: bool,
+    /// The port is the address's own, and not the usual one.
+    pub port_named: bool,
 }
 
 /// What carries a form over the network.
@@ -64,6 +68,52 @@ impl Door {
 }
 
 impl Address {
+    /// The doors to try, the best first: one, or of `mom://` all that may be open. On this machine the shortest way is first, from
+    /// elsewhere those with TLS are; none of `moms://` is without. With a `secret` none where others could read it. A port that is named is
+    /// that of all, as a hub takes all of them at one port; else WebSocket and tunnel have the ports of the web.
+    ///
+    /// ```
+    /// use mom_net::Address;
+    /// let doors = |text: &str, secret| {
+    ///     let doors = text.parse::<Address>().unwrap().doors(secret);
+    ///     doors.iter().map(Address::to_string).collect::<Vec<_>>().join(" ")
+    /// };
+    /// assert_eq!(doors("mom://lab.example", true), "bins://lab.example:7666 wss://lab.example:443 https://lab.example:443");
+    /// assert_eq!(doors("mom://lab.example:1", false), "bins://lab.example:1 wss://lab.example:1 https://lab.example:1 bin://lab.example:1 ws://lab.example:1");
+    /// assert_eq!(doors("mom://[::1]:1", true), "bin://[::1]:1 ws://[::1]:1 http://[::1]:1 bins://[::1]:1 wss://[::1]:1 https://[::1]:1");
+    /// assert_eq!(doors("bin://lab.example", false), "bin://lab.example:7666");
+    /// ```
+    pub fn doors(&self, secret: bool) -> Vec<Address> {
+        if !self.any {
+            return vec![self.clone()];
+        }
+        let kinds = [Door::Stream, Door::WebSocket, TUNNEL];
+        let with = |tls: bool| kinds.map(|door| (door, tls));
+        let here = Address {
+            tls: false,
+            ..self.clone()
+        };
+        let ways = match here.is_private() {
+            true => [with(false), with(true)].concat(),
+            // Whoever sees the id of a tunnel could take it over.
+            false => [&with(true)[..], &with(false)[..2]].concat(),
+        };
+        let address = |(door, tls): (Door, bool)| Address {
+            door,
+            tls,
+            port: match (self.port_named || door == Door::Stream, tls) {
+                (true, _) => self.port,
+                (false, true) => 443,
+                (false, false) => 80,
+            },
+            pin: self.pin.filter(|_| tls),
+            any: false,
+            ..self.clone()
+        };
+        let permitted = |address: &Address| (address.tls || !self.tls) && (!secret || address.is_private());
+        ways.into_iter().map(address).filter(permitted).collect()
+    }
+
     /// Host and port, as HTTP wants them.
     pub(crate) fn authority(&self) -> String {
         match self.host.contains(':') {
@@ -95,6 +145,8 @@ struct Scheme {
     tls: bool,
     /// The port where the address names none.
     port: u16,
+    /// Any door will do.
+    any: bool,
 }
 
 const fn scheme(name: &'static str, form: Form, door: Door, tls: bool, port: u16) -> Scheme {
@@ -104,6 +156,15 @@ const fn scheme(name: &'static str, form: Form, door: Door, tls: bool, port: u16
         door,
         tls,
         port,
+        any: false,
+    }
+}
+
+/// Of any door, in the binary form.
+const fn any_door(name: &'static str, tls: bool) -> Scheme {
+    Scheme {
+        any: true,
+        ..scheme(name, Form::Binary, Door::Stream, tls, DEFAULT_PORT)
     }
 }
 
@@ -115,8 +176,8 @@ const SCHEMES: [Scheme; 12] = [
     scheme("bins", Form::Binary, Door::Stream, true, DEFAULT_PORT),
     scheme("json", Form::Json, Door::Stream, false, DEFAULT_PORT),
     scheme("jsons", Form::Json, Door::Stream, true, DEFAULT_PORT),
-    scheme("mom", Form::Binary, Door::Stream, false, DEFAULT_PORT),
-    scheme("moms", Form::Binary, Door::Stream, true, DEFAULT_PORT),
+    any_door("mom", false),
+    any_door("moms", true),
     scheme("ws", Form::Binary, Door::WebSocket, false, 80),
     scheme("wss", Form::Binary, Door::WebSocket, true, 443),
     scheme("http", Form::Binary, TUNNEL, false, 80),
@@ -135,7 +196,9 @@ fn read(text: &str) -> Result<Address, String> {
     let (mut door, mut form, mut pin) = (door, scheme.form, None);
     for part in query.split('&').filter(|part| !part.is_empty()) {
         match part.split_once('=') {
-            Some(("pin", _)) if !tls => return Err(format!("a fingerprint is for TLS: {name}s://")),
+            Some(("pin", _)) if !tls && !scheme.any => {
+                return Err(format!("a fingerprint is for TLS: {name}s://"));
+            }
             Some(("pin", text)) => pin = Some(read_pin(text)?),
             Some(("form", _)) if door == Door::Stream => {
                 return Err(format!("{name}:// is one form; others have schemes of their own"));
@@ -155,9 +218,9 @@ fn read(text: &str) -> Result<Address, String> {
         None => (rest, None),
     };
     // A colon inside brackets belongs to an IPv6 address.
-    let (host, port) = match authority.rsplit_once(':') {
-        Some((host, port)) if !port.ends_with(']') => (host, read_port(port)?),
-        _ => (authority, scheme.port),
+    let (host, port, port_named) = match authority.rsplit_once(':') {
+        Some((host, port)) if !port.ends_with(']') => (host, read_port(port)?, true),
+        _ => (authority, scheme.port, false),
     };
     let inside = host.strip_prefix('[').and_then(|host| host.strip_suffix(']'));
     let named = |c: char| c.is_alphanumeric() || matches!(c, '-' | '.' | '_');
@@ -176,6 +239,8 @@ fn read(text: &str) -> Result<Address, String> {
             port,
             path,
             pin,
+            any: scheme.any,
+            port_named,
         }),
     }
 }
@@ -207,7 +272,7 @@ impl fmt::Display for Address {
         let polled = matches!(self.door, Door::Tunnel { polled: true });
         let door = if polled { TUNNEL } else { self.door };
         let same = |scheme: &&Scheme| {
-            let carried = (scheme.door, scheme.tls) == (door, self.tls);
+            let carried = (scheme.door, scheme.tls, scheme.any) == (door, self.tls, self.any);
             carried && (self.door != Door::Stream || scheme.form == self.form)
         };
         let scheme = SCHEMES.iter().find(same).unwrap_or(&SCHEMES[0]);
@@ -244,11 +309,11 @@ mod tests {
         for (text, shown) in [
             ("tcp://127.0.0.1:7666", "tcp://127.0.0.1:7666"),
             ("bin://lab", "bin://lab:7666"),
-            ("mom://lab:1/robot/arm", "bin://lab:1/robot/arm"),
+            ("mom://lab:1/robot/arm", "mom://lab:1/robot/arm"),
             ("tcp://[::1]:5/", "tcp://[::1]:5"),
             ("tcp://[::1]", "tcp://[::1]:7666"),
             ("tcps://lab", "tcps://lab:7666"),
-            ("moms://lab/robot", "bins://lab:7666/robot"),
+            ("moms://lab/robot", "moms://lab:7666/robot"),
             ("json://lab/robot", "json://lab:7666/robot"),
             ("jsons://[::1]:5", "jsons://[::1]:5"),
             ("wss://lab", "wss://lab:443"),
@@ -257,7 +322,7 @@ mod tests {
             ("https://lab:1?poll=1", "https://lab:1?poll=1"),
             (
                 "moms://lab/robot?pin=4355a46b19d348dc2f57c046f8ef63d4538ebb936000f3c9ee954a27460dd865",
-                "bins://lab:7666/robot?pin=sha256:4355a46b19d348dc2f57c046f8ef63d4538ebb936000f3c9ee954a27460dd865",
+                "moms://lab:7666/robot?pin=sha256:4355a46b19d348dc2f57c046f8ef63d4538ebb936000f3c9ee954a27460dd865",
             ),
         ] {
             assert_eq!(text.parse::<Address>().unwrap().to_string(), shown);

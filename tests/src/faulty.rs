@@ -42,6 +42,7 @@ pub struct FaultyNetwork {
     /// Where to connect.
     pub address: SocketAddr,
     cut: Arc<AtomicU64>,
+    came: Arc<AtomicU64>,
     /// All connections through it end when it changes.
     severed: watch::Sender<u64>,
     accepting: JoinHandle<()>,
@@ -58,11 +59,14 @@ impl FaultyNetwork {
         let cut = Arc::new(AtomicU64::new(0));
         let severed = watch::Sender::new(0);
         let (count, sever) = (Arc::clone(&cut), severed.clone());
+        let came = Arc::<AtomicU64>::default();
+        let all = Arc::clone(&came);
         let accepting = tokio::spawn(async move {
             for number in 0.. {
                 let Ok((near, _)) = listener.accept().await else {
                     return;
                 };
+                all.fetch_add(1, Ordering::Relaxed);
                 let (fault, count, mut severed) = (fault(number), Arc::clone(&count), sever.subscribe());
                 tokio::spawn(async move {
                     let Ok(far) = TcpStream::connect(hub).await else {
@@ -84,6 +88,7 @@ impl FaultyNetwork {
         FaultyNetwork {
             address,
             cut,
+            came,
             severed,
             accepting,
         }
@@ -92,6 +97,11 @@ impl FaultyNetwork {
     /// How many connections it has ended.
     pub fn cut(&self) -> u64 {
         self.cut.load(Ordering::Relaxed)
+    }
+
+    /// How many connections have come.
+    pub fn came(&self) -> u64 {
+        self.came.load(Ordering::Relaxed)
     }
 
     /// Ends all connections that go through it now.

@@ -88,7 +88,12 @@ fn fill(outbox: &Outbox) {
             name: "filling".into(),
         };
         let encodings = Encodings::new(said("filling", id), std::iter::once(None));
-        outbox.push(control(encodings.expect("no form needed"), origin, None));
+        outbox.push(control(
+            Family::Reply,
+            encodings.expect("no form needed"),
+            origin,
+            None,
+        ));
     }
     outbox.flush();
 }

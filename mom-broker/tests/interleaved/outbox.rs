@@ -4,14 +4,14 @@ use std::sync::Arc;
 
 use mom_hub::PeerId;
 use mom_net::Reader;
-use mom_net::{DropReason, Lane, Taken};
+use mom_net::{DropReason, Lane, Rewound, Taken};
 use mom_proto::{Code, ContextNumber, Delivery, Parcel, WireError};
 use mom_system::sync::atomic::{AtomicU64, Ordering};
 use shuttle::thread;
 
-use super::{explore, hear, link, said, write};
+use super::{LIMIT, explore, hear, link, said, write};
 use crate::traffic::encodings::Encodings;
-use crate::traffic::outbox::{Charged, Gate, Origin, Outbox, Packet};
+use crate::traffic::outbox::{Charged, Gate, Origin, Outbox, Packet, Paths};
 
 const READER: PeerId = PeerId(9);
 
@@ -35,6 +35,7 @@ fn packet(sender: u64, name: &str, id: u64) -> Packet {
         expires_at: None,
         gate: None,
         count: 1,
+        counts: true,
     }
 }
 
@@ -86,6 +87,46 @@ fn every_parcel_leaves_once_and_each_sender_keeps_its_order() {
         senders
             .into_iter()
             .for_each(|sender| sender.join().expect("it pushed"));
+        end(outbox, writer, &mut reader);
+    });
+}
+
+/// A connection is lost while others put parcels in and write them, and another one goes on: each parcel comes once and in order.
+#[test]
+fn a_link_goes_on_where_its_connection_was_lost() {
+    #[derive(Debug)]
+    struct Nowhere;
+    impl Paths for Nowhere {
+        fn path(&self, _: ContextNumber) -> Option<mom_proto::Path> {
+            None
+        }
+    }
+    explore(|| {
+        let (outbox, mut reader) = link(READER, 0);
+        assert!(outbox.begin_link(LIMIT), "nothing waits yet");
+        put(&outbox, packet(0, "welcome", 0));
+        assert!(hear(&mut reader).is_some_and(|parcel| parcel.name() == "welcome"));
+        let sender = thread::spawn({
+            let outbox = Arc::clone(&outbox);
+            move || (0..4).for_each(|id| assert_eq!(put(&outbox, packet(1, "state", id)), Taken::Yes))
+        });
+        drop(outbox.detach());
+        let mut heard: Vec<Option<u64>> = Vec::new();
+        while let Some(parcel) = hear(&mut reader) {
+            heard.push(parcel.id);
+        }
+        let (here, there) = mom_net::pair();
+        let (read, paths) = (heard.len() as u64, Arc::new(Nowhere) as Arc<dyn Paths>);
+        let rewound = outbox.resend(read, &here.writer, Arc::downgrade(&paths));
+        assert_eq!(rewound, Ok(Rewound::Dropped(0)));
+        outbox.attach(Arc::new(here.writer));
+        let writer = write(&outbox);
+        let mut reader = there.reader;
+        while heard.len() < 4 {
+            heard.push(hear(&mut reader).expect("the link is open").id);
+        }
+        assert_eq!(heard, [0, 1, 2, 3].map(Some));
+        sender.join().expect("it pushed");
         end(outbox, writer, &mut reader);
     });
 }

@@ -136,6 +136,8 @@ fn http_address(host: &str, port: u16, tls: bool) -> Address {
         port,
         path: None,
         pin: None,
+        any: false,
+        port_named: true,
     }
 }
 

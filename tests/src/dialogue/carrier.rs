@@ -58,6 +58,8 @@ impl Carrier {
             port: address.port(),
             path: None,
             pin: broker.fingerprint().filter(|_| tls),
+            any: false,
+            port_named: true,
         };
         if let Carrier::Program(client, ..) = self {
             return client.connect(&address).await;

@@ -151,6 +151,8 @@ async fn link() -> (Transceiver, Transceiver) {
         port,
         path: None,
         pin: None,
+        any: false,
+        port_named: true,
     };
     let near = async {
         let (stream, _) = listener.accept().await.expect("a connection");

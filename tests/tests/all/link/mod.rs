@@ -1,5 +1,6 @@
 //! Links, as any program with a socket has them: lost connections that come back, and what may not.
 
+mod doors;
 mod survive;
 
 use std::net::SocketAddr;
