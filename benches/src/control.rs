@@ -346,7 +346,11 @@ pub(crate) fn net(what: &str, error: &mom_net::NetError) -> Error {
     Error::Unexpected(format!("{what}: {error}"))
 }
 
-pub(crate) fn run<T>(work: impl Future<Output = Result<T, Error>>) -> Result<T, Error> {
+/// Does this work on a runtime of one thread.
+///
+/// # Errors
+/// Those of the work, or no runtime.
+pub fn run<T>(work: impl Future<Output = Result<T, Error>>) -> Result<T, Error> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let runtime = runtime.map_err(Error::io("a runtime"))?;
     LocalSet::new().block_on(&runtime, work)

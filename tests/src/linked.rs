@@ -35,12 +35,17 @@ impl Linked {
     /// # Panics
     /// If that is refused, or no link is given.
     pub async fn login(address: SocketAddr, form: Form, user: &str, grace: i64) -> Linked {
+        let content = Map::new().with("name", user).with("password", user);
+        Linked::log_in(address, form, content, grace).await
+    }
+
+    /// Logs in with this proof.
+    ///
+    /// # Panics
+    /// If that is refused, or no link is given.
+    pub async fn log_in(address: SocketAddr, form: Form, proof: Map, grace: i64) -> Linked {
         let mut raw = Raw::connect(address, form).await;
-        let wish = Map::new().with("grace", grace);
-        let content = Map::new()
-            .with("name", user)
-            .with("password", user)
-            .with("link", wish);
+        let content = proof.with("link", Map::new().with("grace", grace));
         let login = Parcel::new(Family::Login, "login").content(content);
         let welcome = raw.ask(login).await.expect("a user of the lab").value();
         let link = welcome.get("link").expect("a link");

@@ -1,0 +1,232 @@
+//! Measures what a storm of lost connections costs: many peers with a link lose theirs at once and come back at once, beside an
+//! operator who stops and drives a robot.
+
+use std::io::{BufRead as _, BufReader, Write};
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::process::{Child, Command, ExitCode, Stdio};
+use std::time::{Duration, Instant};
+use std::{env, fs, io};
+
+use anyhow::{Context, Result, bail};
+use clap::{Parser, Subcommand};
+use mom_benches::isolation::{Canary, Song};
+use mom_benches::{Process, control, machine};
+use mom_proto::codec::Form;
+use mom_proto::{Family, Map};
+use mom_tests::attacks::configuration;
+use mom_tests::linked::{Link, Linked};
+use tokio::task::JoinSet;
+
+const EXAMPLES: &str = "Examples:
+  cargo build --release -p mom-broker -p mom-benches --bins && target/release/bench-storm
+  target/release/bench-storm --peers 2000";
+
+/// Connections that are opened at a time: as many as a listener lets wait, and no more.
+const AT_ONCE: usize = 256;
+
+/// Peers with a link that lose their connections at once and come back at once, beside a canary.
+#[derive(Parser)]
+#[command(version, after_help = EXAMPLES)]
+struct Cli {
+    #[command(subcommand)]
+    task: Option<Task>,
+    /// How many peers.
+    #[arg(long, default_value_t = 9_900)]
+    peers: usize,
+    /// The broker's program; the one beside this program if none is named.
+    #[arg(long)]
+    broker: Option<PathBuf>,
+}
+
+#[derive(Subcommand)]
+enum Task {
+    /// The peers, as the measurement starts them.
+    #[command(hide = true)]
+    Peers { count: usize, address: SocketAddr },
+}
+
+fn main() -> ExitCode {
+    match run(&Cli::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            let _ = writeln!(io::stderr(), "bench-storm: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(cli: &Cli) -> Result<()> {
+    if let Some(Task::Peers { count, address }) = cli.task {
+        return peers(count, address);
+    }
+    let broker = match &cli.broker {
+        Some(broker) => broker.clone(),
+        None => env::current_exe()?.with_file_name("mom-broker"),
+    };
+    let folder = tempfile::tempdir()?;
+    let config = folder.path().join("storm.toml");
+    fs::write(&config, configured()?)?;
+    let mut command = Command::new(&broker);
+    command.arg("--config").arg(&config);
+    let hub = Process::start(command)?;
+    let before = hub.memory();
+    let mut crowd = Crowd::start(cli.peers, hub.address())?;
+    let grown = before
+        .zip(hub.memory())
+        .map(|(before, after)| after.saturating_sub(before));
+    let mut out = io::stdout();
+    writeln!(out, "{}; {} peers with a link", machine::describe(), cli.peers)?;
+    if let Some(grown) = grown {
+        let each = grown as f64 / cli.peers as f64 / 1024.0;
+        writeln!(out, "memory of the hub: {each:.1} KiB for each idle peer")?;
+    }
+    let address = hub.address().to_owned();
+    let (idle, under, report) = control::run(async {
+        let mut canary = Canary::start(&address).await?;
+        let idle = canary.sing(Duration::from_secs(5)).await?;
+        crowd.storm();
+        let under = canary.sing(Duration::from_secs(10)).await?;
+        Ok((idle, under, crowd.report()))
+    })?;
+    writeln!(out, "{}", report?)?;
+    writeln!(
+        out,
+        "stops, p50 / p99 / worst in ms: {} before, {} in the storm",
+        quantiles(&idle),
+        quantiles(&under)
+    )?;
+    writeln!(
+        out,
+        "the hub used {:.1} s of its processor in all",
+        hub.cpu().unwrap_or_default().as_secs_f64()
+    )?;
+    if let Some(most) = hub.most_memory() {
+        writeln!(out, "most memory of the hub: {} MiB", most >> 20)?;
+    }
+    crowd.end();
+    hub.end();
+    Ok(())
+}
+
+/// The configuration of the broker that is attacked, with room for a crowd of guests.
+fn configured() -> Result<String> {
+    let text = fs::read_to_string(configuration()).context("tests/attacked.toml")?;
+    let users = configuration().with_file_name("../config/lab-users.toml");
+    let users = format!("users = {:?}", users.canonicalize()?);
+    let room = "connections = 20000\nconnections-before-login = 20000\nconnections-per-address = 20000\nconnections-per-user = 20000";
+    let text = text.replace(
+        "users = \"../config/lab-users.toml\"",
+        &format!("{users}\n{room}"),
+    );
+    Ok(format!(
+        "{text}\n[login]\nguests = true\n\n[[contexts]]\npath = \"/crowded\"\nkind = \"channel\"\npresence = \"counts\"\n"
+    ))
+}
+
+fn quantiles(song: &Song) -> String {
+    let [middle, high, worst] = [0.5, 0.99, 1.0].map(|part| song.stops.quantile(part) / 1000.0);
+    format!("{middle:.2} / {high:.2} / {worst:.1}")
+}
+
+/// The peers, in a process of their own.
+struct Crowd {
+    child: Child,
+    heard: BufReader<std::process::ChildStdout>,
+}
+
+impl Crowd {
+    fn start(count: usize, address: &str) -> Result<Crowd> {
+        let mut command = Command::new(env::current_exe()?);
+        command.args(["peers", &count.to_string(), address]);
+        let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()?;
+        let heard = BufReader::new(child.stdout.take().context("its output")?);
+        let mut crowd = Crowd { child, heard };
+        if crowd.report()? != "ready" {
+            bail!("the peers cannot log in");
+        }
+        Ok(crowd)
+    }
+
+    /// Tells them to lose their connections and to come back.
+    fn storm(&mut self) {
+        if let Some(input) = &mut self.child.stdin {
+            let _ = input.write_all(b"lose\n").and_then(|()| input.flush());
+        }
+    }
+
+    /// What they say next.
+    fn report(&mut self) -> Result<String> {
+        let mut line = String::new();
+        self.heard.read_line(&mut line)?;
+        match line.trim_end() {
+            "" => bail!("the peers have ended"),
+            line => Ok(line.to_owned()),
+        }
+    }
+
+    fn end(mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Logs peers in, says so, and lets them lose their connections and come back when told.
+fn peers(count: usize, address: SocketAddr) -> Result<()> {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()?;
+    runtime.block_on(async {
+        let mut linked = in_turns(0..count, |_| async move {
+            let content = Map::new().with("guest", true);
+            let mut linked = Linked::log_in(address, Form::Binary, content, 120_000).await;
+            linked.about(Family::Context, "join", "/crowded").await;
+            linked
+        })
+        .await;
+        println!("ready");
+        let mut line = String::new();
+        io::stdin().read_line(&mut line)?;
+        let links: Vec<Link> = linked.drain(..).map(|linked| linked.link).collect();
+        let begin = Instant::now();
+        let back = in_turns(links, |link| async move {
+            let resumed = link.resume(address, Form::Binary).await;
+            resumed.map(|(linked, _)| linked).map_err(|(error, _)| error)
+        })
+        .await;
+        let took = begin.elapsed();
+        let resumed = back.iter().filter(|back| back.is_ok()).count();
+        println!(
+            "{resumed} of {count} have resumed after {:.2} s",
+            took.as_secs_f64()
+        );
+        // The connections stay as long as they are measured.
+        io::stdin().read_line(&mut line)?;
+        drop(back);
+        Ok(())
+    })
+}
+
+/// Does something for all, for so many at a time.
+async fn in_turns<T, R, F>(all: impl IntoIterator<Item = T>, task: impl Fn(T) -> F) -> Vec<R>
+where
+    F: Future<Output = R> + 'static,
+    R: 'static,
+{
+    let local = tokio::task::LocalSet::new();
+    local
+        .run_until(async {
+            let (mut running, mut done) = (JoinSet::new(), Vec::new());
+            for one in all {
+                if running.len() >= AT_ONCE {
+                    done.extend(running.join_next().await.and_then(Result::ok));
+                }
+                running.spawn_local(task(one));
+            }
+            while let Some(ended) = running.join_next().await {
+                done.extend(ended);
+            }
+            done
+        })
+        .await
+}
