@@ -15,6 +15,7 @@ pub(crate) struct Asked {
     /// None = a login, or what is no verb.
     pub(crate) verb: Option<Verb>,
     pub(crate) path: Option<Path>,
+    pub(crate) name: String,
     /// Whether a grab wants to wait, and for ever.
     pub(crate) waits: bool,
     pub(crate) unlimited: bool,
@@ -22,6 +23,15 @@ pub(crate) struct Asked {
     pub(crate) names: bool,
     /// Whether it was not answered at once.
     pub(crate) later: bool,
+}
+
+/// A message without an answer.
+#[derive(Clone, Debug)]
+pub(crate) struct Waiting {
+    pub(crate) id: u64,
+    pub(crate) verb: Verb,
+    pub(crate) path: Path,
+    pub(crate) name: String,
 }
 
 /// Requests without an answer.
@@ -71,6 +81,21 @@ impl Answers {
         self.open.values_mut().for_each(|asked| asked.later = true);
     }
 
+    /// The messages of a peer that wait, in their order.
+    pub(crate) fn messages_of(&self, peer: PeerId) -> Vec<Waiting> {
+        let own = self.open.values().filter(|asked| asked.peer == peer);
+        let waiting = own.filter_map(|asked| {
+            let verb = asked.verb.filter(|verb| verb.family() == Family::Message)?;
+            Some(Waiting {
+                id: asked.id,
+                verb,
+                path: asked.path.clone()?,
+                name: asked.name.clone(),
+            })
+        });
+        waiting.collect()
+    }
+
     /// What this is the answer to.
     pub(crate) fn asked(&self, peer: PeerId, id: Option<u64>) -> Option<&Asked> {
         self.open.get(&(peer, id?))
@@ -108,6 +133,7 @@ impl Asked {
             id,
             verb,
             path: parcel.and_then(|parcel| parcel.context.clone()),
+            name: parcel.map(|parcel| parcel.name().to_owned()).unwrap_or_default(),
             waits: wait.is_some(),
             unlimited: wait.and_then(Value::as_str).is_some(),
             names: content.get("peer").is_some(),

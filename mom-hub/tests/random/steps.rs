@@ -46,6 +46,12 @@ pub(crate) enum Act {
     /// Something before a login, or again.
     Stranger,
     Gone,
+    /// The connection is lost, and may come back for so long, µs.
+    Lost {
+        grace: u64,
+    },
+    /// Somebody who is lost comes back, or nobody does.
+    Resumed,
     Ask {
         family: Family,
         verb: &'static str,
@@ -199,6 +205,7 @@ fn everybody() -> Vec<Step> {
             "/yard/belt",
             "/yard/gate",
             "/yard/bay",
+            "/yard/dock",
             "/yard/mill",
             "/a",
         ] {
@@ -245,6 +252,8 @@ fn act() -> impl Strategy<Value = Act> {
     prop_oneof![
         2 => nickname.prop_map(|nickname| Act::Login { nickname }),
         2 => Just(Act::Gone),
+        5 => acts::lose(),
+        5 => Just(Act::Resumed),
         1 => Just(Act::Stranger),
         22 => acts::enter(),
         9 => acts::look_around(),
