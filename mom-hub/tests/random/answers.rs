@@ -29,7 +29,6 @@ pub(crate) struct Asked {
 #[derive(Clone, Debug)]
 pub(crate) struct Waiting {
     pub(crate) id: u64,
-    pub(crate) verb: Verb,
     pub(crate) path: Path,
     pub(crate) name: String,
 }
@@ -69,6 +68,11 @@ impl Answers {
         let message = matches!(asked.verb, Some(Verb::Send | Verb::Stop | Verb::Unstop));
         let ok = matches!(effect, Effect::Reply { parcel, .. } if parcel.family == Family::Reply);
         assert!(!(message && ok), "receipts are the broker's");
+        if let (Effect::Send { .. }, Some(Verb::Send)) = (effect, asked.verb) {
+            let mut before = self.open.range((to, 0)..(to, id)).map(|(_, before)| before);
+            let passed = before.find(|before| before.verb == asked.verb && before.path == asked.path);
+            assert_eq!(passed, None, "messages of one sender keep their order: {asked:?}");
+        }
         if asked.later {
             seen.note("answered later");
         }
@@ -85,10 +89,9 @@ impl Answers {
     pub(crate) fn messages_of(&self, peer: PeerId) -> Vec<Waiting> {
         let own = self.open.values().filter(|asked| asked.peer == peer);
         let waiting = own.filter_map(|asked| {
-            let verb = asked.verb.filter(|verb| verb.family() == Family::Message)?;
+            asked.verb.filter(|verb| verb.family() == Family::Message)?;
             Some(Waiting {
                 id: asked.id,
-                verb,
                 path: asked.path.clone()?,
                 name: asked.name.clone(),
             })

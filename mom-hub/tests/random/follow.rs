@@ -39,12 +39,12 @@ impl Observer {
         let stir = self.stir(effects, input);
         let members = (stir == Stir::All).then(|| members(&mut self.hub, self.now));
         self.tree.begin(members);
-        self.links.halted.clear();
         self.meet(input);
         self.note_breaks(effects);
         let mut story = Story::default();
         for effect in effects {
             self.tree.route(effect);
+            self.links.take(effect);
             story.deleted |= matches!(effect, Effect::RouteGone(_));
             let asked = self.answers.answer(effect, &mut self.seen);
             let safe = self.effect(effect, asked.as_ref(), input, &mut story);
@@ -129,7 +129,6 @@ impl Observer {
                 None
             }
             _ => {
-                self.links.halted.extend(parcel.number);
                 // The one of an owner that is lost and stays the owner is looked at by itself.
                 story.unsaid = !story.deleted && !matches!(input, Some(Input::Lost { .. }));
                 self.seen.note(parcel.name());

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use mom_hub::{Effect, Hub, Input, PeerId, Route};
-use mom_proto::{Code, ContextNumber, Family, Parcel, Path, Value, Verb};
+use mom_proto::{Code, ContextNumber, Family, Parcel, Path, Value};
 
 use crate::answers::Waiting;
 use crate::lab::PATHS;
@@ -23,8 +23,8 @@ pub(crate) struct Links {
     closed: BTreeSet<PeerId>,
     /// What the present input changes.
     news: Option<News>,
-    /// The channels that heard a safe state in this step.
-    pub(crate) halted: BTreeSet<ContextNumber>,
+    /// The channels where a command was the last word, and not a safe state.
+    moving: BTreeSet<ContextNumber>,
 }
 
 /// A peer is lost, or is back.
@@ -40,6 +40,22 @@ impl Links {
     pub(crate) fn left(&self, peer: PeerId, now: u64) -> Option<i64> {
         let until = self.lost.get(&peer)?;
         i64::try_from(until.saturating_sub(now).div_ceil(1000)).ok()
+    }
+
+    /// Takes in who is told to move, and to halt.
+    pub(crate) fn take(&mut self, effect: &Effect) {
+        match effect {
+            Effect::Send { parcel, route, .. } => {
+                self.moving.extend(parcel.fence.map(|_| route.number));
+            }
+            Effect::Deliver { parcel, .. } if parcel.family == Family::Message => {
+                self.moving.remove(&parcel.number.unwrap());
+            }
+            // Nobody is there who could move.
+            Effect::Route(route) if route.members.is_empty() => drop(self.moving.remove(&route.number)),
+            Effect::RouteGone(number) => drop(self.moving.remove(number)),
+            _ => {}
+        }
     }
 
     /// After a step: who is gone is not lost.
@@ -227,11 +243,11 @@ impl Observer {
         Some(if due { members } else { BTreeSet::new() })
     }
 
-    /// No command that waits for an answer is let in later; all else that waits is asked about anew, in its order.
+    /// No command that waits for an answer is let in later; all else that waits is asked about anew.
     fn check_refused(&mut self, news: &News, effects: &[Effect]) {
         let mut refused = BTreeSet::new();
         let mut answered = BTreeSet::new();
-        let mut consults: BTreeMap<Path, usize> = BTreeMap::new();
+        let (mut consults, mut due) = (BTreeSet::new(), BTreeSet::new());
         for effect in effects {
             match effect {
                 Effect::Reply { to, parcel } => {
@@ -245,12 +261,11 @@ impl Observer {
                 Effect::Send { parcel, .. } => drop(answered.insert(parcel.id.unwrap())),
                 Effect::Deliver { parcel, .. } => {
                     assert!(parcel.is(Family::Manager, "consult"), "{parcel:?}");
-                    *consults.entry(parcel.context.clone().unwrap()).or_default() += 1;
+                    consults.insert(parcel.context.clone().unwrap());
                 }
                 other => assert!(is_quiet(other), "refusals and questions only: {other:?}"),
             }
         }
-        let mut due = BTreeMap::new();
         for waiting in &news.waiting {
             let guards = self.tree.routes.values();
             let mut guards =
@@ -265,22 +280,13 @@ impl Observer {
                 self.seen.note("refused at a loss");
                 continue;
             }
-            let open = due.entry(waiting.path.clone()).or_insert(0);
-            if answered.contains(&waiting.id) {
-                assert!(
-                    *open == 0 || waiting.verb != Verb::Send,
-                    "in its order: {waiting:?}"
-                );
-            } else {
-                *open = if waiting.verb == Verb::Send { 1 } else { 0 }.max(*open);
+            if !answered.contains(&waiting.id) {
+                due.insert(waiting.path.clone());
                 self.seen.note("asked anew at a loss");
             }
         }
         assert!(refused.is_empty(), "refused without cause: {refused:?}");
-        for (path, open) in due {
-            let asked = consults.get(&path).copied().unwrap_or_default();
-            assert!(asked >= open, "asked anew about {path}: {effects:?}");
-        }
+        assert!(due.is_subset(&consults), "somebody is asked anew: {effects:?}");
     }
 
     /// Lists of members say who is lost, and for how long.
@@ -331,20 +337,9 @@ impl Observer {
         let content = grabbed.value();
         self.owner_lost(content.get("owner").and_then(Value::as_str).unwrap())?;
         self.seen.note("granted while lost");
-        let agreed = self
-            .owners
-            .lost
-            .get(path)
-            .is_some_and(|lost| lost.reason == "given");
-        if agreed {
+        let lost = self.owners.lost.get(path);
+        if lost.is_some_and(|lost| lost.reason == "given") {
             self.seen.note("handed to who is lost");
-        }
-        if agreed && self.rules(path).is_some_and(|rules| !rules.safe_on_give) {
-            let due: BTreeSet<ContextNumber> = self.halted(&BTreeSet::from([path.clone()])).collect();
-            assert!(
-                due.is_subset(&self.links.halted),
-                "{path} is safe before somebody has it who is lost"
-            );
         }
         Some(self.scope(path))
     }
@@ -372,8 +367,18 @@ impl Observer {
         }
     }
 
-    /// Nobody is awaited for longer than its time.
+    /// Nobody is awaited for longer than its time, and no device moves for it meanwhile.
     pub(crate) fn check_grace(&self) {
+        let owned = self.owners.now.iter();
+        let owned = owned.filter(|(_, owned)| self.owner_lost(&owned.name).is_some());
+        let owned: BTreeSet<Path> = owned.map(|(path, _)| path.clone()).collect();
+        let moving = self
+            .halted(&owned)
+            .find(|number| self.links.moving.contains(number));
+        assert_eq!(
+            moving, None,
+            "moves for an owner that is lost, of one of {owned:?}"
+        );
         let over = self.links.lost.iter().find(|(_, until)| **until <= self.now);
         assert_eq!(over, None, "not resumed in time, and yet there");
     }

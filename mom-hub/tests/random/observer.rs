@@ -164,6 +164,7 @@ impl Observer {
         self.hub.check();
         self.follow(&effects[start..], Some(input));
         self.check_link(input, &effects[start..]);
+        self.check_grace();
         self.check_one_truth(by_route.as_ref(), input, &effects[start..]);
         self.check_stop(input, &effects[start..]);
         self.inputs.push((now, input.clone()));
