@@ -161,7 +161,7 @@ fn contexts(variant: usize) -> Vec<(&'static str, Map)> {
     };
     let eager = match variant {
         2 => managed("level-or-lease", 7000, "lazy"),
-        _ => managed("level-or-lease", 2000, "eager"),
+        _ => managed("level-or-lease", 2000, "eager").with("safe-on-give", false),
     };
     let dead = managed("level-or-lease", 5000, "lazy").with("safe-on-give", false);
     let dead = match variant {

@@ -25,8 +25,8 @@ pub(crate) struct Log {
     /// Who is asked for a token, and by whom.
     requests: Vec<(Path, PeerId, String)>,
     questions: Vec<(PeerId, u64)>,
-    /// Whose messages wait for an answer.
-    askers: Vec<PeerId>,
+    /// Who has asked last for a token, or sent a message that waits for an answer, and when by ids.
+    asks: Option<(PeerId, u64)>,
     /// Who owns which token.
     owners: BTreeMap<Path, PeerId>,
     /// Who may drive through which channel, and the message that it takes.
@@ -201,18 +201,13 @@ impl Log {
                 let found = here.or_else(|| elsewhere().filter(|_| message.name == "command"));
                 found.map(|(path, (owner, name))| (*owner, path.clone(), Some(name.clone())))
             }
-            // Or who has asked for something.
-            Act::Lost { .. } => match any % 3 {
-                0 => self.askers.last().map(|peer| (*peer, at("/"), None)),
-                1 => {
-                    let last = self.requests.last();
-                    last.and_then(|(path, _, who)| Some((self.named(who)?, path.clone(), None)))
-                }
-                _ => {
-                    let found = self.owners.iter().nth(any % self.owners.len().max(1));
-                    found.map(|(path, owner)| (*owner, path.clone(), None))
-                }
-            },
+            // Or who has just asked for something.
+            Act::Lost { .. } => {
+                let asks = self.asks.filter(|(_, id)| self.id - id < 5);
+                let found = self.owners.values().nth(any % self.owners.len().max(1));
+                let found = asks.map(|(peer, _)| peer).or(found.copied());
+                found.map(|peer| (peer, at("/"), None))
+            }
             Act::Ask {
                 verb: "renew" | "release",
                 path,
@@ -387,6 +382,7 @@ impl Log {
                 let owner = to.iter().find(|peer| Some(**peer) != named("peer"));
                 if let Some(owner) = owner {
                     keep(&mut self.requests, (path(), *owner, asks.to_owned()));
+                    self.note_asking(Some(asks));
                 }
             }
             (Family::Manager, "consult") => {
@@ -394,12 +390,15 @@ impl Log {
                     keep(&mut self.questions, (*peer, parcel.id.unwrap()));
                 }
                 let asks = content.get("message").and_then(|_| content.get("peer")?.as_str());
-                if let Some(asks) = asks.and_then(|name| self.named(name)) {
-                    keep(&mut self.askers, asks);
-                }
+                self.note_asking(asks);
             }
             _ => {}
         }
+    }
+
+    fn note_asking(&mut self, name: Option<&str>) {
+        let peer = name.and_then(|name| self.named(name));
+        self.asks = peer.map(|peer| (peer, self.id)).or(self.asks);
     }
 
     /// The hub was started anew: all connections have ended, and its time begins again.
@@ -416,7 +415,7 @@ impl Log {
         self.offers.clear();
         self.requests.clear();
         self.questions.clear();
-        self.askers.clear();
+        self.asks = None;
         self.owners.clear();
         self.drivers.clear();
         self.said = None;

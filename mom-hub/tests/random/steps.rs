@@ -4,6 +4,7 @@ use std::fmt;
 
 use mom_proto::{Family, Map, Value};
 use proptest::prelude::*;
+use proptest::sample::select;
 
 use crate::acts;
 use crate::lab::{USERS, VARIANTS};
@@ -134,6 +135,56 @@ fn step() -> impl Strategy<Value = Step> {
     )
 }
 
+/// What single steps seldom come to: somebody drives, and who has asked for the token, or the driver whose messages wait
+/// for an answer, is lost, and then the owner says yes.
+fn scene() -> impl Strategy<Value = Vec<Step>> {
+    let places = select(vec![
+        ("/yard/dead", "/yard/belt", "command"),
+        ("/yard/eager", "/yard/press", "say"),
+        ("/yard/eager", "/yard/dock", "command"),
+        ("/yard/eager", "/yard/dock", "say"),
+    ]);
+    let steps = (step(), step(), step(), step(), step(), step());
+    (places, any::<bool>(), acts::lose(), steps).prop_map(|((token, path, name), asks, lost, steps)| {
+        let tell = |verb| Act::Tell {
+            family: Family::Token,
+            verb,
+            path: token,
+            content: Map::new(),
+            peer: None,
+        };
+        let send = |name| {
+            Act::Send(Message {
+                path,
+                name,
+                to: None,
+                fence: None,
+                echo: None,
+                receipt: false,
+            })
+        };
+        let accept = Act::Answer {
+            verb: "accept",
+            offer: false,
+            pick: 0,
+            rightly: true,
+        };
+        let second = if asks { tell("request") } else { send("say") };
+        let acts = [tell("grab"), send(name), second, send(name), lost, accept];
+        let steps = <[Step; 6]>::from(steps);
+        let (driver, other) = (steps[0].seat, steps[1].seat);
+        let scene = steps.into_iter().zip(acts).enumerate();
+        let scene = scene.map(|(place, (step, act))| Step {
+            wait: 0,
+            seat: if asks && place == 2 { other } else { driver },
+            act,
+            by_owner: place > 3,
+            ..step
+        });
+        scene.collect()
+    })
+}
+
 /// A log. Most begin where everybody is everywhere, so that there is more to go wrong.
 #[derive(Clone)]
 pub(crate) struct Script {
@@ -177,8 +228,16 @@ impl fmt::Debug for Script {
 
 /// Any log.
 pub(crate) fn script(most: usize) -> impl Strategy<Value = Script> {
-    let steps = prop::collection::vec(step(), 1..=most);
-    (prop::bool::weighted(0.75), steps).prop_map(|(crowded, steps)| Script { crowded, steps })
+    let some = prop_oneof![
+        60 => step().prop_map(|step| vec![step]),
+        1 => scene(),
+    ];
+    let steps = prop::collection::vec(some, 1..=most);
+    (prop::bool::weighted(0.75), steps).prop_map(move |(crowded, steps)| {
+        let mut steps = steps.concat();
+        steps.truncate(most);
+        Script { crowded, steps }
+    })
 }
 
 fn everybody() -> Vec<Step> {
