@@ -15,6 +15,9 @@ use crate::robots::Scope;
 /// Who told of by name where a context says `counts`.
 const COUNTS_ABOVE: i64 = 2;
 
+/// A time that is never over, µs.
+const NEVER: u64 = 1 << 60;
+
 /// Who is lost, and who was closed.
 #[derive(Debug, Default)]
 pub(crate) struct Links {
@@ -364,6 +367,42 @@ impl Observer {
             self.seen.note("not resumed in time");
         } else if until.is_some() {
             self.seen.note("closed while lost");
+        }
+    }
+
+    /// Who has not come back in time is gone as if its connection had ended then, and is closed.
+    pub(crate) fn check_like_gone(&mut self, effects: &[Effect]) {
+        let closed = effects.iter().filter_map(|effect| match effect {
+            Effect::Close { peer, .. } => Some(*peer),
+            _ => None,
+        });
+        let [peer] = closed.collect::<Vec<_>>()[..] else {
+            return;
+        };
+        let mut hub = self.start.hub();
+        let mut others = Vec::new();
+        for (at, input) in &self.inputs {
+            let input = match input {
+                Input::Lost { peer: known, .. } if *known == peer => Input::Lost { peer, grace: NEVER },
+                other => other.clone(),
+            };
+            hub.handle(*at, input, &mut Vec::new());
+        }
+        hub.handle(self.now, Input::Tick, &mut others);
+        // What else was due had its turn before it, or after.
+        if others.is_empty() {
+            hub.handle(self.now, Input::Gone { peer }, &mut others);
+            let end = effects.last();
+            assert!(
+                matches!(end, Some(Effect::Close { .. })),
+                "the last is that it is closed: {effects:?}"
+            );
+            assert_eq!(
+                effects[..effects.len() - 1],
+                others,
+                "as if its connection had ended"
+            );
+            self.seen.note("gone like others");
         }
     }
 

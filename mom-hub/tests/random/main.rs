@@ -234,6 +234,7 @@ const REACHED: &[&str] = &[
     "closed while lost",
     "gone while lost",
     "not resumed in time",
+    "gone like others",
     "lost twice",
     "lost by nobody",
     "resumed without a loss",

@@ -151,6 +151,7 @@ impl Observer {
             "deadlines have acted"
         );
         self.follow(&effects, None);
+        self.check_like_gone(&effects);
         self.check_ends();
         self.check_grace();
         let by_route = self.tree.admit(&self.hub, now, input);
