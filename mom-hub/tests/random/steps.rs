@@ -102,6 +102,19 @@ pub(crate) struct Message {
     pub(crate) receipt: bool,
 }
 
+impl Message {
+    fn to_all(path: &'static str, name: &'static str) -> Message {
+        Message {
+            path,
+            name,
+            to: None,
+            fence: None,
+            echo: None,
+            receipt: false,
+        }
+    }
+}
+
 /// Any step.
 fn step() -> impl Strategy<Value = Step> {
     // µs: nothing, less than a lease, exactly one, more.
@@ -135,8 +148,8 @@ fn step() -> impl Strategy<Value = Step> {
     )
 }
 
-/// What single steps seldom come to: somebody drives, and who has asked for the token, or the driver whose messages wait
-/// for an answer, is lost, and then the owner says yes.
+/// What single steps seldom come to: somebody drives, and who has asked for the token is lost before the owner says yes; or
+/// the driver is lost while its messages wait for an answer; or who lent the token is lost before it comes back.
 fn scene() -> impl Strategy<Value = Vec<Step>> {
     let places = select(vec![
         ("/yard/dead", "/yard/belt", "command"),
@@ -145,40 +158,64 @@ fn scene() -> impl Strategy<Value = Vec<Step>> {
         ("/yard/eager", "/yard/dock", "say"),
     ]);
     let steps = (step(), step(), step(), step(), step(), step());
-    (places, any::<bool>(), acts::lose(), steps).prop_map(|((token, path, name), asks, lost, steps)| {
-        let tell = |verb| Act::Tell {
+    (places, 0..3, acts::lose(), steps).prop_map(|((token, path, name), which, lost, steps)| {
+        let steps = <[Step; 6]>::from(steps);
+        let (driver, other) = (steps[0].seat, steps[1].seat);
+        let tell = |verb, content, peer| Act::Tell {
             family: Family::Token,
             verb,
             path: token,
-            content: Map::new(),
-            peer: None,
+            content,
+            peer,
         };
-        let send = |name| {
-            Act::Send(Message {
-                path,
-                name,
-                to: None,
-                fence: None,
-                echo: None,
-                receipt: false,
-            })
-        };
-        let accept = Act::Answer {
+        let ask = |verb| tell(verb, Map::new(), None);
+        let send = |name| Act::Send(Message::to_all(path, name));
+        let accept = |offer| Act::Answer {
             verb: "accept",
-            offer: false,
+            offer,
             pick: 0,
             rightly: true,
         };
-        let second = if asks { tell("request") } else { send("say") };
-        let acts = [tell("grab"), send(name), second, send(name), lost, accept];
-        let steps = <[Step; 6]>::from(steps);
-        let (driver, other) = (steps[0].seat, steps[1].seat);
-        let scene = steps.into_iter().zip(acts).enumerate();
-        let scene = scene.map(|(place, (step, act))| Step {
+        let release = Act::Ask {
+            family: Family::Token,
+            verb: "release",
+            path: token,
+        };
+        let lend = tell("give", Map::new().with("for", 60_000), Some(("to", Who(other))));
+        // Who does it, and whether that is the owner, or who has just asked.
+        let (own, others, owners) = ((driver, false), (other, false), (driver, true));
+        let acts = match which {
+            0 => [
+                (own, ask("grab")),
+                (own, send(name)),
+                (others, ask("request")),
+                (own, send(name)),
+                (owners, lost),
+                (owners, accept(false)),
+            ],
+            1 => [
+                (own, ask("grab")),
+                (own, send(name)),
+                (own, send("say")),
+                (own, send("say")),
+                (own, send(name)),
+                (owners, lost),
+            ],
+            _ => [
+                (own, ask("grab")),
+                (own, lend),
+                (others, accept(true)),
+                (others, send(name)),
+                (own, lost),
+                (others, release),
+            ],
+        };
+        let scene = steps.into_iter().zip(acts);
+        let scene = scene.map(|(step, ((seat, by_owner), act))| Step {
             wait: 0,
-            seat: if asks && place == 2 { other } else { driver },
+            seat,
             act,
-            by_owner: place > 3,
+            by_owner,
             ..step
         });
         scene.collect()
