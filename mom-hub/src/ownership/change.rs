@@ -29,7 +29,9 @@ impl World {
         let giver = ending.giver;
         let giver = giver.filter(|giver| !self.refused(*giver, Verb::Renew, number));
         // Where the return has to be stored first, or there is nobody to return to, nobody has the device in hand.
-        let at_once = giver.is_some_and(|giver| self.needed_record(number, giver).is_none());
+        let at_once = giver.is_some_and(|giver| {
+            self.needed_record(number, giver).is_none() && self.lost_until(giver).is_none()
+        });
         let agreed = ending.reason == Reason::Returned && by.is_some() && at_once;
         self.change_owner(number, None, ending.reason, by, agreed, out);
         match giver {
@@ -112,7 +114,9 @@ impl World {
         self.retime(number);
         self.change_guarded_routes(number);
         if let Some(Former { ownership, fence }) = former {
-            if !agreed || self.token(number).is_some_and(|token| token.safe_on_give) {
+            // Who has lost its connection has no device in hand.
+            let in_hand = agreed && new.is_none_or(|new| self.lost_until(new).is_none());
+            if !in_hand || self.token(number).is_some_and(|token| token.safe_on_give) {
                 push_safe_state(self, number, out);
             }
             let ended = Ended {

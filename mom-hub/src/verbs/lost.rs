@@ -29,9 +29,9 @@ pub(crate) fn lose(
     world.timers.insert((until, Timer::Grace(peer)));
     let fact = world.fact("link-lost", peer);
     world.audit(fact, out);
-    let due = refuse_commands(world, questions, peer, out);
+    // Devices first.
     world.tell_of_link(peer, out);
-    due
+    refuse_commands(world, questions, peer, out)
 }
 
 /// What a peer has said under a token and what still waits for an answer would move a device after its safe state.
@@ -73,6 +73,10 @@ pub(crate) fn end_grace(world: &mut World, questions: &mut Questions, peer: Peer
     match world.peers.get_mut(peer) {
         Some(known) => known.lost = None,
         None => return world.fault("a peer is not there whose time to come back is over"),
+    }
+    // Who is on its way out for another reason hears that at its end, if anything.
+    if world.is_leaving(peer, &Path::root()) {
+        return;
     }
     depart(world, questions, peer, out);
     let text = "the connection was not resumed in time";

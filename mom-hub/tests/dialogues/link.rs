@@ -1,6 +1,6 @@
 //! A peer that loses its connection and may come back: its devices are safe at once, its places are kept for a while.
 
-use mom_hub::{Effect, Route};
+use mom_hub::{Effect, Input, Route};
 use mom_proto::{Map, Value};
 
 use crate::stage::{Stage, context, lab, level_or_lease, of};
@@ -147,9 +147,14 @@ fn a_command_that_waits_for_a_verdict_is_refused_at_the_loss() {
     stage.say("alice", "message command /lab/arm");
     let heard = stage.lost("alice", GRACE);
     assert_eq!(
-        of(&heard, &["alice"])[..3],
-        ["alice< older-fence", "alice< older-fence", "alice< halt of hub"],
-        "commands are refused, and the sender told: {heard:?}"
+        of(&heard, &["alice"])[..4],
+        [
+            "alice< halt of hub",
+            "alice< lost peer=alice",
+            "alice< older-fence",
+            "alice< older-fence"
+        ],
+        "devices are safe, then commands are refused, and the sender told: {heard:?}"
     );
     let asked = heard.iter().filter(|line| line.starts_with("bob< consult"));
     assert_eq!(asked.count(), 1, "about the chat, which is next: {heard:?}");
@@ -178,8 +183,8 @@ fn a_list_says_who_is_lost() {
     assert_eq!(lost, [Some(Value::Int(29_000)), None, None]);
 }
 
-#[test]
-fn much_is_made_safe_and_told_in_steps() {
+/// Alice owns a hundred tokens, each for a channel of the arm's.
+fn crowd() -> Stage {
     let mut contexts = vec![context("/lab", "session")];
     for number in 0..100 {
         let (key, arm) = (format!("/lab/key{number}"), format!("/lab/arm{number}"));
@@ -198,6 +203,12 @@ fn much_is_made_safe_and_told_in_steps() {
         stage.say("alice", &format!("token grab /lab/key{number}"));
         stage.say("arm", &format!("context join /lab/arm{number}"));
     }
+    stage
+}
+
+#[test]
+fn much_is_made_safe_and_told_in_steps() {
+    let mut stage = crowd();
     let halts = |heard: &[String]| heard.iter().filter(|line| *line == "arm< halt of hub").count();
     let first = stage.lost("alice", GRACE);
     assert_eq!(halts(&first), 32, "one step");
@@ -219,4 +230,78 @@ fn who_logs_out_or_is_put_out_while_lost_is_gone_at_once() {
     stage.lost("bob", GRACE);
     stage.gone("bob");
     assert!(stage.at(40_000).is_empty(), "no timer is left");
+}
+
+/// As [`driven`], where a device keeps doing what it does while its token is handed over.
+fn handed(safe_on_give: bool) -> Stage {
+    let token = level_or_lease(180_000, "lazy").with("safe-on-give", safe_on_give);
+    let mut stage = Stage::new(lab(token));
+    for name in ["alice", "arm", "bob"] {
+        stage.enter(name, 1);
+    }
+    stage.say("alice", "token grab /lab/key");
+    stage
+}
+
+#[test]
+fn a_device_that_is_handed_to_a_lost_peer_is_made_safe() {
+    let halts = |heard: &[String]| heard.iter().filter(|line| *line == "arm< halt of hub").count();
+    for (lost, expected) in [(false, 0), (true, 1)] {
+        let mut stage = handed(false);
+        stage.say("bob", "token request /lab/key");
+        if lost {
+            stage.lost("bob", GRACE);
+        }
+        let heard = stage.say("alice", "token accept /lab/key peer=bob");
+        assert!(
+            heard.contains(&"arm< grabbed owner=bob fence=2".to_owned()),
+            "{heard:?}"
+        );
+        assert_eq!(halts(&heard), expected, "given, lost={lost}: {heard:?}");
+    }
+    for (lost, expected) in [(false, 0), (true, 1)] {
+        let mut stage = handed(false);
+        stage.say("alice", "token give /lab/key to=bob for=60000");
+        stage.say("bob", "token accept /lab/key");
+        if lost {
+            stage.lost("alice", GRACE);
+        }
+        let heard = stage.say("bob", "token release /lab/key");
+        assert!(
+            heard.contains(&"arm< grabbed owner=alice fence=3".to_owned()),
+            "{heard:?}"
+        );
+        assert_eq!(halts(&heard), expected, "returned, lost={lost}: {heard:?}");
+    }
+}
+
+#[test]
+fn who_leaves_in_steps_while_lost_is_closed_once() {
+    // ms in which the way out takes its steps, all but the first
+    let (steps, grace) = (20, 2);
+    let ways = [
+        ("expel", 1),
+        ("gone", 0), // The broker knows.
+        ("nothing", 1),
+    ];
+    for (way, closed) in ways {
+        let mut stage = crowd();
+        stage.arrive("chief", 9);
+        stage.lost("alice", grace);
+        let mut heard = match way {
+            "expel" => stage.say("chief", "context expel / peer=alice for=0"),
+            "gone" => {
+                let peer = stage.peer("alice");
+                stage.give(Input::Gone { peer })
+            }
+            _ => Vec::new(),
+        };
+        for step in 1..steps {
+            heard.extend(stage.at(step));
+        }
+        let times = heard.iter().filter(|line| *line == "alice closed").count();
+        assert_eq!(times, closed, "{way}");
+        let released = heard.iter().filter(|line| line.starts_with("arm< released"));
+        assert_eq!(released.count(), 100, "{way}: each token once");
+    }
 }

@@ -31,6 +31,19 @@ fn who() -> impl Strategy<Value = Who> {
     (0..=SEATS).prop_map(Who)
 }
 
+/// Losses of connections, with little time to come back, or much.
+pub(crate) fn lose() -> impl Strategy<Value = Act> {
+    let grace = select(vec![
+        1,
+        1_000_000,
+        30_000_000,
+        300_000_000,
+        300_000_000,
+        300_000_000,
+    ]);
+    grace.prop_map(|grace| Act::Lost { grace })
+}
+
 /// Joins: most of what there is lies in these.
 pub(crate) fn enter() -> impl Strategy<Value = Act> {
     let inner = select(vec![
@@ -43,6 +56,7 @@ pub(crate) fn enter() -> impl Strategy<Value = Act> {
         "/yard/belt",
         "/yard/gate",
         "/yard/bay",
+        "/yard/dock",
         "/yard/mill",
         "/yard/tap",
         "/a/arm",
@@ -199,7 +213,7 @@ pub(crate) fn show_out() -> impl Strategy<Value = Act> {
 }
 
 pub(crate) fn message() -> impl Strategy<Value = Message> {
-    const CHANNELS: [&str; 12] = [
+    const CHANNELS: [&str; 13] = [
         "/lab/arm",
         "/lab/arm",
         "/lab/talk",
@@ -208,6 +222,7 @@ pub(crate) fn message() -> impl Strategy<Value = Message> {
         "/yard/belt",
         "/yard/gate",
         "/yard/bay",
+        "/yard/dock",
         "/yard/mill",
         "/yard/tap",
         "/yard/tap",

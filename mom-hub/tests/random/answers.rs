@@ -15,6 +15,7 @@ pub(crate) struct Asked {
     /// None = a login, or what is no verb.
     pub(crate) verb: Option<Verb>,
     pub(crate) path: Option<Path>,
+    pub(crate) name: String,
     /// Whether a grab wants to wait, and for ever.
     pub(crate) waits: bool,
     pub(crate) unlimited: bool,
@@ -22,6 +23,14 @@ pub(crate) struct Asked {
     pub(crate) names: bool,
     /// Whether it was not answered at once.
     pub(crate) later: bool,
+}
+
+/// A message without an answer.
+#[derive(Clone, Debug)]
+pub(crate) struct Waiting {
+    pub(crate) id: u64,
+    pub(crate) path: Path,
+    pub(crate) name: String,
 }
 
 /// Requests without an answer.
@@ -59,6 +68,11 @@ impl Answers {
         let message = matches!(asked.verb, Some(Verb::Send | Verb::Stop | Verb::Unstop));
         let ok = matches!(effect, Effect::Reply { parcel, .. } if parcel.family == Family::Reply);
         assert!(!(message && ok), "receipts are the broker's");
+        if let (Effect::Send { .. }, Some(Verb::Send)) = (effect, asked.verb) {
+            let mut before = self.open.range((to, 0)..(to, id)).map(|(_, before)| before);
+            let passed = before.find(|before| before.verb == asked.verb && before.path == asked.path);
+            assert_eq!(passed, None, "messages of one sender keep their order: {asked:?}");
+        }
         if asked.later {
             seen.note("answered later");
         }
@@ -69,6 +83,20 @@ impl Answers {
     pub(crate) fn settle(&mut self, hub: &Hub) {
         self.open.retain(|(peer, _), _| hub.peer_name(*peer).is_some());
         self.open.values_mut().for_each(|asked| asked.later = true);
+    }
+
+    /// The messages of a peer that wait, in their order.
+    pub(crate) fn messages_of(&self, peer: PeerId) -> Vec<Waiting> {
+        let own = self.open.values().filter(|asked| asked.peer == peer);
+        let waiting = own.filter_map(|asked| {
+            asked.verb.filter(|verb| verb.family() == Family::Message)?;
+            Some(Waiting {
+                id: asked.id,
+                path: asked.path.clone()?,
+                name: asked.name.clone(),
+            })
+        });
+        waiting.collect()
     }
 
     /// What this is the answer to.
@@ -108,6 +136,7 @@ impl Asked {
             id,
             verb,
             path: parcel.and_then(|parcel| parcel.context.clone()),
+            name: parcel.map(|parcel| parcel.name().to_owned()).unwrap_or_default(),
             waits: wait.is_some(),
             unlimited: wait.and_then(Value::as_str).is_some(),
             names: content.get("peer").is_some(),

@@ -33,11 +33,23 @@ impl Observer {
         let also = match parcel.name() {
             "released" => {
                 let lost = self.owners.release(parcel, &mut self.seen);
+                if self.owner_lost(&lost.owned.name).is_some() {
+                    self.seen.note(format!("{} while lost", lost.reason));
+                }
                 self.check_expired(&path, &lost, input);
                 safe = self.safe_scope(&path, &lost, parcel);
                 [vec![lost.owned.name], self.tree.guarded_members(&path)].concat()
             }
-            "grabbed" => self.grabbed(to, parcel, granted),
+            "grabbed" => {
+                safe = self.safe_of_lost(&path, parcel);
+                self.grabbed(to, parcel, granted)
+            }
+            "lost" | "resumed" => {
+                let owner = self.owners.now.get(&path).map(|owned| owned.name.clone());
+                let mine = owner.is_some() && owner == word(&parcel.value(), "peer");
+                safe = (mine && parcel.name() == "lost").then(|| self.scope(&path));
+                self.tree.guarded_members(&path)
+            }
             "queued" => self.queued(to, parcel, input),
             "offer" | "requested" | "lapsed" | "inhibited" | "uninhibited" => self.agreed(parcel, input),
             "joined" | "left" => {
@@ -139,6 +151,9 @@ impl Observer {
         };
         let name = person.name.clone();
         let ok = reply.family == Family::Reply;
+        if reply.name() == "held" {
+            self.check_held(reply);
+        }
         let content = reply.value();
         if ok && asked.grants() {
             match self.owners.now.contains_key(&path) {
@@ -235,11 +250,7 @@ impl Observer {
 
     /// Where a safe state had to be heard before a loss: not where the device is handed over by agreement.
     fn safe_scope(&self, path: &Path, lost: &Lost, released: &Parcel) -> Option<Scope> {
-        let rules = self.rules(path);
-        let (on_give, only) = match rules {
-            Some(rules) => (rules.safe_on_give, rules.safe),
-            None => (false, None),
-        };
+        let on_give = self.rules(path).is_some_and(|rules| rules.safe_on_give);
         let agreed = match &*lost.reason {
             "given" => true,
             "returned" => released.value().get("by").is_some(),
@@ -248,7 +259,7 @@ impl Observer {
         if agreed && !on_give {
             return None;
         }
-        Some(only.map_or(Scope::Everywhere, Scope::Only))
+        Some(self.scope(path))
     }
 }
 

@@ -44,6 +44,7 @@ impl Observer {
         let mut story = Story::default();
         for effect in effects {
             self.tree.route(effect);
+            self.links.take(effect);
             story.deleted |= matches!(effect, Effect::RouteGone(_));
             let asked = self.answers.answer(effect, &mut self.seen);
             let safe = self.effect(effect, asked.as_ref(), input, &mut story);
@@ -54,6 +55,7 @@ impl Observer {
         self.answers.settle(&self.hub);
         let hub = &self.hub;
         self.tree.people.retain(|peer, _| hub.peer_name(*peer).is_some());
+        self.links.keep(hub);
         self.tree.check(&self.hub);
         if stir != Stir::Nothing {
             self.look_at_tokens(stir == Stir::All);
@@ -100,7 +102,7 @@ impl Observer {
                 }
                 self.seen.note("stored");
             }
-            Effect::Close { .. } => self.seen.note("closed"),
+            Effect::Close { .. } => self.close(effect, input),
             _ => {}
         }
         None
@@ -127,7 +129,8 @@ impl Observer {
                 None
             }
             _ => {
-                story.unsaid = !story.deleted;
+                // The one of an owner that is lost and stays the owner is looked at by itself.
+                story.unsaid = !story.deleted && !matches!(input, Some(Input::Lost { .. }));
                 self.seen.note(parcel.name());
                 let path = parcel.context.as_ref().unwrap();
                 self.tree.check_receivers(to, path, &[]);
@@ -158,7 +161,9 @@ impl Observer {
     fn stir(&self, effects: &[Effect], input: Option<&Input>) -> Stir {
         let asks = match input {
             _ if self.tree.blind => return Stir::Nothing,
-            None | Some(Input::Tick | Input::Stored { .. }) => None,
+            None | Some(Input::Tick | Input::Stored { .. } | Input::Lost { .. } | Input::Resumed { .. }) => {
+                None
+            }
             Some(Input::Request { peer, parcel, .. }) => Some((*peer, parcel.id)),
             Some(_) => return Stir::All,
         };
@@ -195,6 +200,9 @@ impl Observer {
     /// Notes who comes, and who is somebody else now.
     fn meet(&mut self, input: Option<&Input>) {
         match input {
+            Some(input @ (Input::Lost { .. } | Input::Resumed { .. } | Input::Gone { .. })) => {
+                self.meet_link(input);
+            }
             Some(Input::Login { peer, user, .. }) => {
                 let Some(name) = self.hub.peer_name(*peer) else {
                     return;
@@ -205,6 +213,11 @@ impl Observer {
                     level: user.level,
                 };
                 let before = self.tree.people.insert(*peer, person);
+                // Somebody else has lost nothing.
+                if before.as_ref().is_some_and(|before| before.user != user.name) {
+                    self.links.lost.remove(peer);
+                    self.robots.resume(*peer);
+                }
                 self.tree.former = before.map(|before| (*peer, before.name));
             }
             // What was about to go back does not: whose it was comes in turn like all others.
@@ -251,6 +264,11 @@ impl Observer {
             let stored = self.disk.awaits(path);
             let owner = self.owners.now.get(path).map(|owned| &owned.name);
             assert_eq!(owner, look.owner.as_ref(), "owner of {path}");
+            let lost = owner.and_then(|owner| self.owner_lost(owner));
+            assert_eq!(
+                lost, look.owner_lost,
+                "until when the owner of {path} may come back"
+            );
             self.queues.check(path, look, self.rules(path).as_ref(), stored);
             self.handover.check(path, look, stored, self.now);
         }

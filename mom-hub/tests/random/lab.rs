@@ -19,7 +19,7 @@ pub(crate) const EPOCH: u64 = 1;
 pub(crate) const VARIANTS: usize = 6;
 
 /// The paths that steps are about: of the configuration, to be made, and never there.
-pub(crate) const PATHS: [&str; 30] = [
+pub(crate) const PATHS: [&str; 31] = [
     "/",
     "/lab",
     "/lab/token",
@@ -37,6 +37,7 @@ pub(crate) const PATHS: [&str; 30] = [
     "/yard/belt",
     "/yard/gate",
     "/yard/bay",
+    "/yard/dock",
     "/yard/mill",
     "/yard/tap",
     "/yard/extra",
@@ -118,7 +119,7 @@ pub(crate) fn configuration(variant: usize, users: Vec<(PeerId, Option<User>)>) 
 
 fn limits() -> Limits {
     Limits {
-        contexts: Limit::At(24),
+        contexts: Limit::At(25),
         joined: Limit::At(16),
         ..Limits::default()
     }
@@ -160,7 +161,7 @@ fn contexts(variant: usize) -> Vec<(&'static str, Map)> {
     };
     let eager = match variant {
         2 => managed("level-or-lease", 7000, "lazy"),
-        _ => managed("level-or-lease", 2000, "eager"),
+        _ => managed("level-or-lease", 2000, "eager").with("safe-on-give", false),
     };
     let dead = managed("level-or-lease", 5000, "lazy").with("safe-on-give", false);
     let dead = match variant {
@@ -205,6 +206,10 @@ fn contexts(variant: usize) -> Vec<(&'static str, Map)> {
         (
             "/yard/bay",
             guarded("/yard/chaired", "command").with("manager", "chaired"),
+        ),
+        (
+            "/yard/dock",
+            guarded("/yard/eager", "command").with("manager", "chaired"),
         ),
         ("/yard/mill", guarded("/yard/moody", "command")),
         ("/yard/tap", of("channel").with("manager", "counted")),

@@ -25,6 +25,8 @@ pub(crate) struct Log {
     /// Who is asked for a token, and by whom.
     requests: Vec<(Path, PeerId, String)>,
     questions: Vec<(PeerId, u64)>,
+    /// Who has asked last for a token, or sent a message that waits for an answer, and when by ids.
+    asks: Option<(PeerId, u64)>,
     /// Who owns which token.
     owners: BTreeMap<Path, PeerId>,
     /// Who may drive through which channel, and the message that it takes.
@@ -40,6 +42,8 @@ struct Seat {
     /// Who is logged in, and as which peer.
     user: Option<usize>,
     name: Option<String>,
+    /// Its connection is lost, and may come back.
+    lost: bool,
     /// The hub has closed it, and the broker has still to say that it is gone.
     closed: bool,
 }
@@ -70,8 +74,9 @@ impl Log {
             _ => self.owned(step),
         };
         let owner = owned.as_ref().map(|(owner, ..)| *owner);
-        let known = self.known(&step.act).or(owner);
-        let seat = known.map_or(step.seat, seat_of);
+        let away = || self.away(&step.act, step.seat);
+        let known = self.known(&step.act).or(owner).or_else(away);
+        let seat = known.map_or_else(|| self.awake(step), seat_of);
         let peer = self.peer(seat);
         let place = self.seats.entry(seat).or_default();
         if place.closed || matches!(step.act, Act::Gone) {
@@ -81,10 +86,13 @@ impl Log {
             };
             return Input::Gone { peer };
         }
+        if let Some(input) = self.link(&step.act, seat) {
+            return input;
+        }
         let mut parcel = match &step.act {
             Act::Stranger => Parcel::new(Family::Token, "grab").context(at("/lab/token")),
             Act::Login { nickname } => return self.login(seat, step.user, *nickname),
-            _ if place.user.is_none() => return self.login(seat, step.user, None),
+            _ if self.seats[&seat].user.is_none() => return self.login(seat, step.user, None),
             act => self.parcel(act, peer),
         };
         if let Some((_, path, name)) = owned {
@@ -96,6 +104,42 @@ impl Log {
         let mut parcel = Box::new(parcel.id(self.id));
         let clock = self.clock(&mut parcel);
         Input::Request { peer, parcel, clock }
+    }
+
+    /// A loss, or a return. Who is lost has to come back before it says anything; some requests
+    /// come before that, but no messages.
+    fn link(&mut self, act: &Act, seat: usize) -> Option<Input> {
+        let message = matches!(act, Act::Send(_) | Act::Again);
+        let early = self.id.is_multiple_of(8) && !message;
+        let place = self.seats.entry(seat).or_default();
+        let lost = match act {
+            Act::Lost { .. } => true,
+            Act::Resumed => false,
+            _ if place.lost && !early => false,
+            _ => return None,
+        };
+        place.lost = lost && place.name.is_some();
+        let peer = self.peer(seat);
+        Some(match act {
+            Act::Lost { grace } => Input::Lost { peer, grace: *grace },
+            _ => Input::Resumed { peer },
+        })
+    }
+
+    /// Who does something in place of one that is lost: mostly somebody else, so that it stays lost for a while.
+    fn awake(&self, step: &Step) -> usize {
+        let may = matches!(step.act, Act::Gone | Act::Lost { .. }) || self.id.is_multiple_of(4);
+        let awake = |seat: &usize| may || self.seats.get(seat).is_none_or(|place| !place.lost);
+        let mut seats = (step.seat..SEATS).chain(0..step.seat);
+        seats.find(awake).unwrap_or(step.seat)
+    }
+
+    /// Who comes back, if it is not this one.
+    fn away(&self, act: &Act, seat: usize) -> Option<PeerId> {
+        let mut seats = (seat..SEATS).chain(0..seat);
+        let lost = |seat: &usize| self.seats.get(seat).is_some_and(|place| place.lost);
+        let found = seats.find(lost).filter(|_| matches!(act, Act::Resumed));
+        found.map(|seat| self.peer(seat))
     }
 
     /// Stamps a message by a clock that is wrong, and known or not; every so often it is too old, or of the future.
@@ -156,6 +200,13 @@ impl Log {
                 let elsewhere = || self.drivers.iter().nth(any % self.drivers.len().max(1));
                 let found = here.or_else(|| elsewhere().filter(|_| message.name == "command"));
                 found.map(|(path, (owner, name))| (*owner, path.clone(), Some(name.clone())))
+            }
+            // Or who has just asked for something.
+            Act::Lost { .. } => {
+                let asks = self.asks.filter(|(_, id)| self.id - id < 5);
+                let found = self.owners.values().nth(any % self.owners.len().max(1));
+                let found = asks.map(|(peer, _)| peer).or(found.copied());
+                found.map(|peer| (peer, at("/"), None))
             }
             Act::Ask {
                 verb: "renew" | "release",
@@ -233,9 +284,13 @@ impl Log {
                     .with("stands", *stands);
                 Parcel::new(Family::Manager, "verdict").content(content)
             }
-            Act::Login { .. } | Act::Stranger | Act::Gone | Act::Configure(_) | Act::Tick => {
-                unreachable!("no request of its own")
-            }
+            Act::Login { .. }
+            | Act::Stranger
+            | Act::Gone
+            | Act::Lost { .. }
+            | Act::Resumed
+            | Act::Configure(_)
+            | Act::Tick => unreachable!("no request of its own"),
         }
     }
 
@@ -327,15 +382,23 @@ impl Log {
                 let owner = to.iter().find(|peer| Some(**peer) != named("peer"));
                 if let Some(owner) = owner {
                     keep(&mut self.requests, (path(), *owner, asks.to_owned()));
+                    self.note_asking(Some(asks));
                 }
             }
             (Family::Manager, "consult") => {
                 for peer in to {
                     keep(&mut self.questions, (*peer, parcel.id.unwrap()));
                 }
+                let asks = content.get("message").and_then(|_| content.get("peer")?.as_str());
+                self.note_asking(asks);
             }
             _ => {}
         }
+    }
+
+    fn note_asking(&mut self, name: Option<&str>) {
+        let peer = name.and_then(|name| self.named(name));
+        self.asks = peer.map(|peer| (peer, self.id)).or(self.asks);
     }
 
     /// The hub was started anew: all connections have ended, and its time begins again.
@@ -352,6 +415,7 @@ impl Log {
         self.offers.clear();
         self.requests.clear();
         self.questions.clear();
+        self.asks = None;
         self.owners.clear();
         self.drivers.clear();
         self.said = None;
@@ -369,6 +433,11 @@ impl Log {
 
     fn name_at(&self, seat: usize) -> Option<&str> {
         self.seats.get(&seat)?.name.as_deref()
+    }
+
+    fn named(&self, name: &str) -> Option<PeerId> {
+        let seat = (0..SEATS).find(|seat| self.name_at(*seat) == Some(name));
+        seat.map(|seat| self.peer(seat))
     }
 
     fn name_of(&self, who: Who) -> String {

@@ -12,6 +12,8 @@ use crate::log::at;
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Look {
     pub(crate) owner: Option<String>,
+    /// How long it may still come back, if it is lost, ms.
+    pub(crate) owner_lost: Option<i64>,
     pub(crate) queue: Vec<String>,
     pub(crate) holders: Vec<String>,
     pub(crate) offered: Option<String>,
@@ -92,6 +94,7 @@ fn look(info: &Value) -> Look {
     };
     Look {
         owner: info.get("owner").and_then(word),
+        owner_lost: info.get("owner-lost").and_then(Value::as_int),
         queue: peers("queue"),
         holders: list("holders").iter().filter_map(word).collect(),
         offered: info.get("offer").and_then(|offer| word(offer.get("to")?)),

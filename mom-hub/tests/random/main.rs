@@ -15,6 +15,7 @@ mod follow;
 mod handover;
 mod kinds;
 mod lab;
+mod links;
 mod log;
 mod look;
 mod observer;
@@ -144,7 +145,7 @@ fn random_logs_reach_everything() -> TestCaseResult {
 }
 
 /// Logs in which all that follows is reached.
-const LOGS: u64 = 240;
+const LOGS: u64 = 400;
 
 const REACHED: &[&str] = &[
     "reason released",
@@ -218,4 +219,23 @@ const REACHED: &[&str] = &[
     "command obeyed",
     "stopped by the broker's gate",
     "stopped by the robot's gate",
+    "lost",
+    "resumed",
+    "halted at a loss",
+    "stopped after a loss",
+    "held by a lost owner",
+    "refused at a loss",
+    "asked anew at a loss",
+    "expired while lost",
+    "preempted while lost",
+    "disconnected while lost",
+    "granted while lost",
+    "handed to who is lost",
+    "closed while lost",
+    "gone while lost",
+    "not resumed in time",
+    "gone like others",
+    "lost twice",
+    "lost by nobody",
+    "resumed without a loss",
 ];

@@ -9,6 +9,7 @@ use crate::answers::Answers;
 use crate::disk::Disk;
 use crate::handover::HandOver;
 use crate::lab::{self, EPOCH, Rules, USERS, user};
+use crate::links::Links;
 use crate::look::Looks;
 use crate::owners::{Kept, Owners};
 use crate::queues::Queues;
@@ -57,6 +58,7 @@ pub(crate) struct Observer {
     pub(crate) queues: Queues,
     pub(crate) handover: HandOver,
     pub(crate) robots: Robots,
+    pub(crate) links: Links,
     pub(crate) disk: Disk,
     pub(crate) inputs: Vec<(u64, Input)>,
     pub(crate) effects: Vec<Vec<Effect>>,
@@ -82,6 +84,7 @@ impl Observer {
             queues: Queues::default(),
             handover: HandOver::default(),
             robots,
+            links: Links::default(),
             disk: Disk::default(),
             inputs: Vec::new(),
             effects: Vec::new(),
@@ -148,7 +151,9 @@ impl Observer {
             "deadlines have acted"
         );
         self.follow(&effects, None);
+        self.check_like_gone(&effects);
         self.check_ends();
+        self.check_grace();
         let by_route = self.tree.admit(&self.hub, now, input);
         if !effects.iter().any(taken_by_somebody) {
             check_early(early, by_route.as_ref());
@@ -159,6 +164,8 @@ impl Observer {
         self.hub.handle(now, input.clone(), &mut effects);
         self.hub.check();
         self.follow(&effects[start..], Some(input));
+        self.check_link(input, &effects[start..]);
+        self.check_grace();
         self.check_one_truth(by_route.as_ref(), input, &effects[start..]);
         self.check_stop(input, &effects[start..]);
         self.inputs.push((now, input.clone()));
@@ -300,9 +307,12 @@ fn check_early(early: Option<Admitted>, late: Option<&Admitted>) {
     }
 }
 
-/// Whether somebody takes a token, by a request that waited for an answer until now: that is no end which the owner,
-/// or a route, could have known of before.
+/// Whether somebody takes a token, by a request that waited for an answer until now, or has not come back in time and is
+/// no member any more: that is nothing which the owner, or a route, could have known of before.
 fn taken_by_somebody(effect: &Effect) -> bool {
+    if matches!(effect, Effect::Close { .. }) {
+        return true;
+    }
     let Effect::Deliver { parcel, .. } = effect else {
         return false;
     };

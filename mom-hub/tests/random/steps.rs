@@ -4,6 +4,7 @@ use std::fmt;
 
 use mom_proto::{Family, Map, Value};
 use proptest::prelude::*;
+use proptest::sample::select;
 
 use crate::acts;
 use crate::lab::{USERS, VARIANTS};
@@ -46,6 +47,12 @@ pub(crate) enum Act {
     /// Something before a login, or again.
     Stranger,
     Gone,
+    /// The connection is lost, and may come back for so long, µs.
+    Lost {
+        grace: u64,
+    },
+    /// Somebody who is lost comes back, or nobody does.
+    Resumed,
     Ask {
         family: Family,
         verb: &'static str,
@@ -95,6 +102,19 @@ pub(crate) struct Message {
     pub(crate) receipt: bool,
 }
 
+impl Message {
+    fn to_all(path: &'static str, name: &'static str) -> Message {
+        Message {
+            path,
+            name,
+            to: None,
+            fence: None,
+            echo: None,
+            receipt: false,
+        }
+    }
+}
+
 /// Any step.
 fn step() -> impl Strategy<Value = Step> {
     // µs: nothing, less than a lease, exactly one, more.
@@ -126,6 +146,80 @@ fn step() -> impl Strategy<Value = Step> {
             link,
         },
     )
+}
+
+/// What single steps seldom come to: somebody drives, and who has asked for the token is lost before the owner says yes; or
+/// the driver is lost while its messages wait for an answer; or who lent the token is lost before it comes back.
+fn scene() -> impl Strategy<Value = Vec<Step>> {
+    let places = select(vec![
+        ("/yard/dead", "/yard/belt", "command"),
+        ("/yard/eager", "/yard/press", "say"),
+        ("/yard/eager", "/yard/dock", "command"),
+        ("/yard/eager", "/yard/dock", "say"),
+    ]);
+    let steps = (step(), step(), step(), step(), step(), step());
+    (places, 0..3, acts::lose(), steps).prop_map(|((token, path, name), which, lost, steps)| {
+        let steps = <[Step; 6]>::from(steps);
+        let (driver, other) = (steps[0].seat, steps[1].seat);
+        let tell = |verb, content, peer| Act::Tell {
+            family: Family::Token,
+            verb,
+            path: token,
+            content,
+            peer,
+        };
+        let ask = |verb| tell(verb, Map::new(), None);
+        let send = |name| Act::Send(Message::to_all(path, name));
+        let accept = |offer| Act::Answer {
+            verb: "accept",
+            offer,
+            pick: 0,
+            rightly: true,
+        };
+        let release = Act::Ask {
+            family: Family::Token,
+            verb: "release",
+            path: token,
+        };
+        let lend = tell("give", Map::new().with("for", 60_000), Some(("to", Who(other))));
+        // Who does it, and whether that is the owner, or who has just asked.
+        let (own, others, owners) = ((driver, false), (other, false), (driver, true));
+        let acts = match which {
+            0 => [
+                (own, ask("grab")),
+                (own, send(name)),
+                (others, ask("request")),
+                (own, send(name)),
+                (owners, lost),
+                (owners, accept(false)),
+            ],
+            1 => [
+                (own, ask("grab")),
+                (own, send(name)),
+                (own, send("say")),
+                (own, send("say")),
+                (own, send(name)),
+                (owners, lost),
+            ],
+            _ => [
+                (own, ask("grab")),
+                (own, lend),
+                (others, accept(true)),
+                (others, send(name)),
+                (own, lost),
+                (others, release),
+            ],
+        };
+        let scene = steps.into_iter().zip(acts);
+        let scene = scene.map(|(step, ((seat, by_owner), act))| Step {
+            wait: 0,
+            seat,
+            act,
+            by_owner,
+            ..step
+        });
+        scene.collect()
+    })
 }
 
 /// A log. Most begin where everybody is everywhere, so that there is more to go wrong.
@@ -171,8 +265,16 @@ impl fmt::Debug for Script {
 
 /// Any log.
 pub(crate) fn script(most: usize) -> impl Strategy<Value = Script> {
-    let steps = prop::collection::vec(step(), 1..=most);
-    (prop::bool::weighted(0.75), steps).prop_map(|(crowded, steps)| Script { crowded, steps })
+    let some = prop_oneof![
+        60 => step().prop_map(|step| vec![step]),
+        1 => scene(),
+    ];
+    let steps = prop::collection::vec(some, 1..=most);
+    (prop::bool::weighted(0.75), steps).prop_map(move |(crowded, steps)| {
+        let mut steps = steps.concat();
+        steps.truncate(most);
+        Script { crowded, steps }
+    })
 }
 
 fn everybody() -> Vec<Step> {
@@ -199,6 +301,7 @@ fn everybody() -> Vec<Step> {
             "/yard/belt",
             "/yard/gate",
             "/yard/bay",
+            "/yard/dock",
             "/yard/mill",
             "/a",
         ] {
@@ -245,6 +348,8 @@ fn act() -> impl Strategy<Value = Act> {
     prop_oneof![
         2 => nickname.prop_map(|nickname| Act::Login { nickname }),
         2 => Just(Act::Gone),
+        5 => acts::lose(),
+        5 => Just(Act::Resumed),
         1 => Just(Act::Stranger),
         22 => acts::enter(),
         9 => acts::look_around(),

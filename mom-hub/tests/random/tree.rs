@@ -29,7 +29,7 @@ pub(crate) struct Person {
 pub(crate) struct Tree {
     pub(crate) routes: BTreeMap<ContextNumber, Arc<Route>>,
     /// Before the present step.
-    routes_before: Vec<Arc<Route>>,
+    pub(crate) routes_before: Vec<Arc<Route>>,
     before: Members,
     after: Members,
     pub(crate) people: BTreeMap<PeerId, Person>,
@@ -170,6 +170,11 @@ impl Tree {
         guarded
             .flat_map(|route| route.members.iter().map(|member| member.facts.name.to_string()))
             .collect()
+    }
+
+    /// The members of a context, as far as the operator may know.
+    pub(crate) fn present(&self, path: &Path) -> Option<&BTreeSet<String>> {
+        self.after.get(path)
     }
 
     /// The members of a context before and after the step.
