@@ -100,6 +100,13 @@ impl Linked {
         }
     }
 
+    /// Tells the hub how much was read.
+    pub async fn acknowledge(&mut self) {
+        let read = i64::try_from(self.link.read).unwrap_or(i64::MAX);
+        let ack = Parcel::new(Family::Time, "ack").content(Map::new().with("read", read));
+        self.raw.send_parcel(&ack).await;
+    }
+
     /// Asks for something about a context.
     ///
     /// # Panics

@@ -181,6 +181,8 @@ fn peers(count: usize, address: SocketAddr) -> Result<()> {
             let content = Map::new().with("guest", true);
             let mut linked = Linked::log_in(address, Form::Binary, content, 120_000).await;
             linked.about(Family::Context, "join", "/crowded").await;
+            // As any client does sooner or later.
+            linked.acknowledge().await;
             linked
         })
         .await;

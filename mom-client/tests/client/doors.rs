@@ -51,7 +51,6 @@ async fn no_secret_goes_over_a_plain_door() {
     for (plain, safe) in [
         ("tcp", "tcps"),
         ("bin", "bins"),
-        ("mom", "bins"),
         ("json", "jsons"),
         ("ws", "wss"),
         ("http", "https"),
@@ -73,6 +72,26 @@ async fn no_secret_goes_over_a_plain_door() {
             }
         }
     }
+    nobody_came(&listener).await;
+}
+
+/// Where an address leaves the door open, a secret tries those with TLS only.
+#[tokio::test]
+async fn a_secret_tries_no_plain_door_of_several() {
+    let listener = listen().await;
+    let address = elsewhere("mom", &listener);
+    let trust = Trust::Pinned("00".repeat(32).parse().expect("a fingerprint"));
+    let client = builder(&address, Proof::Password(SECRET.to_owned()));
+    let client = tokio::spawn(client.trust(trust).connect());
+    for door in ["bins", "wss", "https"] {
+        let (mut stream, _) = timeout(PATIENCE, listener.accept())
+            .await
+            .expect("in time")
+            .expect("it comes");
+        assert_eq!(stream.read_u8().await.ok(), Some(0x16), "{door}");
+    }
+    let connected = client.await.expect("no panic");
+    assert_eq!(connected.expect_err("no hub").kind(), ErrorKind::Connection);
     nobody_came(&listener).await;
 }
 
