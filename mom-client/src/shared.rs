@@ -87,8 +87,6 @@ pub(crate) struct State {
     pub(crate) closing: Option<WireError>,
     /// What both ends have counted, where a lost connection may be resumed.
     pub(crate) counted: Option<Box<Counted>>,
-    /// How many messages that had left were given up when the connection was lost.
-    pub(crate) told_lost: u64,
 }
 
 #[derive(Clone, Debug)]
@@ -124,7 +122,6 @@ impl Shared {
             rejoining: 0,
             closing: None,
             counted: None,
-            told_lost: 0,
         };
         Shared {
             settings,

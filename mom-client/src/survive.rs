@@ -232,9 +232,9 @@ impl Shared {
         let mut state = self.lock();
         let mut ledger = self.ledger.lock();
         let Some(kept) = ledger.as_mut() else { return false };
-        let unread = match state.outbox.resend(kept, resumption.read) {
-            Ok(Rewound::Dropped(unread)) => unread,
-            Ok(Rewound::Lost(lost)) => {
+        let (unread, late) = match state.outbox.resend(kept, resumption.read) {
+            Ok((Rewound::Dropped(unread), late)) => (unread, late),
+            Ok((Rewound::Lost(lost), _)) => {
                 tracing::warn!(lost, "more was under way than is kept");
                 return false;
             }
@@ -251,8 +251,8 @@ impl Shared {
         // Nothing of before that needs a token is left: all that follows is of now.
         let resent = Parcel::new(Family::Time, "resent");
         let _ = self.ask_in(&mut state, resent, &mut None);
-        let dropped_here = unread.saturating_sub(state.told_lost);
-        state.told_lost = 0;
+        // Those are told one by one.
+        let dropped_here = unread.saturating_sub(late.len() as u64);
         for count in [dropped_here, resumption.dropped]
             .into_iter()
             .filter(|count| *count > 0)
@@ -262,6 +262,7 @@ impl Shared {
         }
         state.subscribers.deliver_all(&Event::Resumed);
         drop(state);
+        self.tell_dropped(&late);
         self.link.send_replace(LinkState::Connected);
         self.outgoing.notify_one();
         true

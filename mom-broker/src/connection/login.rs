@@ -154,7 +154,12 @@ impl Connection {
             };
             board.decide(login, touched);
         };
-        let until = self.services.logins.admit(peer, granted, decide)?;
+        let admitted = self.services.logins.admit(peer, granted, decide);
+        if admitted.is_err() && !self.logged_in {
+            // The hub knows nobody who could come back.
+            self.end_link();
+        }
+        let until = admitted?;
         self.proven_until = until.map(Box::new);
         reader.set_limits(&self.services.limits);
         reader.trust();

@@ -156,19 +156,24 @@ impl Outbox {
     pub(crate) fn suspend(&mut self, ledger: &mut Ledger<Entry>) -> Dropped {
         self.now.link += 1;
         self.queue.restart(ledger);
-        let guarded = |entry: &Entry| entry.guarded;
         // The policy notes what was dropped.
-        drop(self.queue.drop_data_of(DropReason::Lost, guarded));
-        let left = ledger.drop_kept(guarded).into_iter();
-        let left = left.map(|(entry, _)| (Arc::new(entry.without_capacity()), DropReason::Lost));
-        let mut dropped = self.take_dropped();
-        dropped.extend(left);
-        dropped
+        drop(self.queue.drop_data_of(DropReason::Lost, |entry| entry.guarded));
+        self.take_dropped()
     }
 
-    /// Puts what the hub has not read in front of what waits.
-    pub(crate) fn resend(&mut self, ledger: &mut Ledger<Entry>, read: u64) -> Result<Rewound, BadCount> {
-        self.queue.resend(ledger, read)
+    /// Puts what the hub has not read in front of what waits; gives how much of it is not sent again, and what of that must not
+    /// be sent late.
+    pub(crate) fn resend(
+        &mut self,
+        ledger: &mut Ledger<Entry>,
+        read: u64,
+    ) -> Result<(Rewound, Dropped), BadCount> {
+        self.queue.acknowledge(ledger, read)?;
+        let late = ledger.drop_kept(|entry| entry.guarded).into_iter();
+        let late = late.map(|(entry, _)| (Arc::new(entry.without_capacity()), DropReason::Lost));
+        let late: Dropped = late.collect();
+        let rewound = self.queue.resend(ledger, read)?;
+        Ok((rewound, late))
     }
 
     /// Forgets everything, as the peer is another one from now on, on this link or, if that is gone, the next; gives

@@ -229,6 +229,7 @@ async fn a_lost_device_gets_no_command_of_before() {
     alice.next_of(Family::Event, "lost").await;
     let taken = alice.ask(receipt("while")).await.expect("owner").value();
     assert_eq!(taken.get("dropped"), Some(&Value::from(vec![Value::from("arm")])));
+    let (mut arm, _) = resume(&link, address, Form::Binary).await;
     let mut dropped = 0;
     while dropped < 2 {
         let told = alice.next_of(Family::Event, "dropped").await.value();
@@ -239,7 +240,6 @@ async fn a_lost_device_gets_no_command_of_before() {
         );
         dropped += int(&told, "count");
     }
-    let (mut arm, _) = resume(&link, address, Form::Binary).await;
     alice.send_parcel(&command("after")).await;
     let next = arm.next_of(Family::Message, "command").await;
     assert_eq!(next.value().as_str(), Some("after"));

@@ -120,11 +120,7 @@ impl PeerQueue {
         self.lost = true;
         self.queue.restart(ledger);
         let guarded = |packet: &Packet| packet.gate.is_some();
-        let (mut dropped, _) = self.queue.drop_data_of(DropReason::Lost, guarded);
-        for (packet, count) in ledger.drop_kept(guarded) {
-            self.note_unread(&packet, count, DropReason::Lost);
-            dropped.push(packet);
-        }
+        let (dropped, _) = self.queue.drop_data_of(DropReason::Lost, guarded);
         (is_whole, dropped)
     }
 
@@ -134,8 +130,12 @@ impl PeerQueue {
         self.behind_since = 0;
     }
 
-    /// Puts what the peer has not read in front.
+    /// Puts what the peer has not read in front, but what needs a token: it would move a device long after it was said.
     pub(crate) fn resend(&mut self, ledger: &mut Ledger<Packet>, read: u64) -> Result<Rewound, BadCount> {
+        self.queue.acknowledge(ledger, read)?;
+        for (packet, count) in ledger.drop_kept(|packet| packet.gate.is_some()) {
+            self.note_unread(&packet, count, DropReason::Lost);
+        }
         self.queue.resend(ledger, read)
     }
 
