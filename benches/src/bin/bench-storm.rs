@@ -186,7 +186,7 @@ fn peers(count: usize, address: SocketAddr) -> Result<()> {
             linked
         })
         .await;
-        println!("ready");
+        writeln!(io::stdout(), "ready")?;
         let mut line = String::new();
         io::stdin().read_line(&mut line)?;
         let links: Vec<Link> = linked.drain(..).map(|linked| linked.link).collect();
@@ -198,10 +198,11 @@ fn peers(count: usize, address: SocketAddr) -> Result<()> {
         .await;
         let took = begin.elapsed();
         let resumed = back.iter().filter(|back| back.is_ok()).count();
-        println!(
+        writeln!(
+            io::stdout(),
             "{resumed} of {count} have resumed after {:.2} s",
             took.as_secs_f64()
-        );
+        )?;
         // The connections stay as long as they are measured.
         io::stdin().read_line(&mut line)?;
         drop(back);
