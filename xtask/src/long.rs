@@ -1,4 +1,5 @@
-//! `cargo xtask long`: what takes too long for each change: random logs by the thousand, and minutes of random load.
+//! `cargo xtask long`: what takes too long for each change: random logs by the thousand, minutes of random load, and a thousand
+//! lost connections on each door.
 
 use std::path::Path;
 use std::process::Command;
@@ -17,7 +18,7 @@ pub(crate) fn run(root: &Path, minutes: u64) -> Result<bool> {
     Ok(ok)
 }
 
-fn steps(root: &Path, minutes: u64) -> [Command; 2] {
+fn steps(root: &Path, minutes: u64) -> [Command; 3] {
     let test = |package: &str, name: &str| {
         let mut test = cargo(root);
         test.args([
@@ -37,7 +38,12 @@ fn steps(root: &Path, minutes: u64) -> [Command; 2] {
     let mut load = test("mom-tests", "all");
     load.env("MOM_LOAD_SECONDS", (minutes * 60).to_string());
     load.args(["random_load", "--", "--nocapture"]);
-    [logs, load]
+    let mut losses = test("mom-tests", "all");
+    losses
+        .env("MOM_LOSSES", "1000")
+        .env("MOM_PATIENCE_SECONDS", "3600");
+    losses.args(["link::survive", "--", "--nocapture"]);
+    [logs, load, losses]
 }
 
 #[cfg(test)]
@@ -46,7 +52,7 @@ mod tests {
 
     #[test]
     fn the_load_lasts_as_long_as_is_said() {
-        let [_, load] = steps(Path::new("."), 10);
+        let [_, load, _] = steps(Path::new("."), 10);
         let seconds = load.get_envs().find(|(key, _)| *key == "MOM_LOAD_SECONDS");
         let seconds = seconds
             .and_then(|(_, value)| value)

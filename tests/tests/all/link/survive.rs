@@ -25,6 +25,14 @@ fn losses(scheme: &str) -> u64 {
     given.and_then(|text| text.parse().ok()).unwrap_or(usual)
 }
 
+/// How long all losses may take; `MOM_PATIENCE_SECONDS` says another time.
+fn patience() -> Duration {
+    let given = std::env::var("MOM_PATIENCE_SECONDS").ok();
+    given
+        .and_then(|text| text.parse().ok())
+        .map_or(PATIENCE, Duration::from_secs)
+}
+
 /// The nth connection: cut at the nth byte and at others, so that in the end every byte of a resume and of what follows was the last.
 ///
 /// A resume takes about `resume` bytes.
@@ -212,7 +220,7 @@ async fn survive(scheme: &str, query: &str, resume: u64) {
             }
         }
     };
-    timeout(PATIENCE, exchange).await.unwrap_or_else(|_| {
+    timeout(patience(), exchange).await.unwrap_or_else(|_| {
         panic!(
             "{scheme}: after {} losses all stands still: {:?}",
             network.cut(),
