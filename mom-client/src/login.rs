@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use mom_net::{Address, Transceiver};
 use mom_proto::codec::{Form, Frame};
-use mom_proto::{Family, Limit, Limits, Map, Value, WireError};
+use mom_proto::{Family, Limit, Limits, Map, Parcel, Value, WireError};
 use tokio::time::timeout;
 
 use crate::ClientError;
@@ -82,16 +82,7 @@ impl Connector {
                 Connector::Remote(doors) => doors,
                 Connector::Local(connect) => return log_in(connect(), credentials, ids).await,
             };
-            let mut opening = doors.open();
-            loop {
-                let error = match log_in(opening.next().await?, credentials, ids).await {
-                    Ok(connected) => return Ok(connected),
-                    Err(error) => error,
-                };
-                if !opening.came_to_nothing(error) {
-                    return Err(opening.failed());
-                }
-            }
+            through(doors, |opened| log_in(opened, credentials, ids)).await
         };
         timeout(after, login).await.unwrap_or_else(|_| {
             Err(ClientError::TimedOut {
@@ -115,18 +106,7 @@ impl Connector {
                 "this hub is in the same process".to_owned(),
             ));
         };
-        let resume = async {
-            let mut opening = doors.open();
-            loop {
-                let error = match resume(opening.next().await?, counted, ids).await {
-                    Ok(resumed) => return Ok(resumed),
-                    Err(error) => error,
-                };
-                if !opening.came_to_nothing(error) {
-                    return Err(opening.failed());
-                }
-            }
-        };
+        let resume = through(doors, |opened| resume(opened, counted, ids));
         timeout(after, resume).await.unwrap_or_else(|_| {
             Err(ClientError::TimedOut {
                 what: "resume".to_owned(),
@@ -136,46 +116,35 @@ impl Connector {
     }
 }
 
+/// Does this over the first door where it does not come to nothing.
+async fn through<T, F: Future<Output = Result<T, ClientError>>>(
+    doors: &Doors,
+    attempt: impl Fn(Transceiver) -> F,
+) -> Result<T, ClientError> {
+    let mut opening = doors.open();
+    loop {
+        let error = match attempt(opening.next().await?).await {
+            Ok(done) => return Ok(done),
+            Err(error) => error,
+        };
+        if !opening.came_to_nothing(error) {
+            return Err(opening.failed());
+        }
+    }
+}
+
 async fn resume(
     mut transceiver: Transceiver,
     counted: &Counted,
     ids: &AtomicU64,
 ) -> Result<(Transceiver, Resumption), ClientError> {
-    let next = || ids.fetch_add(1, Ordering::Relaxed);
-    let mut id = next();
-    let resume = counted.secret.resume().id(id);
-    let mut sent = transceiver.writer.send(resume).await;
-    loop {
-        let frame = match transceiver.reader.next().await? {
-            Some(frame) => frame,
-            None => {
-                sent?;
-                return Err(ClientError::Connection(
-                    "the hub closed the connection at the resume".to_owned(),
-                ));
-            }
-        };
-        let parcel = match frame {
-            Frame::Parcel(parcel) => parcel,
-            Frame::Malformed { error, .. } => return Err(ClientError::Local(error)),
-        };
-        match parcel.family {
-            Family::Reply if parcel.reference == Some(id) && is_challenge(&parcel) => {
-                id = next();
-                let answer = counted.secret.answer(&parcel, counted.read)?;
-                sent = transceiver.writer.send(answer.id(id)).await;
-            }
-            Family::Reply if parcel.reference == Some(id) => {
-                let resumption = Resumption::read(map_of(&parcel))?;
-                let limits = resumption.content.get("limits").and_then(Value::as_map);
-                let limits = PeerLimits::read(limits).for_decoder();
-                transceiver.reader.set_limits(&limits);
-                return Ok((transceiver, resumption));
-            }
-            Family::Error => return Err(ClientError::Refused(WireError::from_parcel(&parcel))),
-            _ => tracing::debug!(family = %parcel.family, name = parcel.name(), "before the resume's reply"),
-        }
-    }
+    let answer = |challenge: &Parcel| counted.secret.answer(challenge, counted.read);
+    let reply = prove(&mut transceiver, counted.secret.resume(), answer, ids).await?;
+    let resumption = Resumption::read(reply)?;
+    let limits = resumption.content.get("limits").and_then(Value::as_map);
+    let limits = PeerLimits::read(limits).for_decoder();
+    transceiver.reader.set_limits(&limits);
+    Ok((transceiver, resumption))
 }
 
 async fn log_in(
@@ -183,11 +152,26 @@ async fn log_in(
     credentials: &Credentials,
     ids: &AtomicU64,
 ) -> Result<Connected, ClientError> {
+    let answer = |challenge: &Parcel| credentials.answer(challenge);
+    let reply = prove(&mut transceiver, credentials.login()?, answer, ids).await?;
+    let welcome = Welcome::read(reply)?;
+    let limits = welcome.limits.for_decoder();
+    transceiver.reader.set_limits(&limits);
+    Ok(Connected { transceiver, welcome })
+}
+
+/// Asks, answers a challenge if the hub has one, and gives the content of its reply.
+async fn prove(
+    transceiver: &mut Transceiver,
+    asked: Parcel,
+    answer: impl Fn(&Parcel) -> Result<Parcel, ClientError>,
+    ids: &AtomicU64,
+) -> Result<Map, ClientError> {
     let next = || ids.fetch_add(1, Ordering::Relaxed);
     let mut id = next();
-    let mut asked = false;
+    let mut challenged = false;
     // A hub that refuses may close before it has read everything; its error is more useful than the write error.
-    let mut sent = transceiver.writer.send(credentials.login()?.id(id)).await;
+    let mut sent = transceiver.writer.send(asked.id(id)).await;
     loop {
         let frame = match transceiver.reader.next().await? {
             Some(frame) => frame,
@@ -203,16 +187,11 @@ async fn log_in(
             Frame::Malformed { error, .. } => return Err(ClientError::Local(error)),
         };
         match parcel.family {
-            Family::Reply if parcel.reference == Some(id) && is_challenge(&parcel) && !asked => {
-                (id, asked) = (next(), true);
-                sent = transceiver.writer.send(credentials.answer(&parcel)?.id(id)).await;
+            Family::Reply if parcel.reference == Some(id) && is_challenge(&parcel) && !challenged => {
+                (id, challenged) = (next(), true);
+                sent = transceiver.writer.send(answer(&parcel)?.id(id)).await;
             }
-            Family::Reply if parcel.reference == Some(id) => {
-                let welcome = Welcome::read(map_of(&parcel))?;
-                let limits = welcome.limits.for_decoder();
-                transceiver.reader.set_limits(&limits);
-                return Ok(Connected { transceiver, welcome });
-            }
+            Family::Reply if parcel.reference == Some(id) => return Ok(map_of(&parcel)),
             Family::Error => return Err(ClientError::Refused(WireError::from_parcel(&parcel))),
             _ => tracing::debug!(family = %parcel.family, name = parcel.name(), "before the login's reply"),
         }

@@ -96,11 +96,6 @@ impl<I: Item> Ledger<I> {
         self.bytes
     }
 
-    /// Whether something is kept, or waits for its acknowledgement.
-    pub fn is_settled(&self) -> bool {
-        self.sent == self.acknowledged
-    }
-
     /// Notes a piece that has left.
     pub fn note(&mut self, piece: &Piece<I>, form: Option<Form>) {
         let Some(item) = piece.item.as_ref().filter(|item| item.counts()) else {
