@@ -13,16 +13,17 @@ use clap::{Parser, Subcommand};
 use mom_benches::isolation::{Canary, Song};
 use mom_benches::{Process, control, machine};
 use mom_proto::codec::Form;
-use mom_proto::{Family, Map};
+use mom_proto::{Family, Map, Parcel};
 use mom_tests::attacks::configuration;
 use mom_tests::linked::{Link, Linked};
+use mom_tests::raw::{Raw, at};
 use tokio::task::JoinSet;
 
 const EXAMPLES: &str = "Examples:
   cargo build --release -p mom-broker -p mom-benches --bins && target/release/bench-storm
   target/release/bench-storm --peers 2000";
 
-/// Connections that are opened at a time: as many as a listener lets wait, and no more.
+/// Peers that come back at a time.
 const AT_ONCE: usize = 256;
 
 /// Peers with a link that lose their connections at once and come back at once, beside a canary.
@@ -34,6 +35,9 @@ struct Cli {
     /// How many peers.
     #[arg(long, default_value_t = 9_900)]
     peers: usize,
+    /// The niceness of the broker; below 0 as a service may have it, which takes the right to do so
+    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
+    nice: i32,
     /// The broker's program; the one beside this program if none is named.
     #[arg(long)]
     broker: Option<PathBuf>,
@@ -43,7 +47,13 @@ struct Cli {
 enum Task {
     /// The peers, as the measurement starts them.
     #[command(hide = true)]
-    Peers { count: usize, address: SocketAddr },
+    Peers {
+        count: usize,
+        address: SocketAddr,
+        /// They ask for no link.
+        #[arg(long)]
+        plain: bool,
+    },
 }
 
 fn main() -> ExitCode {
@@ -57,8 +67,13 @@ fn main() -> ExitCode {
 }
 
 fn run(cli: &Cli) -> Result<()> {
-    if let Some(Task::Peers { count, address }) = cli.task {
-        return peers(count, address);
+    if let Some(Task::Peers {
+        count,
+        address,
+        plain,
+    }) = cli.task
+    {
+        return peers(count, address, plain);
     }
     let broker = match &cli.broker {
         Some(broker) => broker.clone(),
@@ -67,20 +82,28 @@ fn run(cli: &Cli) -> Result<()> {
     let folder = tempfile::tempdir()?;
     let config = folder.path().join("storm.toml");
     fs::write(&config, configured()?)?;
-    let mut command = Command::new(&broker);
-    command.arg("--config").arg(&config);
-    let hub = Process::start(command)?;
-    let before = hub.memory();
-    let mut crowd = Crowd::start(cli.peers, hub.address())?;
-    let grown = before
-        .zip(hub.memory())
-        .map(|(before, after)| after.saturating_sub(before));
+    let start = || {
+        let mut command = Command::new("nice");
+        command.args(["-n", &cli.nice.to_string()]).arg(&broker);
+        command.arg("--config").arg(&config);
+        Process::start(command)
+    };
     let mut out = io::stdout();
-    writeln!(out, "{}; {} peers with a link", machine::describe(), cli.peers)?;
-    if let Some(grown) = grown {
-        let each = grown as f64 / cli.peers as f64 / 1024.0;
-        writeln!(out, "memory of the hub: {each:.1} KiB for each idle peer")?;
-    }
+    writeln!(out, "{}; {} peers", machine::describe(), cli.peers)?;
+    let hub = start()?;
+    let (crowd, each) = Crowd::start(cli.peers, &hub, true)?;
+    writeln!(
+        out,
+        "memory of the hub: {each:.1} KiB for each idle peer without a link"
+    )?;
+    crowd.end();
+    hub.end();
+    let hub = start()?;
+    let (mut crowd, each) = Crowd::start(cli.peers, &hub, false)?;
+    writeln!(
+        out,
+        "memory of the hub: {each:.1} KiB for each idle peer with one"
+    )?;
     let address = hub.address().to_owned();
     let (idle, under, report) = control::run(async {
         let mut canary = Canary::start(&address).await?;
@@ -120,7 +143,7 @@ fn configured() -> Result<String> {
         &format!("{users}\n{room}"),
     );
     Ok(format!(
-        "{text}\n[login]\nguests = true\n\n[[contexts]]\npath = \"/crowded\"\nkind = \"channel\"\npresence = \"counts\"\n"
+        "{text}\n[login]\nguests = true\n\n[[contexts]]\npath = \"/crowded\"\nkind = \"channel\"\npresence = \"none\"\n"
     ))
 }
 
@@ -136,16 +159,20 @@ struct Crowd {
 }
 
 impl Crowd {
-    fn start(count: usize, address: &str) -> Result<Crowd> {
+    /// Has them log in, with a link or without; gives by how many KiB the hub has grown for each.
+    fn start(count: usize, hub: &Process, plain: bool) -> Result<(Crowd, f64)> {
+        let before = hub.memory().unwrap_or_default();
         let mut command = Command::new(env::current_exe()?);
-        command.args(["peers", &count.to_string(), address]);
+        command.args(["peers", &count.to_string(), hub.address()]);
+        command.args(plain.then_some("--plain"));
         let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()?;
         let heard = BufReader::new(child.stdout.take().context("its output")?);
         let mut crowd = Crowd { child, heard };
         if crowd.report()? != "ready" {
             bail!("the peers cannot log in");
         }
-        Ok(crowd)
+        let grown = hub.memory().unwrap_or_default().saturating_sub(before);
+        Ok((crowd, grown as f64 / count as f64 / 1024.0))
     }
 
     /// Tells them to lose their connections and to come back.
@@ -172,12 +199,29 @@ impl Crowd {
 }
 
 /// Logs peers in, says so, and lets them lose their connections and come back when told.
-fn peers(count: usize, address: SocketAddr) -> Result<()> {
+fn peers(count: usize, address: SocketAddr, plain: bool) -> Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()?;
     runtime.block_on(async {
-        let mut linked = in_turns(0..count, |_| async move {
+        if plain {
+            let peers = in_turns(1, 0..count, |_| async move {
+                let mut raw = Raw::connect(address, Form::Binary).await;
+                let guest = Map::new().with("guest", true);
+                let login = Parcel::new(Family::Login, "login").content(guest);
+                raw.ask(login).await.expect("guests are let in");
+                let join = Parcel::new(Family::Context, "join").context(at("/crowded"));
+                raw.ask(join).await.expect("everybody may join");
+                raw
+            })
+            .await;
+            writeln!(io::stdout(), "ready")?;
+            io::stdin().read_line(&mut String::new())?;
+            drop(peers);
+            return Ok(());
+        }
+        // One after the other, as where all other idle peers are measured: a crowd at once leaves gaps in the hub's memory.
+        let mut linked = in_turns(1, 0..count, |_| async move {
             let content = Map::new().with("guest", true);
             let mut linked = Linked::log_in(address, Form::Binary, content, 120_000).await;
             linked.about(Family::Context, "join", "/crowded").await;
@@ -191,7 +235,7 @@ fn peers(count: usize, address: SocketAddr) -> Result<()> {
         io::stdin().read_line(&mut line)?;
         let links: Vec<Link> = linked.drain(..).map(|linked| linked.link).collect();
         let begin = Instant::now();
-        let back = in_turns(links, |link| async move {
+        let back = in_turns(AT_ONCE, links, |link| async move {
             let resumed = link.resume(address, Form::Binary).await;
             resumed.map(|(linked, _)| linked).map_err(|(error, _)| error)
         })
@@ -211,7 +255,7 @@ fn peers(count: usize, address: SocketAddr) -> Result<()> {
 }
 
 /// Does something for all, for so many at a time.
-async fn in_turns<T, R, F>(all: impl IntoIterator<Item = T>, task: impl Fn(T) -> F) -> Vec<R>
+async fn in_turns<T, R, F>(at_once: usize, all: impl IntoIterator<Item = T>, task: impl Fn(T) -> F) -> Vec<R>
 where
     F: Future<Output = R> + 'static,
     R: 'static,
@@ -221,7 +265,7 @@ where
         .run_until(async {
             let (mut running, mut done) = (JoinSet::new(), Vec::new());
             for one in all {
-                if running.len() >= AT_ONCE {
+                if running.len() >= at_once {
                     done.extend(running.join_next().await.and_then(Result::ok));
                 }
                 running.spawn_local(task(one));

@@ -25,7 +25,7 @@ use mom_proto::codec::Frame;
 use mom_proto::{Code, Content, Family, Limits, Micros, Parcel, Verb, WireError};
 use mom_system::Expiry;
 use parking_lot::RwLock;
-use tokio::sync::oneshot;
+use tokio::sync::{Semaphore, oneshot};
 use tokio::time::{Instant, timeout_at};
 
 use crate::traffic::capacity::WaitingMessage;
@@ -60,6 +60,8 @@ pub(crate) struct Services {
     pub(crate) board: Arc<Switchboard>,
     pub(crate) logins: Arc<Logins>,
     pub(crate) links: Arc<Links>,
+    /// Whose turn it is of those that come and go.
+    pub(crate) crowd: Arc<Semaphore>,
     /// What holds for this connection as long as it lasts: it was told so.
     pub(crate) limits: Arc<Limits>,
     /// What holds for the next one.
@@ -76,9 +78,18 @@ impl Services {
             board: Arc::new(board),
             logins: Arc::new(logins),
             links: Arc::default(),
+            crowd: Arc::new(Semaphore::new(1)),
             next_limits: Arc::new(RwLock::new(Arc::clone(&limits))),
             limits,
         }
+    }
+
+    /// Lets all that can go on do so, before the next one of a crowd that comes or goes at once: ten thousand of them in a row
+    /// would hold up a stop for a tenth of a second.
+    pub(crate) async fn turn(&self) {
+        let turn = self.crowd.acquire().await;
+        tokio::task::yield_now().await;
+        drop(turn);
     }
 
     /// Takes in a connection, for which another may have to go.
@@ -270,7 +281,12 @@ impl Connection {
                     arrived = timeout_at(wake, reader.arrive()) => arrived,
                 };
                 match arrived {
-                    Ok(Ok(true)) => outbox.note_heard(reader.received()),
+                    Ok(Ok(true)) => {
+                        outbox.note_heard(reader.received());
+                        if !self.logged_in {
+                            Box::pin(self.services.turn()).await;
+                        }
+                    }
                     Ok(Ok(false)) => return End::Over(None),
                     Ok(Err(error)) => return self.failed(error).into(),
                     Err(_) if Instant::now() < self.deadline(login_by) => self.beat(reader.received()),

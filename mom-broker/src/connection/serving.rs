@@ -112,6 +112,7 @@ impl Serving {
                 })
                 .await
             };
+            Box::pin(self.connection.services.turn()).await;
             match self.connection.settle(*end) {
                 Settled::Became => {}
                 Settled::Lost => return,
