@@ -78,6 +78,13 @@ impl Reader {
         }
     }
 
+    /// From now on, takes compressed content: both ends have agreed on it.
+    pub fn take_packed(&mut self) {
+        if let Source::Stream { decoder, .. } = &mut self.source {
+            decoder.take_packed();
+        }
+    }
+
     /// Tells the link that its peer has logged in: a tunnel changes its id then.
     pub fn trust(&self) {
         if let Source::Stream { stream, .. } = &self.source {

@@ -54,7 +54,7 @@ impl From<Form> for Protocol {
     fn from(form: Form) -> Protocol {
         match form {
             Form::Xml => Protocol::Xml,
-            Form::Binary => Protocol::Binary,
+            Form::Binary | Form::Packed => Protocol::Binary,
             Form::Json => Protocol::Json,
         }
     }

@@ -50,7 +50,7 @@ pub async fn connect(
 /// A decoder for what a hub says.
 pub(crate) fn client_decoder(form: Form, limits: &Limits) -> Decoder {
     match form {
-        Form::Binary => Decoder::Binary(Box::new(BinaryDecoder::for_peer(limits))),
+        Form::Binary | Form::Packed => Decoder::Binary(Box::new(BinaryDecoder::for_peer(limits))),
         form => Decoder::new(form, limits),
     }
 }
@@ -206,7 +206,7 @@ pub(crate) async fn begin(
     buffer: BytesMut,
 ) -> Result<Transceiver, NetError> {
     let writer = Writer::new(Sink::Stream { stream: sink, form });
-    if form == Form::Binary {
+    if form.is_binary() {
         let preface = Encoded {
             head: Bytes::from_static(&PREFACE),
             body: Bytes::new(),

@@ -16,10 +16,12 @@ pub enum Form {
     Binary,
     /// JSON, one parcel on each line.
     Json,
+    /// The binary form to a peer that reads compressed content, on which it agrees at login (M16): no connection begins so.
+    Packed,
 }
 
 impl Form {
-    /// All of them.
+    /// All that a connection may begin with.
     pub const ALL: [Form; 3] = [Form::Xml, Form::Binary, Form::Json];
 
     /// The word in logs and tables.
@@ -28,7 +30,13 @@ impl Form {
             Form::Xml => "xml",
             Form::Binary => "binary",
             Form::Json => "json",
+            Form::Packed => "packed",
         }
+    }
+
+    /// Whether its frames are those of the binary form.
+    pub fn is_binary(self) -> bool {
+        matches!(self, Form::Binary | Form::Packed)
     }
 
     /// The form that a connection's first bytes begin, once there are enough of them to tell (at most eight).
@@ -66,6 +74,7 @@ impl Form {
             Form::Xml => xml::encode(parcel),
             Form::Binary => binary::encode_with(parcel, scratch),
             Form::Json => json::encode(parcel),
+            Form::Packed => binary::encode_packed(parcel, scratch),
         }
     }
 
@@ -80,7 +89,8 @@ impl Form {
         };
         let mut input = BytesMut::with_capacity(frames.len() + binary::PREFACE.len());
         let mut decoder = Decoder::new(self, &limits);
-        if self == Form::Binary {
+        if self.is_binary() {
+            decoder.take_packed();
             input.extend_from_slice(&binary::PREFACE);
         }
         input.extend_from_slice(frames);
@@ -104,6 +114,7 @@ impl Form {
             Form::Xml => xml::encode_within(parcel, depth, most),
             Form::Binary => binary::encode_with(parcel, &mut Scratch::default()),
             Form::Json => json::encode_within(parcel, depth, most),
+            Form::Packed => binary::encode_packed(parcel, &mut Scratch::default()),
         }
     }
 }
@@ -223,7 +234,7 @@ impl Decoder {
     pub fn new(form: Form, limits: &Limits) -> Decoder {
         match form {
             Form::Xml => Decoder::Xml(Box::new(XmlDecoder::new(limits))),
-            Form::Binary => Decoder::Binary(Box::new(BinaryDecoder::new(limits))),
+            Form::Binary | Form::Packed => Decoder::Binary(Box::new(BinaryDecoder::new(limits))),
             Form::Json => Decoder::Json(Box::new(JsonDecoder::new(limits))),
         }
     }
@@ -241,6 +252,13 @@ impl Decoder {
     pub fn know(&mut self, contexts: Vec<(ContextNumber, Path)>) {
         if let Decoder::Binary(decoder) = self {
             decoder.know(contexts);
+        }
+    }
+
+    /// From now on, takes compressed content; the text forms have none.
+    pub fn take_packed(&mut self) {
+        if let Decoder::Binary(decoder) = self {
+            decoder.take_packed();
         }
     }
 

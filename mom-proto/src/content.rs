@@ -4,7 +4,7 @@ use bytes::Bytes;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use crate::{HARD_DEPTH, Map, Value, WireError, from_value, msgpack, to_value};
+use crate::{HARD_DEPTH, Map, Packed, Value, WireError, from_value, msgpack, to_value};
 
 /// What a parcel carries: a value, or a value still encoded as MessagePack.
 ///
@@ -15,6 +15,8 @@ pub enum Content {
     Value(Value),
     /// One value as MessagePack, unchecked until it is opened.
     Encoded(Bytes),
+    /// The same, compressed: in the binary form only, where both ends have agreed on it.
+    Packed(Packed),
 }
 
 impl Content {
@@ -34,6 +36,7 @@ impl Content {
         match self {
             Content::Value(value) => Ok(value.clone()),
             Content::Encoded(bytes) => msgpack::decode(bytes, HARD_DEPTH),
+            Content::Packed(packed) => msgpack::decode(&packed.unpack()?, HARD_DEPTH),
         }
     }
 
@@ -45,13 +48,23 @@ impl Content {
         match self {
             Content::Value(value) => Ok(value),
             Content::Encoded(bytes) => msgpack::decode(&bytes, HARD_DEPTH),
+            Content::Packed(packed) => msgpack::decode(&packed.unpack()?, HARD_DEPTH),
         }
     }
 
-    /// Its size in bytes: exact where it is encoded, else about what MessagePack would take.
+    /// Its size in bytes: exact where it is encoded, compressed or not, else about what MessagePack would take.
     pub fn size(&self) -> usize {
         match self {
+            Content::Packed(packed) => packed.bytes().len(),
+            _ => self.unpacked_size(),
+        }
+    }
+
+    /// The same of what it unpacks to.
+    pub fn unpacked_size(&self) -> usize {
+        match self {
             Content::Encoded(bytes) => bytes.len(),
+            Content::Packed(packed) => packed.length(),
             Content::Value(value) => size(value),
         }
     }
@@ -67,10 +80,11 @@ impl Content {
     /// The content as MessagePack; no copy if it is encoded already.
     ///
     /// # Errors
-    /// `not-encodable` for a double that is not finite.
+    /// `not-encodable` for a double that is not finite; `bad-content` for what cannot be decompressed.
     pub fn to_msgpack(&self) -> Result<Bytes, WireError> {
         match self {
             Content::Encoded(bytes) => Ok(bytes.clone()),
+            Content::Packed(packed) => packed.unpack(),
             Content::Value(value) => {
                 let mut out = Vec::with_capacity(64);
                 msgpack::encode(value, &mut out)?;
@@ -107,6 +121,7 @@ impl PartialEq for Content {
         match (self, other) {
             (Content::Value(one), Content::Value(two)) => one == two,
             (Content::Encoded(one), Content::Encoded(two)) if one == two => true,
+            (Content::Packed(one), Content::Packed(two)) if one == two => true,
             _ => matches!((self.to_value(), other.to_value()), (Ok(one), Ok(two)) if one == two),
         }
     }

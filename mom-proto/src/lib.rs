@@ -35,6 +35,7 @@ mod map;
 pub mod msgpack;
 mod names;
 pub mod nearest;
+mod packed;
 mod parcel;
 mod path;
 mod pattern;
@@ -68,6 +69,7 @@ pub use names::{
     HUB, check_message_name, check_name, check_text, folds_of, is_xml_char, looks_of, numbered_name,
     resembles, xml_violation,
 };
+pub use packed::{Packed, ZSTD};
 pub use parcel::{ContextNumber, HISTORY, MAX_ID, Parcel};
 pub use path::Path;
 pub use pattern::Pattern;

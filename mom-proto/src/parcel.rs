@@ -8,6 +8,9 @@ use crate::{Content, Delivery, Family, Map, Path, Time, Value};
 /// Ids, references and fences are below 2⁵³, so that every language holds them.
 pub const MAX_ID: u64 = (1 << 53) - 1;
 
+/// The name of messages with pictures.
+const IMAGE: &str = "image";
+
 /// The slot by which the hub marks messages for late joiners; it is removed from peers' parcels.
 pub const HISTORY: &str = "history";
 
@@ -135,6 +138,11 @@ impl Parcel {
             false => map_size(&self.extra),
         };
         self.content.as_ref().map_or(0, Content::size) + self.name.len() + addressees + slots
+    }
+
+    /// Whether it is worth a try to compress its content: that of a message, unless its name says that it is a picture.
+    pub fn may_be_packed(&self) -> bool {
+        self.family == Family::Message && &*self.name != IMAGE
     }
 
     /// Opens the content; absent content and content that cannot be opened are null.

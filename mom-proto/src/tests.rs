@@ -168,7 +168,7 @@ fn limits_change_under_a_decoder() {
     for form in Form::ALL {
         let preface: &[u8] = match form {
             Form::Xml | Form::Json => &[],
-            Form::Binary => &PREFACE,
+            Form::Binary | Form::Packed => &PREFACE,
         };
         let bytes = [preface, &form.encode(&parcel).unwrap().to_vec()].concat();
         let read = |first: &Limits, then: &Limits| {

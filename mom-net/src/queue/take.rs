@@ -396,7 +396,7 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
     /// The next piece of an entry; what is left of it stays open.
     fn cut(&mut self, entry: Entry<I>, most: usize) -> Piece<I> {
         let length = entry.length(self.form);
-        if self.form != Some(Form::Binary) || (!entry.is_begun() && length <= most) {
+        if !self.form.is_some_and(Form::is_binary) || (!entry.is_begun() && length <= most) {
             self.leave(&entry.item);
             return Piece::whole(entry, self.form);
         }

@@ -2,20 +2,22 @@
 
 use std::collections::VecDeque;
 
+use mom_proto::codec::Form;
+
 use super::{Item, Piece};
 use crate::{Flow, GATHER, NetError, Writer};
 
-/// Writes a batch from its front; false if the link takes no more now. `left` is told of each piece that has left.
+/// Writes a batch in this form from its front; false if the link takes no more now. `left` is told of each piece that has left.
 ///
 /// # Errors
 /// A link that failed.
 pub fn write_batch<I: Item>(
     writer: &Writer,
+    form: Option<Form>,
     flow: &mut Flow,
     batch: &mut VecDeque<Piece<I>>,
     mut left: impl FnMut(&Piece<I>),
 ) -> Result<bool, NetError> {
-    let form = writer.form();
     if form.is_none() {
         return pass(writer, batch, left);
     }

@@ -135,7 +135,7 @@ impl WebSocketUpgrade {
         limits: &Limits,
     ) -> Result<Transceiver, NetError> {
         let rules = Rules {
-            text: self.form != Form::Binary,
+            text: !self.form.is_binary(),
             client: false,
         };
         let (carrier, mut first) = stream.into_carrier();
@@ -195,7 +195,7 @@ pub(crate) async fn connect(
         return Err(io::Error::new(io::ErrorKind::InvalidData, text).into());
     }
     let rules = Rules {
-        text: form != Form::Binary,
+        text: !form.is_binary(),
         client: true,
     };
     let decoder = tcp::client_decoder(form, limits);

@@ -24,6 +24,8 @@ pub struct BinaryDecoder {
     bind: bool,
     /// Whether parcels may come in chunks.
     chunks: bool,
+    /// Whether content may be compressed.
+    packed: bool,
     assembly: Assembly,
 }
 
@@ -40,6 +42,7 @@ impl BinaryDecoder {
             contexts: HashMap::new(),
             bind: false,
             chunks: false,
+            packed: false,
             assembly: Assembly::default(),
         }
     }
@@ -57,6 +60,19 @@ impl BinaryDecoder {
     pub(crate) fn know(&mut self, contexts: Vec<(ContextNumber, Path)>) {
         let contexts = contexts.into_iter().map(|(number, path)| (number.0, path));
         self.contexts.extend(contexts);
+    }
+
+    /// From now on, content may be compressed: both ends have agreed on it.
+    pub(crate) fn take_packed(&mut self) {
+        self.packed = true;
+    }
+
+    fn bounds(&self) -> HeaderBounds {
+        HeaderBounds {
+            depth: self.depth,
+            slots: self.slots,
+            unpacked: self.packed.then_some(self.parcel),
+        }
     }
 
     /// The bytes that are here of parcels in chunks whose end has not come.
@@ -112,10 +128,7 @@ impl BinaryDecoder {
 
     /// A plain message as a parcel without its content.
     pub fn head(&mut self, plain: &Plain<'_>) -> Option<Box<Parcel>> {
-        let bounds = HeaderBounds {
-            depth: self.depth,
-            slots: self.slots,
-        };
+        let bounds = self.bounds();
         let parcel = header::read(&plain.header(), bounds, &mut self.names).ok()?;
         Some(Box::new(Parcel {
             content: None,
@@ -170,10 +183,7 @@ impl BinaryDecoder {
     }
 
     fn parcel(&mut self, frame: &Bytes) -> Result<Frame, WireError> {
-        let bounds = HeaderBounds {
-            depth: self.depth,
-            slots: self.slots,
-        };
+        let bounds = self.bounds();
         let mut parcel = match header::read(frame, bounds, &mut self.names) {
             Ok(parcel) => parcel,
             Err((reference, error)) => return Ok(Frame::Malformed { reference, error }),

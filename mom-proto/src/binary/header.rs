@@ -9,8 +9,8 @@ use super::words::NameCache;
 use crate::parcel::ContextNumber;
 use crate::slots::{check_extra, too_long};
 use crate::{
-    Code, Content, Delivery, Family, MAX_ID, Map, Parcel, Path, Time, Value, WireError, check_message_name,
-    event, msgpack,
+    Code, Content, Delivery, Family, Limit, MAX_ID, Map, Packed, Parcel, Path, Time, Value, WireError,
+    check_message_name, event, msgpack,
 };
 
 pub(super) const CONTEXT_NUMBER: u32 = 0;
@@ -33,11 +33,15 @@ pub(super) const ECHO: u32 = 16;
 const RECEIPT: u32 = 17;
 const CONTEXT_PATH: u32 = 18;
 const EXTRA: u32 = 19;
-const FIRST_UNKNOWN: u32 = 20;
+const PACKED: u32 = 20;
+const FIRST_UNKNOWN: u32 = 21;
 
-/// Appends the header of a parcel.
-pub(super) fn write(parcel: &Parcel, out: &mut Vec<u8>) -> Result<(), WireError> {
-    let bits = presence(parcel);
+/// The only way of compressing so far.
+const ZSTD: u8 = 1;
+
+/// Appends the header of a parcel, whose content is compressed if `packed` says so.
+pub(super) fn write(parcel: &Parcel, packed: Option<&Packed>, out: &mut Vec<u8>) -> Result<(), WireError> {
+    let bits = presence(parcel) | packed.map_or(0, |_| 1 << PACKED);
     let has = |bit: u32| bits & (1 << bit) != 0;
     put_varint(out, bits);
     if let Some(ContextNumber(number)) = parcel.number {
@@ -95,6 +99,12 @@ pub(super) fn write(parcel: &Parcel, out: &mut Vec<u8>) -> Result<(), WireError>
         put_varint(out, block.len() as u64);
         out.extend_from_slice(&block);
     }
+    if let Some(packed) = packed {
+        let mut block = vec![ZSTD];
+        put_varint(&mut block, packed.length() as u64);
+        put_varint(out, block.len() as u64);
+        out.extend_from_slice(&block);
+    }
     Ok(())
 }
 
@@ -133,6 +143,8 @@ pub(super) struct HeaderBounds {
     pub(super) depth: usize,
     /// Bytes of all slots.
     pub(super) slots: usize,
+    /// Bytes that content may unpack to; none where compression was not agreed on.
+    pub(super) unpacked: Option<Limit>,
 }
 
 /// Reads the parcel in `frame`, whose first byte is the kind.
@@ -157,7 +169,7 @@ fn fill(
     names: &mut NameCache,
 ) -> Result<(), WireError> {
     let bits = reader.varint()?;
-    let mut named = false;
+    let (mut named, mut packed) = (false, None);
     // Slots stand in the order of their bits, so one walk over the set bits reads them all.
     let mut rest = bits;
     while rest != 0 {
@@ -179,12 +191,19 @@ fn fill(
             RECEIVED => parcel.received = Some(time(reader)?),
             AGE => parcel.age = Some(reader.zigzag()?),
             AGE_ERROR => parcel.age_error = Some(number(reader, "age-error")?),
+            PACKED => packed = Some(unpacked_length(reader, bounds)?),
             _ => fill_rare(parcel, reader, bit, bounds, names)?,
         }
         bounds.check(reader.position())?;
     }
     if bits & (1 << CONTENT) != 0 {
-        parcel.content = Some(Content::Encoded(reader.rest()));
+        parcel.content = Some(match packed {
+            None => Content::Encoded(reader.rest()),
+            Some(_) if parcel.family != Family::Message => {
+                return Err(bad(1, "only the content of a message may be compressed").slot("content"));
+            }
+            Some(length) => Content::Packed(Packed::received(reader.rest(), length)),
+        });
     }
     match named {
         true => Ok(()),
@@ -237,6 +256,28 @@ impl HeaderBounds {
             false => Err(too_long(self.slots)),
         }
     }
+}
+
+/// How many bytes the content unpacks to.
+fn unpacked_length(reader: &mut FieldReader<'_>, bounds: HeaderBounds) -> Result<usize, WireError> {
+    let start = reader.position();
+    let bad = |text: &str| bad(start, text).slot("content");
+    let most = bounds
+        .unpacked
+        .ok_or_else(|| bad("compressed content, which was not agreed on at login"))?;
+    let block = reader.block()?;
+    let mut fields = FieldReader::at(&block, 0);
+    if fields.byte()? != ZSTD {
+        return Err(bad("content compressed in an unknown way; 1 is zstd"));
+    }
+    let length = usize::try_from(fields.varint()?).unwrap_or(usize::MAX);
+    if !most.allows(length) {
+        let text = format!("content of {length} bytes when it is decompressed; a parcel has at most {most}");
+        return Err(WireError::new(Code::TOO_LONG, text)
+            .slot("content")
+            .position(start));
+    }
+    Ok(length)
 }
 
 fn number(reader: &mut FieldReader<'_>, slot: &str) -> Result<u64, WireError> {

@@ -29,7 +29,8 @@
 //! | 17 | receipt | 1 byte, 0 or 1 |
 //! | 18 | context, by path | varint length, UTF-8 |
 //! | 19 | all other slots | varint length, a MessagePack map |
-//! | 20–63 | to come | varint length, bytes to skip |
+//! | 20 | content is compressed | varint length, 1 byte (1 = zstd), varint bytes of the content as it was |
+//! | 21–63 | to come | varint length, bytes to skip |
 //!
 //! A name is a varint k: odd means number k/2 of the [table of words](WORDS), even means k/2 bytes of UTF-8.
 //! A parcel that gives a context both by number and by path binds the number to the path on this connection.
@@ -52,7 +53,7 @@ pub use plain::{ParcelRun, Plain, cut, first, whole};
 pub use words::WORDS;
 
 use crate::codec::{Encoded, Scratch};
-use crate::{PROTOCOL_VERSION, Parcel, WireError};
+use crate::{Content, PROTOCOL_VERSION, Packed, Parcel, WireError};
 
 /// The first four bytes of a connection that speaks this form; no UTF-8 text begins so.
 pub const PREFACE_MAGIC: [u8; 4] = *b"\x8fMOM";
@@ -85,15 +86,40 @@ pub fn encode(parcel: &Parcel) -> Result<Encoded, WireError> {
 /// Encodes a parcel as one frame, in memory that is shared between frames.
 ///
 /// # Errors
-/// As [`encode`].
+/// As [`encode`]; `bad-content` for content that cannot be decompressed.
 pub fn encode_with(parcel: &Parcel, scratch: &mut Scratch) -> Result<Encoded, WireError> {
     let content = match &parcel.content {
         Some(content) => content.to_msgpack()?,
         None => Bytes::new(),
     };
+    frame(parcel, content, None, scratch)
+}
+
+/// The same for a reader of compressed content: of a message that is no image, and where it pays.
+///
+/// # Errors
+/// As [`encode`].
+pub(crate) fn encode_packed(parcel: &Parcel, scratch: &mut Scratch) -> Result<Encoded, WireError> {
+    let content = match &parcel.content {
+        Some(Content::Packed(packed)) => return frame(parcel, packed.bytes().clone(), Some(packed), scratch),
+        Some(content) => content.to_msgpack()?,
+        None => Bytes::new(),
+    };
+    match parcel.may_be_packed().then(|| Packed::pack(&content)).flatten() {
+        Some(packed) => frame(parcel, packed.bytes().clone(), Some(&packed), scratch),
+        None => frame(parcel, content, None, scratch),
+    }
+}
+
+fn frame(
+    parcel: &Parcel,
+    content: Bytes,
+    packed: Option<&Packed>,
+    scratch: &mut Scratch,
+) -> Result<Encoded, WireError> {
     let mut header = std::mem::take(&mut scratch.header);
     header.clear();
-    header::write(parcel, &mut header)?;
+    header::write(parcel, packed, &mut header)?;
     let length = u32::try_from(1 + header.len() + content.len())
         .map_err(|_| WireError::new(crate::Code::NOT_ENCODABLE, "a parcel has less than 4 GiB"))?;
     let inline = content.len() <= INLINE_CONTENT;

@@ -7,7 +7,7 @@ use super::wire::put_varint;
 use super::{BinaryDecoder, PREFACE, chunks, encode};
 use crate::arbitrary;
 use crate::codec::{Encoded, Form, Frame};
-use crate::{Code, Content, ContextNumber, Family, Limit, Limits, Parcel, Path, Value, WireError};
+use crate::{Code, Content, ContextNumber, Family, Limit, Limits, Packed, Parcel, Path, Value, WireError};
 
 fn decoder() -> BinaryDecoder {
     let mut decoder = BinaryDecoder::new(&Limits::default());
@@ -59,6 +59,28 @@ proptest! {
     fn parcels_come_back(parcel in arbitrary::parcel(), number in proptest::option::of(1..u64::MAX)) {
         let parcel = numbered(parcel, number);
         prop_assert_eq!(parcel_of(&encode(&parcel).unwrap().to_vec()), parcel);
+    }
+
+    #[test]
+    fn parcels_come_back_packed(parcel in arbitrary::parcel(), fill in 0_usize..4000, unpacks in any::<bool>()) {
+        let mut parcel = numbered(parcel, Some(7));
+        parcel.content = Some(Value::from("robot ".repeat(fill)).into());
+        let frame = Form::Packed.encode(&parcel).unwrap().to_vec();
+        let mut decoder = decoder();
+        decoder.take_packed();
+        let Ok(Some(Frame::Parcel(read))) = decoder.decode(&mut BytesMut::from(&frame[..])) else {
+            panic!("{frame:?}");
+        };
+        let pays = parcel.may_be_packed() && fill > 100;
+        prop_assert_eq!(matches!(read.content, Some(Content::Packed(_))), pays);
+        prop_assert_eq!(&*read, &parcel);
+        // And plain again, or as it came.
+        let form = if unpacks { Form::Binary } else { Form::Packed };
+        let again = form.encode(&read).unwrap().to_vec();
+        match unpacks {
+            true => prop_assert_eq!(parcel_of(&again), parcel),
+            false => prop_assert_eq!(again, frame),
+        }
     }
 
     #[test]
@@ -130,6 +152,38 @@ fn check_malformed(bytes: &[u8], code: &Code, slot: Option<&str>, position: i64)
     }
 }
 
+/// A hub opens what is no message, and content that unpacks to more than a parcel may have costs nobody memory.
+#[test]
+fn compressed_content_is_a_message_s_and_within_the_limit() {
+    let mut parcel = Parcel::new(Family::Message, "m").content("robot ".repeat(1000));
+    let refused = |parcel: &Parcel, most: Option<u64>| {
+        let packed = Packed::pack(&parcel.content.as_ref().unwrap().to_msgpack().unwrap()).unwrap();
+        let mut header = Vec::new();
+        super::header::write(parcel, Some(&packed), &mut header).unwrap();
+        let mut decoder = decoder();
+        if let Some(most) = most {
+            decoder.take_packed();
+            decoder.set_limits(&Limits {
+                parcel: Limit::At(most),
+                ..Limits::default()
+            });
+        }
+        let bytes = frame(0, &[&header[..], packed.bytes()].concat());
+        match decoder.decode(&mut BytesMut::from(&bytes[..])) {
+            Ok(Some(Frame::Malformed { error, .. })) => Some(error.code),
+            Ok(Some(Frame::Parcel(_))) => None,
+            other => panic!("{other:?}"),
+        }
+    };
+    assert_eq!(refused(&parcel, Some(6003)), None);
+    assert_eq!(refused(&parcel, Some(6002)), Some(Code::TOO_LONG));
+    assert_eq!(refused(&parcel, None), Some(Code::BAD_SLOT), "not agreed on");
+    for family in [Family::Context, Family::Login, Family::Reply, Family::Time] {
+        parcel.family = family;
+        assert_eq!(refused(&parcel, Some(6003)), Some(Code::BAD_SLOT), "{family}");
+    }
+}
+
 #[test]
 fn a_malformed_header_on_a_healthy_frame() {
     let slot = Code::BAD_SLOT;
@@ -191,7 +245,7 @@ fn other_slots_cannot_hide_known_ones() {
 fn what_comes_later_can_be_skipped() {
     let mut bytes = frame(200, b"from the future");
     bytes.extend(with_bits(
-        1 << 20 | 1 << 62 | 1 << 5,
+        1 << 21 | 1 << 62 | 1 << 5,
         &[3, 1, 2, 3, 0, 0xa1, b'y'],
     ));
     let parcel = parcel_of(&bytes);

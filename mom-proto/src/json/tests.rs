@@ -72,7 +72,7 @@ fn cut<'a>(bytes: &'a [u8], cuts: &[prop::sample::Index]) -> Vec<&'a [u8]> {
 /// A parcel as it is after it went through this form.
 fn through(form: Form, parcel: &Parcel) -> Parcel {
     let preface: &[u8] = match form {
-        Form::Binary => &PREFACE,
+        Form::Binary | Form::Packed => &PREFACE,
         Form::Xml | Form::Json => &[],
     };
     let bytes = [preface, &form.encode(parcel).expect("it has a form").to_vec()].concat();

@@ -77,8 +77,9 @@ impl JsonWriter {
                 Content::Value(value) => self
                     .value(value, HARD_DEPTH)
                     .map_err(|error| within(error, "content"))?,
-                Content::Encoded(bytes) => {
-                    let mut items = ItemReader::new(bytes);
+                encoded => {
+                    let bytes = encoded.to_msgpack()?;
+                    let mut items = ItemReader::new(&bytes);
                     self.encoded(&mut items, depth)?;
                     items.end()?;
                 }

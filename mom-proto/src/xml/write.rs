@@ -92,8 +92,9 @@ impl XmlWriter {
         match &parcel.content {
             None => {}
             Some(Content::Value(value)) => self.member("content", value, HARD_DEPTH)?,
-            Some(Content::Encoded(bytes)) => {
-                let mut items = ItemReader::new(bytes);
+            Some(encoded) => {
+                let bytes = encoded.to_msgpack()?;
+                let mut items = ItemReader::new(&bytes);
                 self.encoded("content", None, &mut items, depth)?;
                 items.end()?;
             }
