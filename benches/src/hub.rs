@@ -111,7 +111,7 @@ impl Hub {
     /// A broker without the configuration of [`broker_folder`].
     pub fn broker(address: &str, form: Form) -> Result<Hub, Error> {
         let name = match form {
-            Form::Binary => "MOM",
+            Form::Binary | Form::Packed => "MOM",
             Form::Xml => "MOM XML",
             Form::Json => "MOM JSON",
         };

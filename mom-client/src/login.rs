@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use mom_net::{Address, Transceiver};
 use mom_proto::codec::{Form, Frame};
-use mom_proto::{Family, Limit, Limits, Map, Parcel, Value, WireError};
+use mom_proto::{Family, Limit, Limits, Map, Parcel, Value, WireError, ZSTD};
 use tokio::time::timeout;
 
 use crate::ClientError;
@@ -33,6 +33,8 @@ pub(crate) struct Welcome {
     pub(crate) user: String,
     pub(crate) level: i32,
     pub(crate) limits: PeerLimits,
+    /// The hub takes and gives compressed content.
+    pub(crate) packs: bool,
     pub(crate) content: Map,
 }
 
@@ -144,6 +146,8 @@ async fn resume(
     let limits = resumption.content.get("limits").and_then(Value::as_map);
     let limits = PeerLimits::read(limits).for_decoder();
     transceiver.reader.set_limits(&limits);
+    // What was not agreed on does not come.
+    transceiver.reader.take_packed();
     Ok((transceiver, resumption))
 }
 
@@ -157,6 +161,9 @@ async fn log_in(
     let welcome = Welcome::read(reply)?;
     let limits = welcome.limits.for_decoder();
     transceiver.reader.set_limits(&limits);
+    if welcome.packs {
+        transceiver.reader.take_packed();
+    }
     Ok(Connected { transceiver, welcome })
 }
 
@@ -210,6 +217,7 @@ impl Welcome {
                 .to_owned(),
             level: level(&content, "level").unwrap_or_default(),
             limits: PeerLimits::read(limits),
+            packs: text(&content, "compress") == Some(ZSTD),
             content,
         })
     }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use mom_net::{Address, Identity};
 use mom_proto::{
-    Code, Family, LOGIN_CONTEXT, Map, NONCE_BYTES, Parcel, Path, Value, WireError, login_challenge,
+    Code, Family, LOGIN_CONTEXT, Map, NONCE_BYTES, Parcel, Path, Value, WireError, ZSTD, login_challenge,
 };
 
 use crate::clock::system;
@@ -56,6 +56,8 @@ pub(crate) struct Credentials {
     pub(crate) link: Option<Duration>,
     /// How often both sides say that they are there; none = as the hub says.
     pub(crate) heartbeat: Option<Duration>,
+    /// That content may be compressed.
+    pub(crate) compress: bool,
 }
 
 impl Credentials {
@@ -110,6 +112,9 @@ impl Credentials {
         }
         if let Some(heartbeat) = self.heartbeat {
             content.set("heartbeat", millis(heartbeat));
+        }
+        if self.compress {
+            content.set("compress", vec![Value::from(ZSTD)]);
         }
         Ok(said("login", content))
     }
@@ -179,6 +184,7 @@ mod tests {
             address: None,
             link: None,
             heartbeat: None,
+            compress: false,
         };
         let answer = credentials
             .answer(&challenge("lab", LOGIN_CONTEXT, 32))

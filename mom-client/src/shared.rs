@@ -204,7 +204,7 @@ impl Shared {
     ) -> Result<(), ClientError> {
         state.check_up()?;
         let id = *parcel.id.get_or_insert_with(|| self.next_id());
-        let outgoing = self.prepare(&mut parcel, state.me.limits.parcel)?;
+        let outgoing = self.prepare(&mut parcel, &state.me)?;
         if let Some(waiter) = waiter.take() {
             state.pending.insert(id, waiter);
         }
@@ -214,14 +214,14 @@ impl Shared {
 
     /// Queues a message, waiting for capacity.
     pub(crate) async fn post(&self, mut parcel: Parcel, waiter: Option<AnswerTo>) -> Result<(), ClientError> {
-        let most = {
+        let me = {
             let state = self.lock();
             state.check_up()?;
-            state.me.limits.parcel
+            Arc::clone(&state.me)
         };
         let id = *parcel.id.get_or_insert_with(|| self.next_id());
         // Outside the lock: content may be large.
-        let outgoing = self.prepare(&mut parcel, most)?;
+        let outgoing = self.prepare(&mut parcel, &me)?;
         let Ok((permit, capacity)) = self.acquire(&parcel, outgoing.len()).await else {
             return Err(self.lock().check_up().err().unwrap_or(ClientError::Closed(None)));
         };
@@ -299,14 +299,19 @@ impl Shared {
     }
 
     /// Stamps and encodes a parcel.
-    fn prepare(&self, parcel: &mut Parcel, most: mom_proto::Limit) -> Result<Outgoing, ClientError> {
+    fn prepare(&self, parcel: &mut Parcel, me: &Welcome) -> Result<Outgoing, ClientError> {
         parcel.timestamp = parcel.timestamp.or_else(|| self.clock.wall());
         let Some(form) = self.form else {
             return Ok(Outgoing::Parcel(Arc::new(parcel.clone())));
         };
+        let (form, unpacked) = match form {
+            Form::Binary if me.packs => (Form::Packed, parcel.size()),
+            form => (form, 0),
+        };
         let encoded = form.encode(parcel)?;
-        if !most.allows(encoded.len()) {
-            let text = format!("a parcel of {} bytes, the hub takes {most}", encoded.len());
+        let (size, most) = (encoded.len().max(unpacked), me.limits.parcel);
+        if !most.allows(size) {
+            let text = format!("a parcel of {size} bytes, the hub takes {most}");
             return Err(ClientError::Local(WireError::new(Code::TOO_LARGE, text)));
         }
         Ok(Outgoing::Encoded(encoded))

@@ -358,6 +358,7 @@ fn weight(event: &Event) -> usize {
     };
     match &parcel.content {
         Some(Content::Encoded(bytes)) => bytes.len(),
+        Some(Content::Packed(packed)) => packed.bytes().len(),
         Some(Content::Value(value)) => value_weight(value),
         None => 0,
     }

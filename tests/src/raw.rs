@@ -7,7 +7,7 @@ use std::time::Duration;
 use bytes::BytesMut;
 use mom_proto::binary::{BinaryDecoder, PREFACE};
 use mom_proto::codec::{Decoder, Form, Frame};
-use mom_proto::{Code, Family, Limit, Limits, Map, Parcel, Path, Value, WireError};
+use mom_proto::{Code, Family, Limit, Limits, Map, Parcel, Path, Value, WireError, ZSTD};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpSocket, TcpStream};
 use tokio::time::timeout;
@@ -71,10 +71,13 @@ impl Raw {
     async fn start(stream: TcpStream, form: Form) -> Raw {
         stream.set_nodelay(true).expect("a socket option");
         let limits = Limits::default();
-        let decoder = match form {
-            Form::Binary => Decoder::Binary(Box::new(BinaryDecoder::for_peer(&limits))),
+        let mut decoder = match form {
+            Form::Binary | Form::Packed => Decoder::Binary(Box::new(BinaryDecoder::for_peer(&limits))),
             Form::Xml | Form::Json => Decoder::new(form, &limits),
         };
+        if form == Form::Packed {
+            decoder.take_packed();
+        }
         let mut raw = Raw {
             stream,
             input: BytesMut::new(),
@@ -83,7 +86,7 @@ impl Raw {
             last_id: 0,
             name: String::new(),
         };
-        if form == Form::Binary {
+        if form.is_binary() {
             raw.send(&PREFACE).await;
         }
         raw
@@ -105,7 +108,10 @@ impl Raw {
     /// # Panics
     /// If the connection ends before.
     pub async fn try_log_in(&mut self, user: &str) -> Result<(), WireError> {
-        let content = Map::new().with("name", user).with("password", user);
+        let mut content = Map::new().with("name", user).with("password", user);
+        if self.form == Form::Packed {
+            content.set("compress", vec![Value::from(ZSTD)]);
+        }
         let login = Parcel::new(Family::Login, "login").content(content);
         let welcome = self.ask(login).await?.value();
         let name = welcome.get("peer").and_then(Value::as_str);

@@ -69,7 +69,7 @@ impl MomDriver {
         };
         let mut parcel = Parcel::new(Family::Message, name).content(content);
         match self.form {
-            Form::Binary => parcel.number = Some(*number),
+            Form::Binary | Form::Packed => parcel.number = Some(*number),
             Form::Xml | Form::Json => parcel.context = Some(path.clone()),
         }
         if topic == Topic::Image {
@@ -98,7 +98,7 @@ impl Driver for MomDriver {
     fn template(&self, message: Message) -> Result<Template, Error> {
         let payload = message.payload.max(NUMBER);
         let content = match self.form {
-            Form::Binary => Value::Binary(Bytes::from(vec![b'.'; payload])),
+            Form::Binary | Form::Packed => Value::Binary(Bytes::from(vec![b'.'; payload])),
             Form::Xml | Form::Json => Value::from(".".repeat(payload)),
         };
         let mut parcel = self.message(message.topic, content);
@@ -108,7 +108,7 @@ impl Driver for MomDriver {
         let frame = encoded.map_err(Error::hub("a message"))?.to_vec();
         // The content ends the parcel in all forms.
         let after = match self.form {
-            Form::Binary => 0,
+            Form::Binary | Form::Packed => 0,
             Form::Xml => XML_END.len(),
             Form::Json => JSON_END.len(),
         };
@@ -126,7 +126,7 @@ impl Driver for MomDriver {
 
     fn scanner(&self) -> Box<dyn Scanner> {
         match self.form {
-            Form::Binary => Box::new(BinaryScanner::new()),
+            Form::Binary | Form::Packed => Box::new(BinaryScanner::new()),
             Form::Xml => Box::new(XmlScanner::new()),
             Form::Json => Box::new(JsonScanner::new()),
         }
@@ -149,7 +149,7 @@ impl Session {
             link: Link::connect(address)?,
             form,
             decoder: match form {
-                Form::Binary => Decoder::Binary(Box::new(BinaryDecoder::for_peer(&limits))),
+                Form::Binary | Form::Packed => Decoder::Binary(Box::new(BinaryDecoder::for_peer(&limits))),
                 Form::Xml | Form::Json => Decoder::new(form, &limits),
             },
             input: BytesMut::new(),
@@ -229,7 +229,7 @@ mod tests {
         let mut text = Vec::new();
         Template::around(&[], payload, &[]).append(number, &mut text);
         let content = match form {
-            Form::Binary => Value::Binary(text.into()),
+            Form::Binary | Form::Packed => Value::Binary(text.into()),
             Form::Xml | Form::Json => Value::from(String::from_utf8(text).unwrap()),
         };
         let mut parcel = driver(form).message(Topic::Forth, content);

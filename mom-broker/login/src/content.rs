@@ -1,7 +1,7 @@
 //! The content of a login. Its errors quote nothing, because it may be a secret in the wrong field.
 
 use mom_proto::nearest::nearest;
-use mom_proto::{Code, Map, Parcel, SECRET_BYTES, Value, ValueKind, WireError, check_name};
+use mom_proto::{Code, Map, Parcel, SECRET_BYTES, Value, ValueKind, WireError, ZSTD, check_name};
 
 use crate::resume::{LinkWish, Wishes};
 
@@ -36,7 +36,7 @@ impl std::fmt::Debug for ClaimedProof {
     }
 }
 
-const KEYS: [&str; 9] = [
+const KEYS: [&str; 10] = [
     "name",
     "password",
     "key",
@@ -46,6 +46,7 @@ const KEYS: [&str; 9] = [
     "nickname",
     "link",
     "heartbeat",
+    "compress",
 ];
 
 /// The shortest time between signs of life that a peer may ask for, ms.
@@ -68,6 +69,7 @@ impl LoginRequest {
         let wishes = Wishes {
             link: take_link(&mut map)?,
             heartbeat: take_count(&mut map, "heartbeat")?,
+            packed: take_ways(&mut map)?,
         };
         check_rest(&map, &KEYS)?;
         if wishes.heartbeat.is_some_and(|beat| beat < SHORTEST_BEAT) {
@@ -189,6 +191,17 @@ fn take_link(map: &mut Map) -> Result<Option<LinkWish>, WireError> {
             Ok(Some(LinkWish { grace }))
         }
         Some(other) => Err(wrong_kind("link", &other, "a boolean or a map")),
+    }
+}
+
+/// Whether zstd is among the ways of compressing that the peer knows; others may come.
+fn take_ways(map: &mut Map) -> Result<bool, WireError> {
+    match take(map, "compress") {
+        None => Ok(false),
+        Some(Value::List(ways)) if ways.iter().all(|way| way.as_str().is_some()) => {
+            Ok(ways.iter().any(|way| way.as_str() == Some(ZSTD)))
+        }
+        Some(other) => Err(wrong_kind("compress", &other, "a list of strings")),
     }
 }
 

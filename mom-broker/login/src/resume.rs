@@ -21,6 +21,8 @@ pub struct Wishes {
     pub link: Option<LinkWish>,
     /// How often both sides say that they are there, ms.
     pub heartbeat: Option<u64>,
+    /// That content may be compressed.
+    pub packed: bool,
 }
 
 /// A link that is asked for.

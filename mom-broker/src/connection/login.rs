@@ -7,7 +7,8 @@ use std::time::Duration;
 use mom_hub::{Input, User};
 use mom_login::{Granted, LoginStep};
 use mom_net::Reader;
-use mom_proto::{Code, Family, Limits, Map, Parcel, Path, Value, Verb, WireError};
+use mom_proto::codec::Form;
+use mom_proto::{Code, Family, Limits, Map, Parcel, Path, Value, Verb, WireError, ZSTD};
 use tokio::sync::oneshot;
 use tokio::time::Instant;
 
@@ -162,6 +163,9 @@ impl Connection {
         let until = admitted?;
         self.proven_until = until.map(Box::new);
         reader.set_limits(&self.services.limits);
+        if self.outbox.packs() {
+            reader.take_packed();
+        }
         reader.trust();
         let name = board.peer_name(peer).unwrap_or_default();
         let limits = &self.services.limits;
@@ -196,6 +200,9 @@ impl Connection {
         }
         // Another user on the same connection is another peer.
         if self.logged_in {
+            if self.outbox.packs() {
+                told.set("compress", ZSTD);
+            }
             if self.services.board.tap.audit.user(self.peer).as_deref() != Some(granted.user()) {
                 self.end_link();
             }
@@ -214,6 +221,10 @@ impl Connection {
                 }
                 None => self.outbox.end_link(),
             }
+        }
+        if wishes.packed && self.outbox.form() == Some(Form::Binary) {
+            self.outbox.begin_packing();
+            told.set("compress", ZSTD);
         }
         told
     }

@@ -131,6 +131,9 @@ impl Connection {
         self.heard_at = Instant::now();
         self.beat_at = self.heard_at + Duration::from_millis(self.services.limits.heartbeat);
         reader.set_limits(&self.services.limits);
+        if self.outbox.packs() {
+            reader.take_packed();
+        }
         reader.trust();
         let link = self.arrival.link();
         board.tap.audit.moved(peer, link.from);

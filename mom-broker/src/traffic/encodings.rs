@@ -4,13 +4,13 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use mom_proto::codec::{Encoded, Form, Scratch};
-use mom_proto::{Code, HARD_DEPTH, Limit, Parcel, WireError, binary};
+use mom_proto::{Code, Content, HARD_DEPTH, Limit, Parcel, WireError, binary};
 use mom_system::Workers;
 
-use crate::traffic::later_text::LaterText;
+use crate::traffic::later_frame::LaterFrame;
 use crate::traffic::replay::Replay;
 
-/// A larger parcel is written as text outside the channel's critical section, when its first receiver comes to it.
+/// A larger parcel is written in another form outside the channel's critical section, when its first receiver comes to it.
 const INLINE: usize = 4 * 1024;
 /// What the slots of a parcel in memory are charged.
 const SLOTS: usize = 256;
@@ -35,34 +35,57 @@ pub(crate) struct Encoder {
 /// A parcel encoded once for each form among its receivers.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Encodings {
-    xml: Text,
-    json: Text,
+    /// In the binary form, as almost all is.
     binary: Option<Encoded>,
+    xml: OtherForm,
+    json: OtherForm,
+    /// In the binary form, decompressed.
+    unpacked: OtherForm,
+    /// In the binary form, compressed.
+    packed: OtherForm,
     local: Option<Arc<Parcel>>,
     replay: Option<Arc<Replay>>,
 }
 
-/// A parcel in one of the text forms.
+/// A parcel in another form than it came in.
 #[derive(Clone, Debug, Default)]
-enum Text {
+enum OtherForm {
     /// Nobody needs it.
     #[default]
     None,
-    Written(Encoded),
+    Written(Box<Encoded>),
     /// Its content is no value, or too large in this form.
     Bad,
-    Later(Arc<LaterText>),
+    Later(Arc<LaterFrame>),
+}
+
+/// What is there for a receiver.
+enum Found<'a> {
+    Nothing,
+    Frames(&'a Encoded),
+    Bad,
+    Later(&'a Arc<LaterFrame>),
 }
 
 /// What has to be done before a packet can leave.
 #[derive(Debug)]
 pub(crate) enum Unready {
-    /// It has to be written in a text form.
-    Text(Arc<LaterText>),
+    /// It has to be written in another form.
+    Later(Arc<LaterFrame>),
     /// It stands for others, the next of which have to take its place.
     Replay(Arc<Replay>),
     /// It was made for receivers of other forms, before this one has come back and speaks another.
     Foreign,
+}
+
+impl Bounds {
+    /// A parcel in a form that it has to be opened for; none if it is no value, or too large in this form.
+    pub(crate) fn write(&self, form: Form, parcel: &Parcel) -> Option<Encoded> {
+        let written = form.encode_within(parcel, self.depth, self.parcel).ok()?;
+        // The text forms have kept to the limit. Here it is of what follows the length.
+        let fits = !form.is_binary() || self.parcel.allows(written.len().saturating_sub(4));
+        fits.then_some(written)
+    }
 }
 
 impl Encoder {
@@ -100,17 +123,30 @@ impl Encoder {
     ) -> Result<Encodings, WireError> {
         let mut encodings = Encodings::default();
         let mut local = false;
+        let is_packed = matches!(parcel.content, Some(Content::Packed(_)));
         for form in forms {
+            let form = match form {
+                None => {
+                    local = true;
+                    continue;
+                }
+                // Little is not worth a second encoding.
+                Some(Form::Packed) if !is_packed && !is_worth_packing(&parcel) => Form::Binary,
+                Some(form) => form,
+            };
+            if encodings.has(form) {
+                continue;
+            }
             match form {
-                None => local = true,
-                Some(form) if encodings.holds(form) => {}
-                Some(form) => match encodings.text_mut(form) {
-                    Some(text) => *text = self.text(form, &parcel),
-                    None => {
-                        let binary = form.encode_with(&parcel, &mut self.scratch)?;
-                        encodings.binary = Some(self.within_limit(binary)?);
-                    }
-                },
+                Form::Binary if !is_packed => {
+                    let binary = form.encode_with(&parcel, &mut self.scratch)?;
+                    encodings.binary = Some(self.within_limit(binary)?);
+                }
+                Form::Packed if is_packed => {
+                    let packed = form.encode_with(&parcel, &mut self.scratch)?;
+                    encodings.packed = OtherForm::Written(Box::new(self.within_limit(packed)?));
+                }
+                form => *encodings.place(form) = self.other_form(form, &parcel),
             }
         }
         encodings.local = local.then(|| Arc::new(parcel));
@@ -130,18 +166,31 @@ impl Encoder {
         Err(WireError::new(Code::TOO_LONG, text))
     }
 
-    fn text(&self, form: Form, parcel: &Parcel) -> Text {
-        let size = parcel.size();
+    fn other_form(&self, form: Form, parcel: &Parcel) -> OtherForm {
+        let size = unpacked_size(parcel);
         if size > INLINE {
             let workers = Arc::clone(&self.workers);
-            let later = LaterText::new(form, parcel.clone(), size, self.bounds, workers);
-            return Text::Later(Arc::new(later));
+            let later = LaterFrame::new(form, parcel.clone(), size, self.bounds, workers);
+            return OtherForm::Later(Arc::new(later));
         }
-        match form.encode_within(parcel, self.bounds.depth, self.bounds.parcel) {
-            Ok(written) => Text::Written(written),
-            Err(_) => Text::Bad,
+        match self.bounds.write(form, parcel) {
+            Some(written) => OtherForm::Written(Box::new(written)),
+            None => OtherForm::Bad,
         }
     }
+}
+
+/// The bytes that a parcel brings, decompressed.
+fn unpacked_size(parcel: &Parcel) -> usize {
+    let saved = parcel.content.as_ref().map_or(0, |content| {
+        content.unpacked_size().saturating_sub(content.size())
+    });
+    parcel.size() + saved
+}
+
+/// Whether the hub itself compresses it: not in the channel's critical section, so only what is worth a thread's time.
+fn is_worth_packing(parcel: &Parcel) -> bool {
+    parcel.may_be_packed() && parcel.size() > INLINE
 }
 
 impl Encodings {
@@ -153,16 +202,22 @@ impl Encodings {
         let mut encodings = Encodings::default();
         let mut local = false;
         for form in forms {
-            match form {
-                None => local = true,
-                Some(form) if encodings.holds(form) => {}
-                Some(form) => {
-                    let written = form.encode_within(&parcel, HARD_DEPTH, Limit::Unlimited)?;
-                    match encodings.text_mut(form) {
-                        Some(text) => *text = Text::Written(written),
-                        None => encodings.binary = Some(written),
-                    }
+            let form = match form {
+                None => {
+                    local = true;
+                    continue;
                 }
+                // Only messages are worth it.
+                Some(Form::Packed) => Form::Binary,
+                Some(form) => form,
+            };
+            if encodings.has(form) {
+                continue;
+            }
+            let written = form.encode_within(&parcel, HARD_DEPTH, Limit::Unlimited)?;
+            match form {
+                Form::Binary => encodings.binary = Some(written),
+                form => *encodings.place(form) = OtherForm::Written(Box::new(written)),
             }
         }
         encodings.local = local.then(|| Arc::new(parcel));
@@ -201,38 +256,47 @@ impl Encodings {
         }
     }
 
-    /// The place of this form, none if it is the binary one.
-    fn text(&self, form: Form) -> Option<&Text> {
+    fn other(&self, form: Form) -> &OtherForm {
         match form {
-            Form::Xml => Some(&self.xml),
-            Form::Json => Some(&self.json),
-            Form::Binary => None,
+            Form::Xml => &self.xml,
+            Form::Json => &self.json,
+            Form::Binary => &self.unpacked,
+            Form::Packed => &self.packed,
         }
     }
 
-    fn text_mut(&mut self, form: Form) -> Option<&mut Text> {
+    fn place(&mut self, form: Form) -> &mut OtherForm {
         match form {
-            Form::Xml => Some(&mut self.xml),
-            Form::Json => Some(&mut self.json),
-            Form::Binary => None,
+            Form::Xml => &mut self.xml,
+            Form::Json => &mut self.json,
+            Form::Binary => &mut self.unpacked,
+            Form::Packed => &mut self.packed,
         }
     }
 
-    /// Whether it is encoded in this form, or failed to be.
-    fn holds(&self, form: Form) -> bool {
-        match self.text(form) {
-            Some(text) => !matches!(text, Text::None),
-            None => self.binary.is_some(),
+    /// Whether it is encoded in just this form, or failed to be.
+    fn has(&self, form: Form) -> bool {
+        (form == Form::Binary && self.binary.is_some()) || !matches!(self.other(form), OtherForm::None)
+    }
+
+    /// What a receiver of this form gets.
+    fn find(&self, form: Form) -> Found<'_> {
+        match (self.other(form), form) {
+            (OtherForm::Written(written), _) => Found::Frames(written),
+            (OtherForm::Bad, _) => Found::Bad,
+            (OtherForm::Later(later), _) => Found::Later(later),
+            (OtherForm::None, Form::Binary) => self.binary.as_ref().map_or(Found::Nothing, Found::Frames),
+            (OtherForm::None, Form::Packed) => self.find(Form::Binary),
+            (OtherForm::None, Form::Xml | Form::Json) => Found::Nothing,
         }
     }
 
     /// The frames for a receiver of this form, none inside this process or while they are not ready.
     pub(crate) fn frames(&self, form: Option<Form>) -> Option<&Encoded> {
-        match self.text(form?) {
-            None => self.binary.as_ref(),
-            Some(Text::Written(written)) => Some(written),
-            Some(Text::Later(later)) => later.written()?,
-            Some(Text::None | Text::Bad) => None,
+        match self.find(form?) {
+            Found::Frames(frames) => Some(frames),
+            Found::Later(later) => later.written()?,
+            Found::Nothing | Found::Bad => None,
         }
     }
 
@@ -241,20 +305,19 @@ impl Encodings {
         if let Some(replay) = &self.replay {
             return Some(Unready::Replay(Arc::clone(replay)));
         }
-        match self.text(form?) {
-            Some(Text::Later(later)) if later.written().is_none() => Some(Unready::Text(Arc::clone(later))),
-            Some(Text::None) => Some(Unready::Foreign),
-            None if self.binary.is_none() => Some(Unready::Foreign),
-            _ => None,
+        match self.find(form?) {
+            Found::Later(later) if later.written().is_none() => Some(Unready::Later(Arc::clone(later))),
+            Found::Nothing => Some(Unready::Foreign),
+            Found::Frames(_) | Found::Bad | Found::Later(_) => None,
         }
     }
 
     /// Whether it can never leave in this form.
     pub(crate) fn is_bad(&self, form: Option<Form>) -> bool {
-        match form.and_then(|form| self.text(form)) {
-            Some(Text::Bad) => true,
-            Some(Text::Later(later)) => matches!(later.written(), Some(None)),
-            Some(Text::None | Text::Written(_)) | None => false,
+        match form.map(|form| self.find(form)) {
+            Some(Found::Bad) => true,
+            Some(Found::Later(later)) => matches!(later.written(), Some(None)),
+            Some(Found::Nothing | Found::Frames(_)) | None => false,
         }
     }
 
@@ -264,7 +327,8 @@ impl Encodings {
         let local = self.local.as_ref().map_or(0, |parcel| SLOTS + parcel.size());
         // What is kept is charged where it is kept.
         let replay = self.replay.as_ref().map_or(0, |replay| replay.charge());
-        self.xml.size() + self.json.size() + binary + local + replay
+        let others = [&self.xml, &self.json, &self.unpacked, &self.packed];
+        others.iter().map(|other| other.size()).sum::<usize>() + binary + local + replay
     }
 
     /// The parcels in it, read again from whatever form they are in.
@@ -278,11 +342,11 @@ impl Encodings {
         if let Some(frames) = &self.binary {
             return Form::Binary.read(&frames.to_vec());
         }
-        for (form, text) in [(Form::Xml, &self.xml), (Form::Json, &self.json)] {
-            match text {
-                Text::Written(written) => return form.read(&written.to_vec()),
-                Text::Later(later) => return Ok(vec![later.parcel().clone()]),
-                Text::None | Text::Bad => {}
+        for form in [Form::Packed, Form::Binary, Form::Xml, Form::Json] {
+            match self.other(form) {
+                OtherForm::Written(written) => return form.read(&written.to_vec()),
+                OtherForm::Later(later) => return Ok(vec![later.parcel().clone()]),
+                OtherForm::None | OtherForm::Bad => {}
             }
         }
         Ok(Vec::new())
@@ -299,23 +363,23 @@ impl Encodings {
         if let Some(replay) = &self.replay {
             return replay.charge();
         }
-        match form.map(|form| self.text(form)) {
+        match form.map(|form| self.find(form)) {
             None => SLOTS + self.local.as_ref().map_or(0, |parcel| parcel.size()),
-            Some(None) if self.binary.is_none() => self.memory(),
-            Some(None) => self.binary.as_ref().map_or(0, Encoded::len),
-            Some(Some(Text::None)) => self.memory(),
-            Some(Some(text)) => text.size(),
+            Some(Found::Frames(frames)) => frames.len(),
+            Some(Found::Later(later)) => SLOTS + later.size(),
+            Some(Found::Bad) => 0,
+            Some(Found::Nothing) => self.memory(),
         }
     }
 }
 
-impl Text {
+impl OtherForm {
     /// What it is charged, the same before and after it is written.
     fn size(&self) -> usize {
         match self {
-            Text::None | Text::Bad => 0,
-            Text::Written(written) => written.len(),
-            Text::Later(later) => SLOTS + later.size(),
+            OtherForm::None | OtherForm::Bad => 0,
+            OtherForm::Written(written) => written.len(),
+            OtherForm::Later(later) => SLOTS + later.size(),
         }
     }
 }

@@ -8,7 +8,7 @@ mod history;
 #[cfg(all(test, feature = "shuttle"))]
 #[path = "../../tests/interleaved/mod.rs"]
 mod interleaved;
-mod later_text;
+mod later_frame;
 pub(crate) mod memory;
 pub(crate) mod outbox;
 mod replay;

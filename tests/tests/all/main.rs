@@ -3,6 +3,7 @@
 mod attacks;
 mod browser;
 mod commands;
+mod compression;
 mod control;
 mod device_keys;
 mod dialogues;

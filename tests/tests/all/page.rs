@@ -148,7 +148,7 @@ async fn a_client_need_not_wait_for_the_answer_to_its_login() {
             let frames = parcels.map(|parcel| form.encode(&parcel).expect("a frame"));
             match form {
                 Form::Xml | Form::Json => frames.map(|frame| frame.to_vec()).concat(),
-                Form::Binary => {
+                Form::Binary | Form::Packed => {
                     let [login, join, large] = frames;
                     [login.to_vec(), join.to_vec(), chunks(&large, 1, 9000).concat()].concat()
                 }

@@ -38,7 +38,7 @@ impl Scene {
     async fn new(form: Form, path: &str, options: Map) -> Scene {
         let other = match form {
             Form::Xml => Form::Binary,
-            Form::Binary => Form::Json,
+            Form::Binary | Form::Packed => Form::Json,
             Form::Json => Form::Xml,
         };
         let clock = lab::clock();

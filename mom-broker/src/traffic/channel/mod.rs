@@ -269,7 +269,7 @@ fn all_binary(outboxes: &[Option<Arc<Outbox>>]) -> bool {
     outboxes
         .iter()
         .flatten()
-        .all(|outbox| outbox.form() == Some(Form::Binary))
+        .all(|outbox| outbox.form().is_some_and(Form::is_binary))
 }
 
 fn lane_of(parcel: &Parcel) -> Lane {

@@ -128,10 +128,13 @@ impl Channel {
     fn prepared<'a>(&self, message: Message<'a>) -> Message<'a> {
         let own = |parcel: &mut Parcel| {
             // Or little that is kept would hold much that was read with it and is not.
-            if let Some(Content::Encoded(bytes)) = &mut parcel.content
-                && self.keeps.load(Ordering::Relaxed)
-            {
-                *bytes = Bytes::copy_from_slice(bytes);
+            if !self.keeps.load(Ordering::Relaxed) {
+                return;
+            }
+            match &mut parcel.content {
+                Some(Content::Encoded(bytes)) => *bytes = Bytes::copy_from_slice(bytes),
+                Some(Content::Packed(packed)) => packed.own(),
+                Some(Content::Value(_)) | None => {}
             }
         };
         match message {

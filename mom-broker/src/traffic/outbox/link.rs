@@ -3,6 +3,7 @@
 use std::sync::{Arc, Weak};
 
 use mom_net::{BadCount, Flow, Ledger, Rewound, Writer};
+use mom_proto::codec::Form;
 use mom_proto::{ContextNumber, Path};
 use mom_system::sync::atomic::Ordering;
 
@@ -14,6 +15,8 @@ pub(super) struct LinkLedger {
     pub(super) ledger: Ledger<Packet>,
     /// Where the paths of contexts are known, once the peer has come back in another form.
     pub(super) paths: Option<Weak<dyn Paths>>,
+    /// Its peer reads compressed content in the binary form.
+    packs: bool,
 }
 
 /// What knows the paths of contexts.
@@ -44,8 +47,25 @@ impl Outbox {
         way.link = Some(Box::new(LinkLedger {
             ledger: Ledger::after_next(limit),
             paths: None,
+            packs: false,
         }));
         true
+    }
+
+    /// From now on, gives the peer compressed content where that pays. Before its first login is answered: what is for it was
+    /// encoded in one form only.
+    pub(crate) fn begin_packing(&self) {
+        let mut way = self.way.lock();
+        if let Some(link) = &mut way.link {
+            link.packs = true;
+        }
+        self.queue.lock().begin_packing();
+        self.form.store(place_of(Some(Form::Packed)), Ordering::Relaxed);
+    }
+
+    /// Whether the peer gives and takes compressed content.
+    pub(crate) fn packs(&self) -> bool {
+        self.form() == Some(Form::Packed)
     }
 
     /// Ends the link: the next end of the connection is the end of the peer.
@@ -97,7 +117,10 @@ impl Outbox {
         };
         let mut queue = self.queue.lock();
         let rewound = queue.resend(&mut link.ledger, read)?;
-        let form = writer.form();
+        let form = match writer.form() {
+            Some(Form::Binary) if link.packs => Some(Form::Packed),
+            form => form,
+        };
         if form != self.form() {
             link.paths = Some(paths);
             // Whoever encodes for it from here on does so in the new form.

@@ -70,7 +70,13 @@ struct Way {
 }
 
 /// The forms that a peer may speak, none inside this process.
-const FORMS: [Option<Form>; 4] = [None, Some(Form::Xml), Some(Form::Binary), Some(Form::Json)];
+const FORMS: [Option<Form>; 5] = [
+    None,
+    Some(Form::Xml),
+    Some(Form::Binary),
+    Some(Form::Json),
+    Some(Form::Packed),
+];
 
 fn place_of(form: Option<Form>) -> u8 {
     match form {
@@ -78,6 +84,7 @@ fn place_of(form: Option<Form>) -> u8 {
         Some(Form::Xml) => 1,
         Some(Form::Binary) => 2,
         Some(Form::Json) => 3,
+        Some(Form::Packed) => 4,
     }
 }
 
@@ -355,7 +362,7 @@ impl Outbox {
     async fn make_ready(&self, packet: &Arc<Packet>) {
         match packet.encodings.unready(self.form()) {
             None => {}
-            Some(Unready::Text(later)) => {
+            Some(Unready::Later(later)) => {
                 tokio::select! {
                     () = later.write() => {}
                     () = self.wake.notified() => {}
@@ -445,7 +452,7 @@ impl Outbox {
         flow: &mut Flow,
         mut ledger: Option<&mut Ledger<Packet>>,
     ) -> Result<Flushed, NetError> {
-        let form = writer.form();
+        let form = self.form();
         loop {
             // All that was taken has left, so its capacity is real.
             self.call_next();
@@ -461,7 +468,7 @@ impl Outbox {
                 return Ok(Flushed::Done);
             }
             self.active.store(true, Ordering::Relaxed);
-            let all = write_batch(writer, flow, batch, |piece| {
+            let all = write_batch(writer, form, flow, batch, |piece| {
                 if let Some(ledger) = &mut ledger {
                     ledger.note(piece, form);
                 }

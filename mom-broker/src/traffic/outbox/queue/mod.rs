@@ -144,6 +144,11 @@ impl PeerQueue {
         self.queue.acknowledge(ledger, read)
     }
 
+    /// Goes on with compressed content, where what waits is not compressed.
+    pub(crate) fn begin_packing(&mut self) {
+        self.queue.change_form(Some(Form::Packed));
+    }
+
     /// Goes on in another form.
     pub(crate) fn change_form(&mut self, form: Option<Form>) {
         self.queue.split_begun(|packet, sent| Arc::new(packet.rest(sent)));

@@ -1,0 +1,86 @@
+//! A large parcel that is written in another form than it came in when the first of its receivers comes to it: as text,
+//! compressed or decompressed.
+//!
+//! It waits in the outboxes of its receivers like any other, so order, lanes, fences, expiry and replacement hold for it, and
+//! what is replaced before its turn is never written at all. Receivers of other forms do not wait for it.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
+
+use mom_proto::Parcel;
+use mom_proto::codec::{Encoded, Form};
+use mom_system::Workers;
+use tokio::sync::Notify;
+
+use crate::traffic::encodings::Bounds;
+
+/// One parcel for all its receivers that speak this form.
+#[derive(Debug)]
+pub(crate) struct LaterFrame {
+    form: Form,
+    parcel: Parcel,
+    size: usize,
+    bounds: Bounds,
+    workers: Arc<Workers>,
+    begun: AtomicBool,
+    /// None inside: it has no such form, or a larger one than receivers were promised.
+    written: OnceLock<Option<Encoded>>,
+    done: Notify,
+}
+
+impl LaterFrame {
+    pub(crate) fn new(
+        form: Form,
+        parcel: Parcel,
+        size: usize,
+        bounds: Bounds,
+        workers: Arc<Workers>,
+    ) -> LaterFrame {
+        LaterFrame {
+            form,
+            parcel,
+            size,
+            bounds,
+            workers,
+            begun: AtomicBool::new(false),
+            written: OnceLock::new(),
+            done: Notify::new(),
+        }
+    }
+
+    /// What is to be written.
+    pub(crate) fn parcel(&self) -> &Parcel {
+        &self.parcel
+    }
+
+    /// The bytes of the parcel, decompressed.
+    pub(crate) fn size(&self) -> usize {
+        self.size
+    }
+
+    /// Its frame, once it was written; none inside if it cannot be.
+    pub(crate) fn written(&self) -> Option<Option<&Encoded>> {
+        self.written.get().map(Option::as_ref)
+    }
+
+    /// Has it written, if nobody has so far, and waits for that.
+    pub(crate) async fn write(self: &Arc<LaterFrame>) {
+        if !self.begun.swap(true, Ordering::AcqRel) {
+            let later = Arc::clone(self);
+            self.workers.run(move || later.write_now());
+        }
+        loop {
+            // Made before the look, so that no end is missed.
+            let done = self.done.notified();
+            if self.written.get().is_some() {
+                return;
+            }
+            done.await;
+        }
+    }
+
+    fn write_now(&self) {
+        let _ = self.written.set(self.bounds.write(self.form, &self.parcel));
+        self.done.notify_waiters();
+    }
+}
