@@ -22,7 +22,7 @@ pub(crate) async fn connect(global: &GlobalArgs, stay: Stay) -> Result<Client, F
     // Nobody is asked for a password for nothing.
     global.hub.parse::<Address>().map_err(wrong_address)?;
     let who = UserLogin::of(global)?;
-    let builder = || who.prove(Client::builder(&global.hub));
+    let builder = || who.prove(Client::builder(&global.hub)).compress(global.compress);
     // The hub hears once of what fails.
     let first = || match global.report {
         true => builder().report_failures("mom", env!("CARGO_PKG_VERSION")),

@@ -79,6 +79,9 @@ pub(crate) struct GlobalArgs {
     /// If the hub cannot be reached, report why to it by plain HTTP, which may get through; for mom logs
     #[arg(long, global = true, env = "MOM_REPORT", value_parser = FalseyValueParser::new())]
     pub(crate) report: bool,
+    /// Compress messages in both directions where that pays; for slow links
+    #[arg(long, global = true, env = "MOM_COMPRESS", value_parser = FalseyValueParser::new())]
+    pub(crate) compress: bool,
     /// Write JSON, one object per line
     #[arg(long, global = true)]
     pub(crate) json: bool,

@@ -10,7 +10,8 @@ use mom_proto::{Code, Content, Family, Map, Packed, Parcel, Value, ZSTD};
 use mom_tests::faulty::{Fault, FaultyNetwork};
 use mom_tests::programs::PATIENCE;
 use mom_tests::raw::{Raw, at, message};
-use mom_tests::{lab, tls};
+use mom_tests::{lab, programs, tls};
+use tokio::process::Command;
 use tokio::time::timeout;
 
 const CHAT: &str = "/chat";
@@ -396,5 +397,26 @@ async fn a_link_goes_on_compressed() {
     );
     bob.close().await;
     carol.close().await;
+    broker.stop().await;
+}
+
+/// The command line asks for it, too.
+#[tokio::test]
+async fn mom_compresses_when_told() {
+    let broker = lab::start().await;
+    let mut bob = member(&broker, Form::Packed, "bob").await;
+    for (options, compressed) in [(&[][..], false), (&["--compress"][..], true)] {
+        // Short enough for the hub to leave it as it is.
+        let script = program(30);
+        let mut command = Command::new(programs::program("mom"));
+        command.args(["send", CHAT, "program", &script]).args(options);
+        command.args(["--hub", &format!("bin://{}", broker.local_addr())]);
+        command.env("MOM_USER", "alice").env("MOM_PASSWORD", "alice");
+        let output = timeout(PATIENCE, command.output()).await.expect("in time").expect("it runs");
+        assert!(output.status.success(), "{output:?}");
+        let heard = next_message(&mut bob).await;
+        assert_eq!(packed(&heard).is_some(), compressed, "{options:?}");
+        assert_eq!(heard.value(), Value::from(script.as_str()));
+    }
     broker.stop().await;
 }

@@ -3,7 +3,7 @@
 use bytes::BytesMut;
 use mom_proto::binary::{PREFACE, WORDS};
 use mom_proto::codec::{Decoder, Form, Frame};
-use mom_proto::{Family, Limits, Parcel, Value};
+use mom_proto::{Content, Family, Limits, Parcel, Value};
 use mom_tests::lab;
 use mom_tests::raw::{Raw, at, message};
 
@@ -102,6 +102,23 @@ fn the_frames_are_exact() {
         (Some(7), Some(5))
     );
     assert!(pong.is(Family::Time, "pong") && pong.reference == Some(0));
+}
+
+#[test]
+fn the_compressed_frame_is_exact() {
+    let [block] = blocks("compressed")[..] else {
+        panic!("one compressed frame")
+    };
+    let bytes = block
+        .split_whitespace()
+        .map(|byte| u8::from_str_radix(byte, 16).expect("hexadecimal"));
+    let read = Form::Packed.read(&bytes.collect::<Vec<u8>>()).expect("healthy");
+    let [message] = &read[..] else {
+        panic!("{} parcels", read.len())
+    };
+    assert!(matches!(message.content, Some(Content::Packed(_))));
+    assert!(message.is(Family::Message, "m") && message.number.map(|number| number.0) == Some(5));
+    assert_eq!(message.value(), Value::Binary(vec![0; 512].into()));
 }
 
 #[test]
