@@ -412,7 +412,10 @@ async fn mom_compresses_when_told() {
         command.args(["send", CHAT, "program", &script]).args(options);
         command.args(["--hub", &format!("bin://{}", broker.local_addr())]);
         command.env("MOM_USER", "alice").env("MOM_PASSWORD", "alice");
-        let output = timeout(PATIENCE, command.output()).await.expect("in time").expect("it runs");
+        let output = timeout(PATIENCE, command.output())
+            .await
+            .expect("in time")
+            .expect("it runs");
         assert!(output.status.success(), "{output:?}");
         let heard = next_message(&mut bob).await;
         assert_eq!(packed(&heard).is_some(), compressed, "{options:?}");

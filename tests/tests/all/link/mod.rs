@@ -3,7 +3,8 @@
 mod doors;
 mod survive;
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
+use std::time::Duration;
 
 use mom_broker::Broker;
 use mom_proto::codec::Form;
@@ -200,6 +201,83 @@ async fn a_lost_owner_keeps_its_token_and_nothing_late_moves_the_robot() {
     alice.raw.send_parcel(&command("grip close")).await;
     let next = arm.next_of(Family::Message, "command").await;
     assert_eq!(next.value().as_str(), Some("grip close"), "and nothing between");
+    broker.stop().await;
+}
+
+/// Threat 14: an owner that is frozen, and wakes when its lease is over and the robot another's, is refused whatever it had in hand:
+/// on the connection that it still has, and on the next one.
+#[tokio::test]
+async fn a_frozen_owner_that_wakes_moves_nothing() {
+    let clock = lab::clock();
+    let broker = lab::start_at(clock.clone(), |_| {}).await;
+    let address = broker.local_addr();
+    let mut arm = Raw::login(address, Form::Binary, "arm").await;
+    arm.join(&["/robot", "/robot/arm"]).await;
+    let mut alice = Linked::login(address, Form::Json, "alice", GRACE).await;
+    for path in ["/robot", "/robot/arm"] {
+        alice.about(Family::Context, "join", path).await;
+    }
+    let fence = int(&alice.about(Family::Token, "grab", "/robot/token").await, "fence");
+    let mut bob = Raw::login(address, Form::Json, "bob").await;
+    bob.join(&["/robot", "/robot/arm"]).await;
+    let held = bob.ask_about(Family::Token, "grab", "/robot/token").await;
+    assert_eq!(held.expect_err("held").code, Code::HELD);
+    // Longer than the lease, and no word of alice.
+    clock.advance(Duration::from_secs(181));
+    let taken = bob.ask_about(Family::Token, "grab", "/robot/token").await;
+    assert!(int(&taken.expect("it is free"), "fence") > fence);
+    let fenced = |text| Parcel {
+        fence: Some(u64::try_from(fence).expect("a fence")),
+        ..command(text)
+    };
+    let error = alice.ask(fenced("as of before")).await.expect_err("not hers");
+    assert_eq!(error.code, Code::OLDER_FENCE, "{error}");
+    let error = alice.ask(command("anything")).await.expect_err("not hers");
+    assert_eq!(error.code, Code::NOT_OWNER, "{error}");
+    let link = lose(alice);
+    bob.next_of(Family::Event, "lost").await;
+    let (mut alice, _) = resume(&link, address, Form::Binary).await;
+    let error = alice.ask(fenced("said before")).await.expect_err("too late");
+    assert_eq!(error.code, Code::OLDER_FENCE, "{error}");
+    alice.raw.send_parcel(&resent()).await;
+    for parcel in [fenced("as of before"), command("anything")] {
+        alice.ask(parcel).await.expect_err("not hers");
+    }
+    bob.send_parcel(&command("grip open")).await;
+    let next = arm.next_of(Family::Message, "command").await;
+    assert_eq!(next.value().as_str(), Some("grip open"), "and nothing before");
+    assert_eq!(next.sender.as_deref(), Some("bob"));
+    broker.stop().await;
+}
+
+/// A robot whose address changes goes on from there, and is seen there.
+#[tokio::test]
+async fn a_peer_comes_back_from_another_address() {
+    let (broker, alice, mut bob) = chatting(Form::Binary).await;
+    let link = lose(alice);
+    bob.next_of(Family::Event, "lost").await;
+    bob.send_parcel(&chat("meanwhile")).await;
+    bob.check_alive().await;
+    let elsewhere = IpAddr::from([127, 0, 0, 2]);
+    let mut raw = Raw::connect_from(elsewhere, broker.local_addr(), Form::Binary).await;
+    let reply = link.prove(&mut raw).await.expect("its secret");
+    assert_eq!(reply.get("resumed"), Some(&Value::Bool(true)));
+    let mut alice = Linked { raw, link };
+    assert_eq!(texts(&mut alice, 1).await, ["meanwhile"]);
+    let mut carol = Raw::login(broker.local_addr(), Form::Json, "carol").await;
+    let stats = carol.ask_about(Family::Context, "stats", "/").await;
+    let stats = stats.expect("operators may");
+    let peers = stats
+        .get("peers")
+        .and_then(Value::as_list)
+        .expect("peers")
+        .to_vec();
+    let text = |peer: &Value, key: &str| peer.get(key).and_then(Value::as_str).map(str::to_owned);
+    let peer = peers
+        .iter()
+        .find(|peer| text(peer, "user").as_deref() == Some("alice"));
+    let peer = peer.expect("she is here");
+    assert_eq!(text(peer, "from").as_deref(), Some("127.0.0.2"), "{peer:?}");
     broker.stop().await;
 }
 
