@@ -270,6 +270,6 @@ mod tests {
             size_of_future(&connection),
             size_of::<crate::traffic::outbox::Outbox>(),
         ];
-        assert!(all.iter().sum::<usize>() <= 1664, "{all:?}");
+        assert!(all.iter().sum::<usize>() <= 1536, "{all:?}");
     }
 }

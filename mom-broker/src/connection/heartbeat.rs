@@ -18,10 +18,10 @@ impl Connection {
     }
 
     /// When the connection ends if nothing is heard.
-    pub(super) fn deadline(&self, login_by: Instant) -> Instant {
+    pub(super) fn deadline(&self) -> Instant {
         match self.logged_in {
             true => self.heard_at + self.gone(),
-            false => login_by,
+            false => self.arrival.login_by,
         }
     }
 
@@ -41,7 +41,7 @@ impl Connection {
         flush(&mut touched);
         if quiet || silent || self.pings.are_stamped() {
             let ping = self.pings.next(&self.services.board.clock);
-            self.services.board.tell(self.peer, ping, &mut touched);
+            self.services.board.tell(self.peer(), ping, &mut touched);
             flush(&mut touched);
             // A ping alone is not activity, or the next one would wait twice as long.
             self.outbox.active.store(false, Ordering::Relaxed);
@@ -61,7 +61,7 @@ impl Connection {
                 let pong = Measure::pong(parcel, &self.services.board.clock);
                 let told_at = self.link.as_ref().map_or(0, |served| served.told_at);
                 self.tell_read(told_at, touched);
-                self.services.board.tell(self.peer, pong, touched);
+                self.services.board.tell(self.peer(), pong, touched);
                 if self.logged_in && self.measure.begins(parcel, &self.pings) {
                     self.ping(touched);
                 }
@@ -74,7 +74,7 @@ impl Connection {
             }
             Ok(_) => {
                 let clock = &self.services.board.clock;
-                let (again, round_trip) = self.measure.learn(parcel, &self.pings, clock);
+                let (again, round_trip) = self.measure.learn(parcel, &mut self.pings, clock);
                 if let Some(micros) = round_trip {
                     self.outbox.heard.note_round_trip(micros);
                 }
@@ -94,8 +94,8 @@ impl Connection {
         })
     }
 
-    fn ping(&self, touched: &mut Touched) {
+    fn ping(&mut self, touched: &mut Touched) {
         let ping = self.pings.next(&self.services.board.clock);
-        self.services.board.tell(self.peer, ping, touched);
+        self.services.board.tell(self.peer(), ping, touched);
     }
 }

@@ -53,7 +53,7 @@ impl Connection {
         let logins = Arc::clone(&self.services.logins);
         let claimed = self.claimed(parcel);
         // Whatever comes now, the last challenge is over.
-        let asked = self.asked.take();
+        let asked = self.asked.take().map(|asked| *asked);
         self.set_proving(true);
         let answers = parcel.name() == Verb::Answer.word();
         let step = match asked {
@@ -74,7 +74,7 @@ impl Connection {
                 };
             }
             Some(Asked::Key(challenge)) if answers => logins
-                .answer(parcel, Some(*challenge), self.arrival.remote.from)
+                .answer(parcel, Some(challenge), self.arrival.remote.from)
                 .map(LoginStep::Granted),
             _ if answers => logins
                 .answer(parcel, None, self.arrival.remote.from)
@@ -84,7 +84,7 @@ impl Connection {
         let refused = match step {
             Ok(LoginStep::Challenge(challenge)) => {
                 self.challenge(challenge.content(), parcel.id, touched);
-                self.asked = Some(Asked::Key(Box::new(challenge)));
+                self.asked = Some(Box::new(Asked::Key(challenge)));
                 Ok(Login::Goes)
             }
             Ok(LoginStep::Granted(granted)) => self.admit(reader, granted, parcel.id, touched),
@@ -119,7 +119,7 @@ impl Connection {
             .context(Path::root())
             .content(content);
         reply.reference = reference;
-        self.services.board.tell(self.peer, reply, touched);
+        self.services.board.tell(self.peer(), reply, touched);
     }
 
     fn admit(
@@ -129,7 +129,7 @@ impl Connection {
         id: Option<u64>,
         touched: &mut Touched,
     ) -> Result<Login, WireError> {
-        let (peer, board) = (self.peer, Arc::clone(&self.services.board));
+        let (peer, board) = (self.peer(), Arc::clone(&self.services.board));
         if let Some(seat) = &mut self.arrival.seat {
             seat.log_in(granted.user())?;
         }
@@ -203,7 +203,7 @@ impl Connection {
             if self.outbox.packs() {
                 told.set("compress", ZSTD);
             }
-            if self.services.board.tap.audit.user(self.peer).as_deref() != Some(granted.user()) {
+            if self.services.board.tap.audit.user(self.peer()).as_deref() != Some(granted.user()) {
                 self.end_link();
             }
             return told;
@@ -251,7 +251,7 @@ impl Connection {
             .services
             .is_first("login refused", self.arrival.remote.from, Some(error.code.word()))
         {
-            tracing::info!(peer = self.peer.0, from = ?self.arrival.remote.from, code = %error.code, "login refused");
+            tracing::info!(peer = self.peer().0, from = ?self.arrival.remote.from, code = %error.code, "login refused");
         }
         if [Code::BAD_LOGIN, Code::BAD_CONTENT, Code::NOT_RESUMED].contains(&error.code) {
             self.failures += 1;
@@ -273,7 +273,7 @@ impl Connection {
     /// The user that a peer claims to be, if there is one of that name: others may be secrets in the wrong place.
     fn claimed(&self, parcel: &Parcel) -> Option<Arc<str>> {
         let content = parcel.value();
-        let name = match &self.asked {
+        let name = match self.asked.as_deref() {
             Some(Asked::Key(challenge)) if parcel.name() == Verb::Answer.word() => Some(challenge.user()),
             _ => content.get("name").and_then(Value::as_str),
         };
@@ -286,7 +286,7 @@ impl Connection {
         // Only who was here before, as another user perhaps, has a name.
         let name = Some(self.outbox.name()).filter(|name| !name.is_empty());
         let tap = &self.services.board.tap;
-        tap.login_refused(self.peer, name, claimed, code);
+        tap.login_refused(self.peer(), name, claimed, code);
     }
 }
 

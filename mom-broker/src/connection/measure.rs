@@ -2,22 +2,16 @@
 
 use mom_proto::{ClockOffset, Exchange, Family, Map, Micros, OffsetEstimator, Parcel, Path, Time, Value};
 use mom_system::Clock;
-use parking_lot::Mutex;
 
 /// Exchanges right after the first answer, one after the other; from then on one each heartbeat.
 const QUICK: usize = 4;
 
-/// The pings to one peer: the heartbeat says them, the reader hears the answers.
+/// The pings to one peer.
 #[derive(Debug, Default)]
 pub(crate) struct Pings {
-    state: Mutex<PingState>,
-}
-
-#[derive(Debug, Default)]
-struct PingState {
     next: u64,
-    /// The last one, if it is not answered: its id, and when it was sent.
-    asked: Option<(u64, Time)>,
+    /// When the last one was sent, if it is not answered.
+    asked: Option<Time>,
     /// The peer answers with its stamps, so that asking is worth it.
     stamps: bool,
 }
@@ -30,11 +24,10 @@ pub(crate) struct Measure {
 
 impl Pings {
     /// The next ping, sent now. An answer to the one before is of no use any more.
-    pub(crate) fn next(&self, clock: &Clock) -> Parcel {
-        let mut state = self.state.lock();
-        let (id, sent) = (state.next, clock.wall());
-        state.next += 1;
-        state.asked = Some((id, sent));
+    pub(crate) fn next(&mut self, clock: &Clock) -> Parcel {
+        let (id, sent) = (self.next, clock.wall());
+        self.next += 1;
+        self.asked = Some(sent);
         let content = Map::new().with("sent", sent);
         Parcel::new(Family::Time, "ping")
             .context(Path::root())
@@ -44,16 +37,12 @@ impl Pings {
 
     /// Whether the peer answers with its stamps.
     pub(crate) fn are_stamped(&self) -> bool {
-        self.state.lock().stamps
+        self.stamps
     }
 
-    fn answered(&self, pong: &Parcel) -> Option<Time> {
-        let mut state = self.state.lock();
-        let (id, sent) = state.asked?;
-        (pong.reference == Some(id)).then(|| {
-            state.asked = None;
-            sent
-        })
+    fn answered(&mut self, pong: &Parcel) -> Option<Time> {
+        let last = self.next.checked_sub(1)?;
+        self.asked.take_if(|_| pong.reference == Some(last))
     }
 }
 
@@ -78,7 +67,12 @@ impl Measure {
     }
 
     /// Learns from the answer to a ping; whether to ask again at once, and the round trip in µs.
-    pub(crate) fn learn(&mut self, pong: &Parcel, pings: &Pings, clock: &Clock) -> (bool, Option<Micros>) {
+    pub(crate) fn learn(
+        &mut self,
+        pong: &Parcel,
+        pings: &mut Pings,
+        clock: &Clock,
+    ) -> (bool, Option<Micros>) {
         let Some(sent) = pings.answered(pong) else {
             return (false, None);
         };
@@ -89,7 +83,7 @@ impl Measure {
         let Some(exchange) = Exchange::of(sent, pong, heard) else {
             return (false, round_trip);
         };
-        pings.state.lock().stamps = true;
+        pings.stamps = true;
         let again = self.estimator.push(exchange, clock.now()) && self.estimator.exchanges() < QUICK;
         (again, round_trip)
     }

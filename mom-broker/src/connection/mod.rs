@@ -14,6 +14,7 @@ mod tests;
 mod waiting;
 
 use std::net::IpAddr;
+use std::ops::Deref;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -57,15 +58,29 @@ const SMALL: usize = 16 * 1024;
 /// What a connection has to know of its broker.
 #[derive(Clone, Debug)]
 pub(crate) struct Services {
-    pub(crate) board: Arc<Switchboard>,
-    pub(crate) logins: Arc<Logins>,
-    pub(crate) links: Arc<Links>,
-    /// Whose turn it is of those that come and go.
-    pub(crate) crowd: Arc<Semaphore>,
+    shared: Arc<SharedServices>,
     /// What holds for this connection as long as it lasts: it was told so.
     pub(crate) limits: Arc<Limits>,
-    /// What holds for the next one.
-    pub(crate) next_limits: Arc<RwLock<Arc<Limits>>>,
+}
+
+/// What is one for all connections.
+#[derive(Debug)]
+pub(crate) struct SharedServices {
+    pub(crate) board: Arc<Switchboard>,
+    pub(crate) logins: Arc<Logins>,
+    links: Links,
+    /// Whose turn it is of those that come and go.
+    crowd: Semaphore,
+    /// What holds for the next connection.
+    pub(crate) next_limits: RwLock<Arc<Limits>>,
+}
+
+impl Deref for Services {
+    type Target = SharedServices;
+
+    fn deref(&self) -> &SharedServices {
+        &self.shared
+    }
 }
 
 /// A place for a connection, and what it is told if it has to go before it has begun.
@@ -74,12 +89,15 @@ pub(crate) type Seated = (Seat, oneshot::Receiver<WireError>);
 impl Services {
     pub(crate) fn new(board: Switchboard, logins: Logins, limits: Limits) -> Services {
         let limits = Arc::new(limits);
-        Services {
+        let shared = SharedServices {
             board: Arc::new(board),
             logins: Arc::new(logins),
-            links: Arc::default(),
-            crowd: Arc::new(Semaphore::new(1)),
-            next_limits: Arc::new(RwLock::new(Arc::clone(&limits))),
+            links: Links::default(),
+            crowd: Semaphore::new(1),
+            next_limits: RwLock::new(Arc::clone(&limits)),
+        };
+        Services {
+            shared: Arc::new(shared),
             limits,
         }
     }
@@ -133,7 +151,6 @@ impl Services {
 /// One connection as its reader sees it.
 struct Connection {
     services: Services,
-    peer: PeerId,
     outbox: Arc<Outbox>,
     arrival: Box<Arrival>,
     logged_in: bool,
@@ -147,7 +164,7 @@ struct Connection {
     /// What its pongs say of its clock.
     measure: Measure,
     /// What it has to answer.
-    asked: Option<Asked>,
+    asked: Option<Box<Asked>>,
     /// None if the end of the connection is the end of the peer.
     link: Option<Box<Served>>,
     /// When the proof of who it is will be over, none if it lasts.
@@ -160,8 +177,8 @@ struct Connection {
 
 /// A challenge that is open.
 enum Asked {
-    Key(Box<Challenge>),
-    Link(Box<ResumeChallenge>),
+    Key(Challenge),
+    Link(ResumeChallenge),
 }
 
 /// Where a connection comes from.
@@ -182,6 +199,8 @@ struct Arrival {
     privacy: Privacy,
     /// Its part in the counts of connections from outside.
     seat: Option<doors::Seat>,
+    /// When it is too late to log in.
+    login_by: Instant,
 }
 
 impl Arrival {
@@ -251,9 +270,13 @@ impl Drop for Connection {
 }
 
 impl Connection {
+    fn peer(&self) -> PeerId {
+        self.outbox.peer
+    }
+
     /// Reads until the connection ends, or goes on as that of another peer.
     #[expect(clippy::manual_async_fn, reason = "an async fn keeps what it is given twice")]
-    fn read<'a>(&'a mut self, reader: &'a mut Reader, login_by: Instant) -> impl Future<Output = End> + 'a {
+    fn read<'a>(&'a mut self, reader: &'a mut Reader) -> impl Future<Output = End> + 'a {
         async move {
             // What came with the first bytes, by which the form was told.
             if let Err(end) = self.handle_arrived(reader).await {
@@ -269,7 +292,7 @@ impl Connection {
                 if self.is_late() {
                     tokio::task::yield_now().await;
                 }
-                let wake = self.deadline(login_by).min(self.beat_at);
+                let wake = self.deadline().min(self.beat_at);
                 let arrived = tokio::select! {
                     biased;
                     () = outbox.end.notified() => match self.is_called() {
@@ -289,7 +312,7 @@ impl Connection {
                     }
                     Ok(Ok(false)) => return End::Over(None),
                     Ok(Err(error)) => return self.failed(error).into(),
-                    Err(_) if Instant::now() < self.deadline(login_by) => self.beat(reader.received()),
+                    Err(_) if Instant::now() < self.deadline() => self.beat(reader.received()),
                     Err(_) if self.logged_in => return Some(silent(self.gone())).into(),
                     Err(_) => return Some(login_timeout(self.services.limits.login_time)).into(),
                 }
@@ -376,7 +399,7 @@ impl Connection {
     /// As whom it sends.
     fn sender<'a>(&self, clock: &'a dyn Fn(Micros) -> Option<PeerClock>) -> Sender<'a> {
         Sender {
-            peer: self.peer,
+            peer: self.peer(),
             clock,
             late: self.link.as_ref().is_some_and(|served| served.resending),
         }
@@ -394,7 +417,7 @@ impl Connection {
         match error {
             NetError::Wire(error) => Some(error),
             error => {
-                tracing::debug!(peer = self.peer.0, %error, "link failed");
+                tracing::debug!(peer = self.peer().0, %error, "link failed");
                 None
             }
         }
@@ -442,7 +465,7 @@ impl Connection {
                 }
                 let counts = requests::counts(&parcel);
                 let request = Input::Request {
-                    peer: self.peer,
+                    peer: self.peer(),
                     parcel,
                     // Only messages have an age.
                     clock: None,
@@ -497,10 +520,10 @@ impl Connection {
 
     fn refuse(&self, error: &WireError, reference: Option<u64>, touched: &mut Touched) {
         // Not its words: they quote what was said, and that may have been a password.
-        tracing::debug!(peer = self.peer.0, code = %error.code, "refused");
+        tracing::debug!(peer = self.peer().0, code = %error.code, "refused");
         self.services
             .board
-            .tell(self.peer, error.to_parcel(reference), touched);
+            .tell(self.peer(), error.to_parcel(reference), touched);
     }
 
     /// Does what the end of reading asks for.
@@ -522,26 +545,26 @@ impl Connection {
     fn end(&mut self, error: Option<WireError>) {
         self.ended = true;
         let mut touched = Touched::new();
-        self.services.logins.forget(self.peer);
+        self.services.logins.forget(self.peer());
         self.end_link();
         if self.logged_in {
-            let name = self.services.board.peer_name(self.peer).unwrap_or_default();
-            let user = self.services.board.tap.audit.user(self.peer);
+            let name = self.services.board.peer_name(self.peer()).unwrap_or_default();
+            let user = self.services.board.tap.audit.user(self.peer());
             self.services
                 .board
-                .decide(Input::Gone { peer: self.peer }, &mut touched);
+                .decide(Input::Gone { peer: self.peer() }, &mut touched);
             if self
                 .services
                 .is_first("gone", self.arrival.remote.from, user.as_deref())
             {
-                tracing::info!(peer = self.peer.0, %name, code = ?error.as_ref().map(|error| error.code.word()), "gone");
+                tracing::info!(peer = self.peer().0, %name, code = ?error.as_ref().map(|error| error.code.word()), "gone");
             }
         } else if let Some(error) = &error
             && self
                 .services
                 .is_first("closed", self.arrival.remote.from, Some(error.code.word()))
         {
-            tracing::info!(peer = self.peer.0, from = ?self.arrival.remote.from, code = %error.code, "closed");
+            tracing::info!(peer = self.peer().0, from = ?self.arrival.remote.from, code = %error.code, "closed");
         }
         self.services.board.close(&self.outbox, error);
         flush(&mut touched);

@@ -11,7 +11,7 @@ use super::links::Served;
 use super::login::proof_over;
 use super::measure::{Measure, Pings};
 use super::requests::Requests;
-use super::{Connection, Services};
+use super::{Connection, Services, SharedServices};
 use crate::traffic::memory::Charge;
 use crate::traffic::outbox::Outbox;
 use crate::traffic::switchboard::{Touched, flush};
@@ -50,7 +50,7 @@ impl Connection {
             let error = self.services.answer(&super::resume::taken_over());
             let _ = writer.try_last_word(error);
         }
-        let (peer, grace) = (self.peer, served.link.grace);
+        let (peer, grace) = (self.peer(), served.link.grace);
         let grace_micros = u64::try_from(grace.as_micros()).unwrap_or(u64::MAX);
         let mut touched = Touched::new();
         let input = Input::Lost {
@@ -124,9 +124,9 @@ impl Parked {
     /// Its peer is gone.
     pub(super) fn end(self, error: Option<WireError>) {
         let (peer, outbox) = (self.peer(), Arc::clone(self.outbox()));
-        let Services {
+        let SharedServices {
             board, logins, links, ..
-        } = &self.services;
+        } = &*self.services;
         let mut touched = Touched::new();
         links.close(&self.served.link);
         logins.forget(peer);

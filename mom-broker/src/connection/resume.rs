@@ -27,7 +27,7 @@ impl Connection {
         }
         let challenge = self.services.logins.resume(parcel)?;
         self.challenge(challenge.content(), parcel.id, touched);
-        self.asked = Some(Asked::Link(Box::new(challenge)));
+        self.asked = Some(Box::new(Asked::Link(challenge)));
         Ok(())
     }
 
@@ -98,7 +98,7 @@ impl Connection {
             .content(content);
         reply.reference = reference;
         let mut touched = Touched::new();
-        board.tell(self.peer, reply, &mut touched);
+        board.tell(self.peer(), reply, &mut touched);
         flush(&mut touched);
         // A link that does not take it is lost, and its reader hears so.
         let _ = timeout(PATIENCE, self.outbox.drained()).await;
@@ -125,7 +125,7 @@ impl Connection {
         }
         (served.told, served.told_at, served.resending) = (served.read, 0, true);
         self.services.limits = services.limits;
-        (self.peer, self.outbox, self.logged_in) = (peer, outbox, true);
+        (self.outbox, self.logged_in) = (outbox, true);
         (self.proven_until, self.requests, self.charge) = (proven_until, requests, charge);
         (self.pings, self.measure, self.link) = (pings, measure, Some(served));
         self.heard_at = Instant::now();
@@ -158,7 +158,7 @@ impl Connection {
         let tap = &self.services.board.tap;
         let name = link.map(|link| link.outbox.name());
         let user = link.and_then(|link| tap.audit.user(link.peer()));
-        tap.resume_refused(self.peer, name, user);
+        tap.resume_refused(self.peer(), name, user);
     }
 
     /// Takes in how much of what was said to the peer it has read.
@@ -184,7 +184,7 @@ impl Connection {
         let ack = Parcel::new(Family::Time, "ack")
             .context(Path::root())
             .content(Map::new().with("read", read));
-        self.services.board.tell(self.peer, ack, touched);
+        self.services.board.tell(self.peer(), ack, touched);
     }
 }
 

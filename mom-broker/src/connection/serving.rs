@@ -28,7 +28,6 @@ const FAREWELL: Duration = Duration::from_secs(1);
 pub(crate) struct Serving {
     connection: Connection,
     reader: Reader,
-    login_by: Instant,
 }
 
 impl Serving {
@@ -61,12 +60,12 @@ impl Serving {
         let beat = Duration::from_millis(services.limits.heartbeat);
         let connection = Connection {
             services,
-            peer,
             outbox,
             arrival: Box::new(Arrival {
                 remote,
                 privacy,
                 seat,
+                login_by,
             }),
             logged_in: false,
             failures: 0,
@@ -81,16 +80,12 @@ impl Serving {
             charge: None,
             ended: false,
         };
-        Serving {
-            connection,
-            reader,
-            login_by,
-        }
+        Serving { connection, reader }
     }
 
     /// Whom it serves.
     pub(crate) fn peer(&self) -> PeerId {
-        self.connection.peer
+        self.connection.peer()
     }
 
     /// Serves it until it ends.
@@ -104,7 +99,7 @@ impl Serving {
                 over: false,
             };
             let end = {
-                let mut read = pin!(self.connection.read(&mut self.reader, self.login_by));
+                let mut read = pin!(self.connection.read(&mut self.reader));
                 poll_fn(|task| {
                     outbox.begin_slice();
                     let _ = writer.poll(task);
@@ -144,13 +139,13 @@ impl Serving {
         if evicted {
             written.await;
         } else if timeout(patience, written).await.is_err() {
-            let peer = self.connection.peer.0;
+            let peer = self.connection.peer().0;
             tracing::debug!(peer, "what waited for it was not taken in time");
         } else if timeout(FAREWELL, self.reader.drain()).await.is_err() {
             // What the peer still said was read and thrown away so long: closing with unread bytes would have reset
             // the link, and the error with it.
             tracing::debug!(
-                peer = self.connection.peer.0,
+                peer = self.connection.peer().0,
                 "not closed from the other side in time"
             );
         }

@@ -30,16 +30,22 @@ const STEP: u64 = 250_000;
 /// ```
 #[derive(Clone, Debug)]
 pub struct Clock {
+    // Each connection has one.
+    shared: Arc<ClockState>,
+}
+
+#[derive(Debug)]
+struct ClockState {
     anchor: Time,
     source: TimeSource,
     /// By how many µs the wall clock is ahead of [`Clock::wall`], as far as it was looked at.
-    ahead: Arc<watch::Sender<i64>>,
+    ahead: watch::Sender<i64>,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 enum TimeSource {
     System(Instant),
-    Manual(Arc<watch::Sender<Micros>>),
+    Manual(watch::Sender<Micros>),
 }
 
 /// When something ends that ends at a time of day: as soon as the wall clock shows it, and no later than it seemed to be
@@ -58,35 +64,40 @@ impl Clock {
 
     /// A clock that stays at this wall time until it is advanced.
     pub fn manual(anchor: Time) -> Clock {
-        Clock::new(anchor, TimeSource::Manual(Arc::new(watch::Sender::new(0))))
+        Clock::new(anchor, TimeSource::Manual(watch::Sender::new(0)))
     }
 
     fn new(anchor: Time, source: TimeSource) -> Clock {
-        Clock {
+        let shared = ClockState {
             anchor,
             source,
-            ahead: Arc::new(watch::Sender::new(0)),
+            ahead: watch::Sender::new(0),
+        };
+        Clock {
+            shared: Arc::new(shared),
         }
     }
 
     /// Advances a manual clock, with all its clones, and wakes the tasks whose time has come. The system's clock is
     /// not changed.
     pub fn advance(&self, by: Duration) {
-        if let TimeSource::Manual(now) = &self.source {
+        if let TimeSource::Manual(now) = &self.shared.source {
             now.send_modify(|now| *now = now.saturating_add(micros(by)));
         }
     }
 
     /// Sets the wall clock of a manual clock forth or back by so many µs; monotonic time goes on as it was.
     pub fn step(&self, by: i64) {
-        if let TimeSource::Manual(_) = &self.source {
-            self.ahead.send_modify(|ahead| *ahead = ahead.saturating_add(by));
+        if let TimeSource::Manual(_) = &self.shared.source {
+            self.shared
+                .ahead
+                .send_modify(|ahead| *ahead = ahead.saturating_add(by));
         }
     }
 
     /// µs since the start.
     pub fn now(&self) -> Micros {
-        match &self.source {
+        match &self.shared.source {
             TimeSource::System(start) => micros(start.elapsed()),
             TimeSource::Manual(now) => *now.borrow(),
         }
@@ -99,25 +110,25 @@ impl Clock {
 
     /// The time of day by the wall clock, which may have been set a moment ago.
     pub fn civil(&self) -> Time {
-        match &self.source {
+        match &self.shared.source {
             TimeSource::System(_) => system_time(),
-            TimeSource::Manual(_) => plus(self.wall(), *self.ahead.borrow()),
+            TimeSource::Manual(_) => plus(self.wall(), *self.shared.ahead.borrow()),
         }
     }
 
     /// Wall time at the start.
     pub fn anchor(&self) -> Time {
-        self.anchor
+        self.shared.anchor
     }
 
     /// The hub's time at a monotonic time.
     pub fn wall_at(&self, now: Micros) -> Time {
-        plus(self.anchor, i64::try_from(now).unwrap_or(i64::MAX))
+        plus(self.shared.anchor, i64::try_from(now).unwrap_or(i64::MAX))
     }
 
     /// Looks whether the wall clock was set, and wakes who waits for that.
     pub fn follow(&self) {
-        if !matches!(self.source, TimeSource::System(_)) {
+        if !matches!(self.shared.source, TimeSource::System(_)) {
             return;
         }
         let before = self.now();
@@ -128,7 +139,7 @@ impl Clock {
             return;
         }
         let ahead = civil.micros().saturating_sub(self.wall_at(now).micros());
-        self.ahead.send_if_modified(|known| {
+        self.shared.ahead.send_if_modified(|known| {
             let steps = known.abs_diff(ahead) >= STEP;
             if steps {
                 *known = ahead;
@@ -139,7 +150,7 @@ impl Clock {
 
     /// By how many µs the wall clock is ahead of [`Clock::wall`]; changes when it is set.
     pub fn steps(&self) -> watch::Receiver<i64> {
-        self.ahead.subscribe()
+        self.shared.ahead.subscribe()
     }
 
     /// What ends when the wall clock shows this.
@@ -171,7 +182,7 @@ impl Clock {
 
     /// Waits until a monotonic time has come.
     pub async fn reach(&self, at: Micros) {
-        match &self.source {
+        match &self.shared.source {
             TimeSource::System(start) => {
                 let at = *start + Duration::from_micros(at);
                 tokio::time::sleep_until(at.into()).await;

@@ -49,7 +49,6 @@ pub(crate) struct Outbox {
     /// Senders wait for capacity.
     awaited: AtomicBool,
     wake: Notify,
-    closing: Mutex<Option<Box<Closing>>>,
     closed: AtomicBool,
     pub(crate) end: Notify,
     /// Something was written since the heartbeat last looked.
@@ -100,6 +99,8 @@ struct Who {
     name: Arc<str>,
     account: Option<Arc<Account>>,
     login: Option<Box<LoginFacts>>,
+    /// Why it ends, once it does.
+    closing: Option<Box<Closing>>,
 }
 
 impl Default for Who {
@@ -108,6 +109,7 @@ impl Default for Who {
             name: "".into(),
             account: None,
             login: None,
+            closing: None,
         }
     }
 }
@@ -147,7 +149,6 @@ impl Outbox {
             touched: AtomicBool::new(false),
             awaited: AtomicBool::new(false),
             wake: Notify::new(),
-            closing: Mutex::new(None),
             closed: AtomicBool::new(false),
             end: Notify::new(),
             active: AtomicBool::new(false),
@@ -242,7 +243,7 @@ impl Outbox {
         }
         drop(queue);
         drop(dropped);
-        *self.closing.lock() = Some(Box::new(Closing { error }));
+        self.who.lock().closing = Some(Box::new(Closing { error }));
         self.touched.store(true, Ordering::Release);
         self.wake.notify_one();
         self.end.notify_one();
@@ -252,11 +253,9 @@ impl Outbox {
     /// Changes the bounds, and notes whose it is and how it has come, as after login.
     pub(crate) fn admit(&self, limits: &Limits, name: Arc<str>, account: Arc<Account>, login: LoginFacts) {
         self.queue.lock().set_limits(limits);
-        *self.who.lock() = Who {
-            name,
-            account: Some(account),
-            login: Some(Box::new(login)),
-        };
+        let mut who = self.who.lock();
+        (who.name, who.account) = (name, Some(account));
+        who.login = Some(Box::new(login));
     }
 
     pub(crate) fn is_logged_in(&self) -> bool {
@@ -300,7 +299,7 @@ impl Outbox {
 
     /// Why the connection ends, once it does.
     pub(crate) fn closing(&self) -> Option<Closing> {
-        self.closing.lock().as_deref().cloned()
+        self.who.lock().closing.as_deref().cloned()
     }
 
     /// The bytes that wait.
