@@ -101,7 +101,6 @@ impl Listener {
                             takes: self.takes,
                         };
                         drop(served.spawn(guest.serve(stream, entry)));
-                        self.services.turn().await;
                     }
                     Err(error) => {
                         self.services.note_full(from.ip());
