@@ -32,11 +32,13 @@ pub enum ErrorName {
     QueueFull,
     /// A command of this id is still waiting or executing.
     DuplicateId,
+    /// The token has changed hands, and the arm has not said yet that it stands.
+    ChangingHands,
 }
 
 impl ErrorName {
     /// Every name, in the order of the controller's numbers.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Syntax,
         Self::WorkspaceBoundary,
         Self::Link,
@@ -47,6 +49,7 @@ impl ErrorName {
         Self::Stopped,
         Self::QueueFull,
         Self::DuplicateId,
+        Self::ChangingHands,
     ];
 
     /// The code word, as it stands on the wire.
@@ -63,6 +66,7 @@ impl ErrorName {
             Self::Stopped => "stopped",
             Self::QueueFull => "queue-full",
             Self::DuplicateId => "duplicate-id",
+            Self::ChangingHands => "changing-hands",
         }
     }
 
@@ -80,7 +84,16 @@ impl ErrorName {
             Self::Stopped => 5102,
             Self::QueueFull => 5103,
             Self::DuplicateId => 5104,
+            Self::ChangingHands => 5105,
         }
+    }
+}
+
+impl ErrorName {
+    /// Whether the same command may be taken a little later, although nothing about it changes.
+    #[must_use]
+    pub const fn is_retryable(self) -> bool {
+        matches!(self, Self::QueueFull | Self::ChangingHands)
     }
 }
 
@@ -92,8 +105,8 @@ impl fmt::Display for ErrorName {
 
 /// An error of the arm: plain words, with the code kept beside them (M53).
 ///
-/// As `serde` content it is a map of `name`, `code`, `text` and, where they apply, `statement`
-/// (1 for the first), `position` (byte in the script) and `nearest` (the known word meant).
+/// As `serde` content it is a map of `name`, `code`, `text` and, where they apply, `retry` (true: send the same command a
+/// little later), `statement` (1 for the first), `position` (byte in the script) and `nearest` (the known word meant).
 ///
 /// ```
 /// use mom_arm::{ErrorName, Script};
@@ -109,6 +122,8 @@ pub struct ArmError {
     name: ErrorName,
     code: u16,
     text: String,
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    retry: bool,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     statement: Option<u32>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -125,6 +140,7 @@ impl ArmError {
             name,
             code: name.code(),
             text: text.into(),
+            retry: name.is_retryable(),
             statement: None,
             position: None,
             nearest: None,

@@ -5,7 +5,7 @@ mod script;
 
 use std::time::Duration;
 
-use mom_arm::{CommandState, Status};
+use mom_arm::{ArmState, CommandState, ErrorName, Status};
 use mom_client::{Client, Event, Events, Family, Lost, Parcel, Path, Token, TokenGuard, Value, from_value};
 use serde_json::json;
 use tokio::time::{Instant, timeout_at};
@@ -23,6 +23,9 @@ use crate::output::{Output, words};
 
 /// How long a robot may take for its first status of a command.
 const ANSWER: Duration = Duration::from_secs(10);
+
+/// How long it may take to end what its last owner has begun.
+const STANDING: Duration = Duration::from_secs(60);
 
 pub(crate) async fn run(args: &cli::RunArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let commands = read(args)?;
@@ -49,6 +52,7 @@ pub(crate) async fn run(args: &cli::RunArgs, global: &GlobalArgs, output: Output
         progress: ProgressDisplay::new(output, commands.len()),
         robot: None,
         keep_going: args.keep_going,
+        fence: guard.fence(),
     };
     let result = tokio::select! {
         biased;
@@ -143,6 +147,8 @@ struct Job {
     /// The robot's peer, once it has answered.
     robot: Option<String>,
     keep_going: bool,
+    /// That of the token.
+    fence: u64,
 }
 
 impl Job {
@@ -167,8 +173,46 @@ impl Job {
         Ok(outcome)
     }
 
-    /// One command, to its end.
+    /// One command, to its end; once more when the robot stands, if it came while that was changing hands.
     async fn one(&mut self, number: usize, command: &ScriptLine) -> Result<StatusChange, Failure> {
+        loop {
+            let end = self.attempt(number, command).await?;
+            if !is_changing_hands(&end) {
+                return Ok(end);
+            }
+            self.stands().await?;
+        }
+    }
+
+    /// Waits until the robot says that it stands under our fence.
+    async fn stands(&mut self) -> Result<(), Failure> {
+        let deadline = Instant::now() + STANDING;
+        loop {
+            let event = timeout_at(deadline, self.events.next()).await.map_err(|_| {
+                Failure::new(
+                    format!(
+                        "the robot still does what its last owner told it, after {} s",
+                        STANDING.as_secs()
+                    ),
+                    format!(
+                        "look at it: mom watch {}; halt it: mom stop {}",
+                        self.channel, self.channel
+                    ),
+                )
+            })?;
+            let event = event.ok_or_else(closed)?;
+            if let Event::Message(parcel) = &event
+                && parcel.name() == "state"
+                && let Ok(state) = from_value::<ArmState>(parcel.value())
+                && state.fence.is_some_and(|fence| fence >= self.fence)
+            {
+                return Ok(());
+            }
+            self.read(&event, 0)?;
+        }
+    }
+
+    async fn attempt(&mut self, number: usize, command: &ScriptLine) -> Result<StatusChange, Failure> {
         self.progress
             .change(number, command, &StatusChange::to(CommandState::Sending))?;
         let id = self.send(command).await?;
@@ -179,13 +223,15 @@ impl Job {
                 Some(deadline) => timeout_at(deadline, next).await.map_err(|_| self.nobody())?,
                 None => next.await,
             };
-            let event = event.ok_or_else(|| Failure::plain("the connection to the hub is closed"))?;
+            let event = event.ok_or_else(closed)?;
             let Some((change, robot)) = self.read(&event, id)? else {
                 continue;
             };
             deadline = None;
             self.robot = robot.or(self.robot.take());
-            self.progress.change(number, command, &change)?;
+            if !is_changing_hands(&change) {
+                self.progress.change(number, command, &change)?;
+            }
             match change.state {
                 CommandState::Finished | CommandState::Error => return Ok(change),
                 _ => {}
@@ -257,6 +303,16 @@ impl Job {
             ),
         )
     }
+}
+
+fn closed() -> Failure {
+    Failure::plain("the connection to the hub is closed")
+}
+
+/// Whether the command came before the robot has said that it stands.
+fn is_changing_hands(change: &StatusChange) -> bool {
+    let name = change.error.as_ref().and_then(|error| error.get("name"));
+    name.and_then(Value::as_str) == Some(ErrorName::ChangingHands.as_str())
 }
 
 fn is_done(result: &Result<RunOutcome, Failure>) -> bool {

@@ -73,6 +73,8 @@ struct Active {
     /// The ends of the legs of this statement that have not begun.
     legs: VecDeque<Pose>,
     step: Option<MotionStep>,
+    /// Why no statement begins after the present one; none if the script goes on.
+    ends: Option<String>,
 }
 
 /// One motion or one wait.
@@ -198,6 +200,23 @@ impl Arm {
         }
     }
 
+    /// Drops the commands that wait, and lets the one that is being carried out come to the end of its present statement only.
+    pub fn end_statement(&mut self, now: ArmTime, reason: &str, events: &mut Vec<ArmEvent>) {
+        self.advance(now, events);
+        let waiting = std::mem::take(&mut self.waiting);
+        let error = ArmError::new(ErrorName::Halted, format!("the arm did not begin it: {reason}"));
+        for command in waiting {
+            events.push(command.event(CommandState::Error, 0, Some(error.clone())));
+        }
+        let Some(active) = &mut self.active else { return };
+        active.ends = Some(reason.to_owned());
+        // A wait is no motion that has to come to an end.
+        if let Some(step) = active.step.as_mut().filter(|step| step.leg.is_none()) {
+            step.ends = self.now;
+            self.run_until(self.now, events);
+        }
+    }
+
     /// Halts the arm, every command ending with the error `stopped`, and takes none until [`Arm::unstop`].
     pub fn stop(&mut self, now: ArmTime, reason: &str, events: &mut Vec<ArmEvent>) {
         self.advance(now, events);
@@ -241,6 +260,7 @@ impl Arm {
                 }
             }),
             waiting: self.waiting.len(),
+            fence: None,
         }
     }
 
@@ -290,6 +310,7 @@ impl Arm {
                 begun: 0,
                 legs: VecDeque::new(),
                 step: None,
+                ends: None,
             });
             return;
         };
@@ -299,6 +320,14 @@ impl Arm {
         let Some(statement) = active.command.script.statements().get(active.begun).copied() else {
             return self.finish(events);
         };
+        if let Some(reason) = &active.ends {
+            let text = format!(
+                "the arm ended the script after statement {}: {reason}",
+                active.begun
+            );
+            let error = ArmError::new(ErrorName::Halted, text);
+            return self.end(error.clone(), &error, events);
+        }
         active.begun += 1;
         events.push(active.command.event(CommandState::Executing, active.begun, None));
         match statement {

@@ -17,6 +17,8 @@ use crate::state::{ArmEvent, ArmState, CommandState, Executing, ScriptProgress};
 use crate::status::{CommandRefusal, Status};
 
 #[cfg(test)]
+mod interlock_tests;
+#[cfg(test)]
 mod tests;
 
 /// The message that carries a script.
@@ -37,8 +39,10 @@ const SAFE: &str = "the hub ordered the safe state, because the token's owner lo
 /// - A command is obeyed if the fence gate lets it pass, if the state that it was based on (where it names one)
 ///   still holds (M35), and if the arm takes its script. Otherwise, and at every later change, a `status` is
 ///   broadcast (M42).
-/// - A command of a newer fence, or the event that the token changed hands, ends all commands of an older owner.
-///   Where owners hand over by agreement, only such a command does, or the hub's `halt`, unless the token says otherwise.
+/// - The event that the token changed hands, or a command of a newer fence, ends all commands of an older owner at once. Where
+///   owners hand over by agreement and the hub sends no `halt`, the present statement comes to its end, and no other begins.
+/// - Then the arm stands, and says so by a state with the new `fence`. A command of the new owner that comes before is refused as
+///   `changing-hands`, and may be sent again.
 /// - The hub's `halt` ends all commands, as does its command, the safe state of a token that declares one; anybody's
 ///   `stop` does, and latches until `unstop`. A gap in the events
 ///   latches too, because it may have contained a `stop`.
@@ -57,6 +61,10 @@ pub struct RobotServer {
     told: Option<Position>,
     /// Whether the owner is about to change by agreement.
     handing_over: bool,
+    /// The newest fence that was heard of.
+    fence: u64,
+    /// The newest fence under which the arm has said that it stands.
+    stood: u64,
 }
 
 /// The part of the state that motions change and commands are based on: the hand, the jaws, and the held block.
@@ -87,6 +95,8 @@ impl RobotServer {
             states: StateGate::new(Time::default()),
             told: None,
             handing_over: false,
+            fence: 0,
+            stood: 0,
         }
     }
 
@@ -108,14 +118,11 @@ impl RobotServer {
             })),
             // Without names of who joined, all are told.
             Event::Count(_) | Event::Rejoined | Event::Resumed => self.report(out),
-            Event::Grabbed { fence, .. } => {
-                let agreed = std::mem::take(&mut self.handing_over);
-                self.change_owner(agreed, *fence, now, out);
-            }
+            Event::Grabbed { fence, .. } => self.take_owner(*fence, now, out),
             Event::Released { fence, reason, .. } => {
                 let reason = Reason::from_word(reason);
                 self.handing_over = matches!(reason, Some(Reason::Given | Reason::Returned));
-                self.change_owner(self.handing_over, fence.saturating_add(1), now, out);
+                self.end_older(fence.saturating_add(1), now, out);
             }
             Event::LinkDown => self.halt("the link to the hub was lost", now, out),
             Event::Lagged(count) => {
@@ -199,7 +206,15 @@ impl RobotServer {
         out: &mut Vec<Parcel>,
     ) -> Result<(), CommandRefusal> {
         // The token's events may still be under way; the command's fence has the same information.
-        self.drop_below(order.fence.unwrap_or(0), now, out);
+        self.take_owner(order.fence.unwrap_or(0), now, out);
+        // The hub's own command is the safe state, for which the arm was halted.
+        if self.stood < self.fence && &*order.peer != HUB {
+            let text = format!(
+                "the arm is changing hands and still moves; send the command again when a state has fence {}",
+                self.fence
+            );
+            return Err(ArmError::new(ErrorName::ChangingHands, text).into());
+        }
         self.states.set_moving(self.arm.is_busy());
         self.states.check(command)?;
         let content = command.content.as_ref();
@@ -229,18 +244,35 @@ impl RobotServer {
         Ok(taken?)
     }
 
-    /// The token changes hands. Where both sides agree, the hub halts the arm unless the token says otherwise.
-    fn change_owner(&mut self, agreed: bool, fence: u64, now: ArmTime, out: &mut Vec<Parcel>) {
-        if !agreed {
-            self.drop_below(fence, now, out);
+    /// The token has an owner of this fence, perhaps a new one.
+    fn take_owner(&mut self, fence: u64, now: ArmTime, out: &mut Vec<Parcel>) {
+        if fence <= self.fence {
+            return;
+        }
+        self.fence = fence;
+        self.end_older(fence, now, out);
+        self.handing_over = false;
+        self.say_that_it_stands(out);
+    }
+
+    /// Ends what older owners have begun: its sender no longer owns the token. Where both sides agree, the hub halts the arm
+    /// unless the token says otherwise, so the present statement comes to its end.
+    fn end_older(&mut self, fence: u64, now: ArmTime, out: &mut Vec<Parcel>) {
+        let mut fences = self.orders.values().filter_map(|order| order.fence);
+        if !fences.any(|old| old < fence) {
+            return;
+        }
+        let reason = "the token changed hands";
+        match self.handing_over {
+            true => self.act(out, |arm, events| arm.end_statement(now, reason, events)),
+            false => self.halt(reason, now, out),
         }
     }
 
-    /// Ends all commands if one of them carries a lower fence: its sender no longer owns the token.
-    fn drop_below(&mut self, fence: u64, now: ArmTime, out: &mut Vec<Parcel>) {
-        let mut fences = self.orders.values().filter_map(|order| order.fence);
-        if fences.any(|old| old < fence) {
-            self.halt("the token changed hands", now, out);
+    /// Says that the arm stands under the newest fence, once it does.
+    fn say_that_it_stands(&mut self, out: &mut Vec<Parcel>) {
+        if self.stood < self.fence && !self.arm.is_busy() {
+            self.report(out);
         }
     }
 
@@ -259,6 +291,7 @@ impl RobotServer {
                 } => self.tell(id, state, progress, error, out),
             }
         }
+        self.say_that_it_stands(out);
     }
 
     fn tell(
@@ -290,9 +323,15 @@ impl RobotServer {
 
     /// The state as the channel knows it: the command being carried out has its sender's id.
     fn message_of_state(&mut self, state: &ArmState) -> Option<Parcel> {
+        if !state.moving && state.executing.is_none() && state.waiting == 0 {
+            self.stood = self.fence;
+        }
         let content = to_value(state).map(|mut content| {
             if let (Value::Map(map), Some(executing)) = (&mut content, state.executing) {
                 map.set("executing", self.executing(&executing));
+            }
+            if let (Value::Map(map), Ok(fence @ 1..)) = (&mut content, i64::try_from(self.stood)) {
+                map.set("fence", fence);
             }
             content
         });

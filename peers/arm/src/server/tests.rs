@@ -8,25 +8,32 @@ use super::*;
 use crate::state::ArmState;
 
 /// The server with a clock and a gate that a dialogue moves.
-struct Stage {
+pub(super) struct Stage {
     server: RobotServer,
     now: ArmTime,
     gate: FenceGate,
-    out: Vec<Parcel>,
+    pub(super) out: Vec<Parcel>,
     /// The ids of the states that were told, in order.
     states: Vec<u64>,
+    /// The newest fence under which it has said that it stands.
+    fence: Option<i64>,
 }
 
 impl Stage {
-    fn new() -> Self {
+    /// An arm that stands under fence 5.
+    pub(super) fn new() -> Self {
         let channel = Path::parse("/robot/arm").unwrap();
-        Self {
+        let mut stage = Self {
             server: RobotServer::new(Arm::new(0), channel),
             now: 0,
             gate: FenceGate::new(),
             out: Vec::new(),
             states: Vec::new(),
-        }
+            fence: None,
+        };
+        stage.act("grabbed 5");
+        assert_eq!(stage.heard(), ["state free, fence 5"]);
+        stage
     }
 
     fn tell(&mut self, event: &Event) {
@@ -34,7 +41,7 @@ impl Stage {
     }
 
     /// Tells the gate who owns the token.
-    fn guard(&self, owner: &str, fence: &str) {
+    pub(super) fn guard(&self, owner: &str, fence: &str) {
         let guard = Map::new()
             .with("token", "/robot/token")
             .with("names", vec![COMMAND.into()])
@@ -47,7 +54,7 @@ impl Stage {
     }
 
     /// Lets ms pass as a punctual driver does.
-    fn pass(&mut self, ms: ArmTime) {
+    pub(super) fn pass(&mut self, ms: ArmTime) {
         let until = self.now + ms * 1000;
         while let Some(due) = self.server.next_wake().filter(|due| *due <= until) {
             self.server.advance(due, &mut self.out);
@@ -57,7 +64,7 @@ impl Stage {
     }
 
     /// Does one line of a dialogue.
-    fn act(&mut self, line: &str) {
+    pub(super) fn act(&mut self, line: &str) {
         let (line, script) = line.split_once(": ").unwrap_or((line, ""));
         let words: Vec<&str> = line.split(' ').collect();
         match words[..] {
@@ -65,6 +72,7 @@ impl Stage {
             ["gate", owner, fence] => self.guard(owner, fence),
             ["down"] => self.tell(&Event::LinkDown),
             ["rejoined"] => self.tell(&Event::Rejoined),
+            ["resumed"] => self.tell(&Event::Resumed),
             ["lagged"] => self.tell(&Event::Lagged(3)),
             ["count"] => self.tell(&Event::Count(300)),
             ["joined", peer] => self.tell(&Event::Joined(Member {
@@ -130,7 +138,20 @@ impl Stage {
             );
             self.states.push(id);
         }
-        self.out.drain(..).filter_map(|parcel| line_of(&parcel)).collect()
+        let mut lines = Vec::new();
+        for parcel in self.out.drain(..) {
+            let Some(mut line) = line_of(&parcel) else {
+                continue;
+            };
+            let fence = parcel.value().get("fence").and_then(Value::as_int);
+            if parcel.name() == STATE && fence != self.fence {
+                assert!(fence > self.fence, "fences rise");
+                self.fence = fence;
+                line += &fence.map(|fence| format!(", fence {fence}")).unwrap_or_default();
+            }
+            lines.push(line);
+        }
+        lines
     }
 }
 
@@ -235,6 +256,7 @@ fn only_the_fence_of_the_owner_is_obeyed() {
          alice command 2 -: home
          > status alice/2 error 0/0 older-fence 205
          bob command 1 6: wait 10
+         > state free, fence 6
          > status bob/1 waiting 0/1
          > status bob/1 executing 1/1
          gate - 6
@@ -281,6 +303,7 @@ fn commands_end_when_control_is_lost() {
             true => ("stopped", "stopped 5102", "error 0/0 stopped 5102"),
             false => ("free", "halted 5101", "waiting 0/1\n> status bob/3 executing 1/1"),
         };
+        let fence = if line == "grabbed 6" { ", fence 6" } else { "" };
         check(&format!(
             "alice command 1 5: wait 100
              > status alice/1 waiting 0/1
@@ -288,10 +311,11 @@ fn commands_end_when_control_is_lost() {
              alice command 2 5: home
              > status alice/2 waiting 0/1
              {line}
-             > state {word}
+             > state {word}{fence}
              > status alice/1 error 1/1 {code}
              > status alice/2 error 0/1 {code}
-             bob command 3 6: wait 9
+             bob command 3 7: wait 9
+             > state {word}, fence 7
              > status bob/3 {next}"
         ));
     }
@@ -325,7 +349,7 @@ fn a_newer_fence_ends_what_an_older_one_began() {
          > status alice/1 waiting 0/1
          > status alice/1 executing 1/1
          bob command 1 6: wait 100
-         > state free
+         > state free, fence 6
          > status alice/1 error 1/1 halted 5101
          > status bob/1 waiting 0/1
          > status bob/1 executing 1/1
@@ -345,48 +369,96 @@ fn a_stop_latches_until_it_is_released() {
          carol stop
          > state stopped
          released 5
-         alice command 1 6: home
+         alice command 1 5: home
          > status alice/1 error 0/0 stopped 5102
          rejoined
          > state stopped
          carol unstop
          > state free
-         alice command 2 6: wait 1
+         alice command 2 5: wait 1
          > status alice/2 waiting 0/1
          > status alice/2 executing 1/1",
     );
 }
 
+/// Without the hub's halt, the old owner's present statement comes to its end; nothing else of it begins, and nothing of the
+/// new owner before the arm has said that it stands.
 #[test]
-fn a_hand_over_by_agreement_ends_nothing_until_the_new_owner_commands() {
+fn a_hand_over_by_agreement_lets_the_statement_end_and_the_arm_stand() {
     for word in ["given", "returned"] {
+        let begun = "alice command 1 5: move 0 0 270 0 0; move 0 0 300 0 0
+             > status alice/1 waiting 0/2
+             > status alice/1 executing 1/2
+             alice command 2 5: home
+             > status alice/2 waiting 0/1";
         check(&format!(
-            "alice command 1 5: wait 100
-             > status alice/1 waiting 0/1
-             > status alice/1 executing 1/1
+            "{begun}
+             after 100
              {word} 5
-             grabbed 6
-             after 50
+             > status alice/2 error 0/1 halted 5101
              bob command 1 6: wait 10
-             > state free
-             > status alice/1 error 1/1 halted 5101
+             > status bob/1 error 0/0 changing-hands 5105
+             grabbed 6
+             bob command 2 6: wait 10
+             > status bob/2 error 0/0 changing-hands 5105
+             after 99
+             after 1
+             > state free, fence 6
+             > status alice/1 error 1/2 halted 5101
+             bob command 1 6: wait 10
              > status bob/1 waiting 0/1
              > status bob/1 executing 1/1"
         ));
-        // What comes after it ends everything, whoever ordered it.
-        for line in ["hub halt", "released 6", "grabbed 7"] {
+        // What comes meanwhile and takes control away ends it at once, whoever ordered it.
+        for (line, fence) in [("hub halt", 6), ("released 6", 6), ("grabbed 7", 7)] {
             check(&format!(
-                "alice command 1 5: wait 100
-                 > status alice/1 waiting 0/1
-                 > status alice/1 executing 1/1
+                "{begun}
+                 after 100
                  {word} 5
+                 > status alice/2 error 0/1 halted 5101
                  grabbed 6
                  {line}
-                 > state free
-                 > status alice/1 error 1/1 halted 5101"
+                 > state free, fence {fence}
+                 > status alice/1 error 1/2 halted 5101"
             ));
         }
+        // A wait is not waited for.
+        check(&format!(
+            "alice command 1 5: wait 60000; home
+             > status alice/1 waiting 0/2
+             > status alice/1 executing 1/2
+             {word} 5
+             > state free
+             > status alice/1 error 1/2 halted 5101
+             grabbed 6
+             > state free, fence 6"
+        ));
     }
+}
+
+/// The safe state moves the arm; the next owner waits for its end.
+#[test]
+fn the_next_owner_waits_for_the_safe_state() {
+    check(
+        "alice command 1 5: wait 100
+         > status alice/1 waiting 0/1
+         > status alice/1 executing 1/1
+         released 5
+         > state free
+         > status alice/1 error 1/1 halted 5101
+         hub command - -: move 0 0 270 0 0
+         > status hub/- waiting 0/1
+         > status hub/- executing 1/1
+         grabbed 6
+         bob command 1 6: home
+         > status bob/1 error 0/0 changing-hands 5105
+         after 250
+         > state free, fence 6
+         > status hub/- finished 1/1
+         bob command 1 6: wait 1
+         > status bob/1 waiting 0/1
+         > status bob/1 executing 1/1",
+    );
 }
 
 #[test]
