@@ -34,11 +34,13 @@ pub enum ErrorName {
     DuplicateId,
     /// The token has changed hands, and the arm has not said yet that it stands.
     ChangingHands,
+    /// The arm carries out something else that this cannot wait for.
+    Busy,
 }
 
 impl ErrorName {
     /// Every name, in the order of the controller's numbers.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Syntax,
         Self::WorkspaceBoundary,
         Self::Link,
@@ -50,6 +52,7 @@ impl ErrorName {
         Self::QueueFull,
         Self::DuplicateId,
         Self::ChangingHands,
+        Self::Busy,
     ];
 
     /// The code word, as it stands on the wire.
@@ -67,6 +70,7 @@ impl ErrorName {
             Self::QueueFull => "queue-full",
             Self::DuplicateId => "duplicate-id",
             Self::ChangingHands => "changing-hands",
+            Self::Busy => "busy",
         }
     }
 
@@ -85,6 +89,7 @@ impl ErrorName {
             Self::QueueFull => 5103,
             Self::DuplicateId => 5104,
             Self::ChangingHands => 5105,
+            Self::Busy => 5106,
         }
     }
 }
@@ -93,7 +98,7 @@ impl ErrorName {
     /// Whether the same command may be taken a little later, although nothing about it changes.
     #[must_use]
     pub const fn is_retryable(self) -> bool {
-        matches!(self, Self::QueueFull | Self::ChangingHands)
+        matches!(self, Self::QueueFull | Self::ChangingHands | Self::Busy)
     }
 }
 

@@ -74,6 +74,11 @@ impl Leg {
         }
     }
 
+    /// One that takes just so long, which is no less than it needs.
+    pub(crate) const fn lasting(from: Posture, to: Posture, duration: ArmTime) -> Self {
+        Self { from, to, duration }
+    }
+
     /// µs from its beginning to its end.
     #[must_use]
     pub const fn duration(&self) -> ArmTime {

@@ -8,8 +8,11 @@
 //! | `move x y z spin tilt` | moves the hand there by the path rule (M52): mm and degrees |
 //! | `grip open`, `grip close` | moves the jaws |
 //! | `wait ms` | waits, 0 to 60 000 ms |
+//! | `jog vx vy vz vspin vtilt` | moves the hand at this velocity for 200 ms: mm/s and degrees/s; a sixth number says for how many ms, 1000 at most |
 //! | `home` | moves the hand to [`HOME`](crate::arm::HOME) |
 //! | `reset` | puts hand, jaws and blocks back to where they were at the start, at once: this arm is simulated |
+//!
+//! A `jog` stands alone in its script. It does not wait: another one takes its place, and it is refused while the arm does something else.
 //!
 //! Statements take effect in the order written, each complete before the next begins. A waypoint of
 //! the papers, gripper first and then the move (M51), is written `grip close; move …`.
@@ -20,6 +23,7 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{ArmError, ErrorName};
+use crate::jog::{self, Velocity};
 use crate::pose::Pose;
 
 /// The longest script, in bytes.
@@ -48,6 +52,8 @@ pub enum Statement {
     Grip(Grip),
     /// Wait for so many ms.
     Wait(u32),
+    /// Move the hand at a velocity for so many ms.
+    Jog(Velocity, u32),
     /// Move the hand to its home pose.
     Home,
     /// Put everything back to where it was at the start.
@@ -106,6 +112,14 @@ impl FromStr for Script {
             let number = u32::try_from(number).expect("at most MAX_STATEMENTS");
             statements.push(statement.map_err(|error| error.at_statement(number))?);
         }
+        if statements.len() > 1
+            && let Some(place) = statements
+                .iter()
+                .position(|one| matches!(one, Statement::Jog(..)))
+        {
+            let number = u32::try_from(place + 1).unwrap_or(u32::MAX);
+            return Err(syntax(0, "`jog` stands alone in its script").at_statement(number));
+        }
         if statements.is_empty() {
             return Err(syntax(0, "the script has no statement"));
         }
@@ -125,7 +139,7 @@ impl fmt::Display for Script {
     }
 }
 
-const VERBS: &[&str] = &["move", "grip", "wait", "home", "reset"];
+const VERBS: &[&str] = &["move", "grip", "wait", "jog", "home", "reset"];
 const GRIPS: &[&str] = &["open", "close"];
 
 impl Statement {
@@ -159,6 +173,7 @@ impl Statement {
                     )),
                 }
             }
+            "jog" => Self::read_jog(words),
             "home" => Ok(Self::Home),
             "reset" => Ok(Self::Reset),
             _ => Err(unknown(verb, VERBS)),
@@ -166,22 +181,60 @@ impl Statement {
     }
 }
 
+impl Statement {
+    fn read_jog(words: &mut Words<'_>) -> Result<Self, ArmError> {
+        let at = words.at;
+        let mut number = |which| words.number("jog", "five velocities, vx vy vz vspin vtilt", which);
+        let velocity = Velocity::of([
+            number("vx")?,
+            number("vy")?,
+            number("vz")?,
+            number("vspin")?,
+            number("vtilt")?,
+        ]);
+        velocity.check().map_err(|error| error.at_position(at))?;
+        let ms = match words.next() {
+            None => jog::DEFAULT_MS,
+            Some(word) => match word.text.parse() {
+                Ok(ms @ 1..=jog::MOST_MS) => ms,
+                _ => {
+                    let text = format!(
+                        "`jog` lasts a whole number of ms from 1 to {}, not `{}`",
+                        jog::MOST_MS,
+                        word.short()
+                    );
+                    return Err(syntax(word.at, text));
+                }
+            },
+        };
+        Ok(Self::Jog(velocity, ms))
+    }
+}
+
+/// Numbers, each behind a blank.
+fn write_numbers(f: &mut fmt::Formatter<'_>, numbers: [f64; 5]) -> fmt::Result {
+    numbers.into_iter().try_for_each(|value| {
+        // Debug writes very large and very small numbers with an exponent, Display never does.
+        let plain = value == 0.0 || (1e-5..1e15).contains(&value.abs());
+        if plain {
+            write!(f, " {value}")
+        } else {
+            write!(f, " {value:?}")
+        }
+    })
+}
+
 impl fmt::Display for Statement {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Move(pose) => {
                 f.write_str("move")?;
-                [pose.x, pose.y, pose.z, pose.spin, pose.tilt]
-                    .into_iter()
-                    .try_for_each(|value| {
-                        // Debug writes very large and very small numbers with an exponent, Display never does.
-                        let plain = value == 0.0 || (1e-5..1e15).contains(&value.abs());
-                        if plain {
-                            write!(f, " {value}")
-                        } else {
-                            write!(f, " {value:?}")
-                        }
-                    })
+                write_numbers(f, [pose.x, pose.y, pose.z, pose.spin, pose.tilt])
+            }
+            Self::Jog(velocity, ms) => {
+                f.write_str("jog")?;
+                write_numbers(f, velocity.numbers())?;
+                write!(f, " {ms}")
             }
             Self::Grip(Grip::Open) => f.write_str("grip open"),
             Self::Grip(Grip::Close) => f.write_str("grip close"),

@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use crate::blocks::{Block, Blocks};
 use crate::contact;
 use crate::error::{ArmError, ErrorName};
+use crate::jog::{self, Jog, Velocity};
 use crate::motion::{ArmTime, Leg, MAX_OPENING, Posture};
 use crate::path;
 use crate::pose::Pose;
@@ -75,6 +76,8 @@ struct Active {
     step: Option<MotionStep>,
     /// Why no statement begins after the present one; none if the script goes on.
     ends: Option<String>,
+    /// The present statement, if that is a velocity.
+    jog: Option<Jog>,
 }
 
 /// One motion or one wait.
@@ -126,7 +129,7 @@ impl Arm {
     ///
     /// # Errors
     ///
-    /// `stopped`, `queue-full`, `duplicate-id`, `syntax`, `workspace-boundary`, `joint-limit` or
+    /// `stopped`, `queue-full`, `duplicate-id`, `busy`, `syntax`, `workspace-boundary`, `joint-limit` or
     /// `singularity`. Then the command is not accepted, nothing moves, and there is no event.
     pub fn submit(
         &mut self,
@@ -138,6 +141,13 @@ impl Arm {
         self.advance(now, events);
         self.check_free(id)?;
         let script: Script = script.parse()?;
+        if let [Statement::Jog(velocity, ms)] = *script.statements() {
+            return self.jog(QueuedScript { id, script }, velocity, ms, events);
+        }
+        if self.active.as_ref().is_some_and(|active| active.jog.is_some()) {
+            let text = "the arm is being jogged, so where it will be is not known; send the command when it is at rest";
+            return Err(ArmError::new(ErrorName::Busy, text));
+        }
         let mut planned = self.planned;
         for (statement, number) in script.statements().iter().zip(1..) {
             if *statement == Statement::Reset {
@@ -151,6 +161,39 @@ impl Arm {
         let command = QueuedScript { id, script };
         events.push(command.event(CommandState::Waiting, 0, None));
         self.waiting.push_back(command);
+        self.seq += 1;
+        self.run_until(self.now, events);
+        Ok(())
+    }
+
+    /// Moves at a velocity from now on, in the place of another one.
+    fn jog(
+        &mut self,
+        command: QueuedScript,
+        velocity: Velocity,
+        ms: u32,
+        events: &mut Vec<ArmEvent>,
+    ) -> Result<(), ArmError> {
+        let before = self.active.take_if(|active| active.jog.is_some());
+        if self.active.is_some() || !self.waiting.is_empty() {
+            let text = "the arm carries out a script; jog it when it is at rest";
+            return Err(ArmError::new(ErrorName::Busy, text));
+        }
+        if let Some(before) = &before {
+            events.push(before.command.event(CommandState::Finished, before.begun, None));
+        }
+        events.push(command.event(CommandState::Waiting, 0, None));
+        events.push(command.event(CommandState::Executing, 1, None));
+        let until = self.now.saturating_add(ArmTime::from(ms) * 1000);
+        let before = before.and_then(|before| before.jog);
+        self.active = Some(Active {
+            command,
+            begun: 1,
+            legs: VecDeque::new(),
+            step: None,
+            ends: None,
+            jog: Some(Jog::begin(velocity, until, before.as_ref())),
+        });
         self.seq += 1;
         self.run_until(self.now, events);
         Ok(())
@@ -210,6 +253,9 @@ impl Arm {
         }
         let Some(active) = &mut self.active else { return };
         active.ends = Some(reason.to_owned());
+        if let Some(jog) = &mut active.jog {
+            jog.end(now);
+        }
         // A wait is no motion that has to come to an end.
         if let Some(step) = active.step.as_mut().filter(|step| step.leg.is_none()) {
             step.ends = self.now;
@@ -311,11 +357,18 @@ impl Arm {
                 legs: VecDeque::new(),
                 step: None,
                 ends: None,
+                jog: None,
             });
             return;
         };
         if let Some(pose) = active.legs.pop_front() {
-            return self.begin_leg(Posture { pose, ..self.posture }, None);
+            return self.begin_leg(Posture { pose, ..self.posture }, None, None);
+        }
+        if let Some(jog) = &mut active.jog {
+            match jog.next(&self.posture.pose, self.now) {
+                Some(pose) => return self.begin_leg(Posture { pose, ..self.posture }, None, Some(jog::TICK)),
+                None => active.jog = None,
+            }
         }
         let Some(statement) = active.command.script.statements().get(active.begun).copied() else {
             return self.finish(events);
@@ -339,6 +392,10 @@ impl Arm {
                     ends,
                     then: Then::Next,
                 });
+            }
+            Statement::Jog(velocity, ms) => {
+                let until = self.now.saturating_add(ArmTime::from(ms) * 1000);
+                active.jog = Some(Jog::begin(velocity, until, None));
             }
             Statement::Grip(grip) => self.begin_grip(grip),
             Statement::Reset => {
@@ -374,11 +431,12 @@ impl Arm {
                 ..self.posture
             },
             grasping,
+            None,
         );
     }
 
-    /// Begins a leg, which ends early where something is in the way.
-    fn begin_leg(&mut self, to: Posture, grasping: Option<usize>) {
+    /// Begins a leg, which ends early where something is in the way, and takes as long as it is told or as it has to.
+    fn begin_leg(&mut self, to: Posture, grasping: Option<usize>, lasting: Option<ArmTime>) {
         let Some(active) = &mut self.active else { return };
         let (to, then) = match (
             contact::first(&self.blocks, &self.posture, &to, grasping),
@@ -391,7 +449,10 @@ impl Arm {
             (None, Some(index)) => (to, Then::Grasp(index)),
             (None, None) => (to, Then::Next),
         };
-        let leg = Leg::new(self.posture, to);
+        let leg = match lasting {
+            Some(time) => Leg::lasting(self.posture, to, time),
+            None => Leg::new(self.posture, to),
+        };
         let ends = self.now.saturating_add(leg.duration());
         active.step = Some(MotionStep {
             leg: Some(leg),
@@ -443,6 +504,9 @@ impl Arm {
 
     fn finish(&mut self, events: &mut Vec<ArmEvent>) {
         if let Some(active) = self.active.take() {
+            if let [Statement::Jog(..)] = active.command.script.statements() {
+                self.planned = self.posture.pose;
+            }
             self.publish_state(events);
             events.push(active.command.event(CommandState::Finished, active.begun, None));
         }
@@ -504,6 +568,6 @@ fn target(statement: &Statement) -> Option<Pose> {
     match statement {
         Statement::Move(pose) => Some(*pose),
         Statement::Home => Some(HOME),
-        Statement::Grip(_) | Statement::Wait(_) | Statement::Reset => None,
+        Statement::Grip(_) | Statement::Wait(_) | Statement::Jog(..) | Statement::Reset => None,
     }
 }

@@ -34,11 +34,12 @@ enum Step {
     Unstop,
 }
 
-const SCRIPTS: [&str; 4] = [
+const SCRIPTS: [&str; 5] = [
     "move 0 0 270 0 0; wait 50; move 0 0 300 0 0; wait 20",
     "wait 30; wait 30; wait 30",
     "grip close; grip open",
     "home",
+    "jog 100 0 -50 20 0 150",
 ];
 
 fn step() -> impl Strategy<Value = Step> {

@@ -436,6 +436,49 @@ fn a_hand_over_by_agreement_lets_the_statement_end_and_the_arm_stand() {
     }
 }
 
+/// A velocity holds for its time, gives way to the next one, and is refused while a script is carried out.
+#[test]
+fn a_jog_ends_at_rest_unless_it_is_said_again() {
+    check(
+        "alice command 1 5: jog 100 0 0 0 0
+         > status alice/1 waiting 0/1
+         > status alice/1 executing 1/1
+         after 150
+         alice command 2 5: jog 100 0 0 0 0
+         > status alice/1 finished 1/1
+         > status alice/2 waiting 0/1
+         > status alice/2 executing 1/1
+         alice command 3 5: home
+         > status alice/3 error 0/0 busy 5106
+         after 200
+         alice command 4 5: home
+         > status alice/4 error 0/0 busy 5106
+         after 170
+         > state free
+         > status alice/2 finished 1/1
+         alice command 5 5: home
+         > status alice/5 waiting 0/1
+         > status alice/5 executing 1/1
+         alice command 6 5: jog 10 0 0 0 0
+         > status alice/6 error 0/0 busy 5106
+         after 1000
+         > state free
+         > status alice/5 finished 1/1
+         alice command 7 5: jog 10 0 0 0 0; home
+         > status alice/7 error 0/0 syntax 5001
+         alice command 8 5: jog 200 0 0 0 0
+         > status alice/8 error 0/0 syntax 5001
+         alice command 9 5: jog 20 0 0 0 0 2000
+         > status alice/9 error 0/0 syntax 5001
+         alice command 9 5: jog 150 0 0 0 0 1000
+         > status alice/9 waiting 0/1
+         > status alice/9 executing 1/1
+         bob stop
+         > state stopped
+         > status alice/9 error 1/1 stopped 5102",
+    );
+}
+
 /// The safe state moves the arm; the next owner waits for its end.
 #[test]
 fn the_next_owner_waits_for_the_safe_state() {
