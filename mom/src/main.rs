@@ -7,7 +7,9 @@ mod doctor;
 mod failure;
 mod input;
 mod interrupt;
+mod jog;
 mod output;
+mod terminal;
 mod top;
 
 use std::process::ExitCode;

@@ -159,6 +159,9 @@ pub(crate) enum Command {
     /// Drive the robot by a script: grab its token, run the commands, release it
     #[command(after_help = RUN)]
     Run(RunArgs),
+    /// Drive the robot by keys, held: it moves while they are
+    #[command(after_help = JOG)]
+    Jog(JogArgs),
     /// Chat: sends input lines and shows the lines of others
     #[command(after_help = CHAT)]
     Chat(ChatArgs),
@@ -333,6 +336,34 @@ Examples:
   mom run --json pick.script | jq .state
 
 Ctrl-C releases the token; the hub then halts the robot.";
+
+/// `mom jog`
+#[derive(Args, Debug)]
+pub(crate) struct JogArgs {
+    /// Without keys: the velocity, VX VY VZ in mm/s, VSPIN VTILT in degrees/s
+    #[arg(num_args = 5, value_names = ["VX", "VY", "VZ", "VSPIN", "VTILT"], allow_negative_numbers = true)]
+    pub(crate) velocity: Vec<f64>,
+    /// For how long the velocity holds
+    #[arg(long = "for", value_name = "TIME", value_parser = duration, default_value = "200ms", requires = "velocity")]
+    pub(crate) time: Duration,
+    /// The robot's channel
+    #[arg(long, value_name = "PATH", default_value = "/robot/arm")]
+    pub(crate) channel: String,
+    /// The token that guards it
+    #[arg(long, value_name = "PATH", default_value = "/robot/token")]
+    pub(crate) token: String,
+}
+
+const JOG: &str = "\
+Keys: hold the arrows for left, right, away and near, r and f for up and down, q and e to spin, t and g to
+tilt; o and c open and close the jaws, h goes home, + and - change the speed, Esc ends.
+
+Examples:
+  mom jog
+  mom jog --for 1s 50 0 0 0 0              50 mm/s to the right for a second
+  mom jog 0 0 -20 0 0                      20 mm/s downward for 200 ms
+
+The hand slows down before the workspace's edge, and comes to rest when nothing is held or the link is lost.";
 
 /// `mom chat`
 #[derive(Args, Debug)]

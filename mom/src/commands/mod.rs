@@ -30,8 +30,11 @@ mod watch;
 use crate::cli::{Cli, Command};
 use crate::doctor;
 use crate::failure::Failure;
+use crate::jog;
 use crate::output::Output;
 use crate::top;
+
+pub(crate) use self::run::error_words;
 
 /// Runs a command.
 pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
@@ -60,6 +63,7 @@ pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Expel(args) => expel::run(args, global, output).await,
         Command::Manage(args) => manage::run(args, global, output).await,
         Command::Run(args) => run::run(args, global, output).await,
+        Command::Jog(args) => jog::run(args, global, output).await,
         Command::Chat(args) => chat::run(args, global, output).await,
         Command::Keygen(args) => keygen::run(args, global, output),
         Command::Doctor(args) => doctor::run(args, global, output).await,

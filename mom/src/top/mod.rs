@@ -5,12 +5,9 @@ mod sample;
 mod view;
 
 use std::io::{self, IsTerminal as _};
-use std::thread;
 use std::time::Duration;
 
 use mom_client::{Client, ClientError, ContextInfo, LinkState};
-use ratatui::DefaultTerminal;
-use ratatui::crossterm::event::{self, Event};
 use tokio::sync::mpsc;
 use tokio::time::{MissedTickBehavior, interval, sleep};
 
@@ -21,6 +18,7 @@ use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::interrupt::Interrupt;
 use crate::output::Output;
+use crate::terminal::{Screen, keys};
 
 /// Owners of tokens are asked for so often.
 const TOKENS_EVERY: Duration = Duration::from_secs(3);
@@ -142,25 +140,6 @@ async fn tell(
     }
 }
 
-/// The terminal, which is as it was before when this is dropped.
-struct Screen {
-    terminal: DefaultTerminal,
-}
-
-impl Screen {
-    fn take() -> io::Result<Screen> {
-        let terminal = ratatui::try_init()?;
-        Ok(Screen { terminal })
-    }
-}
-
-impl Drop for Screen {
-    fn drop(&mut self) {
-        // Nobody could be told on this terminal.
-        let _ = ratatui::try_restore();
-    }
-}
-
 /// Draws until a key or a signal ends it.
 async fn show(
     client: &Client,
@@ -199,21 +178,6 @@ async fn show(
             _ = seconds.tick() => {}
         }
     }
-}
-
-/// What is typed, read by a thread of its own that lasts as long as the program.
-fn keys() -> mpsc::UnboundedReceiver<io::Result<Event>> {
-    let (sender, receiver) = mpsc::unbounded_channel();
-    thread::spawn(move || {
-        loop {
-            let event = event::read();
-            let failed = event.is_err();
-            if sender.send(event).is_err() || failed {
-                return;
-            }
-        }
-    });
-    receiver
 }
 
 #[cfg(test)]

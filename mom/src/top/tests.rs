@@ -5,7 +5,7 @@ use std::time::Instant;
 use mom_client::{ChannelStats, ConnectedPeer, Counts, MemoryStats, Path, Stats, Time};
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
-use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+use ratatui::crossterm::event::{Event, KeyCode, KeyEvent, KeyModifiers};
 
 use super::*;
 

@@ -10,6 +10,7 @@ use mom_client::{Client, Event, Events, Family, Lost, Parcel, Path, Token, Token
 use serde_json::json;
 use tokio::time::{Instant, timeout_at};
 
+pub(crate) use self::progress::error_words;
 use self::progress::{ProgressDisplay, StatusChange};
 use self::script::ScriptLine;
 use crate::cli::{self, GlobalArgs};

@@ -187,7 +187,7 @@ fn change_json(number: usize, command: &ScriptLine, change: &StatusChange, took:
 }
 
 /// The robot's words for what went wrong, with its code (M53).
-pub(super) fn error_words(error: &Value) -> String {
+pub(crate) fn error_words(error: &Value) -> String {
     let text = error
         .get("text")
         .and_then(Value::as_str)
