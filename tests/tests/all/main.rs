@@ -10,6 +10,7 @@ mod dialogues;
 mod doctor;
 mod faults;
 mod first_hour;
+mod jog;
 mod late;
 mod link;
 mod listen;

@@ -1,0 +1,55 @@
+//! `mom jog` in the lab: the hand moves for as long as it is told, no faster than it can, and not out of its workspace.
+
+use std::process::{Command, Output, Stdio};
+
+use mom_tests::programs::{Running, program, text};
+use serde_json::Value as Json;
+
+/// A lab on a free port, and its hub's address.
+fn lab() -> (Running, String) {
+    let running = Running::start("mom", &["lab", "--listen", "127.0.0.1:0"], &[]);
+    let line = running.line_with("binary");
+    let address = line.split_whitespace().find(|word| word.starts_with("bin://"));
+    let address = address.expect("the hub's address").to_owned();
+    (running, address)
+}
+
+fn jog(hub: &str, args: &[&str]) -> Output {
+    let mut command = Command::new(program("mom"));
+    command.arg("jog").args(args).stdin(Stdio::null());
+    command.envs([("MOM_HUB", hub), ("MOM_USER", "alice"), ("MOM_PASSWORD", "alice")]);
+    command.output().expect("it runs")
+}
+
+fn place(output: &Output, axis: &str) -> f64 {
+    let said = text(&output.stdout) + &text(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    let json: Json = serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{said}"));
+    json[axis].as_f64().unwrap_or_else(|| panic!("{json}"))
+}
+
+#[test]
+fn the_hand_moves_for_as_long_as_it_is_told() {
+    let (_lab, hub) = lab();
+    let moved = jog(&hub, &["--json", "--for", "600ms", "100", "0", "-50", "0", "0"]);
+    // A velocity that is said late moves less, and none moves more: 60 mm and what it takes to brake.
+    let (x, z) = (place(&moved, "x"), place(&moved, "z"));
+    assert!(
+        (10.0..75.0).contains(&x) && (260.0..295.0).contains(&z),
+        "{x} {z}"
+    );
+    let further = jog(&hub, &["--json", "--for", "3s", "150", "0", "0", "0", "0"]);
+    let edge = place(&further, "x");
+    assert!((x + 100.0..=300.0).contains(&edge), "{edge}");
+    for (args, code, words) in [
+        (&["200", "0", "0", "0", "0"][..], 1, "200 mm/s is too fast"),
+        (&["0", "0", "0", "-100", "0"], 1, "100 degrees/s is too fast"),
+        (&["10", "0"], 2, "5 values required"),
+        (&[], 2, "no terminal"),
+    ] {
+        let refused = jog(&hub, args);
+        let said = text(&refused.stderr);
+        assert_eq!(refused.status.code(), Some(code), "{args:?}: {said}");
+        assert!(said.contains(words), "{args:?}: {said}");
+    }
+}
