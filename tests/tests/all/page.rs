@@ -186,7 +186,7 @@ async fn odd_frames_are_taken() {
     // The bits of context, name, id and content, and an id with two groups of nothing; 0xc1 begins no value.
     let padded = frame(&[0, 0xb3, 0x80, 0, number | 0x80, 0, 9, 0x87, 0x80, 0, 0xc1]);
     // A bit, a slot and a frame of a version to come; no bit says that there is content.
-    let later = frame(&[0, 0x93, 0x80, 0x40, number, 9, 8, 3, 1, 2, 3, 0xc1]);
+    let later = frame(&[0, 0x93, 0x80, 0x80, 0x01, number, 9, 8, 3, 1, 2, 3, 0xc1]);
     let said = |id: u64| Form::Binary.encode(&message("chat", CHAT, "in chunks").id(id));
     let chunked = |id: u64, stream: u64| {
         let frame = said(id).expect("a frame").to_vec();
