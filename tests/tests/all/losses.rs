@@ -2,9 +2,9 @@
 
 use std::process::Stdio;
 
-use mom_arm::{ArmOptions, CommandState, Status, peer};
+use mom_arm::{ArmOptions, ArmState, CommandState, Status, peer};
 use mom_broker::{Broker, Config};
-use mom_client::{Client, ClientError, Event, Events, Map, from_value};
+use mom_client::{Client, ClientError, Event, Events, Map, Value, from_value};
 use mom_tests::lab;
 use mom_tests::programs::{PATIENCE, program, text};
 use tokio::io::AsyncWriteExt as _;
@@ -118,23 +118,23 @@ async fn a_robot_that_is_given_away_stops_what_its_giver_began() {
     lab.end().await;
 }
 
+/// Lets the robot's token declare this script as its safe state.
+fn declare_safe(config: &mut Config, script: &str) {
+    let mut contexts = config.contexts.iter_mut();
+    let token = contexts.find(|context| context.path.as_deref() == Some(TOKEN));
+    let safe = Map::new()
+        .with("channel", "/robot/arm")
+        .with("name", "command")
+        .with("content", script);
+    let safe = from_value(safe.into()).expect("a safe state");
+    token.expect("of the lab").safe = Some(safe);
+}
+
 /// A token may declare any message as its safe state, one that it guards among them: the arm ends what its owner began,
 /// and goes home.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_declared_safe_state_is_obeyed() {
-    let lab = Lab::start_with(|config| {
-        let token = config
-            .contexts
-            .iter_mut()
-            .find(|context| context.path.as_deref() == Some(TOKEN));
-        let safe = Map::new()
-            .with("channel", "/robot/arm")
-            .with("name", "command")
-            .with("content", "home");
-        let safe = from_value(safe.into()).expect("a safe state");
-        token.expect("of the lab").safe = Some(safe);
-    })
-    .await;
+    let lab = Lab::start_with(|config| declare_safe(config, "home")).await;
     let alice = log_in(&lab.broker, "alice").await;
     let channel = alice.channel("/robot/arm").await.expect("people may");
     let mut events = channel.events();
@@ -154,6 +154,52 @@ async fn a_declared_safe_state_is_obeyed() {
     assert_eq!(hers.state, CommandState::Error, "{hers:?}");
     let safe = next(&mut events, "the end of the safe state", end_of("hub")).await;
     assert_eq!(safe.state, CommandState::Finished, "{safe:?}");
+    lab.end().await;
+}
+
+/// While the safe state moves the arm, the next owner's commands are refused, to be sent again when the arm stands; `mom run` does
+/// so by itself.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_next_owner_waits_until_the_arm_stands() {
+    let lab = Lab::start_with(|config| declare_safe(config, "wait 8000")).await;
+    let alice = log_in(&lab.broker, "alice").await;
+    let channel = alice.channel("/robot/arm").await.expect("people may");
+    let mut events = channel.events();
+    let token = alice.token(TOKEN).await.expect("people may");
+    token.grab().await.expect("free").release().await.expect("hers");
+    let program = spawn_blocking(|| program("mom")).await.expect("it is built");
+    let mut command = Command::new(program);
+    let hub = format!("bin://{}", lab.broker.local_addr());
+    command.args(["run", "--json", "-"]).kill_on_drop(true);
+    command.envs([("MOM_HUB", &*hub), ("MOM_USER", "bob"), ("MOM_PASSWORD", "bob")]);
+    command.stdin(Stdio::piped()).stdout(Stdio::piped());
+    let mut running = command.spawn().expect("the program starts");
+    let mut stdin = running.stdin.take().expect("its input is piped");
+    stdin.write_all(b"grip close").await.expect("it reads");
+    drop(stdin);
+    let of_bob = |state: CommandState| {
+        move |event: &Event| status(event).filter(|status| status.peer == "bob" && status.state == state)
+    };
+    let refused = next(&mut events, "a refusal", of_bob(CommandState::Error)).await;
+    let error = refused.error.expect("why");
+    assert_eq!(error.get("name").and_then(Value::as_str), Some("changing-hands"));
+    assert_eq!(error.get("retry"), Some(&Value::Bool(true)));
+    let stands = |event: &Event| match event {
+        Event::Message(parcel) if parcel.name() == "state" => {
+            from_value::<ArmState>(parcel.value()).ok()?.fence
+        }
+        _ => None,
+    };
+    next(&mut events, "the word that it stands", stands).await;
+    next(&mut events, "its end", of_bob(CommandState::Finished)).await;
+    let output = timeout(PATIENCE, running.wait_with_output()).await;
+    let output = output.expect("it ends").expect("it ran");
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    assert!(
+        said.contains(r#""state":"finished""#) && !said.contains("changing-hands"),
+        "{said}"
+    );
     lab.end().await;
 }
 
