@@ -6,8 +6,8 @@
 //!
 //! ```text
 //! ! move 100 50 200 0 0
-//! MoveL [[100,50,300],[0,1,0,0],[0,-1,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]],vslow,fine,grippertool\WObj:=table;
-//! MoveL [[100,50,200],[0,1,0,0],[0,-1,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]],vslow,fine,grippertool\WObj:=table;
+//! MoveL [[100,50,300],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]],vslow,fine,grippertool\WObj:=table;
+//! MoveL [[100,50,200],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]],vslow,fine,grippertool\WObj:=table;
 //! ```
 //!
 //! A `robtarget` has four parts, as ABB's RAPID Reference Manual (Basic Characteristics, data types `robtarget` and
@@ -126,7 +126,7 @@ fn quaternion(pose: &Pose) -> [f64; 4] {
 
 /// The quarter turn in which an angle in degrees lies; what is 0 but for rounding counts as 0.
 fn quarter(angle: f64) -> i32 {
-    ((angle + 1e-6) / 90.0).floor() as i32
+    ((angle + 1e-3) / 90.0).floor() as i32
 }
 
 /// At most so many decimals, without zeros at the end.
