@@ -4,6 +4,8 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use crate::pose::Pose;
+
 /// The stable code words of the arm's errors.
 ///
 /// The first six are those of M53. Each has a number of the controller ([`ErrorName::code`]); the
@@ -18,7 +20,7 @@ pub enum ErrorName {
     WorkspaceBoundary,
     /// The program that drives the controller fell silent during a command, and the arm stopped.
     Link,
-    /// The hand lines up with the forearm, where a small move would need a fast turn of the wrist.
+    /// The hand lines up with the forearm, or the forearm with the upper arm: a small move would need a fast turn.
     Singularity,
     /// A joint would have to bend or reach further than it can.
     JointLimit,
@@ -111,7 +113,8 @@ impl fmt::Display for ErrorName {
 /// An error of the arm: plain words, with the code kept beside them (M53).
 ///
 /// As `serde` content it is a map of `name`, `code`, `text` and, where they apply, `retry` (true: send the same command a
-/// little later), `statement` (1 for the first), `position` (byte in the script) and `nearest` (the known word meant).
+/// little later), `statement` (1 for the first), `position` (byte in the script), `nearest` (the known word meant) and
+/// `reachable` (the nearest pose that the arm can reach instead, as far as one was looked for).
 ///
 /// ```
 /// use mom_arm::{ErrorName, Script};
@@ -121,7 +124,7 @@ impl fmt::Display for ErrorName {
 /// assert_eq!((error.statement(), error.position(), error.nearest()), (Some(2), Some(11), Some("move")));
 /// assert_eq!(error.to_string(), "statement 2: there is no `mvoe`; did you mean `move`?");
 /// ```
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, thiserror::Error, Serialize, Deserialize)]
 #[error("{text}")]
 pub struct ArmError {
     name: ErrorName,
@@ -135,6 +138,9 @@ pub struct ArmError {
     position: Option<usize>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     nearest: Option<String>,
+    // Boxed, as most errors have none and an error is returned by value.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    reachable: Option<Box<Pose>>,
 }
 
 impl ArmError {
@@ -149,6 +155,7 @@ impl ArmError {
             statement: None,
             position: None,
             nearest: None,
+            reachable: None,
         }
     }
 
@@ -188,6 +195,12 @@ impl ArmError {
         self.nearest.as_deref()
     }
 
+    /// The nearest pose that the arm can reach instead of the one that it cannot.
+    #[must_use]
+    pub fn reachable(&self) -> Option<&Pose> {
+        self.reachable.as_deref()
+    }
+
     /// The same error, said of a statement (1 for the first).
     #[must_use]
     pub(crate) fn at_statement(mut self, statement: u32) -> Self {
@@ -201,6 +214,24 @@ impl ArmError {
     pub(crate) fn at_position(mut self, position: usize) -> Self {
         self.position = Some(position);
         self
+    }
+
+    /// The same error, with the pose that can be reached instead.
+    #[must_use]
+    pub(crate) fn with_reachable(mut self, pose: Pose) -> Self {
+        self.reachable = Some(Box::new(pose));
+        self
+    }
+
+    /// The same error, with the pose as far as which the hand could go; also in words.
+    #[must_use]
+    pub(crate) fn with_way_to(mut self, pose: Pose) -> Self {
+        let Pose { x, y, z, spin, tilt } = pose;
+        self.text = format!(
+            "{}; on this way the hand can go as far as {x} {y} {z} {spin} {tilt}",
+            self.text
+        );
+        self.with_reachable(pose)
     }
 
     /// The same error, with the word that was probably meant.

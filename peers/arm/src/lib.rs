@@ -8,7 +8,8 @@
 //!
 //! 1. [`script`] reads the text into statements (M47);
 //! 2. [`path`] turns each `move` into straight legs by the path rule (M52), and [`workspace`] (M50)
-//!    and [`reach`] check every leg of the whole script before anything moves;
+//!    and [`reach`] (the joints of an ABB IRB 1400, M49) check every leg of the whole script before anything moves;
+//!    [`rapid`] is what a real controller would be told (M51);
 //! 3. [`arm`] queues the command, and executes one statement after the other;
 //! 4. [`motion`] gives the hand's posture at a time (150 mm/s, M49), [`contact`] its first collision, and [`blocks`]
 //!    the blocks on the table and in the hand.
@@ -48,6 +49,7 @@ mod outlet;
 pub mod path;
 pub mod peer;
 pub mod pose;
+pub mod rapid;
 pub mod reach;
 pub mod script;
 pub mod server;

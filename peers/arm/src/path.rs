@@ -49,11 +49,25 @@ pub fn legs(from: &Pose, to: &Pose) -> Vec<Pose> {
 ///
 /// # Errors
 ///
-/// That the workspace or the joints do not allow it, as [`Workspace::check`] and [`reach::check`] say.
+/// That the workspace or the joints do not allow it, as [`Workspace::check`] and [`reach::check_leg`] say, with the
+/// nearest pose that can be reached.
 ///
 /// [`Workspace::check`]: crate::workspace::Workspace::check
 pub fn check(from: &Pose, to: &Pose) -> Result<(), ArmError> {
-    WORKSPACE.check(to)?;
+    WORKSPACE.check(to).map_err(|error| {
+        let nearest = WORKSPACE.nearest(to);
+        match check_legs(from, &nearest) {
+            Ok(()) => error.with_reachable(nearest),
+            Err(joints) => match joints.reachable() {
+                Some(nearest) => error.with_reachable(*nearest),
+                None => error,
+            },
+        }
+    })?;
+    check_legs(from, to)
+}
+
+fn check_legs(from: &Pose, to: &Pose) -> Result<(), ArmError> {
     let mut at = *from;
     for end in legs(from, to) {
         reach::check_leg(&at, &end)?;
@@ -132,7 +146,7 @@ mod tests {
                 Pose::new(300.0, 0.0, 0.0, 90.0, 45.0),
                 Some(ErrorName::JointLimit),
             ),
-            // Both ends can be held; on the way between them hand and forearm line up.
+            // On the way hand and forearm line up; beyond, only another configuration could hold the hand.
             (
                 Pose::new(-100.0, 0.0, 0.0, 90.0, 45.0),
                 Pose::new(-100.0, 0.0, 0.0, 90.0, -45.0),
@@ -144,6 +158,31 @@ mod tests {
                 want,
                 "{from:?} {to:?}"
             );
+        }
+    }
+
+    #[test]
+    fn a_refusal_names_the_nearest_pose_that_can_be_reached() {
+        let home = Pose::new(0.0, 0.0, 300.0, 0.0, 0.0);
+        for (to, want) in [
+            // Outside the workspace: its edge.
+            (
+                Pose::new(100.0, 320.0, 200.0, 0.0, 50.0),
+                Some(Pose::new(100.0, 300.0, 200.0, 0.0, 45.0)),
+            ),
+            // Nowhere: where the hand is.
+            (Pose::new(f64::NAN, 0.0, 200.0, 0.0, 0.0), Some(home)),
+        ] {
+            let error = check(&home, &to).unwrap_err();
+            assert_eq!(error.name(), ErrorName::WorkspaceBoundary);
+            assert_eq!(error.reachable(), want.as_ref(), "{error}");
+        }
+        // Outside, and at its edge out of the joints' reach; inside, and out of their reach.
+        for x in [310.0, 300.0] {
+            let error = check(&home, &Pose::new(x, 0.0, 450.0, 90.0, 45.0)).unwrap_err();
+            let reachable = *error.reachable().unwrap();
+            assert_eq!(check(&home, &reachable), Ok(()), "{error}");
+            assert!(home.distance(&reachable) > 200.0, "{error}");
         }
     }
 

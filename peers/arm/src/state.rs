@@ -54,8 +54,8 @@ pub struct Gripper {
 
 /// The whole state of the arm and its table at one time: enough to draw it from.
 ///
-/// The sizes of the hand for drawing are the constants of [`contact`](crate::contact), those of the
-/// arm behind it the constants of [`reach`](crate::reach).
+/// The sizes of the hand for drawing are the constants of [`contact`](crate::contact); where the parts of the
+/// arm behind it are, [`reach::links`](crate::reach::links) says.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ArmState {
     /// Rises with every change of the state.

@@ -68,6 +68,19 @@ impl Workspace {
         }
         Ok(())
     }
+
+    /// The pose inside that is nearest to this one in each of its five numbers.
+    #[must_use]
+    pub fn nearest(&self, pose: &Pose) -> Pose {
+        let within = |value: f64, range: &RangeInclusive<f64>| value.clamp(*range.start(), *range.end());
+        Pose::new(
+            within(pose.x, &self.x),
+            within(pose.y, &self.y),
+            within(pose.z, &self.z),
+            within(pose.spin, &self.spin),
+            within(pose.tilt, &self.tilt),
+        )
+    }
 }
 
 #[cfg(test)]

@@ -1,7 +1,8 @@
-//! The robot as solids: an industrial arm of the kind of M49 beside the table, and its gripper.
+//! The robot as solids: the ABB IRB 1400 of M49 beside the table, and its gripper.
 //!
-//! The proportions are those of an ABB IRB 1400. The inverse kinematics serves the drawing only: it finds an elbow
-//! for every pose and stretches the forearm where the real arm would not reach.
+//! The sizes are those of the arm's own kinematics (`reach` of `mom-arm`), which names their sources; a camera knows
+//! no arm but by what it is sent, so they stand here once more. The inverse kinematics serves the drawing only: it
+//! finds an elbow for every pose and stretches the forearm where the real arm would not reach.
 
 use nalgebra::{Rotation3, Vector2};
 
@@ -10,17 +11,20 @@ use crate::scene::{Colour, DrawnGripper, DrawnPose};
 use crate::solid::Solid;
 use crate::view::WRIST_MOUNT;
 
-/// The axis about which the base turns, mm.
-const BASE: [f64; 2] = [-1000.0, 0.0];
-/// The shoulder's distance from the base's axis and its height above the table, mm.
+/// The axis about which joint 1 turns, mm.
+const BASE: [f64; 2] = [-960.0, 0.0];
+/// The shoulder's distance from that axis and its height above the floor, mm.
 const SHOULDER: [f64; 2] = [150.0, 475.0];
-/// The lengths of the upper arm and of the forearm, mm.
+/// From the shoulder to the elbow, mm.
 const UPPER: f64 = 600.0;
-const FORE: f64 = 730.0;
+/// From the elbow up to the forearm's axis, and along it to the wrist, mm.
+const FORE: [f64; 2] = [120.0, 720.0];
 /// From the gripper's tip to the middle of the wrist, mm.
 const WRIST: f64 = 235.0;
-/// The floor on which the arm stands, mm.
-pub(crate) const FLOOR: f64 = -420.0;
+/// The floor on which the arm and the table stand, mm.
+pub(crate) const FLOOR: f64 = -400.0;
+/// The crank beside the shoulder, which moves the forearm by a rod behind the upper arm, mm; for the eye.
+const CRANK: f64 = 170.0;
 
 const PAINT: Colour = Colour([243, 112, 33]);
 const DARK: Colour = Colour([78, 84, 94]);
@@ -106,6 +110,8 @@ struct DrawnJoints {
     ahead: Direction,
     /// The direction of the shoulder's and the elbow's axes.
     across: Direction,
+    /// The direction of the forearm.
+    along: Direction,
     shoulder: Point,
     elbow: Point,
     wrist: Point,
@@ -114,20 +120,27 @@ struct DrawnJoints {
 impl DrawnJoints {
     fn new(tool: &ToolFrame) -> DrawnJoints {
         let wrist = tool.at([0.0, 0.0, WRIST]);
-        let base = Point::new(BASE[0], BASE[1], 0.0);
+        let base = Point::new(BASE[0], BASE[1], FLOOR);
         let ahead = Direction::new(wrist.x - base.x, wrist.y - base.y, 0.0).try_normalize(1e-9);
         let ahead = ahead.unwrap_or(Direction::x());
         let across = Direction::z().cross(&ahead);
+        let rising = |angle: f64| ahead * angle.cos() + Direction::z() * angle.sin();
+        let angle_of = |way: Direction| f64::atan2(way.z, ahead.dot(&way));
         let shoulder = base + ahead * SHOULDER[0] + Direction::z() * SHOULDER[1];
-        let reach = Vector2::new(ahead.dot(&(wrist - shoulder)), wrist.z - shoulder.z);
-        // The law of cosines, kept within the lengths for which there is a triangle.
-        let distance = reach.norm().clamp(FORE - UPPER + 30.0, FORE + UPPER - 1.0);
-        let cosine = (UPPER * UPPER + distance * distance - FORE * FORE) / (2.0 * UPPER * distance);
-        let angle = reach.y.atan2(reach.x) + cosine.clamp(-1.0, 1.0).acos();
-        let elbow = shoulder + (ahead * angle.cos() + Direction::z() * angle.sin()) * UPPER;
+        // The forearm's axis passes above the elbow; the law of cosines needs the straight line to the wrist.
+        let fore = Vector2::from(FORE);
+        let (line, offset) = (fore.norm(), fore.x.atan2(fore.y));
+        // Kept within the lengths for which there is a triangle.
+        let distance = (wrist - shoulder)
+            .norm()
+            .clamp(line - UPPER + 30.0, line + UPPER - 1.0);
+        let cosine = (UPPER * UPPER + distance * distance - line * line) / (2.0 * UPPER * distance);
+        let raised = angle_of(wrist - shoulder) + cosine.clamp(-1.0, 1.0).acos();
+        let elbow = shoulder + rising(raised) * UPPER;
         DrawnJoints {
             ahead,
             across,
+            along: rising(angle_of(wrist - elbow) - offset),
             shoulder,
             elbow,
             wrist,
@@ -140,11 +153,12 @@ pub(crate) fn arm(tool: &ToolFrame) -> Vec<Solid> {
     let DrawnJoints {
         ahead,
         across,
+        along,
         shoulder,
         elbow,
         wrist,
     } = DrawnJoints::new(tool);
-    let base = |z: f64| Point::new(BASE[0], BASE[1], z);
+    let base = |z: f64| Point::new(BASE[0], BASE[1], FLOOR + z);
     let joint = |middle: Point, half: f64, radius: f64, colour: Colour| {
         Solid::cylinder(
             (middle - across * half, radius),
@@ -153,48 +167,97 @@ pub(crate) fn arm(tool: &ToolFrame) -> Vec<Solid> {
         )
     };
     // Beams end at the rim of the joints rather than in their middle, so that a plane parts them (see `solid`).
-    let beam = |from: (Point, f64, [f64; 2]), to: (Point, f64, [f64; 2])| {
+    let beam = |from: (Point, f64, [f64; 2]), to: (Point, f64, [f64; 2]), colour: Colour| {
         let axis = (to.0 - from.0).try_normalize(1e-9).unwrap_or(ahead);
         Solid::beam(
             (from.0 + axis * from.1, from.2),
             (to.0 - axis * to.1, to.2),
             across,
-            PAINT,
+            colour,
         )
     };
-    let axis = (wrist - elbow).try_normalize(1e-9).unwrap_or(ahead);
-    let neck = elbow + axis * 250.0;
+    let above = along.cross(&across);
+    let forearm = elbow + above * FORE[0];
+    let neck = forearm + along * 260.0;
+    let crank = along * -CRANK;
     vec![
-        Solid::cylinder((base(0.0), 150.0), (base(190.0), 140.0), PAINT),
-        Solid::cylinder((base(190.0), 158.0), (base(228.0), 158.0), DARK),
-        Solid::cylinder((base(228.0), 146.0), (base(300.0), 136.0), PAINT),
+        Solid::cylinder((base(250.0), 146.0), (base(320.0), 136.0), PAINT),
         Solid::beam(
-            (base(300.0) + ahead * 20.0, [105.0, 120.0]),
+            (base(320.0) + ahead * 20.0, [105.0, 120.0]),
             (shoulder + ahead * -30.0 + Direction::z() * -50.0, [85.0, 75.0]),
             across,
             PAINT,
         ),
         joint(shoulder, 100.0, 78.0, DARK),
-        beam((shoulder, 70.0, [48.0, 66.0]), (elbow, 60.0, [42.0, 50.0])),
-        joint(elbow, 82.0, 68.0, DARK),
+        beam((shoulder, 70.0, [48.0, 66.0]), (elbow, 60.0, [42.0, 50.0]), PAINT),
+        // The parallelogram: the rod is parallel to the upper arm, and the crank to the forearm.
+        beam(
+            (shoulder, 78.0, [20.0, 30.0]),
+            (shoulder + crank, -15.0, [20.0, 20.0]),
+            DARK,
+        ),
+        beam(
+            (shoulder + crank, 20.0, [12.0, 12.0]),
+            (elbow + crank, 20.0, [12.0, 12.0]),
+            STEEL,
+        ),
+        beam(
+            (elbow, 68.0, [24.0, 34.0]),
+            (elbow + crank, -15.0, [20.0, 20.0]),
+            DARK,
+        ),
+        joint(elbow, 82.0, 62.0, DARK),
         Solid::beam(
-            (elbow - axis * 150.0, [52.0, 46.0]),
-            (elbow - axis * 62.0, [58.0, 56.0]),
+            (forearm - along * 190.0, [46.0, 44.0]),
+            (forearm - along * 80.0, [56.0, 54.0]),
             across,
             DARK,
         ),
-        beam((elbow, 60.0, [54.0, 56.0]), (neck, 0.0, [44.0, 44.0])),
-        beam((neck, 0.0, [44.0, 44.0]), (wrist, 40.0, [34.0, 34.0])),
+        beam((forearm, -80.0, [56.0, 56.0]), (neck, 0.0, [44.0, 44.0]), PAINT),
+        beam((neck, 0.0, [44.0, 44.0]), (wrist, 40.0, [34.0, 34.0]), PAINT),
         joint(wrist, 46.0, 42.0, DARK),
         tool.cylinder((136.0, 28.0), (WRIST - 38.0, 30.0), DARK),
     ]
 }
 
-/// The arm's foot below the table's height, which the table may hide.
+/// The arm's foot, which the table may hide.
 pub(crate) fn foot() -> Vec<Solid> {
-    let base = |z: f64| Point::new(BASE[0], BASE[1], z);
+    let base = |z: f64| Point::new(BASE[0], BASE[1], FLOOR + z);
     vec![
-        Solid::cylinder((base(FLOOR), 230.0), (base(FLOOR + 40.0), 230.0), DARK),
-        Solid::cylinder((base(FLOOR + 40.0), 175.0), (base(0.0), 150.0), PAINT),
+        Solid::cylinder((base(0.0), 230.0), (base(40.0), 230.0), DARK),
+        Solid::cylinder((base(40.0), 165.0), (base(200.0), 145.0), PAINT),
+        Solid::cylinder((base(200.0), 158.0), (base(250.0), 158.0), DARK),
     ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The arm's own kinematics (`links` of `mom-arm`'s `reach`) says where shoulder, elbow and forearm are.
+    #[test]
+    fn the_arm_is_drawn_where_it_is() {
+        for ([x, y, z, spin, tilt], shoulder, elbow, forearm) in [
+            (
+                [0.0, 0.0, 300.0, 0.0, 0.0],
+                [-810.0, 0.0, 75.0],
+                [-717.7375, 0.0, 667.8639],
+                [-676.7937, 0.0, 780.6629],
+            ),
+            (
+                [-250.0, 200.0, 20.0, 70.0, 30.0],
+                [-812.7674, 28.6802, 75.0],
+                [-709.6066, 48.7754, 665.7233],
+                [-623.8144, 65.4873, 747.9450],
+            ),
+        ] {
+            let tool = ToolFrame::new(&DrawnPose { x, y, z, spin, tilt });
+            let drawn = DrawnJoints::new(&tool);
+            let above = drawn.elbow + drawn.along.cross(&drawn.across) * FORE[0];
+            for (got, want) in [(drawn.shoulder, shoulder), (drawn.elbow, elbow), (above, forearm)] {
+                assert!((got - Point::from(want)).norm() < 1e-3, "{got} {want:?}");
+            }
+            assert!((above + drawn.along * FORE[1] - drawn.wrist).norm() < 1e-6);
+        }
+    }
 }
