@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use proptest::prelude::*;
 
-use super::tests::Stage;
+use super::tests::{Stage, check};
 use super::*;
 
 /// How the owner changes.
@@ -196,6 +196,86 @@ fn play(steps: &[Step]) -> Result<(), TestCaseError> {
         witness.begun
     );
     Ok(())
+}
+
+/// Without the hub's halt, the old owner's present statement comes to its end; nothing else of it begins, and nothing of the
+/// new owner before the arm has said that it stands.
+#[test]
+fn a_hand_over_by_agreement_lets_the_statement_end_and_the_arm_stand() {
+    for word in ["given", "returned"] {
+        let begun = "alice command 1 5: move 0 0 270 0 0; move 0 0 300 0 0
+             > status alice/1 waiting 0/2
+             > status alice/1 executing 1/2
+             alice command 2 5: home
+             > status alice/2 waiting 0/1";
+        check(&format!(
+            "{begun}
+             after 100
+             {word} 5
+             > status alice/2 error 0/1 halted 5101
+             bob command 1 6: wait 10
+             > status bob/1 error 0/0 changing-hands 5105
+             grabbed 6
+             bob command 2 6: wait 10
+             > status bob/2 error 0/0 changing-hands 5105
+             after 99
+             after 1
+             > state free, fence 6
+             > status alice/1 error 1/2 halted 5101
+             bob command 1 6: wait 10
+             > status bob/1 waiting 0/1
+             > status bob/1 executing 1/1"
+        ));
+        // What comes meanwhile and takes control away ends it at once, whoever ordered it.
+        for (line, fence) in [("hub halt", 6), ("released 6", 6), ("grabbed 7", 7)] {
+            check(&format!(
+                "{begun}
+                 after 100
+                 {word} 5
+                 > status alice/2 error 0/1 halted 5101
+                 grabbed 6
+                 {line}
+                 > state free, fence {fence}
+                 > status alice/1 error 1/2 halted 5101"
+            ));
+        }
+        // A wait is not waited for.
+        check(&format!(
+            "alice command 1 5: wait 60000; home
+             > status alice/1 waiting 0/2
+             > status alice/1 executing 1/2
+             {word} 5
+             > state free
+             > status alice/1 error 1/2 halted 5101
+             grabbed 6
+             > state free, fence 6"
+        ));
+    }
+}
+
+/// The safe state moves the arm; the next owner waits for its end.
+#[test]
+fn the_next_owner_waits_for_the_safe_state() {
+    check(
+        "alice command 1 5: wait 100
+         > status alice/1 waiting 0/1
+         > status alice/1 executing 1/1
+         released 5
+         > state free
+         > status alice/1 error 1/1 halted 5101
+         hub command - -: move 0 0 270 0 0
+         > status hub/- waiting 0/1
+         > status hub/- executing 1/1
+         grabbed 6
+         bob command 1 6: home
+         > status bob/1 error 0/0 changing-hands 5105
+         after 250
+         > state free, fence 6
+         > status hub/- finished 1/1
+         bob command 1 6: wait 1
+         > status bob/1 waiting 0/1
+         > status bob/1 executing 1/1",
+    );
 }
 
 proptest! {

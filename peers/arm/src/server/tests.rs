@@ -199,7 +199,7 @@ fn line_of(parcel: &Parcel) -> Option<String> {
 }
 
 /// Plays a dialogue: lines with `>` are what must have been said since the line before.
-fn check(dialogue: &str) {
+pub(super) fn check(dialogue: &str) {
     let mut stage = Stage::new();
     let mut lines = dialogue
         .lines()
@@ -381,61 +381,6 @@ fn a_stop_latches_until_it_is_released() {
     );
 }
 
-/// Without the hub's halt, the old owner's present statement comes to its end; nothing else of it begins, and nothing of the
-/// new owner before the arm has said that it stands.
-#[test]
-fn a_hand_over_by_agreement_lets_the_statement_end_and_the_arm_stand() {
-    for word in ["given", "returned"] {
-        let begun = "alice command 1 5: move 0 0 270 0 0; move 0 0 300 0 0
-             > status alice/1 waiting 0/2
-             > status alice/1 executing 1/2
-             alice command 2 5: home
-             > status alice/2 waiting 0/1";
-        check(&format!(
-            "{begun}
-             after 100
-             {word} 5
-             > status alice/2 error 0/1 halted 5101
-             bob command 1 6: wait 10
-             > status bob/1 error 0/0 changing-hands 5105
-             grabbed 6
-             bob command 2 6: wait 10
-             > status bob/2 error 0/0 changing-hands 5105
-             after 99
-             after 1
-             > state free, fence 6
-             > status alice/1 error 1/2 halted 5101
-             bob command 1 6: wait 10
-             > status bob/1 waiting 0/1
-             > status bob/1 executing 1/1"
-        ));
-        // What comes meanwhile and takes control away ends it at once, whoever ordered it.
-        for (line, fence) in [("hub halt", 6), ("released 6", 6), ("grabbed 7", 7)] {
-            check(&format!(
-                "{begun}
-                 after 100
-                 {word} 5
-                 > status alice/2 error 0/1 halted 5101
-                 grabbed 6
-                 {line}
-                 > state free, fence {fence}
-                 > status alice/1 error 1/2 halted 5101"
-            ));
-        }
-        // A wait is not waited for.
-        check(&format!(
-            "alice command 1 5: wait 60000; home
-             > status alice/1 waiting 0/2
-             > status alice/1 executing 1/2
-             {word} 5
-             > state free
-             > status alice/1 error 1/2 halted 5101
-             grabbed 6
-             > state free, fence 6"
-        ));
-    }
-}
-
 /// A velocity holds for its time, gives way to the next one, and is refused while a script is carried out.
 #[test]
 fn a_jog_ends_at_rest_unless_it_is_said_again() {
@@ -476,31 +421,6 @@ fn a_jog_ends_at_rest_unless_it_is_said_again() {
          bob stop
          > state stopped
          > status alice/9 error 1/1 stopped 5102",
-    );
-}
-
-/// The safe state moves the arm; the next owner waits for its end.
-#[test]
-fn the_next_owner_waits_for_the_safe_state() {
-    check(
-        "alice command 1 5: wait 100
-         > status alice/1 waiting 0/1
-         > status alice/1 executing 1/1
-         released 5
-         > state free
-         > status alice/1 error 1/1 halted 5101
-         hub command - -: move 0 0 270 0 0
-         > status hub/- waiting 0/1
-         > status hub/- executing 1/1
-         grabbed 6
-         bob command 1 6: home
-         > status bob/1 error 0/0 changing-hands 5105
-         after 250
-         > state free, fence 6
-         > status hub/- finished 1/1
-         bob command 1 6: wait 1
-         > status bob/1 waiting 0/1
-         > status bob/1 executing 1/1",
     );
 }
 
