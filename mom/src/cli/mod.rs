@@ -324,16 +324,28 @@ pub(crate) struct RunArgs {
     /// Send the lines without checking them first; for robots that speak another language
     #[arg(long)]
     pub(crate) no_check: bool,
+    /// Print what a controller of the real arm would be told for each command
+    #[arg(long, value_name = "LANGUAGE", conflicts_with = "no_check")]
+    pub(crate) show: Option<Shown>,
+}
+
+/// A language of robots.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum Shown {
+    /// That of ABB's controllers
+    Rapid,
 }
 
 const RUN: &str = "\
 Statements, separated by ; on a line, in mm and degrees from the middle of the table:
   move X Y Z SPIN TILT    grip open    grip close    wait MS    home    reset
+  jog VX VY VZ VSPIN VTILT [MS], alone on its line, in mm/s and degrees/s
 
 Examples:
   mom run pick.script
   echo 'move 100 50 200 0 0; grip close' | mom run -
   mom run --json pick.script | jq .state
+  mom run --show rapid pick.script
 
 Ctrl-C releases the token; the hub then halts the robot.";
 

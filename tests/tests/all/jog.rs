@@ -1,5 +1,6 @@
-//! `mom jog` in the lab: the hand moves for as long as it is told, no faster than it can, and not out of its workspace.
+//! `mom jog` and `mom run --show rapid` in the lab: the hand moves for as long as it is told, no faster than it can, and not out of its workspace.
 
+use std::io::Write as _;
 use std::process::{Command, Output, Stdio};
 
 use mom_tests::programs::{Running, program, text};
@@ -52,4 +53,41 @@ fn the_hand_moves_for_as_long_as_it_is_told() {
         assert_eq!(refused.status.code(), Some(code), "{args:?}: {said}");
         assert!(said.contains(words), "{args:?}: {said}");
     }
+}
+
+/// Two legs for a move to below, from where the arm is; the gripper by its output.
+#[test]
+fn a_script_is_shown_as_its_controller_would_be_told() {
+    let (_lab, hub) = lab();
+    let mut command = Command::new(program("mom"));
+    command.args(["run", "--show", "rapid", "-"]);
+    command.envs([
+        ("MOM_HUB", &*hub),
+        ("MOM_USER", "alice"),
+        ("MOM_PASSWORD", "alice"),
+    ]);
+    command
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    let mut running = command.spawn().expect("it starts");
+    let mut stdin = running.stdin.take().expect("its input is piped");
+    stdin
+        .write_all(b"move 20 0 290 0 0; grip close\nmove 20 0 280 0 0")
+        .expect("it reads");
+    drop(stdin);
+    let output = running.wait_with_output().expect("it runs");
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    let lines: Vec<&str> = said.lines().filter(|line| line.ends_with(';')).collect();
+    let moves = |place: &str, line: &str| {
+        line.starts_with(&format!("MoveL [[{place}],")) && line.contains("vslow,fine,grippertool")
+    };
+    // Across at the height where it stands, then down; and from where the first command has led.
+    assert!(
+        moves("20,0,300", lines[0]) && moves("20,0,290", lines[1]),
+        "{said}"
+    );
+    assert_eq!(lines[2], "SetDO do_gripper,1;");
+    assert!(moves("20,0,280", lines[3]) && lines.len() == 4, "{said}");
 }

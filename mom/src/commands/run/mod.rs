@@ -5,7 +5,7 @@ mod script;
 
 use std::time::Duration;
 
-use mom_arm::{ArmState, CommandState, ErrorName, Status};
+use mom_arm::{ArmState, CommandState, ErrorName, Pose, Script, Status, arm, rapid};
 use mom_client::{Client, Event, Events, Family, Lost, Parcel, Path, Token, TokenGuard, Value, from_value};
 use serde_json::json;
 use tokio::time::{Instant, timeout_at};
@@ -54,6 +54,8 @@ pub(crate) async fn run(args: &cli::RunArgs, global: &GlobalArgs, output: Output
         robot: None,
         keep_going: args.keep_going,
         fence: guard.fence(),
+        shown: args.show.map(|_| arm::HOME),
+        output,
     };
     let result = tokio::select! {
         biased;
@@ -150,6 +152,9 @@ struct Job {
     keep_going: bool,
     /// That of the token.
     fence: u64,
+    /// Where the hand is, if it is to be shown what a controller would be told.
+    shown: Option<Pose>,
+    output: Output,
 }
 
 impl Job {
@@ -158,6 +163,7 @@ impl Job {
         let mut outcome = RunOutcome::default();
         for (index, command) in commands.iter().enumerate() {
             let number = index + 1;
+            self.show(command);
             self.progress.begin(number, command);
             let end = self.one(number, command).await?;
             match end.error {
@@ -172,6 +178,36 @@ impl Job {
             }
         }
         Ok(outcome)
+    }
+
+    /// Shows what a controller of the real arm would be told, from where the arm was seen last.
+    fn show(&mut self, command: &ScriptLine) {
+        if self.shown.is_none() {
+            return;
+        }
+        while let Some(event) = self.events.try_next() {
+            self.see(&event);
+        }
+        let Some(from) = self.shown else { return };
+        let Ok(script) = command.text.parse::<Script>() else {
+            return;
+        };
+        match rapid::text(&script, &from) {
+            Ok(text) => self.output.remark(text.trim_end()),
+            Err(error) => self
+                .output
+                .remark(format_args!("! {}: {error}", words::visible(&command.text))),
+        }
+    }
+
+    /// Notes where the arm is.
+    fn see(&mut self, event: &Event) {
+        if let (Some(shown), Event::Message(parcel)) = (&mut self.shown, event)
+            && parcel.name() == "state"
+            && let Ok(state) = from_value::<ArmState>(parcel.value())
+        {
+            *shown = state.pose;
+        }
     }
 
     /// One command, to its end; once more when the robot stands, if it came while that was changing hands.
@@ -225,6 +261,7 @@ impl Job {
                 None => next.await,
             };
             let event = event.ok_or_else(closed)?;
+            self.see(&event);
             let Some((change, robot)) = self.read(&event, id)? else {
                 continue;
             };
