@@ -35,7 +35,7 @@ pub(crate) struct Cli {
 
 const EXAMPLES: &str = "\
 Examples:
-  mom lab                                  a hub, a robot arm and a camera to try, in one process
+  mom lab                                  a hub, a robot arm and four cameras to try
   export MOM_USER=alice MOM_PASSWORD=alice
   mom tree                                 what there is, who is there, who drives what
   echo 'move 100 50 200 0 0; grip close' | mom run -
@@ -96,7 +96,7 @@ pub(crate) enum Command {
     /// Let stopped devices move again
     #[command(after_help = UNSTOP)]
     Unstop(StopArgs),
-    /// Run a hub with a robot arm and a camera in one process, to try
+    /// Run a hub with a robot arm and four cameras in one process, to try
     #[command(after_help = LAB)]
     Lab(LabArgs),
     /// Show the tree of contexts: kinds, members, owners

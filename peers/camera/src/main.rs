@@ -22,6 +22,7 @@ Examples:
   mom-camera --hub tcp://127.0.0.1:7666 --password-file camera.secret --rate 5
   mom-camera --hub bin://lab.example.org --key camera.key
   MOM_PASSWORD=camera mom-camera --view top --width 320 --height 240 --format png
+  MOM_PASSWORD=camera mom-camera --view wrist
 
 The password is that of MOM_PASSWORD, unless --password-file names a file. A key (mom keygen) is taken from
 anywhere, a password over TLS (bins://, tcps://) or loopback. Where there is no hub yet it waits. The log goes to the standard error; RUST_LOG says how much of it. Ctrl-C and SIGTERM end the program.";
@@ -96,6 +97,7 @@ async fn main() -> anyhow::Result<()> {
     let options = options(&args)?;
     let mut builder = Client::builder(&args.hub)
         .user(&args.user)
+        .nickname(args.view.peer(&args.user))
         .proof(proof(&args)?)
         .link(GRACE)
         .wait_for_hub();

@@ -12,6 +12,8 @@ pub struct Shot {
     pub(crate) renderer: Arc<Renderer>,
     pub(crate) scene: Scene,
     pub(crate) state_seq: Option<i64>,
+    /// When the robot said that it was there.
+    pub(crate) pose_time: Option<Time>,
     pub(crate) taken: Time,
     pub(crate) revision: u64,
     pub(crate) purpose: Purpose,
@@ -65,10 +67,11 @@ impl Shot {
         if let Some(seq) = self.state_seq {
             map.set("state-seq", seq);
         }
-        if self.renderer.view().is_calibrated() {
-            let matrix: Vec<Value> = image.matrix.into_iter().map(Value::Double).collect();
-            map.set("matrix", matrix);
+        if let Some(time) = self.pose_time {
+            map.set("pose-time", time);
         }
+        let matrix: Vec<Value> = image.matrix.into_iter().map(Value::Double).collect();
+        map.set("matrix", matrix);
         map
     }
 }

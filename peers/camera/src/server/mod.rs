@@ -69,6 +69,8 @@ pub struct ImageServer {
     scene: Scene,
     trail: Trail,
     state_seq: Option<i64>,
+    /// When the robot sent the state, by its parcel's timestamp.
+    pose_time: Option<Time>,
     /// Rises with everything that changes the picture.
     revision: u64,
     /// The revision that was broadcast last, or is about to be.
@@ -93,6 +95,7 @@ impl ImageServer {
             scene: Scene::default(),
             trail: Trail::new(options.trail),
             state_seq: None,
+            pose_time: None,
             revision: 0,
             shown: 0,
             next: 0,
@@ -108,7 +111,7 @@ impl ImageServer {
         if let Event::Message(parcel) = event
             && parcel.name() == STATE
             && let Some(content) = &parcel.content
-            && let Err(error) = self.take_state(content)
+            && let Err(error) = self.take_state(content, parcel.timestamp)
         {
             tracing::warn!(%error, "a state of the robot cannot be read");
         }
@@ -190,7 +193,7 @@ impl ImageServer {
         (!self.drawing && self.shown != self.revision).then_some(self.next)
     }
 
-    fn take_state(&mut self, content: &Content) -> Result<(), WireError> {
+    fn take_state(&mut self, content: &Content, sent: Option<Time>) -> Result<(), WireError> {
         let state = content.to_value()?;
         let seq = state.get("seq").and_then(Value::as_int);
         // A restarted arm counts from 0, so a lower number is news as well.
@@ -199,7 +202,7 @@ impl ImageServer {
         }
         self.scene = mom_client::from_value(state)?;
         self.trail.push(self.scene.pose);
-        self.state_seq = seq;
+        (self.state_seq, self.pose_time) = (seq, sent);
         self.revision += 1;
         Ok(())
     }
@@ -238,6 +241,7 @@ impl ImageServer {
                 ..self.scene.clone()
             },
             state_seq: self.state_seq,
+            pose_time: self.pose_time,
             taken: wall,
             revision: self.revision,
             purpose,

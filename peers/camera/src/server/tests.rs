@@ -1,6 +1,7 @@
 //! Dialogues with the image server: what it sees and who says what, and what it draws and says.
 
 use super::*;
+use crate::DrawnPose;
 
 const MS: CameraTime = 1000;
 
@@ -97,11 +98,13 @@ fn small() -> CameraSettings {
     }
 }
 
-/// A state of the robot whose pose is 10 mm × seq to the right.
+/// A state of the robot whose pose is 10 mm × seq to the right, sent at so many seconds.
 fn state(seq: i64) -> Event {
     let pose = Map::new().with("x", Value::Double(10.0 * seq as f64));
     let content = Map::new().with("seq", seq).with("pose", pose);
-    Event::Message(Parcel::new(Family::Message, STATE).content(content))
+    let mut parcel = Parcel::new(Family::Message, STATE).content(content);
+    parcel.timestamp = Time::from_micros(1000 * MS * seq);
+    Event::Message(parcel)
 }
 
 /// `width=64 format=png` as a map.
@@ -111,6 +114,18 @@ fn map_of(settings: &str) -> Map {
         Ok(number) => map.with(key, number),
         Err(_) => map.with(key, value),
     })
+}
+
+fn matrix_of(content: &Value) -> [f64; 12] {
+    let matrix = content.get("matrix").and_then(Value::as_list).expect("a matrix");
+    let numbers: Vec<f64> = matrix
+        .iter()
+        .filter_map(|number| match number {
+            Value::Double(number) => Some(*number),
+            _ => None,
+        })
+        .collect();
+    numbers.try_into().expect("3 rows of 4")
 }
 
 fn seq_word(seq: Option<i64>) -> String {
@@ -345,12 +360,7 @@ fn a_failure_to_draw_holds_nothing_up() {
 
 #[test]
 fn an_image_says_how_it_was_taken() {
-    for (view, calibrated) in [
-        (View::X, true),
-        (View::Y, true),
-        (View::Top, false),
-        (View::Wrist, false),
-    ] {
+    for view in View::ALL {
         let mut stage = Stage::new(view);
         (0..6).for_each(|seq| drop(stage.act(&format!("state {seq}"))));
         let shot = stage.shot.take().unwrap();
@@ -371,13 +381,29 @@ fn an_image_says_how_it_was_taken() {
         }
         let bytes = content.get("image").and_then(Value::as_binary).unwrap();
         assert!(bytes.starts_with(&[0xff, 0xd8]));
-        let matrix = content.get("matrix").and_then(Value::as_list);
-        assert_eq!(matrix.map(<[Value]>::len), calibrated.then_some(12));
+        assert_eq!(content.get("pose-time"), Some(&Value::Time(Time::default())));
+        let before = matrix_of(&content);
+        assert_eq!(
+            before,
+            view.camera(&DrawnPose::default(), 64, 48).matrix(),
+            "{view}"
+        );
         stage.now = 100 * MS;
         let next = stage
             .server
             .advance(stage.now, Time::default(), &mut stage.out)
             .unwrap();
         assert_eq!(next.scene.trail.len(), 3);
+        // The picture of a later state has that state's time and, on the gripper, its matrix.
+        let pose = DrawnPose {
+            x: 50.0,
+            ..DrawnPose::default()
+        };
+        stage.server.handle_picture(next.take(), &mut stage.out);
+        let content = stage.out.remove(0).value();
+        let sent = Time::from_micros(5000 * MS).map(Value::Time);
+        assert_eq!(content.get("pose-time"), sent.as_ref());
+        assert_eq!(matrix_of(&content), view.camera(&pose, 64, 48).matrix(), "{view}");
+        assert_eq!(matrix_of(&content) == before, view.is_fixed(), "{view}");
     }
 }
