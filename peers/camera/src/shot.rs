@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use mom_client::{Map, Time, Value};
 
-use crate::{Image, Renderer, Scene};
+use crate::{DrawnPose, Image, Overlay, Renderer, Scene};
 
 /// A picture to be drawn: the input of drawing, and the receivers.
 #[derive(Debug, Clone)]
@@ -72,6 +72,18 @@ impl Shot {
         }
         let matrix: Vec<Value> = image.matrix.into_iter().map(Value::Double).collect();
         map.set("matrix", matrix);
+        let DrawnPose { x, y, z, spin, tilt } = self.scene.pose.drawable();
+        let pose = [("x", x), ("y", y), ("z", z), ("spin", spin), ("tilt", tilt)]
+            .into_iter()
+            .fold(Map::new(), |map, (key, number)| {
+                map.with(key, Value::Double(number))
+            });
+        map.set("pose", pose);
+        let overlays: Vec<Value> = Overlay::of(&self.scene)
+            .iter()
+            .map(|overlay| overlay.to_map().into())
+            .collect();
+        map.set("overlays", overlays);
         map
     }
 }

@@ -71,8 +71,8 @@ impl View {
             View::Top => fixed([0.0, 0.0, 3000.0], [0.0, 0.0, 0.0], Direction::y(), 2.65),
             View::Wrist => {
                 let tool = ToolFrame::new(&pose.drawable());
-                let target = tool.at([0.0, -10.0, -60.0]);
-                Camera::look(tool.at(WRIST_MOUNT), target, tool.across(), 0.9 * across, size)
+                let target = tool.at([0.0, 45.0, -60.0]);
+                Camera::look(tool.at(WRIST_MOUNT), target, tool.across(), 0.72 * across, size)
             }
         }
     }

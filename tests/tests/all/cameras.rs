@@ -100,6 +100,18 @@ async fn four_cameras_show_each_new_state() {
             assert!(bytes.starts_with(&[0xff, 0xd8]), "{view}: a JPEG");
             let matrix = content.get("matrix").and_then(Value::as_list).expect("a matrix");
             assert_eq!(matrix.len(), 12, "{view}");
+            let overlays = content
+                .get("overlays")
+                .and_then(Value::as_list)
+                .expect("overlays");
+            let names = overlays
+                .iter()
+                .map(|overlay| overlay.get("name").and_then(Value::as_str));
+            let names: Vec<&str> = names.flatten().collect();
+            assert!(
+                names.contains(&"pose") && names.contains(&"block red"),
+                "{view}: {names:?}"
+            );
             let pose = content.get("pose-time").and_then(Value::as_time).expect("a time");
             let taken = content.get("taken").and_then(Value::as_time).expect("a time");
             assert!(pose <= taken, "{view}: {pose} is before {taken}");

@@ -292,4 +292,5 @@ fn settings_map(settings: &CameraSettings) -> Map {
         .with("height", settings.height)
         .with("quality", u32::from(settings.quality))
         .with("format", settings.format.name())
+        .with("overlay", settings.overlay)
 }

@@ -128,6 +128,14 @@ fn matrix_of(content: &Value) -> [f64; 12] {
     numbers.try_into().expect("3 rows of 4")
 }
 
+fn names_of(content: &Value) -> Vec<&str> {
+    let overlays = content.get("overlays").and_then(Value::as_list).expect("a list");
+    let names = overlays
+        .iter()
+        .map(|overlay| overlay.get("name").and_then(Value::as_str));
+    names.map(|name| name.expect("a name")).collect()
+}
+
 fn seq_word(seq: Option<i64>) -> String {
     seq.map_or("-".to_owned(), |seq| seq.to_string())
 }
@@ -382,6 +390,11 @@ fn an_image_says_how_it_was_taken() {
         let bytes = content.get("image").and_then(Value::as_binary).unwrap();
         assert!(bytes.starts_with(&[0xff, 0xd8]));
         assert_eq!(content.get("pose-time"), Some(&Value::Time(Time::default())));
+        assert_eq!(
+            content.get("pose").and_then(|pose| pose.get("x")),
+            Some(&Value::Double(0.0))
+        );
+        assert_eq!(names_of(&content), ["pose"]);
         let before = matrix_of(&content);
         assert_eq!(
             before,
@@ -401,6 +414,11 @@ fn an_image_says_how_it_was_taken() {
         };
         stage.server.handle_picture(next.take(), &mut stage.out);
         let content = stage.out.remove(0).value();
+        assert_eq!(
+            content.get("pose").and_then(|pose| pose.get("x")),
+            Some(&Value::Double(50.0))
+        );
+        assert_eq!(names_of(&content), ["pose", "path"]);
         let sent = Time::from_micros(5000 * MS).map(Value::Time);
         assert_eq!(content.get("pose-time"), sent.as_ref());
         assert_eq!(matrix_of(&content), view.camera(&pose, 64, 48).matrix(), "{view}");
