@@ -8,12 +8,14 @@ use clap::builder::FalseyValueParser;
 use clap::{Args, Parser, Subcommand};
 use mom_client::{MessageRate, WireError};
 
+mod camera;
 mod contexts;
 mod control;
 mod look;
 mod parse;
 mod stop;
 
+use self::camera::CAMERA;
 use self::contexts::{CREATE, DELETE};
 pub(crate) use self::parse::parse;
 
@@ -168,6 +170,9 @@ pub(crate) enum Command {
     /// Make a key pair, so that a device needs no password
     #[command(after_help = KEYGEN)]
     Keygen(KeygenArgs),
+    /// Tell the settings of a camera, or change them
+    #[command(after_help = CAMERA)]
+    Camera(CameraArgs),
     /// Ask a camera for an image and save it
     #[command(after_help = SNAP)]
     Snap(SnapArgs),
@@ -296,6 +301,7 @@ Examples:
   mom send /chat note --content-json '{\"x\": 1.5, \"names\": [\"red\", \"blue\"]}'
   uptime | mom send /chat chat -";
 
+pub(crate) use camera::CameraArgs;
 pub(crate) use contexts::{CreateArgs, DeleteArgs};
 pub(crate) use control::{
     AcceptArgs, BreakArgs, DeclineArgs, ExpelArgs, GiveArgs, GrabArgs, HoldArgs, InhibitArgs, InviteArgs,
@@ -367,7 +373,7 @@ pub(crate) struct SnapArgs {
 const SNAP: &str = "\
 Examples:
   mom snap                                 camera x
-  mom snap x --output table.jpg
+  mom snap wrist --output table.jpg
   mom snap --output - | feh -";
 
 /// `mom doctor`
@@ -486,6 +492,7 @@ mod tests {
                 &["run", "f", "--token", "/token"],
                 &["chat"],
                 &["snap"],
+                &["camera", "x", "--size", "640x480", "--overlay", "on"],
                 &["keygen"],
                 &["doctor", "lab", "--save", "f", "--quick"],
             ] {

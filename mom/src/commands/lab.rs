@@ -276,6 +276,7 @@ impl LabSummary {
                 "echo 'move 100 50 200 0 0; grip close' | {program} run -"
             )),
             command(format!("{program} snap")),
+            command(format!("{program} camera x --size 320x240 --quality 60")),
             command(format!("echo reset | {program} run -")),
             command(format!("{program} grab --answer /robot/token")),
             "and while she holds the token, in a third one, as bob:".to_owned(),

@@ -49,6 +49,10 @@ impl Lab {
     }
 }
 
+fn said(bytes: &[u8]) -> String {
+    text(bytes).trim_end().to_owned()
+}
+
 /// The next image to everybody that `pick` takes.
 async fn image(events: &mut Events, pick: impl Fn(&Value) -> bool) -> Value {
     let wanted = async {
@@ -127,5 +131,72 @@ async fn four_cameras_show_each_new_state() {
             text(&snap.stderr)
         );
     }
+    lab.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn only_the_owner_of_the_token_sets_a_camera() {
+    let lab = Lab::start().await;
+    let told = async |user: &str, args: &[&str]| {
+        let output = lab.mom(user, &[&["camera"], args].concat()).await;
+        (output.status.code(), said(&output.stdout), said(&output.stderr))
+    };
+    let done = |line: &str| (Some(0), line.to_owned(), String::new());
+    assert_eq!(
+        told("bob", &["x"]).await,
+        done("/camera/x  640x480, quality 80, jpeg")
+    );
+
+    // Nobody owns the token: it is taken for the change.
+    let change = ["x", "--size", "320x240", "--quality", "60"];
+    assert_eq!(
+        told("bob", &change).await,
+        done("/camera/x  320x240, quality 60, jpeg")
+    );
+    let carol = lab.join("carol").await;
+    let token = carol.token("/robot/token").await.expect("operators may");
+    assert_eq!(
+        token.status().await.expect("told").owner,
+        None,
+        "it is given back"
+    );
+    let channel = carol.channel("/camera/x").await.expect("operators may");
+    let mut events = channel.events();
+    let ask = channel.message("request").send().await;
+    ask.expect("anybody may ask");
+    let seen = image(&mut events, |_| true).await;
+    assert_eq!((number(&seen, "width"), number(&seen, "quality")), (320, 60));
+
+    // Somebody else owns it: the camera says who, to whoever asked.
+    let guard = token.grab().await.expect("it is free");
+    let (code, out, words) = told("bob", &["x", "--size", "64x48"]).await;
+    assert_eq!((code, out.as_str()), (Some(1), ""));
+    let reason = "only the owner of /robot/token changes the settings, and that is carol";
+    assert!(words.contains(reason), "{words}");
+    assert_eq!(
+        told("bob", &["x"]).await,
+        done("/camera/x  320x240, quality 60, jpeg"),
+        "anybody may look"
+    );
+    guard.release().await.expect("it is hers");
+
+    // What the camera cannot do it refuses, with its limits.
+    let (code, _, words) = told("bob", &["top", "--size", "5000x480"]).await;
+    assert_eq!(code, Some(1));
+    assert!(
+        words.contains("width is 5000; it must be 64 to 1920 pixels"),
+        "{words}"
+    );
+    assert_eq!(
+        told("bob", &["top", "--format", "png", "--overlay", "on"]).await,
+        done("/camera/top  640x480, quality 80, png, overlays drawn in"),
+        "the token is free again"
+    );
+    // The command line makes no sense, or nobody is there.
+    let (code, _, words) = told("bob", &["x", "--size", "640"]).await;
+    assert_eq!(code, Some(2), "{words}");
+    assert!(words.contains("640x480"), "{words}");
+    let (code, _, words) = told("bob", &["z"]).await;
+    assert_eq!(code, Some(1), "{words}");
     lab.end().await;
 }

@@ -166,9 +166,9 @@ fn line_of(parcel: &Parcel) -> String {
             };
             format!("{} at {taken}", seq_word(int("state-seq")))
         }
-        SETTINGS_CHANGED => format!(
+        SETTINGS_CHANGED | SETTINGS_IN_USE => format!(
             "{} {}x{} {} {}",
-            text("by").unwrap(),
+            text("by").unwrap_or("-"),
             int("width").unwrap(),
             int("height").unwrap(),
             int("quality").unwrap(),
@@ -326,14 +326,16 @@ fn only_the_owner_of_the_token_changes_the_settings() {
          info bob 6
          grabbed alice 5
          released 5
-         bob settings 5
+         bob settings 5: quality=30
          > settings-changed ref 5 bob 64x48 30 png
          down
-         bob settings 6
+         bob settings 6: quality=30
          > settings-refused to bob ref 6 not-owner 204
          info bob 1
-         bob settings 7
-         > settings-changed ref 7 bob 64x48 30 png",
+         bob settings 7: quality=30
+         > settings-changed ref 7 bob 64x48 30 png
+         carol settings 8
+         > settings-in-use to carol ref 8 - 64x48 30 png",
     );
 }
 
@@ -348,7 +350,7 @@ fn bad_settings_are_refused_and_change_nothing() {
          alice settings 3: format=gif
          > settings-refused to alice ref 3 bad-content 223
          alice settings 4
-         > settings-changed ref 4 alice 64x48 80 jpeg",
+         > settings-in-use to alice ref 4 - 64x48 80 jpeg",
     );
 }
 
