@@ -15,12 +15,15 @@ fn check_says_whether_a_file_is_right() {
     assert!(right.status.success(), "{right:?}");
     let (first, tree) = said.split_once('\n').expect("lines");
     assert!(
-        first.ends_with("lab.toml: right; 3 managers, 7 contexts, 5 users"),
+        first.ends_with("lab.toml: right; 3 managers, 10 contexts, 5 users"),
         "{first}"
     );
     let expected = "  /            session  lab
   ├─ camera    session  lab (of /)
-  │  └─ x      channel  lab (of /)
+  │  ├─ top    channel  lab (of /)
+  │  ├─ wrist  channel  lab (of /)
+  │  ├─ x      channel  lab (of /)
+  │  └─ y      channel  lab (of /)
   ├─ chat      channel  lab (of /)
   ├─ log       channel  log
   └─ robot     session  lab (of /)

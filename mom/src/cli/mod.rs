@@ -8,12 +8,14 @@ use clap::builder::FalseyValueParser;
 use clap::{Args, Parser, Subcommand};
 use mom_client::{MessageRate, WireError};
 
+mod camera;
 mod contexts;
 mod control;
 mod look;
 mod parse;
 mod stop;
 
+use self::camera::CAMERA;
 use self::contexts::{CREATE, DELETE};
 pub(crate) use self::parse::parse;
 
@@ -35,7 +37,7 @@ pub(crate) struct Cli {
 
 const EXAMPLES: &str = "\
 Examples:
-  mom lab                                  a hub, a robot arm and a camera to try, in one process
+  mom lab                                  a hub, a robot arm and four cameras to try
   export MOM_USER=alice MOM_PASSWORD=alice
   mom tree                                 what there is, who is there, who drives what
   echo 'move 100 50 200 0 0; grip close' | mom run -
@@ -96,7 +98,7 @@ pub(crate) enum Command {
     /// Let stopped devices move again
     #[command(after_help = UNSTOP)]
     Unstop(StopArgs),
-    /// Run a hub with a robot arm and a camera in one process, to try
+    /// Run a hub with a robot arm and four cameras in one process, to try
     #[command(after_help = LAB)]
     Lab(LabArgs),
     /// Show the tree of contexts: kinds, members, owners
@@ -171,6 +173,9 @@ pub(crate) enum Command {
     /// Make a key pair, so that a device needs no password
     #[command(after_help = KEYGEN)]
     Keygen(KeygenArgs),
+    /// Tell the settings of a camera, or change them
+    #[command(after_help = CAMERA)]
+    Camera(CameraArgs),
     /// Ask a camera for an image and save it
     #[command(after_help = SNAP)]
     Snap(SnapArgs),
@@ -299,6 +304,7 @@ Examples:
   mom send /chat note --content-json '{\"x\": 1.5, \"names\": [\"red\", \"blue\"]}'
   uptime | mom send /chat chat -";
 
+pub(crate) use camera::CameraArgs;
 pub(crate) use contexts::{CreateArgs, DeleteArgs};
 pub(crate) use control::{
     AcceptArgs, BreakArgs, DeclineArgs, ExpelArgs, GiveArgs, GrabArgs, HoldArgs, InhibitArgs, InviteArgs,
@@ -410,7 +416,7 @@ pub(crate) struct SnapArgs {
 const SNAP: &str = "\
 Examples:
   mom snap                                 camera x
-  mom snap x --output table.jpg
+  mom snap wrist --output table.jpg
   mom snap --output - | feh -";
 
 /// `mom doctor`
@@ -529,6 +535,7 @@ mod tests {
                 &["run", "f", "--token", "/token"],
                 &["chat"],
                 &["snap"],
+                &["camera", "x", "--size", "640x480", "--overlay", "on"],
                 &["keygen"],
                 &["doctor", "lab", "--save", "f", "--quick"],
             ] {

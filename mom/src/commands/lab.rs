@@ -1,4 +1,4 @@
-//! `mom lab`: a hub, a robot arm and a camera in one process, to try.
+//! `mom lab`: a hub, a robot arm and four cameras in one process, to try.
 
 use std::env;
 use std::io::{self, IsTerminal as _};
@@ -121,33 +121,40 @@ fn within_reach(mut address: SocketAddr) -> SocketAddr {
     address
 }
 
-/// Arm and camera, in their channels.
+/// Arm and cameras, in their channels.
 async fn start_devices(
     broker: &Arc<Broker>,
     stopping: &watch::Receiver<bool>,
-) -> Result<JoinSet<(&'static str, Result<(), ClientError>)>, Failure> {
+) -> Result<JoinSet<(String, Result<(), ClientError>)>, Failure> {
     let mut devices = JoinSet::new();
-    let arm = log_in(broker, "arm").await?;
+    let arm = log_in(broker, "arm", "arm".to_owned()).await?;
     let options = ArmOptions::default();
     let place = options.channel.clone();
     let running: RunningPeer = Box::pin(mom_arm::peer::run(arm.clone(), options, stopped(stopping)));
-    devices.spawn(async move { ("arm", running.await) });
+    devices.spawn(async move { ("arm".to_owned(), running.await) });
     ready(&arm, &place).await?;
 
-    let camera = log_in(broker, "camera").await?;
-    let options = CameraOptions::new(View::X);
-    let place = options.channel.clone();
-    let running: RunningPeer = Box::pin(mom_camera::peer::run(camera.clone(), options, stopped(stopping)));
-    devices.spawn(async move { ("camera", running.await) });
-    ready(&camera, &place).await?;
+    for view in View::ALL {
+        let camera = log_in(broker, "camera", view.peer("camera")).await?;
+        let options = CameraOptions::new(view);
+        let place = options.channel.clone();
+        let running: RunningPeer =
+            Box::pin(mom_camera::peer::run(camera.clone(), options, stopped(stopping)));
+        devices.spawn(async move { (format!("camera {view}"), running.await) });
+        ready(&camera, &place).await?;
+    }
     Ok(devices)
 }
 
 /// A device's connection inside this process; a lab's device has its name as its password.
-async fn log_in(broker: &Arc<Broker>, name: &str) -> Result<Client, Failure> {
+async fn log_in(broker: &Arc<Broker>, name: &str, nickname: String) -> Result<Client, Failure> {
     let broker = Arc::clone(broker);
     let builder = Client::builder_local(move || broker.connect_local());
-    let builder = builder.user(name).password(name).no_reconnect();
+    let builder = builder
+        .user(name)
+        .password(name)
+        .nickname(nickname)
+        .no_reconnect();
     builder.connect().await.doing(format!("log in as {name}"))
 }
 
@@ -215,7 +222,7 @@ impl LabSummary {
         let place = |text: &str| ink(text, Tone::Place);
         let mut lines = vec![
             ink(
-                "A hub, a robot arm and a camera are running here. Ctrl-C ends them.",
+                "A hub, a robot arm and four cameras are running here. Ctrl-C ends them.",
                 Tone::Strong,
             ),
             String::new(),
@@ -250,7 +257,12 @@ impl LabSummary {
                     place("/robot/token")
                 ),
             ),
-            row("camera", place("/camera/x")),
+            row(
+                "cameras",
+                View::ALL
+                    .map(|view| place(&CameraOptions::new(view).channel))
+                    .join(", "),
+            ),
             row("chat", place("/chat")),
             String::new(),
             "Try in another terminal, as alice:".to_owned(),
@@ -264,6 +276,7 @@ impl LabSummary {
                 "echo 'move 100 50 200 0 0; grip close' | {program} run -"
             )),
             command(format!("{program} snap")),
+            command(format!("{program} camera x --size 320x240 --quality 60")),
             command(format!("echo reset | {program} run -")),
             command(format!("{program} grab --answer /robot/token")),
             "and while she holds the token, in a third one, as bob:".to_owned(),

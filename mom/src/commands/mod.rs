@@ -1,7 +1,9 @@
 //! One file for each command.
 
 mod accept;
+mod asking;
 mod break_hold;
+mod camera;
 mod chat;
 mod create;
 mod decline;
@@ -67,6 +69,7 @@ pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Chat(args) => chat::run(args, global, output).await,
         Command::Keygen(args) => keygen::run(args, global, output),
         Command::Doctor(args) => doctor::run(args, global, output).await,
+        Command::Camera(args) => camera::run(args, global, output).await,
         Command::Snap(args) => snap::run(args, global, output).await,
     }
 }

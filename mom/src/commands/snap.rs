@@ -5,9 +5,10 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use bytes::Bytes;
-use mom_client::{Client, Code, Event, Events, Family, Parcel, Path, Value, WireError};
+use mom_client::{Client, Events, Family, Parcel, Path, Value};
 use tokio::time::timeout;
 
+use super::asking::ask;
 use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
@@ -26,7 +27,7 @@ pub(crate) async fn run(args: &cli::SnapArgs, global: &GlobalArgs, output: Outpu
     let path = format!("{}/{}", args.session.trim_end_matches('/'), args.view);
     let channel = client.channel(&path).await.doing(format!("join {path}"))?;
     let mut events = channel.events();
-    let content = match timeout(args.timeout, ask(&client, channel.path(), &mut events)).await {
+    let content = match timeout(args.timeout, ask_image(&client, channel.path(), &mut events)).await {
         Ok(content) => content?,
         Err(_) => return Err(nobody(&path, args.timeout)),
     };
@@ -62,52 +63,14 @@ pub(crate) async fn run(args: &cli::SnapArgs, global: &GlobalArgs, output: Outpu
 }
 
 /// Asks for an image and gives the content of the answer.
-async fn ask(client: &Client, path: &Path, events: &mut Events) -> Result<Value, Failure> {
-    let mut request = Parcel::new(Family::Message, "request").context(path.clone());
-    request.echo = Some(false);
-    // The receipt refers to the id that the client has given, and so does the answer.
-    request.receipt = Some(true);
-    let what = format!("ask {path} for an image");
-    let id = client.request(request).await.doing(what.as_str())?.reference;
-    while let Some(event) = events.next().await {
-        let Event::Message(parcel) = event else { continue };
-        if id.is_none() || parcel.reference != id {
-            continue;
-        }
-        match parcel.name() {
-            "image" => return Ok(parcel.value()),
-            "request-refused" => {
-                return Err(Failure::Refused {
-                    what,
-                    error: refusal(&parcel.value()),
-                });
-            }
-            _ => {}
-        }
-    }
-    Err(Failure::plain("the connection to the hub is closed"))
+async fn ask_image(client: &Client, path: &Path, events: &mut Events) -> Result<Value, Failure> {
+    let request = Parcel::new(Family::Message, "request").context(path.clone());
+    let answer = ask(client, events, request, &format!("ask {path} for an image")).await;
+    answer.map(|answer| answer.value())
 }
 
-/// The camera's refusal, `{name, code, text}`, as an error of the wire.
-fn refusal(content: &Value) -> WireError {
-    let text = |key: &str| {
-        content
-            .get(key)
-            .and_then(Value::as_str)
-            .unwrap_or_default()
-            .to_owned()
-    };
-    let number = content
-        .get("code")
-        .and_then(Value::as_int)
-        .and_then(|code| u16::try_from(code).ok());
-    WireError::new(
-        Code::from_wire(number.unwrap_or(200), &text("name")),
-        text("text"),
-    )
-}
-
-fn nobody(path: &str, after: Duration) -> Failure {
+/// After so long without an answer.
+pub(super) fn nobody(path: &str, after: Duration) -> Failure {
     Failure::new(
         format!("no camera answers in {path} within {}", words::duration(after)),
         "see who is there: mom tree",
@@ -202,14 +165,5 @@ mod tests {
             "640 x 480, image/jpeg, 3 B, taken 2026-11-21T10:00:01.500000Z"
         );
         assert_eq!(image(&Value::Null), None);
-    }
-
-    #[test]
-    fn a_cameras_refusal() {
-        let told = Map::new()
-            .with("name", "try-later")
-            .with("code", 100)
-            .with("text", "64 wait");
-        assert_eq!(refusal(&told.into()), WireError::new(Code::TRY_LATER, "64 wait"));
     }
 }

@@ -26,11 +26,16 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene: Scene = serde_json::from_str(SCENE)?;
     let mut report = String::new();
     for view in View::ALL {
-        for (format, ending) in [(Format::Png, "png"), (Format::Jpeg, "jpg")] {
+        for (format, overlay, ending) in [
+            (Format::Png, false, "png"),
+            (Format::Jpeg, false, "jpg"),
+            (Format::Png, true, "overlay.png"),
+        ] {
             let renderer = Renderer::new(
                 view,
                 CameraSettings {
                     format,
+                    overlay,
                     ..CameraSettings::default()
                 },
             )?;
@@ -43,7 +48,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             }
             let each = start.elapsed() / TIMES;
             report.push_str(&format!(
-                "{view:5} {ending} {:7} bytes {each:?}\n",
+                "{view:5} {ending:11} {:7} bytes {each:?}\n",
                 image.bytes.len()
             ));
         }

@@ -11,6 +11,7 @@ mod draw;
 mod encode;
 mod error;
 mod geometry;
+mod overlay;
 mod owner;
 pub mod peer;
 mod renderer;
@@ -25,6 +26,7 @@ mod view;
 
 pub use error::SettingsError;
 pub use geometry::Camera;
+pub use overlay::Overlay;
 pub use peer::CameraOptions;
 pub use renderer::{Image, Renderer};
 pub use scene::{Colour, DrawnBlock, DrawnGripper, DrawnPose, Scene};

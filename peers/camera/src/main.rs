@@ -22,6 +22,7 @@ Examples:
   mom-camera --hub tcp://127.0.0.1:7666 --password-file camera.secret --rate 5
   mom-camera --hub bin://lab.example.org --key camera.key
   MOM_PASSWORD=camera mom-camera --view top --width 320 --height 240 --format png
+  MOM_PASSWORD=camera mom-camera --view wrist --overlay
 
 The password is that of MOM_PASSWORD, unless --password-file names a file. A key (mom keygen) is taken from
 anywhere, a password over TLS (bins://, tcps://) or loopback. Where there is no hub yet it waits. The log goes to the standard error; RUST_LOG says how much of it. Ctrl-C and SIGTERM end the program.";
@@ -63,7 +64,7 @@ struct CameraArgs {
     /// Images per second, at most, while the robot moves
     #[arg(long, default_value = "10")]
     rate: f64,
-    /// How many past poses the path in the image has
+    /// How many past poses the path has
     #[arg(long, default_value = "100")]
     trail: usize,
     /// Width of the images in pixels, 64 to 1920
@@ -78,6 +79,9 @@ struct CameraArgs {
     /// Format of the images: jpeg or png
     #[arg(long)]
     format: Option<String>,
+    /// Draw pose, path and outlines into the images; beside them, as data, they always are
+    #[arg(long)]
+    overlay: bool,
 }
 
 #[tokio::main]
@@ -96,6 +100,7 @@ async fn main() -> anyhow::Result<()> {
     let options = options(&args)?;
     let mut builder = Client::builder(&args.hub)
         .user(&args.user)
+        .nickname(args.view.peer(&args.user))
         .proof(proof(&args)?)
         .link(GRACE)
         .wait_for_hub();
@@ -119,6 +124,7 @@ fn options(args: &CameraArgs) -> anyhow::Result<CameraOptions> {
         height: args.height,
         quality: args.quality,
         format: args.format.clone(),
+        overlay: Some(args.overlay),
     };
     Ok(CameraOptions {
         channel: args.channel.clone().unwrap_or(lab.channel),

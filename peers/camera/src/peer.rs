@@ -110,9 +110,9 @@ pub async fn run(
         }
         let wake = server.next_wake().map(|due| begin + duration(due));
         tokio::select! {
+            // Who owns the token is known before what its owner says next is judged.
+            biased;
             () = &mut shutdown => break,
-            event = robot.next() => server.handle_robot(&open(event, &client)?),
-            event = camera.next() => server.handle_camera(&open(event, &client)?, &mut out),
             event = owner.next() => {
                 let event = open(event, &client)?;
                 server.handle_token(&event);
@@ -126,6 +126,8 @@ pub async fn run(
                 Some(picture) => server.handle_picture(picture, &mut out),
                 None => server.handle_failure(),
             },
+            event = camera.next() => server.handle_camera(&open(event, &client)?, &mut out),
+            event = robot.next() => server.handle_robot(&open(event, &client)?),
             () = sleep_or_wait(wake) => {}
         }
     }

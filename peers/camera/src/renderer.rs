@@ -9,11 +9,11 @@ use crate::geometry::{Direction, Point};
 use crate::robot::{self, ToolFrame};
 use crate::scene::{DrawnBlock, Scene};
 use crate::solid::Solid;
-use crate::{Camera, CameraSettings, Format, SettingsError, View};
+use crate::{Camera, CameraSettings, Format, Overlay, SettingsError, View};
 
 /// More blocks and poses than these are not drawn, so that no scene can hold the camera up.
-const MOST_BLOCKS: usize = 64;
-const MOST_POSES: usize = 200;
+pub(crate) const MOST_BLOCKS: usize = 64;
+pub(crate) const MOST_POSES: usize = 200;
 
 /// Renders scenes as one of the cameras sees them.
 ///
@@ -138,15 +138,26 @@ impl Renderer {
             solids.extend(robot::wrist_camera(&tool));
         }
         draw::solids(canvas, &solids);
-        draw::trail(canvas, &scene.trail);
-        draw::caption(canvas, self.view, scene);
+        if self.settings.overlay {
+            draw::overlays(canvas, &Overlay::of(scene));
+            draw::trail(canvas, &scene.trail);
+            draw::caption(canvas, self.view, scene);
+        }
     }
 }
 
 fn block(block: &DrawnBlock) -> Solid {
+    Solid::cuboid(
+        Point::new(block.x, block.y, block.z),
+        half_edges(block),
+        block.colour,
+    )
+}
+
+/// Half the block's edges, from its middle.
+pub(crate) fn half_edges(block: &DrawnBlock) -> [Direction; 3] {
     let yaw = Rotation3::from_axis_angle(&Direction::z_axis(), block.yaw.to_radians());
     let tilt = Rotation3::from_axis_angle(&Direction::x_axis(), block.tilt.to_radians());
     let axes = [Direction::x(), Direction::y(), Direction::z()];
-    let edges = std::array::from_fn(|i| yaw * tilt * axes[i] * (block.size[i] / 2.0));
-    Solid::cuboid(Point::new(block.x, block.y, block.z), edges, block.colour)
+    std::array::from_fn(|i| yaw * tilt * axes[i] * (block.size[i] / 2.0))
 }

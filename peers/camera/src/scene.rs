@@ -10,6 +10,9 @@ const FARTHEST: f64 = 10_000.0;
 /// The longest edge of a block that is drawn, mm.
 const LARGEST: f64 = 2_000.0;
 
+/// More letters of a block's name are left out.
+const LONGEST: usize = 40;
+
 /// Everything that is drawn.
 ///
 /// It is read from the content of the arm's `state` parcels. Missing fields have their defaults and unknown fields
@@ -70,6 +73,8 @@ pub struct DrawnGripper {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct DrawnBlock {
+    /// Its name at the robot.
+    pub name: String,
     /// Along the table's x axis, mm.
     pub x: f64,
     /// Along the table's y axis, mm.
@@ -113,6 +118,7 @@ impl Default for DrawnGripper {
 impl Default for DrawnBlock {
     fn default() -> Self {
         DrawnBlock {
+            name: String::new(),
             x: 0.0,
             y: 0.0,
             z: 20.0,
@@ -202,6 +208,7 @@ impl DrawnPose {
 impl DrawnBlock {
     fn drawable(&self) -> DrawnBlock {
         DrawnBlock {
+            name: self.name.chars().take(LONGEST).collect(),
             x: place(self.x),
             y: place(self.y),
             z: place(self.z),
@@ -294,6 +301,7 @@ mod tests {
         )
         .unwrap();
         let block = DrawnBlock {
+            name: "red".to_owned(),
             x: 1.0,
             y: 2.5,
             z: 3.0,

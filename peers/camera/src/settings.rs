@@ -41,6 +41,8 @@ pub struct CameraSettings {
     pub quality: u8,
     /// The image format.
     pub format: Format,
+    /// Whether the overlays are drawn into the image; beside it they always are.
+    pub overlay: bool,
 }
 
 /// The image format.
@@ -69,6 +71,8 @@ pub struct SettingsChange {
     pub quality: Option<i64>,
     /// `jpeg` or `png`.
     pub format: Option<String>,
+    /// Whether the overlays are drawn into the image.
+    pub overlay: Option<bool>,
 }
 
 impl Default for CameraSettings {
@@ -78,6 +82,7 @@ impl Default for CameraSettings {
             height: 480,
             quality: 80,
             format: Format::Jpeg,
+            overlay: false,
         }
     }
 }
@@ -93,6 +98,7 @@ impl CameraSettings {
                 Some(name) => Format::from_name(name)?,
                 None => self.format,
             },
+            overlay: change.overlay.unwrap_or(self.overlay),
         })
     }
 
@@ -102,7 +108,7 @@ impl CameraSettings {
             width: Some(self.width.into()),
             height: Some(self.height.into()),
             quality: Some(self.quality.into()),
-            format: None,
+            ..SettingsChange::default()
         };
         self.with(&change).map(|_| ())
     }
@@ -232,6 +238,7 @@ mod tests {
             height: 240,
             quality: 30,
             format: Format::Png,
+            overlay: true,
         };
         let change = SettingsChange {
             quality: Some(90),
@@ -249,6 +256,7 @@ mod tests {
             height: 240,
             quality: 30,
             format: Format::Png,
+            overlay: true,
         };
         let json = serde_json::to_string(&settings).unwrap();
         assert_eq!(serde_json::from_str::<CameraSettings>(&json).unwrap(), settings);

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use mom_client::{Map, Time, Value};
 
-use crate::{Image, Renderer, Scene};
+use crate::{DrawnPose, Image, Overlay, Renderer, Scene};
 
 /// A picture to be drawn: the input of drawing, and the receivers.
 #[derive(Debug, Clone)]
@@ -12,6 +12,8 @@ pub struct Shot {
     pub(crate) renderer: Arc<Renderer>,
     pub(crate) scene: Scene,
     pub(crate) state_seq: Option<i64>,
+    /// When the robot said that it was there.
+    pub(crate) pose_time: Option<Time>,
     pub(crate) taken: Time,
     pub(crate) revision: u64,
     pub(crate) purpose: Purpose,
@@ -65,10 +67,23 @@ impl Shot {
         if let Some(seq) = self.state_seq {
             map.set("state-seq", seq);
         }
-        if self.renderer.view().is_calibrated() {
-            let matrix: Vec<Value> = image.matrix.into_iter().map(Value::Double).collect();
-            map.set("matrix", matrix);
+        if let Some(time) = self.pose_time {
+            map.set("pose-time", time);
         }
+        let matrix: Vec<Value> = image.matrix.into_iter().map(Value::Double).collect();
+        map.set("matrix", matrix);
+        let DrawnPose { x, y, z, spin, tilt } = self.scene.pose.drawable();
+        let pose = [("x", x), ("y", y), ("z", z), ("spin", spin), ("tilt", tilt)]
+            .into_iter()
+            .fold(Map::new(), |map, (key, number)| {
+                map.with(key, Value::Double(number))
+            });
+        map.set("pose", pose);
+        let overlays: Vec<Value> = Overlay::of(&self.scene)
+            .iter()
+            .map(|overlay| overlay.to_map().into())
+            .collect();
+        map.set("overlays", overlays);
         map
     }
 }

@@ -13,9 +13,9 @@ use crate::{Camera, DrawnPose, SettingsError};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum View {
-    /// Looks along the x axis, against its direction: y is to the right. Calibrated.
+    /// Looks along the x axis, against its direction: y is to the right.
     X,
-    /// Looks along the y axis: x is to the right. Calibrated.
+    /// Looks along the y axis: x is to the right.
     Y,
     /// Looks down on the table: x is to the right, y upwards.
     Top,
@@ -37,9 +37,18 @@ impl View {
         }
     }
 
-    /// Whether the lab sends this camera's matrix as its calibration (M54).
-    pub fn is_calibrated(self) -> bool {
-        matches!(self, View::X | View::Y)
+    /// Whether it stands still, so that all its images of one size have one matrix.
+    pub fn is_fixed(self) -> bool {
+        self != View::Wrist
+    }
+
+    /// The name under which it logs in: the user's own for x, and one with the view for the others, so that all four
+    /// may be the same user and lists of members tell them apart.
+    pub fn peer(self, user: &str) -> String {
+        match self {
+            View::X => user.to_owned(),
+            view => format!("{user}-{view}"),
+        }
     }
 
     /// The camera for an image of this size in pixels; only [`View::Wrist`] depends on the pose.
@@ -62,8 +71,8 @@ impl View {
             View::Top => fixed([0.0, 0.0, 3000.0], [0.0, 0.0, 0.0], Direction::y(), 2.65),
             View::Wrist => {
                 let tool = ToolFrame::new(&pose.drawable());
-                let target = tool.at([0.0, -10.0, -60.0]);
-                Camera::look(tool.at(WRIST_MOUNT), target, tool.across(), 0.9 * across, size)
+                let target = tool.at([0.0, 45.0, -60.0]);
+                Camera::look(tool.at(WRIST_MOUNT), target, tool.across(), 0.72 * across, size)
             }
         }
     }

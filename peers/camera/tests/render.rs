@@ -13,6 +13,7 @@ const PNG: CameraSettings = CameraSettings {
     height: 480,
     quality: 80,
     format: Format::Png,
+    overlay: false,
 };
 
 fn render(view: View, settings: CameraSettings, scene: &Scene) -> Image {
@@ -258,9 +259,7 @@ fn every_degree_of_freedom_is_seen() {
             ..Scene::default()
         };
         let renderer = Renderer::new(view, PNG).unwrap();
-        // The caption tells the pose in words, so only what is above it counts.
-        let picture =
-            |scene: &Scene| decode(&renderer.render(scene)).to_rgb8().into_raw()[..640 * 3 * 450].to_vec();
+        let picture = |scene: &Scene| renderer.render(scene).bytes;
         for pose in poses {
             let moved = Scene {
                 pose,
@@ -274,7 +273,11 @@ fn every_degree_of_freedom_is_seen() {
             trail: vec![at, poses[1]],
             ..plain.clone()
         };
-        assert_ne!(picture(&plain), picture(&trail), "{view} trail");
+        assert_eq!(picture(&plain), picture(&trail), "{view} trail, beside the image");
+        let overlay = CameraSettings { overlay: true, ..PNG };
+        let drawn = [&plain, &trail].map(|scene| render(view, overlay, scene));
+        assert_ne!(drawn[0].bytes, drawn[1].bytes, "{view} trail, in the image");
+        assert_ne!(drawn[0].bytes, renderer.render(&plain).bytes, "{view} outlines");
         assert_eq!(renderer.render(&plain), renderer.render(&plain.clone()), "{view}");
     }
 }
@@ -345,6 +348,7 @@ fn files_decode_to_the_stated_size() {
                     height,
                     format,
                     quality: 60,
+                    overlay: true,
                 };
                 let image = render(view, settings, &with_block(0.0, 0.0, RED));
                 let decoded = decode(&image);
@@ -421,6 +425,7 @@ fn any_block() -> impl Strategy<Value = DrawnBlock> {
             yaw: spin,
             tilt,
             colour: Colour(colour),
+            ..DrawnBlock::default()
         }
     })
 }
@@ -434,7 +439,7 @@ proptest! {
         view in prop::sample::select(&View::ALL[..]), width in 64_u32..200, height in 48_u32..200,
     ) {
         let scene = Scene { pose, gripper: DrawnGripper { opening }, blocks, trail };
-        let settings = CameraSettings { width, height, ..PNG };
+        let settings = CameraSettings { width, height, overlay: true, ..PNG };
         let image = render(view, settings, &scene);
         prop_assert!(image.matrix.iter().all(|v| v.is_finite()), "{:?}", image.matrix);
         let decoded = decode(&image);

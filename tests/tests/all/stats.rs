@@ -250,9 +250,28 @@ async fn who_may_not_ask_is_not_told() {
         paths
     };
     let seen = alice.stats("/").await.expect("people may");
-    assert_eq!(paths(&seen), ["/camera/x", "/chat", "/robot/arm"]);
+    assert_eq!(
+        paths(&seen),
+        [
+            "/camera/top",
+            "/camera/wrist",
+            "/camera/x",
+            "/camera/y",
+            "/chat",
+            "/robot/arm"
+        ]
+    );
     let seen = bob.stats("/").await.expect("people may");
-    assert_eq!(paths(&seen), ["/camera/x", "/robot/arm"]);
+    assert_eq!(
+        paths(&seen),
+        [
+            "/camera/top",
+            "/camera/wrist",
+            "/camera/x",
+            "/camera/y",
+            "/robot/arm"
+        ]
+    );
     assert_eq!(
         paths(&alice.stats("/robot").await.expect("people may")),
         ["/robot/arm"]

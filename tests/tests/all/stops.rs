@@ -56,7 +56,9 @@ async fn every_device_says_that_it_stands_and_that_it_may_move() {
         told(&all),
         (
             Some(0),
-            "/camera/x: no device; sent to 0 members\n/chat: no device; sent to 0 members\n/robot/arm: arm may move\n"
+            "/camera/top: no device; sent to 0 members\n/camera/wrist: no device; sent to 0 members\n\
+             /camera/x: no device; sent to 0 members\n/camera/y: no device; sent to 0 members\n\
+             /chat: no device; sent to 0 members\n/robot/arm: arm may move\n"
                 .to_owned()
         )
     );

@@ -8,7 +8,7 @@ mod table;
 mod text;
 
 pub(crate) use canvas::Canvas;
-pub(crate) use overlay::{caption, trail};
+pub(crate) use overlay::{caption, overlays, trail};
 pub(crate) use shadow::shadows;
 pub(crate) use solids::solids;
 pub(crate) use table::backdrop;

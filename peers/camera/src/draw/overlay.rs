@@ -1,4 +1,5 @@
-//! What is laid over the picture: the path with its last poses (M44) and a line of numbers.
+//! What is drawn into the picture where it is asked for: the pose, the path with its last poses (M44), the blocks'
+//! outlines and a line of numbers.
 
 use tiny_skia::Rect;
 
@@ -6,7 +7,7 @@ use super::canvas::{Canvas, Ink, solid};
 use super::text::{text_height, text_width};
 use crate::geometry::Point;
 use crate::scene::{DrawnGripper, DrawnPose};
-use crate::{Scene, View};
+use crate::{Overlay, Scene, View};
 
 const PATH: Ink = solid(0, 128, 140);
 const HALO: Ink = solid(255, 255, 255);
@@ -14,6 +15,18 @@ const BAR: Ink = solid(24, 31, 44);
 const LETTERS: Ink = solid(236, 240, 246);
 /// Letters lower than this cannot be read, pixels.
 const READABLE: f32 = 4.5;
+
+/// Draws the lines of the pose and of the blocks; the path is drawn by [`trail`].
+pub(crate) fn overlays(canvas: &mut Canvas<'_>, overlays: &[Overlay]) {
+    for overlay in overlays.iter().filter(|overlay| overlay.name != "path") {
+        let lines: Vec<(Point, Point)> = overlay
+            .points
+            .windows(2)
+            .map(|pair| (Point::from(pair[0]), Point::from(pair[1])))
+            .collect();
+        canvas.lines(&lines, PATH, 1.2);
+    }
+}
 
 /// Draws the path over everything, fading towards its beginning, with a dot at each pose.
 pub(crate) fn trail(canvas: &mut Canvas<'_>, trail: &[DrawnPose]) {

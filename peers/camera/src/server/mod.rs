@@ -19,10 +19,12 @@ pub const IMAGE: &str = "image";
 pub const REQUEST: &str = "request";
 /// The message that a request was refused.
 pub const REQUEST_REFUSED: &str = "request-refused";
-/// The message by which the token's owner changes the settings.
+/// The message by which the token's owner changes the settings; one that changes nothing asks for them.
 pub const SETTINGS: &str = "settings";
 /// The message that tells all the new settings.
 pub const SETTINGS_CHANGED: &str = "settings-changed";
+/// The message that tells whoever asked the settings in use.
+pub const SETTINGS_IN_USE: &str = "settings-in-use";
 /// The message that a change was refused.
 pub const SETTINGS_REFUSED: &str = "settings-refused";
 /// The message of the robot that tells its state.
@@ -60,7 +62,7 @@ pub struct ServerOptions {
 /// - Every new state of the robot is followed by a broadcast image (M38), at most one per period; while an image
 ///   is drawn, newer states replace each other.
 /// - Anyone may ask for an image, and is answered with one of the newest state, whatever the period.
-/// - Only the owner of the robot's token changes the settings (M37).
+/// - Only the owner of the robot's token changes the settings (M37); anyone may ask for them.
 #[derive(Debug)]
 pub struct ImageServer {
     options: ServerOptions,
@@ -69,6 +71,8 @@ pub struct ImageServer {
     scene: Scene,
     trail: Trail,
     state_seq: Option<i64>,
+    /// When the robot sent the state, by its parcel's timestamp.
+    pose_time: Option<Time>,
     /// Rises with everything that changes the picture.
     revision: u64,
     /// The revision that was broadcast last, or is about to be.
@@ -93,6 +97,7 @@ impl ImageServer {
             scene: Scene::default(),
             trail: Trail::new(options.trail),
             state_seq: None,
+            pose_time: None,
             revision: 0,
             shown: 0,
             next: 0,
@@ -108,7 +113,7 @@ impl ImageServer {
         if let Event::Message(parcel) = event
             && parcel.name() == STATE
             && let Some(content) = &parcel.content
-            && let Err(error) = self.take_state(content)
+            && let Err(error) = self.take_state(content, parcel.timestamp)
         {
             tracing::warn!(%error, "a state of the robot cannot be read");
         }
@@ -129,16 +134,12 @@ impl ImageServer {
         let Event::Message(parcel) = event else { return };
         match parcel.name() {
             REQUEST => self.take_request(parcel, out),
-            SETTINGS => match self.change_settings(parcel) {
-                Ok(settings) => {
-                    let content =
-                        settings_map(&settings).with("by", parcel.sender.as_deref().unwrap_or_default());
-                    let mut changed = self.message(SETTINGS_CHANGED, content);
-                    changed.reference = parcel.id;
-                    out.push(changed);
-                }
-                Err(error) => out.push(self.answer(SETTINGS_REFUSED, error.to_map(), &request_of(parcel))),
-            },
+            SETTINGS => {
+                let answer = self.take_settings(parcel);
+                let refused =
+                    |error: WireError| self.answer(SETTINGS_REFUSED, error.to_map(), &request_of(parcel));
+                out.push(answer.unwrap_or_else(refused));
+            }
             _ => {}
         }
     }
@@ -190,7 +191,7 @@ impl ImageServer {
         (!self.drawing && self.shown != self.revision).then_some(self.next)
     }
 
-    fn take_state(&mut self, content: &Content) -> Result<(), WireError> {
+    fn take_state(&mut self, content: &Content, sent: Option<Time>) -> Result<(), WireError> {
         let state = content.to_value()?;
         let seq = state.get("seq").and_then(Value::as_int);
         // A restarted arm counts from 0, so a lower number is news as well.
@@ -199,7 +200,7 @@ impl ImageServer {
         }
         self.scene = mom_client::from_value(state)?;
         self.trail.push(self.scene.pose);
-        self.state_seq = seq;
+        (self.state_seq, self.pose_time) = (seq, sent);
         self.revision += 1;
         Ok(())
     }
@@ -215,14 +216,27 @@ impl ImageServer {
         out.push(self.answer(REQUEST_REFUSED, error.to_map(), &request));
     }
 
-    fn change_settings(&mut self, parcel: &Parcel) -> Result<CameraSettings, WireError> {
-        self.owner.check(parcel.sender.as_deref(), &self.options.token)?;
-        let bad_content = |error: SettingsError| WireError::new(Code::BAD_CONTENT, error.to_string());
+    /// The answer to a change of the settings, or to a question for them.
+    fn take_settings(&mut self, parcel: &Parcel) -> Result<Parcel, WireError> {
         let change: SettingsChange = match &parcel.content {
             Some(content) => content.read()?,
             None => SettingsChange::default(),
         };
-        let settings = self.renderer.settings().with(&change).map_err(bad_content)?;
+        if change == SettingsChange::default() {
+            let content = settings_map(&self.renderer.settings());
+            return Ok(self.answer(SETTINGS_IN_USE, content, &request_of(parcel)));
+        }
+        self.owner.check(parcel.sender.as_deref(), &self.options.token)?;
+        let settings = self.change_settings(&change)?;
+        let content = settings_map(&settings).with("by", parcel.sender.as_deref().unwrap_or_default());
+        let mut changed = self.message(SETTINGS_CHANGED, content);
+        changed.reference = parcel.id;
+        Ok(changed)
+    }
+
+    fn change_settings(&mut self, change: &SettingsChange) -> Result<CameraSettings, WireError> {
+        let bad_content = |error: SettingsError| WireError::new(Code::BAD_CONTENT, error.to_string());
+        let settings = self.renderer.settings().with(change).map_err(bad_content)?;
         if settings != self.renderer.settings() {
             self.renderer = Arc::new(Renderer::new(self.options.view, settings).map_err(bad_content)?);
             self.revision += 1;
@@ -238,6 +252,7 @@ impl ImageServer {
                 ..self.scene.clone()
             },
             state_seq: self.state_seq,
+            pose_time: self.pose_time,
             taken: wall,
             revision: self.revision,
             purpose,
@@ -288,4 +303,5 @@ fn settings_map(settings: &CameraSettings) -> Map {
         .with("height", settings.height)
         .with("quality", u32::from(settings.quality))
         .with("format", settings.format.name())
+        .with("overlay", settings.overlay)
 }

@@ -1,6 +1,7 @@
 //! Dialogues with the image server: what it sees and who says what, and what it draws and says.
 
 use super::*;
+use crate::DrawnPose;
 
 const MS: CameraTime = 1000;
 
@@ -97,11 +98,13 @@ fn small() -> CameraSettings {
     }
 }
 
-/// A state of the robot whose pose is 10 mm × seq to the right.
+/// A state of the robot whose pose is 10 mm × seq to the right, sent at so many seconds.
 fn state(seq: i64) -> Event {
     let pose = Map::new().with("x", Value::Double(10.0 * seq as f64));
     let content = Map::new().with("seq", seq).with("pose", pose);
-    Event::Message(Parcel::new(Family::Message, STATE).content(content))
+    let mut parcel = Parcel::new(Family::Message, STATE).content(content);
+    parcel.timestamp = Time::from_micros(1000 * MS * seq);
+    Event::Message(parcel)
 }
 
 /// `width=64 format=png` as a map.
@@ -111,6 +114,26 @@ fn map_of(settings: &str) -> Map {
         Ok(number) => map.with(key, number),
         Err(_) => map.with(key, value),
     })
+}
+
+fn matrix_of(content: &Value) -> [f64; 12] {
+    let matrix = content.get("matrix").and_then(Value::as_list).expect("a matrix");
+    let numbers: Vec<f64> = matrix
+        .iter()
+        .filter_map(|number| match number {
+            Value::Double(number) => Some(*number),
+            _ => None,
+        })
+        .collect();
+    numbers.try_into().expect("3 rows of 4")
+}
+
+fn names_of(content: &Value) -> Vec<&str> {
+    let overlays = content.get("overlays").and_then(Value::as_list).expect("a list");
+    let names = overlays
+        .iter()
+        .map(|overlay| overlay.get("name").and_then(Value::as_str));
+    names.map(|name| name.expect("a name")).collect()
 }
 
 fn seq_word(seq: Option<i64>) -> String {
@@ -143,9 +166,9 @@ fn line_of(parcel: &Parcel) -> String {
             };
             format!("{} at {taken}", seq_word(int("state-seq")))
         }
-        SETTINGS_CHANGED => format!(
+        SETTINGS_CHANGED | SETTINGS_IN_USE => format!(
             "{} {}x{} {} {}",
-            text("by").unwrap(),
+            text("by").unwrap_or("-"),
             int("width").unwrap(),
             int("height").unwrap(),
             int("quality").unwrap(),
@@ -303,14 +326,16 @@ fn only_the_owner_of_the_token_changes_the_settings() {
          info bob 6
          grabbed alice 5
          released 5
-         bob settings 5
+         bob settings 5: quality=30
          > settings-changed ref 5 bob 64x48 30 png
          down
-         bob settings 6
+         bob settings 6: quality=30
          > settings-refused to bob ref 6 not-owner 204
          info bob 1
-         bob settings 7
-         > settings-changed ref 7 bob 64x48 30 png",
+         bob settings 7: quality=30
+         > settings-changed ref 7 bob 64x48 30 png
+         carol settings 8
+         > settings-in-use to carol ref 8 - 64x48 30 png",
     );
 }
 
@@ -325,7 +350,7 @@ fn bad_settings_are_refused_and_change_nothing() {
          alice settings 3: format=gif
          > settings-refused to alice ref 3 bad-content 223
          alice settings 4
-         > settings-changed ref 4 alice 64x48 80 jpeg",
+         > settings-in-use to alice ref 4 - 64x48 80 jpeg",
     );
 }
 
@@ -345,12 +370,7 @@ fn a_failure_to_draw_holds_nothing_up() {
 
 #[test]
 fn an_image_says_how_it_was_taken() {
-    for (view, calibrated) in [
-        (View::X, true),
-        (View::Y, true),
-        (View::Top, false),
-        (View::Wrist, false),
-    ] {
+    for view in View::ALL {
         let mut stage = Stage::new(view);
         (0..6).for_each(|seq| drop(stage.act(&format!("state {seq}"))));
         let shot = stage.shot.take().unwrap();
@@ -371,13 +391,39 @@ fn an_image_says_how_it_was_taken() {
         }
         let bytes = content.get("image").and_then(Value::as_binary).unwrap();
         assert!(bytes.starts_with(&[0xff, 0xd8]));
-        let matrix = content.get("matrix").and_then(Value::as_list);
-        assert_eq!(matrix.map(<[Value]>::len), calibrated.then_some(12));
+        assert_eq!(content.get("pose-time"), Some(&Value::Time(Time::default())));
+        assert_eq!(
+            content.get("pose").and_then(|pose| pose.get("x")),
+            Some(&Value::Double(0.0))
+        );
+        assert_eq!(names_of(&content), ["pose"]);
+        let before = matrix_of(&content);
+        assert_eq!(
+            before,
+            view.camera(&DrawnPose::default(), 64, 48).matrix(),
+            "{view}"
+        );
         stage.now = 100 * MS;
         let next = stage
             .server
             .advance(stage.now, Time::default(), &mut stage.out)
             .unwrap();
         assert_eq!(next.scene.trail.len(), 3);
+        // The picture of a later state has that state's time and, on the gripper, its matrix.
+        let pose = DrawnPose {
+            x: 50.0,
+            ..DrawnPose::default()
+        };
+        stage.server.handle_picture(next.take(), &mut stage.out);
+        let content = stage.out.remove(0).value();
+        assert_eq!(
+            content.get("pose").and_then(|pose| pose.get("x")),
+            Some(&Value::Double(50.0))
+        );
+        assert_eq!(names_of(&content), ["pose", "path"]);
+        let sent = Time::from_micros(5000 * MS).map(Value::Time);
+        assert_eq!(content.get("pose-time"), sent.as_ref());
+        assert_eq!(matrix_of(&content), view.camera(&pose, 64, 48).matrix(), "{view}");
+        assert_eq!(matrix_of(&content) == before, view.is_fixed(), "{view}");
     }
 }

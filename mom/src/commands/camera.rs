@@ -1,0 +1,112 @@
+//! `mom camera`: tells and changes the settings of a camera (M37).
+
+use mom_client::{Client, Family, Map, Parcel, TokenGuard, Value};
+use serde_json::json;
+use tokio::time::timeout;
+
+use super::asking::ask;
+use super::snap::nobody;
+use crate::cli::{self, GlobalArgs};
+use crate::connect::{Stay, connect};
+use crate::failure::{Doing as _, Failure};
+use crate::output::style::{Tone, ink};
+use crate::output::{Output, to_json, words};
+
+pub(crate) async fn run(args: &cli::CameraArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
+    let change = change(args);
+    let client = connect(global, Stay::Once).await?;
+    let path = format!("{}/{}", args.session.trim_end_matches('/'), args.view);
+    let result = settings(&client, &path, change, args).await;
+    client.close().await;
+    let settings = result?;
+    output.tell(
+        || {
+            let mut json = to_json(&settings);
+            json["path"] = json!(path);
+            json
+        },
+        || {
+            format!(
+                "{}  {}",
+                ink(&path, Tone::Place),
+                ink(facts(&settings), Tone::Strong)
+            )
+        },
+    )?;
+    Ok(())
+}
+
+/// What is to be changed, empty if nothing is.
+fn change(args: &cli::CameraArgs) -> Map {
+    let mut change = Map::new();
+    if let Some(size) = args.size {
+        change.set("width", size.width);
+        change.set("height", size.height);
+    }
+    if let Some(quality) = args.quality {
+        change.set("quality", quality);
+    }
+    if let Some(format) = &args.format {
+        change.set("format", format.as_str());
+    }
+    if let Some(overlay) = args.overlay {
+        change.set("overlay", overlay);
+    }
+    change
+}
+
+/// The settings in use after the change.
+async fn settings(
+    client: &Client,
+    path: &str,
+    change: Map,
+    args: &cli::CameraArgs,
+) -> Result<Value, Failure> {
+    let channel = client.channel(path).await.doing(format!("join {path}"))?;
+    let mut events = channel.events();
+    let (what, guard) = match change.is_empty() {
+        true => (format!("ask {path} for its settings"), None),
+        false => (format!("set {path}"), own(client, &args.token).await?),
+    };
+    let question = Parcel::new(Family::Message, "settings")
+        .context(channel.path().clone())
+        .content(change);
+    let asked = timeout(args.timeout, ask(client, &mut events, question, &what)).await;
+    if let Some(guard) = guard
+        && !guard.is_lost()
+    {
+        guard.release().await.doing(format!("release {}", args.token))?;
+    }
+    match asked {
+        Ok(answer) => Ok(answer?.value()),
+        Err(_) => Err(nobody(path, args.timeout)),
+    }
+}
+
+/// The token for as long as the change takes, if nobody owns it. Otherwise the camera is asked all the same: it knows
+/// whose it is, and says so.
+async fn own(client: &Client, path: &str) -> Result<Option<TokenGuard>, Failure> {
+    let token = client.token(path).await.doing(format!("join {path}"))?;
+    let status = token.status().await.doing(format!("look at {path}"))?;
+    if status.owner.is_some() || !status.holders.is_empty() {
+        return Ok(None);
+    }
+    token.grab().await.doing(format!("grab {path}")).map(Some)
+}
+
+/// `640x480, quality 80, jpeg`.
+fn facts(settings: &Value) -> String {
+    let number = |key: &str| settings.get(key).and_then(Value::as_int).unwrap_or_default();
+    let format = settings.get("format").and_then(Value::as_str).unwrap_or_default();
+    let overlay = match settings.get("overlay").and_then(Value::as_bool) {
+        Some(true) => ", overlays drawn in",
+        _ => "",
+    };
+    let format = words::visible(format);
+    format!(
+        "{}x{}, quality {}, {format}{overlay}",
+        number("width"),
+        number("height"),
+        number("quality")
+    )
+}
