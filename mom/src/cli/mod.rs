@@ -11,6 +11,7 @@ use mom_client::{MessageRate, WireError};
 mod camera;
 mod contexts;
 mod control;
+mod drive;
 mod look;
 mod parse;
 mod stop;
@@ -20,6 +21,8 @@ use self::contexts::{CREATE, DELETE};
 pub(crate) use self::parse::parse;
 
 use self::control::{ACCEPT, BREAK, DECLINE, EXPEL, GIVE, GRAB, INHIBIT, INVITE, MANAGE, REQUEST, TOKEN};
+use self::drive::{JOG, RUN, TRACE};
+pub(crate) use self::drive::{JogArgs, RunArgs, TraceArgs};
 use self::look::{LOGS, TOP};
 use self::stop::{STOP, UNSTOP};
 
@@ -161,6 +164,9 @@ pub(crate) enum Command {
     /// Drive the robot by a script: grab its token, run the commands, release it
     #[command(after_help = RUN)]
     Run(RunArgs),
+    /// Follow one command from here to the robot and back, with the time of each step
+    #[command(after_help = TRACE)]
+    Trace(TraceArgs),
     /// Drive the robot by keys, held: it moves while they are
     #[command(after_help = JOG)]
     Jog(JogArgs),
@@ -312,76 +318,6 @@ pub(crate) use control::{
 };
 pub(crate) use look::{LogsArgs, TopArgs};
 pub(crate) use stop::StopArgs;
-
-/// `mom run`
-#[derive(Args, Debug)]
-pub(crate) struct RunArgs {
-    /// The file; - is standard input. Each line is one command of one or more statements
-    pub(crate) script: PathBuf,
-    /// The robot's channel
-    #[arg(long, value_name = "PATH", default_value = "/robot/arm")]
-    pub(crate) channel: String,
-    /// The token that guards it
-    #[arg(long, value_name = "PATH", default_value = "/robot/token")]
-    pub(crate) token: String,
-    /// Go on with the next command after one that failed
-    #[arg(long, short)]
-    pub(crate) keep_going: bool,
-    /// Send the lines without checking them first; for robots that speak another language
-    #[arg(long)]
-    pub(crate) no_check: bool,
-    /// Print what a controller of the real arm would be told for each command
-    #[arg(long, value_name = "LANGUAGE", conflicts_with = "no_check")]
-    pub(crate) show: Option<Shown>,
-}
-
-/// A language of robots.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub(crate) enum Shown {
-    /// That of ABB's controllers
-    Rapid,
-}
-
-const RUN: &str = "\
-Statements, separated by ; on a line, in mm and degrees from the middle of the table:
-  move X Y Z SPIN TILT    grip open    grip close    wait MS    home    reset
-  jog VX VY VZ VSPIN VTILT [MS], alone on its line, in mm/s and degrees/s
-
-Examples:
-  mom run pick.script
-  echo 'move 100 50 200 0 0; grip close' | mom run -
-  mom run --json pick.script | jq .state
-  mom run --show rapid pick.script
-
-Ctrl-C releases the token; the hub then halts the robot.";
-
-/// `mom jog`
-#[derive(Args, Debug)]
-pub(crate) struct JogArgs {
-    /// Without keys: the velocity, VX VY VZ in mm/s, VSPIN VTILT in degrees/s
-    #[arg(num_args = 5, value_names = ["VX", "VY", "VZ", "VSPIN", "VTILT"], allow_negative_numbers = true)]
-    pub(crate) velocity: Vec<f64>,
-    /// For how long the velocity holds
-    #[arg(long = "for", value_name = "TIME", value_parser = duration, default_value = "200ms", requires = "velocity")]
-    pub(crate) time: Duration,
-    /// The robot's channel
-    #[arg(long, value_name = "PATH", default_value = "/robot/arm")]
-    pub(crate) channel: String,
-    /// The token that guards it
-    #[arg(long, value_name = "PATH", default_value = "/robot/token")]
-    pub(crate) token: String,
-}
-
-const JOG: &str = "\
-Keys: hold the arrows for left, right, away and near, r and f for up and down, q and e to spin, t and g to
-tilt; o and c open and close the jaws, h goes home, + and - change the speed, Esc ends.
-
-Examples:
-  mom jog
-  mom jog --for 1s 50 0 0 0 0              50 mm/s to the right for a second
-  mom jog 0 0 -20 0 0                      20 mm/s downward for 200 ms
-
-The hand slows down before the workspace's edge, and comes to rest when nothing is held or the link is lost.";
 
 /// `mom chat`
 #[derive(Args, Debug)]

@@ -26,6 +26,7 @@ mod snap;
 mod stats;
 mod stop;
 mod token;
+mod trace;
 mod tree;
 mod watch;
 
@@ -65,6 +66,7 @@ pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Expel(args) => expel::run(args, global, output).await,
         Command::Manage(args) => manage::run(args, global, output).await,
         Command::Run(args) => run::run(args, global, output).await,
+        Command::Trace(args) => trace::run(args, global, output).await,
         Command::Jog(args) => jog::run(args, global, output).await,
         Command::Chat(args) => chat::run(args, global, output).await,
         Command::Keygen(args) => keygen::run(args, global, output),

@@ -9,9 +9,10 @@ mod control;
 mod device_keys;
 mod dialogues;
 mod doctor;
+mod driving;
 mod faults;
 mod first_hour;
-mod jog;
+
 mod late;
 mod link;
 mod listen;

@@ -1,4 +1,4 @@
-//! `mom jog` and `mom run --show rapid` in the lab: the hand moves for as long as it is told, no faster than it can, and not out of its workspace.
+//! `mom jog`, `mom run --show rapid` and `mom trace` in the lab: the hand moves for as long as it is told, no faster than it can, and not out of its workspace.
 
 use std::io::Write as _;
 use std::process::{Command, Output, Stdio};
@@ -90,4 +90,46 @@ fn a_script_is_shown_as_its_controller_would_be_told() {
     );
     assert_eq!(lines[2], "SetDO do_gripper,1;");
     assert!(moves("20,0,280", lines[3]) && lines.len() == 4, "{said}");
+}
+
+/// The way of one command by the hub's clock: each step after the one before, as far as the clocks are known.
+#[test]
+fn a_command_is_traced_from_here_to_the_robot_and_back() {
+    let (_lab, hub) = lab();
+    let mut command = Command::new(program("mom"));
+    command
+        .args(["trace", "--json", "move 15 0 300 0 0"])
+        .stdin(Stdio::null());
+    command.envs([
+        ("MOM_HUB", &*hub),
+        ("MOM_USER", "alice"),
+        ("MOM_PASSWORD", "alice"),
+    ]);
+    let output = command.output().expect("it runs");
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let steps: Vec<Json> = text(&output.stdout)
+        .lines()
+        .map(|line| serde_json::from_str(line).expect("one object on each line"))
+        .collect();
+    let words: Vec<&str> = steps.iter().filter_map(|step| step["step"].as_str()).collect();
+    let way = [
+        "sent",
+        "received by the hub",
+        "delivered",
+        "taken by the robot",
+        "begun",
+        "done",
+        "heard here",
+    ];
+    assert_eq!(words, way);
+    for pair in steps.windows(2) {
+        let (before, after) = (&pair[0], &pair[1]);
+        let known = before["error"].as_i64().zip(after["error"].as_i64());
+        let Some((one, other)) = known else { continue };
+        let passed = after["after"].as_i64().expect("µs") - before["after"].as_i64().expect("µs");
+        assert!(passed >= -one - other, "{before} {after}");
+    }
+    // 15 mm at 150 mm/s.
+    let [begun, done] = [4, 5].map(|place: usize| steps[place]["after"].as_i64().expect("µs"));
+    assert!(done - begun > 90_000, "{begun} {done}");
 }
