@@ -52,16 +52,9 @@ impl Content {
         }
     }
 
-    /// Its size in bytes: exact where it is encoded, compressed or not, else about what MessagePack would take.
+    /// Its size in bytes: exact where it is encoded, else about what MessagePack would take. Compressed content counts what it
+    /// unpacks to, for some receiver has to take all of that.
     pub fn size(&self) -> usize {
-        match self {
-            Content::Packed(packed) => packed.bytes().len(),
-            _ => self.unpacked_size(),
-        }
-    }
-
-    /// The same of what it unpacks to.
-    pub fn unpacked_size(&self) -> usize {
         match self {
             Content::Encoded(bytes) => bytes.len(),
             Content::Packed(packed) => packed.length(),

@@ -167,7 +167,7 @@ impl Encoder {
     }
 
     fn other_form(&self, form: Form, parcel: &Parcel) -> OtherForm {
-        let size = unpacked_size(parcel);
+        let size = parcel.size();
         if size > INLINE {
             let workers = Arc::clone(&self.workers);
             let later = LaterFrame::new(form, parcel.clone(), size, self.bounds, workers);
@@ -178,14 +178,6 @@ impl Encoder {
             None => OtherForm::Bad,
         }
     }
-}
-
-/// The bytes that a parcel brings, decompressed.
-fn unpacked_size(parcel: &Parcel) -> usize {
-    let saved = parcel.content.as_ref().map_or(0, |content| {
-        content.unpacked_size().saturating_sub(content.size())
-    });
-    parcel.size() + saved
 }
 
 /// Whether the hub itself compresses it: not in the channel's critical section, so only what is worth a thread's time.

@@ -423,3 +423,37 @@ async fn mom_compresses_when_told() {
     }
     broker.stop().await;
 }
+
+/// Compression takes nobody around a bound of bytes: they are counted decompressed, whoever compressed them.
+#[tokio::test]
+async fn a_quota_counts_what_content_unpacks_to() {
+    let broker = lab::start_at(lab::clock(), |_| {}).await;
+    let mut carol = Raw::login(broker.local_addr(), Form::Packed, "carol").await;
+    let limit = Map::new()
+        .with("bytes", 1)
+        .with("bytes-burst", 200_000)
+        .with("verbs", vec![Value::from("send")]);
+    let quota = Map::new()
+        .with("kind", "quota")
+        .with("limits", vec![Value::from(limit)]);
+    let open = Map::new()
+        .with("kind", "chain")
+        .with("of", vec![Value::from(quota)]);
+    let spec = Map::new().with("kind", "channel").with("manager", open);
+    let create = Parcel::new(Family::Context, "create")
+        .context(at("/desk"))
+        .content(spec);
+    carol.ask(create).await.expect("operators may");
+    carol.join(&["/desk"]).await;
+    let said = || {
+        let mut said = message("program", "/desk", program(2000));
+        said.receipt = Some(true);
+        said
+    };
+    let size = said().content.expect("a text").size();
+    assert!((100_000..200_000).contains(&size), "{size}");
+    carol.ask(said()).await.expect("the first one");
+    let error = carol.ask(said()).await.expect_err("more than is left");
+    assert_eq!(error.code.word(), "over-quota", "{error}");
+    broker.stop().await;
+}
