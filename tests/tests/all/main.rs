@@ -13,6 +13,7 @@ mod driving;
 mod faults;
 mod first_hour;
 
+mod lab_page;
 mod late;
 mod link;
 mod listen;
