@@ -37,7 +37,7 @@ use crate::jog;
 use crate::output::Output;
 use crate::top;
 
-pub(crate) use self::run::error_words;
+pub(crate) use self::run::{drive, error_words};
 
 /// Runs a command.
 pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {

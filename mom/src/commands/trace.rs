@@ -8,7 +8,7 @@ use serde_json::json;
 use tokio::time::{Instant, timeout_at};
 
 use crate::cli::{self, GlobalArgs};
-use crate::commands::run::error_words;
+use crate::commands::run::{drive, error_words};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::interrupt::Interrupt;
@@ -43,16 +43,8 @@ enum Known {
 pub(crate) async fn run(args: &cli::TraceArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Once).await?;
     let mut interrupt = Interrupt::install()?;
-    let channel = client
-        .channel(&args.channel)
-        .await
-        .doing(format!("join {}", args.channel))?;
+    let (channel, _, guard) = drive(&client, &args.channel, &args.token).await?;
     let mut events = channel.events();
-    let token = client
-        .token(&args.token)
-        .await
-        .doing(format!("join {}", args.token))?;
-    let guard = token.grab().await.doing(format!("grab {}", args.token))?;
     compare_clocks(&client.clock()).await;
     let mut parcel = Parcel::new(Family::Message, "command")
         .context(channel.path().clone())

@@ -15,6 +15,7 @@ use tokio::time::{Instant, MissedTickBehavior, interval};
 use self::hand::{Action, Hand};
 use self::view::View;
 use crate::cli::{self, GlobalArgs};
+use crate::commands::drive;
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::interrupt::Interrupt;
@@ -46,15 +47,7 @@ pub(crate) async fn run(args: &cli::JogArgs, global: &GlobalArgs, output: Output
     }
     let client = connect(global, Stay::Once).await?;
     let mut interrupt = Interrupt::install()?;
-    let channel = client
-        .channel(&args.channel)
-        .await
-        .doing(format!("join {}", args.channel))?;
-    let token = client
-        .token(&args.token)
-        .await
-        .doing(format!("join {}", args.token))?;
-    let guard = token.grab().await.doing(format!("grab {}", args.token))?;
+    let (channel, _, guard) = drive(&client, &args.channel, &args.token).await?;
     let mut drive = Drive {
         client: client.clone(),
         channel: channel.path().clone(),

@@ -6,7 +6,9 @@ mod script;
 use std::time::Duration;
 
 use mom_arm::{ArmState, CommandState, ErrorName, Pose, Script, Status, arm, rapid};
-use mom_client::{Client, Event, Events, Family, Lost, Parcel, Path, Token, TokenGuard, Value, from_value};
+use mom_client::{
+    Channel, Client, Event, Events, Family, Lost, Parcel, Path, Token, TokenGuard, Value, from_value,
+};
 use serde_json::json;
 use tokio::time::{Instant, timeout_at};
 
@@ -32,16 +34,8 @@ pub(crate) async fn run(args: &cli::RunArgs, global: &GlobalArgs, output: Output
     let commands = read(args)?;
     let client = connect(global, Stay::Once).await?;
     let mut interrupt = Interrupt::install()?;
-    let channel = client
-        .channel(&args.channel)
-        .await
-        .doing(format!("join {}", args.channel))?;
+    let (channel, token, mut guard) = drive(&client, &args.channel, &args.token).await?;
     let events = channel.events();
-    let token = client
-        .token(&args.token)
-        .await
-        .doing(format!("join {}", args.token))?;
-    let mut guard = token.grab().await.doing(format!("grab {}", args.token))?;
     output.remark(ink(
         format_args!("holding {} (fence {})", args.token, guard.fence()),
         Tone::Faint,
@@ -75,6 +69,18 @@ pub(crate) async fn run(args: &cli::RunArgs, global: &GlobalArgs, output: Output
     let outcome = result?;
     released?;
     outcome.tell(commands.len(), &args.channel, output)
+}
+
+/// Joins a robot's channel and grabs its token.
+pub(crate) async fn drive(
+    client: &Client,
+    channel: &str,
+    token: &str,
+) -> Result<(Channel, Token, TokenGuard), Failure> {
+    let joined = client.channel(channel).await.doing(format!("join {channel}"))?;
+    let held = client.token(token).await.doing(format!("join {token}"))?;
+    let guard = held.grab().await.doing(format!("grab {token}"))?;
+    Ok((joined, held, guard))
 }
 
 fn read(args: &cli::RunArgs) -> Result<Vec<ScriptLine>, Failure> {
