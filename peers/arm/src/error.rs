@@ -18,7 +18,7 @@ pub enum ErrorName {
     Syntax,
     /// A pose lies outside the workspace (M50).
     WorkspaceBoundary,
-    /// The program that drives the controller fell silent during a command, and the arm stopped.
+    /// The link between the program and the controller failed, or one of the two fell silent, and the arm stopped.
     Link,
     /// The hand lines up with the forearm, or the forearm with the upper arm: a small move would need a fast turn.
     Singularity,
@@ -38,11 +38,13 @@ pub enum ErrorName {
     ChangingHands,
     /// The arm carries out something else that this cannot wait for.
     Busy,
+    /// The command is older than it may be when it is used.
+    TooOld,
 }
 
 impl ErrorName {
     /// Every name, in the order of the controller's numbers.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::Syntax,
         Self::WorkspaceBoundary,
         Self::Link,
@@ -55,6 +57,7 @@ impl ErrorName {
         Self::DuplicateId,
         Self::ChangingHands,
         Self::Busy,
+        Self::TooOld,
     ];
 
     /// The code word, as it stands on the wire.
@@ -73,6 +76,7 @@ impl ErrorName {
             Self::DuplicateId => "duplicate-id",
             Self::ChangingHands => "changing-hands",
             Self::Busy => "busy",
+            Self::TooOld => "too-old",
         }
     }
 
@@ -92,6 +96,7 @@ impl ErrorName {
             Self::DuplicateId => 5104,
             Self::ChangingHands => 5105,
             Self::Busy => 5106,
+            Self::TooOld => 5107,
         }
     }
 }
@@ -199,6 +204,13 @@ impl ArmError {
     #[must_use]
     pub fn reachable(&self) -> Option<&Pose> {
         self.reachable.as_deref()
+    }
+
+    /// The same error, where the same command may be taken a little later.
+    #[must_use]
+    pub(crate) fn with_retry(mut self) -> Self {
+        self.retry = true;
+        self
     }
 
     /// The same error, said of a statement (1 for the first).

@@ -10,9 +10,9 @@
 //! 2. [`path`] turns each `move` into straight legs by the path rule (M52), and [`workspace`] (M50)
 //!    and [`reach`] (the joints of an ABB IRB 1400, M49) check every leg of the whole script before anything moves;
 //!    [`rapid`] is what a real controller would be told (M51);
-//! 3. [`arm`] queues the command, and executes one statement after the other;
-//! 4. [`motion`] gives the hand's posture at a time (150 mm/s, M49), [`contact`] its first collision, and [`blocks`]
-//!    the blocks on the table and in the hand.
+//! 3. [`arm`] queues the command, and gives its [`controller`] one instruction after the other;
+//! 4. the controller carries them out: a real one, or the simulated one, for which [`motion`] gives the hand's posture at a time (150 mm/s, M49),
+//!    [`contact`] what it meets, and [`blocks`] how blocks are pushed, taken, fall and topple.
 //!
 //! [`RobotServer`] decides how the arm reacts to the parcels and events of its channel; [`peer::run`] connects it to
 //! the hub, in a program of its own (`mom-arm`) or in another one.
@@ -42,6 +42,7 @@
 pub mod arm;
 pub mod blocks;
 pub mod contact;
+pub mod controller;
 pub mod error;
 pub mod jog;
 pub mod motion;

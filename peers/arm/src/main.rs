@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 use clap::Parser;
+use mom_arm::controller::LinkFault;
 use mom_arm::{ArmOptions, peer};
 use mom_client::{Client, Identity, Key, Proof};
 use tokio::signal::unix::{SignalKind, signal};
@@ -21,6 +22,8 @@ Examples:
   MOM_PASSWORD=arm mom-arm
   mom-arm --hub tcp://127.0.0.1:7666 --password-file arm.secret
   mom-arm --hub bin://lab.example.org --key arm.key
+  mom-arm --key arm.key --max-age 500ms
+  MOM_PASSWORD=arm mom-arm --link-fault 30s/2s
   RUST_LOG=debug MOM_PASSWORD=arm mom-arm --channel /robot/arm
 
 The password is that of MOM_PASSWORD, unless --password-file names a file. A key (mom keygen) is taken from
@@ -51,6 +54,39 @@ struct ArmArgs {
     /// The channel of commands and states
     #[arg(long, value_name = "PATH", default_value = "/robot/arm")]
     channel: String,
+    /// Refuse commands that are older than this when they begin, whatever their senders say: a time such as 500ms or 2s
+    #[arg(long, value_name = "TIME", value_parser = time)]
+    max_age: Option<Duration>,
+    /// Let the simulated link to the controller fail (M53): it stands for the first time, is down for the second, again and again, such as 30s/2s
+    #[arg(long, value_name = "UP/DOWN", value_parser = link_fault)]
+    link_fault: Option<LinkFault>,
+}
+
+/// `500ms` or `2s`.
+fn time(text: &str) -> anyhow::Result<Duration> {
+    let (number, unit) = match text.strip_suffix("ms") {
+        Some(number) => (number, 1e-3),
+        None => (text.strip_suffix('s').unwrap_or_default(), 1.0),
+    };
+    let number: f64 = number
+        .parse()
+        .ok()
+        .context("it must be a time such as 500ms or 2s")?;
+    let time = Duration::try_from_secs_f64(number * unit)?;
+    anyhow::ensure!(!time.is_zero(), "it must be above 0");
+    Ok(time)
+}
+
+/// `30s/2s`.
+fn link_fault(text: &str) -> anyhow::Result<LinkFault> {
+    let (after, lasting) = text
+        .split_once('/')
+        .context("it must be two times, such as 30s/2s")?;
+    let micros = |text: &str| anyhow::Ok(i64::try_from(time(text)?.as_micros())?);
+    Ok(LinkFault {
+        after: micros(after)?,
+        lasting: micros(lasting)?,
+    })
 }
 
 #[tokio::main]
@@ -81,6 +117,8 @@ async fn main() -> anyhow::Result<()> {
     let client = connected.with_context(|| format!("{} cannot log in at {}", args.user, args.hub))?;
     let options = ArmOptions {
         channel: args.channel,
+        max_age: args.max_age,
+        link_fault: args.link_fault,
     };
     peer::run(client, options, shutdown)
         .await

@@ -8,6 +8,8 @@ use mom_client::{Client, ClientError, Code, Event, LinkState, Parcel, Time, Wire
 use tokio::time::{Instant, sleep_until, timeout};
 
 use crate::arm::Arm;
+use crate::blocks::Block;
+use crate::controller::{LinkFault, Simulated};
 use crate::motion::ArmTime;
 use crate::outlet::{Outlet, Sending};
 use crate::server::RobotServer;
@@ -20,6 +22,10 @@ const FAREWELL: Duration = Duration::from_secs(1);
 pub struct ArmOptions {
     /// The channel of its commands and states; its session is joined first.
     pub channel: String,
+    /// How old a command may be when it begins, whatever its sender says; none: as old as it likes.
+    pub max_age: Option<Duration>,
+    /// A fault of the simulated link between the program and the controller (M53), to try what happens then.
+    pub link_fault: Option<LinkFault>,
 }
 
 impl Default for ArmOptions {
@@ -27,11 +33,25 @@ impl Default for ArmOptions {
     fn default() -> Self {
         Self {
             channel: "/robot/arm".to_owned(),
+            max_age: None,
+            link_fault: None,
         }
     }
 }
 
-/// Runs an arm until `shutdown` is done. Then it halts, reports that, and logs out.
+impl ArmOptions {
+    /// The lab's simulated arm, on its table.
+    fn arm(&self) -> Arm {
+        let controller = Simulated::new(0, Block::lab());
+        let controller = match self.link_fault {
+            Some(fault) => controller.failing(fault),
+            None => controller,
+        };
+        Arm::with_controller(0, Box::new(controller))
+    }
+}
+
+/// Runs the lab's simulated arm until `shutdown` is done, as [`run_arm`] does.
 ///
 /// A lost link halts the arm; the client connects again by itself, and the arm goes on with the next command.
 ///
@@ -54,10 +74,28 @@ pub async fn run(
     options: ArmOptions,
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), ClientError> {
+    let arm = options.arm();
+    run_arm(client, options, arm, shutdown).await
+}
+
+/// Runs an arm, with whatever controller it has, until `shutdown` is done. Then it halts, reports that, and logs out. Its time begins at 0.
+///
+/// # Errors
+///
+/// As [`run`].
+pub async fn run_arm(
+    client: Client,
+    options: ArmOptions,
+    arm: Arm,
+    shutdown: impl Future<Output = ()>,
+) -> Result<(), ClientError> {
     let channel = client.channel_as_device(&options.channel).await?;
     let (mut events, gate) = (channel.events(), channel.gate());
     let begin = Instant::now();
-    let mut server = RobotServer::new(Arm::new(0), channel.path().clone()).starting_at(time_of_day());
+    let mut server = RobotServer::new(arm, channel.path().clone()).starting_at(time_of_day());
+    if let Some(max_age) = options.max_age {
+        server = server.with_max_age(max_age);
+    }
     let mut outlet = Outlet::new(sender(&client));
     let mut out = Vec::new();
     let mut shutdown = pin!(shutdown);
@@ -71,7 +109,11 @@ pub async fn run(
             event = events.next() => match event {
                 Some(event) => {
                     log(&event);
-                    server.handle(&event, &gate, micros(begin), &mut out);
+                    let age = match &event {
+                        Event::Message(parcel) => client.clock().age(parcel),
+                        _ => None,
+                    };
+                    server.handle(&event, &gate, age, micros(begin), &mut out);
                     match event {
                         Event::LinkDown => outlet.set_down(true),
                         Event::Rejoined | Event::Resumed => outlet.set_down(false),

@@ -22,6 +22,7 @@
 use rs_opw_kinematics::glam::{DMat3, DQuat, DVec3};
 
 use crate::arm::HOME;
+use crate::controller::Instruction;
 use crate::error::ArmError;
 use crate::path;
 use crate::pose::Pose;
@@ -30,6 +31,39 @@ use crate::script::{Grip, Script, Statement};
 
 /// The digital output that closes the gripper.
 pub const GRIPPER_OUTPUT: &str = "do_gripper";
+
+/// The data that the lines refer to, for the module of a real controller: the speed of M49, the tool with its point [`GRIPPER`](crate::reach::GRIPPER) mm
+/// in front of the flange and half a turn round, and the table as it stands before the arm's foot. The tool's mass and its middle are assumed: measure yours.
+pub const DECLARATIONS: &str = "\
+CONST speeddata vslow:=[150,90,150,90];
+PERS tooldata grippertool:=[TRUE,[[0,0,150],[0,0,0,1]],[1.5,[0,0,60],[1,0,0,0],0,0,0]];
+PERS wobjdata table:=[FALSE,TRUE,\"\",[[960,0,400],[1,0,0,0]],[[0,0,0],[1,0,0,0]]];
+";
+
+/// The RAPID line of one instruction, which a driver sends to the controller.
+///
+/// # Errors
+///
+/// That the joints cannot reach the pose, as [`reach::joints`] says.
+///
+/// ```
+/// use mom_arm::{Pose, controller::Instruction, rapid};
+///
+/// let slide = Instruction::Glide(Pose::new(100.0, 50.0, 300.0, 0.0, 0.0), 10_000);
+/// assert!(rapid::instruction(&slide)?.contains(r",vslow\T:=0.01,fine,grippertool"));
+/// # Ok::<(), mom_arm::ArmError>(())
+/// ```
+pub fn instruction(instruction: &Instruction) -> Result<String, ArmError> {
+    match instruction {
+        Instruction::Move(pose) => move_line(pose),
+        // The optional argument T replaces the speed by the time that the motion takes.
+        Instruction::Glide(pose, time) => {
+            let seconds = decimal(*time as f64 / 1e6, 3);
+            Ok(move_line(pose)?.replacen(",vslow", &format!(r",vslow\T:={seconds}"), 1))
+        }
+        Instruction::Grip(grip) => Ok(grip_line(*grip)),
+    }
+}
 
 /// The RAPID lines of each statement of a script that begins with the hand at `from`, in the order in which the
 /// controller carries them out.
@@ -220,6 +254,24 @@ mod tests {
             text(&script, &HOME).unwrap(),
             "! grip close\nSetDO do_gripper,1;\n! wait 20\nWaitTime 0.02;\n"
         );
+    }
+
+    /// The declarations say in RAPID what the kinematics compute with.
+    #[test]
+    fn the_declarations_are_those_of_the_simulated_arm() {
+        use crate::motion::{SPEED, TURN_SPEED};
+        use crate::reach::{FOOT, GRIPPER};
+        let [x, y, z] = FOOT.map(|mm| 0.0 - mm);
+        for part in [
+            format!("vslow:=[{SPEED},{TURN_SPEED},"),
+            format!("[[0,0,{GRIPPER}],[0,0,0,1]]"),
+            format!("[[{x},{y},{z}],[1,0,0,0]]"),
+        ] {
+            assert!(DECLARATIONS.contains(&part), "{part}");
+        }
+        // The tool's x, which is the jaw line, is the flange's x half a turn round (joints at home).
+        let joints = reach::joints(&HOME).unwrap();
+        assert!(joints[5].abs() < 1e-6, "{joints:?}");
     }
 
     #[test]

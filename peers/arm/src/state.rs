@@ -68,8 +68,11 @@ pub struct ArmState {
     pub holding: Option<String>,
     /// Every block, always in the same order.
     pub blocks: Vec<Block>,
-    /// Whether the hand or the jaws move.
+    /// Whether the hand or the jaws move, or may do so because the link to the controller is down.
     pub moving: bool,
+    /// Whether the link to the controller stands (M53). While it is down, pose, gripper and blocks are the last that were known.
+    #[serde(default = "yes", skip_serializing_if = "is_true")]
+    pub linked: bool,
     /// Whether the arm is stopped and takes no command.
     pub stopped: bool,
     /// The command being carried out.
@@ -79,6 +82,15 @@ pub struct ArmState {
     /// The newest fence of its token under which the arm has stood: commands of its owner are taken. None where no owner was heard of.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fence: Option<u64>,
+}
+
+const fn yes() -> bool {
+    true
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde hands over a reference")]
+const fn is_true(value: &bool) -> bool {
+    *value
 }
 
 /// The events of the arm, in order.

@@ -6,6 +6,9 @@ use crate::pose::{Xyz, dot, minus};
 /// or beside each other touch, and rounding must not make that a collision.
 pub(crate) const GIVE: f64 = 1.0;
 
+/// A vector on the level: x and y in mm, or without a unit for a direction.
+pub(crate) type Xy = [f64; 2];
+
 /// An upright box.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct UprightBox {
@@ -23,16 +26,6 @@ impl UprightBox {
 
     pub(crate) fn bottom(&self) -> f64 {
         self.centre[2] - self.half[2]
-    }
-
-    /// Whether the point lies inside by more than [`GIVE`], the box being wider by `margin` on the level.
-    pub(crate) fn contains(&self, point: Xyz, margin: f64) -> bool {
-        let offset = [point[0] - self.centre[0], point[1] - self.centre[1]];
-        let level = self.axes().into_iter().zip(self.half);
-        (point[2] - self.centre[2]).abs() < self.half[2] - GIVE
-            && level
-                .into_iter()
-                .all(|(axis, half)| level_dot(offset, axis).abs() < half + margin - GIVE)
     }
 
     /// Whether all of the box is certainly farther from the point than this, in mm.
@@ -57,6 +50,26 @@ impl UprightBox {
         })
     }
 
+    /// The shortest way on the level on which the other box gets out of this one: its direction and mm; none if they are apart.
+    pub(crate) fn way_out(&self, other: &Self) -> Option<(Xy, f64)> {
+        let offset = [other.centre[0] - self.centre[0], other.centre[1] - self.centre[1]];
+        let way = |axis: Xy| {
+            let apart = level_dot(offset, axis);
+            let depth = self.extent_along(axis) + other.extent_along(axis) - apart.abs();
+            (axis.map(|part| part * 1.0_f64.copysign(apart)), depth)
+        };
+        let ways = self.axes().into_iter().chain(other.axes()).map(way);
+        let shortest = ways.reduce(|a, b| if b.1 < a.1 { b } else { a });
+        shortest.filter(|(_, depth)| *depth > 0.0)
+    }
+
+    /// Its four corners seen from above, counter-clockwise.
+    pub(crate) fn footprint(&self) -> [Xy; 4] {
+        let [a, b] = self.axes();
+        [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]
+            .map(|(i, j)| [0, 1].map(|k| self.centre[k] + i * self.half[0] * a[k] + j * self.half[1] * b[k]))
+    }
+
     /// Half the length of the box's shadow on a level axis.
     fn extent_along(&self, axis: [f64; 2]) -> f64 {
         self.axes()
@@ -66,13 +79,14 @@ impl UprightBox {
             .sum()
     }
 
-    fn axes(&self) -> [[f64; 2]; 2] {
+    /// Its two level axes.
+    pub(crate) fn axes(&self) -> [Xy; 2] {
         let (sin, cos) = self.yaw.to_radians().sin_cos();
         [[cos, sin], [-sin, cos]]
     }
 }
 
-fn level_dot(a: [f64; 2], b: [f64; 2]) -> f64 {
+pub(crate) fn level_dot(a: Xy, b: Xy) -> f64 {
     a[0] * b[0] + a[1] * b[1]
 }
 
@@ -111,17 +125,15 @@ mod tests {
     }
 
     #[test]
-    fn contains_points_by_more_than_the_give() {
-        let turned = cube(10.0, 0.0, 20.0, 45.0);
-        for (point, margin, want) in [
-            ([10.0, 0.0, 20.0], 0.0, true),
-            ([36.0, 0.0, 20.0], 0.0, true),
-            ([38.0, 0.0, 20.0], 0.0, false),
-            ([38.0, 0.0, 20.0], 4.0, true),
-            ([10.0, 0.0, 38.5], 0.0, true),
-            ([10.0, 0.0, 39.5], 4.0, false),
+    fn the_shortest_way_out() {
+        let middle = cube(0.0, 0.0, 20.0, 0.0);
+        for (other, want) in [
+            (cube(30.0, 5.0, 20.0, 0.0), Some(([1.0, 0.0], 10.0))),
+            (cube(-30.0, 5.0, 20.0, 0.0), Some(([-1.0, 0.0], 10.0))),
+            (cube(3.0, -39.0, 20.0, 0.0), Some(([0.0, -1.0], 1.0))),
+            (cube(41.0, 0.0, 20.0, 0.0), None),
         ] {
-            assert_eq!(turned.contains(point, margin), want, "{point:?} {margin}");
+            assert_eq!(middle.way_out(&other), want, "{other:?}");
         }
     }
 }

@@ -2,14 +2,14 @@
 
 use std::collections::VecDeque;
 
-use crate::blocks::{Block, Blocks};
-use crate::contact;
+use crate::blocks::Block;
+use crate::controller::{Controller, Instruction, Progress, Simulated};
 use crate::error::{ArmError, ErrorName};
 use crate::jog::{self, Jog, Velocity};
-use crate::motion::{ArmTime, Leg, MAX_OPENING, Posture};
+use crate::motion::ArmTime;
 use crate::path;
 use crate::pose::Pose;
-use crate::script::{Grip, Script, Statement};
+use crate::script::{Script, Statement};
 use crate::state::{ArmEvent, ArmState, CommandState, Executing, Gripper, ScriptProgress};
 
 #[cfg(test)]
@@ -19,11 +19,6 @@ mod tests;
 
 /// The initial pose of the hand, and the target of `home`.
 pub const HOME: Pose = Pose::new(0.0, 0.0, 300.0, 0.0, 0.0);
-/// How an arm starts: at home, with open jaws.
-const AT_REST: Posture = Posture {
-    pose: HOME,
-    opening: MAX_OPENING,
-};
 /// µs between two states while the arm moves: 20 Hz.
 pub const STATE_PERIOD: ArmTime = 50_000;
 /// The most commands that wait behind the one being carried out.
@@ -41,28 +36,30 @@ pub const LINK_TIMEOUT: ArmTime = 3_000_000;
 ///
 /// If a driver falls silent while a command is carried out, the arm goes on for [`LINK_TIMEOUT`]
 /// after the missed wake and stops there with a `link` error (M53).
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct Arm {
     now: ArmTime,
     seq: u64,
-    posture: Posture,
-    grip: Grip,
-    blocks: Blocks,
-    /// The blocks as they were at the start.
-    first_blocks: Blocks,
+    controller: Box<dyn Controller>,
     stopped: bool,
     active: Option<Active>,
     waiting: VecDeque<QueuedScript>,
     /// Where the hand will be after the last waiting command; the next one is checked from there.
     planned: Pose,
-    /// When the next state is due, while the arm moves.
+    /// When the next state is due, while something moves.
     publish: ArmTime,
+    /// Whether the last state had something in it that moves by itself.
+    unsettled: bool,
+    /// Whether the link to the controller stood when that was looked at last.
+    linked: bool,
 }
 
 #[derive(Debug, Clone)]
 struct QueuedScript {
     id: u64,
     script: Script,
+    /// When it is too old to begin.
+    use_by: Option<ArmTime>,
 }
 
 /// The command being carried out.
@@ -73,29 +70,21 @@ struct Active {
     begun: usize,
     /// The ends of the legs of this statement that have not begun.
     legs: VecDeque<Pose>,
-    step: Option<MotionStep>,
+    step: Step,
     /// Why no statement begins after the present one; none if the script goes on.
     ends: Option<String>,
     /// The present statement, if that is a velocity.
     jog: Option<Jog>,
 }
 
-/// One motion or one wait.
-#[derive(Debug, Clone)]
-struct MotionStep {
-    /// None for a wait.
-    leg: Option<Leg>,
-    begins: ArmTime,
-    ends: ArmTime,
-    then: Then,
-}
-
-/// The effect of a step at its end.
-#[derive(Debug, Clone)]
-enum Then {
-    Next,
-    Grasp(usize),
-    Fail(ArmError),
+/// What is being done of the present statement.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Step {
+    None,
+    /// Until this time.
+    Waits(ArmTime),
+    /// The controller carries out an instruction.
+    Moves,
 }
 
 impl Arm {
@@ -105,21 +94,25 @@ impl Arm {
         Self::with_blocks(now, Block::lab())
     }
 
-    /// An arm at home, at rest, with open jaws and blocks put down as by [`Blocks::new`].
+    /// An arm at home, at rest, with open jaws and blocks put down as by [`Blocks::new`](crate::blocks::Blocks::new).
     #[must_use]
     pub fn with_blocks(now: ArmTime, blocks: impl IntoIterator<Item = Block>) -> Self {
-        let blocks = Blocks::new(blocks);
+        Self::with_controller(now, Box::new(Simulated::new(now, blocks)))
+    }
+
+    /// An arm that this controller moves.
+    #[must_use]
+    pub fn with_controller(now: ArmTime, controller: Box<dyn Controller>) -> Self {
         Self {
             now,
             seq: 0,
-            posture: AT_REST,
-            grip: Grip::Open,
-            first_blocks: blocks.clone(),
-            blocks,
+            planned: controller.reading().posture.pose,
+            linked: controller.is_linked(),
+            unsettled: controller.is_unsettled(),
+            controller,
             stopped: false,
             active: None,
             waiting: VecDeque::new(),
-            planned: HOME,
             publish: now,
         }
     }
@@ -129,7 +122,7 @@ impl Arm {
     ///
     /// # Errors
     ///
-    /// `stopped`, `queue-full`, `duplicate-id`, `busy`, `syntax`, `workspace-boundary`, `joint-limit` or
+    /// `stopped`, `link`, `queue-full`, `duplicate-id`, `busy`, `syntax`, `workspace-boundary`, `joint-limit` or
     /// `singularity`. Then the command is not accepted, nothing moves, and there is no event.
     pub fn submit(
         &mut self,
@@ -138,18 +131,39 @@ impl Arm {
         now: ArmTime,
         events: &mut Vec<ArmEvent>,
     ) -> Result<(), ArmError> {
+        self.submit_fresh(id, script, None, now, events)
+    }
+
+    /// The same for a command that is not to begin after this time: then it ends as `too-old`.
+    ///
+    /// # Errors
+    ///
+    /// As [`Arm::submit`].
+    pub fn submit_fresh(
+        &mut self,
+        id: u64,
+        script: &str,
+        use_by: Option<ArmTime>,
+        now: ArmTime,
+        events: &mut Vec<ArmEvent>,
+    ) -> Result<(), ArmError> {
         self.advance(now, events);
         self.check_free(id)?;
-        let script: Script = script.parse()?;
-        if let [Statement::Jog(velocity, ms)] = *script.statements() {
-            return self.jog(QueuedScript { id, script }, velocity, ms, events);
+        let command = QueuedScript {
+            id,
+            script: script.parse()?,
+            use_by,
+        };
+        let statements = command.script.statements();
+        if let [Statement::Jog(velocity, ms)] = *statements {
+            return self.jog(command, velocity, ms, events);
         }
         if self.active.as_ref().is_some_and(|active| active.jog.is_some()) {
             let text = "the arm is being jogged, so where it will be is not known; send the command when it is at rest";
             return Err(ArmError::new(ErrorName::Busy, text));
         }
         let mut planned = self.planned;
-        for (statement, number) in script.statements().iter().zip(1..) {
+        for (statement, number) in statements.iter().zip(1..) {
             if *statement == Statement::Reset {
                 planned = HOME;
             } else if let Some(target) = target(statement) {
@@ -158,7 +172,6 @@ impl Arm {
             }
         }
         self.planned = planned;
-        let command = QueuedScript { id, script };
         events.push(command.event(CommandState::Waiting, 0, None));
         self.waiting.push_back(command);
         self.seq += 1;
@@ -190,7 +203,7 @@ impl Arm {
             command,
             begun: 1,
             legs: VecDeque::new(),
-            step: None,
+            step: Step::None,
             ends: None,
             jog: Some(Jog::begin(velocity, until, before.as_ref())),
         });
@@ -219,12 +232,30 @@ impl Arm {
     /// When [`Arm::advance`] is to be called next; `None` while there is nothing to do.
     #[must_use]
     pub fn next_wake(&self) -> Option<ArmTime> {
-        let step = self.active.as_ref()?.step.as_ref()?;
-        Some(if step.leg.is_some() {
-            step.ends.min(self.publish)
-        } else {
-            step.ends
-        })
+        let step = match self.step() {
+            Step::Waits(ends) => Some(ends),
+            Step::None | Step::Moves => None,
+        };
+        let tell = self.is_moving().then_some(self.publish);
+        [step, tell, self.controller.next_wake()]
+            .into_iter()
+            .flatten()
+            .min()
+    }
+
+    fn step(&self) -> Step {
+        self.active.as_ref().map_or(Step::None, |active| active.step)
+    }
+
+    /// Whether hand, jaws or anything else moves.
+    fn is_moving(&self) -> bool {
+        self.step() == Step::Moves || self.controller.is_unsettled()
+    }
+
+    /// Whether it is known that the hand stands, and nothing is to begin.
+    #[must_use]
+    pub fn stands(&self) -> bool {
+        !self.is_busy() && self.controller.is_linked()
     }
 
     /// Whether a command is being carried out or waits, so that the arm may be elsewhere soon.
@@ -257,8 +288,8 @@ impl Arm {
             jog.end(now);
         }
         // A wait is no motion that has to come to an end.
-        if let Some(step) = active.step.as_mut().filter(|step| step.leg.is_none()) {
-            step.ends = self.now;
+        if let Step::Waits(ends) = &mut active.step {
+            *ends = self.now;
             self.run_until(self.now, events);
         }
     }
@@ -285,17 +316,20 @@ impl Arm {
     /// The state at the latest time given.
     #[must_use]
     pub fn state(&self) -> ArmState {
-        let step = self.active.as_ref().and_then(|active| active.step.as_ref());
+        let reading = self.controller.reading();
+        let linked = self.controller.is_linked();
         ArmState {
             seq: self.seq,
-            pose: self.posture.pose,
+            pose: reading.posture.pose,
             gripper: Gripper {
-                grip: self.grip,
-                opening: self.posture.opening,
+                grip: reading.grip,
+                opening: reading.posture.opening,
             },
-            holding: self.blocks.held().map(|block| block.name.clone()),
-            blocks: self.blocks.all().to_vec(),
-            moving: step.is_some_and(|step| step.leg.is_some()),
+            holding: reading.holding,
+            blocks: reading.blocks,
+            // What is not known is not said to stand.
+            moving: self.step() == Step::Moves || !linked,
+            linked,
             stopped: self.stopped,
             executing: self.active.as_ref().map(|active| {
                 let ScriptProgress { statement, of } = active.command.progress(active.begun);
@@ -314,6 +348,10 @@ impl Arm {
         if self.stopped {
             let text = "the arm is stopped and takes no command until the stop is released";
             return Err(ArmError::new(ErrorName::Stopped, text));
+        }
+        if !self.controller.is_linked() {
+            let text = "the link to the controller is down; it is tried again all the time, and a state tells when it is back";
+            return Err(ArmError::new(ErrorName::Link, text).with_retry());
         }
         let active = self.active.as_ref().map(|active| &active.command);
         if active
@@ -334,39 +372,77 @@ impl Arm {
     /// Ends and begins all steps that are due until then, and moves to that time.
     fn run_until(&mut self, until: ArmTime, events: &mut Vec<ArmEvent>) {
         while self.active.is_some() || !self.waiting.is_empty() {
-            match self.active.as_ref().and_then(|active| active.step.as_ref()) {
-                None => self.begin(events),
-                Some(step) if step.ends <= until => {
-                    self.now = step.ends;
-                    self.end_step(events);
+            match self.step() {
+                Step::None => self.begin(events),
+                Step::Waits(ends) if ends > until => break,
+                Step::Waits(ends) => {
+                    self.let_pass(ends);
+                    self.end_step();
                 }
-                Some(_) => return self.move_to(until, events),
+                Step::Moves => match self.controller.advance(until) {
+                    Progress::Busy => break,
+                    Progress::Done(at) => {
+                        self.now = at.max(self.now);
+                        self.end_step();
+                    }
+                    Progress::Failed(at, error) => {
+                        self.now = at.max(self.now);
+                        self.fail_statement(error, events);
+                    }
+                },
             }
         }
-        self.now = until;
+        self.let_pass(until);
+        self.keep_telling(events);
+    }
+
+    /// Moves to this time, in which nothing of a script begins or ends.
+    fn let_pass(&mut self, until: ArmTime) {
+        let was_moving = self.is_moving();
+        self.controller.advance(until);
+        self.seq += u64::from(was_moving && until > self.now);
+        self.now = until.max(self.now);
+    }
+
+    /// Tells the state when that is due, and when what moved by itself has come to rest, or the link to the controller has changed.
+    fn keep_telling(&mut self, events: &mut Vec<ArmEvent>) {
+        let linked = self.controller.is_linked();
+        let (unsettled, was_unsettled) = (self.controller.is_unsettled(), self.unsettled);
+        if linked != self.linked {
+            self.linked = linked;
+            self.planned = self.controller.reading().posture.pose;
+            self.publish_state(events);
+        } else if self.is_moving() && self.now >= self.publish {
+            let late = (self.now - self.publish) / STATE_PERIOD;
+            self.publish = self.publish.saturating_add((late + 1) * STATE_PERIOD);
+            self.publish_state(events);
+        } else if was_unsettled && !unsettled {
+            self.publish_state(events);
+        } else if unsettled && !was_unsettled {
+            self.expect_states();
+        }
+        self.unsettled = unsettled;
+    }
+
+    /// Something begins to move: states follow from now on.
+    fn expect_states(&mut self) {
+        if self.publish < self.now {
+            self.publish = self.now.saturating_add(STATE_PERIOD);
+        }
     }
 
     /// Begins what comes next: a leg, else a statement, else a command.
     fn begin(&mut self, events: &mut Vec<ArmEvent>) {
         self.seq += 1;
         let Some(active) = &mut self.active else {
-            let command = self.waiting.pop_front();
-            self.active = command.map(|command| Active {
-                command,
-                begun: 0,
-                legs: VecDeque::new(),
-                step: None,
-                ends: None,
-                jog: None,
-            });
-            return;
+            return self.begin_command(events);
         };
         if let Some(pose) = active.legs.pop_front() {
-            return self.begin_leg(Posture { pose, ..self.posture }, None, None);
+            return self.instruct(&Instruction::Move(pose), events);
         }
         if let Some(jog) = &mut active.jog {
-            match jog.next(&self.posture.pose, self.now) {
-                Some(pose) => return self.begin_leg(Posture { pose, ..self.posture }, None, Some(jog::TICK)),
+            match jog.next(&self.controller.reading().posture.pose, self.now) {
+                Some(pose) => return self.instruct(&Instruction::Glide(pose, jog::TICK), events),
                 None => active.jog = None,
             }
         }
@@ -385,127 +461,75 @@ impl Arm {
         events.push(active.command.event(CommandState::Executing, active.begun, None));
         match statement {
             Statement::Wait(ms) => {
-                let ends = self.now.saturating_add(ArmTime::from(ms) * 1000);
-                active.step = Some(MotionStep {
-                    leg: None,
-                    begins: self.now,
-                    ends,
-                    then: Then::Next,
-                });
+                active.step = Step::Waits(self.now.saturating_add(ArmTime::from(ms) * 1000));
             }
             Statement::Jog(velocity, ms) => {
                 let until = self.now.saturating_add(ArmTime::from(ms) * 1000);
                 active.jog = Some(Jog::begin(velocity, until, None));
             }
-            Statement::Grip(grip) => self.begin_grip(grip),
-            Statement::Reset => {
-                (self.posture, self.grip) = (AT_REST, Grip::Open);
-                self.blocks = self.first_blocks.clone();
-                self.publish_state(events);
-            }
+            Statement::Grip(grip) => self.instruct(&Instruction::Grip(grip), events),
+            Statement::Reset => match self.controller.reset(self.now) {
+                Ok(()) => self.publish_state(events),
+                Err(error) => self.fail_statement(error, events),
+            },
             Statement::Move(_) | Statement::Home => {
                 let target = target(&statement).expect("moves have a target");
-                active.legs = path::legs(&self.posture.pose, &target).into();
+                active.legs = path::legs(&self.controller.reading().posture.pose, &target).into();
             }
         }
     }
 
-    fn begin_grip(&mut self, grip: Grip) {
-        self.grip = grip;
-        if grip == Grip::Open {
-            self.blocks.release();
-        }
-        let grasping = self
-            .blocks
-            .within_jaws(&self.posture)
-            .filter(|_| grip == Grip::Close);
-        let opening = match (grip, grasping) {
-            (Grip::Open, _) => MAX_OPENING,
-            (Grip::Close, Some(index)) => self.blocks.all()[index].size,
-            (Grip::Close, None) if self.blocks.held().is_some() => self.posture.opening,
-            (Grip::Close, None) => 0.0,
+    /// Takes the next command from the queue, unless it has become too old there.
+    fn begin_command(&mut self, events: &mut Vec<ArmEvent>) {
+        let Some(command) = self.waiting.pop_front() else {
+            return;
         };
-        self.begin_leg(
-            Posture {
-                opening,
-                ..self.posture
-            },
-            grasping,
-            None,
-        );
-    }
-
-    /// Begins a leg, which ends early where something is in the way, and takes as long as it is told or as it has to.
-    fn begin_leg(&mut self, to: Posture, grasping: Option<usize>, lasting: Option<ArmTime>) {
-        let Some(active) = &mut self.active else { return };
-        let (to, then) = match (
-            contact::first(&self.blocks, &self.posture, &to, grasping),
-            grasping,
-        ) {
-            (Some(contact), _) => {
-                let number = active.command.progress(active.begun).statement;
-                (contact.last, Then::Fail(contact.error.at_statement(number)))
-            }
-            (None, Some(index)) => (to, Then::Grasp(index)),
-            (None, None) => (to, Then::Next),
-        };
-        let leg = match lasting {
-            Some(time) => Leg::lasting(self.posture, to, time),
-            None => Leg::new(self.posture, to),
-        };
-        let ends = self.now.saturating_add(leg.duration());
-        active.step = Some(MotionStep {
-            leg: Some(leg),
-            begins: self.now,
-            ends,
-            then,
+        let late = command.use_by.and_then(|use_by| self.now.checked_sub(use_by));
+        self.active = Some(Active {
+            command,
+            begun: 0,
+            legs: VecDeque::new(),
+            step: Step::None,
+            ends: None,
+            jog: None,
         });
-        if self.publish < self.now {
-            self.publish = self.now.saturating_add(STATE_PERIOD);
+        if let Some(late @ 1..) = late {
+            let text = format!("the command waited {} ms longer than it is good for", late / 1000);
+            self.fail(ArmError::new(ErrorName::TooOld, text), events);
         }
     }
 
-    /// Takes the posture of this time, which lies within the step, and tells it if that is due.
-    fn move_to(&mut self, now: ArmTime, events: &mut Vec<ArmEvent>) {
-        let passed = now > self.now;
-        self.now = now;
-        let step = self.active.as_ref().and_then(|active| active.step.as_ref());
-        let Some((leg, begins)) = step.and_then(|step| Some((step.leg?, step.begins))) else {
-            return;
-        };
-        self.take(leg.at(now - begins));
-        self.seq += u64::from(passed);
-        if now >= self.publish {
-            let late = (now - self.publish) / STATE_PERIOD;
-            self.publish = self.publish.saturating_add((late + 1) * STATE_PERIOD);
-            self.publish_state(events);
+    /// Gives the controller something to do.
+    fn instruct(&mut self, instruction: &Instruction, events: &mut Vec<ArmEvent>) {
+        match self.controller.begin(instruction, self.now) {
+            Ok(()) => {
+                if let Some(active) = &mut self.active {
+                    active.step = Step::Moves;
+                }
+                self.expect_states();
+            }
+            Err(error) => self.fail_statement(error, events),
         }
     }
 
-    fn end_step(&mut self, events: &mut Vec<ArmEvent>) {
-        let Some(step) = self.active.as_mut().and_then(|active| active.step.take()) else {
-            return;
-        };
+    fn end_step(&mut self) {
         self.seq += 1;
-        if let Some(leg) = step.leg {
-            self.take(leg.at(leg.duration()));
-        }
-        match step.then {
-            Then::Next => {}
-            Then::Grasp(index) => self.blocks.grasp(index, &self.posture.pose),
-            Then::Fail(error) => self.fail(error, events),
+        if let Some(active) = &mut self.active {
+            active.step = Step::None;
         }
     }
 
-    fn take(&mut self, posture: Posture) {
-        self.posture = posture;
-        self.blocks.carry(&posture.pose);
+    /// Ends the active command with an error of its present statement.
+    fn fail_statement(&mut self, error: ArmError, events: &mut Vec<ArmEvent>) {
+        let active = self.active.as_ref();
+        let number = active.map_or(0, |active| active.command.progress(active.begun).statement);
+        self.fail(error.at_statement(number), events);
     }
 
     fn finish(&mut self, events: &mut Vec<ArmEvent>) {
         if let Some(active) = self.active.take() {
             if let [Statement::Jog(..)] = active.command.script.statements() {
-                self.planned = self.posture.pose;
+                self.planned = self.controller.reading().posture.pose;
             }
             self.publish_state(events);
             events.push(active.command.event(CommandState::Finished, active.begun, None));
@@ -522,9 +546,10 @@ impl Arm {
 
     /// Ends the active command with one error and drops those behind it with another.
     fn end(&mut self, active_error: ArmError, waiting_error: &ArmError, events: &mut Vec<ArmEvent>) {
+        self.controller.halt(self.now);
         let active = self.active.take();
         let waiting = std::mem::take(&mut self.waiting);
-        self.planned = self.posture.pose;
+        self.planned = self.controller.reading().posture.pose;
         self.publish_state(events);
         if let Some(active) = active {
             events.push(

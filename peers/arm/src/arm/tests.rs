@@ -1,14 +1,17 @@
 //! The arm as its driver sees it.
 
 use super::*;
-use crate::motion::SPEED;
+use crate::motion::{MAX_OPENING, SPEED};
+use crate::script::Grip;
 
 const RED_HIGH: &str = "move -150 100 100 0 0";
 const TAKE_RED: &str = "move -150 100 20 0 0; grip close; move -150 100 200 0 0";
 
 /// Drives the arm until it has nothing to do, as a punctual driver would.
 pub(super) fn run(arm: &mut Arm, events: &mut Vec<ArmEvent>) {
+    let end = arm.now.saturating_add(3_600_000_000);
     while let Some(due) = arm.next_wake() {
+        assert!(due < end, "it never comes to rest: {arm:?}");
         arm.advance(due, events);
     }
 }
@@ -248,15 +251,11 @@ fn what_the_hand_runs_into_overloads_the_motors() {
             Some("block red in the jaws met the table"),
             "7 error 4/4 torque-overload",
         ),
+        // What lies on the block in the jaws goes along.
         (
             format!("{on_blue}; move 150 100 20 0 0; grip close; home"),
-            Some("block red lies on block blue"),
-            "7 error 8/8 torque-overload",
-        ),
-        (
-            "move -190 0 20 0 0; move -190 100 20 0 0".to_owned(),
-            Some("a finger met block red"),
-            "7 error 2/2 torque-overload",
+            None,
+            "7 finished 8/8",
         ),
         // The jaws close on a corner of the block.
         (
@@ -321,7 +320,7 @@ fn nothing_of_a_refused_command_moves() {
         ),
         ("home; move 0 0 300 0 46", ErrorName::WorkspaceBoundary, Some(2)),
         ("grip close; move 300 0 0 90 45", ErrorName::JointLimit, Some(2)),
-        // The first pose can be held, and so can the second; on the way between them hand and forearm line up.
+        // Both poses can be reached; on the way between them hand and forearm line up.
         (
             "move 0 0 0 -90 0; move 0 0 0 -90 45",
             ErrorName::Singularity,
@@ -346,8 +345,8 @@ fn nothing_of_a_refused_command_moves() {
 
 #[test]
 fn a_command_is_checked_from_where_those_before_it_lead() {
-    // At the far edge the hand cannot turn from one side to the other while it leans: half-way it
-    // would lean back, out of the shoulder's reach. From home it can go to either side.
+    // At the far edge the hand cannot turn from one side to the other while it leans: half-way a joint
+    // comes to its limit. From home it can go to either side.
     let (one_side, other_side) = ("move 300 0 0 0 45", "move 300 0 0 180 45");
     let (mut arm, mut events) = (Arm::new(0), Vec::new());
     arm.submit(1, one_side, 0, &mut events).unwrap();

@@ -2,11 +2,12 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::Duration;
 
 use mom_client::event::Reason;
 use mom_client::{
-    Delivery, Event, Family, FenceGate, HUB, Map, Parcel, Path, StateGate, Time, Value, WireError, event,
-    to_value,
+    Age, Delivery, Event, Family, FenceGate, HUB, Map, Parcel, Path, StateGate, Time, Value, WireError,
+    event, to_value,
 };
 
 use crate::arm::Arm;
@@ -18,6 +19,8 @@ use crate::status::{CommandRefusal, Status};
 
 #[cfg(test)]
 mod interlock_tests;
+#[cfg(test)]
+mod reach_tests;
 #[cfg(test)]
 mod tests;
 
@@ -65,6 +68,8 @@ pub struct RobotServer {
     fence: u64,
     /// The newest fence under which the arm has said that it stands.
     stood: u64,
+    /// µs that a command may be old when it begins; none if that is its sender's business alone.
+    max_age: Option<ArmTime>,
 }
 
 /// The part of the state that motions change and commands are based on: the hand, the jaws, and the held block.
@@ -97,7 +102,15 @@ impl RobotServer {
             handing_over: false,
             fence: 0,
             stood: 0,
+            max_age: None,
         }
+    }
+
+    /// This server, for commands that are not older than this when they begin, whatever their senders say.
+    #[must_use]
+    pub fn with_max_age(mut self, max_age: Duration) -> Self {
+        self.max_age = Some(ArmTime::try_from(max_age.as_micros()).unwrap_or(ArmTime::MAX));
+        self
     }
 
     /// This server, started at this time of day: no state of an earlier start passes for one of this.
@@ -107,11 +120,18 @@ impl RobotServer {
         self
     }
 
-    /// Handles an event. `gate` is the channel's: it knows the fence of the present owner.
-    pub fn handle(&mut self, event: &Event, gate: &FenceGate, now: ArmTime, out: &mut Vec<Parcel>) {
+    /// Handles an event. `gate` is the channel's: it knows the fence of the present owner. `age` is how old a message is, as far as that is known.
+    pub fn handle(
+        &mut self,
+        event: &Event,
+        gate: &FenceGate,
+        age: Option<Age>,
+        now: ArmTime,
+        out: &mut Vec<Parcel>,
+    ) {
         self.advance(now, out);
         match event {
-            Event::Message(parcel) => self.handle_message(parcel, gate, now, out),
+            Event::Message(parcel) => self.handle_message(parcel, gate, age, now, out),
             Event::Joined(member) => out.extend(self.state_message().map(|mut state| {
                 state.address = Some(vec![member.peer.as_str().into()]);
                 state
@@ -154,7 +174,14 @@ impl RobotServer {
         out.extend(self.state_message());
     }
 
-    fn handle_message(&mut self, parcel: &Parcel, gate: &FenceGate, now: ArmTime, out: &mut Vec<Parcel>) {
+    fn handle_message(
+        &mut self,
+        parcel: &Parcel,
+        gate: &FenceGate,
+        age: Option<Age>,
+        now: ArmTime,
+        out: &mut Vec<Parcel>,
+    ) {
         let sender = parcel.sender.as_deref().unwrap_or_default();
         match parcel.name() {
             COMMAND => {
@@ -170,7 +197,7 @@ impl RobotServer {
                 let obeyed = gate
                     .check(parcel)
                     .map_err(CommandRefusal::from)
-                    .and_then(|()| self.obey(order.clone(), parcel, now, out));
+                    .and_then(|()| self.obey(order.clone(), parcel, age, now, out));
                 if let Err(refusal) = obeyed {
                     let status = order.status().because(Some(&refusal));
                     out.extend(self.status_message(&status));
@@ -202,6 +229,7 @@ impl RobotServer {
         &mut self,
         order: Order,
         command: &Parcel,
+        age: Option<Age>,
         now: ArmTime,
         out: &mut Vec<Parcel>,
     ) -> Result<(), CommandRefusal> {
@@ -233,15 +261,52 @@ impl RobotServer {
             );
             return Err(ArmError::new(ErrorName::DuplicateId, text).into());
         }
+        let use_by = self.use_by(command, age, now)?;
         self.last_id += 1;
         let id = self.last_id;
         self.orders.insert(id, order);
         let mut taken = Ok(());
-        self.act(out, |arm, events| taken = arm.submit(id, script, now, events));
+        self.act(out, |arm, events| {
+            taken = arm.submit_fresh(id, script, use_by, now, events);
+        });
         if taken.is_err() {
             self.orders.remove(&id);
         }
         Ok(taken?)
+    }
+
+    /// Until when a command may begin: until it expires, and until it is older than the arm allows. A limit with which an unknown age is compared is
+    /// exceeded.
+    fn use_by(&self, command: &Parcel, age: Option<Age>, now: ArmTime) -> Result<Option<ArmTime>, ArmError> {
+        // The hub's own command is the safe state, which does not grow old.
+        if command.sender.as_deref() == Some(HUB) {
+            return Ok(None);
+        }
+        let expires = command
+            .expires
+            .and_then(|ms| ArmTime::try_from(ms.saturating_mul(1000)).ok());
+        let expires = expires.map(|life| now.saturating_add(life - age.map_or(0, |age| age.micros)));
+        let Some(max_age) = self.max_age else {
+            return Ok(expires);
+        };
+        let Some(oldest) = age.and_then(|age| age.at_most()) else {
+            let text = format!(
+                "the arm takes commands of at most {} ms, and the age of this one is not known: its sender has not measured its clock yet",
+                max_age / 1000
+            );
+            return Err(ArmError::new(ErrorName::TooOld, text).with_retry());
+        };
+        let oldest = ArmTime::try_from(oldest.as_micros()).unwrap_or(ArmTime::MAX);
+        if oldest > max_age {
+            let text = format!(
+                "the command is {} ms old, and the arm takes those of at most {} ms",
+                oldest / 1000,
+                max_age / 1000
+            );
+            return Err(ArmError::new(ErrorName::TooOld, text));
+        }
+        let own = now.saturating_add(max_age - oldest);
+        Ok(Some(expires.map_or(own, |expires| expires.min(own))))
     }
 
     /// The token has an owner of this fence, perhaps a new one.
@@ -271,7 +336,7 @@ impl RobotServer {
 
     /// Says that the arm stands under the newest fence, once it does.
     fn say_that_it_stands(&mut self, out: &mut Vec<Parcel>) {
-        if self.stood < self.fence && !self.arm.is_busy() {
+        if self.stood < self.fence && self.arm.stands() {
             self.report(out);
         }
     }
@@ -323,7 +388,7 @@ impl RobotServer {
 
     /// The state as the channel knows it: the command being carried out has its sender's id.
     fn message_of_state(&mut self, state: &ArmState) -> Option<Parcel> {
-        if !state.moving && state.executing.is_none() && state.waiting == 0 {
+        if !state.moving && state.linked && state.executing.is_none() && state.waiting == 0 {
             self.stood = self.fence;
         }
         let content = to_value(state).map(|mut content| {

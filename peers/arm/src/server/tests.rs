@@ -12,6 +12,8 @@ pub(super) struct Stage {
     server: RobotServer,
     now: ArmTime,
     gate: FenceGate,
+    /// ms that the next commands are old, with an error of 10 ms.
+    pub(super) age: Option<i64>,
     pub(super) out: Vec<Parcel>,
     /// The ids of the states that were told, in order.
     states: Vec<u64>,
@@ -22,11 +24,17 @@ pub(super) struct Stage {
 impl Stage {
     /// An arm that stands under fence 5.
     pub(super) fn new() -> Self {
+        Self::with(Arm::new(0), |server| server)
+    }
+
+    /// The same with another arm, and with what the server is set to.
+    pub(super) fn with(arm: Arm, set: impl FnOnce(RobotServer) -> RobotServer) -> Self {
         let channel = Path::parse("/robot/arm").unwrap();
         let mut stage = Self {
-            server: RobotServer::new(Arm::new(0), channel),
+            server: set(RobotServer::new(arm, channel)),
             now: 0,
             gate: FenceGate::new(),
+            age: None,
             out: Vec::new(),
             states: Vec::new(),
             fence: None,
@@ -37,7 +45,12 @@ impl Stage {
     }
 
     fn tell(&mut self, event: &Event) {
-        self.server.handle(event, &self.gate, self.now, &mut self.out);
+        let age = self.age.map(|ms| Age {
+            micros: ms * 1000,
+            error_micros: Some(10_000),
+        });
+        self.server
+            .handle(event, &self.gate, age, self.now, &mut self.out);
     }
 
     /// Tells the gate who owns the token.
@@ -93,6 +106,12 @@ impl Stage {
             ["returned", fence] => self.released("returned", fence),
             ["report"] => self.server.report(&mut self.out),
             [sender, "command", id, fence] => self.command(sender, id, fence, script, None),
+            [sender, "command", id, fence, "expires", ms] => {
+                let mut parcel = said(sender, COMMAND).content(script);
+                (parcel.id, parcel.fence) = (id.parse().ok(), fence.parse().ok());
+                parcel.expires = ms.parse().ok();
+                self.tell(&Event::Message(parcel));
+            }
             [sender, "command", id, fence, "on", state] => {
                 let told = |back: usize| self.states[self.states.len() - back];
                 let state = match state {
@@ -128,7 +147,7 @@ impl Stage {
     }
 
     /// What was said since, one line each; states while the arm moves are left out.
-    fn heard(&mut self) -> Vec<String> {
+    pub(super) fn heard(&mut self) -> Vec<String> {
         let states = self.out.iter().filter(|parcel| parcel.name() == STATE);
         let ids: Vec<u64> = states.map(|state| state.id.unwrap()).collect();
         for id in ids {
