@@ -3,8 +3,10 @@
 use std::io::Write as _;
 use std::process::{Command, Output, Stdio};
 
-use mom_tests::programs::{Running, program, text};
+use mom_client::{Client, Event};
+use mom_tests::programs::{PATIENCE, Running, program, project, run, text};
 use serde_json::Value as Json;
+use tokio::time::timeout;
 
 /// A lab on a free port, and its hub's address.
 fn lab() -> (Running, String) {
@@ -132,4 +134,70 @@ fn a_command_is_traced_from_here_to_the_robot_and_back() {
     // 15 mm at 150 mm/s.
     let [begun, done] = [4, 5].map(|place: usize| steps[place]["after"].as_i64().expect("µs"));
     assert!(done - begun > 90_000, "{begun} {done}");
+}
+
+/// The link between the arm's program and its controller fails in the middle of a move, and again later (M53): the command ends with that error, and the next one
+/// is carried out when the link is back.
+#[tokio::test]
+async fn the_link_to_the_controller_fails_and_recovers() {
+    let config = project().join("config/lab.toml");
+    let config = config.to_str().expect("the project's path is text");
+    let broker = Running::start(
+        "mom-broker",
+        &["--config", config, "--listen", "127.0.0.1:0"],
+        &[],
+    );
+    let line = broker.line_with("listening at");
+    let address = line
+        .split("tcp://")
+        .nth(1)
+        .and_then(|rest| rest.split_whitespace().next());
+    let hub = format!("bin://{}", address.expect("the broker says where it listens"));
+    let _arm = Running::start(
+        "mom-arm",
+        &["--hub", &hub, "--link-fault", "4s/1s"],
+        &[("MOM_PASSWORD", "arm")],
+    );
+    let carol = Client::builder(&hub)
+        .user("carol")
+        .password("carol")
+        .connect()
+        .await;
+    let channel = carol.expect("the hub runs").channel("/robot/arm").await;
+    let mut states = channel.expect("carol may look").events();
+    let told = async {
+        while let Some(event) = states.next().await {
+            if matches!(&event, Event::Message(parcel) if parcel.name() == "state") {
+                return;
+            }
+        }
+    };
+    timeout(PATIENCE, told).await.expect("the arm tells its state");
+    let run = |script: &str| {
+        let file = tempfile::NamedTempFile::new().expect("a file");
+        std::fs::write(file.path(), script).expect("it is written");
+        let path = file.path().to_str().expect("a path in text").to_owned();
+        run(
+            "mom",
+            &["run", &path],
+            &[
+                ("MOM_HUB", &hub),
+                ("MOM_USER", "alice"),
+                ("MOM_PASSWORD", "alice"),
+            ],
+        )
+    };
+    // 8 s of motion: the link cannot stand for as long.
+    let failed = run("move 300 0 300 0 0; move -300 0 300 0 0; home");
+    let said = text(&failed.stderr) + &text(&failed.stdout);
+    assert_eq!(failed.status.code(), Some(1), "{said}");
+    assert!(
+        said.contains("the controller does not answer any more") && said.contains("[link 5003]"),
+        "{said}"
+    );
+    // The link is down now; the next command waits until it is back.
+    let done = run("grip close");
+    let said = text(&done.stderr) + &text(&done.stdout);
+    assert_eq!(done.status.code(), Some(0), "{said}");
+    assert!(said.contains("1 command done"), "{said}");
 }

@@ -216,27 +216,28 @@ impl Job {
         }
     }
 
-    /// One command, to its end; once more when the robot stands, if it came while that was changing hands.
+    /// One command, to its end; once more when the robot stands, if it came while that was changing hands or out of its controller's reach.
     async fn one(&mut self, number: usize, command: &ScriptLine) -> Result<StatusChange, Failure> {
         loop {
             let end = self.attempt(number, command).await?;
-            if !is_changing_hands(&end) {
+            let Some(obstacle) = passing_obstacle(&end) else {
                 return Ok(end);
-            }
-            self.stands().await?;
+            };
+            self.stands(obstacle).await?;
         }
     }
 
     /// Waits until the robot says that it stands under our fence.
-    async fn stands(&mut self) -> Result<(), Failure> {
+    async fn stands(&mut self, obstacle: ErrorName) -> Result<(), Failure> {
         let deadline = Instant::now() + STANDING;
+        let still = match obstacle {
+            ErrorName::Link => "the link from the robot to its controller is still down",
+            _ => "the robot still does what its last owner told it",
+        };
         loop {
             let event = timeout_at(deadline, self.events.next()).await.map_err(|_| {
                 Failure::new(
-                    format!(
-                        "the robot still does what its last owner told it, after {} s",
-                        STANDING.as_secs()
-                    ),
+                    format!("{still}, after {} s", STANDING.as_secs()),
                     format!(
                         "look at it: mom watch {}; halt it: mom stop {}",
                         self.channel, self.channel
@@ -248,6 +249,7 @@ impl Job {
                 && parcel.name() == "state"
                 && let Ok(state) = from_value::<ArmState>(parcel.value())
                 && state.fence.is_some_and(|fence| fence >= self.fence)
+                && state.linked
             {
                 return Ok(());
             }
@@ -273,7 +275,7 @@ impl Job {
             };
             deadline = None;
             self.robot = robot.or(self.robot.take());
-            if !is_changing_hands(&change) {
+            if passing_obstacle(&change).is_none() {
                 self.progress.change(number, command, &change)?;
             }
             match change.state {
@@ -353,10 +355,15 @@ fn closed() -> Failure {
     Failure::plain("the connection to the hub is closed")
 }
 
-/// Whether the command came before the robot has said that it stands.
-fn is_changing_hands(change: &StatusChange) -> bool {
-    let name = change.error.as_ref().and_then(|error| error.get("name"));
-    name.and_then(Value::as_str) == Some(ErrorName::ChangingHands.as_str())
+/// Why the robot did not take a command that it will take when it stands, or can be reached, again.
+fn passing_obstacle(change: &StatusChange) -> Option<ErrorName> {
+    let error = change.error.as_ref()?;
+    let name = error.get("name").and_then(Value::as_str)?;
+    let retry = error.get("retry").and_then(Value::as_bool) == Some(true);
+    let obstacles = [ErrorName::ChangingHands, ErrorName::Link].into_iter();
+    obstacles
+        .filter(|_| retry)
+        .find(|obstacle| obstacle.as_str() == name)
 }
 
 fn is_done(result: &Result<RunOutcome, Failure>) -> bool {
