@@ -6,6 +6,8 @@
 //!
 //! [`ImageServer`] decides how the camera reacts to the parcels and events of its contexts; [`peer::run`] connects it
 //! to the hub and draws on a thread of its own, in a program (`mom-camera`) or in another one.
+//!
+//! A camera may also be a real one: [`source`] takes its pictures from a URL, and they go the same way as drawn ones.
 
 mod draw;
 mod encode;
@@ -21,6 +23,7 @@ pub mod server;
 mod settings;
 mod shot;
 mod solid;
+pub mod source;
 mod trail;
 mod view;
 
@@ -33,4 +36,5 @@ pub use scene::{Colour, DrawnBlock, DrawnGripper, DrawnPose, Scene};
 pub use server::{ImageServer, ServerOptions};
 pub use settings::{CameraSettings, Format, HEIGHTS, QUALITIES, SettingsChange, WIDTHS};
 pub use shot::{Picture, Shot};
+pub use source::{BadUrl, Rendition, Source, SourceUrl};
 pub use view::View;

@@ -5,11 +5,16 @@ use std::pin::pin;
 use std::time::{Duration, SystemTime};
 
 use mom_client::{Client, ClientError, Code, Event, LinkState, Parcel, Path, Time, Token, WireError};
-use tokio::task::{JoinHandle, spawn_blocking};
+use tokio::sync::watch::Receiver;
+use tokio::task::{JoinHandle, JoinSet, spawn_blocking};
 use tokio::time::{Instant, sleep_until};
 
 use crate::server::CameraTime;
-use crate::{CameraSettings, ImageServer, Picture, ServerOptions, SettingsError, View};
+use crate::source::{self, Sight};
+use crate::{CameraSettings, ImageServer, Picture, ServerOptions, SettingsError, Source, View};
+
+/// A snapshot is got at least so often, so that it is known whether the camera lives.
+const SELDOM: Duration = Duration::from_secs(60);
 
 /// Where the camera stands and what it listens to.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,8 +27,10 @@ pub struct CameraOptions {
     pub robot: String,
     /// The token whose owner may change the settings.
     pub token: String,
-    /// The settings to begin with.
+    /// The settings to begin with, where the images are drawn.
     pub settings: CameraSettings,
+    /// The real camera whose images are shown; none = they are drawn.
+    pub source: Option<Source>,
     /// Broadcast images per second, at most.
     pub rate: f64,
     /// How many past poses the path in the image has (M44).
@@ -40,6 +47,7 @@ impl CameraOptions {
             robot: "/robot/arm".to_owned(),
             token: "/robot/token".to_owned(),
             settings: CameraSettings::default(),
+            source: None,
             rate: 10.0,
             trail: 100,
         }
@@ -60,7 +68,20 @@ impl CameraOptions {
             period: (1e6 / self.rate) as CameraTime,
             trail: self.trail,
         };
-        Ok(ImageServer::new(options).map_err(bad)?)
+        let server = match &self.source {
+            Some(source) => ImageServer::real(options, source),
+            None => ImageServer::new(options),
+        };
+        Ok(server.map_err(bad)?)
+    }
+
+    /// What is seen of the real camera, if it is one; the work for it is a task.
+    fn watch(&self, tasks: &mut JoinSet<()>) -> Option<Receiver<Sight>> {
+        let source = self.source.as_ref()?;
+        let period = Duration::try_from_secs_f64(1.0 / self.rate).unwrap_or(SELDOM);
+        let (seen, work) = source::watch(source.url.clone(), period.min(SELDOM));
+        tasks.spawn(work);
+        Some(seen)
     }
 }
 
@@ -96,6 +117,9 @@ pub async fn run(
     let arm = client.channel(&options.robot).await?;
     let mut robot = arm.events();
     let begin = Instant::now();
+    // The tasks end with this function.
+    let mut tasks = JoinSet::new();
+    let mut sights = options.watch(&mut tasks);
     let mut drawing = None;
     let mut out = Vec::new();
     let mut shutdown = pin!(shutdown);
@@ -128,6 +152,7 @@ pub async fn run(
             },
             event = camera.next() => server.handle_camera(&open(event, &client)?, &mut out),
             event = robot.next() => server.handle_robot(&open(event, &client)?),
+            sight = sight(&mut sights) => server.handle_sight(sight, wall(), &mut out),
             () = sleep_or_wait(wake) => {}
         }
     }
@@ -180,6 +205,18 @@ async fn drawn(drawing: &mut Option<JoinHandle<Picture>>) -> Option<Picture> {
     picture
         .inspect_err(|error| tracing::error!(%error, "an image could not be drawn"))
         .ok()
+}
+
+/// Waits for news of the real camera, if it is one.
+async fn sight(sights: &mut Option<Receiver<Sight>>) -> Sight {
+    let Some(seen) = sights else {
+        return pending().await;
+    };
+    match seen.changed().await {
+        Ok(()) => seen.borrow_and_update().clone(),
+        // Its task does not end before this one.
+        Err(_) => pending().await,
+    }
 }
 
 async fn sleep_or_wait(wake: Option<Instant>) {

@@ -10,8 +10,13 @@ use crate::shot::{Picture, PictureRequest, Purpose, Shot};
 use crate::trail::Trail;
 use crate::{CameraSettings, Renderer, Scene, SettingsChange, SettingsError, View};
 
+mod real;
 #[cfg(test)]
 mod tests;
+
+pub use real::{CAMERA_ERROR, CAMERA_RECOVERED};
+
+use real::RealCamera;
 
 /// The message that carries a picture.
 pub const IMAGE: &str = "image";
@@ -66,7 +71,9 @@ pub struct ServerOptions {
 #[derive(Debug)]
 pub struct ImageServer {
     options: ServerOptions,
+    /// What draws, where the camera is not a real one.
     renderer: Arc<Renderer>,
+    real: Option<RealCamera>,
     owner: Owner,
     scene: Scene,
     trail: Trail,
@@ -93,6 +100,7 @@ impl ImageServer {
     pub fn new(options: ServerOptions) -> Result<ImageServer, SettingsError> {
         Ok(ImageServer {
             renderer: Arc::new(Renderer::new(options.view, options.settings)?),
+            real: None,
             owner: Owner::default(),
             scene: Scene::default(),
             trail: Trail::new(options.trail),
@@ -147,8 +155,14 @@ impl ImageServer {
     /// Takes a finished picture.
     pub fn handle_picture(&mut self, picture: Picture, out: &mut Vec<Parcel>) {
         self.drawing = false;
-        self.send(&picture.content, &picture.purpose, out);
-        self.newest = Some(picture);
+        match &picture.content {
+            Ok(content) => {
+                self.note_recovery(out);
+                self.send(content, &picture.purpose, out);
+                self.newest = Some(picture);
+            }
+            Err(error) => self.refuse_picture(error, &picture.purpose, out),
+        }
     }
 
     /// Notes that drawing a picture failed: its revision is skipped.
@@ -159,7 +173,7 @@ impl ImageServer {
     /// Sends the newest picture where it need not be drawn again, and gives the next shot if there is one.
     /// `wall` is the time of day.
     pub fn advance(&mut self, now: CameraTime, wall: Time, out: &mut Vec<Parcel>) -> Option<Shot> {
-        if self.drawing {
+        if self.drawing || self.is_blind(out) {
             return None;
         }
         let purpose = Purpose {
@@ -173,22 +187,18 @@ impl ImageServer {
             self.shown = self.revision;
             self.next = now.saturating_add(self.options.period);
         }
-        match &self.newest {
-            // The scene is unchanged, so the picture is reused.
-            Some(newest) if newest.revision == self.revision => {
-                self.send(&newest.content.clone().with("taken", wall), &purpose, out);
-                None
-            }
-            _ => {
-                self.drawing = true;
-                Some(self.shot(purpose, wall))
-            }
+        if let Some(content) = self.reusable(wall) {
+            self.send(&content, &purpose, out);
+            return None;
         }
+        self.drawing = true;
+        Some(self.shot(purpose, wall))
     }
 
     /// When [`ImageServer::advance`] is to be called next; `None` while there is nothing to wait for.
     pub fn next_wake(&self) -> Option<CameraTime> {
-        (!self.drawing && self.shown != self.revision).then_some(self.next)
+        let waits = !self.drawing && self.shown != self.revision && !self.has_no_frame();
+        waits.then_some(self.next)
     }
 
     fn take_state(&mut self, content: &Content, sent: Option<Time>) -> Result<(), WireError> {
@@ -201,7 +211,8 @@ impl ImageServer {
         self.scene = mom_client::from_value(state)?;
         self.trail.push(self.scene.pose);
         (self.state_seq, self.pose_time) = (seq, sent);
-        self.revision += 1;
+        // The next frame of a real camera shows it; an earlier one does not.
+        self.revision += u64::from(self.real.is_none());
         Ok(())
     }
 
@@ -223,29 +234,66 @@ impl ImageServer {
             None => SettingsChange::default(),
         };
         if change == SettingsChange::default() {
-            let content = settings_map(&self.renderer.settings());
+            let content = self.settings_map();
             return Ok(self.answer(SETTINGS_IN_USE, content, &request_of(parcel)));
         }
         self.owner.check(parcel.sender.as_deref(), &self.options.token)?;
-        let settings = self.change_settings(&change)?;
-        let content = settings_map(&settings).with("by", parcel.sender.as_deref().unwrap_or_default());
+        self.change_settings(&change)?;
+        let content = self
+            .settings_map()
+            .with("by", parcel.sender.as_deref().unwrap_or_default());
         let mut changed = self.message(SETTINGS_CHANGED, content);
         changed.reference = parcel.id;
         Ok(changed)
     }
 
-    fn change_settings(&mut self, change: &SettingsChange) -> Result<CameraSettings, WireError> {
+    fn change_settings(&mut self, change: &SettingsChange) -> Result<(), WireError> {
         let bad_content = |error: SettingsError| WireError::new(Code::BAD_CONTENT, error.to_string());
+        if let Some(real) = &mut self.real {
+            self.revision += u64::from(real.change(change).map_err(bad_content)?);
+            return Ok(());
+        }
         let settings = self.renderer.settings().with(change).map_err(bad_content)?;
         if settings != self.renderer.settings() {
             self.renderer = Arc::new(Renderer::new(self.options.view, settings).map_err(bad_content)?);
             self.revision += 1;
         }
-        Ok(settings)
+        Ok(())
+    }
+
+    fn settings_map(&self) -> Map {
+        match &self.real {
+            Some(real) => real.settings_map(),
+            None => settings_map(&self.renderer.settings()),
+        }
+    }
+
+    /// The newest picture's content, if nothing has changed since.
+    fn reusable(&self, wall: Time) -> Option<Map> {
+        let newest = self
+            .newest
+            .as_ref()
+            .filter(|newest| newest.revision == self.revision)?;
+        let content = newest.content.clone().ok()?;
+        Some(match self.real {
+            Some(_) => content,
+            None => content.with("taken", wall),
+        })
     }
 
     fn shot(&self, purpose: Purpose, wall: Time) -> Shot {
+        let newest = self.real.as_ref().and_then(RealCamera::newest);
         Shot {
+            purpose,
+            revision: self.revision,
+            ..newest.unwrap_or_else(|| self.shot_now(wall))
+        }
+    }
+
+    /// Of the scene as it is now.
+    fn shot_now(&self, wall: Time) -> Shot {
+        Shot {
+            taken_frame: None,
             renderer: Arc::clone(&self.renderer),
             scene: Scene {
                 trail: self.trail.up_to(self.scene.pose),
@@ -255,7 +303,7 @@ impl ImageServer {
             pose_time: self.pose_time,
             taken: wall,
             revision: self.revision,
-            purpose,
+            purpose: Purpose::default(),
         }
     }
 
