@@ -125,7 +125,7 @@ pub async fn run(
     let mut shutdown = pin!(shutdown);
     tracing::info!(peer = client.name(), channel = %channel.path(), "the camera is ready");
     loop {
-        if let Some(shot) = server.advance(micros(begin), wall(), &mut out) {
+        if let Some(shot) = server.advance(micros(begin), wall(&client), &mut out) {
             drawing = Some(spawn_blocking(move || shot.take()));
         }
         tokio::select! {
@@ -152,7 +152,7 @@ pub async fn run(
             },
             event = camera.next() => server.handle_camera(&open(event, &client)?, &mut out),
             event = robot.next() => server.handle_robot(&open(event, &client)?),
-            sight = sight(&mut sights) => server.handle_sight(sight, wall(), &mut out),
+            sight = sight(&mut sights) => server.handle_sight(sight, wall(&client), &mut out),
             () = sleep_or_wait(wake) => {}
         }
     }
@@ -226,7 +226,11 @@ async fn sleep_or_wait(wake: Option<Instant>) {
     }
 }
 
-fn wall() -> Time {
+/// The time of day by the hub's clock, which all its peers share; by the own one until the hub's is known.
+fn wall(client: &Client) -> Time {
+    if let Some((time, _)) = client.clock().now() {
+        return time;
+    }
     let since = SystemTime::now()
         .duration_since(SystemTime::UNIX_EPOCH)
         .unwrap_or_default();

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use bytes::Bytes;
 use mom_client::{Map, Time, Value};
 
+use crate::overlay::{POSE, PREDICTED};
 use crate::source::{Frame, FrameError};
 use crate::{DrawnPose, Overlay, Renderer, Rendition, Scene};
 
@@ -131,7 +132,14 @@ impl Shot {
         map.set("pose", pose);
         let overlays: Vec<Value> = Overlay::of(&self.scene)
             .iter()
-            .map(|overlay| overlay.to_map().into())
+            .map(|overlay| {
+                let map = overlay.to_map();
+                match (overlay.name.as_str(), self.pose_time) {
+                    (POSE, Some(time)) => map.with("time", time).into(),
+                    (PREDICTED, _) => map.with("time", self.taken).into(),
+                    _ => map.into(),
+                }
+            })
             .collect();
         map.set("overlays", overlays);
         map

@@ -2,14 +2,17 @@
 
 use std::collections::VecDeque;
 use std::sync::Arc;
+use std::time::Duration;
 
 use mom_client::{Code, Content, Delivery, Event, Family, Map, Parcel, Path, Time, Value, WireError};
 
 use crate::owner::Owner;
 use crate::shot::{Picture, PictureRequest, Purpose, Shot};
 use crate::trail::Trail;
-use crate::{CameraSettings, Renderer, Scene, SettingsChange, SettingsError, View};
+use crate::{CameraSettings, PosePredictor, Renderer, Scene, SettingsChange, SettingsError, View};
 
+#[cfg(test)]
+mod predicted_tests;
 mod real;
 #[cfg(test)]
 mod tests;
@@ -34,6 +37,8 @@ pub const SETTINGS_IN_USE: &str = "settings-in-use";
 pub const SETTINGS_REFUSED: &str = "settings-refused";
 /// The message of the robot that tells its state.
 const STATE: &str = "state";
+/// For how long a motion is taken to go on after the last state: more is far from the truth at each corner.
+const HORIZON: Duration = Duration::from_millis(500);
 /// The most requests that wait for a picture.
 const MOST_REQUESTS: usize = 64;
 
@@ -77,6 +82,7 @@ pub struct ImageServer {
     owner: Owner,
     scene: Scene,
     trail: Trail,
+    predictor: PosePredictor,
     state_seq: Option<i64>,
     /// When the robot sent the state, by its parcel's timestamp.
     pose_time: Option<Time>,
@@ -104,6 +110,7 @@ impl ImageServer {
             owner: Owner::default(),
             scene: Scene::default(),
             trail: Trail::new(options.trail),
+            predictor: PosePredictor::new(HORIZON),
             state_seq: None,
             pose_time: None,
             revision: 0,
@@ -121,7 +128,7 @@ impl ImageServer {
         if let Event::Message(parcel) = event
             && parcel.name() == STATE
             && let Some(content) = &parcel.content
-            && let Err(error) = self.take_state(content, parcel.timestamp)
+            && let Err(error) = self.take_state(content, parcel)
         {
             tracing::warn!(%error, "a state of the robot cannot be read");
         }
@@ -171,7 +178,7 @@ impl ImageServer {
     }
 
     /// Sends the newest picture where it need not be drawn again, and gives the next shot if there is one.
-    /// `wall` is the time of day.
+    /// `wall` is the time of day by the hub's clock.
     pub fn advance(&mut self, now: CameraTime, wall: Time, out: &mut Vec<Parcel>) -> Option<Shot> {
         if self.drawing || self.is_blind(out) {
             return None;
@@ -201,16 +208,18 @@ impl ImageServer {
         waits.then_some(self.next)
     }
 
-    fn take_state(&mut self, content: &Content, sent: Option<Time>) -> Result<(), WireError> {
+    fn take_state(&mut self, content: &Content, parcel: &Parcel) -> Result<(), WireError> {
         let state = content.to_value()?;
         let seq = state.get("seq").and_then(Value::as_int);
         // A restarted arm counts from 0, so a lower number is news as well.
         if seq.is_some() && seq == self.state_seq {
             return Ok(());
         }
+        let moving = state.get("moving").and_then(Value::as_bool);
         self.scene = mom_client::from_value(state)?;
+        self.predictor.observe(parcel, &self.scene.pose, moving);
         self.trail.push(self.scene.pose);
-        (self.state_seq, self.pose_time) = (seq, sent);
+        (self.state_seq, self.pose_time) = (seq, parcel.timestamp);
         // The next frame of a real camera shows it; an earlier one does not.
         self.revision += u64::from(self.real.is_none());
         Ok(())
@@ -270,6 +279,10 @@ impl ImageServer {
 
     /// The newest picture's content, if nothing has changed since.
     fn reusable(&self, wall: Time) -> Option<Map> {
+        if self.real.is_none() && self.predictor.is_moving() {
+            // It is further ahead by now.
+            return None;
+        }
         let newest = self
             .newest
             .as_ref()
@@ -297,6 +310,11 @@ impl ImageServer {
             renderer: Arc::clone(&self.renderer),
             scene: Scene {
                 trail: self.trail.up_to(self.scene.pose),
+                predicted: self
+                    .predictor
+                    .is_moving()
+                    .then(|| self.predictor.at(wall))
+                    .flatten(),
                 ..self.scene.clone()
             },
             state_seq: self.state_seq,

@@ -96,7 +96,7 @@ impl ImageServer {
         Ok(server)
     }
 
-    /// Takes what has become known of the real camera. `wall` is the time of day.
+    /// Takes what has become known of the real camera. `wall` is the time of day by the hub's clock.
     pub(crate) fn handle_sight(&mut self, sight: Sight, wall: Time, out: &mut Vec<Parcel>) {
         match sight {
             Sight::Waiting => {}
