@@ -1,5 +1,6 @@
 //! The camera as a peer: joins its contexts and connects them to the [`ImageServer`].
 
+use std::collections::BTreeMap;
 use std::future::{Future, pending};
 use std::pin::pin;
 use std::time::{Duration, SystemTime};
@@ -11,7 +12,7 @@ use tokio::time::{Instant, sleep_until};
 
 use crate::server::CameraTime;
 use crate::source::{self, Sight};
-use crate::{CameraSettings, ImageServer, Picture, ServerOptions, SettingsError, Source, View};
+use crate::{CameraSettings, ImageServer, ServerOptions, SettingsError, Source, View};
 
 /// A snapshot is got at least so often, so that it is known whether the camera lives.
 const SELDOM: Duration = Duration::from_secs(60);
@@ -121,6 +122,7 @@ pub async fn run(
     let mut tasks = JoinSet::new();
     let mut sights = options.watch(&mut tasks);
     let mut drawing = None;
+    let mut looking = None;
     let mut out = Vec::new();
     let mut shutdown = pin!(shutdown);
     tracing::info!(peer = client.name(), channel = %channel.path(), "the camera is ready");
@@ -131,6 +133,13 @@ pub async fn run(
         tokio::select! {
             () = &mut shutdown => break,
             () = send(&client, &mut out) => {}
+        }
+        if looking.is_none() && server.ask_users() {
+            looking = Some(tokio::spawn(users(
+                client.clone(),
+                options.token.clone(),
+                options.channel.clone(),
+            )));
         }
         let wake = server.next_wake().map(|due| begin + duration(due));
         tokio::select! {
@@ -146,10 +155,11 @@ pub async fn run(
                     _ => {}
                 }
             }
-            picture = drawn(&mut drawing) => match picture {
+            picture = done(&mut drawing) => match picture {
                 Some(picture) => server.handle_picture(picture, &mut out),
                 None => server.handle_failure(),
             },
+            users = done(&mut looking) => server.handle_users(&users.unwrap_or_default(), &mut out),
             event = camera.next() => server.handle_camera(&open(event, &client)?, &mut out),
             event = robot.next() => server.handle_robot(&open(event, &client)?),
             sight = sight(&mut sights) => server.handle_sight(sight, wall(&client), &mut out),
@@ -195,16 +205,28 @@ async fn send(client: &Client, out: &mut Vec<Parcel>) {
     }
 }
 
-/// Waits for the picture that is being drawn, if one is; `None` if drawing failed.
-async fn drawn(drawing: &mut Option<JoinHandle<Picture>>) -> Option<Picture> {
-    let picture = match drawing {
+/// Waits for the work that is under way, if it is; `None` if it failed.
+async fn done<T>(work: &mut Option<JoinHandle<T>>) -> Option<T> {
+    let result = match work {
         Some(handle) => handle.await,
         None => pending().await,
     };
-    *drawing = None;
-    picture
-        .inspect_err(|error| tracing::error!(%error, "an image could not be drawn"))
+    *work = None;
+    result
+        .inspect_err(|error| tracing::error!(%error, "the camera's work broke down"))
         .ok()
+}
+
+/// The users of all peers in these contexts, as far as the hub tells them.
+async fn users(client: Client, token: String, channel: String) -> BTreeMap<String, String> {
+    let mut users = BTreeMap::new();
+    for path in [token, channel] {
+        match client.members(&path).await {
+            Ok(members) => users.extend(members.into_iter().map(|member| (member.peer, member.user))),
+            Err(error) => tracing::warn!(%error, path, "the hub does not tell whose the peers are"),
+        }
+    }
+    users
 }
 
 /// Waits for news of the real camera, if it is one.

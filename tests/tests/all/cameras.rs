@@ -180,6 +180,12 @@ async fn only_the_owner_of_the_token_sets_a_camera() {
         done("/camera/x  320x240, quality 60, jpeg"),
         "anybody may look"
     );
+    // Another program of hers is not.
+    assert_eq!(
+        told("carol", &["x", "--quality", "70"]).await,
+        done("/camera/x  320x240, quality 70, jpeg")
+    );
+    assert!(!guard.is_lost());
     guard.release().await.expect("it is hers");
 
     // What the camera cannot do it refuses, with its limits.

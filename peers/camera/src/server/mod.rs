@@ -16,10 +16,12 @@ mod predicted_tests;
 mod real;
 #[cfg(test)]
 mod tests;
+mod users;
 
 pub use real::{CAMERA_ERROR, CAMERA_RECOVERED};
 
 use real::RealCamera;
+use users::ForeignChanges;
 
 /// The message that carries a picture.
 pub const IMAGE: &str = "image";
@@ -72,7 +74,8 @@ pub struct ServerOptions {
 /// - Every new state of the robot is followed by a broadcast image (M38), at most one per period; while an image
 ///   is drawn, newer states replace each other.
 /// - Anyone may ask for an image, and is answered with one of the newest state, whatever the period.
-/// - Only the owner of the robot's token changes the settings (M37); anyone may ask for them.
+/// - Only the owner of the robot's token changes the settings (M37), by whichever of its user's peers; anyone may ask
+///   for them. Whose a peer is the hub knows: [`ImageServer::ask_users`].
 #[derive(Debug)]
 pub struct ImageServer {
     options: ServerOptions,
@@ -80,6 +83,7 @@ pub struct ImageServer {
     renderer: Arc<Renderer>,
     real: Option<RealCamera>,
     owner: Owner,
+    changes: ForeignChanges,
     scene: Scene,
     trail: Trail,
     predictor: PosePredictor,
@@ -108,6 +112,7 @@ impl ImageServer {
             renderer: Arc::new(Renderer::new(options.view, options.settings)?),
             real: None,
             owner: Owner::default(),
+            changes: ForeignChanges::default(),
             scene: Scene::default(),
             trail: Trail::new(options.trail),
             predictor: PosePredictor::new(HORIZON),
@@ -149,12 +154,7 @@ impl ImageServer {
         let Event::Message(parcel) = event else { return };
         match parcel.name() {
             REQUEST => self.take_request(parcel, out),
-            SETTINGS => {
-                let answer = self.take_settings(parcel);
-                let refused =
-                    |error: WireError| self.answer(SETTINGS_REFUSED, error.to_map(), &request_of(parcel));
-                out.push(answer.unwrap_or_else(refused));
-            }
+            SETTINGS => self.hear_settings(parcel, out),
             _ => {}
         }
     }
@@ -236,24 +236,33 @@ impl ImageServer {
         out.push(self.answer(REQUEST_REFUSED, error.to_map(), &request));
     }
 
-    /// The answer to a change of the settings, or to a question for them.
-    fn take_settings(&mut self, parcel: &Parcel) -> Result<Parcel, WireError> {
-        let change: SettingsChange = match &parcel.content {
-            Some(content) => content.read()?,
-            None => SettingsChange::default(),
-        };
-        if change == SettingsChange::default() {
-            let content = self.settings_map();
-            return Ok(self.answer(SETTINGS_IN_USE, content, &request_of(parcel)));
+    /// Answers a change of the settings, or a question for them.
+    fn hear_settings(&mut self, parcel: &Parcel, out: &mut Vec<Parcel>) {
+        match read_change(parcel) {
+            Ok(change) if change == SettingsChange::default() => {
+                out.push(self.answer(SETTINGS_IN_USE, self.settings_map(), &request_of(parcel)));
+            }
+            Ok(_) if self.keep_foreign(parcel, out) => {}
+            _ => {
+                let answer = self.change_by(parcel.sender.as_deref(), parcel);
+                out.push(answer);
+            }
         }
-        self.owner.check(parcel.sender.as_deref(), &self.options.token)?;
-        self.change_settings(&change)?;
-        let content = self
-            .settings_map()
-            .with("by", parcel.sender.as_deref().unwrap_or_default());
-        let mut changed = self.message(SETTINGS_CHANGED, content);
+    }
+
+    /// The answer to a change that this peer answers for.
+    fn change_by(&mut self, peer: Option<&str>, parcel: &Parcel) -> Parcel {
+        let changed = read_change(parcel).and_then(|change| {
+            self.owner.check(peer, &self.options.token)?;
+            self.change_settings(&change)
+        });
+        if let Err(error) = changed {
+            return self.answer(SETTINGS_REFUSED, error.to_map(), &request_of(parcel));
+        }
+        let by = parcel.sender.as_deref().unwrap_or_default();
+        let mut changed = self.message(SETTINGS_CHANGED, self.settings_map().with("by", by));
         changed.reference = parcel.id;
-        Ok(changed)
+        changed
     }
 
     fn change_settings(&mut self, change: &SettingsChange) -> Result<(), WireError> {
@@ -353,6 +362,14 @@ impl ImageServer {
         parcel.delivery = Some(Delivery::Reliable);
         parcel.echo = Some(false);
         parcel
+    }
+}
+
+/// What is to change; nothing is a question for the settings.
+fn read_change(parcel: &Parcel) -> Result<SettingsChange, WireError> {
+    match &parcel.content {
+        Some(content) => content.read(),
+        None => Ok(SettingsChange::default()),
     }
 }
 

@@ -85,6 +85,10 @@ impl Stage {
         (parcel.sender, parcel.id) = (Some(sender.into()), Some(7));
         let mut out = Vec::new();
         self.server.handle_camera(&Event::Message(parcel), &mut out);
+        if self.server.ask_users() {
+            self.server
+                .handle_users(&std::collections::BTreeMap::new(), &mut out);
+        }
         out.extend(self.after(0));
         out
     }
