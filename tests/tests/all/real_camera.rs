@@ -6,8 +6,15 @@ use std::process::Stdio;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-use mom_client::{Client, Code, Event, Events, Map, Value};
+use mom_client::{Client, Code, Event, Events, Family, Identity, Map, Value};
+use mom_proto::codec::Form;
+use mom_tests::lab;
 use mom_tests::programs::{PATIENCE, Running, project, run, text};
+use mom_tests::raw::Raw;
+use rustls::crypto::ring;
+use rustls::{ServerConfig, ServerConnection, StreamOwned};
+use rustls_pki_types::pem::PemObject as _;
+use rustls_pki_types::{CertificateDer, PrivateKeyDer};
 use tokio::io::{AsyncBufReadExt as _, AsyncWriteExt as _, BufReader};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::{JoinSet, spawn_blocking};
@@ -80,20 +87,22 @@ async fn serve(
         "/large" => plain(&format!(
             "{STREAM}\r\n\r\n--cut\r\nContent-Length: 9000000\r\n\r\n"
         )),
-        "/stream" | "/flood" | "/hang" => plain(&format!("{STREAM}\r\n\r\n")),
+        "/stream" | "/wide" | "/flood" | "/hang" => plain(&format!("{STREAM}\r\n\r\n")),
         "/silent" => std::future::pending().await,
         _ => plain("404 Not Found\r\n\r\n"),
     };
     stream.write_all(b"HTTP/1.1 ").await?;
     stream.write_all(&answer).await?;
     match path.as_str() {
-        "/stream" => loop {
+        "/stream" | "/wide" => loop {
+            // Some cameras append data to their images.
+            let more = vec![0; if path == "/wide" { 1 << 20 } else { 0 }];
             let head = format!(
                 "--cut\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n",
-                file.len()
+                file.len() + more.len()
             );
             stream
-                .write_all(&[head.as_bytes(), file, b"\r\n"].concat())
+                .write_all(&[head.as_bytes(), file, &more, b"\r\n"].concat())
                 .await?;
         },
         "/flood" => {
@@ -135,6 +144,26 @@ struct Lab {
 
 const BENCH: &str = "/camera/bench";
 
+/// `mom-camera` on the bench of this hub.
+async fn camera(hub: &str, url: &str, environment: &[(&str, String)], log: Stdio) -> Running {
+    let args = ["--hub", hub, "--channel", BENCH, "--rate", "50"].map(str::to_owned);
+    let login = [("MOM_PASSWORD", "camera"), ("MOM_CAMERA_URL", url)];
+    let login = login.map(|(name, value)| (name.to_owned(), value.to_owned()));
+    let more = environment
+        .iter()
+        .map(|(name, value)| ((*name).to_owned(), value.clone()));
+    let environment: Vec<(String, String)> = login.into_iter().chain(more).collect();
+    let started = spawn_blocking(move || {
+        let args: Vec<&str> = args.iter().map(String::as_str).collect();
+        let environment: Vec<(&str, &str)> = environment
+            .iter()
+            .map(|(name, value)| (&**name, &**value))
+            .collect();
+        Running::start_with("mom-camera", &args, &environment, log)
+    });
+    started.await.expect("it starts")
+}
+
 impl Lab {
     async fn start() -> Lab {
         let started = spawn_blocking(|| {
@@ -161,13 +190,7 @@ impl Lab {
 
     /// `mom-camera` on the bench.
     async fn camera(&self, url: &str, log: Stdio) -> Running {
-        let (hub, url) = (self.hub.clone(), url.to_owned());
-        let started = spawn_blocking(move || {
-            let args = ["--hub", &*hub, "--channel", BENCH, "--rate", "20"];
-            let environment = [("MOM_PASSWORD", "camera"), ("MOM_CAMERA_URL", &*url)];
-            Running::start_with("mom-camera", &args, &environment, log)
-        });
-        started.await.expect("it starts")
+        camera(&self.hub, url, &[], log).await
     }
 
     /// Runs the command line as alice: its exit code and all that it says.
@@ -408,4 +431,94 @@ async fn only_the_camera_says_that_it_fails() {
             "{said}"
         );
     }
+}
+
+/// An unread image is replaced: whoever is slow gets the newest, and holds nobody up.
+#[tokio::test(flavor = "multi_thread")]
+async fn who_reads_slowly_gets_the_newest_image() {
+    const IMAGES: usize = 60;
+    let web = Web::start().await;
+    let broker = lab::start().await;
+    let hub = format!("bin://{}", broker.local_addr());
+    let carol = Client::builder(hub.as_str()).user("carol").password("carol");
+    let carol = carol.connect().await.expect("the lab knows its users");
+    let spec = Map::new().with("kind", "channel");
+    carol.create(BENCH, spec).await.expect("an operator");
+    let mut bob = Raw::connect_small(broker.local_addr(), Form::Binary).await;
+    bob.log_in("bob").await;
+    bob.join(&["/camera", BENCH]).await;
+    let mut events = carol.channel(BENCH).await.expect("an operator").events();
+    let _camera = camera(&hub, &web.url("/wide"), &[], Stdio::inherit()).await;
+    let taken = |content: &Value| content.get("taken").and_then(Value::as_time).expect("a time");
+    let mut newest = next(&mut events, "image", |_| true).await;
+    for _ in 0..IMAGES {
+        newest = next(&mut events, "image", |_| true).await;
+    }
+    // Bob has read nothing so far.
+    let mut old = 0;
+    while taken(&bob.next_of(Family::Message, "image").await.value()) < taken(&newest) {
+        old += 1;
+    }
+    assert!(old < IMAGES / 3, "{old} images of {IMAGES} waited for him");
+}
+
+/// Answers each request over TLS with this file, on a free port.
+fn tls_server(identity: &Identity, file: Arc<Vec<u8>>) -> SocketAddr {
+    let chain = CertificateDer::pem_file_iter(&identity.certificate).expect("a file");
+    let chain = chain.collect::<Result<Vec<_>, _>>().expect("PEM");
+    let key = PrivateKeyDer::from_pem_file(&identity.key).expect("PEM");
+    let config = ServerConfig::builder_with_provider(Arc::new(ring::default_provider()))
+        .with_safe_default_protocol_versions()
+        .and_then(|builder| builder.with_no_client_auth().with_single_cert(chain, key));
+    let config = Arc::new(config.expect("they belong together"));
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let address = listener.local_addr().expect("it is bound");
+    std::thread::spawn(move || {
+        for stream in listener.incoming().flatten() {
+            let connection = ServerConnection::new(config.clone()).expect("a right configuration");
+            // A camera that does not trust it hangs up.
+            let _ = answer_over_tls(StreamOwned::new(connection, stream), &file);
+        }
+    });
+    address
+}
+
+fn answer_over_tls(
+    mut stream: StreamOwned<ServerConnection, std::net::TcpStream>,
+    file: &[u8],
+) -> std::io::Result<()> {
+    use std::io::{BufRead as _, Write as _};
+    let mut lines = std::io::BufReader::new(&mut stream).lines();
+    while lines.next().transpose()?.is_some_and(|line| !line.is_empty()) {}
+    let head = format!(
+        "HTTP/1.1 200 OK\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n",
+        file.len()
+    );
+    stream.write_all(&[head.as_bytes(), file].concat())?;
+    stream.flush()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn https_needs_a_certificate_that_the_system_trusts() {
+    let web = Web::start().await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let identity = mom_tests::tls::make(folder.path(), "camera");
+    let address = tls_server(&identity, web.file.clone());
+    let mut lab = Lab::start().await;
+    let url = format!("https://localhost:{}/", address.port());
+    let untrusted = lab.camera(&url, Stdio::inherit()).await;
+    let error = lab.hears("camera-error").await;
+    let words = error
+        .get("text")
+        .and_then(Value::as_str)
+        .unwrap_or_default()
+        .to_owned();
+    assert!(
+        words.contains("cannot be connected: ") || words.contains("no certificates to trust"),
+        "{words}"
+    );
+    drop(untrusted);
+    let file = identity.certificate.to_str().expect("text").to_owned();
+    let _trusted = camera(&lab.hub, &url, &[("SSL_CERT_FILE", file)], Stdio::inherit()).await;
+    assert_eq!(bytes(&lab.hears("image").await), &web.file[..]);
 }
