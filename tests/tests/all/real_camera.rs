@@ -87,6 +87,8 @@ async fn serve(
         "/large" => plain(&format!(
             "{STREAM}\r\n\r\n--cut\r\nContent-Length: 9000000\r\n\r\n"
         )),
+        "/noise" => plain("\u{1}\u{2}\r\n\r\n"),
+        "/endless" => plain(&format!("{STREAM}\r\n\r\n--cut\r\n\r\n")),
         "/stream" | "/wide" | "/flood" | "/hang" => plain(&format!("{STREAM}\r\n\r\n")),
         "/silent" => std::future::pending().await,
         _ => plain("404 Not Found\r\n\r\n"),
@@ -105,7 +107,7 @@ async fn serve(
                 .write_all(&[head.as_bytes(), file, &more, b"\r\n"].concat())
                 .await?;
         },
-        "/flood" => {
+        "/flood" | "/endless" => {
             let block = vec![b'x'; 1 << 20];
             for _ in 0..100 {
                 stream.write_all(&block).await?;
@@ -288,6 +290,15 @@ async fn a_stream_and_a_snapshot_are_shown_as_they_come() {
     }
 }
 
+/// The most memory that the program has had, KiB.
+#[cfg(target_os = "linux")]
+fn peak(program: &Running) -> usize {
+    let status = std::fs::read_to_string(format!("/proc/{}/status", program.id())).expect("it runs");
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    let number = line.and_then(|line| line.split_whitespace().next()?.parse().ok());
+    number.expect("Linux tells it")
+}
+
 /// What each URL has wrong.
 fn bad_urls(web: &Web) -> Vec<(String, Code, &'static str)> {
     let refused = {
@@ -306,6 +317,8 @@ fn bad_urls(web: &Web) -> Vec<(String, Code, &'static str)> {
         ("/ends", "the stream has ended"),
         ("/text", "8 bytes came that are neither JPEG nor PNG"),
         ("/large", "a part is larger than 8126464 bytes"),
+        ("/noise", "the answer cannot be read: "),
+        ("/endless", "a part is larger than 8126464 bytes"),
         ("/flood", "there is no boundary in 65536 bytes"),
     ];
     all.extend(later.map(|(path, words)| (web.url(path), Code::TRY_LATER, words)));
@@ -340,11 +353,13 @@ async fn a_bad_url_is_an_error_on_its_channel_and_nothing_else() {
             .await;
         assert_eq!(moved.0, Some(0), "{}", moved.1);
         next(&mut x, "image", |_| true).await;
+        #[cfg(target_os = "linux")]
+        assert!(peak(&camera) < 100 << 10, "{url}: {} KiB", peak(&camera));
         drop(camera);
     }
     let flooded = web.flooded.load(Ordering::Relaxed);
     assert!(
-        flooded < 90 << 20,
+        flooded < 180 << 20,
         "{flooded} bytes were read without any sense in them"
     );
 }

@@ -80,8 +80,7 @@ impl SourceError {
             seconds => format!("trying again in {seconds} s"),
         };
         let text = format!("{url}: {self}; {next}");
-        let wait = i64::try_from(again.as_millis()).unwrap_or(i64::MAX);
-        WireError::new(code, text).detail("retry-after", wait)
+        WireError::new(code, text).retry_after(again)
     }
 }
 

@@ -24,8 +24,10 @@ pub use url::{BadUrl, SourceUrl};
 use http::{Answer, Getter};
 use multipart::Multipart;
 
-/// The first and the longest pause between two attempts.
-const PAUSES: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(30));
+/// The first pause between two attempts; each is twice the one before.
+const FIRST_PAUSE: Duration = Duration::from_secs(1);
+/// The longest.
+const LONGEST_PAUSE: Duration = Duration::from_secs(30);
 
 /// A camera by URL.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -55,7 +57,7 @@ pub(crate) fn watch(url: SourceUrl, period: Duration) -> (Receiver<Sight>, impl 
 }
 
 async fn look(url: SourceUrl, period: Duration, sight: Sender<Sight>) {
-    let mut pause = PAUSES.0;
+    let mut pause = FIRST_PAUSE;
     loop {
         let mut seen = 0_u64;
         let error = read(&url, period, |frame| {
@@ -64,12 +66,12 @@ async fn look(url: SourceUrl, period: Duration, sight: Sender<Sight>) {
         })
         .await;
         if seen > 0 {
-            pause = PAUSES.0;
+            pause = FIRST_PAUSE;
         }
         tracing::info!(%url, %error, again = ?pause, "the camera gives no pictures");
         sight.send_replace(Sight::Failed { error, again: pause });
         sleep(pause).await;
-        pause = (pause * 2).min(PAUSES.1);
+        pause = (pause * 2).min(LONGEST_PAUSE);
     }
 }
 
@@ -125,4 +127,31 @@ async fn read_picture(mut answer: Answer) -> Result<Frame, SourceError> {
         file.extend_from_slice(&bytes);
     }
     Ok(Frame::read(file.freeze())?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Nothing listens there, so that each attempt fails at once and the clock goes from pause to pause.
+    #[tokio::test(start_paused = true)]
+    async fn attempts_become_rare() {
+        let closed = std::net::TcpListener::bind("127.0.0.1:0")
+            .unwrap()
+            .local_addr()
+            .unwrap();
+        let url = format!("http://{closed}/").parse().unwrap();
+        let (mut seen, work) = watch(url, Duration::from_secs(1));
+        let work = tokio::spawn(work);
+        let mut pauses = Vec::new();
+        while pauses.len() < 8 {
+            seen.changed().await.unwrap();
+            match &*seen.borrow_and_update() {
+                Sight::Failed { again, .. } => pauses.push(again.as_secs()),
+                sight => panic!("{sight:?}"),
+            }
+        }
+        assert_eq!(pauses, [1, 2, 4, 8, 16, 30, 30, 30]);
+        work.abort();
+    }
 }
