@@ -10,7 +10,8 @@ use super::{FrameError, SourceUrl};
 /// More characters of what a camera sends are not quoted.
 const QUOTED: usize = 80;
 
-/// Why a real camera gives no pictures. None of them quotes the URL: [`SourceError::tell`] adds it without secrets.
+/// Why a real camera gives no pictures. None of them quotes the URL: the message to the
+/// channel adds it without its secrets.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SourceError {

@@ -219,7 +219,10 @@ fn check(status: StatusCode, headers: &HeaderMap) -> Result<(), SourceError> {
         return Err(SourceError::Redirect(place.map(|url| url.to_string())));
     }
     if status == StatusCode::UNAUTHORIZED {
-        let basic = text(WWW_AUTHENTICATE).is_none_or(|how| how.to_ascii_lowercase().starts_with("basic"));
+        // Each way may have a line of its own. A camera that names none is taken to mean the usual one.
+        let mut ways = headers.get_all(WWW_AUTHENTICATE).iter().peekable();
+        let is_basic = |way: &http::HeaderValue| way.as_bytes().to_ascii_lowercase().starts_with(b"basic");
+        let basic = ways.peek().is_none() || ways.any(is_basic);
         return Err(SourceError::Login { basic });
     }
     Err(SourceError::Status(status))
@@ -235,4 +238,54 @@ fn reading(error: hyper::Error) -> SourceError {
     // hyper says what it did; the cause says what went wrong.
     let cause = std::error::Error::source(&error).map(|cause| format!(": {cause}"));
     SourceError::Broken(format!("{error}{}", cause.unwrap_or_default()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn checked(status: u16, name: &http::HeaderName, values: &[&str]) -> String {
+        let mut headers = HeaderMap::new();
+        for value in values {
+            headers.append(name, value.parse().unwrap());
+        }
+        let checked = check(StatusCode::from_u16(status).unwrap(), &headers);
+        checked.map_or_else(|error| error.to_string(), |()| "taken".to_owned())
+    }
+
+    #[test]
+    fn what_is_no_success_says_what_to_do() {
+        assert_eq!(checked(200, &LOCATION, &[]), "taken");
+        assert_eq!(
+            checked(503, &LOCATION, &[]),
+            "the answer is 503 Service Unavailable"
+        );
+        for (place, words) in [
+            (
+                &["http://ann:secret@b/c?d"][..],
+                "it is redirected to http://b/c?…; name the URL that it leads to",
+            ),
+            (
+                &["/login?secret"],
+                "it is redirected; name the URL that it leads to",
+            ),
+            (&[], "it is redirected; name the URL that it leads to"),
+        ] {
+            assert_eq!(checked(301, &LOCATION, place), words);
+        }
+        for (ways, words) in [
+            (
+                &["Digest realm=x", "basic realm=x"][..],
+                "without the right user and password",
+            ),
+            (&[], "without the right user and password"),
+            (
+                &["Digest realm=x"],
+                "does not take a password by Basic authorisation",
+            ),
+        ] {
+            let told = checked(401, &WWW_AUTHENTICATE, ways);
+            assert!(told.contains(words), "{told}");
+        }
+    }
 }

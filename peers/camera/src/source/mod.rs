@@ -1,6 +1,6 @@
 //! Where the pictures of a real camera come from: a URL that streams them, or gives one for each GET.
 //!
-//! [`watch`] runs for as long as the camera does. Its newest frame takes the place of an older one that nobody has
+//! `watch` runs for as long as the camera does. Its newest frame takes the place of an older one that nobody has
 //! used, so what it keeps is bounded whatever the URL sends: the newest frame, and the one that is being read.
 
 mod error;
