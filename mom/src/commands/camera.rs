@@ -94,19 +94,53 @@ async fn own(client: &Client, path: &str) -> Result<Option<TokenGuard>, Failure>
     token.grab().await.doing(format!("grab {path}")).map(Some)
 }
 
-/// `640x480, quality 80, jpeg`.
+/// `640x480, quality 80, jpeg`. A real camera whose images go out as they came names no quality, and no size before
+/// the first of them.
 fn facts(settings: &Value) -> String {
-    let number = |key: &str| settings.get(key).and_then(Value::as_int).unwrap_or_default();
-    let format = settings.get("format").and_then(Value::as_str).unwrap_or_default();
-    let overlay = match settings.get("overlay").and_then(Value::as_bool) {
-        Some(true) => ", overlays drawn in",
-        _ => "",
-    };
-    let format = words::visible(format);
-    format!(
-        "{}x{}, quality {}, {format}{overlay}",
-        number("width"),
-        number("height"),
-        number("quality")
-    )
+    let number = |key: &str| settings.get(key).and_then(Value::as_int);
+    let mut facts = Vec::new();
+    match (number("width"), number("height")) {
+        (Some(width), Some(height)) => facts.push(format!("{width}x{height}")),
+        (Some(width), None) => facts.push(format!("{width} wide")),
+        (None, Some(height)) => facts.push(format!("{height} high")),
+        (None, None) => {}
+    }
+    facts.extend(number("quality").map(|quality| format!("quality {quality}")));
+    facts.extend(settings.get("format").and_then(Value::as_str).map(words::visible));
+    if number("quality").is_none() {
+        facts.push("as the camera gives it".to_owned());
+    }
+    if settings.get("overlay").and_then(Value::as_bool) == Some(true) {
+        facts.push("overlays drawn in".to_owned());
+    }
+    facts.join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_in_words() {
+        let drawn = Map::new()
+            .with("width", 640)
+            .with("height", 480)
+            .with("quality", 80);
+        let drawn = drawn.with("format", "jpeg").with("overlay", true);
+        let real = Map::new()
+            .with("width", 1280)
+            .with("height", 720)
+            .with("format", "png");
+        for (settings, expected) in [
+            (drawn, "640x480, quality 80, jpeg, overlays drawn in"),
+            (real, "1280x720, png, as the camera gives it"),
+            (Map::new().with("overlay", false), "as the camera gives it"),
+            (
+                Map::new().with("width", 320).with("quality", 60),
+                "320 wide, quality 60",
+            ),
+        ] {
+            assert_eq!(facts(&settings.into()), expected);
+        }
+    }
 }

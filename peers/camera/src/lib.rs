@@ -6,6 +6,8 @@
 //!
 //! [`ImageServer`] decides how the camera reacts to the parcels and events of its contexts; [`peer::run`] connects it
 //! to the hub and draws on a thread of its own, in a program (`mom-camera`) or in another one.
+//!
+//! A camera may also be a real one: [`source`] takes its pictures from a URL, and they go the same way as drawn ones.
 
 mod draw;
 mod encode;
@@ -14,6 +16,7 @@ mod geometry;
 mod overlay;
 mod owner;
 pub mod peer;
+mod predicted;
 mod renderer;
 mod robot;
 mod scene;
@@ -21,6 +24,7 @@ pub mod server;
 mod settings;
 mod shot;
 mod solid;
+pub mod source;
 mod trail;
 mod view;
 
@@ -28,9 +32,11 @@ pub use error::SettingsError;
 pub use geometry::Camera;
 pub use overlay::Overlay;
 pub use peer::CameraOptions;
+pub use predicted::PosePredictor;
 pub use renderer::{Image, Renderer};
 pub use scene::{Colour, DrawnBlock, DrawnGripper, DrawnPose, Scene};
 pub use server::{ImageServer, ServerOptions};
 pub use settings::{CameraSettings, Format, HEIGHTS, QUALITIES, SettingsChange, WIDTHS};
 pub use shot::{Picture, Shot};
+pub use source::{BadUrl, Rendition, Source, SourceUrl};
 pub use view::View;

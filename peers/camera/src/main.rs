@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 use clap::Parser;
-use mom_camera::{CameraOptions, CameraSettings, SettingsChange, View, peer};
+use mom_camera::{CameraOptions, CameraSettings, Rendition, SettingsChange, Source, SourceUrl, View, peer};
 use mom_client::{Client, Identity, Key, Proof};
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
@@ -23,6 +23,7 @@ Examples:
   mom-camera --hub bin://lab.example.org --key camera.key
   MOM_PASSWORD=camera mom-camera --view top --width 320 --height 240 --format png
   MOM_PASSWORD=camera mom-camera --view wrist --overlay
+  MOM_PASSWORD=camera mom-camera --channel /camera/x --url http://10.0.0.7/video.mjpg
 
 The password is that of MOM_PASSWORD, unless --password-file names a file. A key (mom keygen) is taken from
 anywhere, a password over TLS (bins://, tcps://) or loopback. Where there is no hub yet it waits. The log goes to the standard error; RUST_LOG says how much of it. Ctrl-C and SIGTERM end the program.";
@@ -52,6 +53,10 @@ struct CameraArgs {
     /// Where the camera stands: x, y, top or wrist
     #[arg(long, default_value = "x")]
     view: View,
+    /// Shows a real camera: the URL of an MJPEG stream or of a single image, which is got --rate times a second.
+    /// http://USER:PASSWORD@HOST/PATH logs in (Basic); others see the command line, so better set the variable
+    #[arg(long, env = "MOM_CAMERA_URL", hide_env_values = true)]
+    url: Option<String>,
     /// The channel of the images; /camera/VIEW if none is named
     #[arg(long, value_name = "PATH")]
     channel: Option<String>,
@@ -131,10 +136,19 @@ fn options(args: &CameraArgs) -> anyhow::Result<CameraOptions> {
         robot: args.robot.clone(),
         token: args.token.clone(),
         settings: CameraSettings::default().with(&settings)?,
+        source: args.url.as_ref().map(|url| source(url, &settings)).transpose()?,
         rate: args.rate,
         trail: args.trail,
         ..CameraOptions::new(args.view)
     })
+}
+
+/// A real camera, with its pictures as it gives them where nothing else is asked for.
+fn source(url: &str, settings: &SettingsChange) -> anyhow::Result<Source> {
+    // Not read by clap, which would quote a bad one with its password.
+    let url: SourceUrl = url.parse().context("--url")?;
+    let rendition = Rendition::default().with(settings)?;
+    Ok(Source { url, rendition })
 }
 
 /// Authenticates by key if there is one.

@@ -1,4 +1,5 @@
-//! What may be laid over an image, as lines in the world: the pose, the path to it (M44), the blocks' outlines.
+//! What may be laid over an image, as lines in the world: the pose, where it is by now (M34), the path to it (M44), the
+//! blocks' outlines.
 
 use mom_client::{Map, Value};
 
@@ -10,6 +11,11 @@ use crate::scene::{DrawnBlock, DrawnPose, Scene};
 /// How far the pose's mark goes from the tip along the gripper and along the jaw line, mm.
 const ALONG: f64 = 60.0;
 const JAW: f64 = 30.0;
+
+/// The overlay of the pose that the robot told.
+pub(crate) const POSE: &str = "pose";
+/// The overlay of the pose where it is by now.
+pub(crate) const PREDICTED: &str = "predicted";
 
 /// A line of several points in the world.
 ///
@@ -24,19 +30,25 @@ const JAW: f64 = 30.0;
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Overlay {
-    /// `pose`, `path`, or `block` and the block's name.
+    /// `pose`, `predicted`, `path`, or `block` and the block's name.
     pub name: String,
     /// The points in the table's frame, mm.
     pub points: Vec<[f64; 3]>,
 }
 
 impl Overlay {
-    /// All overlays of a scene: the pose, the path if there is one, and each block.
+    /// All overlays of a scene: the pose, the predicted one if the robot moves, the path if there is one, and each block.
     ///
     /// They have the limits of [`Renderer::render`](crate::Renderer::render): 64 blocks and 200 poses.
     pub fn of(scene: &Scene) -> Vec<Overlay> {
         let scene = scene.drawable(MOST_BLOCKS, MOST_POSES);
-        let mut overlays = vec![pose(&scene.pose)];
+        let mut overlays = vec![pose(POSE, &scene.pose)];
+        overlays.extend(
+            scene
+                .predicted
+                .as_ref()
+                .map(|predicted| pose(PREDICTED, predicted)),
+        );
         if scene.trail.len() > 1 {
             overlays.push(Overlay {
                 name: "path".to_owned(),
@@ -58,7 +70,7 @@ impl Overlay {
 }
 
 /// Along the gripper to its tip, and across it from jaw to jaw.
-fn pose(pose: &DrawnPose) -> Overlay {
+fn pose(name: &str, pose: &DrawnPose) -> Overlay {
     let tool = ToolFrame::new(pose);
     let marks = [
         [0.0, 0.0, ALONG],
@@ -67,7 +79,7 @@ fn pose(pose: &DrawnPose) -> Overlay {
         [JAW, 0.0, 0.0],
     ];
     Overlay {
-        name: "pose".to_owned(),
+        name: name.to_owned(),
         points: marks.map(|mark| numbers(&tool.at(mark))).to_vec(),
     }
 }
@@ -134,6 +146,20 @@ mod tests {
             .copied()
             .reduce(|a, b| [0, 1, 2].map(|i| a[i].max(b[i])));
         assert_eq!(far, Some([120.0, 30.0, 80.0]));
+    }
+
+    #[test]
+    fn a_predicted_pose_is_marked_beside_the_measured_one() {
+        let mut moving = scene(vec![], vec![]);
+        moving.predicted = Some(DrawnPose {
+            x: 45.0,
+            ..moving.pose
+        });
+        let overlays = Overlay::of(&moving);
+        let tips = overlays
+            .iter()
+            .map(|overlay| (overlay.name.as_str(), overlay.points[1][0]));
+        assert_eq!(tips.collect::<Vec<_>>(), [("pose", 0.0), ("predicted", 45.0)]);
     }
 
     #[test]

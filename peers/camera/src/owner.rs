@@ -30,6 +30,11 @@ impl Owner {
         );
     }
 
+    /// The peer that owns it.
+    pub(crate) fn name(&self) -> Option<&str> {
+        self.name.as_deref()
+    }
+
     /// Whether this peer owns the token; the error names the owner.
     pub(crate) fn check(&self, peer: Option<&str>, token: &Path) -> Result<(), WireError> {
         match &self.name {

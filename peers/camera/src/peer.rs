@@ -1,15 +1,21 @@
 //! The camera as a peer: joins its contexts and connects them to the [`ImageServer`].
 
+use std::collections::BTreeMap;
 use std::future::{Future, pending};
 use std::pin::pin;
 use std::time::{Duration, SystemTime};
 
 use mom_client::{Client, ClientError, Code, Event, LinkState, Parcel, Path, Time, Token, WireError};
-use tokio::task::{JoinHandle, spawn_blocking};
+use tokio::sync::watch::Receiver;
+use tokio::task::{JoinHandle, JoinSet, spawn_blocking};
 use tokio::time::{Instant, sleep_until};
 
 use crate::server::CameraTime;
-use crate::{CameraSettings, ImageServer, Picture, ServerOptions, SettingsError, View};
+use crate::source::{self, Sight};
+use crate::{CameraSettings, ImageServer, ServerOptions, SettingsError, Source, View};
+
+/// A snapshot is got at least so often, so that it is known whether the camera lives.
+const SELDOM: Duration = Duration::from_secs(60);
 
 /// Where the camera stands and what it listens to.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,8 +28,10 @@ pub struct CameraOptions {
     pub robot: String,
     /// The token whose owner may change the settings.
     pub token: String,
-    /// The settings to begin with.
+    /// The settings to begin with, where the images are drawn.
     pub settings: CameraSettings,
+    /// The real camera whose images are shown; none = they are drawn.
+    pub source: Option<Source>,
     /// Broadcast images per second, at most.
     pub rate: f64,
     /// How many past poses the path in the image has (M44).
@@ -40,6 +48,7 @@ impl CameraOptions {
             robot: "/robot/arm".to_owned(),
             token: "/robot/token".to_owned(),
             settings: CameraSettings::default(),
+            source: None,
             rate: 10.0,
             trail: 100,
         }
@@ -60,7 +69,20 @@ impl CameraOptions {
             period: (1e6 / self.rate) as CameraTime,
             trail: self.trail,
         };
-        Ok(ImageServer::new(options).map_err(bad)?)
+        let server = match &self.source {
+            Some(source) => ImageServer::real(options, source),
+            None => ImageServer::new(options),
+        };
+        Ok(server.map_err(bad)?)
+    }
+
+    /// What is seen of the real camera, if it is one; the work for it is a task.
+    fn watch(&self, tasks: &mut JoinSet<()>) -> Option<Receiver<Sight>> {
+        let source = self.source.as_ref()?;
+        let period = Duration::try_from_secs_f64(1.0 / self.rate).unwrap_or(SELDOM);
+        let (seen, work) = source::watch(source.url.clone(), period.min(SELDOM));
+        tasks.spawn(work);
+        Some(seen)
     }
 }
 
@@ -96,17 +118,28 @@ pub async fn run(
     let arm = client.channel(&options.robot).await?;
     let mut robot = arm.events();
     let begin = Instant::now();
+    // The tasks end with this function.
+    let mut tasks = JoinSet::new();
+    let mut sights = options.watch(&mut tasks);
     let mut drawing = None;
+    let mut looking = None;
     let mut out = Vec::new();
     let mut shutdown = pin!(shutdown);
     tracing::info!(peer = client.name(), channel = %channel.path(), "the camera is ready");
     loop {
-        if let Some(shot) = server.advance(micros(begin), wall(), &mut out) {
+        if let Some(shot) = server.advance(micros(begin), wall(&client), &mut out) {
             drawing = Some(spawn_blocking(move || shot.take()));
         }
         tokio::select! {
             () = &mut shutdown => break,
             () = send(&client, &mut out) => {}
+        }
+        if looking.is_none() && server.ask_users() {
+            looking = Some(tokio::spawn(users(
+                client.clone(),
+                options.token.clone(),
+                options.channel.clone(),
+            )));
         }
         let wake = server.next_wake().map(|due| begin + duration(due));
         tokio::select! {
@@ -122,12 +155,14 @@ pub async fn run(
                     _ => {}
                 }
             }
-            picture = drawn(&mut drawing) => match picture {
+            picture = done(&mut drawing) => match picture {
                 Some(picture) => server.handle_picture(picture, &mut out),
                 None => server.handle_failure(),
             },
+            users = done(&mut looking) => server.handle_users(&users.unwrap_or_default(), &mut out),
             event = camera.next() => server.handle_camera(&open(event, &client)?, &mut out),
             event = robot.next() => server.handle_robot(&open(event, &client)?),
+            sight = sight(&mut sights) => server.handle_sight(sight, wall(&client), &mut out),
             () = sleep_or_wait(wake) => {}
         }
     }
@@ -170,16 +205,40 @@ async fn send(client: &Client, out: &mut Vec<Parcel>) {
     }
 }
 
-/// Waits for the picture that is being drawn, if one is; `None` if drawing failed.
-async fn drawn(drawing: &mut Option<JoinHandle<Picture>>) -> Option<Picture> {
-    let picture = match drawing {
+/// Waits for the work that is under way, if it is; `None` if it failed.
+async fn done<T>(work: &mut Option<JoinHandle<T>>) -> Option<T> {
+    let result = match work {
         Some(handle) => handle.await,
         None => pending().await,
     };
-    *drawing = None;
-    picture
-        .inspect_err(|error| tracing::error!(%error, "an image could not be drawn"))
+    *work = None;
+    result
+        .inspect_err(|error| tracing::error!(%error, "the camera's work broke down"))
         .ok()
+}
+
+/// The users of all peers in these contexts, as far as the hub tells them.
+async fn users(client: Client, token: String, channel: String) -> BTreeMap<String, String> {
+    let mut users = BTreeMap::new();
+    for path in [token, channel] {
+        match client.members(&path).await {
+            Ok(members) => users.extend(members.into_iter().map(|member| (member.peer, member.user))),
+            Err(error) => tracing::warn!(%error, path, "the hub does not tell whose the peers are"),
+        }
+    }
+    users
+}
+
+/// Waits for news of the real camera, if it is one.
+async fn sight(sights: &mut Option<Receiver<Sight>>) -> Sight {
+    let Some(seen) = sights else {
+        return pending().await;
+    };
+    match seen.changed().await {
+        Ok(()) => seen.borrow_and_update().clone(),
+        // Its task does not end before this one.
+        Err(_) => pending().await,
+    }
 }
 
 async fn sleep_or_wait(wake: Option<Instant>) {
@@ -189,7 +248,11 @@ async fn sleep_or_wait(wake: Option<Instant>) {
     }
 }
 
-fn wall() -> Time {
+/// The time of day by the hub's clock, which all its peers share; by the own one until the hub's is known.
+fn wall(client: &Client) -> Time {
+    if let Some((time, _)) = client.clock().now() {
+        return time;
+    }
     let since = SystemTime::now()
         .duration_since(SystemTime::UNIX_EPOCH)
         .unwrap_or_default();

@@ -41,6 +41,9 @@ pub struct Scene {
     pub blocks: Vec<DrawnBlock>,
     /// The path to draw and its poses, oldest first (M44).
     pub trail: Vec<DrawnPose>,
+    /// Where the gripper is by now, if it moves (M34); no state of the robot tells it.
+    #[serde(skip)]
+    pub predicted: Option<DrawnPose>,
 }
 
 /// The pose of the gripper's tip in the table's frame (M50).
@@ -187,6 +190,7 @@ impl Scene {
                 .map(DrawnBlock::drawable)
                 .collect(),
             trail: self.trail[newest..].iter().map(DrawnPose::drawable).collect(),
+            predicted: self.predicted.as_ref().map(DrawnPose::drawable),
         }
     }
 }
@@ -321,6 +325,7 @@ mod tests {
             gripper: DrawnGripper { opening: 40.0 },
             blocks: vec![block],
             trail: vec![],
+            predicted: None,
         };
         assert_eq!(scene, expected);
         let again: Scene = serde_json::from_str(&serde_json::to_string(&scene).unwrap()).unwrap();

@@ -438,7 +438,7 @@ proptest! {
         pose in any_pose(), opening in f64::ANY, blocks in vec(any_block(), 0..6), trail in vec(any_pose(), 0..6),
         view in prop::sample::select(&View::ALL[..]), width in 64_u32..200, height in 48_u32..200,
     ) {
-        let scene = Scene { pose, gripper: DrawnGripper { opening }, blocks, trail };
+        let scene = Scene { pose, gripper: DrawnGripper { opening }, blocks, trail, ..Scene::default() };
         let settings = CameraSettings { width, height, overlay: true, ..PNG };
         let image = render(view, settings, &scene);
         prop_assert!(image.matrix.iter().all(|v| v.is_finite()), "{:?}", image.matrix);

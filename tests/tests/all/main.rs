@@ -28,6 +28,7 @@ mod protocol;
 #[cfg(target_os = "linux")]
 mod proxies;
 mod python;
+mod real_camera;
 mod reports;
 mod room;
 mod runs;

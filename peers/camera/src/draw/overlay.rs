@@ -6,10 +6,13 @@ use tiny_skia::Rect;
 use super::canvas::{Canvas, Ink, solid};
 use super::text::{text_height, text_width};
 use crate::geometry::Point;
+use crate::overlay::PREDICTED;
 use crate::scene::{DrawnGripper, DrawnPose};
 use crate::{Overlay, Scene, View};
 
 const PATH: Ink = solid(0, 128, 140);
+/// Where the gripper is by now.
+const AHEAD: Ink = solid(206, 44, 120);
 const HALO: Ink = solid(255, 255, 255);
 const BAR: Ink = solid(24, 31, 44);
 const LETTERS: Ink = solid(236, 240, 246);
@@ -24,7 +27,11 @@ pub(crate) fn overlays(canvas: &mut Canvas<'_>, overlays: &[Overlay]) {
             .windows(2)
             .map(|pair| (Point::from(pair[0]), Point::from(pair[1])))
             .collect();
-        canvas.lines(&lines, PATH, 1.2);
+        let (ink, width) = match overlay.name.as_str() {
+            PREDICTED => (AHEAD, 2.0),
+            _ => (PATH, 1.2),
+        };
+        canvas.lines(&lines, ink, width);
     }
 }
 

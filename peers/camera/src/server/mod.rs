@@ -2,16 +2,26 @@
 
 use std::collections::VecDeque;
 use std::sync::Arc;
+use std::time::Duration;
 
 use mom_client::{Code, Content, Delivery, Event, Family, Map, Parcel, Path, Time, Value, WireError};
 
 use crate::owner::Owner;
 use crate::shot::{Picture, PictureRequest, Purpose, Shot};
 use crate::trail::Trail;
-use crate::{CameraSettings, Renderer, Scene, SettingsChange, SettingsError, View};
+use crate::{CameraSettings, PosePredictor, Renderer, Scene, SettingsChange, SettingsError, View};
 
 #[cfg(test)]
+mod predicted_tests;
+mod real;
+#[cfg(test)]
 mod tests;
+mod users;
+
+pub use real::{CAMERA_ERROR, CAMERA_RECOVERED};
+
+use real::RealCamera;
+use users::ForeignChanges;
 
 /// The message that carries a picture.
 pub const IMAGE: &str = "image";
@@ -29,6 +39,8 @@ pub const SETTINGS_IN_USE: &str = "settings-in-use";
 pub const SETTINGS_REFUSED: &str = "settings-refused";
 /// The message of the robot that tells its state.
 const STATE: &str = "state";
+/// For how long a motion is taken to go on after the last state: more is far from the truth at each corner.
+const HORIZON: Duration = Duration::from_millis(500);
 /// The most requests that wait for a picture.
 const MOST_REQUESTS: usize = 64;
 
@@ -62,14 +74,19 @@ pub struct ServerOptions {
 /// - Every new state of the robot is followed by a broadcast image (M38), at most one per period; while an image
 ///   is drawn, newer states replace each other.
 /// - Anyone may ask for an image, and is answered with one of the newest state, whatever the period.
-/// - Only the owner of the robot's token changes the settings (M37); anyone may ask for them.
+/// - Only the owner of the robot's token changes the settings (M37), by whichever of its user's peers; anyone may ask
+///   for them. Whose a peer is the hub knows: [`ImageServer::ask_users`].
 #[derive(Debug)]
 pub struct ImageServer {
     options: ServerOptions,
+    /// What draws, where the camera is not a real one.
     renderer: Arc<Renderer>,
+    real: Option<RealCamera>,
     owner: Owner,
+    changes: ForeignChanges,
     scene: Scene,
     trail: Trail,
+    predictor: PosePredictor,
     state_seq: Option<i64>,
     /// When the robot sent the state, by its parcel's timestamp.
     pose_time: Option<Time>,
@@ -93,9 +110,12 @@ impl ImageServer {
     pub fn new(options: ServerOptions) -> Result<ImageServer, SettingsError> {
         Ok(ImageServer {
             renderer: Arc::new(Renderer::new(options.view, options.settings)?),
+            real: None,
             owner: Owner::default(),
+            changes: ForeignChanges::default(),
             scene: Scene::default(),
             trail: Trail::new(options.trail),
+            predictor: PosePredictor::new(HORIZON),
             state_seq: None,
             pose_time: None,
             revision: 0,
@@ -113,7 +133,7 @@ impl ImageServer {
         if let Event::Message(parcel) = event
             && parcel.name() == STATE
             && let Some(content) = &parcel.content
-            && let Err(error) = self.take_state(content, parcel.timestamp)
+            && let Err(error) = self.take_state(content, parcel)
         {
             tracing::warn!(%error, "a state of the robot cannot be read");
         }
@@ -134,12 +154,7 @@ impl ImageServer {
         let Event::Message(parcel) = event else { return };
         match parcel.name() {
             REQUEST => self.take_request(parcel, out),
-            SETTINGS => {
-                let answer = self.take_settings(parcel);
-                let refused =
-                    |error: WireError| self.answer(SETTINGS_REFUSED, error.to_map(), &request_of(parcel));
-                out.push(answer.unwrap_or_else(refused));
-            }
+            SETTINGS => self.hear_settings(parcel, out),
             _ => {}
         }
     }
@@ -147,8 +162,14 @@ impl ImageServer {
     /// Takes a finished picture.
     pub fn handle_picture(&mut self, picture: Picture, out: &mut Vec<Parcel>) {
         self.drawing = false;
-        self.send(&picture.content, &picture.purpose, out);
-        self.newest = Some(picture);
+        match &picture.content {
+            Ok(content) => {
+                self.note_recovery(out);
+                self.send(content, &picture.purpose, out);
+                self.newest = Some(picture);
+            }
+            Err(error) => self.refuse_picture(error, &picture.purpose, out),
+        }
     }
 
     /// Notes that drawing a picture failed: its revision is skipped.
@@ -157,9 +178,9 @@ impl ImageServer {
     }
 
     /// Sends the newest picture where it need not be drawn again, and gives the next shot if there is one.
-    /// `wall` is the time of day.
+    /// `wall` is the time of day by the hub's clock.
     pub fn advance(&mut self, now: CameraTime, wall: Time, out: &mut Vec<Parcel>) -> Option<Shot> {
-        if self.drawing {
+        if self.drawing || self.is_blind(out) {
             return None;
         }
         let purpose = Purpose {
@@ -173,35 +194,34 @@ impl ImageServer {
             self.shown = self.revision;
             self.next = now.saturating_add(self.options.period);
         }
-        match &self.newest {
-            // The scene is unchanged, so the picture is reused.
-            Some(newest) if newest.revision == self.revision => {
-                self.send(&newest.content.clone().with("taken", wall), &purpose, out);
-                None
-            }
-            _ => {
-                self.drawing = true;
-                Some(self.shot(purpose, wall))
-            }
+        if let Some(content) = self.reusable(wall) {
+            self.send(&content, &purpose, out);
+            return None;
         }
+        self.drawing = true;
+        Some(self.shot(purpose, wall))
     }
 
     /// When [`ImageServer::advance`] is to be called next; `None` while there is nothing to wait for.
     pub fn next_wake(&self) -> Option<CameraTime> {
-        (!self.drawing && self.shown != self.revision).then_some(self.next)
+        let waits = !self.drawing && self.shown != self.revision && !self.has_no_frame();
+        waits.then_some(self.next)
     }
 
-    fn take_state(&mut self, content: &Content, sent: Option<Time>) -> Result<(), WireError> {
+    fn take_state(&mut self, content: &Content, parcel: &Parcel) -> Result<(), WireError> {
         let state = content.to_value()?;
         let seq = state.get("seq").and_then(Value::as_int);
         // A restarted arm counts from 0, so a lower number is news as well.
         if seq.is_some() && seq == self.state_seq {
             return Ok(());
         }
+        let moving = state.get("moving").and_then(Value::as_bool);
         self.scene = mom_client::from_value(state)?;
+        self.predictor.observe(parcel, &self.scene.pose, moving);
         self.trail.push(self.scene.pose);
-        (self.state_seq, self.pose_time) = (seq, sent);
-        self.revision += 1;
+        (self.state_seq, self.pose_time) = (seq, parcel.timestamp);
+        // The next frame of a real camera shows it; an earlier one does not.
+        self.revision += u64::from(self.real.is_none());
         Ok(())
     }
 
@@ -216,46 +236,101 @@ impl ImageServer {
         out.push(self.answer(REQUEST_REFUSED, error.to_map(), &request));
     }
 
-    /// The answer to a change of the settings, or to a question for them.
-    fn take_settings(&mut self, parcel: &Parcel) -> Result<Parcel, WireError> {
-        let change: SettingsChange = match &parcel.content {
-            Some(content) => content.read()?,
-            None => SettingsChange::default(),
-        };
-        if change == SettingsChange::default() {
-            let content = settings_map(&self.renderer.settings());
-            return Ok(self.answer(SETTINGS_IN_USE, content, &request_of(parcel)));
+    /// Answers a change of the settings, or a question for them.
+    fn hear_settings(&mut self, parcel: &Parcel, out: &mut Vec<Parcel>) {
+        match read_change(parcel) {
+            Ok(change) if change == SettingsChange::default() => {
+                out.push(self.answer(SETTINGS_IN_USE, self.settings_map(), &request_of(parcel)));
+            }
+            Ok(_) if self.keep_foreign(parcel, out) => {}
+            _ => {
+                let answer = self.change_by(parcel.sender.as_deref(), parcel);
+                out.push(answer);
+            }
         }
-        self.owner.check(parcel.sender.as_deref(), &self.options.token)?;
-        let settings = self.change_settings(&change)?;
-        let content = settings_map(&settings).with("by", parcel.sender.as_deref().unwrap_or_default());
-        let mut changed = self.message(SETTINGS_CHANGED, content);
-        changed.reference = parcel.id;
-        Ok(changed)
     }
 
-    fn change_settings(&mut self, change: &SettingsChange) -> Result<CameraSettings, WireError> {
+    /// The answer to a change that this peer answers for.
+    fn change_by(&mut self, peer: Option<&str>, parcel: &Parcel) -> Parcel {
+        let changed = read_change(parcel).and_then(|change| {
+            self.owner.check(peer, &self.options.token)?;
+            self.change_settings(&change)
+        });
+        if let Err(error) = changed {
+            return self.answer(SETTINGS_REFUSED, error.to_map(), &request_of(parcel));
+        }
+        let by = parcel.sender.as_deref().unwrap_or_default();
+        let mut changed = self.message(SETTINGS_CHANGED, self.settings_map().with("by", by));
+        changed.reference = parcel.id;
+        changed
+    }
+
+    fn change_settings(&mut self, change: &SettingsChange) -> Result<(), WireError> {
         let bad_content = |error: SettingsError| WireError::new(Code::BAD_CONTENT, error.to_string());
+        if let Some(real) = &mut self.real {
+            self.revision += u64::from(real.change(change).map_err(bad_content)?);
+            return Ok(());
+        }
         let settings = self.renderer.settings().with(change).map_err(bad_content)?;
         if settings != self.renderer.settings() {
             self.renderer = Arc::new(Renderer::new(self.options.view, settings).map_err(bad_content)?);
             self.revision += 1;
         }
-        Ok(settings)
+        Ok(())
+    }
+
+    fn settings_map(&self) -> Map {
+        match &self.real {
+            Some(real) => real.settings_map(),
+            None => settings_map(&self.renderer.settings()),
+        }
+    }
+
+    /// The newest picture's content, if nothing has changed since.
+    fn reusable(&self, wall: Time) -> Option<Map> {
+        if self.real.is_none() && self.predictor.is_moving() {
+            // It is further ahead by now.
+            return None;
+        }
+        let newest = self
+            .newest
+            .as_ref()
+            .filter(|newest| newest.revision == self.revision)?;
+        let content = newest.content.clone().ok()?;
+        Some(match self.real {
+            Some(_) => content,
+            None => content.with("taken", wall),
+        })
     }
 
     fn shot(&self, purpose: Purpose, wall: Time) -> Shot {
+        let newest = self.real.as_ref().and_then(RealCamera::newest);
         Shot {
+            purpose,
+            revision: self.revision,
+            ..newest.unwrap_or_else(|| self.shot_now(wall))
+        }
+    }
+
+    /// Of the scene as it is now.
+    fn shot_now(&self, wall: Time) -> Shot {
+        Shot {
+            taken_frame: None,
             renderer: Arc::clone(&self.renderer),
             scene: Scene {
                 trail: self.trail.up_to(self.scene.pose),
+                predicted: self
+                    .predictor
+                    .is_moving()
+                    .then(|| self.predictor.at(wall))
+                    .flatten(),
                 ..self.scene.clone()
             },
             state_seq: self.state_seq,
             pose_time: self.pose_time,
             taken: wall,
             revision: self.revision,
-            purpose,
+            purpose: Purpose::default(),
         }
     }
 
@@ -287,6 +362,14 @@ impl ImageServer {
         parcel.delivery = Some(Delivery::Reliable);
         parcel.echo = Some(false);
         parcel
+    }
+}
+
+/// What is to change; nothing is a question for the settings.
+fn read_change(parcel: &Parcel) -> Result<SettingsChange, WireError> {
+    match &parcel.content {
+        Some(content) => content.read(),
+        None => Ok(SettingsChange::default()),
     }
 }
 

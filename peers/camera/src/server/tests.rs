@@ -1,5 +1,7 @@
 //! Dialogues with the image server: what it sees and who says what, and what it draws and says.
 
+use std::collections::BTreeMap;
+
 use super::*;
 use crate::DrawnPose;
 
@@ -78,6 +80,9 @@ impl Stage {
             }
             _ => panic!("no such line: {line}"),
         }
+        if self.server.ask_users() {
+            self.server.handle_users(&users(), &mut self.out);
+        }
         let wall = Time::from_micros(self.now).unwrap();
         let shot = self.server.advance(self.now, wall, &mut self.out);
         let mut happened: Vec<String> = self.out.drain(..).map(|parcel| line_of(&parcel)).collect();
@@ -88,6 +93,20 @@ impl Stage {
         }
         happened
     }
+}
+
+/// Whose the peers are; alice and the guests have several.
+fn users() -> BTreeMap<String, String> {
+    let users = [
+        ("alice", "alice"),
+        ("alice~2", "alice"),
+        ("bob", "bob"),
+        ("anna", "guest"),
+        ("anna~2", "guest"),
+    ];
+    users
+        .map(|(peer, user)| (peer.to_owned(), user.to_owned()))
+        .into()
 }
 
 fn small() -> CameraSettings {
@@ -337,6 +356,57 @@ fn only_the_owner_of_the_token_changes_the_settings() {
          carol settings 8
          > settings-in-use to carol ref 8 - 64x48 30 png",
     );
+}
+
+#[test]
+fn the_owners_user_changes_them_by_any_of_its_peers() {
+    check(
+        "grabbed alice 5
+         alice~2 settings 1: quality=30
+         > settings-changed ref 1 alice~2 64x48 30 jpeg
+         > draws -
+         alice~2 settings 2: quality=0
+         > settings-refused to alice~2 ref 2 bad-content 223
+         alice~3 settings 3: quality=40
+         > settings-refused to alice~3 ref 3 not-owner 204 owner alice
+         grabbed mallory 6
+         stranger settings 4: quality=40
+         > settings-refused to stranger ref 4 not-owner 204 owner mallory
+         grabbed anna 7
+         anna settings 5: quality=40
+         > settings-changed ref 5 anna 64x48 40 jpeg
+         anna~2 settings 6: quality=50
+         > settings-refused to anna~2 ref 6 not-owner 204 owner anna",
+    );
+}
+
+#[test]
+fn whose_a_change_is_is_asked_for_all_that_wait() {
+    let mut stage = Stage::new(View::X);
+    stage.act("grabbed alice 5");
+    let hear = |server: &mut ImageServer, sender: &str| {
+        let mut parcel = Parcel::new(Family::Message, SETTINGS).content(map_of("quality=30"));
+        parcel.sender = Some(sender.into());
+        let mut out = Vec::new();
+        server.handle_camera(&Event::Message(parcel), &mut out);
+        out.iter().map(line_of).collect::<Vec<String>>()
+    };
+    let server = &mut stage.server;
+    assert!(hear(server, "alice~2").is_empty() && server.ask_users());
+    // While the hub is asked, others come.
+    for _ in 0..16 {
+        assert!(hear(server, "bob").is_empty() && !server.ask_users());
+    }
+    assert_eq!(hear(server, "bob"), ["settings-refused to bob try-later 100"]);
+    let mut out = Vec::new();
+    server.handle_users(&users(), &mut out);
+    assert_eq!(out.len(), 1);
+    assert!(server.ask_users());
+    // The hub could not be asked.
+    server.handle_users(&BTreeMap::new(), &mut out);
+    assert_eq!(out.len(), 17);
+    assert!(line_of(&out[16]).starts_with("settings-refused to bob not-owner"));
+    assert!(!server.ask_users());
 }
 
 #[test]
