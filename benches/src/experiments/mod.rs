@@ -2,7 +2,9 @@
 
 mod connect;
 mod faults;
+mod hand;
 mod links;
+mod path;
 mod reach;
 mod trips;
 
@@ -41,7 +43,7 @@ pub struct Experiment {
 }
 
 /// All experiments, in the order of the document.
-pub const ALL: [Experiment; 3] = [
+pub const ALL: [Experiment; 4] = [
     Experiment {
         name: "reach",
         run: reach::run,
@@ -53,6 +55,10 @@ pub const ALL: [Experiment; 3] = [
     Experiment {
         name: "round-trip",
         run: trips::run,
+    },
+    Experiment {
+        name: "path",
+        run: path::run,
     },
 ];
 
