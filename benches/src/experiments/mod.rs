@@ -6,6 +6,7 @@ mod hand;
 mod links;
 mod path;
 mod reach;
+mod tracking;
 mod trips;
 
 use std::path::PathBuf;
@@ -43,7 +44,7 @@ pub struct Experiment {
 }
 
 /// All experiments, in the order of the document.
-pub const ALL: [Experiment; 4] = [
+pub const ALL: [Experiment; 5] = [
     Experiment {
         name: "reach",
         run: reach::run,
@@ -59,6 +60,10 @@ pub const ALL: [Experiment; 4] = [
     Experiment {
         name: "path",
         run: path::run,
+    },
+    Experiment {
+        name: "tracking",
+        run: tracking::run,
     },
 ];
 
