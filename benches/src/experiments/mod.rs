@@ -6,6 +6,7 @@ mod hand;
 mod links;
 mod path;
 mod reach;
+mod token_table;
 mod tracking;
 mod trips;
 
@@ -44,7 +45,7 @@ pub struct Experiment {
 }
 
 /// All experiments, in the order of the document.
-pub const ALL: [Experiment; 5] = [
+pub const ALL: [Experiment; 6] = [
     Experiment {
         name: "reach",
         run: reach::run,
@@ -64,6 +65,10 @@ pub const ALL: [Experiment; 5] = [
     Experiment {
         name: "tracking",
         run: tracking::run,
+    },
+    Experiment {
+        name: "token-table",
+        run: token_table::run,
     },
 ];
 
