@@ -136,6 +136,25 @@ fn a_command_is_traced_from_here_to_the_robot_and_back() {
     assert!(done - begun > 90_000, "{begun} {done}");
 }
 
+/// `mom run` names the state that a relative command is based on (M35).
+#[test]
+fn a_script_goes_on_from_where_the_hand_is() {
+    let (_lab, hub) = lab();
+    let file = tempfile::NamedTempFile::new().expect("a file");
+    std::fs::write(file.path(), "by 10 0 0 0 0\nby 5 0 -20 0 0; by 1 0 0 0 0\n").expect("it is written");
+    let path = file.path().to_str().expect("a path in text");
+    let env = [
+        ("MOM_HUB", &*hub),
+        ("MOM_USER", "alice"),
+        ("MOM_PASSWORD", "alice"),
+    ];
+    let done = run("mom", &["run", path], &env);
+    let said = text(&done.stderr) + &text(&done.stdout);
+    assert_eq!(done.status.code(), Some(0), "{said}");
+    let state = jog(&hub, &["--json", "--for", "1ms", "0", "0", "0", "0", "0"]);
+    assert_eq!((place(&state, "x"), place(&state, "z")), (16.0, 280.0));
+}
+
 /// The link between the arm's program and its controller fails in the middle of a move, and again later (M53): the command ends with that error, and the next one
 /// is carried out when the link is back.
 #[tokio::test]
