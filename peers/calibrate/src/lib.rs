@@ -27,7 +27,7 @@ pub use projection::{Observation, Projection};
 
 /// Where the middle of the lab's marker is in the gripper's frame, mm: along the jaw line, across it, and from the tip
 /// towards the wrist.
-pub const MARKER: [f64; 3] = [0.0, -95.0, 75.0];
+pub const MARKER: [f64; 3] = [0.0, -140.0, 75.0];
 /// The radius of the lab's marker, mm.
 pub const RADIUS: f64 = 12.0;
 /// The colour of the lab's marker: red, green and blue.

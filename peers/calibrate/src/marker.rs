@@ -41,7 +41,7 @@ const SPECK: f64 = 0.2;
 /// How far the core is from the border at least, pixels: its rim, and what is looked at beside that.
 const ROOM: usize = 4;
 /// The least variance across over that along: that of a ball's picture 25 degrees beside the middle is 0.82.
-const ROUND: f64 = 0.75;
+const ROUND: f64 = 0.8;
 /// How much of an ellipse with the same variances the spot fills: a whole one 1, half of one 0.95.
 const FULL: std::ops::RangeInclusive<f64> = 0.965..=1.035;
 
@@ -95,7 +95,7 @@ impl Shares<'_> {
         };
         Shares {
             picture,
-            colour: colour.map(f64::from),
+            colour: hue,
             width: picture.width,
             height: picture.height,
             shares: picture.pixels.iter().map(share).collect(),
@@ -165,7 +165,7 @@ impl Shares<'_> {
     }
 
     /// How much of a pixel the marker covers: how far its colour is on the way from what is behind, which is the mean of
-    /// what is near, to the marker's.
+    /// what is near, to the marker's. Grey is left out of all, so that light and dark behind the rim are one.
     fn weight(&self, x: usize, y: usize) -> f64 {
         let near = around(x, y, 2).filter(|&(x, y)| !self.is_spot(x, y));
         let (sum, count) = near.fold(([0.0; 3], 0.0), |(sum, count), (x, y)| {
@@ -183,7 +183,7 @@ impl Shares<'_> {
     }
 
     fn colour_at(&self, x: usize, y: usize) -> [f64; 3] {
-        self.picture.pixels[y * self.width + x].map(f64::from)
+        tint(self.picture.pixels[y * self.width + x])
     }
 }
 

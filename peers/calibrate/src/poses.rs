@@ -19,13 +19,14 @@ pub struct Pose {
 }
 
 /// Each number's range: mm and degrees. Clear of what stands on the table, away from the limits of the workspace, and
-/// turned so that the marker on its stalk is towards the lab's cameras.
+/// turned so that the marker on its stalk is towards the
+/// lab's cameras, and in their images.
 const RANGES: [(f64, f64); 5] = [
-    (-220.0, 220.0),
-    (-220.0, 220.0),
+    (-220.0, 180.0),
+    (-140.0, 220.0),
     (140.0, 400.0),
     (-20.0, 80.0),
-    (-20.0, 20.0),
+    (-20.0, 15.0),
 ];
 /// A prime for each number.
 const BASES: [u32; 5] = [2, 3, 5, 7, 11];
@@ -146,7 +147,7 @@ mod tests {
             let observations: Vec<Observation> = poses
                 .iter()
                 .map(|pose| {
-                    let world = pose.place([0.0, -95.0, 75.0]);
+                    let world = pose.place([0.0, -140.0, 75.0]);
                     Observation {
                         world,
                         pixel: camera.project(world).expect("in front"),

@@ -7,6 +7,7 @@
 //! [`ImageServer`] decides how the camera reacts to the parcels and events of its contexts; [`peer::run`] connects it
 //! to the hub and draws on a thread of its own, in a program (`mom-camera`) or in another one.
 
+mod calibration;
 mod draw;
 mod encode;
 mod error;
@@ -24,11 +25,13 @@ mod solid;
 mod trail;
 mod view;
 
+pub use calibration::Calibration;
 pub use error::SettingsError;
 pub use geometry::Camera;
 pub use overlay::Overlay;
 pub use peer::CameraOptions;
 pub use renderer::{Image, Renderer};
+pub use robot::{MARKER, MARKER_COLOUR, MARKER_RADIUS};
 pub use scene::{Colour, DrawnBlock, DrawnGripper, DrawnPose, Scene};
 pub use server::{ImageServer, ServerOptions};
 pub use settings::{CameraSettings, Format, HEIGHTS, QUALITIES, SettingsChange, WIDTHS};

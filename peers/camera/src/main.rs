@@ -79,6 +79,9 @@ struct CameraArgs {
     /// Format of the images: jpeg or png
     #[arg(long)]
     format: Option<String>,
+    /// A file that keeps the measured matrix (mom calibrate) over restarts; it is made when there is something to keep
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
     /// Draw pose, path and outlines into the images; beside them, as data, they always are
     #[arg(long)]
     overlay: bool,
@@ -133,6 +136,7 @@ fn options(args: &CameraArgs) -> anyhow::Result<CameraOptions> {
         settings: CameraSettings::default().with(&settings)?,
         rate: args.rate,
         trail: args.trail,
+        calibration: args.calibration.clone(),
         ..CameraOptions::new(args.view)
     })
 }

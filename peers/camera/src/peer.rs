@@ -1,6 +1,7 @@
 //! The camera as a peer: joins its contexts and connects them to the [`ImageServer`].
 
 use std::future::{Future, pending};
+use std::path::PathBuf;
 use std::pin::pin;
 use std::time::{Duration, SystemTime};
 
@@ -8,6 +9,7 @@ use mom_client::{Client, ClientError, Code, Event, LinkState, Parcel, Path, Time
 use tokio::task::{JoinHandle, spawn_blocking};
 use tokio::time::{Instant, sleep_until};
 
+use crate::calibration::CalibrationFile;
 use crate::server::CameraTime;
 use crate::{CameraSettings, ImageServer, Picture, ServerOptions, SettingsError, View};
 
@@ -28,6 +30,8 @@ pub struct CameraOptions {
     pub rate: f64,
     /// How many past poses the path in the image has (M44).
     pub trail: usize,
+    /// The file that keeps the measured matrix over restarts, if one does (M55).
+    pub calibration: Option<PathBuf>,
 }
 
 impl CameraOptions {
@@ -42,6 +46,7 @@ impl CameraOptions {
             settings: CameraSettings::default(),
             rate: 10.0,
             trail: 100,
+            calibration: None,
         }
     }
 
@@ -61,6 +66,15 @@ impl CameraOptions {
             trail: self.trail,
         };
         Ok(ImageServer::new(options).map_err(bad)?)
+    }
+}
+
+impl CameraOptions {
+    /// The file of the measured matrix, read.
+    fn calibration_file(&self) -> Result<Option<CalibrationFile>, ClientError> {
+        let open = |path: &PathBuf| CalibrationFile::open(path, self.view);
+        let file = self.calibration.as_ref().map(open).transpose();
+        file.map_err(|text| WireError::new(Code::BAD_CONTENT, text).into())
     }
 }
 
@@ -88,6 +102,8 @@ pub async fn run(
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), ClientError> {
     let mut server = options.server()?;
+    let mut file = options.calibration_file()?;
+    server = server.calibrated(file.as_ref().and_then(CalibrationFile::kept).cloned());
     let channel = client.channel(&options.channel).await?;
     let mut camera = channel.events();
     let token = client.token(&options.token).await?;
@@ -126,7 +142,12 @@ pub async fn run(
                 Some(picture) => server.handle_picture(picture, &mut out),
                 None => server.handle_failure(),
             },
-            event = camera.next() => server.handle_camera(&open(event, &client)?, &mut out),
+            event = camera.next() => {
+                server.handle_camera(&open(event, &client)?, &mut out);
+                if let Some(Err(error)) = file.as_mut().map(|file| file.keep(server.calibration())) {
+                    tracing::error!(%error, "the calibration is in use, but could not be kept");
+                }
+            }
             event = robot.next() => server.handle_robot(&open(event, &client)?),
             () = sleep_or_wait(wake) => {}
         }

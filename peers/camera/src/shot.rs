@@ -4,12 +4,14 @@ use std::sync::Arc;
 
 use mom_client::{Map, Time, Value};
 
-use crate::{DrawnPose, Image, Overlay, Renderer, Scene};
+use crate::{Calibration, DrawnPose, Image, Overlay, Renderer, Scene};
 
 /// A picture to be drawn: the input of drawing, and the receivers.
 #[derive(Debug, Clone)]
 pub struct Shot {
     pub(crate) renderer: Arc<Renderer>,
+    /// The measured matrix, if there is one: it takes the place of the renderer's.
+    pub(crate) calibration: Option<Arc<Calibration>>,
     pub(crate) scene: Scene,
     pub(crate) state_seq: Option<i64>,
     /// When the robot said that it was there.
@@ -70,7 +72,14 @@ impl Shot {
         if let Some(time) = self.pose_time {
             map.set("pose-time", time);
         }
-        let matrix: Vec<Value> = image.matrix.into_iter().map(Value::Double).collect();
+        let matrix = match &self.calibration {
+            Some(measured) => {
+                map.set("calibrated", measured.facts());
+                measured.scaled(image.width, image.height)
+            }
+            None => image.matrix,
+        };
+        let matrix: Vec<Value> = matrix.into_iter().map(Value::Double).collect();
         map.set("matrix", matrix);
         let DrawnPose { x, y, z, spin, tilt } = self.scene.pose.drawable();
         let pose = [("x", x), ("y", y), ("z", z), ("spin", spin), ("tilt", tilt)]

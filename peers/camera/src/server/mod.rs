@@ -8,7 +8,7 @@ use mom_client::{Code, Content, Delivery, Event, Family, Map, Parcel, Path, Time
 use crate::owner::Owner;
 use crate::shot::{Picture, PictureRequest, Purpose, Shot};
 use crate::trail::Trail;
-use crate::{CameraSettings, Renderer, Scene, SettingsChange, SettingsError, View};
+use crate::{Calibration, CameraSettings, Renderer, Scene, SettingsChange, SettingsError, View};
 
 #[cfg(test)]
 mod tests;
@@ -27,6 +27,12 @@ pub const SETTINGS_CHANGED: &str = "settings-changed";
 pub const SETTINGS_IN_USE: &str = "settings-in-use";
 /// The message that a change was refused.
 pub const SETTINGS_REFUSED: &str = "settings-refused";
+/// The message by which the token's owner tells the camera its measured matrix (M55).
+pub const CALIBRATION: &str = "calibration";
+/// The message that tells all the new matrix.
+pub const CALIBRATION_CHANGED: &str = "calibration-changed";
+/// The message that a matrix was refused.
+pub const CALIBRATION_REFUSED: &str = "calibration-refused";
 /// The message of the robot that tells its state.
 const STATE: &str = "state";
 /// The most requests that wait for a picture.
@@ -63,10 +69,12 @@ pub struct ServerOptions {
 ///   is drawn, newer states replace each other.
 /// - Anyone may ask for an image, and is answered with one of the newest state, whatever the period.
 /// - Only the owner of the robot's token changes the settings (M37); anyone may ask for them.
+/// - Only that owner tells the measured matrix (M55), which images carry from then on, scaled to their size.
 #[derive(Debug)]
 pub struct ImageServer {
     options: ServerOptions,
     renderer: Arc<Renderer>,
+    calibration: Option<Arc<Calibration>>,
     owner: Owner,
     scene: Scene,
     trail: Trail,
@@ -93,6 +101,7 @@ impl ImageServer {
     pub fn new(options: ServerOptions) -> Result<ImageServer, SettingsError> {
         Ok(ImageServer {
             renderer: Arc::new(Renderer::new(options.view, options.settings)?),
+            calibration: None,
             owner: Owner::default(),
             scene: Scene::default(),
             trail: Trail::new(options.trail),
@@ -106,6 +115,18 @@ impl ImageServer {
             newest: None,
             options,
         })
+    }
+
+    /// The server with a matrix that was measured before.
+    #[must_use]
+    pub fn calibrated(mut self, calibration: Option<Calibration>) -> ImageServer {
+        self.calibration = calibration.map(Arc::new);
+        self
+    }
+
+    /// The measured matrix, if there is one.
+    pub fn calibration(&self) -> Option<&Calibration> {
+        self.calibration.as_deref()
     }
 
     /// Takes an event of the robot's channel: its states.
@@ -129,7 +150,7 @@ impl ImageServer {
         self.owner.handle_info(info);
     }
 
-    /// Takes an event of the camera's own channel: requests and settings.
+    /// Takes an event of the camera's own channel: requests, settings and a measured matrix.
     pub fn handle_camera(&mut self, event: &Event, out: &mut Vec<Parcel>) {
         let Event::Message(parcel) = event else { return };
         match parcel.name() {
@@ -138,6 +159,12 @@ impl ImageServer {
                 let answer = self.take_settings(parcel);
                 let refused =
                     |error: WireError| self.answer(SETTINGS_REFUSED, error.to_map(), &request_of(parcel));
+                out.push(answer.unwrap_or_else(refused));
+            }
+            CALIBRATION => {
+                let answer = self.take_calibration(parcel);
+                let refused =
+                    |error: WireError| self.answer(CALIBRATION_REFUSED, error.to_map(), &request_of(parcel));
                 out.push(answer.unwrap_or_else(refused));
             }
             _ => {}
@@ -234,6 +261,16 @@ impl ImageServer {
         Ok(changed)
     }
 
+    fn take_calibration(&mut self, parcel: &Parcel) -> Result<Parcel, WireError> {
+        self.owner.check(parcel.sender.as_deref(), &self.options.token)?;
+        let calibration = Calibration::of(parcel, self.options.view)?;
+        let mut changed = self.message(CALIBRATION_CHANGED, calibration.to_map());
+        changed.reference = parcel.id;
+        self.calibration = Some(Arc::new(calibration));
+        self.revision += 1;
+        Ok(changed)
+    }
+
     fn change_settings(&mut self, change: &SettingsChange) -> Result<CameraSettings, WireError> {
         let bad_content = |error: SettingsError| WireError::new(Code::BAD_CONTENT, error.to_string());
         let settings = self.renderer.settings().with(change).map_err(bad_content)?;
@@ -247,6 +284,7 @@ impl ImageServer {
     fn shot(&self, purpose: Purpose, wall: Time) -> Shot {
         Shot {
             renderer: Arc::clone(&self.renderer),
+            calibration: self.calibration.clone(),
             scene: Scene {
                 trail: self.trail.up_to(self.scene.pose),
                 ..self.scene.clone()
