@@ -8,9 +8,12 @@
 //! [`verb`] is `mom calibrate`: an ordinary peer, which asks for the robot's token, drives, looks, computes, and tells
 //! the camera its matrix.
 
+mod asking;
+mod camera;
 pub mod dlt;
 mod error;
 pub mod experiment;
+mod failure;
 mod fit;
 pub mod marker;
 mod picture;
@@ -18,8 +21,11 @@ pub mod poses;
 mod projection;
 pub mod refine;
 pub mod residuals;
+mod robot;
+pub mod verb;
 
 pub use error::CalibrationError;
+pub use failure::VerbFailure;
 pub use fit::{Calibration, Residual, calibrate};
 pub use picture::Picture;
 pub use poses::Pose;
