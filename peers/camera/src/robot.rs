@@ -104,7 +104,8 @@ pub(crate) fn gripper(tool: &ToolFrame, gripper: &DrawnGripper) -> Vec<Solid> {
 /// The marker and its stalk.
 fn marker(tool: &ToolFrame) -> [Solid; 2] {
     let [jaw, across, up] = MARKER;
-    let (from, to) = (-20.0, across + MARKER_RADIUS);
+    // It ends before the ball, so that the line around it covers nothing of that.
+    let (from, to) = (-20.0, across + MARKER_RADIUS + 2.0);
     let ball = Ball {
         middle: tool.at(MARKER),
         radius: MARKER_RADIUS,

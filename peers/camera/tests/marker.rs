@@ -92,7 +92,7 @@ fn the_marker_is_where_the_matrix_says() {
             "{view} {width}: {offs:?}"
         );
         let found = calibrate(&observations, RADIUS).expect("a camera");
-        assert!(found.rms < 0.15, "{view} {width}: {}", found.rms);
+        assert!(found.rms < 0.06, "{view} {width}: {}", found.rms);
         assert!(found.outliers() <= 4, "{view} {width}: {}", found.outliers());
         let points = [
             [-300.0, -300.0, 0.0],
