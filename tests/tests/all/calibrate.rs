@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use mom_client::{Client, Event, Events, Family, Parcel, Value};
-use mom_tests::programs::{PATIENCE, Running, run, text};
+use mom_client::{Channel, Client, Event, Events, Family, Map, Parcel, Value};
+use mom_tests::programs::{PATIENCE, Running, project, run, text};
 use serde_json::{Value as Json, json};
 use tokio::task::spawn_blocking;
 use tokio::time::timeout;
@@ -259,4 +259,79 @@ async fn who_loses_the_token_tells_the_camera_nothing() {
     assert_eq!(lab.snap(&folder).await.get("calibrated"), None);
     guard.release().await.expect("it is hers");
     lab.end().await;
+}
+
+/// A camera as a program of its own, at a broker of its own; it ends and is started again.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_camera_with_a_file_keeps_its_matrix_over_restarts() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("x.json").to_str().expect("text").to_owned();
+    let started = spawn_blocking(|| {
+        let config = project().join("config/lab.toml");
+        let config = config.to_str().expect("text").to_owned();
+        let broker = Running::start(
+            "mom-broker",
+            &["--config", &config, "--listen", "127.0.0.1:0"],
+            &[],
+        );
+        let line = broker.line_with("listening at");
+        let address = line.split("tcp://").nth(1);
+        let address = address.and_then(|rest| rest.split_whitespace().next());
+        (format!("bin://{}", address.expect("an address")), broker)
+    });
+    let (hub, broker) = started.await.expect("it starts");
+    let camera = || {
+        let (hub, file) = (hub.clone(), file.clone());
+        spawn_blocking(move || {
+            let args = ["--hub", &hub, "--calibration", &file];
+            Running::start("mom-camera", &args, &[("MOM_PASSWORD", "camera")])
+        })
+    };
+    let bob = Client::builder(hub.as_str()).user("bob").password("bob");
+    let bob = bob.connect().await.expect("the lab knows its users");
+    let channel = bob.channel("/camera/x").await.expect("people may");
+    let mut events = channel.events();
+    let program = camera().await.expect("it runs");
+    let first = first_image(&channel, &mut events).await;
+    assert_eq!(first.get("calibrated"), None);
+
+    let guard = bob.token("/robot/token").await.expect("people may").grab().await;
+    let guard = guard.expect("it is free");
+    let content = Map::new()
+        .with("matrix", first.get("matrix").cloned().expect("a matrix"))
+        .with("width", 640)
+        .with("height", 480)
+        .with("rms", Value::Double(0.5))
+        .with("poses", 9);
+    channel.send("calibration", content).await.expect("sent");
+    message(&mut events, "calibration-changed").await;
+    guard.release().await.expect("it is his");
+    program.signal("TERM");
+    let ended = spawn_blocking(move || program.wait()).await.expect("waited for");
+    assert_eq!(ended.code(), Some(0));
+
+    let program = camera().await.expect("it runs");
+    let again = first_image(&channel, &mut events).await;
+    let kept = again.get("calibrated").expect("it is kept");
+    assert_eq!(kept.get("by").and_then(Value::as_str), Some("bob"));
+    assert_eq!(kept.get("poses").and_then(Value::as_int), Some(9));
+    drop((program, broker));
+}
+
+/// The image that a camera sends when it is asked, as soon as it is there.
+async fn first_image(channel: &Channel, events: &mut Events) -> Value {
+    let wanted = async {
+        loop {
+            channel
+                .message("request")
+                .no_echo()
+                .send()
+                .await
+                .expect("people may");
+            if let Ok(parcel) = timeout(Duration::from_millis(200), message(events, "image")).await {
+                return parcel.value();
+            }
+        }
+    };
+    timeout(PATIENCE, wanted).await.expect("a camera is there")
 }
