@@ -22,9 +22,9 @@ pub struct Pose {
 /// turned so that the marker on its stalk is towards the
 /// lab's cameras, and in their images.
 const RANGES: [(f64, f64); 5] = [
-    (-220.0, 180.0),
-    (-140.0, 220.0),
-    (140.0, 400.0),
+    (-270.0, 220.0),
+    (-150.0, 270.0),
+    (130.0, 430.0),
     (-20.0, 80.0),
     (-20.0, 15.0),
 ];
