@@ -3,6 +3,7 @@
 mod cli;
 mod commands;
 mod connect;
+mod devices;
 mod doctor;
 mod failure;
 mod input;

@@ -16,6 +16,8 @@ mod look;
 mod parse;
 mod stop;
 
+use crate::devices::DeviceCommand;
+
 use self::camera::CAMERA;
 use self::contexts::{CREATE, DELETE};
 pub(crate) use self::parse::parse;
@@ -185,6 +187,9 @@ pub(crate) enum Command {
     /// Ask a camera for an image and save it
     #[command(after_help = SNAP)]
     Snap(SnapArgs),
+    /// What devices bring along.
+    #[command(flatten)]
+    Device(DeviceCommand),
 }
 
 /// `mom lab`

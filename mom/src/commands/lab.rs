@@ -275,6 +275,9 @@ impl LabSummary {
             command(format!(
                 "echo 'move 100 50 200 0 0; grip close' | {program} run -"
             )),
+            command(format!("{program} jog --for 1s 50 0 -50 0 0")),
+            command(format!("{program} stop /robot/arm")),
+            command(format!("{program} unstop /robot/arm")),
             command(format!("{program} snap")),
             command(format!("{program} camera x --size 320x240 --quality 60")),
             command(format!("echo reset | {program} run -")),

@@ -73,5 +73,6 @@ pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Doctor(args) => doctor::run(args, global, output).await,
         Command::Camera(args) => camera::run(args, global, output).await,
         Command::Snap(args) => snap::run(args, global, output).await,
+        Command::Device(command) => command.run(global, output).await,
     }
 }

@@ -40,11 +40,13 @@ pub enum ErrorName {
     Busy,
     /// The command is older than it may be when it is used.
     TooOld,
+    /// A relative command does not name the state that it is based on.
+    NoState,
 }
 
 impl ErrorName {
     /// Every name, in the order of the controller's numbers.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::Syntax,
         Self::WorkspaceBoundary,
         Self::Link,
@@ -58,6 +60,7 @@ impl ErrorName {
         Self::ChangingHands,
         Self::Busy,
         Self::TooOld,
+        Self::NoState,
     ];
 
     /// The code word, as it stands on the wire.
@@ -77,6 +80,7 @@ impl ErrorName {
             Self::ChangingHands => "changing-hands",
             Self::Busy => "busy",
             Self::TooOld => "too-old",
+            Self::NoState => "no-state",
         }
     }
 
@@ -97,6 +101,7 @@ impl ErrorName {
             Self::ChangingHands => 5105,
             Self::Busy => 5106,
             Self::TooOld => 5107,
+            Self::NoState => 5108,
         }
     }
 }
@@ -118,7 +123,7 @@ impl fmt::Display for ErrorName {
 /// An error of the arm: plain words, with the code kept beside them (M53).
 ///
 /// As `serde` content it is a map of `name`, `code`, `text` and, where they apply, `retry` (true: send the same command a
-/// little later), `statement` (1 for the first), `position` (byte in the script), `nearest` (the known word meant) and
+/// little later), `statement` (1 for the first), `position` (byte in the script) with its `line` and `column` (1 for the first, in characters), `nearest` (the known word meant) and
 /// `reachable` (the nearest pose that the arm can reach instead, as far as one was looked for).
 ///
 /// ```
@@ -127,6 +132,7 @@ impl fmt::Display for ErrorName {
 /// let error = "grip open; mvoe 1 2 3 4 5".parse::<Script>().unwrap_err();
 /// assert_eq!((error.name(), error.code()), (ErrorName::Syntax, 5001));
 /// assert_eq!((error.statement(), error.position(), error.nearest()), (Some(2), Some(11), Some("move")));
+/// assert_eq!((error.line(), error.column()), (Some(1), Some(12)));
 /// assert_eq!(error.to_string(), "statement 2: there is no `mvoe`; did you mean `move`?");
 /// ```
 #[derive(Debug, Clone, PartialEq, thiserror::Error, Serialize, Deserialize)]
@@ -141,6 +147,10 @@ pub struct ArmError {
     statement: Option<u32>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     position: Option<usize>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    line: Option<u32>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    column: Option<u32>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     nearest: Option<String>,
     // Boxed, as most errors have none and an error is returned by value.
@@ -159,6 +169,8 @@ impl ArmError {
             retry: name.is_retryable(),
             statement: None,
             position: None,
+            line: None,
+            column: None,
             nearest: None,
             reachable: None,
         }
@@ -194,6 +206,18 @@ impl ArmError {
         self.position
     }
 
+    /// The line of the script at which the mistake begins, 1 for the first.
+    #[must_use]
+    pub const fn line(&self) -> Option<u32> {
+        self.line
+    }
+
+    /// The character of that line at which the mistake begins, 1 for the first.
+    #[must_use]
+    pub const fn column(&self) -> Option<u32> {
+        self.column
+    }
+
     /// The known word that is nearest to an unknown one.
     #[must_use]
     pub fn nearest(&self) -> Option<&str> {
@@ -225,6 +249,19 @@ impl ArmError {
     #[must_use]
     pub(crate) fn at_position(mut self, position: usize) -> Self {
         self.position = Some(position);
+        self
+    }
+
+    /// The same error, with the line and the column of its position in this script.
+    #[must_use]
+    pub(crate) fn in_text(mut self, script: &str) -> Self {
+        let before = self.position.and_then(|position| script.get(..position));
+        if let Some(before) = before {
+            let count = |count: usize| u32::try_from(count + 1).ok();
+            let last = before.rsplit('\n').next().unwrap_or_default();
+            self.line = count(before.matches('\n').count());
+            self.column = count(last.chars().count());
+        }
         self
     }
 

@@ -89,6 +89,18 @@ impl Pose {
         }
     }
 
+    /// The pose that differs from this one by so much in each of its numbers.
+    #[must_use]
+    pub fn plus(&self, by: &Self) -> Self {
+        Self {
+            x: self.x + by.x,
+            y: self.y + by.y,
+            z: self.z + by.z,
+            spin: self.spin + by.spin,
+            tilt: self.tilt + by.tilt,
+        }
+    }
+
     /// The hand's axes in this pose.
     #[must_use]
     pub fn frame(&self) -> HandAxes {

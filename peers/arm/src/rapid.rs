@@ -90,6 +90,7 @@ pub fn lines(script: &Script, from: &Pose) -> Result<Vec<Vec<String>>, ArmError>
     let mut at = *from;
     let mut all = Vec::with_capacity(script.statements().len());
     for (number, statement) in (1..).zip(script.statements()) {
+        let here = at;
         let mut go = |to: Pose| {
             path::check(&at, &to)?;
             let legs = path::legs(&at, &to);
@@ -98,6 +99,7 @@ pub fn lines(script: &Script, from: &Pose) -> Result<Vec<Vec<String>>, ArmError>
         };
         let lines: Result<Vec<String>, ArmError> = match statement {
             Statement::Move(pose) => go(*pose),
+            Statement::By(by) => go(here.plus(by)),
             Statement::Home => go(HOME),
             Statement::Grip(grip) => Ok(vec![grip_line(*grip)]),
             Statement::Wait(ms) => Ok(vec![format!("WaitTime {};", decimal(f64::from(*ms) / 1000.0, 3))]),

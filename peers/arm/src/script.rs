@@ -6,6 +6,7 @@
 //! | statement | does |
 //! |---|---|
 //! | `move x y z spin tilt` | moves the hand there by the path rule (M52): mm and degrees |
+//! | `by dx dy dz dspin dtilt` | moves it there from where it is then |
 //! | `grip open`, `grip close` | moves the jaws |
 //! | `wait ms` | waits, 0 to 60 000 ms |
 //! | `jog vx vy vz vspin vtilt` | moves the hand at this velocity for 200 ms: mm/s and degrees/s; a sixth number says for how many ms, 1000 at most |
@@ -48,6 +49,8 @@ pub enum Grip {
 pub enum Statement {
     /// Move the hand to a pose.
     Move(Pose),
+    /// Move the hand by so much; the numbers of a pose are differences here.
+    By(Pose),
     /// Move the jaws.
     Grip(Grip),
     /// Wait for so many ms.
@@ -89,9 +92,27 @@ impl FromStr for Script {
     ///
     /// # Errors
     ///
-    /// [`ErrorName::Syntax`] with the statement's number, the byte at which the mistake begins, and
+    /// [`ErrorName::Syntax`] with the statement's number, where the mistake begins, and
     /// the nearest known word where a word is unknown.
     fn from_str(text: &str) -> Result<Self, ArmError> {
+        Self::read(text).map_err(|error| error.in_text(text))
+    }
+}
+
+impl Script {
+    /// Whether it says of a motion only how far it goes from where the hand is at the beginning, so that it is wrong from anywhere else (M35).
+    #[must_use]
+    pub fn is_relative(&self) -> bool {
+        let motions = self.0.iter().find(|statement| {
+            matches!(
+                statement,
+                Statement::Move(_) | Statement::Home | Statement::Reset | Statement::By(_)
+            )
+        });
+        matches!(motions, Some(Statement::By(_)))
+    }
+
+    fn read(text: &str) -> Result<Self, ArmError> {
         if text.len() > MAX_BYTES {
             let length = text.len();
             return Err(syntax(
@@ -139,7 +160,7 @@ impl fmt::Display for Script {
     }
 }
 
-const VERBS: &[&str] = &["move", "grip", "wait", "jog", "home", "reset"];
+const VERBS: &[&str] = &["move", "by", "grip", "wait", "jog", "home", "reset"];
 const GRIPS: &[&str] = &["open", "close"];
 
 impl Statement {
@@ -153,6 +174,16 @@ impl Statement {
                     z: number("z")?,
                     spin: number("spin")?,
                     tilt: number("tilt")?,
+                }))
+            }
+            "by" => {
+                let mut number = |which| words.number("by", "five numbers, dx dy dz dspin dtilt", which);
+                Ok(Self::By(Pose {
+                    x: number("dx")?,
+                    y: number("dy")?,
+                    z: number("dz")?,
+                    spin: number("dspin")?,
+                    tilt: number("dtilt")?,
                 }))
             }
             "grip" => match words.need("grip", "`open` or `close`", "it")? {
@@ -229,6 +260,10 @@ impl fmt::Display for Statement {
         match self {
             Self::Move(pose) => {
                 f.write_str("move")?;
+                write_numbers(f, [pose.x, pose.y, pose.z, pose.spin, pose.tilt])
+            }
+            Self::By(pose) => {
+                f.write_str("by")?;
                 write_numbers(f, [pose.x, pose.y, pose.z, pose.spin, pose.tilt])
             }
             Self::Jog(velocity, ms) => {
@@ -464,8 +499,10 @@ mod tests {
             proptest::num::f64::NORMAL
         ];
         prop_oneof![
-            proptest::array::uniform5(number)
+            proptest::array::uniform5(number.clone())
                 .prop_map(|[x, y, z, a, b]| Statement::Move(Pose::new(x, y, z, a, b))),
+            proptest::array::uniform5(number)
+                .prop_map(|[x, y, z, a, b]| Statement::By(Pose::new(x, y, z, a, b))),
             prop_oneof![Just(Grip::Open), Just(Grip::Close)].prop_map(Statement::Grip),
             (0..=MAX_WAIT).prop_map(Statement::Wait),
             Just(Statement::Home),

@@ -9,6 +9,7 @@
 //!
 //! A camera may also be a real one: [`source`] takes its pictures from a URL, and they go the same way as drawn ones.
 
+mod calibration;
 mod draw;
 mod encode;
 mod error;
@@ -28,12 +29,14 @@ pub mod source;
 mod trail;
 mod view;
 
+pub use calibration::Calibration;
 pub use error::SettingsError;
 pub use geometry::Camera;
 pub use overlay::Overlay;
 pub use peer::CameraOptions;
 pub use predicted::PosePredictor;
 pub use renderer::{Image, Renderer};
+pub use robot::{MARKER, MARKER_COLOUR, MARKER_RADIUS};
 pub use scene::{Colour, DrawnBlock, DrawnGripper, DrawnPose, Scene};
 pub use server::{ImageServer, ServerOptions};
 pub use settings::{CameraSettings, Format, HEIGHTS, QUALITIES, SettingsChange, WIDTHS};

@@ -84,6 +84,9 @@ struct CameraArgs {
     /// Format of the images: jpeg or png
     #[arg(long)]
     format: Option<String>,
+    /// A file that keeps the measured matrix (mom calibrate) over restarts; it is made when there is something to keep
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
     /// Draw pose, path and outlines into the images; beside them, as data, they always are
     #[arg(long)]
     overlay: bool,
@@ -139,6 +142,7 @@ fn options(args: &CameraArgs) -> anyhow::Result<CameraOptions> {
         source: args.url.as_ref().map(|url| source(url, &settings)).transpose()?,
         rate: args.rate,
         trail: args.trail,
+        calibration: args.calibration.clone(),
         ..CameraOptions::new(args.view)
     })
 }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::future::{Future, pending};
+use std::path::PathBuf;
 use std::pin::pin;
 use std::time::{Duration, SystemTime};
 
@@ -10,6 +11,7 @@ use tokio::sync::watch::Receiver;
 use tokio::task::{JoinHandle, JoinSet, spawn_blocking};
 use tokio::time::{Instant, sleep_until};
 
+use crate::calibration::CalibrationFile;
 use crate::server::CameraTime;
 use crate::source::{self, Sight};
 use crate::{CameraSettings, ImageServer, ServerOptions, SettingsError, Source, View};
@@ -36,6 +38,8 @@ pub struct CameraOptions {
     pub rate: f64,
     /// How many past poses the path in the image has (M44).
     pub trail: usize,
+    /// The file that keeps the measured matrix over restarts, if one does (M55).
+    pub calibration: Option<PathBuf>,
 }
 
 impl CameraOptions {
@@ -51,6 +55,7 @@ impl CameraOptions {
             source: None,
             rate: 10.0,
             trail: 100,
+            calibration: None,
         }
     }
 
@@ -86,6 +91,15 @@ impl CameraOptions {
     }
 }
 
+impl CameraOptions {
+    /// The file of the measured matrix, read.
+    fn calibration_file(&self) -> Result<Option<CalibrationFile>, ClientError> {
+        let open = |path: &PathBuf| CalibrationFile::open(path, self.view);
+        let file = self.calibration.as_ref().map(open).transpose();
+        file.map_err(|text| WireError::new(Code::BAD_CONTENT, text).into())
+    }
+}
+
 /// Runs a camera until `shutdown` is done; then it logs out.
 ///
 /// Images are drawn on tokio's blocking threads, one at a time.
@@ -110,6 +124,8 @@ pub async fn run(
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), ClientError> {
     let mut server = options.server()?;
+    let mut file = options.calibration_file()?;
+    server = server.calibrated(file.as_ref().and_then(CalibrationFile::kept).cloned());
     let channel = client.channel(&options.channel).await?;
     let mut camera = channel.events();
     let token = client.token(&options.token).await?;
@@ -160,7 +176,12 @@ pub async fn run(
                 None => server.handle_failure(),
             },
             users = done(&mut looking) => server.handle_users(&users.unwrap_or_default(), &mut out),
-            event = camera.next() => server.handle_camera(&open(event, &client)?, &mut out),
+            event = camera.next() => {
+                server.handle_camera(&open(event, &client)?, &mut out);
+                if let Some(Err(error)) = file.as_mut().map(|file| file.keep(server.calibration())) {
+                    tracing::error!(%error, "the calibration is in use, but could not be kept");
+                }
+            }
             event = robot.next() => server.handle_robot(&open(event, &client)?),
             sight = sight(&mut sights) => server.handle_sight(sight, wall(&client), &mut out),
             () = sleep_or_wait(wake) => {}

@@ -8,7 +8,7 @@ use nalgebra::{Rotation3, Vector2};
 
 use crate::geometry::{Direction, Point};
 use crate::scene::{Colour, DrawnGripper, DrawnPose};
-use crate::solid::Solid;
+use crate::solid::{Ball, Solid};
 use crate::view::WRIST_MOUNT;
 
 /// The axis about which joint 1 turns, mm.
@@ -30,6 +30,16 @@ const PAINT: Colour = Colour([243, 112, 33]);
 const DARK: Colour = Colour([78, 84, 94]);
 const STEEL: Colour = Colour([176, 183, 192]);
 const RUBBER: Colour = Colour([56, 60, 68]);
+
+/// Where the middle of the marker is in the gripper's frame, mm: along the jaw line, across it, and from the tip towards
+/// the wrist (M55).
+///
+/// It is a ball on a stalk, beside the hand, so that the cameras x, y and top see it in most poses.
+pub const MARKER: [f64; 3] = [0.0, -140.0, 75.0];
+/// The radius of the marker, mm.
+pub const MARKER_RADIUS: f64 = 12.0;
+/// The colour of the marker, which nothing else has. It shines, so that it has no shades.
+pub const MARKER_COLOUR: Colour = Colour([255, 0, 255]);
 
 /// The gripper's frame: the tip and three directions of length 1.
 #[derive(Debug, Clone)]
@@ -72,7 +82,7 @@ impl ToolFrame {
     }
 }
 
-/// The gripper: two jaws, their palm and the flange.
+/// The gripper: two jaws, their palm, the flange and the marker.
 pub(crate) fn gripper(tool: &ToolFrame, gripper: &DrawnGripper) -> Vec<Solid> {
     let finger = |sign: f64| {
         let middle = sign * (gripper.opening / 2.0 + 4.0);
@@ -81,13 +91,29 @@ pub(crate) fn gripper(tool: &ToolFrame, gripper: &DrawnGripper) -> Vec<Solid> {
             tool.cuboid([middle, 0.0, 42.0], [4.0, 8.0, 18.0], STEEL),
         ]
     };
-    let mut solids = Vec::with_capacity(6);
+    let mut solids = Vec::with_capacity(8);
     solids.extend(finger(-1.0));
     solids.extend(finger(1.0));
     let palm = (gripper.opening / 2.0 + 10.0).max(50.0);
     solids.push(tool.cuboid([0.0, 0.0, 75.0], [palm, 20.0, 15.0], DARK));
     solids.push(tool.cylinder((90.0, 32.0), (136.0, 38.0), STEEL));
+    solids.extend(marker(tool));
     solids
+}
+
+/// The marker and its stalk.
+fn marker(tool: &ToolFrame) -> [Solid; 2] {
+    let [jaw, across, up] = MARKER;
+    // It ends before the ball, so that the line around it covers nothing of that.
+    let (from, to) = (-20.0, across + MARKER_RADIUS + 2.0);
+    let ball = Ball {
+        middle: tool.at(MARKER),
+        radius: MARKER_RADIUS,
+    };
+    [
+        tool.cuboid([jaw, (from + to) / 2.0, up], [3.0, (from - to) / 2.0, 3.0], DARK),
+        Solid::ball(ball, tool.axes[2], MARKER_COLOUR),
+    ]
 }
 
 /// The camera on the gripper, as the other cameras see it.

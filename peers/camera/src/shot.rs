@@ -7,7 +7,7 @@ use mom_client::{Map, Time, Value};
 
 use crate::overlay::{POSE, PREDICTED};
 use crate::source::{Frame, FrameError};
-use crate::{DrawnPose, Overlay, Renderer, Rendition, Scene};
+use crate::{Calibration, DrawnPose, Overlay, Renderer, Rendition, Scene};
 
 /// A picture to be drawn: the input of drawing, and the receivers.
 #[derive(Debug, Clone)]
@@ -15,6 +15,8 @@ pub struct Shot {
     pub(crate) renderer: Arc<Renderer>,
     /// The frame of a real camera, which takes the place of drawing.
     pub(crate) taken_frame: Option<TakenFrame>,
+    /// The measured matrix, if there is one: it takes the place of the renderer's.
+    pub(crate) calibration: Option<Arc<Calibration>>,
     pub(crate) scene: Scene,
     pub(crate) state_seq: Option<i64>,
     /// When the robot said that it was there.
@@ -115,7 +117,14 @@ impl Shot {
         if let Some(time) = self.pose_time {
             map.set("pose-time", time);
         }
-        if let Some(matrix) = file.matrix {
+        let matrix = match &self.calibration {
+            Some(measured) => {
+                map.set("calibrated", measured.facts());
+                Some(measured.scaled(file.width, file.height))
+            }
+            None => file.matrix,
+        };
+        if let Some(matrix) = matrix {
             let matrix: Vec<Value> = matrix.into_iter().map(Value::Double).collect();
             map.set("matrix", matrix);
         }

@@ -14,6 +14,16 @@ pub(crate) struct Solid {
     pub(crate) colour: Colour,
     /// Whether the sides stand for one round face, which has no edges along it.
     pub(crate) round: bool,
+    /// The ball that is drawn in place of the faces, which only tell what hides what.
+    pub(crate) ball: Option<Ball>,
+}
+
+/// A ball that shines: of one colour without shades.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Ball {
+    pub(crate) middle: Point,
+    /// mm.
+    pub(crate) radius: f64,
 }
 
 /// A flat face; its corners run counter-clockwise seen from outside.
@@ -41,6 +51,7 @@ impl Solid {
             faces,
             colour,
             round: false,
+            ball: None,
         }
     }
 
@@ -74,23 +85,35 @@ impl Solid {
     pub(crate) fn cylinder(from: (Point, f64), to: (Point, f64), colour: Colour) -> Solid {
         const SIDES: u32 = 20;
         let axis = (to.0 - from.0).try_normalize(1e-9).unwrap_or(Direction::z());
+        let ring = |(middle, radius): (Point, f64)| Solid::ring(middle, &axis, radius, SIDES);
+        Solid {
+            round: true,
+            ..Solid::loft(&ring(from), &ring(to), colour)
+        }
+    }
+
+    /// Corners on a circle, counter-clockwise seen from beyond the axis.
+    fn ring(middle: Point, axis: &Direction, radius: f64, corners: u32) -> Vec<Point> {
         let helper = if axis.z.abs() < 0.9 {
             Direction::z()
         } else {
             Direction::x()
         };
-        let p = helper.cross(&axis).normalize();
+        let p = helper.cross(axis).normalize();
         let q = axis.cross(&p);
-        let ring = |(middle, radius): (Point, f64)| -> Vec<Point> {
-            let corner = |i| {
-                let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / f64::from(SIDES)).sin_cos();
-                middle + (p * cos + q * sin) * radius
-            };
-            (0..SIDES).map(corner).collect()
+        let corner = |i| {
+            let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / f64::from(corners)).sin_cos();
+            middle + (p * cos + q * sin) * radius
         };
+        (0..corners).map(corner).collect()
+    }
+
+    /// A ball, as long along `axis` as across it.
+    pub(crate) fn ball(ball: Ball, axis: Direction, colour: Colour) -> Solid {
+        let end = |sign: f64| (ball.middle + axis * (sign * ball.radius), ball.radius);
         Solid {
-            round: true,
-            ..Solid::loft(&ring(from), &ring(to), colour)
+            ball: Some(ball),
+            ..Solid::cylinder(end(-1.0), end(1.0), colour)
         }
     }
 
@@ -117,6 +140,21 @@ impl Solid {
             .iter()
             .find(apart)
             .map(|face| self.outside(face, eye) <= 0.0)
+    }
+}
+
+impl Ball {
+    /// The circle on which lines from the eye touch it; empty if the eye is inside.
+    pub(crate) fn outline(&self, eye: &Point) -> Vec<Point> {
+        const CORNERS: u32 = 64;
+        let way = eye - self.middle;
+        let (distance, radius) = (way.norm(), self.radius);
+        if distance <= radius {
+            return Vec::new();
+        }
+        let near = self.middle + way * (radius / distance).powi(2);
+        let wide = radius * (1.0 - (radius / distance).powi(2)).sqrt();
+        Solid::ring(near, &(way / distance), wide, CORNERS)
     }
 }
 

@@ -3,7 +3,7 @@
 use std::io::Write as _;
 use std::process::{Command, Output, Stdio};
 
-use mom_client::{Client, Event};
+use mom_client::{Client, Event, Events, Value};
 use mom_tests::programs::{PATIENCE, Running, program, project, run, text};
 use serde_json::Value as Json;
 use tokio::time::timeout;
@@ -136,43 +136,136 @@ fn a_command_is_traced_from_here_to_the_robot_and_back() {
     assert!(done - begun > 90_000, "{begun} {done}");
 }
 
+/// `mom run` names the state that a relative command is based on (M35).
+#[test]
+fn a_script_goes_on_from_where_the_hand_is() {
+    let (_lab, hub) = lab();
+    let file = tempfile::NamedTempFile::new().expect("a file");
+    std::fs::write(file.path(), "by 10 0 0 0 0\nby 5 0 -20 0 0; by 1 0 0 0 0\n").expect("it is written");
+    let path = file.path().to_str().expect("a path in text");
+    let env = [
+        ("MOM_HUB", &*hub),
+        ("MOM_USER", "alice"),
+        ("MOM_PASSWORD", "alice"),
+    ];
+    let done = run("mom", &["run", path], &env);
+    let said = text(&done.stderr) + &text(&done.stdout);
+    assert_eq!(done.status.code(), Some(0), "{said}");
+    let state = jog(&hub, &["--json", "--for", "1ms", "0", "0", "0", "0", "0"]);
+    assert_eq!((place(&state, "x"), place(&state, "z")), (16.0, 280.0));
+}
+
+/// A broker with the lab's configuration and the arm's own program, each a process.
+struct RealArm {
+    _broker: Running,
+    _arm: Running,
+    hub: String,
+}
+
+impl RealArm {
+    async fn start(args: &[&str]) -> Self {
+        let config = project().join("config/lab.toml");
+        let config = config.to_str().expect("the project's path is text");
+        let broker = Running::start(
+            "mom-broker",
+            &["--config", config, "--listen", "127.0.0.1:0"],
+            &[],
+        );
+        let line = broker.line_with("listening at");
+        let address = line
+            .split("tcp://")
+            .nth(1)
+            .and_then(|rest| rest.split_whitespace().next());
+        let hub = format!("bin://{}", address.expect("the broker says where it listens"));
+        let args = [&["--hub", &hub], args].concat();
+        let lab = Self {
+            _broker: broker,
+            _arm: Running::start("mom-arm", &args, &[("MOM_PASSWORD", "arm")]),
+            hub,
+        };
+        let carol = lab.join("carol").await;
+        let mut states = carol
+            .channel("/robot/arm")
+            .await
+            .expect("carol may look")
+            .events();
+        heard(&mut states, "state").await;
+        lab
+    }
+
+    async fn join(&self, user: &str) -> Client {
+        let client = Client::builder(&self.hub)
+            .user(user)
+            .password(user)
+            .connect()
+            .await;
+        client.expect("the lab knows its users")
+    }
+}
+
+/// The content of the next message of this name.
+async fn heard(events: &mut Events, name: &str) -> Value {
+    let wanted = async {
+        loop {
+            let event = events.next().await.expect("the client lives");
+            if let Event::Message(parcel) = event
+                && parcel.name() == name
+            {
+                return parcel.value();
+            }
+        }
+    };
+    timeout(PATIENCE, wanted)
+        .await
+        .unwrap_or_else(|_| panic!("never came: {name}"))
+}
+
+/// A command that waited behind another for longer than the arm takes it is not begun.
+#[tokio::test]
+async fn the_arm_does_not_begin_what_is_older_than_it_allows() {
+    let lab = RealArm::start(&["--max-age", "600ms"]).await;
+    let alice = lab.join("alice").await;
+    let token = alice.token("/robot/token").await.expect("alice may look");
+    let _guard = token.grab().await.expect("it is free");
+    let arm = alice.channel("/robot/arm").await.expect("alice may drive");
+    let mut events = arm.events();
+    // The arm stands under the new fence, and the hub has measured both clocks, when one is taken.
+    let error = |status: &Value| status.get("error").and_then(|error| error.get("name")).cloned();
+    loop {
+        arm.send("command", "wait 1").await.expect("it is sent");
+        let first = heard(&mut events, "status").await;
+        if error(&first).is_none() {
+            break;
+        }
+    }
+    while heard(&mut events, "status")
+        .await
+        .get("state")
+        .and_then(Value::as_str)
+        != Some("finished")
+    {}
+    arm.send("command", "wait 1200").await.expect("it is sent");
+    arm.send("command", "move 10 0 300 0 0")
+        .await
+        .expect("it is sent");
+    let refused = loop {
+        let status = heard(&mut events, "status").await;
+        if error(&status).is_some() {
+            break status;
+        }
+    };
+    assert_eq!(error(&refused), Some("too-old".into()), "{refused:?}");
+    let text = refused.get("error").and_then(|error| error.get("text"));
+    let text = text.and_then(Value::as_str).unwrap_or_default().to_owned();
+    assert!(text.contains("longer than it is good for"), "{text}");
+}
+
 /// The link between the arm's program and its controller fails in the middle of a move, and again later (M53): the command ends with that error, and the next one
 /// is carried out when the link is back.
 #[tokio::test]
 async fn the_link_to_the_controller_fails_and_recovers() {
-    let config = project().join("config/lab.toml");
-    let config = config.to_str().expect("the project's path is text");
-    let broker = Running::start(
-        "mom-broker",
-        &["--config", config, "--listen", "127.0.0.1:0"],
-        &[],
-    );
-    let line = broker.line_with("listening at");
-    let address = line
-        .split("tcp://")
-        .nth(1)
-        .and_then(|rest| rest.split_whitespace().next());
-    let hub = format!("bin://{}", address.expect("the broker says where it listens"));
-    let _arm = Running::start(
-        "mom-arm",
-        &["--hub", &hub, "--link-fault", "4s/1s"],
-        &[("MOM_PASSWORD", "arm")],
-    );
-    let carol = Client::builder(&hub)
-        .user("carol")
-        .password("carol")
-        .connect()
-        .await;
-    let channel = carol.expect("the hub runs").channel("/robot/arm").await;
-    let mut states = channel.expect("carol may look").events();
-    let told = async {
-        while let Some(event) = states.next().await {
-            if matches!(&event, Event::Message(parcel) if parcel.name() == "state") {
-                return;
-            }
-        }
-    };
-    timeout(PATIENCE, told).await.expect("the arm tells its state");
+    let lab = RealArm::start(&["--link-fault", "4s/1s"]).await;
+    let hub = &lab.hub;
     let run = |script: &str| {
         let file = tempfile::NamedTempFile::new().expect("a file");
         std::fs::write(file.path(), script).expect("it is written");

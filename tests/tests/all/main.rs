@@ -2,6 +2,7 @@
 
 mod attacks;
 mod browser;
+mod calibrate;
 mod cameras;
 mod commands;
 mod compression;

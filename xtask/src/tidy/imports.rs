@@ -63,6 +63,7 @@ const ARROWS: &[(&str, May)] = &[
     ),
     ("mom-arm", May::Use(&["mom-client", "mom-pages"])),
     ("mom-camera", May::Use(&["mom-client", "mom-pages"])),
+    ("mom-calibrate", May::Use(&["mom-client"])),
     (
         "mom",
         May::Use(&[
@@ -70,6 +71,7 @@ const ARROWS: &[(&str, May)] = &[
             "mom-broker",
             "mom-arm",
             "mom-camera",
+            "mom-calibrate",
             "mom-plots",
             "mom-pages",
         ]),

@@ -7,7 +7,8 @@ use std::time::Duration;
 
 use mom_arm::{ArmState, CommandState, ErrorName, Pose, Script, Status, arm, rapid};
 use mom_client::{
-    Channel, Client, Event, Events, Family, Lost, Parcel, Path, Token, TokenGuard, Value, from_value,
+    BASED_ON, Channel, Client, Event, Events, Family, Lost, Parcel, Path, Token, TokenGuard, Value,
+    from_value,
 };
 use serde_json::json;
 use tokio::time::{Instant, timeout_at};
@@ -48,6 +49,7 @@ pub(crate) async fn run(args: &cli::RunArgs, global: &GlobalArgs, output: Output
         robot: None,
         keep_going: args.keep_going,
         fence: guard.fence(),
+        newest: None,
         shown: args.show.map(|_| arm::HOME),
         output,
     };
@@ -158,6 +160,8 @@ struct Job {
     keep_going: bool,
     /// That of the token.
     fence: u64,
+    /// The id of the newest state.
+    newest: Option<u64>,
     /// Where the hand is, if it is to be shown what a controller would be told.
     shown: Option<Pose>,
     output: Output,
@@ -208,11 +212,31 @@ impl Job {
 
     /// Notes where the arm is.
     fn see(&mut self, event: &Event) {
-        if let (Some(shown), Event::Message(parcel)) = (&mut self.shown, event)
-            && parcel.name() == "state"
+        let Event::Message(parcel) = event else { return };
+        if parcel.name() != "state" {
+            return;
+        }
+        self.newest = parcel.id.or(self.newest);
+        if let Some(shown) = &mut self.shown
             && let Ok(state) = from_value::<ArmState>(parcel.value())
         {
             *shown = state.pose;
+        }
+    }
+
+    /// The id of the newest state, which the robot tells to whoever joins.
+    async fn newest_state(&mut self) -> Result<u64, Failure> {
+        let deadline = Instant::now() + ANSWER;
+        loop {
+            if let Some(newest) = self.newest {
+                return Ok(newest);
+            }
+            let event = timeout_at(deadline, self.events.next())
+                .await
+                .map_err(|_| self.nobody())?;
+            let event = event.ok_or_else(closed)?;
+            self.see(&event);
+            self.read(&event, 0)?;
         }
     }
 
@@ -251,8 +275,10 @@ impl Job {
                 && state.fence.is_some_and(|fence| fence >= self.fence)
                 && state.linked
             {
+                self.see(&event);
                 return Ok(());
             }
+            self.see(&event);
             self.read(&event, 0)?;
         }
     }
@@ -286,11 +312,22 @@ impl Job {
     }
 
     /// Sends a command and gives its id.
-    async fn send(&self, command: &ScriptLine) -> Result<u64, Failure> {
+    async fn send(&mut self, command: &ScriptLine) -> Result<u64, Failure> {
+        let relative = command
+            .text
+            .parse::<Script>()
+            .is_ok_and(|script| script.is_relative());
+        let based_on = match relative {
+            true => i64::try_from(self.newest_state().await?).ok(),
+            false => None,
+        };
         let mut parcel = Parcel::new(Family::Message, "command")
             .context(self.channel.clone())
             .content(command.text.as_str());
         parcel.echo = Some(false);
+        if let Some(state) = based_on {
+            parcel.extra.set(BASED_ON, state);
+        }
         // The receipt refers to the id that the client has given.
         parcel.receipt = Some(true);
         let what = format!("send line {} to {}", command.line, self.channel);

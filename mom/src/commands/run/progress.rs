@@ -239,6 +239,7 @@ mod tests {
     fn check(change: &StatusChange, line: &str, end: Option<&str>, json: &str) {
         let command = ScriptLine {
             line: 7,
+            indent: 0,
             text: "home; grip close".to_owned(),
         };
         let took = Duration::from_millis(4100);

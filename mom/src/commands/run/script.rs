@@ -9,6 +9,8 @@ use crate::failure::Failure;
 pub(super) struct ScriptLine {
     /// The line in the file, 1 for the first.
     pub(super) line: usize,
+    /// How many characters of the line are before the text.
+    pub(super) indent: usize,
     /// The script text that is sent.
     pub(super) text: String,
 }
@@ -20,8 +22,10 @@ pub(super) fn commands(text: &str) -> Vec<ScriptLine> {
         .filter_map(|(index, line)| {
             let code = line.split_once('#').map_or(line, |(code, _comment)| code).trim();
             let nothing = code.trim_matches([';', ' ', '\t']).is_empty();
+            let indent = line.chars().take_while(|char| char.is_whitespace()).count();
             (!nothing).then(|| ScriptLine {
                 line: index + 1,
+                indent,
                 text: code.to_owned(),
             })
         })
@@ -34,7 +38,8 @@ pub(super) fn check(file: &str, commands: &[ScriptLine]) -> Result<(), Failure> 
         .iter()
         .filter_map(|command| {
             let error = command.text.parse::<Script>().err()?;
-            Some(format!("{file}:{}: {error}", command.line))
+            let column = command.indent + error.column().map_or(1, |column| column as usize);
+            Some(format!("{file}:{}:{column}: {error}", command.line))
         })
         .collect();
     match wrong.is_empty() {
@@ -71,16 +76,20 @@ mod tests {
     }
 
     #[test]
-    fn mistakes_are_told_with_file_and_line_before_anything_is_sent() {
-        let mistakes = check("pick", &commands("home\n\nmvoe 1 2 3 4 5\ngrip close\nwait -1")).unwrap_err();
+    fn mistakes_are_told_with_file_line_and_column_before_anything_is_sent() {
+        let mistakes = check(
+            "pick",
+            &commands("home\n\n  home; mvoe 1 2 3 4 5\ngrip close\nwait -1"),
+        )
+        .unwrap_err();
         let text = mistakes.to_string();
         let lines: Vec<&str> = text.lines().collect();
         assert_eq!(lines.len(), 2, "{text}");
         assert!(
-            lines[0].starts_with("pick:3: ") && lines[0].contains("did you mean `move`?"),
+            lines[0].starts_with("pick:3:9: ") && lines[0].contains("did you mean `move`?"),
             "{text}"
         );
-        assert!(lines[1].starts_with("pick:5: "), "{text}");
+        assert!(lines[1].starts_with("pick:5:6: "), "{text}");
         assert!(check("pick", &commands("home; grip open\nwait 5")).is_ok());
     }
 }

@@ -9,13 +9,16 @@ use crate::jog::{self, Jog, Velocity};
 use crate::motion::ArmTime;
 use crate::path;
 use crate::pose::Pose;
-use crate::script::{Script, Statement};
+use crate::script::Statement;
 use crate::state::{ArmEvent, ArmState, CommandState, Executing, Gripper, ScriptProgress};
 
+mod command;
 #[cfg(test)]
 mod promises;
 #[cfg(test)]
 mod tests;
+
+use command::{Active, QueuedScript, Step, target};
 
 /// The initial pose of the hand, and the target of `home`.
 pub const HOME: Pose = Pose::new(0.0, 0.0, 300.0, 0.0, 0.0);
@@ -52,39 +55,6 @@ pub struct Arm {
     unsettled: bool,
     /// Whether the link to the controller stood when that was looked at last.
     linked: bool,
-}
-
-#[derive(Debug, Clone)]
-struct QueuedScript {
-    id: u64,
-    script: Script,
-    /// When it is too old to begin.
-    use_by: Option<ArmTime>,
-}
-
-/// The command being carried out.
-#[derive(Debug, Clone)]
-struct Active {
-    command: QueuedScript,
-    /// How many statements have begun.
-    begun: usize,
-    /// The ends of the legs of this statement that have not begun.
-    legs: VecDeque<Pose>,
-    step: Step,
-    /// Why no statement begins after the present one; none if the script goes on.
-    ends: Option<String>,
-    /// The present statement, if that is a velocity.
-    jog: Option<Jog>,
-}
-
-/// What is being done of the present statement.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Step {
-    None,
-    /// Until this time.
-    Waits(ArmTime),
-    /// The controller carries out an instruction.
-    Moves,
 }
 
 impl Arm {
@@ -166,7 +136,7 @@ impl Arm {
         for (statement, number) in statements.iter().zip(1..) {
             if *statement == Statement::Reset {
                 planned = HOME;
-            } else if let Some(target) = target(statement) {
+            } else if let Some(target) = target(statement, &planned) {
                 path::check(&planned, &target).map_err(|error| error.at_statement(number))?;
                 planned = target;
             }
@@ -472,9 +442,10 @@ impl Arm {
                 Ok(()) => self.publish_state(events),
                 Err(error) => self.fail_statement(error, events),
             },
-            Statement::Move(_) | Statement::Home => {
-                let target = target(&statement).expect("moves have a target");
-                active.legs = path::legs(&self.controller.reading().posture.pose, &target).into();
+            Statement::Move(_) | Statement::By(_) | Statement::Home => {
+                let from = self.controller.reading().posture.pose;
+                let target = target(&statement, &from).expect("moves have a target");
+                active.legs = path::legs(&from, &target).into();
             }
         }
     }
@@ -566,33 +537,5 @@ impl Arm {
     fn publish_state(&mut self, events: &mut Vec<ArmEvent>) {
         self.seq += 1;
         events.push(ArmEvent::State(self.state()));
-    }
-}
-
-impl QueuedScript {
-    fn progress(&self, begun: usize) -> ScriptProgress {
-        let count = |count: usize| u32::try_from(count).expect("a script has at most 1000 statements");
-        ScriptProgress {
-            statement: count(begun),
-            of: count(self.script.statements().len()),
-        }
-    }
-
-    fn event(&self, state: CommandState, begun: usize, error: Option<ArmError>) -> ArmEvent {
-        ArmEvent::Command {
-            id: self.id,
-            state,
-            progress: self.progress(begun),
-            error,
-        }
-    }
-}
-
-/// Where a statement moves the hand, if it does.
-fn target(statement: &Statement) -> Option<Pose> {
-    match statement {
-        Statement::Move(pose) => Some(*pose),
-        Statement::Home => Some(HOME),
-        Statement::Grip(_) | Statement::Wait(_) | Statement::Jog(..) | Statement::Reset => None,
     }
 }

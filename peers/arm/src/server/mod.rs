@@ -6,14 +6,15 @@ use std::time::Duration;
 
 use mom_client::event::Reason;
 use mom_client::{
-    Age, Delivery, Event, Family, FenceGate, HUB, Map, Parcel, Path, StateGate, Time, Value, WireError,
-    event, to_value,
+    Age, BASED_ON, Delivery, Event, Family, FenceGate, HUB, Map, Parcel, Path, StateGate, Time, Value,
+    WireError, event, to_value,
 };
 
 use crate::arm::Arm;
 use crate::error::{ArmError, ErrorName};
 use crate::motion::ArmTime;
 use crate::pose::Pose;
+use crate::script::Script;
 use crate::state::{ArmEvent, ArmState, CommandState, Executing, ScriptProgress};
 use crate::status::{CommandRefusal, Status};
 
@@ -39,8 +40,8 @@ const SAFE: &str = "the hub ordered the safe state, because the token's owner lo
 /// `halt` ends everything. What is to be sent is pushed to `out`, in order. The driver calls `advance` whenever
 /// [`RobotServer::next_wake`] is due.
 ///
-/// - A command is obeyed if the fence gate lets it pass, if the state that it was based on (where it names one)
-///   still holds (M35), and if the arm takes its script. Otherwise, and at every later change, a `status` is
+/// - A command is obeyed if the fence gate lets it pass, if the state that it was based on (where it names one, as a relative one has to)
+///   still holds (M35), if it is not too old, and if the arm takes its script. Otherwise, and at every later change, a `status` is
 ///   broadcast (M42).
 /// - The event that the token changed hands, or a command of a newer fence, ends all commands of an older owner at once. Where
 ///   owners hand over by agreement and the hub sends no `halt`, the present statement comes to its end, and no other begins.
@@ -260,6 +261,12 @@ impl RobotServer {
                 order.peer
             );
             return Err(ArmError::new(ErrorName::DuplicateId, text).into());
+        }
+        // One that cannot be read is refused by the arm, which says where.
+        let relative = script.parse::<Script>().is_ok_and(|script| script.is_relative());
+        if relative && command.extra.get(BASED_ON).is_none() {
+            let text = "a relative command is right in one place only: it has to name the state that it is based on, by that state's id in the slot `based-on`";
+            return Err(ArmError::new(ErrorName::NoState, text).into());
         }
         let use_by = self.use_by(command, age, now)?;
         self.last_id += 1;

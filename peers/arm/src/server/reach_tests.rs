@@ -1,4 +1,4 @@
-//! Commands that have grown old, and an arm that cannot be reached.
+//! Commands that have grown old or hold in one place only, and an arm that cannot be reached.
 
 use std::time::Duration;
 
@@ -88,6 +88,53 @@ fn an_arm_out_of_reach_does_not_say_that_it_stands() {
     let heard = stage.heard();
     assert!(
         heard.iter().any(|line| line.starts_with("status bob/3 finished")),
+        "{heard:?}"
+    );
+}
+
+/// "A bit to the left" is wrong once the arm has moved (M35).
+#[test]
+fn a_relative_command_names_the_state_that_it_is_based_on() {
+    let mut stage = Stage::new();
+    for (line, want) in [
+        (
+            "alice command 1 5: by 10 0 0 0 0",
+            "status alice/1 error 0/0 no-state 5108",
+        ),
+        (
+            "alice command 2 5 on newest: by 10 0 0 0 0; by 0 0 10 0 0",
+            "status alice/2 waiting 0/2",
+        ),
+        ("after 1000", "status alice/2 executing 2/2"),
+        (
+            "alice command 3 5 on before: by 10 0 0 0 0",
+            "status alice/3 error 0/0 stale-state",
+        ),
+        // From a place that it names itself it may go on from there.
+        (
+            "alice command 4 5: home; by 0 0 -10 0 0",
+            "status alice/4 waiting 0/2",
+        ),
+        (
+            "alice command 5 5: by 0 0 400 0 0",
+            "status alice/5 error 0/0 no-state",
+        ),
+    ] {
+        stage.act(line);
+        let heard = stage.heard();
+        assert!(
+            heard.first().is_some_and(|first| first.starts_with(want)),
+            "{line}: {heard:?}"
+        );
+    }
+    stage.act("after 2000");
+    stage.heard();
+    stage.act("alice command 6 5 on newest: by 0 0 400 0 0");
+    let heard = stage.heard();
+    assert!(
+        heard
+            .last()
+            .is_some_and(|last| last.contains("workspace-boundary")),
         "{heard:?}"
     );
 }

@@ -19,6 +19,11 @@ fn paint(canvas: &mut Canvas<'_>, solid: &Solid) {
         colour: solid.colour,
         opacity: 1.0,
     };
+    if let Some(ball) = solid.ball {
+        let outline = ball.outline(canvas.camera.position());
+        canvas.fill(&outline, base);
+        return;
+    }
     for face in solid
         .faces
         .iter()

@@ -9,7 +9,9 @@ use mom_client::{Code, Content, Delivery, Event, Family, Map, Parcel, Path, Time
 use crate::owner::Owner;
 use crate::shot::{Picture, PictureRequest, Purpose, Shot};
 use crate::trail::Trail;
-use crate::{CameraSettings, PosePredictor, Renderer, Scene, SettingsChange, SettingsError, View};
+use crate::{
+    Calibration, CameraSettings, PosePredictor, Renderer, Scene, SettingsChange, SettingsError, View,
+};
 
 #[cfg(test)]
 mod predicted_tests;
@@ -37,6 +39,12 @@ pub const SETTINGS_CHANGED: &str = "settings-changed";
 pub const SETTINGS_IN_USE: &str = "settings-in-use";
 /// The message that a change was refused.
 pub const SETTINGS_REFUSED: &str = "settings-refused";
+/// The message by which the token's owner tells the camera its measured matrix (M55).
+pub const CALIBRATION: &str = "calibration";
+/// The message that tells all the new matrix.
+pub const CALIBRATION_CHANGED: &str = "calibration-changed";
+/// The message that a matrix was refused.
+pub const CALIBRATION_REFUSED: &str = "calibration-refused";
 /// The message of the robot that tells its state.
 const STATE: &str = "state";
 /// For how long a motion is taken to go on after the last state: more is far from the truth at each corner.
@@ -76,12 +84,14 @@ pub struct ServerOptions {
 /// - Anyone may ask for an image, and is answered with one of the newest state, whatever the period.
 /// - Only the owner of the robot's token changes the settings (M37), by whichever of its user's peers; anyone may ask
 ///   for them. Whose a peer is the hub knows: [`ImageServer::ask_users`].
+/// - Only that owner tells the measured matrix (M55), which images carry from then on, scaled to their size.
 #[derive(Debug)]
 pub struct ImageServer {
     options: ServerOptions,
     /// What draws, where the camera is not a real one.
     renderer: Arc<Renderer>,
     real: Option<RealCamera>,
+    calibration: Option<Arc<Calibration>>,
     owner: Owner,
     changes: ForeignChanges,
     scene: Scene,
@@ -111,6 +121,7 @@ impl ImageServer {
         Ok(ImageServer {
             renderer: Arc::new(Renderer::new(options.view, options.settings)?),
             real: None,
+            calibration: None,
             owner: Owner::default(),
             changes: ForeignChanges::default(),
             scene: Scene::default(),
@@ -126,6 +137,18 @@ impl ImageServer {
             newest: None,
             options,
         })
+    }
+
+    /// The server with a matrix that was measured before.
+    #[must_use]
+    pub fn calibrated(mut self, calibration: Option<Calibration>) -> ImageServer {
+        self.calibration = calibration.map(Arc::new);
+        self
+    }
+
+    /// The measured matrix, if there is one.
+    pub fn calibration(&self) -> Option<&Calibration> {
+        self.calibration.as_deref()
     }
 
     /// Takes an event of the robot's channel: its states.
@@ -149,12 +172,18 @@ impl ImageServer {
         self.owner.handle_info(info);
     }
 
-    /// Takes an event of the camera's own channel: requests and settings.
+    /// Takes an event of the camera's own channel: requests, settings and a measured matrix.
     pub fn handle_camera(&mut self, event: &Event, out: &mut Vec<Parcel>) {
         let Event::Message(parcel) = event else { return };
         match parcel.name() {
             REQUEST => self.take_request(parcel, out),
             SETTINGS => self.hear_settings(parcel, out),
+            CALIBRATION => {
+                let answer = self.take_calibration(parcel);
+                let refused =
+                    |error: WireError| self.answer(CALIBRATION_REFUSED, error.to_map(), &request_of(parcel));
+                out.push(answer.unwrap_or_else(refused));
+            }
             _ => {}
         }
     }
@@ -265,6 +294,16 @@ impl ImageServer {
         changed
     }
 
+    fn take_calibration(&mut self, parcel: &Parcel) -> Result<Parcel, WireError> {
+        self.owner.check(parcel.sender.as_deref(), &self.options.token)?;
+        let calibration = Calibration::of(parcel, self.options.view)?;
+        let mut changed = self.message(CALIBRATION_CHANGED, calibration.to_map());
+        changed.reference = parcel.id;
+        self.calibration = Some(Arc::new(calibration));
+        self.revision += 1;
+        Ok(changed)
+    }
+
     fn change_settings(&mut self, change: &SettingsChange) -> Result<(), WireError> {
         let bad_content = |error: SettingsError| WireError::new(Code::BAD_CONTENT, error.to_string());
         if let Some(real) = &mut self.real {
@@ -308,6 +347,7 @@ impl ImageServer {
         Shot {
             purpose,
             revision: self.revision,
+            calibration: self.calibration.clone(),
             ..newest.unwrap_or_else(|| self.shot_now(wall))
         }
     }
@@ -317,6 +357,7 @@ impl ImageServer {
         Shot {
             taken_frame: None,
             renderer: Arc::clone(&self.renderer),
+            calibration: self.calibration.clone(),
             scene: Scene {
                 trail: self.trail.up_to(self.scene.pose),
                 predicted: self

@@ -497,3 +497,93 @@ fn an_image_says_how_it_was_taken() {
         assert_eq!(matrix_of(&content) == before, view.is_fixed(), "{view}");
     }
 }
+
+/// What `sender` says in a `calibration` message, and the answer's name, addressee and content.
+fn calibrate(stage: &mut Stage, sender: &str, content: Map) -> (String, Option<String>, Value) {
+    let mut parcel = Parcel::new(Family::Message, CALIBRATION).content(content);
+    (parcel.sender, parcel.id) = (Some(sender.into()), Some(7));
+    parcel.timestamp = Time::from_micros(5);
+    stage
+        .server
+        .handle_camera(&Event::Message(parcel), &mut stage.out);
+    let answer = stage.out.pop().expect("an answer");
+    assert_eq!((answer.reference, stage.out.len()), (Some(7), 0));
+    let to = answer
+        .address
+        .iter()
+        .flatten()
+        .next()
+        .map(|peer| peer.to_string());
+    (answer.name().to_owned(), to, answer.value())
+}
+
+/// The view's own matrix at 640×480, moved to the right by so many pixels.
+fn moved_by(pixels: f64) -> Map {
+    let mut matrix = View::X.camera(&DrawnPose::default(), 640, 480).matrix();
+    for column in 0..4 {
+        matrix[column] += pixels * matrix[8 + column];
+    }
+    let numbers: Vec<Value> = matrix.into_iter().map(Value::Double).collect();
+    Map::new()
+        .with("matrix", numbers)
+        .with("width", 640)
+        .with("height", 480)
+        .with("rms", Value::Double(0.25))
+        .with("poses", 19)
+}
+
+#[test]
+fn a_measured_matrix_takes_the_place_of_the_views() {
+    let mut stage = Stage::new(View::X);
+    stage.act("info alice 4");
+    let picture = |stage: &mut Stage| {
+        let shot = stage.shot.take().expect("something is being drawn");
+        let picture = shot.take();
+        let content = picture.content.clone();
+        stage.server.handle_picture(picture, &mut stage.out);
+        stage.out.clear();
+        Value::from(content.expect("it is drawn"))
+    };
+    stage.act("state 1");
+    let before = picture(&mut stage);
+    assert_eq!(before.get("calibrated"), None);
+
+    let (name, to, content) = calibrate(&mut stage, "bob", moved_by(10.0));
+    assert_eq!((name.as_str(), to.as_deref()), (CALIBRATION_REFUSED, Some("bob")));
+    assert_eq!(content.get("name").and_then(Value::as_str), Some("not-owner"));
+    let (name, to, content) = calibrate(&mut stage, "alice", moved_by(1000.0));
+    assert_eq!(
+        (name.as_str(), to.as_deref()),
+        (CALIBRATION_REFUSED, Some("alice"))
+    );
+    assert_eq!(content.get("name").and_then(Value::as_str), Some("bad-content"));
+    assert_eq!(stage.server.calibration(), None);
+
+    let (name, to, content) = calibrate(&mut stage, "alice", moved_by(10.0));
+    assert_eq!((name.as_str(), to), (CALIBRATION_CHANGED, None));
+    assert_eq!(content.get("by").and_then(Value::as_str), Some("alice"));
+    assert_eq!(
+        stage.act("after 100"),
+        ["draws 1"],
+        "all are shown the new matrix"
+    );
+    let after = picture(&mut stage);
+    let told = after.get("calibrated").expect("it is measured");
+    assert_eq!(told.get("rms"), Some(&Value::Double(0.25)));
+    assert_eq!(told.get("poses").and_then(Value::as_int), Some(19));
+    assert_eq!(told.get("by").and_then(Value::as_str), Some("alice"));
+    assert_eq!(told.get("time").and_then(Value::as_time), Time::from_micros(5));
+    // The images are a tenth as wide as those in which it was measured.
+    let ([before, after], depth) = ([before, after].map(|content| matrix_of(&content)), 8);
+    for column in 0..4 {
+        assert!((after[column] - before[column] - after[depth + column]).abs() < 1e-9);
+        assert_eq!(after[depth + column], before[depth + column]);
+    }
+
+    let mut wrist = Stage::new(View::Wrist);
+    wrist.act("info alice 4");
+    let (name, _, content) = calibrate(&mut wrist, "alice", moved_by(0.0));
+    assert_eq!(name, CALIBRATION_REFUSED);
+    let text = content.get("text").and_then(Value::as_str).expect("a reason");
+    assert!(text.contains("moves with the arm"), "{text}");
+}

@@ -1,0 +1,51 @@
+//! Commands that devices bring along: each is a folder of its own under `peers`, and one line here.
+
+use clap::Subcommand;
+
+use crate::cli::GlobalArgs;
+use crate::connect::{Stay, connect};
+use crate::failure::Failure;
+use crate::interrupt::Interrupt;
+use crate::output::Output;
+
+/// The commands of packages. The module `verb` of each has
+///
+/// - `VerbArgs`, the arguments with their help,
+/// - `run(&args, client, interrupt, tell)`, which works until it is done or `interrupt` is; it logs `client` out, and
+///   tells each result as JSON and as a line for people,
+///
+/// and its root has `VerbFailure`, which says why it did not do its work.
+macro_rules! devices {
+    ($($name:ident: $package:ident,)*) => {
+        /// The commands of devices.
+        #[derive(Debug, Subcommand)]
+        pub(crate) enum DeviceCommand {
+            $($name($package::verb::VerbArgs),)*
+        }
+
+        impl DeviceCommand {
+            /// Runs it as a peer of its own.
+            pub(crate) async fn run(&self, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
+                let client = connect(global, Stay::Once).await?;
+                let mut interrupt = Interrupt::install()?;
+                let mut tell = |json, line| output.tell(|| json, || line);
+                match self {
+                    $(DeviceCommand::$name(args) => {
+                        use $package::VerbFailure;
+                        let ran = $package::verb::run(args, client, interrupt.wait(), &mut tell).await;
+                        ran.map_err(|failure| match failure {
+                            VerbFailure::Hub { what, error } => Failure::of_client(what, error),
+                            VerbFailure::Refused { what, error } => Failure::Refused { what, error },
+                            VerbFailure::Failed { text, hint } => Failure::Failed { text, hint },
+                            VerbFailure::Io(error) => Failure::Io(error),
+                        })
+                    })*
+                }
+            }
+        }
+    };
+}
+
+devices! {
+    Calibrate: mom_calibrate,
+}

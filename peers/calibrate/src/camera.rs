@@ -1,0 +1,136 @@
+//! The camera that is calibrated: its images, its settings, and its new matrix.
+
+use std::time::Duration;
+
+use mom_client::{Event, Map, Value, from_value};
+use tokio::time::{Instant, timeout};
+
+use crate::asking::{ANSWER, DeviceChannel, closed};
+use crate::robot::RobotState;
+use crate::{Calibration, Pose, VerbFailure};
+
+/// How long to wait for an image by itself before the camera is asked again.
+const AGAIN: Duration = Duration::from_millis(300);
+
+/// The camera.
+pub(crate) struct Camera {
+    pub(crate) channel: DeviceChannel,
+    /// The settings to be restored, if they were changed.
+    changed: Option<Map>,
+}
+
+impl Camera {
+    /// A camera whose images can be calibrated.
+    ///
+    /// # Errors
+    /// Nobody is there, or it moves with the arm.
+    pub(crate) async fn meet(mut channel: DeviceChannel) -> Result<Camera, VerbFailure> {
+        let image = ask_image(&mut channel).await?;
+        if image.get("view").and_then(Value::as_str) == Some("wrist") {
+            return Err(VerbFailure::new(
+                format!(
+                    "the camera in {} sits on the wrist and moves with the arm, so that no one matrix is right",
+                    channel.path()
+                ),
+                "calibrate one that stands: x, y or top; the wrist's camera computes its matrix for each image",
+            ));
+        }
+        Ok(Camera {
+            channel,
+            changed: None,
+        })
+    }
+
+    /// Has it send lossless images without anything drawn in.
+    pub(crate) async fn set(&mut self) -> Result<(), VerbFailure> {
+        let what = format!("ask {} for its settings", self.channel.path());
+        let before = self.channel.ask("settings", Map::new(), &what).await?;
+        let wanted = Map::new().with("format", "png").with("overlay", false);
+        let mut restore = Map::new();
+        for (key, _) in wanted.clone() {
+            if let Some(value) = before.get(&key) {
+                restore.set(&key, value.clone());
+            }
+        }
+        // Before the answer: it may be changed although the answer is lost.
+        self.changed = Some(restore);
+        let what = format!("set {}", self.channel.path());
+        self.channel.ask("settings", wanted, &what).await.map(|_| ())
+    }
+
+    /// Restores the settings that were changed.
+    pub(crate) async fn restore(&mut self) -> Result<(), VerbFailure> {
+        let Some(before) = self.changed.take() else {
+            return Ok(());
+        };
+        let what = format!("restore the settings of {}", self.channel.path());
+        self.channel.ask("settings", before, &what).await.map(|_| ())
+    }
+
+    /// An image of the robot as it rests.
+    pub(crate) async fn image_of(&mut self, state: &RobotState) -> Result<Value, VerbFailure> {
+        let deadline = Instant::now() + ANSWER;
+        while Instant::now() < deadline {
+            let image = ask_image(&mut self.channel).await?;
+            if shows(&image, state) {
+                return Ok(image);
+            }
+            // The state is on its way to the camera; the image of it goes to all.
+            let next = async {
+                loop {
+                    match self.channel.events.next().await.ok_or_else(closed)? {
+                        Event::Message(parcel) if parcel.name() == "image" => return Ok(parcel.value()),
+                        _ => {}
+                    }
+                }
+            };
+            match timeout(AGAIN, next).await {
+                Ok(Ok(image)) if shows(&image, state) => return Ok(image),
+                Ok(Err(failure)) => return Err(failure),
+                _ => {}
+            }
+        }
+        Err(VerbFailure::new(
+            format!(
+                "the camera in {} shows no image of the robot's state {} within {} s",
+                self.channel.path(),
+                state.seq,
+                ANSWER.as_secs()
+            ),
+            "see whether it looks at this robot: mom snap --json tells the state of its image",
+        ))
+    }
+
+    /// Tells it its matrix.
+    pub(crate) async fn publish(
+        &mut self,
+        calibration: &Calibration,
+        size: (usize, usize),
+    ) -> Result<(), VerbFailure> {
+        let numbers = calibration.projection.numbers();
+        let matrix: Vec<Value> = numbers.into_iter().map(Value::Double).collect();
+        let content = Map::new()
+            .with("matrix", matrix)
+            .with("width", size.0 as i64)
+            .with("height", size.1 as i64)
+            .with("rms", Value::Double(calibration.rms))
+            .with("poses", calibration.used() as i64);
+        let what = format!("tell {} its matrix", self.channel.path());
+        self.channel.ask("calibration", content, &what).await.map(|_| ())
+    }
+}
+
+async fn ask_image(channel: &mut DeviceChannel) -> Result<Value, VerbFailure> {
+    let what = format!("ask {} for an image", channel.path());
+    channel.ask("request", Map::new(), &what).await
+}
+
+/// Whether an image was taken of this state, or of a later one in which the robot rests at the same place.
+fn shows(image: &Value, state: &RobotState) -> bool {
+    let seq = image.get("state-seq").and_then(Value::as_int);
+    let pose = image
+        .get("pose")
+        .cloned()
+        .and_then(|pose| from_value::<Pose>(pose).ok());
+    seq >= Some(state.seq) && pose.is_some_and(|pose| pose.is_at(&state.pose))
+}
