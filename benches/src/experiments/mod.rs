@@ -1,5 +1,6 @@
 //! The experiments of the papers, run again: one entry of [`ALL`] each, with what they take as given labelled as such.
 
+mod calibration;
 mod connect;
 mod faults;
 mod hand;
@@ -45,7 +46,7 @@ pub struct Experiment {
 }
 
 /// All experiments, in the order of the document.
-pub const ALL: [Experiment; 6] = [
+pub const ALL: [Experiment; 7] = [
     Experiment {
         name: "reach",
         run: reach::run,
@@ -69,6 +70,10 @@ pub const ALL: [Experiment; 6] = [
     Experiment {
         name: "token-table",
         run: token_table::run,
+    },
+    Experiment {
+        name: "calibration",
+        run: calibration::run,
     },
 ];
 
