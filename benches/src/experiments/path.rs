@@ -107,7 +107,7 @@ struct Refused {
     straight: usize,
 }
 
-/// A table with blocks, of which every other one lies on an earlier one, a little off its middle.
+/// A table with blocks, about half of which lie on earlier ones, a little off its middle.
 fn table(random: &mut Rng) -> Result<Vec<Block>> {
     let mut blocks: Vec<Block> = Vec::new();
     // The uppermost of each stack.
@@ -251,8 +251,8 @@ fn markdown(moved: &[Moved], refused: Refused) -> String {
     let mut text = format!(
         "The paper added the rule at the suggestion of a user: across first on the way down, up first on the way up, which \"reduces the chance of accidental \
          collisions\". It gives no figure. Here {} moves, each over a table of its own with {BLOCKS} blocks, are made twice by the simulated controller: by the \
-         rule, and straight. A move touches if it displaces a block or ends with an overload of the motors.\n\n\
-         **Inputs:** blocks of 40 mm within {FIELD} mm of the table's middle, every other one on an earlier one; both ends of a move anywhere \
+         rule, and straight. A move touches if it displaces a block or ends with an overload of the motors. Where the clearance, computed from the sizes of hand and blocks, is never below {SURELY_FREE} mm, nothing can be touched; of such ways one in {CHECKED} is simulated all the same, and none of those touched.\n\n\
+         **Inputs:** blocks of 40 mm within {FIELD} mm of the table's middle, each with an even chance on an earlier one; both ends of a move anywhere \
          over that field, the tips {low} to {high} mm above the table, spin up to 90 degrees to either side, not tilted, jaws open and empty, and at least {CLEAR} mm \
          from every block; 150 mm/s, 90 degrees/s, a halt at each leg's end. Draws that the joints do not allow are drawn again: \
          {} by the rule, {} straight.\n\n",
