@@ -240,3 +240,18 @@ fn messages_come_back_over_every_link() {
     }
     assert!(!section.markdown.contains("NaN"), "{}", section.markdown);
 }
+
+#[test]
+fn experiments_without_a_network_come_to_something() {
+    for (name, row) in [
+        ("path", "| all, 5 to 150 mm | 200 |"),
+        ("tracking", "- jogging: "),
+        ("token-table", "34 of 36 decisions are the paper's"),
+        ("calibration", "| 50 | "),
+    ] {
+        let section = experiment(name).expect("it needs no links");
+        assert!(section.markdown.contains(row), "{row}: {}", section.markdown);
+        assert!(!section.markdown.contains("NaN"), "{}", section.markdown);
+        assert!(section.plots.iter().all(|(_, plot)| plot.starts_with("<svg")));
+    }
+}

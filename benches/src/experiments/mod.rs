@@ -1,9 +1,14 @@
 //! The experiments of the papers, run again: one entry of [`ALL`] each, with what they take as given labelled as such.
 
+mod calibration;
 mod connect;
 mod faults;
+mod hand;
 mod links;
+mod path;
 mod reach;
+mod token_table;
+mod tracking;
 mod trips;
 
 use std::path::PathBuf;
@@ -41,7 +46,7 @@ pub struct Experiment {
 }
 
 /// All experiments, in the order of the document.
-pub const ALL: [Experiment; 3] = [
+pub const ALL: [Experiment; 7] = [
     Experiment {
         name: "reach",
         run: reach::run,
@@ -53,6 +58,22 @@ pub const ALL: [Experiment; 3] = [
     Experiment {
         name: "round-trip",
         run: trips::run,
+    },
+    Experiment {
+        name: "path",
+        run: path::run,
+    },
+    Experiment {
+        name: "tracking",
+        run: tracking::run,
+    },
+    Experiment {
+        name: "token-table",
+        run: token_table::run,
+    },
+    Experiment {
+        name: "calibration",
+        run: calibration::run,
     },
 ];
 
