@@ -343,8 +343,7 @@ fn verdict(curves: &[Curve]) -> String {
     }
     text += "\nPrediction is good for delays that are short beside the time for which a motion goes on as it was. A corner, a stop or another key is not known before the state that tells of it has come: until then the hand is \
              shown on its old course, in the worst case (it turned back) twice the velocity times the delay away, so from some hundred milliseconds on the largest errors are larger with prediction than without. A horizon as long as a delay of \
-             seconds does harm; one of half a second costs little below and bounds the harm above. A `wait` within a command is worse for prediction than a rest between two: the arm tells its state while it moves and \
-             at the end of a command, not when a `wait` begins, so the last state that is known says that it moves.\n";
+             seconds does harm; one of half a second costs little below and bounds the harm above.\n";
     text
 }
 

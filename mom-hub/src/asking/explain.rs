@@ -148,7 +148,7 @@ fn held(
     let lease = match left {
         Some(left) => format!(
             "the lease ends in {} s unless {} renews it",
-            left.as_millis().div_ceil(1000),
+            left.as_micros().div_ceil(1_000_000),
             owner.name
         ),
         None => format!("{} holds it without a time limit", owner.name),

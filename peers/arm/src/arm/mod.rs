@@ -55,6 +55,8 @@ pub struct Arm {
     unsettled: bool,
     /// Whether the link to the controller stood when that was looked at last.
     linked: bool,
+    /// Whether the last state that was told said that the hand moves.
+    told_moving: bool,
 }
 
 impl Arm {
@@ -84,6 +86,7 @@ impl Arm {
             active: None,
             waiting: VecDeque::new(),
             publish: now,
+            told_moving: false,
         }
     }
 
@@ -432,6 +435,10 @@ impl Arm {
         match statement {
             Statement::Wait(ms) => {
                 active.step = Step::Waits(self.now.saturating_add(ArmTime::from(ms) * 1000));
+                // Who predicts would have the hand go on where it waits.
+                if self.told_moving {
+                    self.publish_state(events);
+                }
             }
             Statement::Jog(velocity, ms) => {
                 let until = self.now.saturating_add(ArmTime::from(ms) * 1000);
@@ -536,6 +543,8 @@ impl Arm {
 
     fn publish_state(&mut self, events: &mut Vec<ArmEvent>) {
         self.seq += 1;
-        events.push(ArmEvent::State(self.state()));
+        let state = self.state();
+        self.told_moving = state.moving;
+        events.push(ArmEvent::State(state));
     }
 }

@@ -138,6 +138,25 @@ fn a_waiting_arm_tells_nothing() {
     assert_eq!(state.pose, HOME);
 }
 
+/// Where the hand waits after a motion is told at once, or who predicts has it go on.
+#[test]
+fn a_wait_after_a_motion_tells_where_the_hand_stands() {
+    let (mut arm, mut events) = (Arm::new(0), Vec::new());
+    arm.submit(1, "move 10 0 300 0 0; wait 1000", 0, &mut events)
+        .unwrap();
+    while arm
+        .state()
+        .executing
+        .is_some_and(|executing| executing.statement == 1)
+    {
+        arm.advance(arm.next_wake().unwrap(), &mut events);
+    }
+    let Some(ArmEvent::State(last)) = events.last() else {
+        panic!("no state: {events:?}");
+    };
+    assert_eq!((last.moving, last.pose.x), (false, 10.0));
+}
+
 #[test]
 fn blocks_are_taken_carried_and_put_down() {
     for (script, name, place, holding) in [

@@ -245,6 +245,7 @@ fn a_command_goes_through_its_states() {
          > status alice/- waiting 0/1
          after 250
          > status alice/7 executing 2/2
+         > state free
          after 1000
          > state free
          > status alice/7 finished 2/2
