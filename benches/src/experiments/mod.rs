@@ -1,9 +1,11 @@
 //! The experiments of the papers, run again: one entry of [`ALL`] each, with what they take as given labelled as such.
 
 mod connect;
+mod far_hub;
 mod faults;
 mod links;
 mod reach;
+mod stop_in_image;
 mod trips;
 
 use std::path::PathBuf;
@@ -41,7 +43,7 @@ pub struct Experiment {
 }
 
 /// All experiments, in the order of the document.
-pub const ALL: [Experiment; 3] = [
+pub const ALL: [Experiment; 4] = [
     Experiment {
         name: "reach",
         run: reach::run,
@@ -53,6 +55,10 @@ pub const ALL: [Experiment; 3] = [
     Experiment {
         name: "round-trip",
         run: trips::run,
+    },
+    Experiment {
+        name: "stop-in-image",
+        run: stop_in_image::run,
     },
 ];
 
