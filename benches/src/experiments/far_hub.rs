@@ -1,5 +1,6 @@
 //! A broker with a configuration of the experiment's own, and a link of any rate and delay to a far user, or none.
 
+use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context as _, Result};
@@ -20,7 +21,8 @@ pub(super) struct FarHub {
     broker: Process,
     link: Option<RelayedLink>,
     pin: String,
-    _folder: TempDir,
+    /// Its configuration, and the logs of the programs beside it.
+    folder: TempDir,
 }
 
 /// A shape that loses nothing and has no jitter.
@@ -58,7 +60,7 @@ impl FarHub {
             broker: Process::start(command)?,
             link,
             pin: pin.to_string(),
-            _folder: folder,
+            folder,
         })
     }
 
@@ -83,6 +85,25 @@ impl FarHub {
             true => format!("{plain}?pin={}", self.pin),
             false => plain,
         }
+    }
+
+    /// Starts a program beside the broker, and waits until its log says that it is ready.
+    pub(super) fn start_near(
+        &self,
+        program: &Path,
+        password: &str,
+        args: &[&str],
+        ready: &str,
+    ) -> Result<Process> {
+        let name = format!("{password}{}.log", args.concat());
+        let log = self.folder.path().join(name);
+        let mut command = self.near().command(program);
+        command
+            .args(args)
+            .env("MOM_HUB", self.address("bins"))
+            .env("MOM_PASSWORD", password);
+        let said = |_: &str| std::fs::read_to_string(&log).is_ok_and(|text| text.contains(ready));
+        Ok(Process::start_at(command, "", &log, said)?)
     }
 
     /// Does something at both ends at once, each with a runtime of its own.

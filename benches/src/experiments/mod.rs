@@ -3,6 +3,7 @@
 mod connect;
 mod far_hub;
 mod faults;
+mod lab_link;
 mod links;
 mod reach;
 mod stop_in_image;
@@ -43,7 +44,7 @@ pub struct Experiment {
 }
 
 /// All experiments, in the order of the document.
-pub const ALL: [Experiment; 4] = [
+pub const ALL: [Experiment; 5] = [
     Experiment {
         name: "reach",
         run: reach::run,
@@ -59,6 +60,10 @@ pub const ALL: [Experiment; 4] = [
     Experiment {
         name: "stop-in-image",
         run: stop_in_image::run,
+    },
+    Experiment {
+        name: "lab-link",
+        run: lab_link::run,
     },
 ];
 
