@@ -8,11 +8,16 @@ use anyhow::Result;
 use crate::command::shows;
 use crate::peers::build;
 
-/// Builds the broker and what experiments with it, and hands the arguments on.
+/// Builds the broker, the lab's devices and what experiments with them, and hands the arguments on.
 pub(crate) fn run(root: &Path, args: &[String]) -> Result<bool> {
     let built = build(
         root,
-        &[("mom-broker", &["mom-broker"]), ("mom-benches", &["experiments"])],
+        &[
+            ("mom-broker", &["mom-broker"]),
+            ("mom-arm", &["mom-arm"]),
+            ("mom-camera", &["mom-camera"]),
+            ("mom-benches", &["experiments"]),
+        ],
     )?;
     shows(Command::new(built.join("experiments")).args(args))
 }

@@ -2,13 +2,16 @@
 
 mod calibration;
 mod connect;
+mod far_hub;
 mod faults;
 mod hand;
+mod lab_link;
 mod links;
 mod path;
 mod reach;
 mod token_table;
 mod tracking;
+mod stop_in_image;
 mod trips;
 
 use std::path::PathBuf;
@@ -46,7 +49,7 @@ pub struct Experiment {
 }
 
 /// All experiments, in the order of the document.
-pub const ALL: [Experiment; 7] = [
+pub const ALL: [Experiment; 9] = [
     Experiment {
         name: "reach",
         run: reach::run,
@@ -74,6 +77,14 @@ pub const ALL: [Experiment; 7] = [
     Experiment {
         name: "calibration",
         run: calibration::run,
+    },
+    Experiment {
+        name: "stop-in-image",
+        run: stop_in_image::run,
+    },
+    Experiment {
+        name: "lab-link",
+        run: lab_link::run,
     },
 ];
 

@@ -47,6 +47,8 @@ pub const CALIBRATION_CHANGED: &str = "calibration-changed";
 pub const CALIBRATION_REFUSED: &str = "calibration-refused";
 /// The message of the robot that tells its state.
 const STATE: &str = "state";
+/// The priority of images: a receiver behind a narrow link has everything else first, and between their chunks.
+pub const IMAGE_PRIORITY: i32 = -10;
 /// For how long a motion is taken to go on after the last state: more is far from the truth at each corner.
 const HORIZON: Duration = Duration::from_millis(500);
 /// The most requests that wait for a picture.
@@ -401,6 +403,7 @@ impl ImageServer {
             .context(self.options.channel.clone())
             .content(content);
         parcel.delivery = Some(Delivery::Reliable);
+        parcel.priority = (name == IMAGE).then_some(IMAGE_PRIORITY);
         parcel.echo = Some(false);
         parcel
     }

@@ -177,6 +177,7 @@ fn line_of(parcel: &Parcel) -> String {
     let text = |key: &str| content.get(key).and_then(Value::as_str);
     let detail = match parcel.name() {
         IMAGE => {
+            assert_eq!(parcel.priority, Some(IMAGE_PRIORITY), "states go before images");
             let latest = parcel.delivery == Some(Delivery::Latest);
             assert_eq!(latest, parcel.address.is_none());
             let taken = match content.get("taken") {
