@@ -6,9 +6,8 @@
 //! of outstanding parcels, and every parcel numbered, so that a loss or a changed order is an [`Error`] and
 //! never a better figure. [`scenario`] puts hubs beside each other in one run, [`report`] makes the table.
 //!
-//! [`experiments`] are those of the papers, run again.
-//!
-//! Other brokers are measured by the package `mom-rivals`, which has their drivers and starts their programs.
+//! Other brokers are measured by the package `mom-rivals`, which has their drivers and starts their programs; what the papers measured by
+//! `mom-experiments`.
 
 pub mod codecs;
 pub mod control;
@@ -16,7 +15,6 @@ pub mod decisions;
 pub mod doors;
 mod driver;
 mod error;
-pub mod experiments;
 pub mod grants;
 pub mod hot_path;
 mod hub;

@@ -16,7 +16,7 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<bool> {
             ("mom-broker", &["mom-broker"]),
             ("mom-arm", &["mom-arm"]),
             ("mom-camera", &["mom-camera"]),
-            ("mom-benches", &["experiments"]),
+            ("mom-experiments", &["experiments"]),
         ],
     )?;
     shows(Command::new(built.join("experiments")).args(args))

@@ -80,6 +80,7 @@ const ARROWS: &[(&str, May)] = &[
     ("mom-pages", May::Use(&[])),
     ("mom-tests", May::UseAll),
     ("mom-benches", May::UseAll),
+    ("mom-experiments", May::UseAll),
     (
         "mom-rivals",
         May::Use(&["mom-proto", "mom-plots", "mom-tests", "mom-benches"]),

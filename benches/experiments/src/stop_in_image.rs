@@ -12,7 +12,7 @@ use tokio::time::{sleep, timeout};
 
 use super::far_hub::{FarHub, shape};
 use super::{IMAGES, Section, Settings, quantile};
-use crate::broker_folder;
+use mom_benches::broker_folder;
 
 /// The channel of image and stops.
 const CHANNEL: &str = "/bench";

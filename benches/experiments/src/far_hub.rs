@@ -10,7 +10,7 @@ use mom_tests::tls;
 use tempfile::TempDir;
 
 use super::Settings;
-use crate::Process;
+use mom_benches::Process;
 
 /// What may wait at the bottleneck, as the time in which it leaves: whoever fills it has filled it for seconds.
 const QUEUE: Duration = Duration::from_secs(4);

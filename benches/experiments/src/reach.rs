@@ -13,7 +13,7 @@ use tokio::time::timeout;
 
 use super::faults::{Fault, Faults};
 use super::{IMAGES, Section, Settings};
-use crate::{broker_folder, start_broker};
+use mom_benches::{broker_folder, start_broker};
 
 /// Hosts of the paper.
 const HOSTS: usize = 1339;

@@ -14,7 +14,7 @@ use tokio::time::{sleep, timeout, timeout_at};
 
 use super::far_hub::{FarHub, shape};
 use super::{Section, Settings};
-use crate::Process;
+use mom_benches::Process;
 
 mod figures;
 
@@ -131,7 +131,7 @@ pub(super) fn run(settings: &Settings) -> Result<Section> {
 /// The lab as it is, but for what it says of an address that is not loopback.
 fn lab_folder() -> Result<TempDir> {
     let folder = tempfile::tempdir()?;
-    let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config");
+    let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config");
     std::fs::copy(
         config.join("lab-users.toml"),
         folder.path().join("lab-users.toml"),

@@ -8,8 +8,8 @@ use std::time::Instant;
 
 use anyhow::{Context as _, Result, bail};
 use clap::Parser;
-use mom_benches::experiments::{self, Experiment, Section, Settings};
 use mom_benches::{machine, report};
+use mom_experiments::{ALL, Experiment, Section, Settings, marks};
 
 const EXAMPLES: &str = "Examples:
   cargo xtask experiments                      all, into docs/experiments.md: some minutes
@@ -71,9 +71,9 @@ fn run(cli: &Cli) -> Result<()> {
                 .iter()
                 .any(|part| experiment.name.contains(part.as_str()))
     };
-    let wanted: Vec<&Experiment> = experiments::ALL.iter().filter(wanted).collect();
+    let wanted: Vec<&Experiment> = ALL.iter().filter(wanted).collect();
     if wanted.is_empty() {
-        let names = experiments::ALL.map(|experiment| experiment.name).join(", ");
+        let names = ALL.map(|experiment| experiment.name).join(", ");
         bail!("no experiment is called so; there are {names}");
     }
     let mut failed = Vec::new();
@@ -116,13 +116,13 @@ fn conditions(settings: &Settings, took: u64) -> String {
 
 /// Writes the plots, and the experiment's part of the page.
 fn write(experiment: &Experiment, section: &Section) -> Result<()> {
-    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
+    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs");
     let page = docs.join("experiments.md");
     let failed = || format!("{} cannot be changed", page.display());
     for (file, plot) in &section.plots {
         fs::write(docs.join("images").join(file), plot).with_context(failed)?;
     }
-    let (begin, end) = experiments::marks(experiment.name);
+    let (begin, end) = marks(experiment.name);
     let before = fs::read_to_string(&page).with_context(failed)?;
     let after = report::insert_between(&before, &begin, &end, &section.markdown)
         .with_context(|| format!("it needs the lines {begin} and {end}"))

@@ -9,9 +9,9 @@ mod lab_link;
 mod links;
 mod path;
 mod reach;
+mod stop_in_image;
 mod token_table;
 mod tracking;
-mod stop_in_image;
 mod trips;
 
 use std::path::PathBuf;

@@ -9,7 +9,7 @@ use mom_tests::tls;
 use tempfile::TempDir;
 
 use super::Settings;
-use crate::{Process, broker_folder};
+use mom_benches::{Process, broker_folder};
 
 /// A link, both ways alike. All of it is an input.
 #[derive(Clone, Copy, Debug)]

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use mom_plots::{Axis, Plot, Series, quantiles};
 
 use super::{Both, Seen, VIEWS, Way};
-use crate::experiments::{IMAGES, quantile};
+use crate::{IMAGES, quantile};
 
 /// p50, p99 and the worst of times in s, in ms.
 fn shown(times: &[f64]) -> String {

@@ -1,0 +1,61 @@
+//! Each experiment, small: figures mean nothing here, what the page says of them does.
+
+use mom_experiments::{ALL, Section, Settings};
+
+/// An experiment of this name, small, with the real broker; none where it needs what only root may make.
+fn experiment(name: &str) -> Option<Section> {
+    let settings = Settings {
+        seed: 1,
+        quick: true,
+        broker: mom_tests::programs::build(&["mom-broker"]).join("mom-broker"),
+    };
+    let experiment = ALL.iter().find(|experiment| experiment.name == name);
+    let section = (experiment.expect("it is one of them").run)(&settings);
+    let allowed = |error: &String| assert!(error.contains("only root"), "{error}");
+    section
+        .map_err(|error| format!("{error:#}"))
+        .inspect_err(allowed)
+        .ok()
+}
+
+#[test]
+fn clients_see_the_papers_faults_at_real_sockets() {
+    let section = experiment("reach").expect("it needs no links");
+    for row in [
+        "| connected | 1162 (86.78 %) | 70 (84.34 %) |",
+        "| timed out | 56 (4.18 %) | 4 (4.82 %) |",
+        "| reset (SocketException) | 6 (0.45 %) | 1 (1.20 %) |",
+    ] {
+        assert!(section.markdown.contains(row), "{row}: {}", section.markdown);
+    }
+}
+
+#[test]
+fn messages_come_back_over_every_link() {
+    let Some(section) = experiment("round-trip") else {
+        return;
+    };
+    for link in ["33.6 kbit/s", "64 kbit/s", "1.5 Mbit/s", "10 Mbit/s"] {
+        assert!(
+            section.markdown.contains(&format!("| {link} |")),
+            "{}",
+            section.markdown
+        );
+    }
+    assert!(!section.markdown.contains("NaN"), "{}", section.markdown);
+}
+
+#[test]
+fn experiments_without_a_network_come_to_something() {
+    for (name, row) in [
+        ("path", "| all, 5 to 150 mm | 200 |"),
+        ("tracking", "- jogging: "),
+        ("token-table", "34 of 36 decisions are the paper's"),
+        ("calibration", "| 50 | "),
+    ] {
+        let section = experiment(name).expect("it needs no links");
+        assert!(section.markdown.contains(row), "{row}: {}", section.markdown);
+        assert!(!section.markdown.contains("NaN"), "{}", section.markdown);
+        assert!(section.plots.iter().all(|(_, plot)| plot.starts_with("<svg")));
+    }
+}
