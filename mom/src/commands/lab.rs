@@ -265,30 +265,35 @@ impl LabSummary {
             ),
             row("chat", place("/chat")),
             String::new(),
-            "Try in another terminal, as alice:".to_owned(),
         ]);
-        let command = |text: String| format!("  {}", ink(text, Tone::Command));
-        let program = &self.program;
-        lines.extend([
-            command(format!("export {}MOM_USER=alice MOM_PASSWORD=alice", self.hub())),
-            command(format!("{program} tree")),
-            command(format!(
-                "echo 'move 100 50 200 0 0; grip close' | {program} run -"
-            )),
-            command(format!("{program} jog --for 1s 50 0 -50 0 0")),
-            command(format!("{program} stop /robot/arm")),
-            command(format!("{program} unstop /robot/arm")),
-            command(format!("{program} snap")),
-            command(format!("{program} camera x --size 320x240 --quality 60")),
-            command(format!("echo reset | {program} run -")),
-            command(format!("{program} grab --answer /robot/token")),
-            "and while she holds the token, in a third one, as bob:".to_owned(),
-            command(format!("export {}MOM_USER=bob MOM_PASSWORD=bob", self.hub())),
-            command(format!("{program} grab --wait 5m /robot/token")),
-            command(format!("{program} token /robot/token")),
-            command(format!("{program} watch --recursive /robot")),
-        ]);
+        lines.extend(self.proposals());
         lines.join("\n")
+    }
+
+    /// What to type next.
+    fn proposals(&self) -> Vec<String> {
+        let program = &self.program;
+        let person = |name: &str| format!("export {}MOM_USER={name} MOM_PASSWORD={name}", self.hub());
+        let command = |text: &str| format!("  {}", ink(text.replace("MOM", program), Tone::Command));
+        let export = |name: &str| format!("  {}", ink(person(name), Tone::Command));
+        vec![
+            "Try in another terminal, as alice:".to_owned(),
+            export("alice"),
+            command("MOM tree"),
+            command("echo 'move 100 50 200 0 0; grip close' | MOM run -"),
+            command("MOM jog --for 1s 50 0 -50 0 0"),
+            command("MOM stop /robot/arm"),
+            command("MOM unstop /robot/arm"),
+            command("MOM snap"),
+            command("MOM camera x --size 320x240 --quality 60"),
+            command("echo reset | MOM run -"),
+            command("MOM grab --answer /robot/token"),
+            "and while she holds the token, in a third one, as bob:".to_owned(),
+            export("bob"),
+            command("MOM grab --wait 5m /robot/token"),
+            command("MOM token /robot/token"),
+            command("MOM watch --recursive /robot"),
+        ]
     }
 
     /// The address with TLS, which knows the hub by its certificate.
