@@ -274,7 +274,7 @@ async fn the_link_to_the_controller_fails_and_recovers() {
             "mom",
             &["run", &path],
             &[
-                ("MOM_HUB", &hub),
+                ("MOM_HUB", hub),
                 ("MOM_USER", "alice"),
                 ("MOM_PASSWORD", "alice"),
             ],

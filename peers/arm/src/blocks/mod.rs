@@ -1,11 +1,11 @@
 //! The wooden blocks: on the table, on each other, in the jaws, or on their way down.
 //!
-//! The model is simple, and says where. What moves a block is either the hand, slowly enough that nothing slides on by itself
-//! ([`push`](Blocks::push)), or gravity ([`fall`](Blocks::fall)). A block stands as long as its weight, and the weight on it, is above what it lies on;
-//! otherwise it topples over the nearest edge, or falls. What leaves the table ends on the floor, and stays there until the lab is put back.
+//! The model is simple, and says where. A block moves because the hand pushes it, slowly enough that nothing slides on by itself, or by gravity.
+//! It stands as long as its weight, and the weight on it, is above what it lies on; otherwise it topples over the nearest edge, or falls. What
+//! leaves the table ends on the floor, and stays there until the lab is put back.
 //!
-//! Jaws hold by friction: closing, they turn and shift what lies between them until its faces are parallel to them, and carry it with all that lies on it. What lies
-//! on a carried block slides off when that leans by more than wood on wood allows.
+//! Jaws hold by friction. Closing, they turn and shift what lies between them until its faces are parallel to them; then they carry it with all that
+//! lies on it. That slides off when the carried block leans by more than the friction of wood on wood allows.
 
 use serde::{Deserialize, Serialize};
 
