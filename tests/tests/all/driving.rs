@@ -273,11 +273,7 @@ async fn the_link_to_the_controller_fails_and_recovers() {
         run(
             "mom",
             &["run", &path],
-            &[
-                ("MOM_HUB", hub),
-                ("MOM_USER", "alice"),
-                ("MOM_PASSWORD", "alice"),
-            ],
+            &[("MOM_HUB", hub), ("MOM_USER", "alice"), ("MOM_PASSWORD", "alice")],
         )
     };
     // 8 s of motion: the link cannot stand for as long.
