@@ -12,7 +12,7 @@ use mom_benches::{machine, report};
 use mom_experiments::{ALL, Experiment, Section, Settings, marks};
 
 const EXAMPLES: &str = "Examples:
-  cargo xtask experiments                      all, into docs/experiments.md: some minutes
+  cargo xtask experiments                      all, into docs/experiments.md: half an hour
   cargo xtask experiments --only reach         one of them, into its part of the page
   cargo xtask experiments --quick              less of each, not written, to see that all still works
   cargo xtask experiments --seed 7 --no-write

@@ -7,7 +7,7 @@ fn experiment(name: &str) -> Option<Section> {
     let settings = Settings {
         seed: 1,
         quick: true,
-        broker: mom_tests::programs::build(&["mom-broker"]).join("mom-broker"),
+        broker: mom_tests::programs::build(&["mom-broker", "mom-arm", "mom-camera"]).join("mom-broker"),
     };
     let experiment = ALL.iter().find(|experiment| experiment.name == name);
     let section = (experiment.expect("it is one of them").run)(&settings);
@@ -58,4 +58,15 @@ fn experiments_without_a_network_come_to_something() {
         assert!(!section.markdown.contains("NaN"), "{}", section.markdown);
         assert!(section.plots.iter().all(|(_, plot)| plot.starts_with("<svg")));
     }
+}
+
+/// The lab's own programs, without a link.
+#[test]
+fn an_operator_looks_and_stops() {
+    let section = experiment("lab-link").expect("loopback needs no namespaces");
+    assert!(
+        section.markdown.contains("| loopback, images |"),
+        "{}",
+        section.markdown
+    );
 }

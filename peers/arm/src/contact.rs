@@ -23,8 +23,8 @@ pub const PALM_WIDTH: f64 = 100.0;
 /// mm of the palm across the jaw line.
 pub const PALM_DEPTH: f64 = 40.0;
 
-/// mm that two bodies can come into each other in a tick of the simulation. What is in the other deeper than that has come down on
-/// the hand, and counts when it is met again.
+/// mm by which two bodies can come to overlap in one tick of the simulation. A deeper overlap did not arise in this tick (a block fell onto the hand), and is ignored
+/// until they part.
 const DEEPEST: f64 = 6.0;
 /// mm of a push that is worth it.
 const LEAST_PUSH: f64 = 0.01;

@@ -73,7 +73,7 @@ fn time(text: &str) -> anyhow::Result<Duration> {
         .ok()
         .context("it must be a time such as 500ms or 2s")?;
     let time = Duration::try_from_secs_f64(number * unit)?;
-    anyhow::ensure!(!time.is_zero(), "it must be above 0");
+    anyhow::ensure!(time >= Duration::from_millis(1), "it must be at least 1ms");
     Ok(time)
 }
 

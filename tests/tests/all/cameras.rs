@@ -95,7 +95,7 @@ async fn four_cameras_show_each_new_state() {
         cameras.push((view, channel.expect("people may").events()));
     }
     let script = tempfile::NamedTempFile::new().expect("a file");
-    std::fs::write(script.path(), "move 100 50 200 30 0\n").expect("written");
+    std::fs::write(script.path(), "move 250 200 300 30 0; move 100 50 200 30 0\n").expect("written");
     let moved = lab
         .mom("alice", &["run", script.path().to_str().expect("text")])
         .await;

@@ -109,7 +109,7 @@ fn judged(ways: &[(Way, Both)]) -> String {
         all(|seen| &seen.known),
         all(|seen| &seen.heard),
     );
-    let mut text = format!(
+    let text = format!(
         "\nA bound is kept if with images p99 is at most {:.0} ms above p99 without. Over the narrow links: until the arm stands, {}; the known state at its oldest (how old the newest \
          state that the operator has had becomes before the next one comes), {}; until the operator has heard that the arm stands, {}. Images thin out to what the link carries: a newer one takes the place of \
          one that waits, so that what comes has waited for the images of the other cameras and no longer.",
@@ -118,10 +118,6 @@ fn judged(ways: &[(Way, Both)]) -> String {
         said(known),
         said(heard)
     );
-    if !known || !heard {
-        text += " States have the priority of images, and are of class `latest` like them: each takes its turn behind an image of every camera, and a newer one keeps the place of the \
-                 older. So a state is fresh when it comes, and comes as seldom as an image; and the word that the arm stands waits for its turn as well.";
-    }
     text + "\n"
 }
 

@@ -11,7 +11,7 @@ use mom_client::{
     from_value,
 };
 use serde_json::json;
-use tokio::time::{Instant, timeout_at};
+use tokio::time::{Instant, sleep, timeout_at};
 
 pub(crate) use self::progress::error_words;
 use self::progress::{ProgressDisplay, StatusChange};
@@ -30,6 +30,8 @@ const ANSWER: Duration = Duration::from_secs(10);
 
 /// How long it may take to end what its last owner has begun.
 const STANDING: Duration = Duration::from_secs(60);
+/// Between two tries of a command whose age is not known yet.
+const MEASURED: Duration = Duration::from_millis(100);
 
 pub(crate) async fn run(args: &cli::RunArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let commands = read(args)?;
@@ -242,12 +244,18 @@ impl Job {
 
     /// One command, to its end; once more when the robot stands, if it came while that was changing hands or out of its controller's reach.
     async fn one(&mut self, number: usize, command: &ScriptLine) -> Result<StatusChange, Failure> {
+        let began = Instant::now();
         loop {
             let end = self.attempt(number, command).await?;
             let Some(obstacle) = passing_obstacle(&end) else {
                 return Ok(end);
             };
-            self.stands(obstacle).await?;
+            match obstacle {
+                // Our clock is being measured, of which no state tells.
+                ErrorName::TooOld if began.elapsed() > STANDING => return Ok(end),
+                ErrorName::TooOld => sleep(MEASURED).await,
+                _ => self.stands(obstacle).await?,
+            }
         }
     }
 
@@ -392,12 +400,12 @@ fn closed() -> Failure {
     Failure::plain("the connection to the hub is closed")
 }
 
-/// Why the robot did not take a command that it will take when it stands, or can be reached, again.
+/// Why the robot did not take a command that it will take a little later: when it stands, can be reached, or knows how old the command is.
 fn passing_obstacle(change: &StatusChange) -> Option<ErrorName> {
     let error = change.error.as_ref()?;
     let name = error.get("name").and_then(Value::as_str)?;
     let retry = error.get("retry").and_then(Value::as_bool) == Some(true);
-    let obstacles = [ErrorName::ChangingHands, ErrorName::Link].into_iter();
+    let obstacles = [ErrorName::ChangingHands, ErrorName::Link, ErrorName::TooOld].into_iter();
     obstacles
         .filter(|_| retry)
         .find(|obstacle| obstacle.as_str() == name)

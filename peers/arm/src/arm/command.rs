@@ -40,7 +40,10 @@ pub(super) enum Step {
     /// Until this time.
     Waits(ArmTime),
     /// The controller carries out an instruction.
-    Moves,
+    Moves {
+        /// It counts as done no earlier, wherever the hand is.
+        lasts_until: ArmTime,
+    },
 }
 
 impl QueuedScript {

@@ -207,7 +207,7 @@ impl Arm {
     pub fn next_wake(&self) -> Option<ArmTime> {
         let step = match self.step() {
             Step::Waits(ends) => Some(ends),
-            Step::None | Step::Moves => None,
+            Step::None | Step::Moves { .. } => None,
         };
         let tell = self.is_moving().then_some(self.publish);
         [step, tell, self.controller.next_wake()]
@@ -220,9 +220,13 @@ impl Arm {
         self.active.as_ref().map_or(Step::None, |active| active.step)
     }
 
+    fn has_begun_a_motion(&self) -> bool {
+        matches!(self.step(), Step::Moves { .. })
+    }
+
     /// Whether hand, jaws or anything else moves.
     fn is_moving(&self) -> bool {
-        self.step() == Step::Moves || self.controller.is_unsettled()
+        self.has_begun_a_motion() || self.controller.is_unsettled()
     }
 
     /// Whether it is known that the hand stands, and nothing is to begin.
@@ -301,7 +305,7 @@ impl Arm {
             holding: reading.holding,
             blocks: reading.blocks,
             // What is not known is not said to stand.
-            moving: self.step() == Step::Moves || !linked,
+            moving: self.has_begun_a_motion() || !linked,
             linked,
             stopped: self.stopped,
             executing: self.active.as_ref().map(|active| {
@@ -352,11 +356,15 @@ impl Arm {
                     self.let_pass(ends);
                     self.end_step();
                 }
-                Step::Moves => match self.controller.advance(until) {
+                Step::Moves { lasts_until } => match self.controller.advance(until) {
                     Progress::Busy => break,
                     Progress::Done(at) => {
                         self.now = at.max(self.now);
                         self.end_step();
+                        // A controller may be there early; a jog that did not wait would make no time pass.
+                        if let (Some(active), true) = (&mut self.active, lasts_until > self.now) {
+                            active.step = Step::Waits(lasts_until);
+                        }
                     }
                     Progress::Failed(at, error) => {
                         self.now = at.max(self.now);
@@ -383,7 +391,10 @@ impl Arm {
         let (unsettled, was_unsettled) = (self.controller.is_unsettled(), self.unsettled);
         if linked != self.linked {
             self.linked = linked;
-            self.planned = self.controller.reading().posture.pose;
+            // Where the hand is was not known; what waits leads elsewhere.
+            if !self.is_busy() {
+                self.planned = self.controller.reading().posture.pose;
+            }
             self.publish_state(events);
         } else if self.is_moving() && self.now >= self.publish {
             let late = (self.now - self.publish) / STATE_PERIOD;
@@ -481,8 +492,14 @@ impl Arm {
     fn instruct(&mut self, instruction: &Instruction, events: &mut Vec<ArmEvent>) {
         match self.controller.begin(instruction, self.now) {
             Ok(()) => {
+                let lasts = match instruction {
+                    Instruction::Glide(_, time) => *time,
+                    Instruction::Move(_) | Instruction::Grip(_) => 0,
+                };
                 if let Some(active) = &mut self.active {
-                    active.step = Step::Moves;
+                    active.step = Step::Moves {
+                        lasts_until: self.now.saturating_add(lasts),
+                    };
                 }
                 self.expect_states();
             }

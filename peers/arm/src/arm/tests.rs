@@ -1,7 +1,8 @@
 //! The arm as its driver sees it.
 
 use super::*;
-use crate::motion::{MAX_OPENING, SPEED};
+use crate::controller::{LinkFault, Reading};
+use crate::motion::{MAX_OPENING, Posture, SPEED};
 use crate::script::Grip;
 
 const RED_HIGH: &str = "move -150 100 100 0 0";
@@ -473,6 +474,76 @@ fn a_link_is_not_missed_while_nothing_moves() {
     assert_eq!(told(&events).last().unwrap(), "1 finished 2/2");
     arm.advance(ArmTime::MAX, &mut events);
     assert_eq!(last_error(&events), None);
+}
+
+/// A link that fails while a script waits does not change where the script leads, from where the next command is checked.
+#[test]
+fn a_link_that_fails_during_a_wait_leaves_the_plan_as_it_is() {
+    let fault = LinkFault {
+        after: 1_000_000,
+        lasting: 1_000_000,
+    };
+    let controller = Simulated::new(0, []).failing(fault);
+    let (mut arm, mut events) = (Arm::with_controller(0, Box::new(controller)), Vec::new());
+    let script = "wait 5000; move 300 0 300 0 0; move 300 0 0 0 45";
+    arm.submit(1, script, 0, &mut events).unwrap();
+    arm.advance(2_500_000, &mut events);
+    assert!(arm.state().linked);
+    // As in `a_command_is_checked_from_where_those_before_it_lead`.
+    let error = arm
+        .submit(2, "move 300 0 0 180 45", 2_500_000, &mut events)
+        .unwrap_err();
+    assert_eq!(error.name(), ErrorName::JointLimit);
+}
+
+/// A controller that is there at once.
+#[derive(Debug)]
+struct AtOnce(Posture);
+
+impl Controller for AtOnce {
+    fn begin(&mut self, instruction: &Instruction, _now: ArmTime) -> Result<(), ArmError> {
+        if let Instruction::Move(pose) | Instruction::Glide(pose, _) = instruction {
+            self.0.pose = *pose;
+        }
+        Ok(())
+    }
+
+    fn advance(&mut self, now: ArmTime) -> Progress {
+        Progress::Done(now)
+    }
+
+    fn halt(&mut self, _now: ArmTime) {}
+
+    fn next_wake(&self) -> Option<ArmTime> {
+        None
+    }
+
+    fn reading(&self) -> Reading {
+        Reading {
+            posture: self.0,
+            grip: Grip::Open,
+            holding: None,
+            blocks: Vec::new(),
+        }
+    }
+}
+
+#[test]
+fn a_jog_takes_its_time_with_a_controller_that_is_there_at_once() {
+    let posture = Posture {
+        pose: HOME,
+        opening: MAX_OPENING,
+    };
+    let (mut arm, mut events) = (Arm::with_controller(0, Box::new(AtOnce(posture))), Vec::new());
+    arm.submit(1, "jog 100 0 0 0 0 500", 0, &mut events).unwrap();
+    run(&mut arm, &mut events);
+    assert_eq!(told(&events).last().unwrap(), "1 finished 1/1");
+    assert!(arm.now >= 500_000 && arm.now < 900_000, "{}", arm.now);
+    assert!(
+        (30.0..60.0).contains(&arm.state().pose.x),
+        "{:?}",
+        arm.state().pose
+    );
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! The wooden blocks: on the table, on each other, in the jaws, or on their way down.
 //!
-//! The model is simple, and says where. A block moves because the hand pushes it, slowly enough that nothing slides on by itself, or by gravity.
-//! It stands as long as its weight, and the weight on it, is above what it lies on; otherwise it topples over the nearest edge, or falls. What
+//! The model is simple: blocks are cubes that turn about the vertical and lean about one axis, pushes are slow (nothing slides on by itself), nothing bounces, and
+//! the hand does not feel what falls on it. A block moves because the hand pushes it, or by gravity. It stands as long as its weight, and the weight on it, is above what it lies on; otherwise it topples over the nearest edge, or falls. What
 //! leaves the table ends on the floor, and stays there until the lab is put back.
 //!
 //! Jaws hold by friction. Closing, they turn and shift what lies between them until its faces are parallel to them; then they carry it with all that
@@ -244,6 +244,7 @@ impl Blocks {
                 let block = &mut self.all[index];
                 // A cube turned by a quarter is the same cube; so it leans about the jaw line, or nearly so.
                 block.yaw -= ((block.yaw - pose.spin) / 90.0).round() * 90.0;
+                self.motions[index] = Motion::Rests;
                 let offset = minus(block.place(), pose.position());
                 Carried {
                     index,
@@ -268,7 +269,9 @@ impl Blocks {
 
     /// The jaws open: what they held is on its own.
     pub(crate) fn release(&mut self) {
-        self.carried.clear();
+        for carried in std::mem::take(&mut self.carried) {
+            self.motions[carried.index] = Motion::Rests;
+        }
     }
 
     /// Whether the place is free of all blocks but one and those on it.

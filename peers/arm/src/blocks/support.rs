@@ -60,8 +60,11 @@ impl Blocks {
         load
     }
 
-    /// The block that bears most of this one.
+    /// The block that bears most of this one; none if the hand does.
     fn bearer(&self, index: usize) -> Option<usize> {
+        if self.is_carried(index) {
+            return None;
+        }
         let solid = self.all[index].solid();
         let area = |(other, block): (usize, &Block)| {
             let below = block.solid();

@@ -36,7 +36,7 @@ pub enum Instruction {
 pub enum Progress {
     /// It is being carried out.
     Busy,
-    /// It was done at this time, which is not later than the time asked for.
+    /// It was done at this time, which is not later than the time asked for. One that is told early is waited for where the instruction says how long it takes.
     Done(ArmTime),
     /// It ended early, at this time, and the arm stands where that happened.
     Failed(ArmTime, ArmError),

@@ -53,7 +53,7 @@ impl Lab {
 }
 
 #[test]
-fn closed_jaws_push_a_block_along_and_press_it_not() {
+fn closed_jaws_push_a_block_but_do_not_press_it_down() {
     let mut lab = Lab::new(&[("red", 100.0, 0.0)]);
     assert_eq!(lab.tell(Instruction::Grip(Grip::Close)), None);
     assert_eq!(lab.go(0.0, 0.0, 300.0), None);
@@ -172,6 +172,27 @@ fn a_tower_of_two_is_carried_by_the_lower_and_set_down_again() {
         (lab.place("low"), heights(&lab)),
         ([100.0, 0.0, 20.0], [20.0, 60.0])
     );
+}
+
+/// What the hand holds on a tower is borne by the hand: it does not tip the tower, nor topple later from where it was.
+#[test]
+fn a_block_that_is_only_held_on_others_does_not_tip_them() {
+    let mut lab = Lab::new(&[("blue", 100.0, 0.0), ("red", 115.0, 0.0), ("green", -100.0, 0.0)]);
+    lab.go(-100.0, 0.0, 20.0);
+    lab.tell(Instruction::Grip(Grip::Close));
+    lab.go(-100.0, 0.0, 200.0);
+    lab.go(130.0, 0.0, 200.0);
+    assert_eq!(lab.go(130.0, 0.0, 100.0), None);
+    assert!(!lab.controller.is_unsettled());
+    assert_eq!(
+        (lab.place("blue"), lab.place("red")),
+        ([100.0, 0.0, 20.0], [115.0, 0.0, 60.0])
+    );
+    lab.go(130.0, 0.0, 200.0);
+    lab.go(-100.0, 100.0, 200.0);
+    lab.go(-100.0, 100.0, 20.0);
+    lab.tell(Instruction::Grip(Grip::Open));
+    assert_eq!(lab.place("green"), [-100.0, 100.0, 20.0]);
 }
 
 /// An instruction that is under way when the link fails ends with an error; the controller stands after its watchdog, and the program hears of that when the link is back.
