@@ -321,15 +321,25 @@ impl Arm {
         }
     }
 
+    /// Whether the controller can be reached.
+    ///
+    /// # Errors
+    ///
+    /// `link`, which may be tried again.
+    pub(crate) fn check_link(&self) -> Result<(), ArmError> {
+        if self.controller.is_linked() {
+            return Ok(());
+        }
+        let text = "the link to the controller is down; it is tried again all the time, and a state tells when it is back";
+        Err(ArmError::new(ErrorName::Link, text).with_retry())
+    }
+
     fn check_free(&self, id: u64) -> Result<(), ArmError> {
         if self.stopped {
             let text = "the arm is stopped and takes no command until the stop is released";
             return Err(ArmError::new(ErrorName::Stopped, text));
         }
-        if !self.controller.is_linked() {
-            let text = "the link to the controller is down; it is tried again all the time, and a state tells when it is back";
-            return Err(ArmError::new(ErrorName::Link, text).with_retry());
-        }
+        self.check_link()?;
         let active = self.active.as_ref().map(|active| &active.command);
         if active
             .into_iter()

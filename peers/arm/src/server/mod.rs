@@ -238,6 +238,7 @@ impl RobotServer {
         self.take_owner(order.fence.unwrap_or(0), now, out);
         // The hub's own command is the safe state, for which the arm was halted.
         if self.stood < self.fence && &*order.peer != HUB {
+            self.arm.check_link()?;
             let text = format!(
                 "the arm is changing hands and still moves; send the command again when a state has fence {}",
                 self.fence
