@@ -1,6 +1,7 @@
 //! Commands that devices bring along: each is a folder of its own under `peers`, and one line here.
 
 use clap::Subcommand;
+use mom_client::Client;
 
 use crate::cli::GlobalArgs;
 use crate::connect::{Stay, connect};
@@ -11,8 +12,8 @@ use crate::output::Output;
 /// The commands of packages. The module `verb` of each has
 ///
 /// - `VerbArgs`, the arguments with their help,
-/// - `run(&args, client, interrupt, tell)`, which works until it is done or `interrupt` is; it logs `client` out, and
-///   tells each result as JSON and as a line for people,
+/// - `run(&args, &client, interrupt, tell)`, which works until it is done or `interrupt` is, and tells each result as
+///   JSON and as a line for people; the client is logged out here, however it ends,
 ///
 /// and its root has `VerbFailure`, which says why it did not do its work.
 macro_rules! devices {
@@ -27,6 +28,12 @@ macro_rules! devices {
             /// Runs it as a peer of its own.
             pub(crate) async fn run(&self, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
                 let client = connect(global, Stay::Once).await?;
+                let ran = self.run_as(&client, output).await;
+                client.close().await;
+                ran
+            }
+
+            async fn run_as(&self, client: &Client, output: Output) -> Result<(), Failure> {
                 let mut interrupt = Interrupt::install()?;
                 let mut tell = |json, line| output.tell(|| json, || line);
                 match self {

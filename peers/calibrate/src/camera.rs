@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use mom_client::{Event, Map, Value, from_value};
+use mom_client::{Event, Map, Time, Value, from_value};
 use tokio::time::{Instant, timeout};
 
 use crate::asking::{ANSWER, DeviceChannel, closed};
@@ -67,12 +67,22 @@ impl Camera {
         self.channel.ask("settings", before, &what).await.map(|_| ())
     }
 
-    /// An image of the robot as it rests.
-    pub(crate) async fn image_of(&mut self, state: &RobotState) -> Result<Value, VerbFailure> {
+    /// When the newest image was taken, by the camera's word.
+    pub(crate) async fn newest(&mut self) -> Result<Option<Time>, VerbFailure> {
+        Ok(taken(&ask_image(&mut self.channel).await?))
+    }
+
+    /// An image of the robot as it rests, taken later than `after`.
+    pub(crate) async fn image_of(
+        &mut self,
+        state: &RobotState,
+        after: Option<Time>,
+    ) -> Result<Value, VerbFailure> {
+        let shows = |image: &Value| shows(image, state) && taken(image) > after;
         let deadline = Instant::now() + ANSWER;
         while Instant::now() < deadline {
             let image = ask_image(&mut self.channel).await?;
-            if shows(&image, state) {
+            if shows(&image) {
                 return Ok(image);
             }
             // The state is on its way to the camera; the image of it goes to all.
@@ -85,7 +95,7 @@ impl Camera {
                 }
             };
             match timeout(AGAIN, next).await {
-                Ok(Ok(image)) if shows(&image, state) => return Ok(image),
+                Ok(Ok(image)) if shows(&image) => return Ok(image),
                 Ok(Err(failure)) => return Err(failure),
                 _ => {}
             }
@@ -123,6 +133,10 @@ impl Camera {
 async fn ask_image(channel: &mut DeviceChannel) -> Result<Value, VerbFailure> {
     let what = format!("ask {} for an image", channel.path());
     channel.ask("request", Map::new(), &what).await
+}
+
+fn taken(image: &Value) -> Option<Time> {
+    image.get("taken").and_then(Value::as_time)
 }
 
 /// Whether an image was taken of this state, or of a later one in which the robot rests at the same place.

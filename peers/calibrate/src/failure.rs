@@ -52,6 +52,16 @@ impl VerbFailure {
             hint: None,
         }
     }
+
+    /// This one, and in its words another that came after it.
+    pub(crate) fn and(self, other: &VerbFailure) -> VerbFailure {
+        let text = format!("{self}; {other}");
+        match self {
+            VerbFailure::Io(_) => self,
+            VerbFailure::Failed { hint, .. } => VerbFailure::Failed { text, hint },
+            VerbFailure::Hub { .. } | VerbFailure::Refused { .. } => VerbFailure::plain(text),
+        }
+    }
 }
 
 impl From<CalibrationError> for VerbFailure {

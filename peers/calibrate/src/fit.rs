@@ -4,17 +4,17 @@ use crate::dlt::{self, Estimate, LEAST};
 use crate::{CalibrationError, Observation, Projection, refine};
 
 /// So many observations are needed beyond the fewest before one of them can be called wrong.
-const SPARE: usize = 2;
+const EXTRA_OBSERVATIONS: usize = 2;
 /// A residual of so many standard deviations is an outlier.
 const DEVIATIONS: f64 = 4.0;
 /// Nothing nearer than this is an outlier, pixels: so well a marker is found at best.
-const CLOSE: f64 = 0.25;
+const OUTLIER_FLOOR_PX: f64 = 0.25;
 /// Where all are as near as this nothing is wrong, pixels.
-const GOOD: f64 = 0.5;
+const GOOD_FIT_PX: f64 = 0.5;
 /// The most rounds of fitting and leaving out.
 const ROUNDS: usize = 8;
 /// A part has to fit so many times better than the whole: a few of many measurements always fit somewhat better.
-const BETTER: f64 = 4.0;
+const REQUIRED_GAIN: f64 = 4.0;
 /// How many random parts are tried where the whole does not fit. With a fifth of wrong ones and parts of eight,
 /// one in six parts is right.
 const PARTS: usize = 120;
@@ -92,13 +92,13 @@ pub fn calibrate(observations: &[Observation], radius: f64) -> Result<Calibratio
     let start =
         dlt::estimate(observations).and_then(|start| refine::refine(&start.projection, observations, radius));
     let whole = start.and_then(|start| settle(start, &all, observations, radius));
-    let good = |fit: &Calibration| fit.outliers() == 0 && fit.max <= GOOD;
-    if whole.as_ref().is_ok_and(good) || observations.len() < LEAST + SPARE {
+    let good = |fit: &Calibration| fit.outliers() == 0 && fit.max <= GOOD_FIT_PX;
+    if whole.as_ref().is_ok_and(good) || observations.len() < LEAST + EXTRA_OBSERVATIONS {
         return whole;
     }
     // A measurement that is far off bends the whole until none stands out.
     match (whole, by_parts(observations, radius)) {
-        (Ok(whole), Some(parts)) if parts.deviation() < whole.deviation() / BETTER => Ok(parts),
+        (Ok(whole), Some(parts)) if parts.deviation() < whole.deviation() / REQUIRED_GAIN => Ok(parts),
         (Err(CalibrationError::NoCamera(_) | CalibrationError::Inconsistent { .. }), Some(parts)) => {
             Ok(parts)
         }
@@ -125,7 +125,7 @@ fn settle(
         }
         used = kept;
         let part = chosen(observations, &used);
-        if part.len() < LEAST + SPARE - 1 || 3 * part.len() < 2 * observations.len() {
+        if part.len() < LEAST + EXTRA_OBSERVATIONS - 1 || 3 * part.len() < 2 * observations.len() {
             return Err(CalibrationError::Inconsistent {
                 agree: part.len(),
                 found: observations.len(),
@@ -133,13 +133,13 @@ fn settle(
         }
         projection = refine::refine(&projection, &part, radius)?;
     }
-    told(projection, &used, observations, radius)
+    summarise(projection, &used, observations, radius)
 }
 
 /// Which residuals are no outliers, by the median of their lengths, which half of them can be wrong without spoiling.
 fn near(lengths: &[f64]) -> Vec<bool> {
     let count = lengths.len();
-    if count < LEAST + SPARE {
+    if count < LEAST + EXTRA_OBSERVATIONS {
         return vec![true; count];
     }
     let mut sorted = lengths.to_vec();
@@ -148,7 +148,7 @@ fn near(lengths: &[f64]) -> Vec<bool> {
     // a part of them: 11 of 2n freedoms.
     let shrunk = (1.0 - 11.0 / (2.0 * count as f64)).sqrt();
     let deviation = sorted[count / 2] / 1.177 / shrunk;
-    let far = (DEVIATIONS * deviation).max(CLOSE);
+    let far = (DEVIATIONS * deviation).max(OUTLIER_FLOOR_PX);
     lengths.iter().map(|length| *length <= far).collect()
 }
 
@@ -193,7 +193,7 @@ fn error(projection: &Projection, seen: &Observation, radius: f64) -> Option<[f6
     Some([seen.pixel[0] - u, seen.pixel[1] - v])
 }
 
-fn told(
+fn summarise(
     projection: Projection,
     used: &[bool],
     observations: &[Observation],

@@ -4,13 +4,15 @@ use std::time::Duration;
 
 use mom_client::{Event, Family, Parcel, Value, from_value};
 use serde::Deserialize;
-use tokio::time::timeout;
+use tokio::time::{Instant, timeout, timeout_at};
 
 use crate::asking::{DeviceChannel, closed, refusal};
 use crate::{Pose, VerbFailure};
 
 /// A robot that says nothing for so long is not there any more.
 const SILENT: Duration = Duration::from_secs(30);
+/// So long the link between the robot and its controller may be down.
+const UNLINKED: Duration = Duration::from_secs(30);
 
 /// What of the robot's state matters here.
 #[derive(Debug, Clone, Deserialize)]
@@ -19,6 +21,9 @@ pub(crate) struct RobotState {
     pub(crate) pose: Pose,
     #[serde(default)]
     moving: bool,
+    /// Whether its controller is there; a robot that does not say so has no other.
+    #[serde(default = "yes")]
+    linked: bool,
     /// The newest fence of its token under which it has stood.
     #[serde(default)]
     fence: Option<u64>,
@@ -35,10 +40,41 @@ struct CommandStatus {
     error: Option<Value>,
 }
 
+const fn yes() -> bool {
+    true
+}
+
+/// What an error of the robot means here.
+#[derive(Debug, PartialEq)]
+enum Trouble {
+    /// It cannot go there; another pose may do.
+    Pose,
+    /// It is still at what its last owner told it.
+    ChangingHands,
+    /// Its controller is not there, and the command may be sent again once it is.
+    Unlinked,
+    Stopped,
+    /// No pose is any better.
+    Other,
+}
+
+impl Trouble {
+    fn of(error: &Value) -> Trouble {
+        let retry = error.get("retry").and_then(Value::as_bool) == Some(true);
+        match error.get("name").and_then(Value::as_str) {
+            Some("workspace-boundary" | "joint-limit" | "singularity") => Trouble::Pose,
+            Some("changing-hands") => Trouble::ChangingHands,
+            Some("link") if retry => Trouble::Unlinked,
+            Some("stopped") => Trouble::Stopped,
+            _ => Trouble::Other,
+        }
+    }
+}
+
 /// How a command ended.
 pub(crate) enum CommandEnd {
     Done,
-    /// Why the robot did not do it.
+    /// Why the robot cannot go there.
     Refused(String),
 }
 
@@ -62,15 +98,17 @@ impl Robot {
     /// Carries out a command to its end.
     ///
     /// # Errors
-    /// A robot that is stopped or not there; what it cannot do is an end.
+    /// A robot that is stopped or not there, or that began and failed; a pose that it cannot reach is an end.
     pub(crate) async fn carry_out(
         &mut self,
         command: &str,
         beside: &mut DeviceChannel,
     ) -> Result<CommandEnd, VerbFailure> {
+        let mut unlinked = None;
         loop {
             let parcel = Parcel::new(Family::Message, "command").content(command);
-            let id = self.channel.send(parcel, &format!("send {command:?}")).await?;
+            let what = format!("send {command:?}");
+            let id = self.channel.send(parcel, &what).await?;
             let status = loop {
                 let event = self.next(beside).await?;
                 if let Some(status) = self.status(&event, id) {
@@ -82,22 +120,61 @@ impl Robot {
                 }
             };
             let error = status.error.unwrap_or_default();
-            match error.get("name").and_then(Value::as_str) {
-                // It is still at what its last owner told it.
-                Some("changing-hands") => {
+            match Trouble::of(&error) {
+                Trouble::Pose => return Ok(CommandEnd::Refused(refusal(&error).text)),
+                Trouble::ChangingHands => {
                     while self.state.as_ref().and_then(|state| state.fence) < Some(self.fence) {
                         self.next(beside).await?;
                     }
                 }
-                Some("stopped") => {
+                Trouble::Unlinked => {
+                    let until = *unlinked.get_or_insert_with(|| Instant::now() + UNLINKED);
+                    let linked = timeout_at(until, self.linked(beside)).await;
+                    linked.map_err(|_| {
+                        VerbFailure::plain(format!(
+                            "the robot in {} has had no link to its controller for {} s: {}",
+                            self.channel.path(),
+                            UNLINKED.as_secs(),
+                            refusal(&error).text
+                        ))
+                    })??;
+                }
+                Trouble::Stopped => {
                     return Err(VerbFailure::new(
                         format!("the robot in {} is stopped", self.channel.path()),
                         format!("let it go with: mom unstop {}", self.channel.path()),
                     ));
                 }
-                _ => return Ok(CommandEnd::Refused(refusal(&error).text)),
+                Trouble::Other => {
+                    let error = refusal(&error);
+                    return Err(VerbFailure::Refused { what, error });
+                }
             }
         }
+    }
+
+    /// Waits for news that the controller is there.
+    async fn linked(&mut self, beside: &mut DeviceChannel) -> Result<(), VerbFailure> {
+        loop {
+            let event = self.next(beside).await?;
+            let news = matches!(&event, Event::Message(parcel) if parcel.name() == "state");
+            if news && self.state.as_ref().is_some_and(|state| state.linked) {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Lets it rest for so long; whatever is said meanwhile must not pile up.
+    pub(crate) async fn rest(
+        &mut self,
+        time: Duration,
+        beside: &mut DeviceChannel,
+    ) -> Result<(), VerbFailure> {
+        let until = Instant::now() + time;
+        while let Ok(event) = timeout_at(until, self.event(beside)).await {
+            self.note(&event?)?;
+        }
+        Ok(())
     }
 
     /// The state in which it rests at a pose, where it has just gone.
@@ -118,19 +195,9 @@ impl Robot {
         }
     }
 
-    /// The next event here; those of the camera meanwhile are of no interest, and must not pile up.
+    /// The next event here, which comes before long.
     async fn next(&mut self, beside: &mut DeviceChannel) -> Result<Event, VerbFailure> {
-        let next = async {
-            loop {
-                tokio::select! {
-                    event = self.channel.events.next() => return event.ok_or_else(closed),
-                    other = beside.events.next() => {
-                        other.ok_or_else(closed)?;
-                    }
-                }
-            }
-        };
-        let event = timeout(SILENT, next).await.map_err(|_| {
+        let event = timeout(SILENT, self.event(beside)).await.map_err(|_| {
             VerbFailure::new(
                 format!(
                     "the robot in {} says nothing for {} s",
@@ -140,7 +207,25 @@ impl Robot {
                 "see who is there: mom tree",
             )
         })??;
-        match &event {
+        self.note(&event)?;
+        Ok(event)
+    }
+
+    /// The next event here; those of the camera meanwhile are of no interest, and must not pile up. Cancel safe.
+    async fn event(&mut self, beside: &mut DeviceChannel) -> Result<Event, VerbFailure> {
+        loop {
+            tokio::select! {
+                event = self.channel.events.next() => return event.ok_or_else(closed),
+                other = beside.events.next() => {
+                    other.ok_or_else(closed)?;
+                }
+            }
+        }
+    }
+
+    /// Takes a state, and fails where what the robot does is not known any more.
+    fn note(&mut self, event: &Event) -> Result<(), VerbFailure> {
+        match event {
             Event::Message(parcel) if parcel.name() == "state" => {
                 if let Ok(state) = from_value(parcel.value()) {
                     self.state = Some(state);
@@ -158,7 +243,7 @@ impl Robot {
             }
             _ => {}
         }
-        Ok(event)
+        Ok(())
     }
 
     /// What an event says about our command.
@@ -171,5 +256,32 @@ impl Robot {
             _ => return None,
         };
         (status.id == Some(id) && status.peer == self.channel.client.name()).then_some(status)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use mom_client::Map;
+
+    use super::*;
+
+    #[test]
+    fn only_a_pose_that_cannot_be_reached_is_left_out() {
+        for (name, retry, trouble) in [
+            ("workspace-boundary", false, Trouble::Pose),
+            ("joint-limit", false, Trouble::Pose),
+            ("singularity", false, Trouble::Pose),
+            ("link", true, Trouble::Unlinked),
+            ("link", false, Trouble::Other),
+            ("changing-hands", true, Trouble::ChangingHands),
+            ("stopped", false, Trouble::Stopped),
+            ("torque-overload", false, Trouble::Other),
+            ("halted", false, Trouble::Other),
+            ("queue-full", true, Trouble::Other),
+        ] {
+            let error = Map::new().with("name", name).with("retry", retry);
+            assert_eq!(Trouble::of(&error.into()), trouble, "{name}");
+        }
+        assert_eq!(Trouble::of(&Value::default()), Trouble::Other);
     }
 }

@@ -51,11 +51,14 @@ pub struct VerbArgs {
     /// Wait in the token's queue for at most so many seconds
     #[arg(long, value_name = "SECONDS")]
     pub wait: Option<u64>,
+    /// How long after each move the camera's picture is waited for; 500ms or more for a real camera
+    #[arg(long, value_name = "TIME", default_value = "0s", value_parser = time)]
+    pub settle: Duration,
 }
 
 const EXAMPLES: &str = "\
-It grabs the robot's token, drives the arm to poses all over the workspace, some 3 s each, and measures in each where the
-marker on the gripper is seen, in lossless images. Poses in which it is not seen whole are left out, and so are
+It grabs the robot's token, drives the arm to poses all over the workspace, about 1.5 s each, and measures in each where
+the marker on the gripper is seen, in lossless images. Poses in which it is not seen whole are left out, and so are
 measurements that do not agree with the others. At the end the arm is at home, the camera has its settings back and
 uses the measured matrix, and the token is free.
 
@@ -64,6 +67,7 @@ Examples:
   mom calibrate top --poses 50 --output residuals.svg
   mom calibrate y --marker 0,-140,75 --radius 12 --colour ff00ff
   mom calibrate x --wait 300               when it is your turn
+  mom calibrate bench --settle 500ms       a real camera shows the arm later than the arm tells
   mom calibrate x --json | jq -s 'last.rms'
 
 Ctrl-C ends it: the settings are restored and the token is released, and the hub halts the robot.";
@@ -71,22 +75,50 @@ Ctrl-C ends it: the settings are restored and the token is released, and the hub
 /// How one result is told: as JSON, and for people.
 pub type Tell<'a> = &'a mut (dyn FnMut(Json, String) -> io::Result<()> + Send);
 
-/// Calibrates until it is done, or `interrupt` is.
+/// What the camera has been told of its new matrix.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Told {
+    Nothing,
+    /// It was sent, and the camera has not answered.
+    Sent,
+    Matrix,
+}
+
+impl Told {
+    fn words(self) -> &'static str {
+        match self {
+            Told::Nothing => "nothing was told to the camera",
+            Told::Sent => {
+                "the matrix was sent, and whether the camera uses it is not known; its next image tells"
+            }
+            Told::Matrix => "the camera uses the new matrix",
+        }
+    }
+}
+
+/// How the work under the token ended.
+enum JobEnd {
+    Ended(Result<(), VerbFailure>),
+    Interrupted,
+    Lost,
+}
+
+/// Calibrates until it is done, or `interrupt` is. The caller closes the client.
 ///
 /// # Errors
 ///
 /// [`VerbFailure`]; whatever happened, the settings are restored and the token is released, unless it was lost.
 pub async fn run(
     args: &VerbArgs,
-    client: Client,
+    client: &Client,
     interrupt: impl Future<Output = ()>,
     tell: Tell<'_>,
 ) -> Result<(), VerbFailure> {
     let mut interrupt = pin!(interrupt);
     let begun = async {
         let path = format!("{}/{}", args.session.trim_end_matches('/'), args.view);
-        let camera = Camera::meet(DeviceChannel::join(&client, &path).await?).await?;
-        let robot = DeviceChannel::join(&client, &args.robot).await?;
+        let camera = Camera::meet(DeviceChannel::join(client, &path).await?).await?;
+        let robot = DeviceChannel::join(client, &args.robot).await?;
         let token = client
             .token(&args.token)
             .await
@@ -103,30 +135,51 @@ pub async fn run(
         camera,
         robot,
         tell,
+        told: Told::Nothing,
     };
     let ended = tokio::select! {
         biased;
-        lost = guard.lost() => Err(lost_failure(args, &lost.reason, lost.by.as_deref())),
-        () = interrupt => Err(VerbFailure::plain("interrupted; nothing was told to the camera, and the token is released")),
-        ended = job.carry_out() => ended,
+        _ = guard.lost() => JobEnd::Lost,
+        () = interrupt => JobEnd::Interrupted,
+        ended = job.carry_out() => JobEnd::Ended(ended),
     };
     // A robot or camera that refuses because the token is lost may say so before the hub does.
     let asked = timeout(ANSWER, token.info()).await;
+    if guard.is_lost() && !matches!(ended, JobEnd::Ended(Ok(()))) {
+        let lost = guard.lost().await;
+        return Err(lost_failure(args, &lost.reason, lost.by.as_deref(), job.told));
+    }
+    let interrupted = matches!(ended, JobEnd::Interrupted);
+    let ended = match ended {
+        JobEnd::Ended(ended) => ended,
+        JobEnd::Interrupted | JobEnd::Lost => {
+            Err(VerbFailure::plain(format!("interrupted; {}", job.told.words())))
+        }
+    };
     if guard.is_lost() || !matches!(asked, Ok(Ok(_))) {
-        client.close().await;
-        return match ended {
-            Ok(()) => Ok(()),
-            Err(_) if guard.is_lost() => {
-                let lost = guard.lost().await;
-                Err(lost_failure(args, &lost.reason, lost.by.as_deref()))
-            }
-            Err(failure) => Err(failure),
-        };
+        return ended;
     }
     let restored = job.camera.restore().await;
     let released = guard.release().await.doing(format!("release {}", args.token));
-    client.close().await;
-    ended.and(restored).and(released)
+    let given_back = both(restored, released);
+    match given_back {
+        Ok(()) if interrupted => {
+            let text = format!(
+                "interrupted; {}, its settings are restored, and the token is released",
+                job.told.words()
+            );
+            Err(VerbFailure::plain(text))
+        }
+        given_back => both(ended, given_back),
+    }
+}
+
+/// The failure of either, or of both.
+fn both(first: Result<(), VerbFailure>, second: Result<(), VerbFailure>) -> Result<(), VerbFailure> {
+    match (first, second) {
+        (Err(first), Err(second)) => Err(first.and(&second)),
+        (first, second) => first.and(second),
+    }
 }
 
 async fn grab(token: &Token, args: &VerbArgs) -> Result<TokenGuard, VerbFailure> {
@@ -137,13 +190,10 @@ async fn grab(token: &Token, args: &VerbArgs) -> Result<TokenGuard, VerbFailure>
     grab.await.doing(format!("grab {}", args.token))
 }
 
-fn lost_failure(args: &VerbArgs, reason: &str, by: Option<&str>) -> VerbFailure {
+fn lost_failure(args: &VerbArgs, reason: &str, by: Option<&str>, told: Told) -> VerbFailure {
     let by = by.map(|by| format!(" by {by}")).unwrap_or_default();
     VerbFailure::new(
-        format!(
-            "lost {}: {reason}{by}; nothing was told to the camera",
-            args.token
-        ),
+        format!("lost {}: {reason}{by}; {}", args.token, told.words()),
         format!(
             "only the token's owner restores the camera's settings: mom camera {} --format jpeg",
             args.view
@@ -157,6 +207,7 @@ struct Job<'a> {
     camera: Camera,
     robot: Robot,
     tell: Tell<'a>,
+    told: Told,
 }
 
 /// What was measured.
@@ -185,7 +236,7 @@ impl Job<'_> {
         let mut measured = Measurements::default();
         for (index, pose) in poses.iter().enumerate() {
             let outcome = self.measure(pose).await?;
-            self.told(index + 1, poses.len(), pose, &outcome)?;
+            self.tell_pose(index + 1, poses.len(), pose, &outcome)?;
             match outcome {
                 PoseOutcome::Refused(_) => measured.refused += 1,
                 PoseOutcome::Unseen(_) => measured.unseen += 1,
@@ -200,7 +251,10 @@ impl Job<'_> {
                 }
             }
         }
-        self.robot.carry_out("home", &mut self.camera.channel).await?;
+        if let CommandEnd::Refused(why) = self.robot.carry_out("home", &mut self.camera.channel).await? {
+            let text = format!("the robot does not go home: {why}; {}", self.told.words());
+            return Err(VerbFailure::plain(text));
+        }
         let calibration = calibrate(&measured.observations, self.args.radius)?;
         if let Some(file) = &self.args.output {
             let (width, height) = (measured.size.0 as f64, measured.size.1 as f64);
@@ -209,7 +263,10 @@ impl Job<'_> {
             fs::write(file, drawn)
                 .map_err(|error| VerbFailure::plain(format!("cannot write {}: {error}", file.display())))?;
         }
+        // Before the answer: it may be in use although the answer is lost.
+        self.told = Told::Sent;
         self.camera.publish(&calibration, measured.size).await?;
+        self.told = Told::Matrix;
         self.tell_end(&calibration, &measured)
     }
 
@@ -220,7 +277,13 @@ impl Job<'_> {
             return Ok(PoseOutcome::Refused(why));
         }
         let state = self.robot.rests_at(pose, beside).await?;
-        let image = self.camera.image_of(&state).await?;
+        let mut after = None;
+        if !self.args.settle.is_zero() {
+            // A real camera is late: a frame has the state of the time when it came, and may show the arm before that.
+            self.robot.rest(self.args.settle, beside).await?;
+            after = self.camera.newest().await?;
+        }
+        let image = self.camera.image_of(&state, after).await?;
         let bytes = image.get("image").and_then(Value::as_binary);
         let picture = match bytes.map(|bytes| Picture::decode(bytes)) {
             Some(Ok(picture)) => picture,
@@ -240,7 +303,7 @@ impl Job<'_> {
     }
 
     /// A line for each pose.
-    fn told(&mut self, number: usize, of: usize, pose: &Pose, outcome: &PoseOutcome) -> io::Result<()> {
+    fn tell_pose(&mut self, number: usize, of: usize, pose: &Pose, outcome: &PoseOutcome) -> io::Result<()> {
         let Pose { x, y, z, spin, tilt } = pose;
         let (key, value, words) = match outcome {
             PoseOutcome::Measured(Observation { pixel: [u, v], .. }, _) => {
@@ -314,6 +377,26 @@ fn place(text: &str) -> Result<[f64; 3], String> {
     .ok_or_else(|| "a place is three numbers of mm: 0,-140,75".to_owned())
 }
 
+/// `500ms`, `2s`; a minute at most.
+fn time(text: &str) -> Result<Duration, String> {
+    let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+    let (number, unit) = text.split_at(digits);
+    let factor = match unit {
+        "ms" => Some(1),
+        "s" => Some(1000),
+        _ => None,
+    };
+    let millis = number
+        .parse()
+        .ok()
+        .zip(factor)
+        .map(|(number, factor): (u64, u64)| number.saturating_mul(factor));
+    millis
+        .filter(|millis| *millis <= 60_000)
+        .map(Duration::from_millis)
+        .ok_or_else(|| "it is a time up to 60s, in ms or s: 500ms, 2s".to_owned())
+}
+
 fn length(text: &str) -> Result<f64, String> {
     let number: Option<f64> = text.parse().ok();
     number
@@ -356,8 +439,17 @@ mod tests {
             read(&["x", "--marker", "-5,0.5,7"]).expect("a place").args.marker,
             [-5.0, 0.5, 7.0]
         );
+        assert_eq!(args.settle, Duration::ZERO);
+        for (time, millis) in [("500ms", 500), ("2s", 2000), ("60s", 60_000)] {
+            let args = read(&["x", "--settle", time]).expect("a time").args;
+            assert_eq!(args.settle, Duration::from_millis(millis));
+        }
         for line in [
             &[][..],
+            &["x", "--settle", "500"],
+            &["x", "--settle", "s"],
+            &["x", "--settle", "61s"],
+            &["x", "--settle", "99999999999999999999s"],
             &["x", "--poses", "5"],
             &["x", "--marker", "1,2"],
             &["x", "--marker", "1,2,nan"],
@@ -370,5 +462,18 @@ mod tests {
         ] {
             assert!(read(line).is_err(), "{line:?}");
         }
+    }
+    #[test]
+    fn two_failures_are_both_told() {
+        let failure = || Err(VerbFailure::new("the robot is stopped", "let it go"));
+        let release = || Err(VerbFailure::plain("release /robot/token: timed out"));
+        let VerbFailure::Failed { text, hint } = both(failure(), release()).expect_err("both") else {
+            panic!("in words");
+        };
+        assert_eq!(text, "the robot is stopped; release /robot/token: timed out");
+        assert_eq!(hint.as_deref(), Some("let it go"));
+        let alone = both(Ok(()), release()).expect_err("one").to_string();
+        assert_eq!(alone, "release /robot/token: timed out");
+        assert!(both(Ok(()), Ok(())).is_ok());
     }
 }

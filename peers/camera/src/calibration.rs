@@ -1,15 +1,19 @@
 //! A measured projection matrix, which takes the place of the camera's own (M55).
 
 use std::fs::{self, File};
+use std::future::pending;
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
 use mom_client::{Code, Map, Parcel, Time, Value, WireError};
 use nalgebra::{Matrix3x4, Vector4};
 use serde::{Deserialize, Serialize};
+use tokio::task::{JoinHandle, spawn_blocking};
 
 use crate::View;
-use crate::settings::{HEIGHTS, WIDTHS};
+
+/// The sizes of images that a matrix may be for, pixels: a real camera's may be larger than those that are drawn.
+const SIZES: std::ops::RangeInclusive<u32> = 1..=16384;
 
 /// A measured matrix, who measured it, and how well.
 ///
@@ -64,20 +68,20 @@ impl Calibration {
                 given.len()
             ))
         })?;
-        let pixels = |name: &str, value: i64, limits: &std::ops::RangeInclusive<u32>| {
-            let fits = u32::try_from(value).ok().filter(|value| limits.contains(value));
+        let pixels = |name: &str, value: i64| {
+            let fits = u32::try_from(value).ok().filter(|value| SIZES.contains(value));
             fits.ok_or_else(|| {
                 bad(format!(
                     "{name} is {value}; it must be {} to {} pixels",
-                    limits.start(),
-                    limits.end()
+                    SIZES.start(),
+                    SIZES.end()
                 ))
             })
         };
         Calibration {
             matrix: numbers,
-            width: pixels("width", told.width, &WIDTHS)?,
-            height: pixels("height", told.height, &HEIGHTS)?,
+            width: pixels("width", told.width)?,
+            height: pixels("height", told.height)?,
             rms: told.rms,
             poses: u32::try_from(told.poses)
                 .map_err(|_| bad(format!("poses is {}; it must be the number of poses", told.poses)))?,
@@ -189,8 +193,7 @@ impl CalibrationFile {
         let kept = match fs::read(path) {
             Ok(bytes) => {
                 let read: Calibration = serde_json::from_slice(&bytes).map_err(|error| wrong(&error))?;
-                let limits = (WIDTHS.contains(&read.width), HEIGHTS.contains(&read.height));
-                if limits != (true, true) {
+                if !(SIZES.contains(&read.width) && SIZES.contains(&read.height)) {
                     return Err(wrong(&"its size is none of a camera"));
                 }
                 Some(read.checked().map_err(|error| wrong(&error.text))?)
@@ -204,24 +207,78 @@ impl CalibrationFile {
         })
     }
 
-    pub(crate) fn kept(&self) -> Option<&Calibration> {
-        self.kept.as_ref()
-    }
-
-    /// Writes what has changed. Whoever reads at any time, or after a crash, finds the old or the new whole.
-    pub(crate) fn keep(&mut self, calibration: Option<&Calibration>) -> io::Result<()> {
-        let Some(calibration) = calibration.filter(|new| self.kept.as_ref() != Some(new)) else {
-            return Ok(());
-        };
+    /// How to write what has changed, if anything has. It waits for the disk.
+    fn keep(
+        &mut self,
+        calibration: Option<&Calibration>,
+    ) -> Option<impl FnOnce() -> io::Result<()> + Send + use<>> {
+        let calibration = calibration.filter(|new| self.kept.as_ref() != Some(new))?;
         // Not tried again before the next change, if it fails.
         self.kept = Some(calibration.clone());
-        let mut name = self.path.clone().into_os_string();
-        name.push(".new");
-        let beside = PathBuf::from(name);
-        let mut file = File::create(&beside)?;
-        file.write_all(&serde_json::to_vec_pretty(calibration)?)?;
-        file.sync_all()?;
-        fs::rename(&beside, &self.path)
+        let (calibration, path) = (calibration.clone(), self.path.clone());
+        Some(move || write(&calibration, &path))
+    }
+}
+
+/// Whoever reads at any time, or after a crash, finds the old or the new whole.
+fn write(calibration: &Calibration, path: &Path) -> io::Result<()> {
+    let mut name = path.to_owned().into_os_string();
+    name.push(".new");
+    let beside = PathBuf::from(name);
+    let mut file = File::create(&beside)?;
+    file.write_all(&serde_json::to_vec_pretty(calibration)?)?;
+    file.sync_all()?;
+    fs::rename(&beside, path)
+}
+
+/// Writes the file on a thread of its own, one calibration after the other, so that nothing else waits for the disk.
+#[derive(Debug)]
+pub(crate) struct CalibrationKeeper {
+    /// None = nothing is kept.
+    file: Option<CalibrationFile>,
+    writing: Option<JoinHandle<io::Result<()>>>,
+}
+
+impl CalibrationKeeper {
+    pub(crate) fn new(file: Option<CalibrationFile>) -> CalibrationKeeper {
+        CalibrationKeeper { file, writing: None }
+    }
+
+    /// What was kept when the file was opened, or is to be since then.
+    pub(crate) fn kept(&self) -> Option<&Calibration> {
+        self.file.as_ref()?.kept.as_ref()
+    }
+
+    /// Begins to write what has changed, unless it is writing: then it is to be called again once that is done.
+    pub(crate) fn keep(&mut self, calibration: Option<&Calibration>) {
+        if self.writing.is_none()
+            && let Some(write) = self.file.as_mut().and_then(|file| file.keep(calibration))
+        {
+            self.writing = Some(spawn_blocking(write));
+        }
+    }
+
+    /// Waits until what is being written is written; forever if nothing is. Cancel safe.
+    pub(crate) async fn written(&mut self) {
+        let Some(writing) = &mut self.writing else {
+            return pending().await;
+        };
+        let written = writing.await.map_err(io::Error::from).flatten();
+        self.writing = None;
+        if let Err(error) = written {
+            tracing::error!(%error, "the calibration is in use, but could not be kept");
+        }
+    }
+
+    /// Writes to the end what has changed.
+    pub(crate) async fn finish(mut self, calibration: Option<&Calibration>) {
+        loop {
+            self.keep(calibration);
+            if self.writing.is_none() {
+                return;
+            }
+            self.written().await;
+        }
     }
 }
 
@@ -264,6 +321,8 @@ mod tests {
             (480, 640),
             (64, 48),
             (1920, 1080),
+            // More than is drawn: a real camera's.
+            (3840, 2160),
         ];
         for view in [View::X, View::Y, View::Top] {
             for (width, height) in sizes {
@@ -309,28 +368,34 @@ mod tests {
                 "has 11 numbers; it must have 12",
             ),
             (
-                told(&good, 32, 480).expect_err("refused").text,
-                "width is 32; it must be 64 to 1920 pixels",
+                told(&good, 0, 480).expect_err("refused").text,
+                "width is 0; it must be 1 to 16384 pixels",
             ),
             (
                 told(&good, 640, -1).expect_err("refused").text,
-                "height is -1; it must be 48 to 1080 pixels",
+                "height is -1; it must be 1 to 16384 pixels",
             ),
         ] {
             assert!(text.contains(words), "{text:?} lacks {words:?}");
         }
     }
 
-    #[test]
-    fn a_file_keeps_it_and_a_broken_one_is_told() {
+    #[tokio::test]
+    async fn a_file_keeps_it_and_a_broken_one_is_told() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("x.json");
-        let mut file = CalibrationFile::open(&path, View::X).expect("it is not there yet");
-        assert_eq!(file.kept(), None);
-        let measured = told(&matrix_of(View::X, 640, 480), 640, 480).expect("good");
-        file.keep(Some(&measured)).expect("written");
-        let again = CalibrationFile::open(&path, View::X).expect("read");
-        assert_eq!(again.kept(), Some(&measured));
+        let open = || CalibrationFile::open(&path, View::X);
+        let mut keeper = CalibrationKeeper::new(Some(open().expect("it is not there yet")));
+        assert_eq!(keeper.kept(), None);
+        let first = told(&matrix_of(View::X, 640, 480), 640, 480).expect("good");
+        keeper.keep(Some(&first));
+        // The second comes while the first is written.
+        let measured = told(&matrix_of(View::X, 3840, 2160), 3840, 2160).expect("good");
+        keeper.keep(Some(&measured));
+        keeper.written().await;
+        assert_eq!(open().expect("read").kept, Some(first));
+        keeper.finish(Some(&measured)).await;
+        assert_eq!(open().expect("read").kept, Some(measured));
         assert_eq!(
             fs::read_dir(folder.path()).expect("a folder").count(),
             1,

@@ -35,18 +35,16 @@ impl Owner {
         self.name.as_deref()
     }
 
-    /// Whether this peer owns the token; the error names the owner.
-    pub(crate) fn check(&self, peer: Option<&str>, token: &Path) -> Result<(), WireError> {
+    /// Whether this peer owns the token; the error names the owner, and what only the owner does.
+    pub(crate) fn check(&self, peer: Option<&str>, token: &Path, what: &str) -> Result<(), WireError> {
         match &self.name {
             Some(owner) if peer == Some(owner) => Ok(()),
             Some(owner) => {
-                let text = format!("only the owner of {token} changes the settings, and that is {owner}");
+                let text = format!("only the owner of {token} {what}, and that is {owner}");
                 Err(WireError::new(Code::NOT_OWNER, text).detail("owner", owner.as_str()))
             }
             None => {
-                let text = format!(
-                    "only the owner of {token} changes the settings, and nobody owns it; grab it first"
-                );
+                let text = format!("only the owner of {token} {what}, and nobody owns it; grab it first");
                 Err(WireError::new(Code::NOT_OWNER, text))
             }
         }

@@ -11,13 +11,13 @@ use tokio::sync::watch::Receiver;
 use tokio::task::{JoinHandle, JoinSet, spawn_blocking};
 use tokio::time::{Instant, sleep_until};
 
-use crate::calibration::CalibrationFile;
+use crate::calibration::{CalibrationFile, CalibrationKeeper};
 use crate::server::CameraTime;
 use crate::source::{self, Sight};
 use crate::{CameraSettings, ImageServer, ServerOptions, SettingsError, Source, View};
 
 /// A snapshot is got at least so often, so that it is known whether the camera lives.
-const SELDOM: Duration = Duration::from_secs(60);
+const LONGEST_SNAPSHOT_PERIOD: Duration = Duration::from_secs(60);
 
 /// Where the camera stands and what it listens to.
 #[derive(Debug, Clone, PartialEq)]
@@ -84,8 +84,8 @@ impl CameraOptions {
     /// What is seen of the real camera, if it is one; the work for it is a task.
     fn watch(&self, tasks: &mut JoinSet<()>) -> Option<Receiver<Sight>> {
         let source = self.source.as_ref()?;
-        let period = Duration::try_from_secs_f64(1.0 / self.rate).unwrap_or(SELDOM);
-        let (seen, work) = source::watch(source.url.clone(), period.min(SELDOM));
+        let period = Duration::try_from_secs_f64(1.0 / self.rate).unwrap_or(LONGEST_SNAPSHOT_PERIOD);
+        let (seen, work) = source::watch(source.url.clone(), period.min(LONGEST_SNAPSHOT_PERIOD));
         tasks.spawn(work);
         Some(seen)
     }
@@ -124,8 +124,8 @@ pub async fn run(
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), ClientError> {
     let mut server = options.server()?;
-    let mut file = options.calibration_file()?;
-    server = server.calibrated(file.as_ref().and_then(CalibrationFile::kept).cloned());
+    let mut keeper = CalibrationKeeper::new(options.calibration_file()?);
+    server = server.calibrated(keeper.kept().cloned());
     let channel = client.channel(&options.channel).await?;
     let mut camera = channel.events();
     let token = client.token(&options.token).await?;
@@ -157,6 +157,7 @@ pub async fn run(
                 options.channel.clone(),
             )));
         }
+        keeper.keep(server.calibration());
         let wake = server.next_wake().map(|due| begin + duration(due));
         tokio::select! {
             // Who owns the token is known before what its owner says next is judged.
@@ -176,17 +177,14 @@ pub async fn run(
                 None => server.handle_failure(),
             },
             users = done(&mut looking) => server.handle_users(&users.unwrap_or_default(), &mut out),
-            event = camera.next() => {
-                server.handle_camera(&open(event, &client)?, &mut out);
-                if let Some(Err(error)) = file.as_mut().map(|file| file.keep(server.calibration())) {
-                    tracing::error!(%error, "the calibration is in use, but could not be kept");
-                }
-            }
+            event = camera.next() => server.handle_camera(&open(event, &client)?, &mut out),
+            () = keeper.written() => {}
             event = robot.next() => server.handle_robot(&open(event, &client)?),
             sight = sight(&mut sights) => server.handle_sight(sight, wall(&client), &mut out),
             () = sleep_or_wait(wake) => {}
         }
     }
+    keeper.finish(server.calibration()).await;
     client.close().await;
     Ok(())
 }

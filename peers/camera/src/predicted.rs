@@ -12,6 +12,8 @@ use crate::DrawnPose;
 const APART: i64 = 40_000;
 /// The most states that are kept while they come closer together than that.
 const MOST: usize = 64;
+/// A state that is so much older than the last, µs, is not late: the hub's clock was set back.
+const CLOCK_STEP: i64 = 2_000_000;
 
 /// Predicts the gripper's pose from its states.
 ///
@@ -69,17 +71,22 @@ impl PosePredictor {
     }
 
     /// Takes the pose of a state that came in this parcel, and whether the robot says that it moves; one that does not
-    /// say so may. Returns whether it was used: a state without the hub's stamps, or one older than the last, is not.
+    /// say so may. Returns whether it was used: a state without the hub's stamps, or one older than the last, is not. After one
+    /// that is more than 2 s older, those before it are forgotten.
     pub fn observe(&mut self, parcel: &Parcel, pose: &DrawnPose, moving: Option<bool>) -> bool {
         let Some(received) = parcel.received else {
             return false;
         };
         let created = received.micros().saturating_sub(parcel.age.unwrap_or_default());
-        if self.states.back().is_some_and(|last| created <= last.created) {
-            return false;
+        let before = self.states.back().map(|last| last.values);
+        if let Some(last) = self.states.back().map(|last| last.created) {
+            if last.saturating_sub(created) > CLOCK_STEP {
+                self.states.clear();
+            } else if created <= last {
+                return false;
+            }
         }
         let moves = moving.unwrap_or(true);
-        let before = self.states.back().map(|last| last.values);
         if !(self.moving && moves) {
             self.states.clear();
         }
@@ -265,6 +272,21 @@ mod tests {
             flooded.observe(&parcel, &x(0.0), None);
         });
         assert!(flooded.states.len() <= MOST);
+    }
+
+    #[test]
+    fn states_go_on_when_the_hubs_clock_is_set_back() {
+        let mut hand = PosePredictor::new(HORIZON);
+        hand.observe(&state(10_000, 0, true), &x(0.0), Some(true));
+        hand.observe(&state(10_050, 0, true), &x(7.5), Some(true));
+        assert!(
+            !hand.observe(&state(9_000, 0, true), &x(-1.0), Some(true)),
+            "late"
+        );
+        assert!(hand.observe(&state(1_000, 0, true), &x(15.0), Some(true)));
+        assert_eq!(hand.at(at(1_040)), Some(x(15.0)), "one state tells no velocity");
+        assert!(hand.observe(&state(1_050, 0, true), &x(22.5), Some(true)));
+        assert!((hand.at(at(1_100)).unwrap().x - 30.0).abs() < 1e-9);
     }
 
     #[test]

@@ -193,6 +193,11 @@ impl ImageServer {
     /// Takes a finished picture.
     pub fn handle_picture(&mut self, picture: Picture, out: &mut Vec<Parcel>) {
         self.drawing = false;
+        if self.has_no_frame() {
+            // The real camera failed while its last frame was decoded: nobody takes that for what it sees now.
+            self.refuse_purpose(&picture.purpose, out);
+            return;
+        }
         match &picture.content {
             Ok(content) => {
                 self.note_recovery(out);
@@ -246,7 +251,12 @@ impl ImageServer {
         if seq.is_some() && seq == self.state_seq {
             return Ok(());
         }
-        let moving = state.get("moving").and_then(Value::as_bool);
+        // Without its controller the robot may move, but nobody knows how: nothing is predicted.
+        let linked = state.get("linked").and_then(Value::as_bool) != Some(false);
+        let moving = match linked {
+            true => state.get("moving").and_then(Value::as_bool),
+            false => Some(false),
+        };
         self.scene = mom_client::from_value(state)?;
         self.predictor.observe(parcel, &self.scene.pose, moving);
         self.trail.push(self.scene.pose);
@@ -284,7 +294,8 @@ impl ImageServer {
     /// The answer to a change that this peer answers for.
     fn change_by(&mut self, peer: Option<&str>, parcel: &Parcel) -> Parcel {
         let changed = read_change(parcel).and_then(|change| {
-            self.owner.check(peer, &self.options.token)?;
+            self.owner
+                .check(peer, &self.options.token, "changes the settings")?;
             self.change_settings(&change)
         });
         if let Err(error) = changed {
@@ -297,7 +308,9 @@ impl ImageServer {
     }
 
     fn take_calibration(&mut self, parcel: &Parcel) -> Result<Parcel, WireError> {
-        self.owner.check(parcel.sender.as_deref(), &self.options.token)?;
+        let sender = parcel.sender.as_deref();
+        self.owner
+            .check(sender, &self.options.token, "tells the camera its matrix")?;
         let calibration = Calibration::of(parcel, self.options.view)?;
         let mut changed = self.message(CALIBRATION_CHANGED, calibration.to_map());
         changed.reference = parcel.id;

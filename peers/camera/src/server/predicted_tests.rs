@@ -97,6 +97,25 @@ fn measured_and_predicted_pose_go_beside_each_image() {
 }
 
 #[test]
+fn nothing_is_predicted_while_the_controller_is_not_there() {
+    let mut server = ImageServer::new(options()).unwrap();
+    server.handle_robot(&state(0, true));
+    server.handle_robot(&state(50, true));
+    let Event::Message(mut down) = state(100, true) else {
+        panic!("a state is a message");
+    };
+    let content = down.value();
+    let content = Map::new()
+        .with("seq", 100)
+        .with("moving", true)
+        .with("linked", false)
+        .with("pose", content.get("pose").cloned().unwrap());
+    down.content = Some(content.into());
+    server.handle_robot(&Event::Message(down));
+    assert_eq!(poses(&shown(&mut server, 400)), [mark("pose", 15.0, 100)]);
+}
+
+#[test]
 fn a_real_image_has_the_prediction_of_its_own_time() {
     let source = Source {
         url: "http://cam/".parse().unwrap(),

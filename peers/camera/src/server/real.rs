@@ -58,7 +58,7 @@ impl RealCamera {
     /// where frames go out as they came.
     pub(super) fn settings_map(&self) -> Map {
         let taken = self.newest.as_ref().and_then(|shot| shot.taken_frame.as_ref());
-        let frame = taken.map(|taken| &taken.frame);
+        let frame = taken.map(|taken| &*taken.frame);
         let (width, height) = self.rendition.size();
         let mut map = Map::new();
         if let Some(width) = width.or(frame.map(|frame| frame.width)) {
@@ -67,7 +67,7 @@ impl RealCamera {
         if let Some(height) = height.or(frame.map(|frame| frame.height)) {
             map.set("height", height);
         }
-        if let Some(quality) = self.rendition.quality_used() {
+        if let Some(quality) = self.rendition.quality_used(frame) {
             map.set("quality", u32::from(quality));
         }
         if let Some(format) = self.rendition.format().or(frame.map(|frame| frame.format)) {
@@ -140,10 +140,7 @@ impl ImageServer {
 
     /// A picture is there: whatever was wrong is over.
     pub(super) fn note_recovery(&mut self, out: &mut Vec<Parcel>) {
-        // While it was decoded the source may have failed.
-        let Some(real) = self.real.as_mut().filter(|real| real.newest.is_some()) else {
-            return;
-        };
+        let Some(real) = &mut self.real else { return };
         if real.trouble.take().is_some() {
             let text = format!("{} gives images again", real.url);
             out.push(self.message(CAMERA_RECOVERED, Map::new().with("text", text)));
@@ -153,6 +150,11 @@ impl ImageServer {
     /// A frame could not be decoded.
     pub(super) fn refuse_picture(&mut self, error: &FrameError, purpose: &Purpose, out: &mut Vec<Parcel>) {
         self.note_trouble(&SourceError::Frame(error.clone()), NEXT_FRAME, out);
+        self.refuse_purpose(purpose, out);
+    }
+
+    /// Tells those who asked for a picture why it is not sent.
+    pub(super) fn refuse_purpose(&mut self, purpose: &Purpose, out: &mut Vec<Parcel>) {
         self.requests.extend(purpose.requests.iter().cloned());
         self.refuse_requests(out);
     }

@@ -552,6 +552,9 @@ fn a_measured_matrix_takes_the_place_of_the_views() {
     let (name, to, content) = calibrate(&mut stage, "bob", moved_by(10.0));
     assert_eq!((name.as_str(), to.as_deref()), (CALIBRATION_REFUSED, Some("bob")));
     assert_eq!(content.get("name").and_then(Value::as_str), Some("not-owner"));
+    let text = content.get("text").and_then(Value::as_str);
+    let reason = "only the owner of /robot/token tells the camera its matrix, and that is alice";
+    assert_eq!(text, Some(reason));
     let (name, to, content) = calibrate(&mut stage, "alice", moved_by(1000.0));
     assert_eq!(
         (name.as_str(), to.as_deref()),

@@ -79,7 +79,7 @@ impl Frame {
 
     /// The picture as it is wanted, decoded only if something is; and its JPEG quality, if it was encoded here.
     pub(crate) fn rendered(&self, wanted: &Rendition) -> Result<(Frame, Option<u8>), FrameError> {
-        if *wanted == Rendition::default() {
+        if !wanted.changes(self) {
             return Ok((self.clone(), None));
         }
         let format = wanted.format.unwrap_or(self.format);
@@ -130,10 +130,19 @@ impl Rendition {
         (self.width, self.height)
     }
 
-    /// The quality of JPEG, unless frames go out as they came.
-    pub(crate) fn quality_used(&self) -> Option<u8> {
+    /// The quality of JPEG, unless frames like this one go out as they came.
+    pub(crate) fn quality_used(&self, frame: Option<&Frame>) -> Option<u8> {
         let usual = CameraSettings::default().quality;
-        (*self != Rendition::default()).then(|| self.quality.unwrap_or(usual))
+        let changes = frame.map_or(*self != Rendition::default(), |frame| self.changes(frame));
+        changes.then(|| self.quality.unwrap_or(usual))
+    }
+
+    /// Whether anything else is wanted than what the frame is already: to encode it once more would only cost time and
+    /// quality.
+    fn changes(&self, frame: &Frame) -> bool {
+        self.quality.is_some()
+            || self.format.is_some_and(|format| format != frame.format)
+            || self.size_of(frame) != (frame.width, frame.height)
     }
 
     pub(crate) fn format(&self) -> Option<Format> {

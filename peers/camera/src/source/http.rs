@@ -32,7 +32,7 @@ const PICTURE: Duration = Duration::from_secs(30);
 
 /// Gets one URL.
 #[derive(Debug)]
-pub(super) struct Getter {
+pub(super) struct HttpSource {
     url: SourceUrl,
     tls: Option<ClientTls>,
 }
@@ -55,12 +55,12 @@ struct ConnectionTask(AbortHandle);
 #[derive(Clone)]
 struct ClientTls(TlsConnector);
 
-impl Getter {
+impl HttpSource {
     /// # Errors
     /// [`SourceError::Tls`] if TLS is asked for and the system trusts nobody.
-    pub(super) fn new(url: SourceUrl) -> Result<Getter, SourceError> {
+    pub(super) fn new(url: SourceUrl) -> Result<HttpSource, SourceError> {
         let tls = url.is_tls().then(ClientTls::new).transpose()?;
-        Ok(Getter { url, tls })
+        Ok(HttpSource { url, tls })
     }
 
     /// Asks for the URL, and gives the answer once it begins, if it is a success.
@@ -219,13 +219,25 @@ fn check(status: StatusCode, headers: &HeaderMap) -> Result<(), SourceError> {
         return Err(SourceError::Redirect(place.map(|url| url.to_string())));
     }
     if status == StatusCode::UNAUTHORIZED {
-        // Each way may have a line of its own. A camera that names none is taken to mean the usual one.
+        // A camera that names no way is taken to mean the usual one.
         let mut ways = headers.get_all(WWW_AUTHENTICATE).iter().peekable();
-        let is_basic = |way: &http::HeaderValue| way.as_bytes().to_ascii_lowercase().starts_with(b"basic");
-        let basic = ways.peek().is_none() || ways.any(is_basic);
+        let basic = ways.peek().is_none() || ways.any(|line| names_basic(line.as_bytes()));
         return Err(SourceError::Login { basic });
     }
     Err(SourceError::Status(status))
+}
+
+/// Whether one of the ways to log in is Basic: each may have a line of its own, or they share one.
+fn names_basic(line: &[u8]) -> bool {
+    let mut quoted = false;
+    let mut parts = line.split(|&byte| {
+        quoted ^= byte == b'"';
+        byte == b',' && !quoted
+    });
+    parts.any(|part| {
+        let word = part.trim_ascii().split(u8::is_ascii_whitespace).next();
+        word.is_some_and(|word| word.eq_ignore_ascii_case(b"basic"))
+    })
 }
 
 #[expect(clippy::needless_pass_by_value, reason = "it is what map_err gives")]
@@ -279,6 +291,14 @@ mod tests {
                 "without the right user and password",
             ),
             (&[], "without the right user and password"),
+            (
+                &["Digest realm=\"x\", nonce=\"y\", Basic realm=\"x\""],
+                "without the right user and password",
+            ),
+            (
+                &["Digest realm=\"a, basic b\", basically=no"],
+                "does not take a password by Basic authorisation",
+            ),
             (
                 &["Digest realm=x"],
                 "does not take a password by Basic authorisation",

@@ -21,7 +21,7 @@ use frame::LARGEST;
 pub use frame::{FrameError, Rendition};
 pub use url::{BadUrl, SourceUrl};
 
-use http::{Answer, Getter};
+use http::{Answer, HttpSource};
 use multipart::Multipart;
 
 /// The first pause between two attempts; each is twice the one before.
@@ -78,10 +78,10 @@ async fn look(url: SourceUrl, period: Duration, sight: Sender<Sight>) {
 /// Reads pictures until something goes wrong.
 async fn read(url: &SourceUrl, period: Duration, mut take: impl FnMut(Frame) + Send) -> SourceError {
     let failed = async {
-        let getter = Getter::new(url.clone())?;
+        let http = HttpSource::new(url.clone())?;
         loop {
             let next = Instant::now() + period;
-            let answer = getter.get().await?;
+            let answer = http.get().await?;
             let (kind, _) = answer
                 .content_type
                 .split_once(';')

@@ -268,6 +268,53 @@ fn a_wanted_form_is_made_of_each_frame() {
     );
 }
 
+/// Whoever restores settings names what the frames are already: they go out as they came all the same.
+#[test]
+fn to_want_what_a_frame_is_already_changes_nothing() {
+    let mut stage = Stage::new();
+    let first = file(320, 180, Format::Jpeg);
+    stage.see(frame(&first));
+    for wanted in [
+        Map::new().with("format", "jpeg").with("overlay", false),
+        Map::new().with("width", 640).with("height", 480),
+    ] {
+        stage.now += 100_000;
+        let out = stage.hear("alice", SETTINGS, wanted);
+        assert_eq!(names(&out), [SETTINGS_CHANGED, IMAGE]);
+        assert_eq!(number(&out[0].value(), "quality"), None);
+        let content = out[1].value();
+        assert_eq!(
+            (bytes(&content), number(&content, "quality")),
+            (first.clone(), None)
+        );
+    }
+    stage.now += 100_000;
+    let out = stage.hear("alice", SETTINGS, Map::new().with("quality", 30));
+    assert_eq!(number(&out[0].value(), "quality"), Some(30));
+    assert_ne!(bytes(&out[1].value()), first);
+}
+
+#[test]
+fn a_picture_that_is_finished_after_a_failure_is_not_sent() {
+    let mut stage = Stage::new();
+    let mut out = Vec::new();
+    let mut request = Parcel::new(Family::Message, REQUEST);
+    (request.sender, request.id) = (Some("bob".into()), Some(7));
+    stage.server.handle_camera(&Event::Message(request), &mut out);
+    let good = file(64, 48, Format::Jpeg);
+    stage.server.handle_sight(frame(&good), stage.wall(), &mut out);
+    let shot = stage.server.advance(stage.now, stage.wall(), &mut out);
+    assert_eq!(names(&stage.see(failed(SourceError::Ended))), [CAMERA_ERROR]);
+    let picture = shot.expect("it is being taken").take();
+    stage.server.handle_picture(picture, &mut out);
+    assert_eq!(names(&out), [REQUEST_REFUSED]);
+    let text = out[0].value();
+    let text = text.get("text").and_then(Value::as_str).unwrap();
+    assert!(text.contains("the stream has ended"), "{text}");
+    stage.now += 100_000;
+    assert_eq!(names(&stage.see(frame(&good))), [CAMERA_RECOVERED, IMAGE]);
+}
+
 #[test]
 fn a_frame_that_cannot_be_decoded_is_an_error_until_one_can() {
     let mut stage = Stage::new();
