@@ -36,8 +36,9 @@ mod self_managed;
 mod tests;
 mod verdict;
 mod who;
+mod zones;
 
-pub use question::{Owner, PeerFacts, Question, TokenFacts};
+pub use question::{NoTokens, Owner, PeerFacts, Question, TokenFacts, Tokens};
 pub use registry::{Factory, Registry, Setup};
 pub use verdict::{
     Answer, Ask, Bucket, Defer, Denial, Expiry, GivenAnswer, Grant, Rate, Scope, Standing, Terms, Verdict,

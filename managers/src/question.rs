@@ -47,6 +47,22 @@ pub struct TokenFacts<'a> {
     pub waiting: usize,
 }
 
+/// The other tokens of the hub, for managers whose answer depends on them.
+pub trait Tokens: std::fmt::Debug {
+    /// The state of the token at this path, as [`Question::token`] has it for its own; none if there is no such token.
+    fn token(&self, path: &Path) -> Option<TokenFacts<'_>>;
+}
+
+/// No tokens at all.
+#[derive(Clone, Copy, Debug)]
+pub struct NoTokens;
+
+impl Tokens for NoTokens {
+    fn token(&self, _path: &Path) -> Option<TokenFacts<'_>> {
+        None
+    }
+}
+
 /// One request, without its content.
 #[derive(Clone, Copy, Debug)]
 pub struct Question<'a> {
@@ -66,6 +82,8 @@ pub struct Question<'a> {
     pub age: Option<(i64, u64)>,
     /// The state of the token, if the context is one.
     pub token: Option<TokenFacts<'a>>,
+    /// The other tokens of the hub. A peer that is being granted one counts as its owner.
+    pub others: &'a dyn Tokens,
     /// Whether a member has invited the peer to this context lately.
     pub invited: bool,
     /// Whether the peer made this context.

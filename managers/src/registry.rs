@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 
 use crate::{
     Manager, chain, closed, first_come, level_or_lease, moderated, open, queue, quota, roles, schedule,
-    self_managed,
+    self_managed, zones,
 };
 
 /// Makes a manager of one kind.
@@ -40,7 +40,7 @@ pub struct Setup<'a> {
 impl Registry {
     /// The built-in kinds, without named managers.
     pub fn builtin() -> Registry {
-        let kinds: [(&'static str, Factory); 11] = [
+        let kinds: [(&'static str, Factory); 12] = [
             ("open", open::make),
             ("closed", closed::make),
             ("roles", roles::make),
@@ -51,6 +51,7 @@ impl Registry {
             ("schedule", schedule::make),
             ("quota", quota::make),
             ("self", self_managed::make),
+            ("zones", zones::make),
             ("chain", chain::make),
         ];
         Registry {

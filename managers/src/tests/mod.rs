@@ -11,12 +11,13 @@ mod roles;
 mod schedule;
 mod self_managed;
 mod unknown;
+mod zones;
 
 use mom_proto::{Code, ContextKind, Map, Micros, Path, Time, Value, Verb};
 
 use crate::{
-    Answer, Bucket, GivenAnswer, Manager, Owner, PeerFacts, Question, Rate, Registry, Scope, Standing,
-    TokenFacts, Verdict,
+    Answer, Bucket, GivenAnswer, Manager, NoTokens, Owner, PeerFacts, Question, Rate, Registry, Scope,
+    Standing, TokenFacts, Verdict,
 };
 
 /// A question with all that can matter.
@@ -100,6 +101,7 @@ fn ask(manager: &mut dyn Manager, ask: &Ask<'_>) -> Verdict {
             since: ask.since,
             waiting: ask.waiting,
         }),
+        others: &NoTokens,
         invited: ask.invited,
         created: ask.created,
         answers: ask.answers,

@@ -172,6 +172,7 @@ fn the_kinds_are_known_and_more_can_be_added() {
         "roles",
         "schedule",
         "self",
+        "zones",
     ];
     assert_eq!(registry.kinds().collect::<Vec<_>>(), built_in);
     registry.add_kind("mine", |setup| setup.inner("as", &"open".into()));

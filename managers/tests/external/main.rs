@@ -2,7 +2,7 @@
 
 mod small_only;
 
-use mom_managers::{Answer, Manager, PeerFacts, Question, Registry, Verdict};
+use mom_managers::{Answer, Manager, NoTokens, PeerFacts, Question, Registry, Verdict};
 use mom_proto::{Code, ContextKind, Map, Path, Time, Value, Verb};
 
 const GUIDE: &str = include_str!("../../../docs/managers.md");
@@ -33,6 +33,7 @@ fn ask(manager: &mut dyn Manager, verb: Verb, size: usize) -> Verdict {
         size,
         age: None,
         token: None,
+        others: &NoTokens,
         invited: false,
         created: false,
         answers: &[],

@@ -3,8 +3,10 @@
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 
-use mom_managers::{Answer, Defer, GivenAnswer, Grant, PeerFacts, Question, Verdict};
-use mom_proto::{Code, ContextNumber, Verb, WireError};
+use mom_managers::{
+    Answer, Defer, GivenAnswer, Grant, Owner, PeerFacts, Question, TokenFacts, Tokens, Verdict,
+};
+use mom_proto::{Code, ContextNumber, Path, Verb, WireError};
 
 use super::refusal::{Deferred, Refusal};
 use super::wish::Wish;
@@ -98,7 +100,11 @@ impl World {
             .filter(|heard| heard.peer == peer && heard.verb == wish.verb && heard.at == wish.at);
         let given: Vec<GivenAnswer> = mine.map(|heard| heard.given.clone()).collect();
         let repeated = !answers.is_empty();
-        let verdict = match self.question((managing, wish), (peer, &facts), &given, repeated) {
+        let others = Others {
+            world: self,
+            asks: peer,
+        };
+        let verdict = match self.question((managing, wish), (peer, &facts), (&given, repeated), &others) {
             // A manager of somebody else's making that panics must not end the hub, nor let anybody in.
             Some(question) => std::panic::catch_unwind(AssertUnwindSafe(|| manager.decide(&question)))
                 .unwrap_or_else(|_| {
@@ -117,8 +123,8 @@ impl World {
         &'a self,
         (managing, wish): (ContextNumber, &'a Wish<'_>),
         (peer, facts): (PeerId, &'a PeerFacts),
-        answers: &'a [GivenAnswer],
-        repeated: bool,
+        (answers, repeated): (&'a [GivenAnswer], bool),
+        others: &'a Others<'a>,
     ) -> Option<Question<'a>> {
         let context = self.tree.get(wish.at)?;
         // A member that came in by an invitation needs no other to stay.
@@ -134,12 +140,54 @@ impl World {
             size: wish.size,
             age: wish.age,
             token: self.token_facts(context, peer),
+            others,
             invited,
             created: creator == Some(peer),
             answers,
             repeated,
             now: self.now,
             wall: self.civil(),
+        })
+    }
+}
+
+/// The tokens of the tree, as they are to the peer that asks.
+struct Others<'a> {
+    world: &'a World,
+    asks: PeerId,
+}
+
+impl std::fmt::Debug for Others<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Others")
+            .field("asks", &self.asks)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Tokens for Others<'_> {
+    fn token(&self, path: &Path) -> Option<TokenFacts<'_>> {
+        let context = self.world.tree.find(path)?;
+        let facts = self.world.token_facts(context, self.asks)?;
+        let granting = context.token()?.granting.as_ref();
+        // Until its record is durable nobody is told of a grant, but no other may begin beside it.
+        let Some(to) = granting
+            .and_then(|granting| granting.change.as_ref())
+            .map(|change| change.to)
+        else {
+            return Some(facts);
+        };
+        let peer = self.world.peers.get(to)?;
+        Some(TokenFacts {
+            owner: Some(Owner {
+                name: &peer.facts.name,
+                user: &peer.facts.user,
+                groups: &peer.facts.groups,
+                level: peer.facts.level,
+                asks: to == self.asks,
+            }),
+            lease_end: None,
+            ..facts
         })
     }
 }

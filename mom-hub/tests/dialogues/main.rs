@@ -21,3 +21,4 @@ mod terms;
 mod thinning;
 mod threat_19;
 mod wall;
+mod zones;

@@ -46,3 +46,4 @@ mod traces;
 mod tunnel;
 mod uplink;
 mod web;
+mod zones;

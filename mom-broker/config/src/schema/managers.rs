@@ -77,6 +77,11 @@ fn parameters(kind: &str) -> Option<(&'static str, Value, &'static [&'static str
             }),
             &[],
         ),
+        "zones" => (
+            "Boxes in space with a token each, of which no two that overlap have different owners.",
+            json!({ "zones": list("The zones.", zone()) }),
+            &["zones"],
+        ),
         "chain" => (
             "Several managers that all have to allow; the first refusal is the answer.",
             json!({ "of": list("The managers, in order.", json!({ "$ref": "#/definitions/manager" })) }),
@@ -84,6 +89,21 @@ fn parameters(kind: &str) -> Option<(&'static str, Value, &'static [&'static str
         ),
         _ => return None,
     })
+}
+
+fn zone() -> Value {
+    let corner = |description: &str| {
+        let mut corner = list(description, json!({ "type": "number" }));
+        corner["minItems"] = json!(3);
+        corner["maxItems"] = json!(3);
+        corner
+    };
+    let properties = json!({
+        "token": text("The path of its token."),
+        "from": corner("The box's corner with the smaller x, y and z."),
+        "to": corner("The opposite corner."),
+    });
+    table("A zone.", &properties, &["token", "from", "to"])
 }
 
 fn rule() -> Value {
