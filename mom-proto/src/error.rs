@@ -140,20 +140,33 @@ impl WireError {
             .content
             .as_ref()
             .and_then(|content| content.to_value().ok());
-        let mut details = match content {
+        let details = match content {
             Some(Value::Map(map)) => map,
             _ => Map::new(),
         };
+        WireError::read(parcel.name(), details)
+    }
+
+    /// Reads what [`WireError::to_map`] has made, such as a device's refusal; what is no such map has at least a code.
+    pub fn from_map(map: &Map) -> WireError {
+        let mut details = map.clone();
+        match details.remove("name") {
+            Some(Value::String(word)) => WireError::read(&word, details),
+            _ => WireError::read(Code::DENIED.word(), details),
+        }
+    }
+
+    fn read(word: &str, mut details: Map) -> WireError {
         let number = details
             .remove("code")
             .and_then(|code| u16::try_from(code.as_int()?).ok())
-            .unwrap_or(200);
+            .unwrap_or(Code::DENIED.number());
         let text = match details.remove("text") {
             Some(Value::String(text)) => text,
             _ => String::new(),
         };
         WireError {
-            code: Code::from_wire(number, parcel.name()),
+            code: Code::from_wire(number, word),
             text,
             details: (!details.is_empty()).then(|| Box::new(details)),
         }
@@ -199,5 +212,7 @@ mod tests {
         assert_eq!(keys, ["name", "code", "text", "rule"]);
         assert_eq!(map.get("name").and_then(Value::as_str), Some("held"));
         assert_eq!(map.get("code").and_then(Value::as_int), Some(101));
+        assert_eq!(WireError::from_map(&map), error);
+        assert_eq!(WireError::from_map(&Map::new()).code, Code::DENIED);
     }
 }

@@ -1,7 +1,7 @@
 //! The real programs as processes: built once, started on free ports, ended with the test.
 
 use std::io::{BufRead, BufReader};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::OnceLock;
 use std::sync::mpsc;
@@ -121,6 +121,43 @@ impl Running {
             _state: None,
             lines,
         }
+    }
+
+    /// Starts the broker with a configuration file on a free port of loopback; also its `HOST:PORT`.
+    ///
+    /// # Panics
+    /// If it does not start.
+    pub fn broker(config: &Path) -> (Running, String) {
+        let config = config.to_str().expect("a path in text");
+        let broker = Running::start(
+            "mom-broker",
+            &["--config", config, "--listen", "127.0.0.1:0"],
+            &[],
+        );
+        let address = broker.listening();
+        (broker, address)
+    }
+
+    /// Starts the demonstration lab on a free port of loopback; also the address of its hub.
+    ///
+    /// # Panics
+    /// If it does not start.
+    pub fn lab() -> (Running, String) {
+        let lab = Running::start("mom", &["lab", "--listen", "127.0.0.1:0"], &[]);
+        let line = lab.line_with("bin://");
+        let hub = line.split_whitespace().find(|word| word.starts_with("bin://"));
+        (lab, hub.expect("the hub's address").to_owned())
+    }
+
+    /// The `HOST:PORT` where a broker says that it listens.
+    ///
+    /// # Panics
+    /// If it does not say so in time.
+    pub fn listening(&self) -> String {
+        let line = self.line_with("listening at");
+        let address = line.split("tcp://").nth(1);
+        let address = address.and_then(|rest| rest.split_whitespace().next());
+        address.expect("the broker says where it listens").to_owned()
     }
 
     /// The next line that contains `text`.

@@ -112,14 +112,9 @@ fn start(config: &str, environment: &[(String, String)], log: PathBuf, stderr: S
     assert!(program("mom-broker").exists());
     let args = ["--config", config, "--listen", "127.0.0.1:0"];
     let running = Running::start_with("mom-broker", &args, &environment, stderr);
-    let line = running.line_with("listening at");
-    let address = line
-        .split("tcp://")
-        .nth(1)
-        .and_then(|rest| rest.split_whitespace().next())
-        .and_then(|address| address.parse().ok());
+    let address = running.listening().parse();
     Service {
-        address: address.expect("the broker says where it listens"),
+        address: address.expect("it is an address"),
         running: Some(running),
         log,
     }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use mom_client::{Channel, Client, Code, Event, Events, Family, Map, Parcel, Path, Value, WireError};
+use mom_client::{Channel, Client, Event, Events, Family, Map, Parcel, Path, Value, WireError};
 use tokio::time::timeout;
 
 use crate::VerbFailure;
@@ -94,12 +94,7 @@ fn is_mine(parcel: &Parcel, client: &Client) -> bool {
     by.is_none_or(|by| by == client.name())
 }
 
-/// A device's refusal, `{name, code, text}`, as an error of the wire.
+/// A device's refusal.
 pub(crate) fn refusal(content: &Value) -> WireError {
-    let text = |key: &str| content.get(key).and_then(Value::as_str).unwrap_or_default();
-    let number = content.get("code").and_then(Value::as_int);
-    let number = number
-        .and_then(|code| u16::try_from(code).ok())
-        .unwrap_or(Code::DENIED.number());
-    WireError::new(Code::from_wire(number, text("name")), text("text").to_owned())
+    WireError::from_map(content.as_map().unwrap_or(&Map::new()))
 }

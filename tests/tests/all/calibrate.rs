@@ -24,11 +24,7 @@ struct Said {
 impl Lab {
     async fn start() -> Lab {
         let started = spawn_blocking(|| {
-            let program = Running::start("mom", &["lab", "--listen", "127.0.0.1:0"], &[]);
-            let line = program.line_with("bin://");
-            let hub = line.split_whitespace().find(|word| word.starts_with("bin://"));
-            let hub = hub.expect("an address").to_owned();
-            program.line_with("as bob");
+            let (program, hub) = Running::lab();
             Lab { program, hub }
         });
         started.await.expect("the lab starts")
@@ -267,17 +263,8 @@ async fn a_camera_with_a_file_keeps_its_matrix_over_restarts() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("x.json").to_str().expect("text").to_owned();
     let started = spawn_blocking(|| {
-        let config = project().join("config/lab.toml");
-        let config = config.to_str().expect("text").to_owned();
-        let broker = Running::start(
-            "mom-broker",
-            &["--config", &config, "--listen", "127.0.0.1:0"],
-            &[],
-        );
-        let line = broker.line_with("listening at");
-        let address = line.split("tcp://").nth(1);
-        let address = address.and_then(|rest| rest.split_whitespace().next());
-        (format!("bin://{}", address.expect("an address")), broker)
+        let (broker, address) = Running::broker(&project().join("config/lab.toml"));
+        (format!("bin://{address}"), broker)
     });
     let (hub, broker) = started.await.expect("it starts");
     let camera = || {

@@ -15,11 +15,7 @@ struct Lab {
 impl Lab {
     async fn start() -> Lab {
         let started = tokio::task::spawn_blocking(|| {
-            let program = Running::start("mom", &["lab", "--listen", "127.0.0.1:0"], &[]);
-            let line = program.line_with("bin://");
-            let hub = line.split_whitespace().find(|word| word.starts_with("bin://"));
-            let hub = hub.expect("an address").to_owned();
-            program.line_with("as bob");
+            let (program, hub) = Running::lab();
             Lab { program, hub }
         });
         started.await.expect("the lab starts")

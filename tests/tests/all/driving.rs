@@ -8,15 +8,6 @@ use mom_tests::programs::{PATIENCE, Running, program, project, run, text};
 use serde_json::Value as Json;
 use tokio::time::timeout;
 
-/// A lab on a free port, and its hub's address.
-fn lab() -> (Running, String) {
-    let running = Running::start("mom", &["lab", "--listen", "127.0.0.1:0"], &[]);
-    let line = running.line_with("binary");
-    let address = line.split_whitespace().find(|word| word.starts_with("bin://"));
-    let address = address.expect("the hub's address").to_owned();
-    (running, address)
-}
-
 fn jog(hub: &str, args: &[&str]) -> Output {
     let mut command = Command::new(program("mom"));
     command.arg("jog").args(args).stdin(Stdio::null());
@@ -33,7 +24,7 @@ fn place(output: &Output, axis: &str) -> f64 {
 
 #[test]
 fn the_hand_moves_for_as_long_as_it_is_told() {
-    let (_lab, hub) = lab();
+    let (_lab, hub) = Running::lab();
     let moved = jog(&hub, &["--json", "--for", "600ms", "100", "0", "-50", "0", "0"]);
     // A velocity that is said late moves less, and none moves more: 60 mm and what it takes to brake.
     let (x, z) = (place(&moved, "x"), place(&moved, "z"));
@@ -60,7 +51,7 @@ fn the_hand_moves_for_as_long_as_it_is_told() {
 /// Two legs for a move to below, from where the arm is; the gripper by its output.
 #[test]
 fn a_script_is_shown_as_its_controller_would_be_told() {
-    let (_lab, hub) = lab();
+    let (_lab, hub) = Running::lab();
     let mut command = Command::new(program("mom"));
     command.args(["run", "--show", "rapid", "-"]);
     command.envs([
@@ -97,7 +88,7 @@ fn a_script_is_shown_as_its_controller_would_be_told() {
 /// The way of one command by the hub's clock: each step after the one before, as far as the clocks are known.
 #[test]
 fn a_command_is_traced_from_here_to_the_robot_and_back() {
-    let (_lab, hub) = lab();
+    let (_lab, hub) = Running::lab();
     let mut command = Command::new(program("mom"));
     command
         .args(["trace", "--json", "move 15 0 300 0 0"])
@@ -139,7 +130,7 @@ fn a_command_is_traced_from_here_to_the_robot_and_back() {
 /// `mom run` names the state that a relative command is based on (M35).
 #[test]
 fn a_script_goes_on_from_where_the_hand_is() {
-    let (_lab, hub) = lab();
+    let (_lab, hub) = Running::lab();
     let file = tempfile::NamedTempFile::new().expect("a file");
     std::fs::write(file.path(), "by 10 0 0 0 0\nby 5 0 -20 0 0; by 1 0 0 0 0\n").expect("it is written");
     let path = file.path().to_str().expect("a path in text");
@@ -164,19 +155,8 @@ struct RealArm {
 
 impl RealArm {
     async fn start(args: &[&str]) -> Self {
-        let config = project().join("config/lab.toml");
-        let config = config.to_str().expect("the project's path is text");
-        let broker = Running::start(
-            "mom-broker",
-            &["--config", config, "--listen", "127.0.0.1:0"],
-            &[],
-        );
-        let line = broker.line_with("listening at");
-        let address = line
-            .split("tcp://")
-            .nth(1)
-            .and_then(|rest| rest.split_whitespace().next());
-        let hub = format!("bin://{}", address.expect("the broker says where it listens"));
+        let (broker, address) = Running::broker(&project().join("config/lab.toml"));
+        let hub = format!("bin://{address}");
         let args = [&["--hub", &hub], args].concat();
         let lab = Self {
             _broker: broker,

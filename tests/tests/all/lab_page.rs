@@ -97,16 +97,13 @@ fn start(typed: &Typed, hub: &str, folder: &std::path::Path) -> (Child, mpsc::Re
 
 #[test]
 fn what_stands_there_is_typed_and_said() {
-    let lab = Running::start("mom", &["lab", "--listen", "127.0.0.1:0"], &[]);
-    let line = lab.line_with("binary");
-    let hub = line.split_whitespace().find(|word| word.starts_with("bin://"));
-    let hub = hub.expect("the hub's address");
+    let (_lab, hub) = Running::lab();
     let folder = tempfile::tempdir().expect("a folder");
     let all = typed();
     assert!(all.len() > 12, "{all:?}");
     let mut beside = Vec::new();
     for typed in &all {
-        let (mut child, lines) = start(typed, hub, folder.path());
+        let (mut child, lines) = start(typed, &hub, folder.path());
         let mut said = Vec::new();
         for expected in &typed.expected {
             loop {

@@ -260,14 +260,7 @@ fn keys_and_tokens() {
     fs::write(at("issuer.pem"), issuer.public_pem()).expect("written");
     let users = format!("[[users]]\nname = \"arm\"\nkeys = [\"{public} arm\"]\ngroups = [\"device\"]\n");
     fs::write(at("users.toml"), users).expect("written");
-    let broker = Running::start(
-        "mom-broker",
-        &["--config", &at("mom.toml"), "--listen", "127.0.0.1:0"],
-        &[],
-    );
-    let line = broker.line_with("listening at");
-    let address = line.split("tcp://").nth(1).expect("an address");
-    let address = address.split_whitespace().next().expect("an address");
+    let (broker, address) = Running::broker(&folder.path().join("mom.toml"));
     let hub = format!("bin://{address}");
     let mom = |args: &[&str]| run("mom", &[&["--hub", &hub], args].concat(), &[]);
 

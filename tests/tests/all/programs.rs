@@ -25,19 +25,7 @@ struct Lab {
 impl Lab {
     /// A broker with the lab's own configuration file, the arm over binary, the camera over XML.
     fn start() -> Lab {
-        let config = project().join("config/lab.toml");
-        let config = config.to_str().expect("the project's path is text");
-        let broker = Running::start(
-            "mom-broker",
-            &["--config", config, "--listen", "127.0.0.1:0"],
-            &[],
-        );
-        let line = broker.line_with("listening at");
-        let address = line
-            .split("tcp://")
-            .nth(1)
-            .and_then(|rest| rest.split_whitespace().next());
-        let address = address.expect("the broker says where it listens").to_owned();
+        let (broker, address) = Running::broker(&project().join("config/lab.toml"));
         let device = |name: &str, password, scheme: &str| {
             let hub = format!("{scheme}://{address}");
             Running::start(
@@ -303,13 +291,7 @@ async fn end(lab: Lab) {
 /// README's first command: a hub, an arm and a camera in one process, and what to try next.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_lab_in_one_process() {
-    let lab = Running::start("mom", &["lab", "--listen", "127.0.0.1:0"], &[]);
-    let line = lab.line_with("bin://");
-    let hub = line
-        .split_whitespace()
-        .find(|word| word.starts_with("bin://"))
-        .expect("an address")
-        .to_owned();
+    let (lab, hub) = Running::lab();
     lab.line_with("as bob");
     let as_alice = [
         ("MOM_HUB", hub.as_str()),

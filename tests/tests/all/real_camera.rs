@@ -168,14 +168,7 @@ async fn camera(hub: &str, url: &str, environment: &[(&str, String)], log: Stdio
 
 impl Lab {
     async fn start() -> Lab {
-        let started = spawn_blocking(|| {
-            let program = Running::start("mom", &["lab", "--listen", "127.0.0.1:0"], &[]);
-            let line = program.line_with("bin://");
-            let hub = line.split_whitespace().find(|word| word.starts_with("bin://"));
-            let hub = hub.expect("an address").to_owned();
-            program.line_with("as bob");
-            (program, hub)
-        });
+        let started = spawn_blocking(Running::lab);
         let (program, hub) = started.await.expect("the lab starts");
         let carol = Client::builder(hub.as_str()).user("carol").password("carol");
         let carol = carol.connect().await.expect("the lab knows its users");

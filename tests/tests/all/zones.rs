@@ -41,18 +41,8 @@ async fn a_zone_that_overlaps_anothers_is_refused_in_words() {
     fs::write(&config, lab + ZONES).expect("it is written");
     let users = project().join("config/lab-users.toml");
     fs::copy(users, folder.path().join("lab-users.toml")).expect("it is copied");
-    let config = config.to_str().expect("a path in text");
-    let broker = Running::start(
-        "mom-broker",
-        &["--config", config, "--listen", "127.0.0.1:0"],
-        &[],
-    );
-    let line = broker.line_with("listening at");
-    let address = line
-        .split("tcp://")
-        .nth(1)
-        .and_then(|rest| rest.split_whitespace().next());
-    let hub = format!("bin://{}", address.expect("the broker says where it listens"));
+    let (_broker, address) = Running::broker(&config);
+    let hub = format!("bin://{address}");
     let alice = Client::builder(&hub)
         .user("alice")
         .password("alice")
