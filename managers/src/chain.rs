@@ -1,6 +1,6 @@
 //! `chain`: several managers that all have to allow.
 
-use mom_proto::{Value, WireError};
+use mom_proto::{Map, Path, Value, WireError};
 use serde::Deserialize;
 
 use crate::{Answer, Expiry, Grant, Manager, Question, Setup, Standing, Terms, Verdict};
@@ -87,6 +87,21 @@ impl Manager for Chain {
                 (all.hold, all.notice, all.by_level) = (terms.hold, terms.notice, terms.by_level);
             }
             all.deadman = all.deadman.or(terms.deadman);
+        }
+        all
+    }
+
+    fn neighbours(&self, token: &Path) -> Vec<Path> {
+        self.links
+            .iter()
+            .flat_map(|link| link.neighbours(token))
+            .collect()
+    }
+
+    fn facts(&self, context: &Path) -> Map {
+        let mut all = Map::new();
+        for (key, value) in self.links.iter().flat_map(|link| link.facts(context)) {
+            all.set(&key, value);
         }
         all
     }

@@ -14,6 +14,8 @@
 //! assert!(registry.build(&Value::Map(spec)).is_ok());
 //! ```
 
+use mom_proto::{Map, Path};
+
 mod bucket;
 mod calendar;
 mod chain;
@@ -58,5 +60,15 @@ pub trait Manager: Send + std::fmt::Debug {
     /// The lease and other terms of its tokens, unless their creator names them.
     fn terms(&self) -> Terms {
         Terms::default()
+    }
+
+    /// What it knows of a context that whoever may ask for its `info` should know as well, such as where a zone is.
+    fn facts(&self, _context: &Path) -> Map {
+        Map::new()
+    }
+
+    /// The tokens whose waiters are asked about again when this one becomes free.
+    fn neighbours(&self, _token: &Path) -> Vec<Path> {
+        Vec::new()
     }
 }

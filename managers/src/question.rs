@@ -90,7 +90,8 @@ pub struct Question<'a> {
     pub created: bool,
     /// Answers to earlier deferrals of this request; the last one of a label counts.
     pub answers: &'a [GivenAnswer],
-    /// Whether this request was deferred before, by this manager or another.
+    /// Whether this request was counted already, or is not to be: it was deferred before, by this manager or another, or
+    /// nobody makes it, and what would come of it is only to be told.
     pub repeated: bool,
     /// The time.
     pub now: Micros,

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use mom_proto::{Code, Path, Verb, WireError};
+use mom_proto::{Code, Map, Path, Value, Verb, WireError};
 use serde::Deserialize;
 
 use crate::{Manager, Question, Setup, Verdict};
@@ -24,7 +24,7 @@ struct ZoneParams {
     to: [f64; 3],
 }
 
-/// Denies the grab of a zone that overlaps one which another peer owns, or is being granted. It narrows what others allow: who may have a zone at all, and what
+/// Denies the grab of a zone, and its return, that overlaps one which another peer owns, or is being granted. It narrows what others allow: who may have a zone at all, and what
 /// happens when two want the same one, the other managers of its chain say.
 #[derive(Debug)]
 struct Zones {
@@ -77,6 +77,12 @@ fn make_zone(setup: &Setup<'_>, index: usize, params: &ZoneParams) -> Result<Zon
 }
 
 impl Zone {
+    /// Those that it overlaps.
+    fn others<'a>(&'a self, all: &'a [Zone]) -> impl Iterator<Item = &'a Zone> {
+        all.iter()
+            .filter(|other| other.token != self.token && other.overlaps(self))
+    }
+
     /// Whether they share more than a face.
     fn overlaps(&self, other: &Zone) -> bool {
         (0..3).all(|axis| self.from[axis] < other.to[axis] && other.from[axis] < self.to[axis])
@@ -86,15 +92,40 @@ impl Zone {
 impl Manager for Zones {
     fn decide(&mut self, question: &Question<'_>) -> Verdict {
         let verdict = match question.verb {
-            Verb::Grab | Verb::Accept => self.grab(question),
+            Verb::Grab | Verb::Accept => self.own(question, &Code::HELD),
+            // Asked when a lent zone is to come back, and after a new configuration, which may have moved boxes.
+            Verb::Renew => self.own(question, &Code::DENIED),
             _ => Verdict::allow_always(),
         };
         verdict.by(&self.label)
     }
+
+    fn neighbours(&self, token: &Path) -> Vec<Path> {
+        let Some(zone) = self.zones.iter().find(|zone| zone.token == *token) else {
+            return Vec::new();
+        };
+        zone.others(&self.zones)
+            .map(|other| other.token.clone())
+            .collect()
+    }
+
+    /// `zone {from, to}`.
+    fn facts(&self, context: &Path) -> Map {
+        let corner = |at: [f64; 3]| Value::from(at.map(Value::Double).to_vec());
+        match self.zones.iter().find(|zone| zone.token == *context) {
+            Some(zone) => Map::new().with(
+                "zone",
+                Map::new()
+                    .with("from", corner(zone.from))
+                    .with("to", corner(zone.to)),
+            ),
+            None => Map::new(),
+        }
+    }
 }
 
 impl Zones {
-    fn grab(&self, question: &Question<'_>) -> Verdict {
+    fn own(&self, question: &Question<'_>, code: &Code) -> Verdict {
         let Some(zone) = self.zones.iter().find(|zone| zone.token == *question.context) else {
             let text = format!(
                 "{} has no box, so whom it would be in the way of is not known",
@@ -102,11 +133,7 @@ impl Zones {
             );
             return Verdict::deny(Code::DENIED, &*self.label, text);
         };
-        let others = self
-            .zones
-            .iter()
-            .filter(|other| other.token != zone.token && other.overlaps(zone));
-        for other in others {
+        for other in zone.others(&self.zones) {
             let Some(facts) = question.others.token(&other.token) else {
                 continue;
             };
@@ -115,7 +142,7 @@ impl Zones {
                     "{} overlaps {}, which {} holds",
                     question.context, other.token, owner.name
                 );
-                return Verdict::deny(Code::HELD, &*self.label, text).earliest(facts.lease_end);
+                return Verdict::deny(code.clone(), &*self.label, text).earliest(facts.lease_end);
             }
         }
         Verdict::allow()

@@ -7,6 +7,7 @@
 
 mod broker;
 mod connection;
+mod inquiry;
 mod reload;
 mod traffic;
 mod web;

@@ -41,6 +41,8 @@ pub struct Events {
     queue: Arc<EventQueue>,
     shared: Arc<Shared>,
     _member: Option<Membership>,
+    /// Whether expired messages are delivered too.
+    expired: bool,
 }
 
 impl Events {
@@ -49,7 +51,16 @@ impl Events {
             queue,
             shared,
             _member: member,
+            expired: false,
         }
+    }
+
+    /// The same with messages that have expired, for who wants to say that they came too late
+    /// ([`HubClock::age`](crate::HubClock::age) tells how old one is).
+    #[must_use]
+    pub fn with_expired(mut self) -> Events {
+        self.expired = true;
+        self
     }
 
     /// The next event; `None` once the context is left or deleted or the client is closed. Safe to cancel.
@@ -77,7 +88,7 @@ impl Events {
         let Event::Message(parcel) = event else {
             return false;
         };
-        let over = self.shared.clock.is_expired(parcel);
+        let over = !self.expired && self.shared.clock.is_expired(parcel);
         if over {
             self.shared.clock.note_expired();
         }

@@ -56,4 +56,5 @@ pub use tree::peers::User;
 pub use tree::spec::ContextSpec;
 pub use world::audit::Audit;
 pub use world::effect::Effect;
+pub use world::inquiry::{About, Explain, Inquiry};
 pub use world::settings::Settings;

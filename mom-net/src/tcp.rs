@@ -66,10 +66,10 @@ pub enum Accepted {
 
 /// Waits for a peer's first bytes, tells by them whether it speaks TLS, for which the hub needs a certificate, and which form, or
 /// HTTP. When `too_late` comes before, or the bytes begin nothing, or nothing that is taken here, the peer is told so with what
-/// `answer` makes of the error.
+/// `answer` makes of the error; one that has said nothing in time is told nothing where HTTP is taken.
 ///
 /// # Errors
-/// Bytes that begin no form that is taken, or that come too late, after an answer in XML; or a link that failed.
+/// Bytes that begin no form that is taken, or that come too late; or a link that failed.
 pub async fn accept(
     stream: TcpStream,
     tls: Option<&ServerTls>,
@@ -97,7 +97,12 @@ pub async fn accept(
         (Ok(_), None) => Err(io::Error::from(io::ErrorKind::UnexpectedEof).into()),
         (Err(error), arrived) => {
             if let (NetError::Wire(error), Some(carrier)) = (&error, arrived) {
-                tell(&carrier, &answer(error)).await;
+                // A browser opens connections before it needs them, and takes an answer that it did not ask for as nonsense.
+                let may_be_browser =
+                    first.is_empty() && error.code == Code::LOGIN_TIMEOUT && takes.check_http().is_ok();
+                if !may_be_browser {
+                    tell(&carrier, &answer(error)).await;
+                }
             }
             Err(error)
         }

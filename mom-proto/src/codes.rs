@@ -78,6 +78,8 @@ impl Code {
     pub const NO_OFFER: Code = Code::new(217, "no-offer");
     /// The question was answered, has timed out or was never put to this peer.
     pub const TOO_LATE: Code = Code::new(218, "too-late");
+    /// Nothing is recorded that could be decided again.
+    pub const NOT_RECORDED: Code = Code::new(219, "not-recorded");
     /// A slot is missing, has another type or a value outside its range.
     pub const BAD_SLOT: Code = Code::new(220, "bad-slot");
     /// A path that is not in canonical form.
@@ -169,6 +171,7 @@ impl Code {
         Code::PERMANENT,
         Code::NO_OFFER,
         Code::TOO_LATE,
+        Code::NOT_RECORDED,
         Code::BAD_SLOT,
         Code::BAD_PATH,
         Code::BAD_NAME,

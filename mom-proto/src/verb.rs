@@ -36,6 +36,12 @@ pub enum Verb {
     Members,
     /// `context stats`: statistics of a channel, or of the channels of a session.
     Stats,
+    /// `context audit`: who was granted or refused what, or lost it.
+    Audit,
+    /// `context explain`: who may do what there, and by which rule.
+    Explain,
+    /// `context what-if`: what another configuration would have decided.
+    WhatIf,
     /// `context invite`: invite a peer to a context, and tell its manager.
     Invite,
     /// `context expel`: remove a peer from a context and all below it.
@@ -80,7 +86,7 @@ pub enum Verb {
 
 impl Verb {
     /// All verbs.
-    pub const ALL: [Verb; 33] = [
+    pub const ALL: [Verb; 36] = [
         Verb::Login,
         Verb::Answer,
         Verb::Resume,
@@ -94,6 +100,9 @@ impl Verb {
         Verb::Delete,
         Verb::Members,
         Verb::Stats,
+        Verb::Audit,
+        Verb::Explain,
+        Verb::WhatIf,
         Verb::Invite,
         Verb::Expel,
         Verb::Grab,
@@ -132,6 +141,9 @@ impl Verb {
             Verb::Delete => "delete",
             Verb::Members => "members",
             Verb::Stats => "stats",
+            Verb::Audit => "audit",
+            Verb::Explain => "explain",
+            Verb::WhatIf => "what-if",
             Verb::Invite => "invite",
             Verb::Expel => "expel",
             Verb::Grab => "grab",
@@ -161,7 +173,8 @@ impl Verb {
             Verb::Login | Verb::Answer | Verb::Resume | Verb::Logout => Family::Login,
             Verb::Create | Verb::Lookup | Verb::List | Verb::Info => Family::Context,
             Verb::Join | Verb::Leave | Verb::Delete | Verb::Members => Family::Context,
-            Verb::Stats | Verb::Invite | Verb::Expel => Family::Context,
+            Verb::Stats | Verb::Audit | Verb::Explain | Verb::WhatIf => Family::Context,
+            Verb::Invite | Verb::Expel => Family::Context,
             Verb::Grab | Verb::Release | Verb::Renew => Family::Token,
             Verb::Give | Verb::Accept | Verb::Decline | Verb::Request => Family::Token,
             Verb::Break | Verb::Inhibit | Verb::Uninhibit => Family::Token,

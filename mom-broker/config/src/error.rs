@@ -11,6 +11,8 @@ pub struct ConfigError {
     pub file: Option<String>,
     /// The line, from 1.
     pub line: Option<usize>,
+    /// The character in that line, from 1.
+    pub column: Option<usize>,
     /// The key, such as `contexts[2].manager`.
     pub key: Option<String>,
     /// What is wrong and what to do.
@@ -71,6 +73,7 @@ impl ConfigError {
         ConfigError {
             file: Some(file.to_owned()),
             line: None,
+            column: None,
             key: None,
             text: text.into(),
             busy: false,
@@ -83,6 +86,7 @@ impl ConfigError {
         ConfigError {
             file: None,
             line: None,
+            column: None,
             key,
             text,
             busy: false,

@@ -16,6 +16,7 @@ mod shape;
 mod source;
 mod tls;
 mod users;
+mod variant;
 mod web;
 
 use std::collections::BTreeMap;
@@ -29,7 +30,7 @@ use mom_store::StoreConfig;
 use serde::Deserialize;
 
 pub use error::{ConfigError, ConfigErrors};
-pub use explain::{Asked, Explanation, Supposed};
+pub use explain::{Asked, Asking, Explanation, Supposed, message_of};
 pub use listen::{ListenConfig, Network, check_address};
 pub use locate::Location;
 pub use schema::{config_schema, users_schema};

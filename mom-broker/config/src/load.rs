@@ -19,6 +19,8 @@ use super::{
 };
 
 const LAB: &str = include_str!("../../../config/lab.toml");
+const TWO_ARMS: &str = include_str!("../../../config/two-arms.toml");
+const FLEET: &str = include_str!("../../../config/fleet.toml");
 /// What nobody guesses.
 const SHORTEST_TOKEN: usize = 16;
 
@@ -112,10 +114,23 @@ impl Config {
     /// # Panics
     /// Never: a test reads the same files.
     pub fn lab() -> Config {
-        let users = SourceText::new("config/lab-users.toml", LAB_USERS);
-        let lab = SourceText::new("config/lab.toml", LAB);
-        let reading = Reading::new(lab, |_: &str| Ok(users.clone()));
-        reading.finish().expect("the built-in lab is tested")
+        built_in("config/lab.toml", LAB)
+    }
+
+    /// The lab with two arms that share a table (M40), which is built in as well.
+    ///
+    /// # Panics
+    /// Never: a test reads the same files.
+    pub fn two_arms() -> Config {
+        built_in("config/two-arms.toml", TWO_ARMS)
+    }
+
+    /// A fleet of robots behind a gateway, which is built in as well.
+    ///
+    /// # Panics
+    /// Never: a test reads the same files.
+    pub fn fleet() -> Config {
+        built_in("config/fleet.toml", FLEET)
     }
 
     /// Reads what is left of the files.
@@ -185,6 +200,13 @@ impl Config {
             false => Err(faults),
         }
     }
+}
+
+/// A configuration of the demonstration, with its users.
+fn built_in(name: &str, text: &str) -> Config {
+    let users = SourceText::new("config/lab-users.toml", LAB_USERS);
+    let reading = Reading::new(SourceText::new(name, text), |_: &str| Ok(users.clone()));
+    reading.finish().expect("what is built in is tested")
 }
 
 impl ConfigDocument {

@@ -1,6 +1,7 @@
 //! Finds the place of what the hub, managers and logins refuse.
 
 use std::fmt;
+use std::path::Path;
 
 use mom_hub::SetupError;
 use mom_proto::{Value, WireError};
@@ -18,6 +19,15 @@ pub struct Location {
     pub line: usize,
     /// The key, such as `managers.lab.rules[2]`.
     pub key: String,
+}
+
+impl Location {
+    /// The file's name without its folder, for those who do not sit at this machine.
+    pub fn file_name(&self) -> String {
+        let name = Path::new(&self.file).file_name();
+        name.map(|name| name.to_string_lossy().into_owned())
+            .unwrap_or_default()
+    }
 }
 
 impl fmt::Display for Location {

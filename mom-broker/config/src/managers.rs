@@ -172,6 +172,19 @@ impl Config {
         self.place(&keys)
     }
 
+    /// The location of a rule that decided about a context: in the manager of the context, or of the nearest above that
+    /// has one.
+    pub fn locate_rule_from(&self, rule: &str, context: &Path) -> Option<Location> {
+        let mut at = Some(context.clone());
+        while let Some(context) = at {
+            if let Some(place) = self.locate_rule(rule, &context) {
+                return Some(place);
+            }
+            at = context.parent();
+        }
+        None
+    }
+
     /// The location of a context's manager.
     pub(super) fn locate_manager_of(&self, managed_at: &Path) -> Option<Location> {
         self.place(&self.managers_at(managed_at).first()?.keys)

@@ -41,6 +41,7 @@ impl SourceText {
             let text = text.unwrap_or_else(|| error.message().lines().next().unwrap_or_default().to_owned());
             told.push(ConfigError {
                 line,
+                column: error.span().map(|span| self.column_at(span.start)),
                 key: line.and_then(|line| self.key_on(line)),
                 ..ConfigError::of_file(&self.name, text)
             });
@@ -121,8 +122,10 @@ impl SourceText {
     }
 
     fn error_at(&self, keys: Vec<String>, text: String) -> ConfigError {
+        let offset = self.offset_of(&keys);
         ConfigError {
-            line: self.offset_of(&keys).map(|offset| self.line_at(offset)),
+            line: offset.map(|offset| self.line_at(offset)),
+            column: offset.map(|offset| self.column_at(offset)),
             key: Some(key_text(&keys)),
             at: Box::new(FaultPlace { keys, meant: None }),
             ..ConfigError::of_file(&self.name, text)
@@ -191,6 +194,11 @@ impl SourceText {
         self.struck.insert(keys, meant).is_none()
     }
 
+    /// The keys that were struck.
+    pub(super) fn struck(&self) -> impl Iterator<Item = &Vec<String>> {
+        self.struck.keys()
+    }
+
     /// Whether an error about these keys may come of what was struck.
     pub(super) fn follows(&self, keys: &[String]) -> bool {
         let mut struck = self.struck.keys();
@@ -230,6 +238,12 @@ impl SourceText {
     fn line_at(&self, offset: usize) -> usize {
         let before = self.text.as_bytes().iter().take(offset);
         before.filter(|byte| **byte == b'\n').count() + 1
+    }
+
+    fn column_at(&self, offset: usize) -> usize {
+        let before = self.text.get(..offset).unwrap_or_default();
+        let line = before.rsplit('\n').next().unwrap_or_default();
+        line.chars().count() + 1
     }
 
     /// The key on a line.

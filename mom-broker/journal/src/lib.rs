@@ -10,7 +10,7 @@ mod log_writer;
 mod record;
 mod tap;
 
-pub use audit::{AuditConfig, AuditLog, Fact};
+pub use audit::{AuditConfig, AuditLog, AuditQuery, AuditScan, Fact};
 pub use config_file::ConfigFile;
 pub use error::WriteError;
 pub use fold::FoldedLines;

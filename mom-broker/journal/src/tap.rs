@@ -149,6 +149,19 @@ impl Tap {
         self.audit.login(by, fact);
     }
 
+    /// The recording, with all that was noted so far; none if nothing is recorded.
+    pub async fn recording(&self) -> Option<&std::path::Path> {
+        match &self.recorder {
+            Some(recorder) => Some(recorder.written().await),
+            None => None,
+        }
+    }
+
+    /// Whether there is a recording.
+    pub fn records(&self) -> bool {
+        self.recorder.is_some()
+    }
+
     /// Writes `stopped` and waits until all is written.
     pub async fn stop(&self) {
         self.lines.report(self.clock.now(), true);

@@ -170,6 +170,11 @@ impl Logins {
         self.book().users.contains_key(user)
     }
 
+    /// The name of this hub in what keys sign.
+    pub fn hub(&self) -> String {
+        self.book().settings.hub.clone()
+    }
+
     /// Failed logins after which a connection is closed.
     pub fn attempts(&self) -> u32 {
         self.book().settings.attempts

@@ -212,7 +212,7 @@ impl Guest {
     ) -> Result<Option<Serving>, NetError> {
         let services = &self.services;
         let limits = services.limits.before_login();
-        let port = stream.local_addr().map_or(0, |local| local.port());
+        let local = stream.local_addr()?;
         let accepted = {
             let too_late = too_late(&services.limits, login_by, &mut told);
             let answer = |error: &WireError| services.answer(error);
@@ -229,7 +229,7 @@ impl Guest {
                 let visit = Visit {
                     services: services.clone(),
                     remote,
-                    port,
+                    local,
                     takes: self.takes,
                     seated: (seat, told),
                     login_by,

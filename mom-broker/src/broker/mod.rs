@@ -21,6 +21,7 @@ use tokio::task::JoinSet;
 use tokio::time::{Instant, timeout_at};
 
 use crate::connection::{DRAIN, Doors, Remote, Services, Serving, login_time};
+use crate::inquiry::Answering;
 use crate::traffic::encodings::Bounds;
 use crate::traffic::switchboard::{Switchboard, Touched, flush};
 use crate::web::Web;
@@ -99,7 +100,7 @@ pub struct Broker {
     pub(crate) tls: Arc<RwLock<Option<ServerTls>>>,
     pub(crate) web: Arc<Web>,
     /// The configuration that it goes by; see [`Broker::reload`].
-    pub(crate) running: Mutex<Config>,
+    pub(crate) running: Arc<Mutex<Config>>,
 }
 
 impl Broker {
@@ -170,7 +171,8 @@ impl Broker {
         if let Some(answers) = answers {
             tasks.spawn(take_answers(Arc::clone(&services.board), answers));
         }
-        spawn_housekeeping(&mut tasks, &services.board, &stop);
+        let running = Arc::new(Mutex::new(config));
+        spawn_housekeeping(&mut tasks, &services.board, &running, &stop);
         let broker = Broker {
             services,
             addresses,
@@ -179,7 +181,7 @@ impl Broker {
             doors,
             tls,
             web,
-            running: Mutex::new(config),
+            running,
         };
         broker.note_start();
         Ok(broker)
@@ -209,6 +211,11 @@ impl Broker {
     /// What clients may know the hub's certificate by, if it has one.
     pub fn fingerprint(&self) -> Option<Fingerprint> {
         self.tls.read().as_ref().map(ServerTls::fingerprint)
+    }
+
+    /// Which build of the console it serves; none if none was built into this program, or it is switched off.
+    pub fn console(&self) -> Option<&str> {
+        self.web.console()
     }
 
     /// A connection from inside this process (M18). The peer still has to log in.
@@ -311,12 +318,19 @@ fn remember_places(logins: &mut Logins, directory: Option<&Path>) {
     }
 }
 
-/// What a broker does without being asked.
-fn spawn_housekeeping(tasks: &mut JoinSet<()>, board: &Arc<Switchboard>, stop: &watch::Receiver<bool>) {
+/// What a broker does beside its connections.
+fn spawn_housekeeping(
+    tasks: &mut JoinSet<()>,
+    board: &Arc<Switchboard>,
+    running: &Arc<Mutex<Config>>,
+    stop: &watch::Receiver<bool>,
+) {
     tasks.spawn(keep_deadlines(Arc::clone(board), stop.clone()));
     tasks.spawn(keep_memory(Arc::clone(board), stop.clone()));
     tasks.spawn(follow_wall_clock(Arc::clone(board), stop.clone()));
     tasks.spawn(report(Arc::clone(board), stop.clone()));
+    let answering = Answering::new(Arc::clone(board), Arc::clone(running));
+    tasks.spawn(answering.run(stop.clone()));
 }
 
 /// Calls the hub when one of its deadlines comes.

@@ -27,9 +27,9 @@ pub(super) struct ExplainArgs {
     /// The name of the message, for send.
     #[arg(long)]
     message: Option<String>,
-    /// The user who owns the token meanwhile.
-    #[arg(long)]
-    owner: Option<String>,
+    /// The user who owns the token meanwhile; TOKEN=USER for another token, such as a zone that overlaps it. May be repeated.
+    #[arg(long = "owner", value_name = "[TOKEN=]USER")]
+    owners: Vec<String>,
     /// As if a member had invited the user there.
     #[arg(long)]
     invited: bool,
@@ -52,13 +52,16 @@ pub(super) struct ExplainArgs {
 
 pub(super) fn run(args: &ExplainArgs) -> Result<()> {
     let config = Config::load(&args.config)?;
+    let context = Path::parse(&args.context)?;
+    let owners: Result<Vec<(Path, String)>> =
+        args.owners.iter().map(|owner| owned(owner, &context)).collect();
     let supposed = Supposed {
         user: args.user.clone(),
         level: args.level,
         groups: (!args.groups.is_empty()).then(|| args.groups.clone()),
-        context: Path::parse(&args.context)?,
+        context,
         kind: args.kind.as_deref().map(kind).transpose()?,
-        owner: args.owner.clone(),
+        owners: owners?,
         invited: args.invited,
         at: args.at,
     };
@@ -69,7 +72,7 @@ pub(super) fn run(args: &ExplainArgs) -> Result<()> {
             let explained = config.explain(&supposed, verb, args.message.as_deref())?;
             match args.json {
                 true => writeln!(out, "{}", serde_json::to_string_pretty(&explained)?)?,
-                false => tell(&mut out, &explained, args.owner.as_deref())?,
+                false => tell(&mut out, &explained, &supposed)?,
             }
         }
         None if args.message.is_some() => bail!("--message is for --verb send"),
@@ -82,6 +85,30 @@ pub(super) fn run(args: &ExplainArgs) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// `bob`, of the context, or `/zone/left=bob`.
+fn owned(text: &str, context: &Path) -> Result<(Path, String)> {
+    match text.split_once('=').filter(|_| text.starts_with('/')) {
+        Some((token, user)) => Ok((Path::parse(token)?, user.to_owned())),
+        None => Ok((context.clone(), text.to_owned())),
+    }
+}
+
+/// ` while bob owns it and carol owns /zone/left`.
+fn meanwhile(supposed: &Supposed) -> String {
+    let all: Vec<String> = supposed
+        .owners
+        .iter()
+        .map(|(token, user)| match *token == supposed.context {
+            true => format!("{user} owns it"),
+            false => format!("{user} owns {token}"),
+        })
+        .collect();
+    match all.is_empty() {
+        true => String::new(),
+        false => format!(" while {}", all.join(" and ")),
+    }
 }
 
 fn verb(word: &str) -> Result<Verb> {
@@ -101,7 +128,7 @@ fn kind(word: &str) -> Result<ContextKind> {
 }
 
 /// One answer as text.
-fn tell(out: &mut impl Write, explained: &Explanation, owner: Option<&str>) -> Result<()> {
+fn tell(out: &mut impl Write, explained: &Explanation, supposed: &Supposed) -> Result<()> {
     let may = match explained.answer {
         "allow" => "may",
         "deny" => "may not",
@@ -113,13 +140,12 @@ fn tell(out: &mut impl Write, explained: &Explanation, owner: Option<&str>) -> R
         Some(name) => format!("send {name} to"),
         None => explained.verb.to_owned(),
     };
-    let meanwhile = owner.map(|owner| format!(" while {owner} owns it"));
     writeln!(
         out,
         "{} {may} {what} {}{}.",
         person(explained),
         explained.context,
-        meanwhile.unwrap_or_default()
+        meanwhile(supposed)
     )?;
     if let Some(error) = &explained.error {
         let text = |key: &str| error.get(key).map(words).unwrap_or_default();
@@ -155,7 +181,13 @@ fn tell(out: &mut impl Write, explained: &Explanation, owner: Option<&str>) -> R
         line(out, "asks", &format!("{}{users}; within {seconds} s", asks.who))?;
     }
     if explained.displaces {
-        line(out, "takes it", &format!("from {}", owner.unwrap_or_default()))?;
+        let mut owners = supposed.owners.iter();
+        let owner = owners.find(|(token, _)| *token == supposed.context);
+        line(
+            out,
+            "takes it",
+            &format!("from {}", owner.map_or("", |(_, user)| user)),
+        )?;
     }
     if let Some(until) = explained.until {
         line(out, "until", &format!("{until}, whatever the lease"))?;
@@ -200,11 +232,7 @@ fn table(out: &mut impl Write, all: &[Explanation], supposed: &Supposed) -> Resu
         first.kind.unwrap_or("nothing there yet"),
         first.manager,
         first.managed_at,
-        supposed
-            .owner
-            .as_ref()
-            .map(|owner| format!(", while {owner} owns it"))
-            .unwrap_or_default()
+        meanwhile(supposed).replacen(" while", ", while", 1)
     )?;
     let rows: Vec<[String; 4]> = all.iter().map(|one| row(one, supposed)).collect();
     let width = |column: usize| {

@@ -7,7 +7,6 @@ use std::process::ExitCode;
 use anyhow::Result;
 use indicatif::{ProgressBar, ProgressStyle};
 use mom_broker::{Config, Replay};
-use mom_proto::Path;
 use serde_json::json;
 
 /// Recordings from this size on show progress.
@@ -45,7 +44,10 @@ pub(super) fn run(args: &WhatIfArgs) -> Result<ExitCode> {
     let mut out = io::BufWriter::new(io::stdout().lock());
     while let Some(differences) = replay.step()? {
         for mut difference in differences {
-            difference.locate(|rule, context| place(&config, rule, context));
+            difference.locate(|rule, context| {
+                let place = config.locate_rule_from(rule, context)?;
+                Some(place.to_string())
+            });
             let line = match args.json {
                 true => difference.to_json().to_string(),
                 false => difference.to_string(),
@@ -82,18 +84,6 @@ pub(super) fn run(args: &WhatIfArgs) -> Result<ExitCode> {
         0 => ExitCode::SUCCESS,
         _ => ExitCode::from(DIFFERS),
     })
-}
-
-/// The location of a rule: in the manager of the context, or of the nearest above that has one.
-fn place(config: &Config, rule: &str, context: &Path) -> Option<String> {
-    let mut at = Some(context.clone());
-    while let Some(context) = at {
-        if let Some(place) = config.locate_rule(rule, &context) {
-            return Some(place.to_string());
-        }
-        at = context.parent();
-    }
-    None
 }
 
 fn progress(replay: &Replay) -> ProgressBar {

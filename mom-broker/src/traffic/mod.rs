@@ -5,6 +5,7 @@ pub(crate) mod capacity;
 pub(crate) mod channel;
 pub(crate) mod encodings;
 mod history;
+pub(crate) mod inquiries;
 #[cfg(all(test, feature = "shuttle"))]
 #[path = "../../tests/interleaved/mod.rs"]
 mod interleaved;

@@ -69,15 +69,26 @@ impl HttpConnection {
         let answer = match (verb, rest) {
             ("login", "") => self.login(request).await,
             ("logout", "") => Ok(self.logout(request.headers())),
+            ("console", "") => Ok(self.tell_console()),
             ("peers", "") => self.peers(request.headers()).await,
             ("contexts", _) => self.contexts(request.headers(), &place).await,
             ("image", _) => self.image(request.headers(), &place).await,
             _ => {
-                let text = "there are login, logout, peers, contexts/PATH and image/PATH below /api";
+                let text = "there are console, login, logout, peers, contexts/PATH and image/PATH below /api";
                 Err(refuse(StatusCode::NOT_FOUND, "unknown-path", text))
             }
         };
         answer.unwrap_or_else(|refusal| refusal)
+    }
+
+    /// What serves here, so that a page of another build notices; anybody may know.
+    fn tell_console(&self) -> Response<Body> {
+        let told = json!({
+            "console": self.web.console(),
+            "version": env!("CARGO_PKG_VERSION"),
+            "hub": self.services.logins.hub(),
+        });
+        document(StatusCode::OK, &told)
     }
 
     async fn login(&self, request: Request<Incoming>) -> Answer {

@@ -1,7 +1,8 @@
-//! What HTTP asks of a hub: to become a WebSocket, a tunnel, its health and figures, and what a user may see of it.
+//! What HTTP asks of a hub: to become a WebSocket, a tunnel, its health and figures, what a user may see of it, and the console.
 
 mod answers;
 mod api;
+mod console;
 mod forwarded;
 mod image;
 mod metrics;
@@ -12,15 +13,17 @@ mod visitors;
 
 use std::convert::Infallible;
 use std::future::{pending, poll_fn};
-use std::net::IpAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::pin::pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use http::header::{CONNECTION, CONTENT_ENCODING, HOST, HeaderMap, ORIGIN, TRANSFER_ENCODING};
+use http::header::{
+    CONNECTION, CONTENT_ENCODING, CONTENT_LENGTH, HOST, HeaderMap, ORIGIN, TRANSFER_ENCODING,
+};
 use http::{HeaderValue, Method, Request, Response, StatusCode};
-use hyper::body::Incoming;
+use hyper::body::{Body as _, Incoming};
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::TokioTimer;
@@ -34,7 +37,8 @@ use tokio::time::{Instant, sleep_until};
 
 use crate::connection::{Doors, Remote, Seat, Seated, Services, login_time, login_timeout};
 
-use answers::{Body, allow, refuse};
+use answers::{Body, allow, allow_all, refuse};
+use console::Files;
 use origins::Origins;
 use reports::Reports;
 use visitors::Visitors;
@@ -54,6 +58,7 @@ pub(crate) struct Web {
     rules: RwLock<Arc<Rules>>,
     visitors: Arc<Visitors>,
     reports: Reports,
+    console: &'static Files,
     begun: Instant,
 }
 
@@ -64,14 +69,15 @@ struct Rules {
     forwarded_by: Vec<Network>,
     metrics_token: Option<KeyFile>,
     log: Option<Path>,
+    console: bool,
 }
 
 /// One connection that asks by HTTP.
 pub(crate) struct Visit {
     pub(crate) services: Services,
     pub(crate) remote: Remote,
-    /// The port that it has come to.
-    pub(crate) port: u16,
+    /// The address that it has come to.
+    pub(crate) local: SocketAddr,
     pub(crate) takes: Takes,
     pub(crate) seated: Seated,
     /// When it is no stranger any more, or goes.
@@ -83,7 +89,7 @@ struct HttpConnection {
     web: Arc<Web>,
     services: Services,
     remote: Remote,
-    port: u16,
+    local: SocketAddr,
     takes: Takes,
     privacy: Privacy,
     seat: Mutex<Option<Seat>>,
@@ -106,6 +112,7 @@ impl Web {
             rules: RwLock::new(Arc::new(Rules::new(config))),
             visitors: Arc::default(),
             reports: Reports::default(),
+            console: Files::embedded(),
             begun: Instant::now(),
         }
     }
@@ -113,6 +120,11 @@ impl Web {
     /// Goes by another configuration from now on.
     pub(crate) fn replace(&self, config: &WebConfig) {
         *self.rules.write() = Arc::new(Rules::new(config));
+    }
+
+    /// Which build of the console is served; none if none was built in, or it is switched off.
+    pub(crate) fn console(&self) -> Option<&str> {
+        self.console.build().filter(|_| self.rules().console)
     }
 
     fn rules(&self) -> Arc<Rules> {
@@ -128,7 +140,7 @@ impl Web {
         let Visit {
             services,
             remote,
-            port,
+            local,
             takes,
             seated: (seat, told),
             login_by,
@@ -138,7 +150,7 @@ impl Web {
             web: Arc::clone(self),
             services,
             remote,
-            port,
+            local,
             takes,
             privacy: stream.privacy(),
             seat: Mutex::new(Some(seat)),
@@ -200,6 +212,7 @@ impl Rules {
             origins: Origins::new(&config.origins),
             forwarded_by: config.forwarded_by.clone(),
             metrics_token: config.metrics_token.clone(),
+            console: config.console,
             log: config.log.as_deref().and_then(|path| Path::parse(path).ok()),
         }
     }
@@ -237,24 +250,38 @@ impl HttpConnection {
             request.method() == Method::HEAD,
         );
         let allowed = match &origin {
-            Some(origin) => self.web.rules().origins.allow(origin, self.port),
+            Some(origin) => self.web.rules().origins.allow(origin, self.local),
             None => true,
         };
-        let mut answer = match self.check(&request, allowed) {
+        let public = !allowed && self.is_public(&request);
+        let foreign = origin.as_ref().filter(|_| !allowed && !public);
+        let mut answer = match self.check(&request, foreign) {
             Some(refusal) => refusal,
             None => self.route(request).await,
         };
         if allowed && let Some(origin) = origin {
             allow(answer.headers_mut(), origin);
+        } else if public {
+            allow_all(answer.headers_mut());
         }
         if head {
+            if let Some(length) = answer.body().size_hint().exact().filter(|length| *length > 0) {
+                answer.headers_mut().insert(CONTENT_LENGTH, length.into());
+            }
             *answer.body_mut() = Body::default();
         }
         answer
     }
 
+    /// Whether anybody may have what is asked for.
+    fn is_public(&self, request: &Request<Incoming>) -> bool {
+        !WebSocketUpgrade::is_asked(request.headers())
+            && self.web.rules().console
+            && console::is_read(self.web.console, request.method(), request.uri().path())
+    }
+
     /// Refuses what no request may have.
-    fn check(&self, request: &Request<Incoming>, allowed: bool) -> Option<Response<Body>> {
+    fn check(&self, request: &Request<Incoming>, foreign: Option<&HeaderValue>) -> Option<Response<Body>> {
         let headers = request.headers();
         let fault = if headers.contains_key(TRANSFER_ENCODING) {
             // Two lengths may be read differently by a proxy and by us; one needs no second.
@@ -274,11 +301,8 @@ impl HttpConnection {
             answer.headers_mut().insert(CONNECTION, close);
             return Some(answer);
         }
-        if !allowed {
-            let text = "pages of this origin may not use the hub; its owner can add it to [web] origins";
-            return Some(refuse(StatusCode::FORBIDDEN, "denied", text));
-        }
-        None
+        let foreign = foreign.map(Origins::refusal)?;
+        Some(refuse(StatusCode::FORBIDDEN, "denied", &foreign))
     }
 
     async fn route(self: Arc<HttpConnection>, request: Request<Incoming>) -> Response<Body> {
@@ -303,13 +327,24 @@ impl HttpConnection {
             (&Method::GET | &Method::HEAD, "/healthz", _) => answers::text(StatusCode::OK, "ok\n"),
             (&Method::GET | &Method::HEAD, "/readyz", _) => self.readiness(),
             (&Method::GET | &Method::HEAD, "/metrics", _) => self.metrics(&request).await,
-            (&Method::GET | &Method::HEAD, "/" | "/mom", _) => answers::text(StatusCode::OK, HERE),
+            (method, path, _) => self.show(method, path, request.headers()),
+        }
+    }
+
+    /// Shows the console, or says what is here.
+    fn show(&self, method: &Method, path: &str, headers: &HeaderMap) -> Response<Body> {
+        let shown = match self.web.rules().console {
+            true => console::answer(self.web.console, method, path, headers),
+            false => None,
+        };
+        shown.unwrap_or_else(|| match (method, path) {
+            (&Method::GET | &Method::HEAD, "/" | "/mom") => answers::text(StatusCode::OK, HERE),
             _ => refuse(
                 StatusCode::NOT_FOUND,
                 "unknown-path",
                 "there is nothing of this name at this hub",
             ),
-        }
+        })
     }
 
     /// Whose a request is.
@@ -373,5 +408,5 @@ impl HttpConnection {
     }
 }
 
-/// What a person reads who opens the hub in a browser.
+/// What a person reads who asks the hub by a program such as curl.
 const HERE: &str = "This is a MOM hub.\n\nPeers connect to this port: ws://HOST:PORT/mom (WebSocket), http://HOST:PORT (tunnel), tcp:// (XML), bin:// (binary).\n";

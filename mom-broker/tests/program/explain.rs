@@ -15,20 +15,29 @@ fn check_says_whether_a_file_is_right() {
     assert!(right.status.success(), "{right:?}");
     let (first, tree) = said.split_once('\n').expect("lines");
     assert!(
-        first.ends_with("lab.toml: right; 3 managers, 10 contexts, 5 users"),
+        first.ends_with("lab.toml: right; 3 managers, 19 contexts, 13 users"),
         "{first}"
     );
-    let expected = "  /            session  lab
-  ├─ camera    session  lab (of /)
-  │  ├─ top    channel  lab (of /)
-  │  ├─ wrist  channel  lab (of /)
-  │  ├─ x      channel  lab (of /)
-  │  └─ y      channel  lab (of /)
-  ├─ chat      channel  lab (of /)
-  ├─ log       channel  log
-  └─ robot     session  lab (of /)
-     ├─ arm    channel  lab (of /); command needs /robot/token
-     └─ token  token    robot-token; lease 180000 ms, lazy
+    let expected = "  /                session  lab
+  ├─ calibrate     channel  lab (of /)
+  ├─ camera        session  lab (of /)
+  │  ├─ pan        channel  lab (of /); command needs /camera/pan-token
+  │  ├─ pan-token  token    robot-token; lease 180000 ms, lazy
+  │  ├─ top        channel  lab (of /)
+  │  ├─ wrist      channel  lab (of /)
+  │  ├─ x          channel  lab (of /)
+  │  └─ y          channel  lab (of /)
+  ├─ chat          channel  lab (of /)
+  ├─ log           channel  log
+  ├─ model         session  lab (of /)
+  │  ├─ blue       token    robot-token; lease 180000 ms, lazy
+  │  ├─ green      token    robot-token; lease 180000 ms, lazy
+  │  ├─ objects    channel  lab (of /)
+  │  └─ red        token    robot-token; lease 180000 ms, lazy
+  ├─ robot         session  lab (of /)
+  │  ├─ arm        channel  lab (of /); command needs /robot/token
+  │  └─ token      token    robot-token; lease 180000 ms, lazy
+  └─ servo         channel  lab (of /)
 ";
     assert_eq!(tree, expected);
 
@@ -119,7 +128,7 @@ fn explain_says_why_not() {
         "retry-after=180000 place=1",
         "owner=bob owner-level=1",
         "  rule       robot-token/level-or-lease\n",
-        "lab.toml:56, managers.robot-token.of[1]\n",
+        "lab.toml:97, managers.robot-token.of[1]\n",
     ] {
         assert!(held.contains(words), "{words:?} in {held}");
     }
@@ -155,7 +164,7 @@ fn explain_says_why() {
     );
     for words in [
         "  rule       lab/operators may all\n",
-        "lab.toml:38, managers.lab.rules[4]\n",
+        "lab.toml:74, managers.lab.rules[10]\n",
         "  takes it   from bob\n",
         "  needs      membership of /robot\n",
     ] {
@@ -210,7 +219,7 @@ fn explain_shows_all_that_can_be_asked() {
         (
             "carol",
             "/robot/arm",
-            "lookup info join members stats invite expel command * stop unstop",
+            "lookup info join members stats audit explain invite expel command * stop unstop",
         ),
         (
             "bob",
@@ -221,7 +230,7 @@ fn explain_shows_all_that_can_be_asked() {
         (
             "carol",
             "/robot",
-            "lookup info join members stats invite expel list create",
+            "lookup info join members stats audit explain invite expel list create",
         ),
         ("carol", "/new", "create"),
     ] {

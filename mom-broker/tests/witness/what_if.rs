@@ -379,3 +379,60 @@ async fn a_recording_ends_at_its_size_and_the_one_before_is_kept() {
     let said = what_if(&lab, "lab.toml", &[]);
     assert_eq!(said.status.code(), Some(0), "{said:?}");
 }
+
+/// Zones may be tried on a day on which nobody knew of them (M40).
+#[tokio::test]
+async fn zones_would_have_kept_two_apart() {
+    const ZONES: &str = r#"
+[[managers.lab.rules]]
+name = "both use the table"
+users = ["alice", "bob"]
+allow = ["grab"]
+
+[managers.place]
+kind = "chain"
+of = ["lab", "first-come"]
+
+[[contexts]]
+path = "/zone"
+kind = "session"
+
+[[contexts]]
+path = "/zone/left"
+kind = "token"
+manager = "place"
+
+[[contexts]]
+path = "/zone/right"
+kind = "token"
+manager = "place"
+"#;
+    const BOXES: &str = r#"
+[managers.boxes]
+kind = "zones"
+zones = [
+  { token = "/zone/left", from = [-300, 0, 0], to = [20, 1, 1] },
+  { token = "/zone/right", from = [-20, 0, 0], to = [300, 1, 1] },
+]
+"#;
+    let rules = format!("{RULES}{ZONES}");
+    let lab = Lab::with(RECORD, &rules);
+    let (broker, _clock) = lab.start().await;
+    let mut alice = Peer::xml(&broker, "alice").await;
+    let mut bob = Peer::binary(&broker, "bob").await;
+    for (peer, zone) in [(&mut alice, "/zone/left"), (&mut bob, "/zone/right")] {
+        assert_eq!(peer.verb(Verb::Join, "/zone").await, "ok");
+        assert_eq!(peer.verb(Verb::Grab, zone).await, "ok");
+    }
+    broker.stop().await;
+    let chain = "of = [\"lab\", \"first-come\"]";
+    let changed = Lab::body(&rules).replace(chain, "of = [\"lab\", \"first-come\", \"boxes\"]");
+    lab.write("new.toml", &format!("{changed}{BOXES}"));
+    let differs = what_if(&lab, "new.toml", &[]);
+    assert_eq!(differs.status.code(), Some(2), "{differs:?}");
+    let said = text(&differs.stdout);
+    let refused = "bob: grab /zone/right: bob owns /zone/right by \"lab/both use the table\", ok \
+                   -> refused held by \"boxes\" (new.toml:";
+    assert!(said.contains(refused), "{said}");
+    assert!(!said.contains("alice"), "{said}");
+}

@@ -4,9 +4,9 @@ use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 
 use mom_managers::{
-    Answer, Defer, GivenAnswer, Grant, Owner, PeerFacts, Question, TokenFacts, Tokens, Verdict,
+    Answer, Defer, GivenAnswer, Grant, Manager, Owner, PeerFacts, Question, TokenFacts, Tokens, Verdict,
 };
-use mom_proto::{Code, ContextNumber, Path, Verb, WireError};
+use mom_proto::{Code, ContextNumber, Map, Path, Verb, WireError};
 
 use super::refusal::{Deferred, Refusal};
 use super::wish::Wish;
@@ -78,15 +78,28 @@ impl World {
 
     /// Whether a manager denies for good; one that defers, or says later, does not.
     pub(crate) fn refused(&mut self, peer: PeerId, verb: Verb, at: ContextNumber) -> bool {
-        let verdict = self.consult(peer, &Wish::new(verb, at), &[]);
+        let verdict = self.suppose(peer, &Wish::new(verb, at));
         matches!(verdict.answer, Answer::Deny(denial) if !denial.code.may_retry())
     }
 
     /// The verdict of the manager of `wish.at`, or of the nearest one above that has one.
     pub(crate) fn consult(&mut self, peer: PeerId, wish: &Wish<'_>, answers: &[Heard]) -> Verdict {
+        self.consult_again(peer, wish, answers, !answers.is_empty())
+    }
+
+    /// The same about a request that nobody makes: no manager counts it, nothing changes.
+    pub(crate) fn suppose(&mut self, peer: PeerId, wish: &Wish<'_>) -> Verdict {
+        self.consult_again(peer, wish, &[], true)
+    }
+
+    fn consult_again(&mut self, peer: PeerId, wish: &Wish<'_>, answers: &[Heard], repeated: bool) -> Verdict {
         let Some(facts) = self.peers.get(peer).map(|peer| Arc::clone(&peer.facts)) else {
             self.fault::<()>("a manager is asked about a peer that is not there");
             return nobody();
+        };
+        let grants = match answers.is_empty() {
+            true => 0,
+            false => self.grants_at(wish.at),
         };
         let managing = self.tree.managing(wish.at).map(|context| context.number);
         // Taken out while it is asked, because the question borrows the tree.
@@ -95,11 +108,10 @@ impl World {
             self.fault::<()>("nobody manages a context, not even the root's manager");
             return nobody();
         };
-        let mine = answers
-            .iter()
-            .filter(|heard| heard.peer == peer && heard.verb == wish.verb && heard.at == wish.at);
+        let mine = answers.iter().filter(|heard| {
+            heard.peer == peer && heard.verb == wish.verb && heard.at == wish.at && heard.grants == grants
+        });
         let given: Vec<GivenAnswer> = mine.map(|heard| heard.given.clone()).collect();
-        let repeated = !answers.is_empty();
         let others = Others {
             world: self,
             asks: peer,
@@ -117,6 +129,38 @@ impl World {
             context.manager = Some(manager);
         }
         verdict
+    }
+
+    /// What the manager of a context knows of it; nothing if it fails, as one of somebody else's making may.
+    pub(crate) fn facts(&self, number: ContextNumber) -> Map {
+        self.ask_manager(number, |manager, path| manager.facts(path))
+    }
+
+    /// The tokens to whose grants the ownership of this one may matter.
+    pub(crate) fn neighbours(&self, number: ContextNumber) -> Vec<Path> {
+        self.ask_manager(number, |manager, path| manager.neighbours(path))
+    }
+
+    /// A number that changes when this token, or one of its neighbours, is granted to anybody; 0 for other contexts.
+    pub(crate) fn grants_at(&self, number: ContextNumber) -> u64 {
+        let Some(own) = self.token(number) else { return 0 };
+        let neighbours = self.neighbours(number);
+        let others = neighbours.iter().filter_map(|path| self.tree.find(path)?.token());
+        // Fences only rise, so that each change shows in their sum.
+        others.fold(own.fence.into(), |sum: u64, token| {
+            sum.wrapping_add(token.fence.into())
+        })
+    }
+
+    fn ask_manager<T: Default>(&self, number: ContextNumber, ask: impl Fn(&dyn Manager, &Path) -> T) -> T {
+        let manager = self
+            .tree
+            .managing(number)
+            .and_then(|context| context.manager.as_ref());
+        let (Some(manager), Some(context)) = (manager, self.tree.get(number)) else {
+            return T::default();
+        };
+        std::panic::catch_unwind(AssertUnwindSafe(|| ask(&**manager, &context.path))).unwrap_or_default()
     }
 
     fn question<'a>(

@@ -39,6 +39,39 @@ pub(crate) struct Due {
     pub(crate) parcel: Parcel,
     /// What managing peers and chairs have answered about it.
     pub(crate) answers: Vec<Heard>,
+    /// If it is a grab that waits in the queue, and somebody has to be asked before it is granted: its token and its ticket.
+    pub(crate) waiter: Option<(ContextNumber, u64)>,
+}
+
+impl Due {
+    /// A request that comes for the first time.
+    pub(crate) fn new(peer: PeerId, parcel: Parcel) -> Due {
+        Due {
+            peer,
+            parcel,
+            answers: Vec::new(),
+            waiter: None,
+        }
+    }
+
+    /// Refuses it; a grab leaves the queue with that.
+    pub(crate) fn refuse(
+        &self,
+        world: &mut World,
+        (error, told): (&WireError, Option<&WireError>),
+        out: &mut Vec<Effect>,
+    ) {
+        if let Some((number, ticket)) = self.waiter
+            && world.take_waiter(number, ticket).is_none()
+        {
+            // It was answered when it left the queue.
+            return;
+        }
+        world.push_refusal_as(self.peer, &self.parcel, (error, told), out);
+        if let Some((number, _)) = self.waiter {
+            world.tell_queue(number, out);
+        }
+    }
 }
 
 /// The questions that are open, by their numbers.
@@ -82,6 +115,7 @@ struct Whom {
     verb: Verb,
     managing: ContextNumber,
     at: ContextNumber,
+    grants: u64,
 }
 
 impl Questions {
@@ -99,6 +133,7 @@ impl Questions {
             verb: deferred.verb,
             managing: deferred.managing,
             at: deferred.at,
+            grants: world.grants_at(deferred.at),
         };
         let asked = whom.find(world);
         let label = Arc::clone(&deferred.defer.label);
@@ -111,7 +146,7 @@ impl Questions {
             return world.fault("a peer that is not there has to wait for an answer");
         };
         if let Err(error) = self.check_waiting(peer, &user) {
-            world.push_refusal(peer, &request.parcel, &error.rule(&label), out);
+            request.refuse(world, (&error.rule(&label), None), out);
             return None;
         }
         let send = request.parcel.family == Family::Message;
@@ -289,11 +324,7 @@ impl Questions {
         if let Some(channel) = pending.channel {
             hold_sends(world, channel, peer, false);
         }
-        let behind = pending.behind.into_iter().map(|parcel| Due {
-            peer,
-            parcel,
-            answers: Vec::new(),
-        });
+        let behind = pending.behind.into_iter().map(|parcel| Due::new(peer, parcel));
         std::iter::once(pending.request).chain(behind).collect()
     }
 
@@ -306,7 +337,8 @@ impl Questions {
             let Some(pending) = self.take(world, question) else {
                 continue;
             };
-            for parcel in std::iter::once(&pending.request.parcel).chain(&pending.behind) {
+            pending.request.refuse(world, (&error, None), out);
+            for parcel in &pending.behind {
                 world.push_refusal(peer, parcel, &error, out);
             }
         }
@@ -357,19 +389,19 @@ fn finish(world: &mut World, pending: Pending, given: GivenAnswer, out: &mut Vec
     } else {
         resume(world, request, whom.heard(given), out)
     };
-    let behind = behind.into_iter().map(|parcel| Due {
-        peer,
-        parcel,
-        answers: Vec::new(),
-    });
+    let behind = behind.into_iter().map(|parcel| Due::new(peer, parcel));
     first.into_iter().chain(behind).collect()
 }
 
 /// A request with one answer more; refused if the manager defers again and again although it has its answers.
-fn resume(world: &World, mut request: Due, heard: Heard, out: &mut Vec<Effect>) -> Option<Due> {
+fn resume(world: &mut World, mut request: Due, heard: Heard, out: &mut Vec<Effect>) -> Option<Due> {
+    // Those about a token that was granted since hold no more.
+    request
+        .answers
+        .retain(|known| known.grants == world.grants_at(known.at));
     if request.answers.len() >= MOST_OF_ONE {
         let error = WireError::new(Code::DENIED, "the manager asks without end").rule(&heard.given.label);
-        world.push_refusal(request.peer, &request.parcel, &error, out);
+        request.refuse(world, (&error, None), out);
         return None;
     }
     request.answers.push(heard);
@@ -455,6 +487,7 @@ impl Whom {
             peer: self.peer,
             verb: self.verb,
             at: self.at,
+            grants: self.grants,
             given,
         }
     }

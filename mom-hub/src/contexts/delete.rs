@@ -173,6 +173,7 @@ impl World {
             }
         }
         self.withdraw_all(number, &error, out);
+        self.stir_neighbours(number);
         for held in held_back {
             self.push_refusal(held.peer, &held.parcel, &error, out);
             self.uninvolve(held.peer, number);

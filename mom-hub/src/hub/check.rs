@@ -79,6 +79,10 @@ impl Hub {
             self.world.changed.is_empty() && self.world.grown.is_empty(),
             "changed routes were given out"
         );
+        assert!(
+            self.world.stirred.is_empty() && self.world.to_ask.is_empty(),
+            "queues that were stirred were looked at"
+        );
     }
 
     fn check_context(&self, context: &Context) {

@@ -40,6 +40,7 @@ pub(super) fn configure(
         change_user(world, questions, peer, user, out);
     }
     review(world, questions, out);
+    world.stir_all();
 }
 
 fn manage_root(world: &mut World, root: &Value) {

@@ -1,5 +1,7 @@
 //! The verdict about a request that nobody makes, for people who ask why.
 
+use std::sync::Arc;
+
 use mom_managers::{Answer, Terms, Verdict};
 use mom_proto::event::Reason;
 use mom_proto::{Code, ContextKind, ContextNumber, Family, Micros, Path, Verb, WireError};
@@ -10,9 +12,8 @@ use crate::tree::context::Context;
 use crate::verbs::of_kind;
 use crate::{Hub, PeerId, User};
 
-/// The peers that a case supposes.
+/// The peers that a case supposes; the owners follow.
 const ASKER: PeerId = PeerId(1);
-const OWNER: PeerId = PeerId(2);
 
 /// A request that could be made.
 #[derive(Clone, Copy, Debug)]
@@ -27,8 +28,8 @@ pub struct Case<'a> {
     pub kind: Option<ContextKind>,
     /// The name of the message, for sends.
     pub message: Option<&'a str>,
-    /// The owner of the token: since now, with the token's lease.
-    pub owner: Option<&'a User>,
+    /// Who owns which token: since now, with the token's lease.
+    pub owners: &'a [(Path, User)],
     /// Whether a member has invited the user there.
     pub invited: bool,
 }
@@ -49,6 +50,10 @@ pub struct Judgement {
     pub manager: String,
     /// The token that the sender has to own besides, for a guarded message.
     pub guard: Option<Path>,
+    /// Who owns that token.
+    pub guard_owner: Option<Arc<str>>,
+    /// Who owns the token at the path, if it is one.
+    pub owner: Option<Arc<str>>,
 }
 
 /// The parts of a context that do not depend on the peers in it.
@@ -87,12 +92,22 @@ impl Hub {
     /// case changes it: make one for each case.
     pub fn judge(mut self, case: &Case<'_>) -> Judgement {
         self.suppose(case);
-        let place = self.place(case.path);
         // Where nothing is, the manager of the nearest context above decides.
         let at = self.world.tree.find_or_above(case.path);
         let at = at
             .map(|context| context.number)
             .expect("the root is always there");
+        self.judgement(ASKER, case, at)
+    }
+
+    /// The judgement by the manager of `at`: the context of the case, or one above.
+    pub(super) fn judgement(&mut self, asker: PeerId, case: &Case<'_>, at: ContextNumber) -> Judgement {
+        let there = self
+            .world
+            .tree
+            .get(at)
+            .is_some_and(|context| context.path == *case.path);
+        let place = self.place(case.path).filter(|_| there);
         let (managed_at, manager) = manager_of(self.world.tree.managing(at));
         let wish = Wish {
             path: Some(case.path),
@@ -103,72 +118,100 @@ impl Hub {
             age: case.message.map(|_| (0, 0)),
             ..Wish::new(case.verb, at)
         };
-        let verdict = self.world.consult(ASKER, &wish, &[]);
+        let verdict = match case.verb.gives_up() {
+            true => Verdict::allow(),
+            false => self.world.suppose(asker, &wish),
+        };
+        let guard = self.guard_of(case, at);
         Judgement {
-            refusal: self.refusal_of(&verdict, case, &wish),
+            refusal: self.refusal_of(asker, &verdict, case, &wish),
             place,
             managed_at,
             manager,
-            guard: self.guard_of(case, at),
+            guard_owner: guard.as_ref().and_then(|token| self.owner_at(token)),
+            guard,
+            owner: self.owner_at(case.path),
             verdict,
         }
     }
 
-    /// Lets the asking peer in, and the owner of the token, who has just got it.
+    /// Who owns the token at a path.
+    fn owner_at(&self, path: &Path) -> Option<Arc<str>> {
+        let token = self.world.tree.find(path)?.token()?;
+        self.peer_name(token.owner_peer()?)
+    }
+
+    /// Lets the asking peer in, and the owners of tokens, who have just got them.
     fn suppose(&mut self, case: &Case<'_>) {
         self.world
             .peers
             .add(ASKER, case.user.clone(), &case.user.name, self.world.now);
         let found = self.world.tree.find(case.path).map(|context| context.number);
-        let Some(number) = found else { return };
-        if let Some(context) = self.world.tree.get_mut(number).filter(|_| case.invited) {
+        if let Some(context) = found.and_then(|number| self.world.tree.get_mut(number))
+            && case.invited
+        {
             context.invited.insert(ASKER, Micros::MAX);
         }
-        let Some(owner) = case.owner.filter(|_| self.world.token(number).is_some()) else {
-            return;
-        };
-        let peer = if owner.name == case.user.name {
-            ASKER
-        } else {
-            OWNER
-        };
-        if peer == OWNER {
+        for (index, (token, owner)) in case.owners.iter().enumerate() {
+            let found = self.world.tree.find(token).map(|context| context.number);
+            let Some(number) = found.filter(|number| self.world.token(*number).is_some()) else {
+                continue;
+            };
+            let grantee = Grantee::plain(self.owner(index, case, owner));
+            let mut nobody_hears = Vec::new();
+            let reason = Reason::Released;
             self.world
-                .peers
-                .add(OWNER, owner.clone(), &owner.name, self.world.now);
+                .change_owner(number, Some(grantee), reason, None, false, &mut nobody_hears);
         }
-        let grantee = Grantee::plain(peer);
-        let mut nobody_hears = Vec::new();
-        let reason = Reason::Released;
-        self.world
-            .change_owner(number, Some(grantee), reason, None, false, &mut nobody_hears);
     }
 
-    fn refusal_of(&mut self, verdict: &Verdict, case: &Case<'_>, wish: &Wish<'_>) -> Option<WireError> {
+    /// The peer of this user, who is one peer whatever it owns.
+    fn owner(&mut self, index: usize, case: &Case<'_>, user: &User) -> PeerId {
+        if user.name == case.user.name {
+            return ASKER;
+        }
+        let first = case.owners.iter().position(|(_, owner)| owner.name == user.name);
+        let first = first.unwrap_or(index);
+        let peer = PeerId(ASKER.0 + 1 + first as u64);
+        if first == index {
+            self.world
+                .peers
+                .add(peer, user.clone(), &user.name, self.world.now);
+        }
+        peer
+    }
+
+    fn refusal_of(
+        &mut self,
+        asker: PeerId,
+        verdict: &Verdict,
+        case: &Case<'_>,
+        wish: &Wish<'_>,
+    ) -> Option<WireError> {
         match &verdict.answer {
-            Answer::Deny(denial) => Some(self.world.explain(ASKER, wish, denial)),
-            Answer::Queue(wait) => Some(self.world.explain(ASKER, wish, &wait.denial)),
+            Answer::Deny(denial) => Some(self.world.explain(asker, wish, denial)),
+            Answer::Queue(wait) => Some(self.world.explain(asker, wish, &wait.denial)),
             Answer::Defer(_) => None,
             // A manager that allows a grab takes nothing from a living owner by that alone.
             Answer::Allow(grant) => {
-                let owner = self.world.owner_of(wish.at).filter(|owner| *owner != ASKER);
+                let owner = self.world.owner_of(wish.at).filter(|owner| *owner != asker);
                 match owner.filter(|_| case.verb == Verb::Grab && !grant.displace) {
-                    Some(_) => Some(self.world.held(ASKER, wish.at)),
-                    None => self.impossible(case),
+                    Some(_) => Some(self.world.held(asker, wish.at)),
+                    None => self.impossible(asker, case),
                 }
             }
         }
     }
 
     /// Why a request comes to nothing although its manager allows it.
-    fn impossible(&mut self, case: &Case<'_>) -> Option<WireError> {
+    fn impossible(&mut self, asker: PeerId, case: &Case<'_>) -> Option<WireError> {
         match (case.verb, self.world.tree.find(case.path)) {
             (Verb::Create, None) => self.world.tree.parent_for(case.path).err(),
             (Verb::Create, Some(_)) => {
                 let text = format!("there is a context {} already", case.path);
                 Some(WireError::new(Code::EXISTS, text).slot("context"))
             }
-            (_, None) => Some(self.world.unknown_to(ASKER, case.path, &[])),
+            (_, None) => Some(self.world.unknown_to(asker, case.path, &[])),
             (Verb::Delete, Some(context)) => self.world.tree.check_not_permanent(context.number).err(),
             (verb, Some(context)) => kind_for(verb).and_then(|kind| of_kind(context, kind, verb).err()),
         }

@@ -1,5 +1,6 @@
 //! The hub from outside: inputs, deadlines, and a few questions.
 
+mod appraise;
 mod check;
 mod configure;
 pub(crate) mod input;
@@ -68,6 +69,7 @@ impl Hub {
         self.handle_due(out);
         let start = out.len();
         self.handle_input(input, out);
+        verbs::run_waiting(&mut self.world, &mut self.questions, out);
         self.world.push_changed_routes(start, out);
         // Deadlines that the input itself has made due, as a grab does that begins to wait after the lease is over.
         self.handle_due(out);
@@ -95,16 +97,12 @@ impl Hub {
                 if let Some(known) = world.peers.get_mut(peer).filter(|_| message) {
                     known.clock = clock.map(|clock| (clock, world.now));
                 }
-                let request = Due {
-                    peer,
-                    parcel: *parcel,
-                    answers: Vec::new(),
-                };
-                verbs::run(world, questions, request, out);
+                verbs::run(world, questions, Due::new(peer, *parcel), out);
             }
             Input::Stored { ticket, ok } => {
                 // The queue has advanced first; now the requests that came while this was stored.
                 if let Some(token) = world.take_stored(ticket, ok, out) {
+                    verbs::run_waiting(world, questions, out);
                     verbs::run_held_back(world, questions, token, out);
                 }
             }
@@ -121,6 +119,7 @@ impl Hub {
             self.world.timers.remove(&(deadline, timer));
             let start = out.len();
             self.handle_timer(timer, out);
+            verbs::run_waiting(&mut self.world, &mut self.questions, out);
             self.world.push_changed_routes(start, out);
         }
     }

@@ -134,6 +134,7 @@ impl World {
             self.forget_offer_count(number);
         }
         self.end_handover(number, new, out);
+        self.stir_neighbours(number);
     }
 
     /// Tells the peers concerned what they own, and what they have lent, from now on.

@@ -168,6 +168,8 @@ impl World {
         }
         self.refuse_all(&change.answers, error, Verb::Grab, number, out);
         self.correct_record(number, out);
+        // Others were refused for it as long as it was being stored.
+        self.stir_neighbours(number);
     }
 
     /// Calls off a grant to this peer that has begun.

@@ -2,9 +2,11 @@
 
 use mom_managers::Answer;
 use mom_proto::event::{self, Reason};
-use mom_proto::{Code, ContextNumber, Map, Verb, WireError};
+use mom_proto::{Code, ContextNumber, Family, Map, Parcel, Verb, WireError};
 
+use crate::asking::questions::Due;
 use crate::asking::wish::Wish;
+use crate::heard::Heard;
 use crate::token::state::{Change, QueuedGrab};
 use crate::values::{count, millis};
 use crate::world::{Timer, World};
@@ -37,6 +39,17 @@ impl World {
         Ok(())
     }
 
+    /// Lets a grab wait on about which somebody was asked, with the answers that it has got, and has those behind it looked at.
+    pub(crate) fn wait_on(&mut self, number: ContextNumber, ticket: u64, answers: &[Heard]) {
+        let waiter = self.token_mut(number).and_then(|token| token.waiter_mut(ticket));
+        let Some(waiter) = waiter else {
+            return self.fault("a grab waits on that has not waited");
+        };
+        waiter.asking = false;
+        waiter.answers = answers.to_vec();
+        self.stirred.insert(number);
+    }
+
     /// Takes a waiting grab out of the queue, without an answer.
     pub(crate) fn take_waiter(&mut self, number: ContextNumber, ticket: u64) -> Option<QueuedGrab> {
         let waiter = self.token_mut(number)?.dequeue(ticket)?;
@@ -46,6 +59,10 @@ impl World {
         self.uninvolve(waiter.peer, number);
         self.retime(number);
         self.change_guarded_routes(number);
+        if waiter.asking {
+            // Those behind it have waited for what is said of it.
+            self.stirred.insert(number);
+        }
         Some(waiter)
     }
 
@@ -89,8 +106,15 @@ impl World {
 
     /// Grants a free token to the first waiter that the manager allows to have it.
     pub(crate) fn advance_queue(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
-        let mut refused = false;
-        while let Some(waiter) = self.next_waiter(number) {
+        // Nothing waits for what is no token, or none any more.
+        if self.token(number).is_none_or(|token| token.queue.is_empty()) {
+            return;
+        }
+        let (mut place, mut refused) = (0, false);
+        while let Some((at, waiter)) = self.next_waiter(number, place) {
+            if waiter.asking {
+                break;
+            }
             let wish = Wish::new(Verb::Grab, number);
             let verdict = self.consult(waiter.peer, &wish, &waiter.answers);
             let error = match verdict.answer {
@@ -105,13 +129,23 @@ impl World {
                     self.begin_grant(number, change, out);
                     continue;
                 }
-                // The token is free, and yet not for this one now: it waits on, for as long as it wanted to.
-                Answer::Queue(_) => break,
-                Answer::Deny(denial) if denial.code == Code::HELD => break,
+                // The token is free, and yet not for this one now: it waits on, and is in the way of nobody behind it.
+                Answer::Queue(_) => {
+                    place = at + 1;
+                    continue;
+                }
+                Answer::Deny(denial) if denial.code == Code::HELD => {
+                    place = at + 1;
+                    continue;
+                }
                 Answer::Deny(denial) => self.explain(waiter.peer, &wish, &denial),
-                Answer::Defer(defer) => {
-                    let text = "the answer of who had to be asked holds no more";
-                    WireError::new(Code::DENIED, text).rule(&defer.label)
+                // Whoever has to be asked was not asked before, as the token could not be granted then.
+                Answer::Defer(_) => {
+                    if let Some(token) = self.token_mut(number) {
+                        token.set_asking(waiter.ticket, true);
+                    }
+                    self.to_ask.push((number, waiter.ticket));
+                    break;
                 }
             };
             self.take_waiter(number, waiter.ticket);
@@ -126,9 +160,47 @@ impl World {
         }
     }
 
-    fn next_waiter(&self, number: ContextNumber) -> Option<QueuedGrab> {
+    /// Has the queues looked at of those tokens to whose grants the ownership of this one may matter.
+    pub(crate) fn stir_neighbours(&mut self, number: ContextNumber) {
+        for path in self.neighbours(number) {
+            self.stirred
+                .extend(self.tree.find(&path).map(|context| context.number));
+        }
+    }
+
+    /// Has all queues looked at: their managers may decide otherwise from now on.
+    pub(crate) fn stir_all(&mut self) {
+        let waited_for = self
+            .tree
+            .iter()
+            .filter(|context| context.token().is_some_and(|token| !token.queue.is_empty()));
+        self.stirred.extend(waited_for.map(|context| context.number));
+    }
+
+    /// Whether this grab waits.
+    pub(crate) fn waits(&self, number: ContextNumber, ticket: u64) -> bool {
+        let mut queue = self.token(number).into_iter().flat_map(|token| &token.queue);
+        queue.any(|waiter| waiter.ticket == ticket)
+    }
+
+    /// A waiting grab as the request that it was, with the answers that it has got.
+    pub(crate) fn due_grab(&self, number: ContextNumber, ticket: u64) -> Option<Due> {
+        let context = self.tree.get(number)?;
+        let mut queue = context.token()?.queue.iter();
+        let waiter = queue.find(|waiter| waiter.ticket == ticket)?;
+        let mut parcel = Parcel::new(Family::Token, Verb::Grab.word()).context(context.path.clone());
+        parcel.id = waiter.id;
+        Some(Due {
+            answers: waiter.answers.clone(),
+            waiter: Some((number, ticket)),
+            ..Due::new(waiter.peer, parcel)
+        })
+    }
+
+    fn next_waiter(&self, number: ContextNumber, place: usize) -> Option<(usize, QueuedGrab)> {
         let token = self.token(number)?;
-        token.next_waiter(|peer| self.holder(peer), self.now).cloned()
+        let next = token.next_waiter(place, |peer| self.holder(peer), self.now);
+        next.map(|(place, waiter)| (place, waiter.clone()))
     }
 
     /// Tells waiters their places, and the owner the end of its turn, as far as these have changed.

@@ -83,16 +83,30 @@ impl Token {
         Some(self.queue.remove(place))
     }
 
-    /// The first of the queue that may have the token if it is free. After a restart that need not be the first of all:
-    /// the former owner may have come back behind others.
+    /// The first of the queue from `place` on that may have the token if it is free, with its place. After a restart that
+    /// need not be the first of all: the former owner may have come back behind others.
     pub(crate) fn next_waiter(
         &self,
+        place: usize,
         holder: impl Fn(PeerId) -> Option<Holder>,
         now: Micros,
-    ) -> Option<&QueuedGrab> {
+    ) -> Option<(usize, &QueuedGrab)> {
         let kept = |waiter: &QueuedGrab| self.kept_by_restart(holder(waiter.peer).as_ref(), now).is_some();
-        let mut queue = self.queue.iter().filter(|_| self.is_free());
-        queue.find(|waiter| !kept(waiter))
+        let queue = self.queue.iter().enumerate().skip(place);
+        let mut queue = queue.filter(|_| self.is_free());
+        queue.find(|(_, waiter)| !kept(waiter))
+    }
+
+    /// Notes that somebody is being asked about a waiter, or not any more.
+    pub(crate) fn set_asking(&mut self, ticket: u64, asking: bool) {
+        if let Some(waiter) = self.waiter_mut(ticket) {
+            waiter.asking = asking;
+        }
+    }
+
+    /// A waiting grab.
+    pub(crate) fn waiter_mut(&mut self, ticket: u64) -> Option<&mut QueuedGrab> {
+        self.queue.iter_mut().find(|waiter| waiter.ticket == ticket)
     }
 
     /// The places that have changed since their waiters were told, which from now on count as told.

@@ -45,6 +45,7 @@ fn waiter(peer: PeerId, level: i32, since: u64) -> QueuedGrab {
         since,
         until: None,
         answers: Vec::new(),
+        asking: false,
         told: 0,
     }
 }
@@ -173,10 +174,10 @@ fn the_queue_is_by_arrival_or_by_level_and_tells_each_place_once() {
         [(CAROL, 1, Some(40 * SECOND)), (BOB, 2, Some(100 * SECOND))]
     );
     assert_eq!(told(&mut token), []);
-    assert!(token.next_waiter(|_| None, 0).is_none(), "alice has it");
+    assert!(token.next_waiter(0, |_| None, 0).is_none(), "alice has it");
     token.change_owner(None, 20 * SECOND, FLOOR);
     assert_eq!(
-        token.next_waiter(|_| None, 0).map(|waiter| waiter.peer),
+        token.next_waiter(0, |_| None, 0).map(|(_, waiter)| waiter.peer),
         Some(CAROL)
     );
     token.dequeue(CAROL.0).unwrap();
@@ -324,7 +325,7 @@ fn a_restart_keeps_a_token_for_its_owner() {
     token.enqueue(waiter(ALICE, 0, 0)).unwrap();
     let holder = |peer| (peer == ALICE).then(|| holder("alice"));
     assert_eq!(
-        token.next_waiter(holder, 0).map(|waiter| waiter.peer),
+        token.next_waiter(0, holder, 0).map(|(_, waiter)| waiter.peer),
         Some(ALICE)
     );
 }

@@ -36,6 +36,20 @@ pub(crate) struct Peer {
     pub(crate) lost: Option<Micros>,
 }
 
+impl Peer {
+    /// One that is nowhere yet.
+    fn new(facts: Arc<PeerFacts>) -> Peer {
+        Peer {
+            facts,
+            joined: BTreeSet::new(),
+            owns: BTreeSet::new(),
+            involved: BTreeSet::new(),
+            clock: None,
+            lost: None,
+        }
+    }
+}
+
 /// All peers by connection and by name.
 #[derive(Debug, Default)]
 pub(crate) struct Peers {
@@ -103,18 +117,24 @@ impl Peers {
             groups: user.groups.into(),
         });
         self.by_name.insert(name, peer);
-        self.by_id.insert(
-            peer,
-            Peer {
-                facts: Arc::clone(&facts),
-                joined: BTreeSet::new(),
-                owns: BTreeSet::new(),
-                involved: BTreeSet::new(),
-                clock: None,
-                lost: None,
-            },
-        );
+        self.by_id.insert(peer, Peer::new(Arc::clone(&facts)));
         facts
+    }
+
+    /// Adds a peer for the length of one question, under a name that nobody hears of; [`Peers::take_back`] removes it again.
+    pub(crate) fn lend(&mut self, peer: PeerId, user: &User) {
+        let facts = PeerFacts {
+            name: user.name.as_str().into(),
+            user: user.name.as_str().into(),
+            level: user.level,
+            groups: user.groups.clone().into(),
+        };
+        self.by_id.insert(peer, Peer::new(Arc::new(facts)));
+    }
+
+    /// Removes what was lent.
+    pub(crate) fn take_back(&mut self, peer: PeerId) {
+        self.by_id.remove(&peer);
     }
 
     /// Gives a peer the facts of a repeated login; its name stays.

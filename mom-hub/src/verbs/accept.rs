@@ -30,6 +30,11 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         let owner = world.check_owner(request, number);
         owner.map_err(|error| world.unless_denied(request, number, error))?;
         world.check_not_lent(number, "given on")?;
+        // It gives the token away, which its manager may reserve for others.
+        if world.refused(peer, Verb::Give, number) {
+            let text = "this peer may not give it to another";
+            return Err(WireError::new(Code::DENIED, text).into());
+        }
         let to = asking(world, request, name)?;
         // The peer that asked must be allowed to accept, as if it had been offered; the owner's word is not enough.
         let Allowed { rule, grant } = world.ask(to, &Wish::new(Verb::Accept, number), &request.answers)?;

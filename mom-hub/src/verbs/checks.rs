@@ -1,17 +1,19 @@
 //! A request, and what several verbs look at before they change anything.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use mom_managers::Answer;
-use mom_proto::{Code, ContextKind, ContextNumber, Map, Parcel, Path, Verb, WireError};
+use mom_proto::{Code, ContextKind, ContextNumber, Family, Map, Parcel, Path, Verb, WireError};
 
 use crate::asking::consult::Allowed;
+use crate::asking::questions::Due;
 use crate::asking::refusal::Refusal;
 use crate::asking::wish::Wish;
 use crate::heard::Heard;
 use crate::tree::context::Context;
 use crate::world::World;
-use crate::{Effect, PeerId};
+use crate::{Effect, Inquiry, PeerId};
 
 /// Children or members that one reply names: each costs the hub's time, and often a question to a manager.
 pub(super) const PAGE: usize = 128;
@@ -24,12 +26,35 @@ pub(crate) struct Request {
     pub(crate) parcel: Parcel,
     /// What managing peers and chairs have answered about it.
     pub(crate) answers: Vec<Heard>,
+    /// As in [`Due`].
+    pub(crate) waiter: Option<(ContextNumber, u64)>,
 }
 
 impl Request {
+    /// The request as it is carried out again.
+    pub(super) fn into_due(self) -> Due {
+        Due {
+            peer: self.peer,
+            parcel: self.parcel,
+            answers: self.answers,
+            waiter: self.waiter,
+        }
+    }
+
     /// Answers it with `ok`.
     pub(super) fn push_ok(&self, world: &World, content: Option<Map>, out: &mut Vec<Effect>) {
         world.push_ok(self.peer, self.parcel.id, &self.path, content, out);
+    }
+
+    /// Leaves the answer to the broker.
+    pub(super) fn push_inquiry(&self, world: &World, inquiry: Inquiry, out: &mut Vec<Effect>) {
+        let mut parcel = world.hub_parcel(Family::Reply, "ok", &self.path);
+        parcel.reference = self.parcel.id;
+        out.push(Effect::Inquire {
+            to: self.peer,
+            parcel: Arc::new(parcel),
+            inquiry: Box::new(inquiry),
+        });
     }
 }
 
@@ -85,7 +110,9 @@ impl World {
     /// nothing were there. Only who makes something there learns that the path is taken.
     pub(crate) fn veil(&mut self, request: &Request) -> Option<WireError> {
         let here = self.tree.find(&request.path)?.number;
-        if request.verb == Verb::Create || !self.is_hidden(request.peer, here) {
+        // What is explained is explained as if nothing were there already.
+        let open = matches!(request.verb, Verb::Create | Verb::Explain);
+        if open || !self.is_hidden(request.peer, here) {
             return None;
         }
         match (&request.parcel.context, request.parcel.number) {
@@ -100,15 +127,7 @@ impl World {
     /// What a peer hears of a path where nothing is, as far as it may know: the manager of the nearest context above that
     /// it may look up decides.
     fn nothing_at(&mut self, request: &Request) -> Refusal {
-        let above = request
-            .path
-            .parent()
-            .and_then(|above| self.tree.find_or_above(&above));
-        let mut above = above.map(|context| context.number);
-        while let Some(at) = above.filter(|at| self.is_hidden(request.peer, *at)) {
-            above = self.tree.get(at).and_then(|context| context.parent);
-        }
-        let Some(at) = above else {
+        let Some(at) = self.seen_above(request.peer, &request.path) else {
             return no_context(&request.path).into();
         };
         let wish = Wish {
@@ -123,8 +142,32 @@ impl World {
         }
     }
 
+    /// The nearest context above a path that a peer may look up.
+    pub(crate) fn seen_above(&mut self, peer: PeerId, path: &Path) -> Option<ContextNumber> {
+        let above = path.parent().and_then(|above| self.tree.find_or_above(&above));
+        let mut above = above.map(|context| context.number);
+        while let Some(at) = above.filter(|at| self.is_hidden(peer, *at)) {
+            above = self.tree.get(at).and_then(|context| context.parent);
+        }
+        above
+    }
+
+    /// The context at a path, if a peer may know of it.
+    pub(crate) fn seen_at(&mut self, peer: PeerId, path: &Path) -> Option<ContextNumber> {
+        let here = self.tree.find(path)?.number;
+        (!self.is_hidden(peer, here)).then_some(here)
+    }
+
+    /// What is said to a request about something that is not there, or not for this peer.
+    pub(super) fn absent(&mut self, request: &Request) -> WireError {
+        match (&request.parcel.context, request.parcel.number) {
+            (None, Some(number)) => no_number(number),
+            _ => self.unknown_to(request.peer, &request.path, &request.answers),
+        }
+    }
+
     /// Whether a peer may not know that a context exists: it may neither look it up nor see nor enter it.
-    pub(super) fn is_hidden(&mut self, peer: PeerId, number: ContextNumber) -> bool {
+    pub(crate) fn is_hidden(&mut self, peer: PeerId, number: ContextNumber) -> bool {
         let ways = [Verb::Lookup, Verb::Info, Verb::Join];
         !self.tree.is_member(peer, number) && ways.into_iter().all(|way| self.refused(peer, way, number))
     }

@@ -27,10 +27,24 @@ enum Patience {
     Not,
     For(Micros),
     Ever,
+    /// It waits already, under this ticket.
+    InQueue(u64),
+}
+
+impl Patience {
+    /// What waited has what it waited for.
+    fn leave_queue(self, world: &mut World, number: ContextNumber) {
+        if let Patience::InQueue(ticket) = self {
+            world.take_waiter(number, ticket);
+        }
+    }
 }
 
 pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
-    let patience = patience(&content::read_or_default::<Args>(&request.parcel)?)?;
+    let patience = match request.waiter {
+        Some((_, ticket)) => Patience::InQueue(ticket),
+        None => patience(&content::read_or_default::<Args>(&request.parcel)?)?,
+    };
     let number = world.find_token(request)?;
     world.check_near(request, number)?;
     grab(world, request, number, patience, out)
@@ -88,6 +102,7 @@ fn grab(
             if let Some(owner) = world.token_mut(number).and_then(|token| token.owner.as_mut()) {
                 owner.until = grant.until;
             }
+            patience.leave_queue(world, number);
             world.renew_lease(number);
             let content = granted(world, number);
             request.push_ok(world, Some(content), out);
@@ -101,6 +116,7 @@ fn grab(
         let error = world.held(peer, number);
         return wait_or(world, request, number, patience, error, out);
     };
+    patience.leave_queue(world, number);
     // Its own part of a shared hold becomes ownership, before anybody of the queue could have the token.
     world.end_hold(number, peer, "grabbed", out);
     let change = Change {
@@ -125,6 +141,10 @@ fn wait_or(
         Patience::Not => return Err(error.into()),
         Patience::For(time) => Some(world.after(time)),
         Patience::Ever => None,
+        Patience::InQueue(ticket) => {
+            world.wait_on(number, ticket, &request.answers);
+            return Ok(());
+        }
     };
     let ticket = world.last_waiter + 1;
     let waiter = QueuedGrab {
@@ -135,6 +155,7 @@ fn wait_or(
         since: world.now,
         until,
         answers: request.answers.clone(),
+        asking: false,
         told: 0,
     };
     world.wait(number, waiter, out)?;

@@ -32,6 +32,11 @@ pub(super) fn hold_back(world: &mut World, request: &mut Request) -> Result<bool
         let text = "too many requests wait for this token";
         return Err(WireError::new(Code::TRY_LATER, text));
     }
+    if let Some((_, ticket)) = request.waiter {
+        // It waits on in the queue, and is looked at when that is over.
+        token.set_asking(ticket, false);
+        return Ok(true);
+    }
     token.held_back.push_back(HeldBack {
         peer: request.peer,
         parcel: take_parcel(&mut request.parcel),
@@ -60,9 +65,8 @@ pub(crate) fn run_held_back(
         };
         world.uninvolve(peer, number);
         let due = Due {
-            peer,
-            parcel,
             answers,
+            ..Due::new(peer, parcel)
         };
         super::run(world, questions, due, out);
     }

@@ -24,6 +24,9 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         let word = managing.manager_word.as_deref().unwrap_or_default();
         info.set("manager", word);
         info.set("managed-at", managing.path.as_str());
+        for (key, value) in world.facts(number) {
+            info.set(&key, value);
+        }
     }
     info.set("presence", presence_word(context.presence));
     info.set("transient", context.transient);

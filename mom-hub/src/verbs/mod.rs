@@ -3,12 +3,14 @@
 //! A verb that fails has changed nothing and had no effect. What several verbs look at is in `checks`.
 
 mod accept;
+mod audit;
 mod breaking;
 mod checks;
 mod create;
 mod decline;
 mod delete;
 mod expel;
+mod explain;
 mod give;
 mod grab;
 mod held_back;
@@ -29,6 +31,7 @@ mod send;
 mod stats;
 mod uninhibit;
 mod verdict;
+mod what_if;
 
 use mom_proto::{Code, Parcel, Path, Verb, WireError};
 
@@ -64,6 +67,22 @@ pub(crate) fn run_all(
     }
 }
 
+/// Looks at the queues that something has stirred, and asks about the waiting grabs whose turn it is.
+pub(crate) fn run_waiting(world: &mut World, questions: &mut Questions, out: &mut Vec<Effect>) {
+    loop {
+        if let Some(number) = world.stirred.pop_first() {
+            world.advance_queue(number, out);
+            continue;
+        }
+        let Some((number, ticket)) = world.to_ask.pop() else {
+            return;
+        };
+        if let Some(due) = world.due_grab(number, ticket) {
+            run(world, questions, due, out);
+        }
+    }
+}
+
 /// Returns the request if it is to be carried out once more, with an answer that it has got at once.
 fn run_once(
     world: &mut World,
@@ -72,41 +91,44 @@ fn run_once(
     out: &mut Vec<Effect>,
 ) -> Option<Due> {
     let start = out.len();
+    if let Some((number, ticket)) = request.waiter
+        && !world.waits(number, ticket)
+    {
+        // It was answered when it left the queue.
+        return None;
+    }
+    let (verb, path) = match read(world, request.peer, &request.parcel) {
+        Ok(read) => read,
+        Err(error) => {
+            request.refuse(world, (&error, None), out);
+            return None;
+        }
+    };
     let Due {
         peer,
         parcel,
         answers,
+        waiter,
     } = request;
-    let (verb, path) = match read(world, peer, &parcel) {
-        Ok(read) => read,
-        Err(error) => {
-            world.push_refusal(peer, &parcel, &error, out);
-            return None;
-        }
-    };
     let mut request = Request {
         peer,
         verb,
         path,
         parcel,
         answers,
+        waiter,
     };
     match carry_out(world, questions, &mut request, out) {
         Ok(()) => None,
         Err(Refusal::Error(error)) => {
             debug_assert_eq!(out.len(), start, "a refused request has no effects: {error}");
             let told = world.veil(&request);
-            world.push_refusal_as(peer, &request.parcel, (&error, told.as_ref()), out);
+            request.into_due().refuse(world, (&error, told.as_ref()), out);
             None
         }
         Err(Refusal::Defer(deferred)) => {
             debug_assert_eq!(out.len(), start, "a deferred request has no effects");
-            let due = Due {
-                peer,
-                parcel: request.parcel,
-                answers: request.answers,
-            };
-            questions.postpone(world, due, &deferred, out)
+            questions.postpone(world, request.into_due(), &deferred, out)
         }
     }
 }
@@ -149,6 +171,9 @@ fn carry_out(
         Verb::Delete => delete::on(world, request, out),
         Verb::Members => members::on(world, request, out),
         Verb::Stats => stats::on(world, request, out),
+        Verb::Audit => audit::on(world, request, out),
+        Verb::Explain => explain::on(world, request, out),
+        Verb::WhatIf => what_if::on(world, request, out),
         Verb::Invite => invite::on(world, request, out),
         Verb::Expel => expel::on(world, questions, request, out),
         Verb::Grab => grab::on(world, request, out),

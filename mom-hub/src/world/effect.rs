@@ -6,6 +6,7 @@ use mom_proto::{ContextNumber, Parcel, WireError};
 
 use mom_managers::Rate;
 
+use super::inquiry::Inquiry;
 use crate::{Audit, PeerId, Receivers, Record, Route, Ticket};
 
 /// One effect. Effects of one input are carried out in their order.
@@ -39,6 +40,16 @@ pub enum Effect {
         channels: Vec<ContextNumber>,
         /// Whether it is one channel, told with the figures of each member.
         peers: bool,
+    },
+    /// Answer a question that may take long, from the files that the broker has: the control lane. That it may be asked is
+    /// decided.
+    Inquire {
+        /// To whom.
+        to: PeerId,
+        /// The answer, to which the content is added.
+        parcel: Arc<Parcel>,
+        /// What is asked.
+        inquiry: Box<Inquiry>,
     },
     /// Carry a message that was admitted here because no verdict stood for it. Answer its sender if it
     /// asked for a receipt.

@@ -6,6 +6,7 @@ pub(crate) mod audit;
 pub(crate) mod effect;
 pub(crate) mod events;
 mod facts;
+pub(crate) mod inquiry;
 mod names;
 mod routes;
 pub(crate) mod settings;
@@ -52,6 +53,10 @@ pub(crate) struct World {
     /// Records of before the start, by path, until a token is made there.
     pub(crate) records: BTreeMap<Path, Record>,
     pub(crate) last_waiter: u64,
+    /// Tokens whose queues are to be looked at, because something else than their own release may let a waiter have them.
+    pub(crate) stirred: BTreeSet<ContextNumber>,
+    /// Waiting grabs whose turn it is, and about which somebody has to be asked: token and ticket.
+    pub(crate) to_ask: Vec<(ContextNumber, u64)>,
     // In a cell, because lookups find faults too.
     faults: RefCell<Vec<&'static str>>,
 }
@@ -104,6 +109,8 @@ impl World {
                 .map(|record| (record.path.clone(), record))
                 .collect(),
             last_waiter: 0,
+            stirred: BTreeSet::new(),
+            to_ask: Vec::new(),
             faults: RefCell::default(),
         }
     }

@@ -154,6 +154,149 @@ fn a_chairs_answer_is_kept_while_a_change_of_owner_is_stored() {
     );
 }
 
+/// A grab that has waited is put to the chairs when the token can be granted.
+#[test]
+fn who_has_waited_is_put_to_the_chairs() {
+    for (answer, expected) in [("true", "bob< ok"), ("false text=no", "bob< declined")] {
+        let mut stage = Stage::new(lab(moderated(&["grab"])));
+        for name in ["bob", "carol", "dave"] {
+            stage.enter(name, 1);
+        }
+        stage.say("dave", "token grab /lab/key");
+        stage.say("carol", "manager verdict / consult=1 allow=true");
+        stage.say("bob", "token grab /lab/key wait=60000");
+        let heard = stage.say("dave", "token release /lab/key");
+        assert!(
+            of(&heard, &["carol"])
+                .iter()
+                .any(|line| line.starts_with("carol< consult")),
+            "{heard:?}"
+        );
+        assert_eq!(
+            of(&heard, &["bob"])
+                .iter()
+                .filter(|line| line.starts_with("bob< denied"))
+                .count(),
+            0
+        );
+        let heard = stage.say("carol", &format!("manager verdict / consult=2 allow={answer}"));
+        assert!(heard.iter().any(|line| line.starts_with(expected)), "{heard:?}");
+    }
+}
+
+/// bob and erin wait for what dave owns, and carol is asked about each grab. What is asked of her at his release, and the
+/// stage.
+fn two_wait() -> (Stage, Vec<String>) {
+    let mut stage = Stage::new(lab(moderated(&["grab"])));
+    for name in ["bob", "carol", "dave", "erin"] {
+        stage.enter(name, 1);
+    }
+    stage.say("dave", "token grab /lab/key");
+    stage.say("carol", "manager verdict / consult=1 allow=true");
+    stage.say("bob", "token grab /lab/key wait=1000");
+    stage.say("erin", "token grab /lab/key wait=90000");
+    let asked = stage.say("dave", "token release /lab/key");
+    (stage, asked)
+}
+
+/// The peers about whose grabs carol is asked.
+fn asked_about(heard: &[String]) -> Vec<String> {
+    let mut peers = Vec::new();
+    for line in of(heard, &["carol"]) {
+        if let Some(rest) = line.strip_prefix("carol< consult") {
+            let peer = rest
+                .split_whitespace()
+                .find_map(|word| word.strip_prefix("peer="));
+            peers.push(peer.unwrap_or_default().to_owned());
+        }
+    }
+    peers
+}
+
+#[test]
+fn those_who_wait_are_asked_about_one_after_the_other() {
+    let (mut stage, asked) = two_wait();
+    assert_eq!(asked_about(&asked), ["bob"], "whose turn it is: {asked:?}");
+    let heard = stage.say("carol", "manager verdict / consult=2 allow=false");
+    assert!(
+        heard.iter().any(|line| line.starts_with("bob< declined")),
+        "{heard:?}"
+    );
+    assert_eq!(asked_about(&heard), ["erin"], "{heard:?}");
+    let heard = stage.say("carol", "manager verdict / consult=3 allow=true");
+    assert!(heard.iter().any(|line| line.starts_with("erin< ok")), "{heard:?}");
+
+    for end in ["release", "leave", "logout", "time", "gone"] {
+        let (mut stage, _) = two_wait();
+        let heard = match end {
+            "release" => stage.say("bob", "token release /lab/key"),
+            "leave" => stage.say("bob", "context leave /lab"),
+            "logout" => stage.say("bob", "login logout /"),
+            "gone" => stage.gone("bob"),
+            _ => stage.at(1_001),
+        };
+        assert_eq!(asked_about(&heard), ["erin"], "{end}: {heard:?}");
+        let heard = stage.say("carol", "manager verdict / consult=2 allow=true");
+        assert!(
+            !heard.iter().any(|line| line.starts_with("bob< ok")),
+            "{end}: {heard:?}"
+        );
+    }
+}
+
+#[test]
+fn who_is_asked_about_keeps_its_place() {
+    let (mut stage, _) = two_wait();
+    // dave comes back, and carol is quicker about him than about bob.
+    stage.say("dave", "token grab /lab/key");
+    let heard = stage.say("carol", "manager verdict / consult=3 allow=true");
+    assert!(heard.iter().any(|line| line.starts_with("dave< ok")), "{heard:?}");
+    let heard = stage.say("carol", "manager verdict / consult=2 allow=true");
+    assert!(!heard.iter().any(|line| line.contains("bob< ok")), "{heard:?}");
+    let heard = stage.say("dave", "token release /lab/key");
+    let asked: Vec<String> = asked_about(&heard);
+    assert!(!asked.contains(&"erin".to_owned()), "{heard:?}");
+    // Whatever number the question about bob has by now.
+    let heard: Vec<String> = (4..7)
+        .flat_map(|consult| {
+            stage.say(
+                "carol",
+                &format!("manager verdict / consult={consult} allow=true"),
+            )
+        })
+        .collect();
+    assert!(heard.iter().any(|line| line.starts_with("bob< ok")), "{heard:?}");
+    assert!(
+        !heard.iter().any(|line| line.starts_with("erin< ok")),
+        "{heard:?}"
+    );
+}
+
+/// What a chair said about a token before somebody else had it holds no more: it may stand elsewhere now.
+#[test]
+fn an_answer_holds_until_the_next_grant() {
+    let mut stage = Stage::new(lab(moderated(&["grab"])));
+    for name in ["bob", "carol", "dave"] {
+        stage.enter(name, 1);
+    }
+    stage.say("bob", "token grab /lab/key wait=60000");
+    stage.say("dave", "token grab /lab/key");
+    stage.say("carol", "manager verdict / consult=2 allow=true");
+    let heard = stage.say("carol", "manager verdict / consult=1 allow=true");
+    assert!(
+        heard.iter().any(|line| line.starts_with("bob< queued")),
+        "{heard:?}"
+    );
+    let heard = stage.say("dave", "token release /lab/key");
+    assert!(
+        of(&heard, &["carol"])
+            .iter()
+            .any(|line| line.starts_with("carol< consult")),
+        "{heard:?}"
+    );
+    assert!(!heard.iter().any(|line| line.starts_with("bob< ok")), "{heard:?}");
+}
+
 #[test]
 fn chairs_are_asked_and_nobody_else() {
     let mut stage = Stage::new(lab(moderated(&["grab"])));

@@ -5,12 +5,15 @@ use mom_proto::{ContextNumber, Map, Value};
 
 use crate::stage::{Stage, context, lab, of};
 
-const VERBS: [&str; 21] = [
+const VERBS: [&str; 24] = [
     "context lookup",
     "context list",
     "context info",
     "context members",
     "context stats",
+    "context audit",
+    "context explain",
+    "context what-if",
     "context join",
     "context leave",
     "context delete",

@@ -87,13 +87,18 @@ fn user(name: &str, level: i32) -> User {
 }
 
 fn judge(verb: Verb, path: &str, message: Option<&str>, owner: Option<&User>) -> Judgement {
+    let path = Path::parse(path).expect("a path");
+    let owners: Vec<(Path, User)> = owner
+        .map(|owner| (path.clone(), owner.clone()))
+        .into_iter()
+        .collect();
     hub().judge(&Case {
         user: &user("alice", 1),
         verb,
-        path: &Path::parse(path).expect("a path"),
+        path: &path,
         kind: None,
         message,
-        owner,
+        owners: &owners,
         invited: false,
     })
 }
@@ -282,7 +287,7 @@ fn a_manager_is_asked_about_what_is_wished() {
             path: &path,
             kind,
             message,
-            owner: None,
+            owners: &[],
             invited: false,
         });
         let shown = match verb {

@@ -8,6 +8,7 @@ mod handed_back;
 mod handover;
 mod hidden;
 mod identity;
+mod inquiries;
 mod judge;
 mod large;
 mod link;

@@ -73,7 +73,8 @@ pub(crate) fn enter() -> impl Strategy<Value = Act> {
 /// Leaving, deleting, looking.
 pub(crate) fn look_around() -> impl Strategy<Value = Act> {
     let verbs = select(vec![
-        "leave", "leave", "delete", "lookup", "list", "info", "members", "stats", "grib",
+        "leave", "leave", "delete", "lookup", "list", "info", "members", "stats", "audit", "explain",
+        "what-if", "grib",
     ]);
     (verbs, path()).prop_map(|(verb, path)| Act::Ask {
         family: Family::Context,

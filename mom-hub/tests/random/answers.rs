@@ -54,7 +54,9 @@ impl Answers {
     /// What is answered by this effect.
     pub(crate) fn answer(&mut self, effect: &Effect, seen: &mut Seen) -> Option<Asked> {
         let (to, id) = match effect {
-            Effect::Reply { to, parcel } | Effect::Stats { to, parcel, .. } => {
+            Effect::Reply { to, parcel }
+            | Effect::Stats { to, parcel, .. }
+            | Effect::Inquire { to, parcel, .. } => {
                 assert!(matches!(parcel.family, Family::Reply | Family::Error));
                 seen.note(parcel.name());
                 (*to, parcel.reference.unwrap())

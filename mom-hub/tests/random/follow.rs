@@ -1,7 +1,7 @@
 //! Follows the effects of an input in their order, as a broker and its peers would.
 
 use mom_hub::{Effect, Input, PeerId};
-use mom_proto::{Family, Parcel, Path, Verb};
+use mom_proto::{Family, Parcel, Path, Value, Verb};
 
 use crate::answers::Asked;
 use crate::events::Granted;
@@ -126,6 +126,7 @@ impl Observer {
             Family::Manager => {
                 assert!(!to.is_empty(), "somebody is asked");
                 self.seen.note("consult");
+                self.asked_about(parcel, input);
                 None
             }
             _ => {
@@ -136,6 +137,22 @@ impl Observer {
                 self.tree.check_receivers(to, path, &[]);
                 None
             }
+        }
+    }
+
+    /// Somebody is asked about a grab, which may wait.
+    fn asked_about(&mut self, consult: &Parcel, input: Option<&Input>) {
+        let content = consult.value();
+        let word = |key: &str| content.get(key).and_then(Value::as_str).unwrap_or_default();
+        let (Some(path), "grab") = (&consult.context, word("verb")) else {
+            return;
+        };
+        let own = |input: &Input| matches!(input, Input::Request { parcel, .. } if parcel.context.as_ref() == Some(path));
+        if self
+            .queues
+            .asked_about(path, word("peer"), input.is_some_and(own))
+        {
+            self.seen.note("asked about after it has waited");
         }
     }
 

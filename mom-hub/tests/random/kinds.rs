@@ -91,6 +91,11 @@ impl Manager for Chaired {
         if !asked || chair {
             return Verdict::allow();
         }
+        // Nobody is asked about what cannot be granted now: it may wait.
+        let token = question.token.unwrap_or_default();
+        if question.verb == Verb::Grab && token.owner.is_some_and(|owner| !owner.asks) {
+            return Verdict::deny(Code::HELD, &*self.0, "somebody else has it");
+        }
         match question.given(&self.0) {
             Some(given) if given.allow => Verdict {
                 answer: Answer::Allow(Grant {

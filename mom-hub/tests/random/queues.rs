@@ -18,6 +18,8 @@ pub(crate) struct Waiter {
     level: i32,
     since: u64,
     place: usize,
+    /// Whether somebody was asked about it, who may be quicker about others.
+    asked: bool,
 }
 
 /// The queues of all tokens, by events and replies only.
@@ -97,6 +99,7 @@ impl Queues {
             level: told.level,
             since: told.at,
             place: told.place,
+            asked: false,
         };
         queue.insert(index, waiter);
     }
@@ -119,7 +122,7 @@ impl Queues {
     /// A grant to this peer is being stored: in its turn, or by other ways.
     pub(crate) fn stored(&mut self, path: &Path, name: &str, in_turn: bool) {
         let queue = self.waiting.get(path);
-        let first = queue.and_then(|queue| queue.first());
+        let first = queue.and_then(|queue| queue.first()).filter(|first| !first.asked);
         let place = queue.and_then(|queue| queue.iter().position(|waiter| waiter.name == name));
         match place {
             // For whom a token is kept passes by those for whom it is not.
@@ -145,6 +148,20 @@ impl Queues {
         }
     }
 
+    /// Somebody is asked about the grab of this peer, perhaps one that has just come (`new`); whether it has waited.
+    pub(crate) fn asked_about(&mut self, path: &Path, name: &str, new: bool) -> bool {
+        let queue = self.waiting.get_mut(path).into_iter().flatten();
+        let Some(waiter) = queue.into_iter().find(|waiter| waiter.name == name) else {
+            return false;
+        };
+        match new {
+            // It may be about either of two.
+            true => drop(self.unclear.insert(path.clone())),
+            false => waiter.asked = true,
+        }
+        !new
+    }
+
     /// Somebody was granted a token: whoever waits is not passed by.
     pub(crate) fn granted(&self, path: &Path, name: &str, lost: Option<&Lost>) {
         let reason = lost.map(|lost| &*lost.reason);
@@ -157,7 +174,7 @@ impl Queues {
             return;
         }
         let first = self.waiting.get(path).and_then(|queue| queue.first());
-        let first = self.called.get(path).or(first);
+        let first = self.called.get(path).or(first).filter(|first| !first.asked);
         assert!(
             first.is_none_or(|first| first.name == name),
             "{name} passes by {first:?} to {path}, after {lost:?}"

@@ -27,6 +27,12 @@ pub(super) struct Fault {
     pub(super) text: &'static str,
 }
 
+/// The other side goes away for good.
+pub(super) const LEFT: Fault = Fault {
+    status: 1001,
+    text: "the page was left",
+};
+
 /// All is well.
 pub(super) const NORMAL: Fault = Fault {
     status: 1000,
@@ -129,6 +135,8 @@ pub(super) struct Incoming {
     character: Vec<u8>,
     /// The other side has said that it says no more.
     pub(super) closed: bool,
+    /// It has said that it will not come back, as browsers do for a page that is left; a network that fails says nothing.
+    pub(super) left: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -316,7 +324,10 @@ impl Incoming {
         let payload = std::mem::take(&mut self.control);
         match kind {
             PING if out.len() < ANSWERS => add(out, PONG, true, &[&payload], rules.mask()),
-            CLOSE => self.closed = true,
+            CLOSE => {
+                self.closed = true;
+                self.left = payload.starts_with(&LEFT.status.to_be_bytes());
+            }
             _ => {}
         }
     }

@@ -140,6 +140,12 @@ impl WebSocket {
             state.fault.get_or_insert(fault);
         } else if state.incoming.closed {
             state.finish(frame::NORMAL, self.rules);
+            if state.incoming.left && !self.rules.client {
+                // Told behind what was read before it: whoever has said so is not waited for.
+                state.fault.get_or_insert(frame::LEFT);
+                state.send(&self.carrier)?;
+                return Ok(true);
+            }
         }
         state.send(&self.carrier)?;
         match taken {
@@ -337,5 +343,9 @@ impl<'a> Walk<'a> {
 }
 
 fn wire_error(fault: Fault) -> WireError {
-    WireError::new(Code::BAD_FRAME, format!("WebSocket: {}", fault.text))
+    let code = match fault == frame::LEFT {
+        true => Code::DISCONNECTED,
+        false => Code::BAD_FRAME,
+    };
+    WireError::new(code, format!("WebSocket: {}", fault.text))
 }

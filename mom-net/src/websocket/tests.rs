@@ -341,7 +341,7 @@ async fn the_end_has_a_status() {
     let peer = Carrier::Tcp(peer);
     say(
         &peer,
-        &[frame(BINARY, true, b"last", HUB), frame(8, true, &[3, 0xe9], HUB)].concat(),
+        &[frame(BINARY, true, b"last", HUB), frame(8, true, &[3, 0xe8], HUB)].concat(),
     )
     .await;
     // What comes behind a close is nobody's.
@@ -356,6 +356,16 @@ async fn the_end_has_a_status() {
         assert!(peer.read(&mut told).await.expect("it is told") > 0);
     }
     assert_eq!(told[..], normal);
+
+    // Who goes away for good says so, which is no loss of a link.
+    let (hub, peer) = ends(HUB).await;
+    let peer = Carrier::Tcp(peer);
+    let left = [frame(BINARY, true, b"last", HUB), frame(8, true, &[3, 0xe9], HUB)].concat();
+    say(&peer, &left).await;
+    let (read, end) = read_all(&hub).await;
+    assert_eq!(read, b"last");
+    let error = end.expect_err("it has left");
+    assert!(error.to_string().contains("left"), "{error}");
 
     for (wrong, status) in [
         (frame(TEXT, true, b"{}", HUB), 1003_u16),

@@ -1,21 +1,21 @@
 //! Explains a configuration: how its hub would answer a hypothetical request.
 
+mod askings;
 mod words;
 
 use mom_hub::{Case, Judgement, Settings, User};
 use mom_login::{GUEST, guest};
 use mom_managers::{Answer, Ask, Defer};
 use mom_proto::nearest::nearest;
-use mom_proto::{ContextKind, Family, Map, Path, Pattern, Time, Value, Verb, WireError};
+use mom_proto::{ContextKind, Family, Map, Path, Time, Verb, WireError};
 use mom_system::Clock;
 use serde::Serialize;
 
 use super::{Config, ConfigError, Location};
 
-use words::{later, needs, stands};
+pub use askings::{Asking, message_of};
 
-/// Stands for every message that no rule names.
-const ANY_OTHER: &str = "*";
+use words::{later, needs, stands};
 
 /// A hypothetical request.
 #[derive(Clone, Debug)]
@@ -30,8 +30,8 @@ pub struct Supposed {
     pub context: Path,
     /// The new context's kind, for `create`.
     pub kind: Option<ContextKind>,
-    /// The user who owns the token meanwhile, if it is one.
-    pub owner: Option<String>,
+    /// Who owns which token meanwhile: token and user.
+    pub owners: Vec<(Path, String)>,
     /// Whether a member has invited the user there.
     pub invited: bool,
     /// The time; none = now.
@@ -122,56 +122,15 @@ impl Config {
     /// As [`Config::explain`].
     pub fn explain_all(&self, supposed: &Supposed) -> Result<Vec<Explanation>, ConfigError> {
         let place = self.hub()?.place(&supposed.context);
-        let verbs: &[Verb] = match place.as_ref().map(|place| place.kind) {
-            None => &[Verb::Create, Verb::Lookup],
-            Some(ContextKind::Session) => &[Verb::List],
-            Some(ContextKind::Channel) => &[],
-            Some(ContextKind::Token) => &[
-                Verb::Grab,
-                Verb::Renew,
-                Verb::Give,
-                Verb::Accept,
-                Verb::Request,
-                Verb::Break,
-                Verb::Inhibit,
-            ],
-        };
-        let everywhere = [
-            Verb::Lookup,
-            Verb::Info,
-            Verb::Join,
-            Verb::Members,
-            Verb::Stats,
-            Verb::Invite,
-            Verb::Expel,
-        ];
-        let everywhere = everywhere.iter().filter(|_| place.is_some());
-        let mut all = everywhere
-            .chain(verbs)
-            .map(|verb| self.judge(supposed, *verb, None))
-            .collect::<Result<Vec<_>, _>>()?;
-        match place.map(|place| (place.kind, place.managed_at)) {
-            Some((ContextKind::Session, _)) => {
-                let inside = Supposed {
-                    context: supposed
-                        .context
-                        .child("new")
-                        .map_err(|error| plain(error.to_string()))?,
-                    ..supposed.clone()
-                };
-                all.push(self.judge(&inside, Verb::Create, None)?);
-            }
-            Some((ContextKind::Channel, managed_at)) => {
-                for name in self.message_names(&supposed.context, &managed_at) {
-                    all.push(self.judge(supposed, Verb::Send, Some(&name))?);
-                }
-                for verb in [Verb::Stop, Verb::Unstop] {
-                    all.push(self.judge(supposed, verb, None)?);
-                }
-            }
-            _ => {}
-        }
-        Ok(all)
+        let askings = self.askings(&supposed.context, place.as_ref());
+        let explained = askings.into_iter().map(|asking| {
+            let there = Supposed {
+                context: asking.context,
+                ..supposed.clone()
+            };
+            self.judge(&there, asking.verb, asking.message.as_deref())
+        });
+        explained.collect()
     }
 
     fn judge(
@@ -181,50 +140,43 @@ impl Config {
         message: Option<&str>,
     ) -> Result<Explanation, ConfigError> {
         let user = self.supposed_user(supposed)?;
-        let owner = supposed
-            .owner
-            .as_ref()
-            .map(|owner| self.user(owner))
-            .transpose()?;
-        let message = match verb {
-            Verb::Send => Some(message.unwrap_or(ANY_OTHER)),
-            // Messages with a verb of their own.
-            Verb::Stop | Verb::Unstop => Some(verb.word()),
-            _ => message,
-        };
+        let owners: Result<Vec<(Path, User)>, ConfigError> = supposed
+            .owners
+            .iter()
+            .map(|(token, owner)| Ok((token.clone(), self.user(owner)?)))
+            .collect();
+        let owners = owners?;
+        let message = message_of(verb, message);
         let anchor = supposed.at.unwrap_or_else(|| Clock::system().wall());
         let hub = self.make_hub(Settings {
             anchor,
             limits: self.limits.clone(),
             ..Settings::default()
-        });
-        let judgement = hub?.judge(&Case {
+        })?;
+        for (token, _) in &owners {
+            if hub.place(token).map(|place| place.kind) != Some(ContextKind::Token) {
+                return Err(plain(format!("{token} is no token, so nobody owns it")));
+            }
+        }
+        let judgement = hub.judge(&Case {
             user: &user,
             verb,
             path: &supposed.context,
             kind: supposed.kind,
             message,
-            owner: owner.as_ref(),
+            owners: &owners,
             invited: supposed.invited,
         });
-        let kind = judgement.place.as_ref().map(|place| place.kind);
-        if owner.is_some() && kind != Some(ContextKind::Token) {
-            let text = format!("{} is no token, so nobody owns it", supposed.context);
-            return Err(plain(text));
-        }
-        let message = message.filter(|_| verb == Verb::Send).map(str::to_owned);
-        Ok(self.explanation(user, supposed, verb, message, &judgement, anchor))
+        let asking = Asking {
+            verb,
+            context: supposed.context.clone(),
+            message: message.filter(|_| verb == Verb::Send).map(str::to_owned),
+        };
+        Ok(self.explained(user, asking, &judgement, anchor))
     }
 
-    fn explanation(
-        &self,
-        user: User,
-        supposed: &Supposed,
-        verb: Verb,
-        message: Option<String>,
-        judgement: &Judgement,
-        anchor: Time,
-    ) -> Explanation {
+    /// A hub's answer to a request of a user, with the place of the rule that decided; `anchor` is the time when the hub began.
+    pub fn explained(&self, user: User, asking: Asking, judgement: &Judgement, anchor: Time) -> Explanation {
         let Judgement {
             verdict,
             refusal,
@@ -262,9 +214,8 @@ impl Config {
             user: user.name,
             level: user.level,
             groups: user.groups,
-            verb: verb.word(),
-            message,
-            context: supposed.context.to_string(),
+            verb: asking.verb.word(),
+            context: asking.context.to_string(),
             kind: judgement.place.as_ref().map(|place| place.kind.word()),
             answer,
             rule,
@@ -279,29 +230,12 @@ impl Config {
             },
             displaces: grant.is_some_and(|grant| grant.displace)
                 && answer == "allow"
-                && supposed.owner.is_some(),
+                && judgement.owner.is_some(),
             until: grant.and_then(|grant| later(anchor, grant.until?)),
             stands: stands(verdict.standing),
-            needs: needs(&supposed.context, verb, judgement),
+            needs: needs(&asking.context, asking.verb, judgement),
+            message: asking.message,
         }
-    }
-
-    /// The messages that rules distinguish on a channel, and one for all others.
-    fn message_names(&self, channel: &Path, managed_at: &Path) -> Vec<String> {
-        let mut specs = self.contexts.iter();
-        let spec = specs.find(|spec| spec.path.as_deref() == Some(channel.as_str()));
-        let guard = spec.and_then(|spec| spec.guard.as_ref());
-        let mut names = guard.map(|guard| guard.names.clone()).unwrap_or_default();
-        for manager in self.managers_at(managed_at) {
-            if let Some(params) = manager.params {
-                collect_messages(params, channel, &mut names);
-            }
-        }
-        names.retain(|name| !matches!(name.as_str(), "stop" | "unstop" | "halt" | ANY_OTHER));
-        names.sort_unstable();
-        names.dedup();
-        names.push(ANY_OTHER.to_owned());
-        names
     }
 
     fn supposed_user(&self, supposed: &Supposed) -> Result<User, ConfigError> {
@@ -322,7 +256,11 @@ impl Config {
         Ok(user)
     }
 
-    fn user(&self, name: &str) -> Result<User, ConfigError> {
+    /// The user of this name, as it logs in.
+    ///
+    /// # Errors
+    /// There is none; the nearest is named.
+    pub fn user(&self, name: &str) -> Result<User, ConfigError> {
         if self.login.guests && name == GUEST {
             return Ok(guest());
         }
@@ -356,24 +294,6 @@ impl Config {
             who,
             users,
             within: defer.within / 1000,
-        }
-    }
-}
-
-/// Collects the members of every list `messages`, except of rules for other contexts.
-fn collect_messages(map: &Map, channel: &Path, names: &mut Vec<String>) {
-    let strings = |key: &str| {
-        let list = map.get(key).and_then(Value::as_list).unwrap_or_default();
-        list.iter().filter_map(Value::as_str)
-    };
-    let mut places = strings("where").filter_map(|place| Pattern::parse(place).ok());
-    if map.contains_key("where") && !places.any(|place| place.matches(channel)) {
-        return;
-    }
-    names.extend(strings("messages").map(str::to_owned));
-    for inner in map.iter().filter_map(|(_, value)| value.as_list()).flatten() {
-        if let Some(inner) = inner.as_map() {
-            collect_messages(inner, channel, names);
         }
     }
 }

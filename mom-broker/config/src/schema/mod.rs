@@ -40,16 +40,7 @@ pub fn config_schema() -> Value {
             }),
             &[]
         ),
-        "web": table(
-            "What HTTP may ask.",
-            &json!({
-                "origins": with_default(names("Where pages come from that may use the hub, such as https://lab.example.org; those that the hub itself serves may."), json!([])),
-                "log": text("The channel in which the hub says what programs report of their errors by POST /log; absent = nothing is taken."),
-                "metrics-token": text("A file with the token that /metrics is shown for, 16 characters at least; relative to this file."),
-                "forwarded-by": with_default(names("The addresses or networks of proxies that are believed what their header Forwarded says of clients."), json!([]))
-            }),
-            &[]
-        ),
+        "web": web(),
         "connections": with_default(positive("Connections at once; one more is told too-many-connections."), default.connections),
         "connections-before-login": positive("Of them, those that have not logged in; absent = a quarter. One more closes the oldest."),
         "connections-per-address": positive("Of these, those from one address; absent = a quarter. One more closes the oldest of that address."),
@@ -90,6 +81,20 @@ pub fn config_schema() -> Value {
     document(&mut schema, "MOM broker configuration");
     schema["definitions"] = definitions.into();
     schema
+}
+
+fn web() -> Value {
+    table(
+        "What HTTP may ask.",
+        &json!({
+            "origins": with_default(names("Where pages come from that may use the hub, such as https://lab.example.org; those that the hub itself serves may."), json!([])),
+            "console": with_default(flag("Whether the console is served to browsers, if it was built into the broker."), true),
+            "log": text("The channel in which the hub says what programs report of their errors by POST /log; absent = nothing is taken."),
+            "metrics-token": text("A file with the token that /metrics is shown for, 16 characters at least; relative to this file."),
+            "forwarded-by": with_default(names("The addresses or networks of proxies that are believed what their header Forwarded says of clients."), json!([]))
+        }),
+        &[],
+    )
 }
 
 fn listen() -> Value {

@@ -70,6 +70,10 @@ fn the_annotated_default_has_every_key() {
 fn the_lab_is_what_is_built_in() {
     let file = Config::load(&shipped("lab.toml")).expect("right");
     assert_eq!(facts(&file), facts(&Config::lab()));
+    let file = Config::load(&shipped("two-arms.toml")).expect("right");
+    assert_eq!(facts(&file), facts(&Config::two_arms()));
+    let file = Config::load(&shipped("fleet.toml")).expect("right");
+    assert_eq!(facts(&file), facts(&Config::fleet()));
 }
 
 pub(crate) fn load(files: &[(&str, &str)]) -> Result<Config, ConfigError> {

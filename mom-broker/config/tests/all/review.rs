@@ -49,11 +49,9 @@ fn rules(first: &str, second: &str) -> String {
 
 #[test]
 fn the_shipped_configurations_look_well() {
-    assert!(
-        Config::lab().warnings().is_empty(),
-        "{:#?}",
-        Config::lab().warnings()
-    );
+    for config in [Config::lab(), Config::two_arms(), Config::fleet()] {
+        assert!(config.warnings().is_empty(), "{:#?}", config.warnings());
+    }
     assert!(Config::default().warnings().is_empty());
 }
 

@@ -3,9 +3,12 @@
 //! Facts go into a bounded queue. A thread of its own writes them to a file or the log, so that no decision ever
 //! waits for a disk. Facts that queue or disk do not take are counted, and the log says so.
 
+mod backwards;
 mod fact;
 mod file;
 mod refusals;
+mod ring;
+mod scan;
 mod settings;
 mod sink;
 mod successes;
@@ -24,12 +27,15 @@ use mom_proto::{Time, Verb};
 use tokio::sync::oneshot;
 
 pub use fact::Fact;
+pub use scan::{AuditQuery, AuditScan};
 pub use settings::AuditConfig;
 
 use crate::kept_files::KeptFiles;
 use file::RotatingFile;
 use mom_system::Clock;
-use sink::{LineSink, TracingSink};
+use ring::{Ring, RingSink};
+use scan::Kept;
+use sink::LineSink;
 use writer::{AuditNote, AuditShared, AuditWriter};
 
 /// Facts that wait for the writer.
@@ -37,6 +43,9 @@ const QUEUE: usize = 16 * 1024;
 
 /// How long a stopping broker waits for its facts to be durable.
 const PATIENCE: Duration = Duration::from_secs(5);
+
+/// How long whoever reads the log waits for what was just noted.
+const SOON: Duration = Duration::from_secs(1);
 
 /// Details of a connection that its facts do not carry.
 #[derive(Debug, Default)]
@@ -52,6 +61,7 @@ pub struct AuditLog {
     shared: Arc<AuditShared>,
     connections: DashMap<PeerId, AuditedPeer>,
     dead: AtomicBool,
+    kept: Kept,
 }
 
 impl AuditLog {
@@ -64,13 +74,16 @@ impl AuditLog {
             Some(path) => {
                 let files = KeptFiles::new(path, config.keep, config.reserve);
                 let (file, seq) = RotatingFile::open(files, config.size)?;
-                AuditLog::write_to(file, clock, seq)
+                AuditLog::write_to(file, Kept::Files(path.clone()), clock, seq)
             }
-            None => AuditLog::write_to(TracingSink, clock, 0),
+            None => {
+                let ring = Arc::new(Ring::default());
+                AuditLog::write_to(RingSink(Arc::clone(&ring)), Kept::Memory(ring), clock, 0)
+            }
         }
     }
 
-    fn write_to(sink: impl LineSink + 'static, clock: Clock, seq: u64) -> io::Result<AuditLog> {
+    fn write_to(sink: impl LineSink + 'static, kept: Kept, clock: Clock, seq: u64) -> io::Result<AuditLog> {
         let shared = Arc::new(AuditShared::default());
         let (queue, notes) = sync_channel(QUEUE);
         let writer = AuditWriter::new(sink, clock, Arc::clone(&shared), seq);
@@ -82,6 +95,7 @@ impl AuditLog {
             shared,
             connections: DashMap::new(),
             dead: AtomicBool::new(false),
+            kept,
         })
     }
 
@@ -172,6 +186,20 @@ impl AuditLog {
     /// The connection has ended.
     pub fn left(&self, peer: PeerId) {
         self.connections.remove(&peer);
+    }
+
+    /// Looks through it, from the newest fact on.
+    pub fn scan(&self, query: AuditQuery) -> AuditScan {
+        AuditScan::new(self.kept.clone(), query)
+    }
+
+    /// Waits, for a short time, until what was noted is where a scan finds it; it need not be durable.
+    pub async fn written(&self) {
+        let (done, written) = oneshot::channel();
+        // A queue that is full says that the disk is slow, and nobody waits for that.
+        if self.queue.try_send(AuditNote::Written(done)).is_ok() {
+            let _ = tokio::time::timeout(SOON, written).await;
+        }
     }
 
     /// Waits, for a bounded time, until all facts are written and durable.

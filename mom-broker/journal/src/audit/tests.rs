@@ -43,7 +43,13 @@ fn created() -> Fact {
 fn a_hanging_disk_holds_nobody_up() {
     let (release, released) = channel();
     let (lines, written) = channel();
-    let log = AuditLog::write_to(Hanging { released, lines }, clock(), 0).expect("a thread");
+    let log = AuditLog::write_to(
+        Hanging { released, lines },
+        Kept::Memory(Arc::default()),
+        clock(),
+        0,
+    )
+    .expect("a thread");
     const TOLD: usize = QUEUE + 5000;
     for _ in 0..TOLD {
         log.note(created());

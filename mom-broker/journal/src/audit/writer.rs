@@ -25,6 +25,8 @@ const BATCH: usize = 256;
 pub(super) enum AuditNote {
     /// A fact to write.
     Fact(Box<Fact>),
+    /// Answered when everything before it is written.
+    Written(oneshot::Sender<()>),
     /// Answered when everything before it is written and durable.
     Flush(oneshot::Sender<()>),
 }
@@ -45,6 +47,7 @@ pub(super) struct AuditWriter<S> {
     shared: Arc<AuditShared>,
     seq: u64,
     lines: Vec<LogLine>,
+    written: Vec<oneshot::Sender<()>>,
     flushes: Vec<oneshot::Sender<()>>,
     /// What went wrong since it was last logged.
     failure: Option<std::io::Error>,
@@ -65,6 +68,7 @@ impl<S: LineSink> AuditWriter<S> {
             shared,
             seq,
             lines: Vec::new(),
+            written: Vec::new(),
             flushes: Vec::new(),
             failure: None,
         }
@@ -87,6 +91,10 @@ impl<S: LineSink> AuditWriter<S> {
                 }
             }
             self.write();
+            for done in self.written.drain(..) {
+                // The receiver may have stopped waiting.
+                let _ = done.send(());
+            }
             if Instant::now() >= next || !self.flushes.is_empty() {
                 self.unfold(notes);
                 self.tick();
@@ -98,6 +106,7 @@ impl<S: LineSink> AuditWriter<S> {
     fn take(&mut self, note: AuditNote) {
         match note {
             AuditNote::Fact(fact) => self.push(&fact, 1),
+            AuditNote::Written(done) => self.written.push(done),
             AuditNote::Flush(done) => self.flushes.push(done),
         }
     }

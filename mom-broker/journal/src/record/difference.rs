@@ -117,6 +117,24 @@ impl Difference {
         }
     }
 
+    /// The decisions then, in words.
+    pub fn then(&self) -> String {
+        Decisions(self, &self.was).to_string()
+    }
+
+    /// The decisions now, in words.
+    pub fn now(&self) -> String {
+        Decisions(self, &self.is).to_string()
+    }
+
+    /// The rule that decides now, and the context that it decides about.
+    pub fn rule(&self) -> Option<(&str, &str)> {
+        self.is.iter().find_map(|decision| {
+            let context = decision.outcome.context().or(self.context.as_deref())?;
+            Some((decision.outcome.rule()?, context))
+        })
+    }
+
     /// The difference for programs.
     pub fn to_json(&self) -> Json {
         let decisions = |decisions: &[Decision]| decisions.iter().map(Decision::to_json).collect::<Vec<_>>();
@@ -187,35 +205,44 @@ impl fmt::Display for Difference {
             write!(formatter, " {text}")?;
         }
         formatter.write_str(": ")?;
-        list(formatter, self, &self.was)?;
-        formatter.write_str(" -> ")?;
-        list(formatter, self, &self.is)
+        write!(
+            formatter,
+            "{} -> {}",
+            Decisions(self, &self.was),
+            Decisions(self, &self.is)
+        )
     }
 }
 
-fn list(formatter: &mut fmt::Formatter<'_>, difference: &Difference, decisions: &[Decision]) -> fmt::Result {
-    if decisions.is_empty() {
-        return formatter.write_str("nothing");
+/// The decisions of one side, in words.
+struct Decisions<'a>(&'a Difference, &'a [Decision]);
+
+impl fmt::Display for Decisions<'_> {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Decisions(difference, decisions) = self;
+        if decisions.is_empty() {
+            return formatter.write_str("nothing");
+        }
+        for (index, decision) in decisions.iter().enumerate() {
+            if index > 0 {
+                formatter.write_str(", ")?;
+            }
+            if let Some(peer) = decision
+                .peer
+                .as_ref()
+                .filter(|peer| Some(*peer) != difference.peer.as_ref())
+            {
+                write!(formatter, "{peer}: ")?;
+            }
+            write!(formatter, "{}", decision.outcome)?;
+            match (decision.outcome.rule(), &decision.place) {
+                (Some(rule), Some(place)) => write!(formatter, " by {rule:?} ({place})")?,
+                (Some(rule), None) => write!(formatter, " by {rule:?}")?,
+                (None, _) => {}
+            }
+        }
+        Ok(())
     }
-    for (index, decision) in decisions.iter().enumerate() {
-        if index > 0 {
-            formatter.write_str(", ")?;
-        }
-        if let Some(peer) = decision
-            .peer
-            .as_ref()
-            .filter(|peer| Some(*peer) != difference.peer.as_ref())
-        {
-            write!(formatter, "{peer}: ")?;
-        }
-        write!(formatter, "{}", decision.outcome)?;
-        match (decision.outcome.rule(), &decision.place) {
-            (Some(rule), Some(place)) => write!(formatter, " by {rule:?} ({place})")?,
-            (Some(rule), None) => write!(formatter, " by {rule:?}")?,
-            (None, _) => {}
-        }
-    }
-    Ok(())
 }
 
 impl fmt::Display for Outcome {

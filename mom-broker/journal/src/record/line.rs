@@ -1,7 +1,7 @@
 //! The lines of a recording: its head, inputs with their decisions, its end.
 
 use mom_hub::{Holder, Hub, Input, PeerClock, Record, Settings, Ticket, User};
-use mom_proto::{ClockOffset, Content, ContextNumber, Family, Limits, Parcel, Path, Time};
+use mom_proto::{ClockOffset, Content, ContextNumber, Family, Limits, Parcel, Path, Time, Verb};
 use serde::{Deserialize, Serialize};
 
 use super::Outcome;
@@ -259,7 +259,9 @@ impl RequestTold {
         let context = parcel.context.as_ref().or_else(named).map(Path::to_string);
         let content = parcel.content.as_ref();
         // A replay needs the content of requests for control only; anything else is private.
-        let control = matches!(parcel.family, Family::Context | Family::Token | Family::Manager);
+        let control = matches!(parcel.family, Family::Context | Family::Token | Family::Manager)
+            // A whole configuration, at which the hub does not look.
+            && !parcel.is(Family::Context, Verb::WhatIf.word());
         let message = parcel.family == Family::Message;
         let address = parcel.address.as_ref();
         RequestTold {

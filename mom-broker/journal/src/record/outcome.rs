@@ -125,7 +125,9 @@ pub(super) fn outcomes(effects: &[Effect], asked: Option<(u64, Option<Verb>)>) -
     let mut outcomes = Vec::new();
     for effect in effects {
         match effect {
-            Effect::Reply { to, parcel } | Effect::Stats { to, parcel, .. } => {
+            Effect::Reply { to, parcel }
+            | Effect::Stats { to, parcel, .. }
+            | Effect::Inquire { to, parcel, .. } => {
                 outcomes.push(answer(to.0, parcel, asked));
             }
             Effect::Send { from, route, .. } => outcomes.push(Outcome::Passed {

@@ -2,6 +2,7 @@
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -42,6 +43,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 pub(crate) struct Recorder {
     queue: SyncSender<RecordNote>,
     shared: Arc<RecordShared>,
+    path: PathBuf,
 }
 
 #[derive(Debug, Default)]
@@ -54,6 +56,8 @@ struct RecordShared {
 #[derive(Debug)]
 enum RecordNote {
     Step(Box<RecordedStep>, usize),
+    /// Answered when everything before it is in the file.
+    Written(oneshot::Sender<()>),
     End(oneshot::Sender<()>),
 }
 
@@ -95,7 +99,11 @@ impl Recorder {
         std::thread::Builder::new()
             .name("record".to_owned())
             .spawn(move || writer.run(&notes))?;
-        Ok(Some(Recorder { queue, shared }))
+        Ok(Some(Recorder {
+            queue,
+            shared,
+            path: path.clone(),
+        }))
     }
 
     /// Notes an input; `hub` is as it was before. None once the recording has stopped.
@@ -150,6 +158,16 @@ impl Recorder {
         {
             *told = Told::Configure(config.name.clone(), config.sha256.clone());
         }
+    }
+
+    /// The file, once what was noted is in it, or after a short time.
+    pub(crate) async fn written(&self) -> &Path {
+        let (done, written) = oneshot::channel();
+        // Nobody waits for a disk that does not keep up; a recording that has ended is whole.
+        if self.queue.try_send(RecordNote::Written(done)).is_ok() {
+            let _ = tokio::time::timeout(TICK, written).await;
+        }
+        &self.path
     }
 
     /// Ends the recording; returns when it is in the file, or after a bounded time.
@@ -215,6 +233,11 @@ impl RecordWriter {
                         if self.write(&RecordedLine::Step(step))? {
                             return self.end("it has reached its size", true);
                         }
+                    }
+                    Ok(RecordNote::Written(done)) => {
+                        self.file.flush()?;
+                        // The receiver may have stopped waiting.
+                        let _ = done.send(());
                     }
                     Ok(RecordNote::End(done)) => {
                         let ended = self.end(STOPPED, false);

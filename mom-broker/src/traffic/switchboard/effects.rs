@@ -3,12 +3,13 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use mom_hub::{Effect, Input, PeerId};
+use mom_hub::{Effect, Input, Inquiry, PeerId};
 use mom_proto::{Parcel, Path, event};
 use mom_system::sync::Mutex;
 
 use crate::traffic::batch;
 use crate::traffic::channel::Message;
+use crate::traffic::inquiries::Inquired;
 use crate::traffic::switchboard::statistics::MOST_PEERS;
 use crate::traffic::switchboard::{Switchboard, Touched};
 
@@ -49,6 +50,12 @@ impl Decisions {
 /// Bytes of a reply that count as one peer told.
 const LISTED: usize = 64;
 
+/// What a question to the files of the broker counts for: threads that give way read them, and not for nothing.
+const INQUIRY: usize = 64;
+
+/// About so many requests are explained where all are asked about.
+const TABLE: usize = 32;
+
 /// What a decision costs everybody: the peers that are told, and the members whose routes are made anew.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Work(pub(crate) u64);
@@ -62,6 +69,11 @@ impl Work {
                 channels.len() + connections.min(MOST_PEERS)
             }
             Effect::Stats { channels, .. } => channels.len(),
+            Effect::Inquire { inquiry, .. } => match &**inquiry {
+                // Each answer is a question to the hub.
+                Inquiry::Explain(asked) => asked.about.len() * if asked.verb.is_some() { 1 } else { TABLE },
+                Inquiry::Audit { .. } | Inquiry::WhatIf { .. } => INQUIRY,
+            },
             // Of a list, each entry was a question to a manager.
             Effect::Reply { parcel, .. } => parcel.size() / LISTED,
             Effect::RouteGone(_)
@@ -116,6 +128,7 @@ impl Switchboard {
                     channels,
                     peers,
                 } => self.push_stats(to, &parcel, &channels, peers, touched),
+                Effect::Inquire { to, parcel, inquiry } => self.inquire(to, &parcel, *inquiry, touched),
                 Effect::Send {
                     from,
                     parcel,
@@ -136,6 +149,18 @@ impl Switchboard {
                     }
                 }
             }
+        }
+    }
+
+    /// Leaves a question to whoever reads the files; says so if that takes no more of them.
+    fn inquire(&self, to: PeerId, reply: &Arc<Parcel>, inquiry: Inquiry, touched: &mut Touched) {
+        let inquired = Inquired {
+            to,
+            reply: Arc::clone(reply),
+            inquiry,
+        };
+        if let Err(error) = self.inquiries.ask(inquired) {
+            self.tell(to, error.to_parcel(reply.reference), touched);
         }
     }
 

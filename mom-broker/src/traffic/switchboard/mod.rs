@@ -15,6 +15,7 @@ use mom_system::{Clock, Workers};
 use crate::traffic::batch::{self, BatchWriter};
 use crate::traffic::channel::{Channel, LARGEST_STOP, Sent, control, hub_origin, stamped};
 use crate::traffic::encodings::{Bounds, Encoder, Encodings};
+use crate::traffic::inquiries::Inquiries;
 use crate::traffic::memory::Memory;
 use crate::traffic::outbox::{Dropped, Outbox, Packet, Paths};
 use crate::traffic::statistics::Counts;
@@ -53,6 +54,8 @@ pub(crate) struct Switchboard {
     pub(crate) store: Option<Store>,
     pub(crate) outboxes: DashMap<PeerId, Arc<Outbox>>,
     batch_writer: BatchWriter,
+    /// What peers ask and files answer.
+    pub(crate) inquiries: Inquiries,
     /// What channels have counted that are gone.
     gone: Mutex<Counts>,
     last_peer: AtomicU64,
@@ -82,6 +85,7 @@ impl Switchboard {
             store,
             outboxes: DashMap::new(),
             batch_writer: BatchWriter::default(),
+            inquiries: Inquiries::default(),
             gone: Mutex::new(Counts::default()),
             last_peer: AtomicU64::new(0),
             deadline_changed: Notify::new(),
@@ -108,6 +112,12 @@ impl Switchboard {
     /// Asserts the hub's invariants.
     pub(crate) fn check(&self) {
         self.hub.lock().check();
+    }
+
+    /// Asks the hub something that changes nothing, at the present time. It is held up for as long: a moment.
+    pub(crate) fn ask_hub<T>(&self, ask: impl FnOnce(&mut Hub, Micros) -> T) -> T {
+        let now = self.clock.now();
+        ask(&mut self.hub.lock(), now)
     }
 
     /// The name of a peer, for logs.
