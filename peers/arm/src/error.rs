@@ -42,11 +42,13 @@ pub enum ErrorName {
     TooOld,
     /// A relative command does not name the state that it is based on.
     NoState,
+    /// The way leads through a zone that the commander does not own (M40).
+    ZoneNotOwned,
 }
 
 impl ErrorName {
     /// Every name, in the order of the controller's numbers.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::Syntax,
         Self::WorkspaceBoundary,
         Self::Link,
@@ -61,6 +63,7 @@ impl ErrorName {
         Self::Busy,
         Self::TooOld,
         Self::NoState,
+        Self::ZoneNotOwned,
     ];
 
     /// The code word, as it stands on the wire.
@@ -81,6 +84,7 @@ impl ErrorName {
             Self::Busy => "busy",
             Self::TooOld => "too-old",
             Self::NoState => "no-state",
+            Self::ZoneNotOwned => "zone-not-owned",
         }
     }
 
@@ -102,6 +106,7 @@ impl ErrorName {
             Self::Busy => 5106,
             Self::TooOld => 5107,
             Self::NoState => 5108,
+            Self::ZoneNotOwned => 5109,
         }
     }
 }

@@ -9,7 +9,7 @@ use std::time::Duration;
 use anyhow::{Context, anyhow};
 use clap::Parser;
 use mom_arm::controller::LinkFault;
-use mom_arm::{ArmOptions, peer};
+use mom_arm::{ArmOptions, Mount, peer};
 use mom_client::{Client, Identity, Key, Proof};
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
@@ -24,6 +24,7 @@ Examples:
   mom-arm --hub bin://lab.example.org --key arm.key
   mom-arm --key arm.key --max-age 500ms
   MOM_PASSWORD=arm mom-arm --link-fault 30s/2s
+  MOM_PASSWORD=arm mom-arm --zones /zone --mount 500,0,180
   RUST_LOG=debug MOM_PASSWORD=arm mom-arm --channel /robot/arm
 
 The password is that of MOM_PASSWORD, unless --password-file names a file. A key (mom keygen) is taken from
@@ -60,6 +61,15 @@ struct ArmArgs {
     /// Let the simulated link to the controller fail (M53): it stands for the first time, is down for the second, again and again, such as 30s/2s
     #[arg(long, value_name = "UP/DOWN", value_parser = link_fault)]
     link_fault: Option<LinkFault>,
+    /// Keep out of the zones that the commander does not own (M40): the tokens of this session, which tell their boxes
+    #[arg(long, value_name = "PATH")]
+    zones: Option<String>,
+    /// Where the arm's table stands in the frame of the zones: mm, mm and degrees
+    #[arg(long, value_name = "X,Y,YAW", default_value = "0,0,0", allow_hyphen_values = true, value_parser = clap::value_parser!(Mount))]
+    mount: Mount,
+    /// Let the simulated arm's time pass so many times as fast as real time, to try much in little time; 100 at most
+    #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..=100))]
+    pace: u32,
 }
 
 /// `500ms` or `2s`.
@@ -119,6 +129,9 @@ async fn main() -> anyhow::Result<()> {
         channel: args.channel,
         max_age: args.max_age,
         link_fault: args.link_fault,
+        zones: args.zones,
+        mount: args.mount,
+        pace: args.pace,
     };
     peer::run(client, options, shutdown)
         .await

@@ -4,21 +4,23 @@ use std::future::{Future, pending};
 use std::pin::pin;
 use std::time::{Duration, SystemTime};
 
-use mom_client::{Client, ClientError, Code, Event, LinkState, Parcel, Time, WireError};
+use mom_client::{Client, ClientError, Code, Consult, Event, FenceGate, LinkState, Parcel, Time, WireError};
+use mom_device::{Outlet, sender};
 use tokio::time::{Instant, sleep_until, timeout};
 
 use crate::arm::Arm;
 use crate::blocks::Block;
 use crate::controller::{LinkFault, Simulated};
 use crate::motion::ArmTime;
-use crate::outlet::{Outlet, Sending};
 use crate::server::RobotServer;
+use crate::zone_watch::{ZoneEvent, ZoneWatch};
+use crate::zones::{Mount, Zones};
 
 /// How long the last statuses may take to leave when the program ends.
 const FAREWELL: Duration = Duration::from_secs(1);
 
 /// The channel of the arm.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct ArmOptions {
     /// The channel of its commands and states; its session is joined first.
     pub channel: String,
@@ -26,6 +28,12 @@ pub struct ArmOptions {
     pub max_age: Option<Duration>,
     /// A fault of the simulated link between the program and the controller (M53), to try what happens then.
     pub link_fault: Option<LinkFault>,
+    /// The session whose tokens are zones that the arm shares with other machines (M40); none: it has the table for itself.
+    pub zones: Option<String>,
+    /// Where the arm's table is in the frame of the zones.
+    pub mount: Mount,
+    /// How many times as fast as real time the simulated arm's time passes: 1 to 100.
+    pub pace: u32,
 }
 
 impl Default for ArmOptions {
@@ -35,6 +43,9 @@ impl Default for ArmOptions {
             channel: "/robot/arm".to_owned(),
             max_age: None,
             link_fault: None,
+            zones: None,
+            mount: Mount::default(),
+            pace: 1,
         }
     }
 }
@@ -91,29 +102,47 @@ pub async fn run_arm(
 ) -> Result<(), ClientError> {
     let channel = client.channel_as_device(&options.channel).await?;
     let (mut events, gate) = (channel.events(), channel.gate());
-    let begin = Instant::now();
+    let mut zones = match &options.zones {
+        Some(session) => Some(ZoneWatch::join(&client, session).await?),
+        None => None,
+    };
+    let clock = ArmClock::start(options.pace);
     let mut server = RobotServer::new(arm, channel.path().clone()).starting_at(time_of_day());
     if let Some(max_age) = options.max_age {
         server = server.with_max_age(max_age);
     }
+    server = server.at_pace(options.pace.clamp(1, 100));
     let mut outlet = Outlet::new(sender(&client));
     let mut out = Vec::new();
+    if zones.is_some() {
+        server = server.in_zones(Zones::new(options.mount));
+        server.learn_commander(&gate, 0, &mut out);
+    }
     let mut shutdown = pin!(shutdown);
     server.report(&mut out);
     tracing::info!(peer = client.name(), channel = %channel.path(), "the arm is ready");
     loop {
         outlet.push(&mut out);
-        let wake = server.next_wake().map(|due| begin + duration(due));
+        let wake = server.next_wake().map(|due| clock.at(due));
         tokio::select! {
             () = &mut shutdown => break,
+            event = zone_event(&mut zones) => {
+                let event = event.ok_or_else(|| ended(&client))?;
+                handle_zone(&mut server, &event, &gate, clock.now(), &mut out);
+            }
             event = events.next() => match event {
                 Some(event) => {
+                    // What the hub told of zones before is heard first: who grabs a zone may use it at once.
+                    while let Some(event) = ready(zone_event(&mut zones)).await {
+                        let event = event.ok_or_else(|| ended(&client))?;
+                        handle_zone(&mut server, &event, &gate, clock.now(), &mut out);
+                    }
                     log(&event);
                     let age = match &event {
                         Event::Message(parcel) => client.clock().age(parcel),
                         _ => None,
                     };
-                    server.handle(&event, &gate, age, micros(begin), &mut out);
+                    server.handle(&event, &gate, age, clock.now(), &mut out);
                     match event {
                         Event::LinkDown => outlet.set_down(true),
                         Event::Rejoined | Event::Resumed => outlet.set_down(false),
@@ -122,11 +151,11 @@ pub async fn run_arm(
                 }
                 None => return Err(ended(&client)),
             },
-            () = sleep_or_wait(wake) => server.advance(micros(begin), &mut out),
+            () = sleep_or_wait(wake) => server.advance(clock.now(), &mut out),
             () = outlet.work() => {}
         }
     }
-    server.halt("its program ends", micros(begin), &mut out);
+    server.halt("its program ends", clock.now(), &mut out);
     outlet.push(&mut out);
     if timeout(FAREWELL, outlet.flush()).await.is_err() {
         tracing::warn!("the last messages did not leave in time");
@@ -135,11 +164,46 @@ pub async fn run_arm(
     Ok(())
 }
 
-fn sender(client: &Client) -> impl Fn(Parcel) -> Sending + use<> {
-    let client = client.clone();
-    move |parcel| {
-        let client = client.clone();
-        Box::pin(async move { client.send(parcel).await })
+/// Waits for news of the zones, if there are any.
+async fn zone_event(zones: &mut Option<ZoneWatch>) -> Option<ZoneEvent> {
+    match zones {
+        Some(zones) => zones.next().await,
+        None => pending().await,
+    }
+}
+
+/// What a future gives at once, if it does.
+async fn ready<T>(future: impl Future<Output = T>) -> Option<T> {
+    tokio::select! {
+        biased;
+        value = future => Some(value),
+        () = std::future::ready(()) => None,
+    }
+}
+
+fn handle_zone(
+    server: &mut RobotServer,
+    event: &ZoneEvent,
+    gate: &FenceGate,
+    now: ArmTime,
+    out: &mut Vec<Parcel>,
+) {
+    match event {
+        ZoneEvent::News(news) => server.handle_zones(news, now, out),
+        ZoneEvent::Question(consult) => {
+            let answer = server.grant(&consult.context, &consult.peer, gate, now, out);
+            tokio::spawn(answer_question(consult.clone(), answer));
+        }
+    }
+}
+
+async fn answer_question(consult: Consult, answer: Result<(), String>) {
+    let answered = match answer {
+        Ok(()) => consult.allow().await,
+        Err(why) => consult.deny(&why).await,
+    };
+    if let Err(error) = answered {
+        tracing::warn!(%error, "an answer about a zone did not arrive");
     }
 }
 
@@ -158,7 +222,11 @@ fn log(event: &Event) {
 fn ended(client: &Client) -> ClientError {
     match &*client.state().borrow() {
         LinkState::Closed(error) => ClientError::Closed(error.clone()),
-        _ => WireError::new(Code::UNKNOWN_PATH, "the hub deleted the arm's channel").into(),
+        _ => WireError::new(
+            Code::UNKNOWN_PATH,
+            "the hub deleted the arm's channel, or its zones",
+        )
+        .into(),
     }
 }
 
@@ -175,10 +243,27 @@ fn time_of_day() -> Time {
     micros.and_then(Time::from_micros).unwrap_or_default()
 }
 
-fn micros(begin: Instant) -> ArmTime {
-    ArmTime::try_from(begin.elapsed().as_micros()).unwrap_or(ArmTime::MAX)
+/// The arm's time.
+struct ArmClock {
+    begin: Instant,
+    pace: u32,
 }
 
-fn duration(micros: ArmTime) -> Duration {
-    Duration::from_micros(u64::try_from(micros).unwrap_or(0))
+impl ArmClock {
+    fn start(pace: u32) -> ArmClock {
+        ArmClock {
+            begin: Instant::now(),
+            pace: pace.clamp(1, 100),
+        }
+    }
+
+    fn now(&self) -> ArmTime {
+        let micros = self.begin.elapsed().as_micros() * u128::from(self.pace);
+        ArmTime::try_from(micros).unwrap_or(ArmTime::MAX)
+    }
+
+    fn at(&self, due: ArmTime) -> Instant {
+        let micros = u64::try_from(due).unwrap_or(0);
+        self.begin + Duration::from_micros(micros.div_ceil(self.pace.into()))
+    }
 }

@@ -5,9 +5,9 @@ use std::time::Duration;
 use mom_client::{Event, Map, Time, Value, from_value};
 use tokio::time::{Instant, timeout};
 
-use crate::asking::{ANSWER, DeviceChannel, closed};
-use crate::robot::RobotState;
-use crate::{Calibration, Pose, VerbFailure};
+use mom_drive::{ANSWER, DeviceChannel, Pose, RobotState, VerbFailure, closed};
+
+use crate::Calibration;
 
 /// How long to wait for an image by itself before the camera is asked again.
 const AGAIN: Duration = Duration::from_millis(300);
@@ -23,16 +23,16 @@ impl Camera {
     /// A camera whose images can be calibrated.
     ///
     /// # Errors
-    /// Nobody is there, or it moves with the arm.
-    pub(crate) async fn meet(mut channel: DeviceChannel) -> Result<Camera, VerbFailure> {
-        let image = ask_image(&mut channel).await?;
-        if image.get("view").and_then(Value::as_str) == Some("wrist") {
+    /// Nobody is there, or it moves.
+    pub(crate) async fn meet(channel: DeviceChannel) -> Result<Camera, VerbFailure> {
+        let image = ask_image(&channel).await?;
+        if let Some(motion) = motion(&image) {
             return Err(VerbFailure::new(
                 format!(
-                    "the camera in {} sits on the wrist and moves with the arm, so that no one matrix is right",
+                    "the camera in {} {motion}, so that no one matrix is right",
                     channel.path()
                 ),
-                "calibrate one that stands: x, y or top; the wrist's camera computes its matrix for each image",
+                "calibrate one that stands: x, y or top; this one computes its matrix for each image",
             ));
         }
         Ok(Camera {
@@ -69,7 +69,7 @@ impl Camera {
 
     /// When the newest image was taken, by the camera's word.
     pub(crate) async fn newest(&mut self) -> Result<Option<Time>, VerbFailure> {
-        Ok(taken(&ask_image(&mut self.channel).await?))
+        Ok(taken(&ask_image(&self.channel).await?))
     }
 
     /// An image of the robot as it rests, taken later than `after`.
@@ -79,16 +79,17 @@ impl Camera {
         after: Option<Time>,
     ) -> Result<Value, VerbFailure> {
         let shows = |image: &Value| shows(image, state) && taken(image) > after;
+        let mut events = self.channel.events();
         let deadline = Instant::now() + ANSWER;
         while Instant::now() < deadline {
-            let image = ask_image(&mut self.channel).await?;
+            let image = ask_image(&self.channel).await?;
             if shows(&image) {
                 return Ok(image);
             }
             // The state is on its way to the camera; the image of it goes to all.
             let next = async {
                 loop {
-                    match self.channel.events.next().await.ok_or_else(closed)? {
+                    match events.next().await.ok_or_else(closed)? {
                         Event::Message(parcel) if parcel.name() == "image" => return Ok(parcel.value()),
                         _ => {}
                     }
@@ -130,7 +131,16 @@ impl Camera {
     }
 }
 
-async fn ask_image(channel: &mut DeviceChannel) -> Result<Value, VerbFailure> {
+/// How the camera of an image moves, if it does.
+fn motion(image: &Value) -> Option<&'static str> {
+    if image.get("view").and_then(Value::as_str) == Some("wrist") {
+        return Some("sits on the wrist and moves with the arm");
+    }
+    // Only a camera on a mount says where that looks.
+    image.get("aim").map(|_| "sits on a mount and turns by command")
+}
+
+async fn ask_image(channel: &DeviceChannel) -> Result<Value, VerbFailure> {
     let what = format!("ask {} for an image", channel.path());
     channel.ask("request", Map::new(), &what).await
 }

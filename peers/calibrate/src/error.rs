@@ -1,5 +1,7 @@
 //! Why no matrix could be computed.
 
+use mom_drive::VerbFailure;
+
 /// Why observations give no projection matrix.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -61,4 +63,12 @@ impl CalibrationError {
             }
         }
     }
+}
+
+/// As the command line tells it.
+pub(crate) fn no_calibration(error: &CalibrationError) -> VerbFailure {
+    VerbFailure::new(
+        format!("no calibration: {error}; nothing was told to the camera"),
+        error.hint(),
+    )
 }

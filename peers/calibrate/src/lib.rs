@@ -6,35 +6,22 @@
 //! [`calibrate`] does both and leaves out what does not agree. None of them does any IO.
 //!
 //! [`verb`] is `mom calibrate`: an ordinary peer, which asks for the robot's token, drives, looks, computes, and tells
-//! the camera its matrix.
+//! the camera its matrix. [`agent`] does the same for whoever lends it the token, such as a person at the console.
 
-mod asking;
+pub mod agent;
 mod camera;
 pub mod dlt;
 mod error;
 pub mod experiment;
-mod failure;
 mod fit;
-pub mod marker;
-mod picture;
+mod observation;
 pub mod poses;
-mod projection;
 pub mod refine;
 pub mod residuals;
-mod robot;
 pub mod verb;
 
 pub use error::CalibrationError;
-pub use failure::VerbFailure;
 pub use fit::{Calibration, Residual, calibrate};
-pub use picture::Picture;
-pub use poses::Pose;
-pub use projection::{Observation, Projection};
-
-/// Where the middle of the lab's marker is in the gripper's frame, mm: along the jaw line, across it, and from the tip
-/// towards the wrist.
-pub const MARKER: [f64; 3] = [0.0, -140.0, 75.0];
-/// The radius of the lab's marker, mm.
-pub const RADIUS: f64 = 12.0;
-/// The colour of the lab's marker: red, green and blue.
-pub const COLOUR: [u8; 3] = [255, 0, 255];
+pub use mom_vision::marker::{self, COLOUR, MARKER, RADIUS};
+pub use mom_vision::{Picture, Projection};
+pub use observation::Observation;

@@ -4,10 +4,10 @@
 //! small, for the middle of the marker's outline. The library for it wants another version of nalgebra than
 //! the rest of this workspace, and the method is short for so few unknowns.
 
+use mom_vision::projection::{ball, homogeneous};
 use nalgebra::{Matrix3x4, SMatrix, SVector};
 
 use crate::dlt::{Normalised, facing};
-use crate::projection::{ball, homogeneous};
 use crate::{CalibrationError, Observation, Projection};
 
 type Unknowns = SVector<f64, 12>;

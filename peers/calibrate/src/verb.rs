@@ -7,22 +7,31 @@ use std::path::PathBuf;
 use std::pin::pin;
 use std::time::Duration;
 
-use mom_client::{Client, Token, TokenGuard, Value};
-use serde_json::{Value as Json, json};
-use tokio::time::timeout;
+use mom_client::{Client, Lost, Value};
+use mom_drive::{
+    CommandEnd, DeviceChannel, Doing as _, Holding, Pose, Robot, Tell, VerbFailure, WorkEnd, both, lost_words,
+};
+use serde_json::json;
 
-use crate::asking::{ANSWER, DeviceChannel};
+use crate::agent::{self, AgentOptions};
 use crate::camera::Camera;
-use crate::failure::Doing as _;
-use crate::robot::{CommandEnd, Robot};
-use crate::{Calibration, Observation, Picture, Pose, VerbFailure, calibrate, marker, poses, residuals};
+use crate::error::no_calibration;
+use crate::{Calibration, Observation, Picture, calibrate, marker, poses, residuals};
 
 /// Calibrate a camera: drive the arm, find its marker in the images, and tell the camera its matrix
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, PartialEq, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct VerbArgs {
     /// The camera, by its channel's name: x, y or top
+    #[arg(
+        required_unless_present = "serve",
+        default_value = "",
+        hide_default_value = true
+    )]
     pub view: String,
+    /// Calibrate for others: wait in this channel for who lends the token, such as a person at the console
+    #[arg(long, value_name = "PATH", num_args = 0..=1, default_missing_value = "/calibrate", conflicts_with_all = ["view", "output", "wait"])]
+    pub serve: Option<String>,
     /// In how many poses to look; a matrix takes 6, and more make it better
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u16).range(6..=500))]
     pub poses: u16,
@@ -69,11 +78,30 @@ Examples:
   mom calibrate x --wait 300               when it is your turn
   mom calibrate bench --settle 500ms       a real camera shows the arm later than the arm tells
   mom calibrate x --json | jq -s 'last.rms'
+  mom calibrate --serve                    calibrates for whoever asks in /calibrate and lends it the token
 
 Ctrl-C ends it: the settings are restored and the token is released, and the hub halts the robot.";
 
-/// How one result is told: as JSON, and for people.
-pub type Tell<'a> = &'a mut (dyn FnMut(Json, String) -> io::Result<()> + Send);
+impl VerbArgs {
+    /// As `mom calibrate VIEW` has them, in so many poses.
+    #[must_use]
+    pub fn of(view: &str, poses: u16) -> VerbArgs {
+        VerbArgs {
+            view: view.to_owned(),
+            serve: None,
+            poses,
+            output: None,
+            marker: crate::MARKER,
+            radius: crate::RADIUS,
+            colour: crate::COLOUR,
+            session: "/camera".to_owned(),
+            robot: "/robot/arm".to_owned(),
+            token: "/robot/token".to_owned(),
+            wait: None,
+            settle: Duration::ZERO,
+        }
+    }
+}
 
 /// What the camera has been told of its new matrix.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -96,13 +124,6 @@ impl Told {
     }
 }
 
-/// How the work under the token ended.
-enum JobEnd {
-    Ended(Result<(), VerbFailure>),
-    Interrupted,
-    Lost,
-}
-
 /// Calibrates until it is done, or `interrupt` is. The caller closes the client.
 ///
 /// # Errors
@@ -114,22 +135,40 @@ pub async fn run(
     interrupt: impl Future<Output = ()>,
     tell: Tell<'_>,
 ) -> Result<(), VerbFailure> {
+    if let Some(channel) = &args.serve {
+        let options = AgentOptions {
+            channel: channel.clone(),
+            args: args.clone(),
+        };
+        return agent::run(client.clone(), options, interrupt)
+            .await
+            .doing(format!("wait in {channel}"));
+    }
     let mut interrupt = pin!(interrupt);
     let begun = async {
         let path = format!("{}/{}", args.session.trim_end_matches('/'), args.view);
         let camera = Camera::meet(DeviceChannel::join(client, &path).await?).await?;
         let robot = DeviceChannel::join(client, &args.robot).await?;
-        let token = client
-            .token(&args.token)
-            .await
-            .doing(format!("join {}", args.token))?;
-        let guard = grab(&token, args).await?;
-        Ok::<_, VerbFailure>((camera, Robot::new(robot, guard.fence()), token, guard))
+        let wait = args.wait.map(Duration::from_secs);
+        let holding = Holding::grab(client, &args.token, wait).await?;
+        Ok::<_, VerbFailure>((camera, Robot::new(robot, holding.fence()), holding))
     };
-    let (camera, robot, token, mut guard) = tokio::select! {
+    let (camera, robot, holding) = tokio::select! {
         begun = begun => begun?,
         () = &mut interrupt => return Err(VerbFailure::plain("interrupted before the token was grabbed")),
     };
+    under(args, camera, robot, holding, interrupt, tell).await
+}
+
+/// Calibrates under a token that is held, and gives it back.
+pub(crate) async fn under(
+    args: &VerbArgs,
+    camera: Camera,
+    robot: Robot,
+    mut holding: Holding,
+    interrupt: impl Future<Output = ()>,
+    tell: Tell<'_>,
+) -> Result<(), VerbFailure> {
     let mut job = Job {
         args,
         camera,
@@ -137,63 +176,29 @@ pub async fn run(
         tell,
         told: Told::Nothing,
     };
-    let ended = tokio::select! {
-        biased;
-        _ = guard.lost() => JobEnd::Lost,
-        () = interrupt => JobEnd::Interrupted,
-        ended = job.carry_out() => JobEnd::Ended(ended),
+    let ended = match holding.during(interrupt, job.carry_out()).await {
+        WorkEnd::Lost(lost) => return Err(lost_failure(args, &lost, job.told)),
+        WorkEnd::Ended(ended) => Some(ended),
+        WorkEnd::Interrupted => None,
     };
-    // A robot or camera that refuses because the token is lost may say so before the hub does.
-    let asked = timeout(ANSWER, token.info()).await;
-    if guard.is_lost() && !matches!(ended, JobEnd::Ended(Ok(()))) {
-        let lost = guard.lost().await;
-        return Err(lost_failure(args, &lost.reason, lost.by.as_deref(), job.told));
-    }
-    let interrupted = matches!(ended, JobEnd::Interrupted);
-    let ended = match ended {
-        JobEnd::Ended(ended) => ended,
-        JobEnd::Interrupted | JobEnd::Lost => {
-            Err(VerbFailure::plain(format!("interrupted; {}", job.told.words())))
-        }
-    };
-    if guard.is_lost() || !matches!(asked, Ok(Ok(_))) {
-        return ended;
-    }
     let restored = job.camera.restore().await;
-    let released = guard.release().await.doing(format!("release {}", args.token));
-    let given_back = both(restored, released);
-    match given_back {
-        Ok(()) if interrupted => {
-            let text = format!(
-                "interrupted; {}, its settings are restored, and the token is released",
-                job.told.words()
-            );
-            Err(VerbFailure::plain(text))
-        }
-        given_back => both(ended, given_back),
+    let given_back = both(restored, holding.release().await);
+    match (ended, given_back) {
+        (Some(ended), given_back) => both(ended, given_back),
+        (None, Ok(())) => Err(VerbFailure::plain(format!(
+            "interrupted; {}, its settings are restored, and the token is released",
+            job.told.words()
+        ))),
+        (None, given_back) => both(
+            Err(VerbFailure::plain(format!("interrupted; {}", job.told.words()))),
+            given_back,
+        ),
     }
 }
 
-/// The failure of either, or of both.
-fn both(first: Result<(), VerbFailure>, second: Result<(), VerbFailure>) -> Result<(), VerbFailure> {
-    match (first, second) {
-        (Err(first), Err(second)) => Err(first.and(&second)),
-        (first, second) => first.and(second),
-    }
-}
-
-async fn grab(token: &Token, args: &VerbArgs) -> Result<TokenGuard, VerbFailure> {
-    let grab = match args.wait {
-        Some(seconds) => token.grab().wait(Duration::from_secs(seconds)),
-        None => token.grab(),
-    };
-    grab.await.doing(format!("grab {}", args.token))
-}
-
-fn lost_failure(args: &VerbArgs, reason: &str, by: Option<&str>, told: Told) -> VerbFailure {
-    let by = by.map(|by| format!(" by {by}")).unwrap_or_default();
+fn lost_failure(args: &VerbArgs, lost: &Lost, told: Told) -> VerbFailure {
     VerbFailure::new(
-        format!("lost {}: {reason}{by}; {}", args.token, told.words()),
+        format!("{}; {}", lost_words(&args.token, lost), told.words()),
         format!(
             "only the token's owner restores the camera's settings: mom camera {} --format jpeg",
             args.view
@@ -251,11 +256,12 @@ impl Job<'_> {
                 }
             }
         }
-        if let CommandEnd::Refused(why) = self.robot.carry_out("home", &mut self.camera.channel).await? {
+        if let CommandEnd::Refused(why) = self.robot.carry_out("home").await? {
             let text = format!("the robot does not go home: {why}; {}", self.told.words());
             return Err(VerbFailure::plain(text));
         }
-        let calibration = calibrate(&measured.observations, self.args.radius)?;
+        let calibration =
+            calibrate(&measured.observations, self.args.radius).map_err(|error| no_calibration(&error))?;
         if let Some(file) = &self.args.output {
             let (width, height) = (measured.size.0 as f64, measured.size.1 as f64);
             let title = format!("Residuals of camera {}", self.args.view);
@@ -272,15 +278,14 @@ impl Job<'_> {
 
     /// Goes to a pose and looks for the marker.
     async fn measure(&mut self, pose: &Pose) -> Result<PoseOutcome, VerbFailure> {
-        let beside = &mut self.camera.channel;
-        if let CommandEnd::Refused(why) = self.robot.carry_out(&pose.command(), beside).await? {
+        if let CommandEnd::Refused(why) = self.robot.carry_out(&pose.command()).await? {
             return Ok(PoseOutcome::Refused(why));
         }
-        let state = self.robot.rests_at(pose, beside).await?;
+        let state = self.robot.rests_at(pose).await?;
         let mut after = None;
         if !self.args.settle.is_zero() {
             // A real camera is late: a frame has the state of the time when it came, and may show the arm before that.
-            self.robot.rest(self.args.settle, beside).await?;
+            self.robot.rest(self.args.settle).await?;
             after = self.camera.newest().await?;
         }
         let image = self.camera.image_of(&state, after).await?;
@@ -462,18 +467,5 @@ mod tests {
         ] {
             assert!(read(line).is_err(), "{line:?}");
         }
-    }
-    #[test]
-    fn two_failures_are_both_told() {
-        let failure = || Err(VerbFailure::new("the robot is stopped", "let it go"));
-        let release = || Err(VerbFailure::plain("release /robot/token: timed out"));
-        let VerbFailure::Failed { text, hint } = both(failure(), release()).expect_err("both") else {
-            panic!("in words");
-        };
-        assert_eq!(text, "the robot is stopped; release /robot/token: timed out");
-        assert_eq!(hint.as_deref(), Some("let it go"));
-        let alone = both(Ok(()), release()).expect_err("one").to_string();
-        assert_eq!(alone, "release /robot/token: timed out");
-        assert!(both(Ok(()), Ok(())).is_ok());
     }
 }

@@ -53,8 +53,9 @@ struct MeasuredMatrix {
 impl Calibration {
     /// Reads and checks a message; the error says what is wrong with it.
     pub(crate) fn of(parcel: &Parcel, view: View) -> Result<Calibration, WireError> {
-        if !view.is_fixed() {
-            let text = "the camera on the wrist moves with the arm, so that no one matrix is right; it computes its own for each image";
+        if let Some(motion) = view.motion() {
+            let text =
+                format!("{motion}, so that no one matrix is right; it computes its own for each image");
             return Err(bad(text));
         }
         let content = parcel
@@ -187,8 +188,8 @@ impl CalibrationFile {
     /// Reads it, if it is there.
     pub(crate) fn open(path: &Path, view: View) -> Result<CalibrationFile, String> {
         let wrong = |error: &dyn std::fmt::Display| format!("the calibration in {}: {error}", path.display());
-        if !view.is_fixed() {
-            return Err(wrong(&"the camera on the wrist moves with the arm and has none"));
+        if let Some(motion) = view.motion() {
+            return Err(wrong(&format!("{motion} and has none")));
         }
         let kept = match fs::read(path) {
             Ok(bytes) => {

@@ -15,6 +15,6 @@ pub enum SettingsError {
         limits: String,
     },
     /// There is no view of this name.
-    #[error("there is no view {0:?}; the views are x, y, top and wrist")]
+    #[error("there is no view {0:?}; the views are x, y, top, wrist and pan")]
     View(String),
 }

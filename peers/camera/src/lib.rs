@@ -1,4 +1,4 @@
-//! The camera of the demonstration lab: it renders the robot's workspace as four cameras see it.
+//! The camera of the demonstration lab: it renders the robot's workspace as five cameras see it.
 //!
 //! The workspace is a box of 600×600×450 mm on a table (M50), with an industrial arm beside it (M49). [`Renderer`]
 //! draws a [`Scene`], which is read from the arm's state, and gives a JPEG or PNG [`Image`] with the matrix that maps
@@ -6,6 +6,8 @@
 //!
 //! [`ImageServer`] decides how the camera reacts to the parcels and events of its contexts; [`peer::run`] connects it
 //! to the hub and draws on a thread of its own, in a program (`mom-camera`) or in another one.
+//!
+//! One of them turns and tilts by commands of the owner of its own token: [`pan`].
 //!
 //! A camera may also be a real one: [`source`] takes its pictures from a URL, and they go the same way as drawn ones.
 
@@ -16,6 +18,7 @@ mod error;
 mod geometry;
 mod overlay;
 mod owner;
+pub mod pan;
 pub mod peer;
 mod predicted;
 mod renderer;

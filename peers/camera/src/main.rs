@@ -23,6 +23,7 @@ Examples:
   mom-camera --hub bin://lab.example.org --key camera.key
   MOM_PASSWORD=camera mom-camera --view top --width 320 --height 240 --format png
   MOM_PASSWORD=camera mom-camera --view wrist --overlay
+  MOM_PASSWORD=camera mom-camera --view pan
   MOM_PASSWORD=camera mom-camera --channel /camera/x --url http://10.0.0.7/video.mjpg
 
 The password is that of MOM_PASSWORD, unless --password-file names a file. A key (mom keygen) is taken from
@@ -50,7 +51,7 @@ struct CameraArgs {
     /// A certificate of the user (PEM), whose private key --key names, for a hub over TLS
     #[arg(long, value_name = "FILE", requires = "key")]
     certificate: Option<PathBuf>,
-    /// Where the camera stands: x, y, top or wrist
+    /// Where the camera stands: x, y, top, wrist or pan (which turns and tilts by commands)
     #[arg(long, default_value = "x")]
     view: View,
     /// Shows a real camera: the URL of an MJPEG stream or of a single image, which is got --rate times a second.
@@ -63,9 +64,9 @@ struct CameraArgs {
     /// The channel of the robot to look at
     #[arg(long, value_name = "PATH", default_value = "/robot/arm")]
     robot: String,
-    /// The token whose owner may change the settings
-    #[arg(long, value_name = "PATH", default_value = "/robot/token")]
-    token: String,
+    /// The token whose owner may change the settings; /robot/token if none is named, but /camera/pan-token for the view pan
+    #[arg(long, value_name = "PATH")]
+    token: Option<String>,
     /// Images per second, at most, while the robot moves
     #[arg(long, default_value = "10")]
     rate: f64,
@@ -137,7 +138,7 @@ fn options(args: &CameraArgs) -> anyhow::Result<CameraOptions> {
     Ok(CameraOptions {
         channel: args.channel.clone().unwrap_or(lab.channel),
         robot: args.robot.clone(),
-        token: args.token.clone(),
+        token: args.token.clone().unwrap_or(lab.token),
         settings: CameraSettings::default().with(&settings)?,
         source: args.url.as_ref().map(|url| source(url, &settings)).transpose()?,
         rate: args.rate,

@@ -6,12 +6,15 @@ use std::path::PathBuf;
 use std::pin::pin;
 use std::time::{Duration, SystemTime};
 
-use mom_client::{Client, ClientError, Code, Event, LinkState, Parcel, Path, Time, Token, WireError};
+use mom_client::{
+    Channel, Client, ClientError, Code, Event, LinkState, Parcel, Path, Time, Token, WireError,
+};
 use tokio::sync::watch::Receiver;
 use tokio::task::{JoinHandle, JoinSet, spawn_blocking};
 use tokio::time::{Instant, sleep_until};
 
 use crate::calibration::{CalibrationFile, CalibrationKeeper};
+use crate::pan::peer::RunningMount;
 use crate::server::CameraTime;
 use crate::source::{self, Sight};
 use crate::{CameraSettings, ImageServer, ServerOptions, SettingsError, Source, View};
@@ -28,7 +31,7 @@ pub struct CameraOptions {
     pub channel: String,
     /// The channel of the robot that it looks at.
     pub robot: String,
-    /// The token whose owner may change the settings.
+    /// The token whose owner may change the settings; that of [`View::Pan`] guards its commands too.
     pub token: String,
     /// The settings to begin with, where the images are drawn.
     pub settings: CameraSettings,
@@ -50,7 +53,10 @@ impl CameraOptions {
             view,
             channel: format!("/camera/{view}"),
             robot: "/robot/arm".to_owned(),
-            token: "/robot/token".to_owned(),
+            token: match view {
+                View::Pan => "/camera/pan-token".to_owned(),
+                _ => "/robot/token".to_owned(),
+            },
             settings: CameraSettings::default(),
             source: None,
             rate: 10.0,
@@ -64,6 +70,10 @@ impl CameraOptions {
         let bad = |error: SettingsError| WireError::new(Code::BAD_CONTENT, error.to_string());
         if !(self.rate > 0.0 && self.rate.is_finite()) {
             let text = format!("the rate is {} images per second; it must be above 0", self.rate);
+            return Err(WireError::new(Code::BAD_CONTENT, text).into());
+        }
+        if self.view == View::Pan && self.source.is_some() {
+            let text = "the view pan is drawn, as its mount is simulated; a real camera has another view";
             return Err(WireError::new(Code::BAD_CONTENT, text).into());
         }
         let options = ServerOptions {
@@ -92,6 +102,20 @@ impl CameraOptions {
 }
 
 impl CameraOptions {
+    /// The camera's channel.
+    async fn join(&self, client: &Client) -> Result<Channel, ClientError> {
+        match self.view {
+            // It obeys stops, and is waited for.
+            View::Pan => client.channel_as_device(&self.channel).await,
+            _ => client.channel(&self.channel).await,
+        }
+    }
+
+    /// What turns the camera, if anything does.
+    fn mount(&self, client: &Client, channel: &Channel, begin: Instant) -> Option<RunningMount> {
+        (self.view == View::Pan).then(|| RunningMount::start(client, channel, begin))
+    }
+
     /// The file of the measured matrix, read.
     fn calibration_file(&self) -> Result<Option<CalibrationFile>, ClientError> {
         let open = |path: &PathBuf| CalibrationFile::open(path, self.view);
@@ -126,14 +150,16 @@ pub async fn run(
     let mut server = options.server()?;
     let mut keeper = CalibrationKeeper::new(options.calibration_file()?);
     server = server.calibrated(keeper.kept().cloned());
-    let channel = client.channel(&options.channel).await?;
+    let channel = options.join(&client).await?;
+    let begin = Instant::now();
+    // It hears what has been said since the join: a stop may be among it.
+    let mut mount = options.mount(&client, &channel, begin);
     let mut camera = channel.events();
     let token = client.token(&options.token).await?;
     let mut owner = token.events();
     server.handle_token_info(&token.info().await?);
     let arm = client.channel(&options.robot).await?;
     let mut robot = arm.events();
-    let begin = Instant::now();
     // The tasks end with this function.
     let mut tasks = JoinSet::new();
     let mut sights = options.watch(&mut tasks);
@@ -143,6 +169,7 @@ pub async fn run(
     let mut shutdown = pin!(shutdown);
     tracing::info!(peer = client.name(), channel = %channel.path(), "the camera is ready");
     loop {
+        server.handle_slew(mount.as_ref().map(RunningMount::slew));
         if let Some(shot) = server.advance(micros(begin), wall(&client), &mut out) {
             drawing = Some(spawn_blocking(move || shot.take()));
         }
@@ -158,7 +185,7 @@ pub async fn run(
             )));
         }
         keeper.keep(server.calibration());
-        let wake = server.next_wake().map(|due| begin + duration(due));
+        let wake = server.next_wake().map(|due| until(begin, due));
         tokio::select! {
             // Who owns the token is known before what its owner says next is judged.
             biased;
@@ -179,11 +206,13 @@ pub async fn run(
             users = done(&mut looking) => server.handle_users(&users.unwrap_or_default(), &mut out),
             event = camera.next() => server.handle_camera(&open(event, &client)?, &mut out),
             () = keeper.written() => {}
+            () = turned(&mut mount) => {}
             event = robot.next() => server.handle_robot(&open(event, &client)?),
             sight = sight(&mut sights) => server.handle_sight(sight, wall(&client), &mut out),
             () = sleep_or_wait(wake) => {}
         }
     }
+    end(mount).await;
     keeper.finish(server.calibration()).await;
     client.close().await;
     Ok(())
@@ -260,7 +289,22 @@ async fn sight(sights: &mut Option<Receiver<Sight>>) -> Sight {
     }
 }
 
-async fn sleep_or_wait(wake: Option<Instant>) {
+/// Halts the mount, if there is one.
+async fn end(mount: Option<RunningMount>) {
+    if let Some(mount) = mount {
+        mount.end().await;
+    }
+}
+
+/// Waits until the mount does something else, if there is one.
+async fn turned(mount: &mut Option<RunningMount>) {
+    match mount {
+        Some(mount) => mount.changed().await,
+        None => pending().await,
+    }
+}
+
+pub(crate) async fn sleep_or_wait(wake: Option<Instant>) {
     match wake {
         Some(wake) => sleep_until(wake).await,
         None => pending().await,
@@ -279,10 +323,12 @@ fn wall(client: &Client) -> Time {
     micros.and_then(Time::from_micros).unwrap_or_default()
 }
 
-fn micros(begin: Instant) -> CameraTime {
+/// µs since the server began.
+pub(crate) fn micros(begin: Instant) -> CameraTime {
     CameraTime::try_from(begin.elapsed().as_micros()).unwrap_or(CameraTime::MAX)
 }
 
-fn duration(micros: CameraTime) -> Duration {
-    Duration::from_micros(u64::try_from(micros).unwrap_or(0))
+/// The time that is so many µs after the beginning.
+pub(crate) fn until(begin: Instant, micros: CameraTime) -> Instant {
+    begin + Duration::from_micros(u64::try_from(micros).unwrap_or(0))
 }

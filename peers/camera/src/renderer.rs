@@ -9,6 +9,7 @@ use crate::geometry::{Direction, Point};
 use crate::robot::{self, ToolFrame};
 use crate::scene::{DrawnBlock, Scene};
 use crate::solid::Solid;
+use crate::view;
 use crate::{Camera, CameraSettings, Format, Overlay, SettingsError, View};
 
 /// More blocks and poses than these are not drawn, so that no scene can hold the camera up.
@@ -62,7 +63,7 @@ impl Renderer {
             settings,
             backdrop: None,
         };
-        if view != View::Wrist {
+        if view.is_fixed() {
             let camera = renderer.camera(&Scene::default());
             renderer.backdrop = Some(renderer.draw_backdrop(&camera));
         }
@@ -108,8 +109,11 @@ impl Renderer {
     }
 
     fn camera(&self, scene: &Scene) -> Camera {
-        self.view
-            .camera(&scene.pose, self.settings.width, self.settings.height)
+        let (width, height) = (self.settings.width, self.settings.height);
+        match self.view {
+            View::Pan => scene.aim.camera(view::across(width, height), (width, height)),
+            view => view.camera(&scene.pose, width, height),
+        }
     }
 
     fn draw_backdrop(&self, camera: &Camera) -> Pixmap {

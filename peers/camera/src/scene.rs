@@ -3,6 +3,8 @@
 use serde::de::{Deserializer, IgnoredAny};
 use serde::{Deserialize, Serialize};
 
+use crate::pan::Aim;
+
 /// The opening of the jaws when the arm says only "open", mm.
 const OPEN: f64 = 80.0;
 /// Coordinates further from the origin than this are drawn at this distance, mm.
@@ -44,6 +46,9 @@ pub struct Scene {
     /// Where the gripper is by now, if it moves (M34); no state of the robot tells it.
     #[serde(skip)]
     pub predicted: Option<DrawnPose>,
+    /// Where the camera looks that turns; no state of the robot tells it either.
+    #[serde(skip)]
+    pub aim: Aim,
 }
 
 /// The pose of the gripper's tip in the table's frame (M50).
@@ -191,6 +196,7 @@ impl Scene {
                 .collect(),
             trail: self.trail[newest..].iter().map(DrawnPose::drawable).collect(),
             predicted: self.predicted.as_ref().map(DrawnPose::drawable),
+            aim: self.aim,
         }
     }
 }
@@ -326,6 +332,7 @@ mod tests {
             blocks: vec![block],
             trail: vec![],
             predicted: None,
+            aim: Aim::default(),
         };
         assert_eq!(scene, expected);
         let again: Scene = serde_json::from_str(&serde_json::to_string(&scene).unwrap()).unwrap();

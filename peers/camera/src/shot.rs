@@ -7,7 +7,7 @@ use mom_client::{Map, Time, Value};
 
 use crate::overlay::{POSE, PREDICTED};
 use crate::source::{Frame, FrameError};
-use crate::{Calibration, DrawnPose, Overlay, Renderer, Rendition, Scene};
+use crate::{Calibration, DrawnPose, Overlay, Renderer, Rendition, Scene, View};
 
 /// A picture to be drawn: the input of drawing, and the receivers.
 #[derive(Debug, Clone)]
@@ -116,6 +116,9 @@ impl Shot {
         }
         if let Some(time) = self.pose_time {
             map.set("pose-time", time);
+        }
+        if self.renderer.view() == View::Pan {
+            map.set("aim", self.scene.aim.to_map());
         }
         let matrix = match &self.calibration {
             Some(measured) => {

@@ -1,4 +1,4 @@
-//! The four cameras of the lab (M54) and where they stand.
+//! The five cameras of the lab (M54, M62) and where they stand.
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::geometry::{Direction, Point};
 use crate::robot::ToolFrame;
-use crate::{Camera, DrawnPose, SettingsError};
+use crate::{Camera, DrawnPose, SettingsError, pan};
 
-/// Which of the four cameras (M54).
+/// Which of the five cameras (M54, M62).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum View {
@@ -21,28 +21,40 @@ pub enum View {
     Top,
     /// Sits on the gripper, looks at its tip and moves with the pose.
     Wrist,
+    /// Stands at a corner of the lab, on a mount that turns and tilts by command (M62).
+    Pan,
 }
 
 impl View {
     /// All views, in the order in which the lab lists them.
-    pub const ALL: [View; 4] = [View::X, View::Y, View::Top, View::Wrist];
+    pub const ALL: [View; 5] = [View::X, View::Y, View::Top, View::Wrist, View::Pan];
 
-    /// The name that is also the camera's channel: `x`, `y`, `top`, `wrist`.
+    /// The name that is also the camera's channel: `x`, `y`, `top`, `wrist`, `pan`.
     pub fn name(self) -> &'static str {
         match self {
             View::X => "x",
             View::Y => "y",
             View::Top => "top",
             View::Wrist => "wrist",
+            View::Pan => "pan",
         }
     }
 
     /// Whether it stands still, so that all its images of one size have one matrix.
     pub fn is_fixed(self) -> bool {
-        self != View::Wrist
+        self.motion().is_none()
     }
 
-    /// The name under which it logs in: the user's own for x, and one with the view for the others, so that all four
+    /// How it moves, in words, if it does.
+    pub(crate) fn motion(self) -> Option<&'static str> {
+        match self {
+            View::X | View::Y | View::Top => None,
+            View::Wrist => Some("the camera on the wrist moves with the arm"),
+            View::Pan => Some("the camera pan turns and tilts by command"),
+        }
+    }
+
+    /// The name under which it logs in: the user's own for x, and one with the view for the others, so that all five
     /// may be the same user and lists of members tell them apart.
     pub fn peer(self, user: &str) -> String {
         match self {
@@ -51,11 +63,11 @@ impl View {
         }
     }
 
-    /// The camera for an image of this size in pixels; only [`View::Wrist`] depends on the pose.
+    /// The camera for an image of this size in pixels; only [`View::Wrist`] depends on the pose. That of [`View::Pan`] looks
+    /// [home](crate::pan::HOME).
     pub fn camera(self, pose: &DrawnPose, width: u32, height: u32) -> Camera {
         let size = (width, height);
-        // An image of any shape shows at least what one of 4:3 shows.
-        let across = f64::from(width).min(f64::from(height) * 4.0 / 3.0);
+        let across = across(width, height);
         let fixed = |position: [f64; 3], target: [f64; 3], up: Direction, focal: f64| {
             Camera::look(
                 Point::from(position),
@@ -74,8 +86,14 @@ impl View {
                 let target = tool.at([0.0, 45.0, -60.0]);
                 Camera::look(tool.at(WRIST_MOUNT), target, tool.across(), 0.72 * across, size)
             }
+            View::Pan => pan::HOME.camera(across, size),
         }
     }
+}
+
+/// The width of the part of an image that is 4:3: one of any shape shows at least what that shows.
+pub(crate) fn across(width: u32, height: u32) -> f64 {
+    f64::from(width).min(f64::from(height) * 4.0 / 3.0)
 }
 
 /// Where the wrist's camera sits in the tool's frame, mm: beside the flange, out of the way of the jaws.

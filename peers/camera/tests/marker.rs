@@ -1,11 +1,12 @@
 //! The marker in the cameras' images: where the matrix says, to a small part of a pixel, and seen in most poses (M55).
 
 use mom_calibrate::marker::{MarkerError, find};
-use mom_calibrate::{COLOUR, Observation, Picture, Pose, Projection, RADIUS, calibrate, poses};
+use mom_calibrate::{COLOUR, Observation, Picture, Projection, RADIUS, calibrate, poses};
 use mom_camera::{
     CameraSettings, Colour, DrawnBlock, DrawnPose, Format, MARKER, MARKER_COLOUR, MARKER_RADIUS, Renderer,
     Scene, View,
 };
+use mom_drive::Pose;
 
 fn renderer(view: View, width: u32, height: u32) -> Renderer {
     let settings = CameraSettings {

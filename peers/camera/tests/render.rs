@@ -310,7 +310,7 @@ fn the_views_look_as_they_are_called() {
     }
     assert_eq!(
         "z".parse::<View>().unwrap_err().to_string(),
-        "there is no view \"z\"; the views are x, y, top and wrist"
+        "there is no view \"z\"; the views are x, y, top, wrist and pan"
     );
 }
 

@@ -29,6 +29,8 @@ pub(super) struct Active {
     pub(super) step: Step,
     /// Why no statement begins after the present one; none if the script goes on.
     pub(super) ends: Option<String>,
+    /// Where the hand is going by the controller's present instruction.
+    pub(super) leg: Option<Pose>,
     /// The present statement, if that is a velocity.
     pub(super) jog: Option<Jog>,
 }

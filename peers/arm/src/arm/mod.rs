@@ -11,8 +11,10 @@ use crate::path;
 use crate::pose::Pose;
 use crate::script::Statement;
 use crate::state::{ArmEvent, ArmState, CommandState, Executing, Gripper, ScriptProgress};
+use crate::zones::Closed;
 
 mod command;
+mod keep_out;
 #[cfg(test)]
 mod promises;
 #[cfg(test)]
@@ -57,6 +59,10 @@ pub struct Arm {
     linked: bool,
     /// Whether the last state that was told said that the hand moves.
     told_moving: bool,
+    /// The zones into which it must not go.
+    closed: Closed,
+    /// µs by which the driver may miss a wake.
+    patience: ArmTime,
 }
 
 impl Arm {
@@ -87,6 +93,8 @@ impl Arm {
             waiting: VecDeque::new(),
             publish: now,
             told_moving: false,
+            closed: Closed::default(),
+            patience: LINK_TIMEOUT,
         }
     }
 
@@ -140,7 +148,9 @@ impl Arm {
             if *statement == Statement::Reset {
                 planned = HOME;
             } else if let Some(target) = target(statement, &planned) {
-                path::check(&planned, &target).map_err(|error| error.at_statement(number))?;
+                path::check(&planned, &target)
+                    .and_then(|()| self.check_zones(&planned, &target))
+                    .map_err(|error| error.at_statement(number))?;
                 planned = target;
             }
         }
@@ -178,6 +188,7 @@ impl Arm {
             legs: VecDeque::new(),
             step: Step::None,
             ends: None,
+            leg: None,
             jog: Some(Jog::begin(velocity, until, before.as_ref())),
         });
         self.seq += 1;
@@ -189,9 +200,9 @@ impl Arm {
     pub fn advance(&mut self, now: ArmTime, events: &mut Vec<ArmEvent>) {
         let now = now.max(self.now);
         if let Some(due) = self.next_wake()
-            && now.saturating_sub(due) > LINK_TIMEOUT
+            && now.saturating_sub(due) > self.patience
         {
-            self.run_until(due.saturating_add(LINK_TIMEOUT), events);
+            self.run_until(due.saturating_add(self.patience), events);
             if self.active.is_some() {
                 let silence = now.saturating_sub(due) / 1000;
                 let text =
@@ -466,7 +477,7 @@ impl Arm {
                 active.jog = Some(Jog::begin(velocity, until, None));
             }
             Statement::Grip(grip) => self.instruct(&Instruction::Grip(grip), events),
-            Statement::Reset => match self.controller.reset(self.now) {
+            Statement::Reset => match self.reset() {
                 Ok(()) => self.publish_state(events),
                 Err(error) => self.fail_statement(error, events),
             },
@@ -490,6 +501,7 @@ impl Arm {
             legs: VecDeque::new(),
             step: Step::None,
             ends: None,
+            leg: None,
             jog: None,
         });
         if let Some(late @ 1..) = late {
@@ -498,9 +510,18 @@ impl Arm {
         }
     }
 
-    /// Gives the controller something to do.
+    /// Gives the controller something to do, unless it would be done in a zone that has been closed.
     fn instruct(&mut self, instruction: &Instruction, events: &mut Vec<ArmEvent>) {
-        match self.controller.begin(instruction, self.now) {
+        let at = self.controller.reading().posture.pose;
+        let leg = match instruction {
+            Instruction::Move(to) | Instruction::Glide(to, _) => *to,
+            Instruction::Grip(_) => at,
+        };
+        let allowed = self.closed.check_leg(&at, &leg);
+        if let Some(active) = &mut self.active {
+            active.leg = Some(leg);
+        }
+        match allowed.and_then(|()| self.controller.begin(instruction, self.now)) {
             Ok(()) => {
                 let lasts = match instruction {
                     Instruction::Glide(_, time) => *time,

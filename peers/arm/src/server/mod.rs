@@ -17,6 +17,7 @@ use crate::pose::Pose;
 use crate::script::Script;
 use crate::state::{ArmEvent, ArmState, CommandState, Executing, ScriptProgress};
 use crate::status::{CommandRefusal, Status};
+use crate::zones::Zones;
 
 #[cfg(test)]
 mod interlock_tests;
@@ -24,6 +25,11 @@ mod interlock_tests;
 mod reach_tests;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod zone_tests;
+mod zones;
+
+pub use zones::ZoneNews;
 
 /// The message that carries a script.
 pub const COMMAND: &str = "command";
@@ -51,6 +57,7 @@ const SAFE: &str = "the hub ordered the safe state, because the token's owner lo
 ///   `stop` does, and latches until `unstop`. A gap in the events
 ///   latches too, because it may have contained a `stop`.
 /// - After each `stop` and `unstop` it says how it stands, changed or not, for whoever waits for that word.
+/// - No leg leads through a zone that the commander does not own (M40), and one under way ends when that zone is lost.
 /// - A lost link ends all commands; after it, the state is sent again.
 /// - A peer that joins the channel gets the state.
 #[derive(Debug)]
@@ -71,6 +78,12 @@ pub struct RobotServer {
     stood: u64,
     /// µs that a command may be old when it begins; none if that is its sender's business alone.
     max_age: Option<ArmTime>,
+    /// How many times as fast as the senders' time the arm's passes.
+    pace: ArmTime,
+    /// The zones that the arm shares with other machines.
+    zones: Zones,
+    /// Who owns the channel's token, as far as was heard; the zones of others are closed to it.
+    commander: Option<String>,
 }
 
 /// The part of the state that motions change and commands are based on: the hand, the jaws, and the held block.
@@ -104,6 +117,9 @@ impl RobotServer {
             fence: 0,
             stood: 0,
             max_age: None,
+            pace: 1,
+            zones: Zones::default(),
+            commander: None,
         }
     }
 
@@ -111,6 +127,14 @@ impl RobotServer {
     #[must_use]
     pub fn with_max_age(mut self, max_age: Duration) -> Self {
         self.max_age = Some(ArmTime::try_from(max_age.as_micros()).unwrap_or(ArmTime::MAX));
+        self
+    }
+
+    /// This server, for an arm whose time passes so many times as fast as that of its users.
+    #[must_use]
+    pub fn at_pace(mut self, pace: u32) -> Self {
+        self.pace = pace.into();
+        self.arm.set_pace(self.pace);
         self
     }
 
@@ -138,14 +162,27 @@ impl RobotServer {
                 state
             })),
             // Without names of who joined, all are told.
-            Event::Count(_) | Event::Rejoined | Event::Resumed => self.report(out),
-            Event::Grabbed { fence, .. } => self.take_owner(*fence, now, out),
+            Event::Count(_) => self.report(out),
+            Event::Grabbed { fence, owner, .. } if *fence >= self.fence => {
+                self.take_owner(*fence, now, out);
+                self.set_commander(Some(owner), now, out);
+            }
             Event::Released { fence, reason, .. } => {
                 let reason = Reason::from_word(reason);
                 self.handing_over = matches!(reason, Some(Reason::Given | Reason::Returned));
                 self.end_older(fence.saturating_add(1), now, out);
+                if *fence >= self.fence {
+                    self.set_commander(None, now, out);
+                }
             }
-            Event::LinkDown => self.halt("the link to the hub was lost", now, out),
+            Event::LinkDown => {
+                self.halt("the link to the hub was lost", now, out);
+                self.set_commander(None, now, out);
+            }
+            Event::Rejoined | Event::Resumed => {
+                self.learn_commander(gate, now, out);
+                self.report(out);
+            }
             Event::Lagged(count) => {
                 let reason = format!("{count} events of the hub were lost, and a stop may be among them");
                 self.act(out, |arm, events| arm.stop(now, &reason, events));
@@ -236,6 +273,9 @@ impl RobotServer {
     ) -> Result<(), CommandRefusal> {
         // The token's events may still be under way; the command's fence has the same information.
         self.take_owner(order.fence.unwrap_or(0), now, out);
+        if order.fence == Some(self.fence) {
+            self.set_commander(Some(&order.peer), now, out);
+        }
         // The hub's own command is the safe state, for which the arm was halted.
         if self.stood < self.fence && &*order.peer != HUB {
             self.arm.check_link()?;
@@ -293,7 +333,8 @@ impl RobotServer {
         let expires = command
             .expires
             .and_then(|ms| ArmTime::try_from(ms.saturating_mul(1000)).ok());
-        let expires = expires.map(|life| now.saturating_add(life - age.map_or(0, |age| age.micros)));
+        let later = |micros: ArmTime| now.saturating_add(micros.saturating_mul(self.pace));
+        let expires = expires.map(|life| later(life - age.map_or(0, |age| age.micros)));
         let Some(max_age) = self.max_age else {
             return Ok(expires);
         };
@@ -313,7 +354,7 @@ impl RobotServer {
             );
             return Err(ArmError::new(ErrorName::TooOld, text));
         }
-        let own = now.saturating_add(max_age - oldest);
+        let own = later(max_age - oldest);
         Ok(Some(expires.map_or(own, |expires| expires.min(own))))
     }
 

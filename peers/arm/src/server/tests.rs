@@ -104,6 +104,10 @@ impl Stage {
             ["released", fence] => self.released("released", fence),
             ["given", fence] => self.released("given", fence),
             ["returned", fence] => self.released("returned", fence),
+            ["zone", ..] => {
+                let news = super::zone_tests::news(&words);
+                self.server.handle_zones(&news, self.now, &mut self.out);
+            }
             ["report"] => self.server.report(&mut self.out),
             [sender, "command", id, fence] => self.command(sender, id, fence, script, None),
             [sender, "command", id, fence, "expires", ms] => {
@@ -144,6 +148,13 @@ impl Stage {
             fence: fence.parse().unwrap(),
             path: Path::parse("/robot/token").unwrap(),
         });
+    }
+
+    /// Whether a peer may be granted a zone, as far as the arm is concerned.
+    pub(super) fn grant(&mut self, zone: &str, peer: &str) -> Result<(), String> {
+        let zone = Path::parse(zone).unwrap();
+        self.server
+            .grant(&zone, peer, &self.gate, self.now, &mut self.out)
     }
 
     /// What was said since, one line each; states while the arm moves are left out.

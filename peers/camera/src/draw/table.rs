@@ -9,6 +9,7 @@ use super::solids::solids;
 use super::text::text_height;
 use crate::View;
 use crate::geometry::{Direction, Point};
+use crate::pan;
 use crate::robot;
 use crate::scene::Colour;
 use crate::solid::Solid;
@@ -19,6 +20,10 @@ pub(crate) const TABLE: f64 = 375.0;
 const WORKSPACE: f64 = 300.0;
 /// The height of the workspace, mm (M50).
 const CEILING: f64 = 450.0;
+/// From the camera that turns to the scale of its angles, mm.
+const WALL: f64 = 4000.0;
+/// Lower letters cannot be read, pixels.
+const READABLE: f32 = 4.5;
 /// Between two lines of the grid, mm.
 const GRID: i32 = 50;
 
@@ -33,6 +38,9 @@ const Z_AXIS: Ink = solid(52, 100, 190);
 /// Draws everything behind the shadows and the solids.
 pub(crate) fn backdrop(canvas: &mut Canvas<'_>, view: View) {
     room(canvas);
+    if view == View::Pan {
+        bearings(canvas);
+    }
     // The table stands in front of the foot in every view of a camera above it.
     solids(canvas, &robot::foot());
     solids(canvas, &furniture());
@@ -42,6 +50,7 @@ pub(crate) fn backdrop(canvas: &mut Canvas<'_>, view: View) {
     match view {
         View::X => ruler(canvas, -WORKSPACE, WORKSPACE, Direction::y()),
         View::Y => ruler(canvas, WORKSPACE, WORKSPACE, Direction::x()),
+        View::Pan => ruler(canvas, WORKSPACE, WORKSPACE, Direction::x()),
         View::Top | View::Wrist => {}
     }
 }
@@ -62,6 +71,28 @@ fn room(canvas: &mut Canvas<'_>) {
             ..Paint::default()
         };
         canvas.pixels.fill_rect(all, &paint, Transform::identity(), None);
+    }
+}
+
+/// The degrees to which the camera turns, on the wall around it: without them it would see nothing turn when it looks away.
+fn bearings(canvas: &mut Canvas<'_>) {
+    let lens = Point::from(pan::MOUNT);
+    let at = |pan: i32, up: f64| {
+        let foot = lens + pan::direction(f64::from(pan), 0.0) * WALL;
+        foot + Direction::z() * up
+    };
+    let mut lines = Vec::new();
+    for pan in (-180..180).step_by(5) {
+        let tick = if pan % 10 == 0 { 120.0 } else { 60.0 };
+        lines.push((at(pan, 0.0), at(pan + 5, 0.0)));
+        lines.push((at(pan, 0.0), at(pan, tick)));
+    }
+    canvas.lines(&lines, LINE.at(0.7), 1.2);
+    let step = canvas.unit() * 1.6;
+    for pan in (-170..=180).step_by(10).filter(|_| text_height(step) >= READABLE) {
+        if let Some(pixel) = canvas.pixel(&at(pan, 200.0)) {
+            canvas.text_around(&format!("{pan}°"), pixel, step, INK.at(0.6));
+        }
     }
 }
 
@@ -157,7 +188,7 @@ fn ruler(canvas: &mut Canvas<'_>, x: f64, y: f64, outwards: Direction) {
 fn label(canvas: &mut Canvas<'_>, at: &Point, text: &str, ink: Ink) {
     let scale = canvas.camera.scale_at(at) as f32;
     let step = (scale * 2.2).min(canvas.unit() * 1.6);
-    if text_height(step) < 4.5 {
+    if text_height(step) < READABLE {
         return;
     }
     if let Some(pixel) = canvas.pixel(at) {

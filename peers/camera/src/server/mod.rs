@@ -7,6 +7,7 @@ use std::time::Duration;
 use mom_client::{Code, Content, Delivery, Event, Family, Map, Parcel, Path, Time, Value, WireError};
 
 use crate::owner::Owner;
+use crate::pan::Slew;
 use crate::shot::{Picture, PictureRequest, Purpose, Shot};
 use crate::trail::Trail;
 use crate::{
@@ -18,6 +19,8 @@ mod predicted_tests;
 mod real;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod turning_tests;
 mod users;
 
 pub use real::{CAMERA_ERROR, CAMERA_RECOVERED};
@@ -84,7 +87,7 @@ pub struct ServerOptions {
 /// - Every new state of the robot is followed by a broadcast image (M38), at most one per period; while an image
 ///   is drawn, newer states replace each other.
 /// - Anyone may ask for an image, and is answered with one of the newest state, whatever the period.
-/// - Only the owner of the robot's token changes the settings (M37), by whichever of its user's peers; anyone may ask
+/// - Only the owner of the token (the robot's, but for a camera with one of its own) changes the settings (M37), by whichever of its user's peers; anyone may ask
 ///   for them. Whose a peer is the hub knows: [`ImageServer::ask_users`].
 /// - Only that owner tells the measured matrix (M55), which images carry from then on, scaled to their size.
 #[derive(Debug)]
@@ -108,6 +111,8 @@ pub struct ImageServer {
     shown: u64,
     /// When the next broadcast may begin.
     next: CameraTime,
+    /// What the mount does, if the camera is on one that turns.
+    slew: Option<Slew>,
     drawing: bool,
     requests: VecDeque<PictureRequest>,
     newest: Option<Picture>,
@@ -134,6 +139,7 @@ impl ImageServer {
             revision: 0,
             shown: 0,
             next: 0,
+            slew: None,
             drawing: false,
             requests: VecDeque::new(),
             newest: None,
@@ -190,6 +196,11 @@ impl ImageServer {
         }
     }
 
+    /// Takes what the mount does from now on, if there is one: images show where it looks when they are taken.
+    pub fn handle_slew(&mut self, slew: Option<Slew>) {
+        self.slew = slew;
+    }
+
     /// Takes a finished picture.
     pub fn handle_picture(&mut self, picture: Picture, out: &mut Vec<Parcel>) {
         self.drawing = false;
@@ -216,6 +227,7 @@ impl ImageServer {
     /// Sends the newest picture where it need not be drawn again, and gives the next shot if there is one.
     /// `wall` is the time of day by the hub's clock.
     pub fn advance(&mut self, now: CameraTime, wall: Time, out: &mut Vec<Parcel>) -> Option<Shot> {
+        self.take_aim(now);
         if self.drawing || self.is_blind(out) {
             return None;
         }
@@ -240,8 +252,19 @@ impl ImageServer {
 
     /// When [`ImageServer::advance`] is to be called next; `None` while there is nothing to wait for.
     pub fn next_wake(&self) -> Option<CameraTime> {
-        let waits = !self.drawing && self.shown != self.revision && !self.has_no_frame();
+        let turns = self.slew.is_some_and(|slew| slew.target() != self.scene.aim);
+        let waits = !self.drawing && (self.shown != self.revision || turns) && !self.has_no_frame();
         waits.then_some(self.next)
+    }
+
+    /// The camera looks where its mount has turned it by now.
+    fn take_aim(&mut self, now: CameraTime) {
+        let Some(slew) = self.slew else { return };
+        let aim = slew.at(now);
+        if aim != self.scene.aim {
+            self.scene.aim = aim;
+            self.revision += 1;
+        }
     }
 
     fn take_state(&mut self, content: &Content, parcel: &Parcel) -> Result<(), WireError> {
@@ -257,7 +280,9 @@ impl ImageServer {
             true => state.get("moving").and_then(Value::as_bool),
             false => Some(false),
         };
+        let aim = self.scene.aim;
         self.scene = mom_client::from_value(state)?;
+        self.scene.aim = aim;
         self.predictor.observe(parcel, &self.scene.pose, moving);
         self.trail.push(self.scene.pose);
         (self.state_seq, self.pose_time) = (seq, parcel.timestamp);

@@ -1,10 +1,8 @@
-//! Why a calibration did not come about, as the command line tells it.
+//! Why something did not come about, as the command line tells it.
 
 use std::io;
 
 use mom_client::{ClientError, WireError};
-
-use crate::CalibrationError;
 
 /// Why the verb did not do its work.
 #[derive(Debug, thiserror::Error)]
@@ -39,14 +37,16 @@ pub enum VerbFailure {
 }
 
 impl VerbFailure {
-    pub(crate) fn new(text: impl Into<String>, hint: impl Into<String>) -> VerbFailure {
+    /// What went wrong, and what to do.
+    pub fn new(text: impl Into<String>, hint: impl Into<String>) -> VerbFailure {
         VerbFailure::Failed {
             text: text.into(),
             hint: Some(hint.into()),
         }
     }
 
-    pub(crate) fn plain(text: impl Into<String>) -> VerbFailure {
+    /// What went wrong, where nothing can be done.
+    pub fn plain(text: impl Into<String>) -> VerbFailure {
         VerbFailure::Failed {
             text: text.into(),
             hint: None,
@@ -54,7 +54,8 @@ impl VerbFailure {
     }
 
     /// This one, and in its words another that came after it.
-    pub(crate) fn and(self, other: &VerbFailure) -> VerbFailure {
+    #[must_use]
+    pub fn and(self, other: &VerbFailure) -> VerbFailure {
         let text = format!("{self}; {other}");
         match self {
             VerbFailure::Io(_) => self,
@@ -64,17 +65,12 @@ impl VerbFailure {
     }
 }
 
-impl From<CalibrationError> for VerbFailure {
-    fn from(error: CalibrationError) -> VerbFailure {
-        VerbFailure::new(
-            format!("no calibration: {error}; nothing was told to the camera"),
-            error.hint(),
-        )
-    }
-}
-
 /// Says what was being done when a client's request failed.
-pub(crate) trait Doing<T> {
+pub trait Doing<T> {
+    /// Names it: `grab /robot/token`.
+    ///
+    /// # Errors
+    /// The client's, with that.
     fn doing(self, what: impl Into<String>) -> Result<T, VerbFailure>;
 }
 
@@ -84,5 +80,38 @@ impl<T> Doing<T> for Result<T, ClientError> {
             what: what.into(),
             error,
         })
+    }
+}
+
+/// How one result of a verb is told: as JSON, and for people.
+pub type Tell<'a> = &'a mut (dyn FnMut(serde_json::Value, String) -> io::Result<()> + Send);
+
+/// The failure of either, or of both.
+///
+/// # Errors
+/// One of them failed.
+pub fn both(first: Result<(), VerbFailure>, second: Result<(), VerbFailure>) -> Result<(), VerbFailure> {
+    match (first, second) {
+        (Err(first), Err(second)) => Err(first.and(&second)),
+        (first, second) => first.and(second),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_failures_are_both_told() {
+        let failure = || Err(VerbFailure::new("the robot is stopped", "let it go"));
+        let release = || Err(VerbFailure::plain("release /robot/token: timed out"));
+        let VerbFailure::Failed { text, hint } = both(failure(), release()).expect_err("both") else {
+            panic!("in words");
+        };
+        assert_eq!(text, "the robot is stopped; release /robot/token: timed out");
+        assert_eq!(hint.as_deref(), Some("let it go"));
+        let alone = both(Ok(()), release()).expect_err("one").to_string();
+        assert_eq!(alone, "release /robot/token: timed out");
+        assert!(both(Ok(()), Ok(())).is_ok());
     }
 }

@@ -4,29 +4,48 @@ use std::collections::VecDeque;
 use std::future::{Future, pending};
 use std::pin::Pin;
 
-use mom_client::{ClientError, Delivery, ErrorKind, Parcel};
+use mom_client::{Client, ClientError, Delivery, ErrorKind, Parcel};
 
 /// The most parcels that are held back; a whole queue of commands that ends at once is far below.
 const MOST: usize = 4096;
 
 /// A parcel on its way into the client's queue.
-pub(crate) type Sending = Pin<Box<dyn Future<Output = Result<(), ClientError>> + Send>>;
+pub type Sending = Pin<Box<dyn Future<Output = Result<(), ClientError>> + Send>>;
 
-/// Sends what waits, beside the arm's own work, so that a slow link holds up neither motion nor halts.
+/// Sends what waits, beside the device's own work, so that a slow link holds up neither motion nor halts.
 ///
 /// The client's queue bounds, orders and replaces what waits for a slow link. Here waits only what that queue has no
 /// capacity for, and, while the link is down, everything that has to be said all the same: who sent a command wants to
 /// hear how it ended.
-pub(crate) struct Outlet<S> {
+#[must_use]
+pub struct Outlet<S> {
     send: S,
     held: VecDeque<Parcel>,
     sending: Option<(Parcel, Sending)>,
     down: bool,
 }
 
+/// What sends by this client.
+pub fn sender(client: &Client) -> impl Fn(Parcel) -> Sending + Send + Sync + 'static + use<> {
+    let client = client.clone();
+    move |parcel| {
+        let client = client.clone();
+        Box::pin(async move { client.send(parcel).await })
+    }
+}
+
+impl<S> std::fmt::Debug for Outlet<S> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Outlet")
+            .field("held", &self.held.len())
+            .field("down", &self.down)
+            .finish_non_exhaustive()
+    }
+}
+
 impl<S: Fn(Parcel) -> Sending> Outlet<S> {
     /// An outlet that hands parcels to `send`.
-    pub(crate) fn new(send: S) -> Self {
+    pub fn new(send: S) -> Self {
         Self {
             send,
             held: VecDeque::new(),
@@ -36,7 +55,7 @@ impl<S: Fn(Parcel) -> Sending> Outlet<S> {
     }
 
     /// Takes what is to be sent.
-    pub(crate) fn push(&mut self, out: &mut Vec<Parcel>) {
+    pub fn push(&mut self, out: &mut Vec<Parcel>) {
         for parcel in out.drain(..) {
             if parcel.delivery == Some(Delivery::Latest) {
                 // The newer one goes to the end, not to the older one's place: it must not overtake what led to it.
@@ -52,12 +71,12 @@ impl<S: Fn(Parcel) -> Sending> Outlet<S> {
     }
 
     /// Holds everything back, or no more.
-    pub(crate) fn set_down(&mut self, down: bool) {
+    pub fn set_down(&mut self, down: bool) {
         self.down = down;
     }
 
     /// Sends one parcel; never ends while there is none. May be dropped at any time, nothing is lost.
-    pub(crate) async fn work(&mut self) {
+    pub async fn work(&mut self) {
         if self.sending.is_none() && !self.down {
             self.sending = self
                 .held
@@ -78,7 +97,7 @@ impl<S: Fn(Parcel) -> Sending> Outlet<S> {
     }
 
     /// Sends all that waits, unless the link is down.
-    pub(crate) async fn flush(&mut self) {
+    pub async fn flush(&mut self) {
         while self.sending.is_some() || !(self.down || self.held.is_empty()) {
             self.work().await;
         }

@@ -3,7 +3,15 @@
 //! A pixel at the rim is partly the marker's and partly that of what is behind. Its share is its weight, and the weighted
 //! middle of all pixels is that of the spot itself, as far as the image keeps colours: a lossless one does.
 
-use crate::picture::Picture;
+use crate::Picture;
+
+/// Where the middle of the lab's marker is in the gripper's frame, mm: along the jaw line, across it, and from the tip
+/// towards the wrist.
+pub const MARKER: [f64; 3] = [0.0, -140.0, 75.0];
+/// The radius of the lab's marker, a ball, mm.
+pub const RADIUS: f64 = 12.0;
+/// The colour of the lab's marker: red, green and blue.
+pub const COLOUR: [u8; 3] = [255, 0, 255];
 
 /// The spot of the marker.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,8 +1,8 @@
-//! Driving the robot: one command after the other, each to its end.
+//! Driving a robot: one command after the other, each to its end.
 
 use std::time::Duration;
 
-use mom_client::{Event, Family, Parcel, Value, from_value};
+use mom_client::{Event, Events, Family, Parcel, Value, from_value};
 use serde::Deserialize;
 use tokio::time::{Instant, timeout, timeout_at};
 
@@ -13,14 +13,27 @@ use crate::{Pose, VerbFailure};
 const SILENT: Duration = Duration::from_secs(30);
 /// So long the link between the robot and its controller may be down.
 const UNLINKED: Duration = Duration::from_secs(30);
+/// So long the hub may need to measure our clock, and how often the robot is asked meanwhile.
+const UNMEASURED: Duration = Duration::from_secs(10);
+const MEASURED: Duration = Duration::from_millis(100);
 
-/// What of the robot's state matters here.
+/// What of the robot's state matters to programs that drive it.
 #[derive(Debug, Clone, Deserialize)]
-pub(crate) struct RobotState {
-    pub(crate) seq: i64,
-    pub(crate) pose: Pose,
+#[non_exhaustive]
+pub struct RobotState {
+    /// Rises with every change of the state.
+    pub seq: i64,
+    /// Where the hand is.
+    pub pose: Pose,
+    /// What the jaws hold.
     #[serde(default)]
-    moving: bool,
+    pub holding: Option<String>,
+    /// Whether it moves, or may do so because the link to its controller is down.
+    #[serde(default)]
+    pub moving: bool,
+    /// Whether it is stopped and takes no command.
+    #[serde(default)]
+    pub stopped: bool,
     /// Whether its controller is there; a robot that does not say so has no other.
     #[serde(default = "yes")]
     linked: bool,
@@ -44,6 +57,14 @@ const fn yes() -> bool {
     true
 }
 
+impl RobotState {
+    /// Whether it takes commands of the owner with this fence; one that knows no fence does so at once.
+    #[must_use]
+    pub fn is_under(&self, fence: u64) -> bool {
+        self.fence.is_none_or(|stood| stood >= fence)
+    }
+}
+
 /// What an error of the robot means here.
 #[derive(Debug, PartialEq)]
 enum Trouble {
@@ -53,6 +74,8 @@ enum Trouble {
     ChangingHands,
     /// Its controller is not there, and the command may be sent again once it is.
     Unlinked,
+    /// Our clock is still being measured, so that the command's age is not known.
+    Unmeasured,
     Stopped,
     /// No pose is any better.
     Other,
@@ -65,6 +88,7 @@ impl Trouble {
             Some("workspace-boundary" | "joint-limit" | "singularity") => Trouble::Pose,
             Some("changing-hands") => Trouble::ChangingHands,
             Some("link") if retry => Trouble::Unlinked,
+            Some("too-old") if retry => Trouble::Unmeasured,
             Some("stopped") => Trouble::Stopped,
             _ => Trouble::Other,
         }
@@ -72,23 +96,30 @@ impl Trouble {
 }
 
 /// How a command ended.
-pub(crate) enum CommandEnd {
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum CommandEnd {
+    /// It was carried out.
     Done,
     /// Why the robot cannot go there.
     Refused(String),
 }
 
 /// The robot, under our token.
-pub(crate) struct Robot {
+#[derive(Debug)]
+pub struct Robot {
     channel: DeviceChannel,
+    events: Events,
     state: Option<RobotState>,
     /// That of the token.
     fence: u64,
 }
 
 impl Robot {
-    pub(crate) fn new(channel: DeviceChannel, fence: u64) -> Robot {
+    /// The robot in this channel, as the owner of its token with this fence.
+    #[must_use]
+    pub fn new(channel: DeviceChannel, fence: u64) -> Robot {
         Robot {
+            events: channel.events(),
             channel,
             state: None,
             fence,
@@ -99,18 +130,16 @@ impl Robot {
     ///
     /// # Errors
     /// A robot that is stopped or not there, or that began and failed; a pose that it cannot reach is an end.
-    pub(crate) async fn carry_out(
-        &mut self,
-        command: &str,
-        beside: &mut DeviceChannel,
-    ) -> Result<CommandEnd, VerbFailure> {
-        let mut unlinked = None;
+    pub async fn carry_out(&mut self, command: &str) -> Result<CommandEnd, VerbFailure> {
+        let (mut unlinked, mut unmeasured) = (None, None);
         loop {
-            let parcel = Parcel::new(Family::Message, "command").content(command);
+            let mut parcel = Parcel::new(Family::Message, "command").content(command);
+            // Not under another ownership, should the token be lost and come back meanwhile.
+            parcel.fence = Some(self.fence);
             let what = format!("send {command:?}");
             let id = self.channel.send(parcel, &what).await?;
             let status = loop {
-                let event = self.next(beside).await?;
+                let event = self.next().await?;
                 if let Some(status) = self.status(&event, id) {
                     match status.state.as_str() {
                         "finished" => return Ok(CommandEnd::Done),
@@ -124,20 +153,18 @@ impl Robot {
                 Trouble::Pose => return Ok(CommandEnd::Refused(refusal(&error).text)),
                 Trouble::ChangingHands => {
                     while self.state.as_ref().and_then(|state| state.fence) < Some(self.fence) {
-                        self.next(beside).await?;
+                        self.next().await?;
                     }
                 }
                 Trouble::Unlinked => {
                     let until = *unlinked.get_or_insert_with(|| Instant::now() + UNLINKED);
-                    let linked = timeout_at(until, self.linked(beside)).await;
-                    linked.map_err(|_| {
-                        VerbFailure::plain(format!(
-                            "the robot in {} has had no link to its controller for {} s: {}",
-                            self.channel.path(),
-                            UNLINKED.as_secs(),
-                            refusal(&error).text
-                        ))
-                    })??;
+                    self.linked(until, &error).await?;
+                }
+                // No event tells that it is done.
+                Trouble::Unmeasured
+                    if Instant::now() < *unmeasured.get_or_insert_with(|| Instant::now() + UNMEASURED) =>
+                {
+                    self.rest(MEASURED).await?;
                 }
                 Trouble::Stopped => {
                     return Err(VerbFailure::new(
@@ -145,7 +172,7 @@ impl Robot {
                         format!("let it go with: mom unstop {}", self.channel.path()),
                     ));
                 }
-                Trouble::Other => {
+                Trouble::Unmeasured | Trouble::Other => {
                     let error = refusal(&error);
                     return Err(VerbFailure::Refused { what, error });
                 }
@@ -153,10 +180,17 @@ impl Robot {
         }
     }
 
-    /// Waits for news that the controller is there.
-    async fn linked(&mut self, beside: &mut DeviceChannel) -> Result<(), VerbFailure> {
+    /// Waits for news that the controller is there, of which this error said that it is not.
+    async fn linked(&mut self, until: Instant, error: &Value) -> Result<(), VerbFailure> {
         loop {
-            let event = self.next(beside).await?;
+            let event = timeout_at(until, self.next()).await.map_err(|_| {
+                VerbFailure::plain(format!(
+                    "the robot in {} has had no link to its controller for {} s: {}",
+                    self.channel.path(),
+                    UNLINKED.as_secs(),
+                    refusal(error).text
+                ))
+            })??;
             let news = matches!(&event, Event::Message(parcel) if parcel.name() == "state");
             if news && self.state.as_ref().is_some_and(|state| state.linked) {
                 return Ok(());
@@ -165,24 +199,39 @@ impl Robot {
     }
 
     /// Lets it rest for so long; whatever is said meanwhile must not pile up.
-    pub(crate) async fn rest(
-        &mut self,
-        time: Duration,
-        beside: &mut DeviceChannel,
-    ) -> Result<(), VerbFailure> {
+    ///
+    /// # Errors
+    /// A lost connection, lost events.
+    pub async fn rest(&mut self, time: Duration) -> Result<(), VerbFailure> {
         let until = Instant::now() + time;
-        while let Ok(event) = timeout_at(until, self.event(beside)).await {
+        while let Ok(event) = timeout_at(until, self.event()).await {
             self.note(&event?)?;
         }
         Ok(())
     }
 
+    /// The newest state that it has told; waits for the first.
+    ///
+    /// # Errors
+    /// A robot that says nothing; a lost connection, lost events.
+    pub async fn state(&mut self) -> Result<RobotState, VerbFailure> {
+        // What has come meanwhile is newer.
+        while let Ok(event) = timeout(Duration::ZERO, self.event()).await {
+            self.note(&event?)?;
+        }
+        loop {
+            if let Some(state) = &self.state {
+                return Ok(state.clone());
+            }
+            self.next().await?;
+        }
+    }
+
     /// The state in which it rests at a pose, where it has just gone.
-    pub(crate) async fn rests_at(
-        &mut self,
-        pose: &Pose,
-        beside: &mut DeviceChannel,
-    ) -> Result<RobotState, VerbFailure> {
+    ///
+    /// # Errors
+    /// As [`state`](Self::state).
+    pub async fn rests_at(&mut self, pose: &Pose) -> Result<RobotState, VerbFailure> {
         loop {
             let rests = self
                 .state
@@ -191,13 +240,13 @@ impl Robot {
             if let Some(state) = rests {
                 return Ok(state.clone());
             }
-            self.next(beside).await?;
+            self.next().await?;
         }
     }
 
     /// The next event here, which comes before long.
-    async fn next(&mut self, beside: &mut DeviceChannel) -> Result<Event, VerbFailure> {
-        let event = timeout(SILENT, self.event(beside)).await.map_err(|_| {
+    async fn next(&mut self) -> Result<Event, VerbFailure> {
+        let event = timeout(SILENT, self.event()).await.map_err(|_| {
             VerbFailure::new(
                 format!(
                     "the robot in {} says nothing for {} s",
@@ -211,16 +260,9 @@ impl Robot {
         Ok(event)
     }
 
-    /// The next event here; those of the camera meanwhile are of no interest, and must not pile up. Cancel safe.
-    async fn event(&mut self, beside: &mut DeviceChannel) -> Result<Event, VerbFailure> {
-        loop {
-            tokio::select! {
-                event = self.channel.events.next() => return event.ok_or_else(closed),
-                other = beside.events.next() => {
-                    other.ok_or_else(closed)?;
-                }
-            }
-        }
+    /// The next event here. Cancel safe.
+    async fn event(&mut self) -> Result<Event, VerbFailure> {
+        self.events.next().await.ok_or_else(closed)
     }
 
     /// Takes a state, and fails where what the robot does is not known any more.
@@ -255,7 +297,7 @@ impl Robot {
             "status" => from_value(parcel.value()).ok()?,
             _ => return None,
         };
-        (status.id == Some(id) && status.peer == self.channel.client.name()).then_some(status)
+        (status.id == Some(id) && status.peer == self.channel.me()).then_some(status)
     }
 }
 
@@ -274,6 +316,8 @@ mod tests {
             ("link", true, Trouble::Unlinked),
             ("link", false, Trouble::Other),
             ("changing-hands", true, Trouble::ChangingHands),
+            ("too-old", true, Trouble::Unmeasured),
+            ("too-old", false, Trouble::Other),
             ("stopped", false, Trouble::Stopped),
             ("torque-overload", false, Trouble::Other),
             ("halted", false, Trouble::Other),

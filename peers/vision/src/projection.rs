@@ -2,19 +2,10 @@
 
 use nalgebra::{Matrix3x4, Vector3, Vector4};
 
-/// A point of the world in mm, and where it was seen, in pixels from the image's upper left corner.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Observation {
-    /// The middle of the marker, mm.
-    pub world: [f64; 3],
-    /// The middle of its picture, pixels.
-    pub pixel: [f64; 2],
-}
-
 /// A projection matrix, scaled so that the third component of a product is the depth in mm.
 ///
 /// ```
-/// use mom_calibrate::Projection;
+/// use mom_vision::Projection;
 ///
 /// // One metre above the table, looking down, with a focal length of 500 pixels.
 /// let down = [500.0, 0.0, -320.0, 320_000.0, 0.0, -500.0, -240.0, 240_000.0, 0.0, 0.0, -1.0, 1000.0];
@@ -35,7 +26,9 @@ impl Projection {
         Projection::of(Matrix3x4::from_row_slice(&numbers))
     }
 
-    pub(crate) fn of(matrix: Matrix3x4<f64>) -> Option<Projection> {
+    /// A matrix at any scale but of this sign; none if it is not finite or gives no depth.
+    #[must_use]
+    pub fn of(matrix: Matrix3x4<f64>) -> Option<Projection> {
         let scale = forward(&matrix).norm();
         let usable = scale.is_normal() && matrix.iter().all(|number| number.is_finite());
         usable.then(|| Projection {
@@ -74,7 +67,8 @@ impl Projection {
     }
 
     /// Whether it sees what is on the right to the right: a matrix of the other sign is that of a mirror.
-    pub(crate) fn is_mirrored(&self) -> bool {
+    #[must_use]
+    pub fn is_mirrored(&self) -> bool {
         self.matrix.fixed_columns::<3>(0).determinant() < 0.0
     }
 }
@@ -84,25 +78,32 @@ fn forward(matrix: &Matrix3x4<f64>) -> Vector3<f64> {
     Vector3::new(matrix[(2, 0)], matrix[(2, 1)], matrix[(2, 2)])
 }
 
-pub(crate) fn homogeneous([x, y, z]: [f64; 3]) -> Vector4<f64> {
+/// A point of the world with a fourth coordinate of 1.
+#[must_use]
+pub fn homogeneous([x, y, z]: [f64; 3]) -> Vector4<f64> {
     Vector4::new(x, y, z, 1.0)
 }
 
 /// The last column of the dual conic of a ball's outline.
-pub(crate) struct Outline {
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Outline {
     /// The first two entries: the middle times `scale`.
-    pub(crate) middle: [f64; 2],
-    pub(crate) scale: f64,
+    pub middle: [f64; 2],
+    /// The third.
+    pub scale: f64,
 }
 
 impl Outline {
-    pub(crate) fn pixel(&self) -> [f64; 2] {
+    /// The middle of the outline, pixels.
+    #[must_use]
+    pub fn pixel(&self) -> [f64; 2] {
         self.middle.map(|number| number / self.scale)
     }
 }
 
 /// The outline of a ball at any scale of the matrix.
-pub(crate) fn ball(matrix: &Matrix3x4<f64>, middle: &Vector4<f64>, radius: f64) -> Outline {
+#[must_use]
+pub fn ball(matrix: &Matrix3x4<f64>, middle: &Vector4<f64>, radius: f64) -> Outline {
     let seen = matrix * middle;
     let left = matrix.fixed_columns::<3>(0);
     let square = radius * radius;

@@ -1,0 +1,28 @@
+//! What every device at a hub does alike, however it is built.
+//!
+//! A device is a peer that obeys the owner of the token which guards its channel: it carries out scripts one after the other,
+//! tells how far each has come, halts when its owner changes or its link is lost, and stops for anybody.
+//! A [`Machine`] says what the device itself can do; [`CommandQueue`] carries commands out as a pure function of time, [`DeviceServer`]
+//! decides how they are answered, and [`DevicePeer`] connects it to the hub.
+
+mod error;
+mod machine;
+mod outlet;
+mod pull;
+mod queue;
+mod run;
+mod script;
+mod server;
+mod words;
+
+pub use error::{DeviceError, ErrorName};
+pub use machine::Machine;
+pub use outlet::{Outlet, Sending, sender};
+pub use queue::{Command, CommandQueue, MAX_WAITING, Order, Progress, QueueEvent, STATE_PERIOD, State};
+pub use run::DevicePeer;
+pub use script::{MAX_BYTES, MAX_STATEMENTS, MAX_WAIT, Script, Statement};
+pub use server::DeviceServer;
+pub use words::{Word, Words};
+
+/// The time of a device, in µs since its program began.
+pub type DeviceTime = i64;

@@ -1,0 +1,85 @@
+//! What a device itself can do.
+
+use std::fmt;
+
+use mom_client::Map;
+
+use crate::{DeviceError, DeviceTime, STATE_PERIOD, Script, Word, Words};
+
+/// A device without its queue, its owner and its link: what its actions are, and how it carries one out.
+///
+/// Its methods are called with times that never go back. It knows the time of the latest call.
+pub trait Machine: fmt::Debug {
+    /// What a statement of its scripts makes it do; `wait` is not among them, as every device waits alike.
+    type Action: Clone + fmt::Debug + PartialEq;
+
+    /// What it is called in texts, such as `the camera`.
+    const NAME: &str;
+
+    /// The first words of its statements, for the nearest one to a wrong word; without `wait`.
+    const VERBS: &[&str];
+
+    /// µs between two states while it moves.
+    const PERIOD: DeviceTime = STATE_PERIOD;
+
+    /// Reads what follows the verb of a statement; `None` if there is no such verb.
+    ///
+    /// # Errors
+    ///
+    /// `syntax`, at the word that is wrong.
+    fn read(verb: Word<'_>, words: &mut Words<'_>) -> Option<Result<Self::Action, DeviceError>>;
+
+    /// Whether an action says only how far it goes from where the device is, so that it is wrong from anywhere else (M35).
+    fn is_relative(_action: &Self::Action) -> bool {
+        false
+    }
+
+    /// Whether it is busy with something that no command began, or moves on after one.
+    fn is_moving(&self) -> bool;
+
+    /// Checks a script from where the device will be after those that were planned before, and plans on from its end.
+    ///
+    /// # Errors
+    ///
+    /// What cannot be carried out, with the statement's number. Then nothing is planned.
+    fn plan(&mut self, script: &Script<Self::Action>) -> Result<(), DeviceError>;
+
+    /// Begins an action.
+    ///
+    /// # Errors
+    ///
+    /// Why it cannot be begun. Then all commands end.
+    fn begin(&mut self, action: &Self::Action, now: DeviceTime) -> Result<(), DeviceError>;
+
+    /// When the action that was begun last is done, as far as that is known.
+    fn done_at(&self) -> Option<DeviceTime>;
+
+    /// Whether what was begun goes on until another command comes. Then it is halted, and its command is finished.
+    fn gives_way(&self) -> bool {
+        false
+    }
+
+    /// Comes to a stand at once, and forgets what was planned.
+    fn halt(&mut self, now: DeviceTime);
+
+    /// Lets time pass until `now`.
+    fn advance(&mut self, now: DeviceTime);
+
+    /// When [`Machine::advance`] has to be called next; `None` if it changes by commands only.
+    fn next_wake(&self) -> Option<DeviceTime> {
+        None
+    }
+
+    /// Since when what the state tells may have been so, if that is not now: of a device that is asked, when it was.
+    fn known_at(&self) -> Option<DeviceTime> {
+        None
+    }
+
+    /// What commands may be based on: where the device is, as it stands in the state, key by key (M35).
+    fn position(&self) -> Map;
+
+    /// What else stands in the state.
+    fn report(&self) -> Map {
+        Map::new()
+    }
+}

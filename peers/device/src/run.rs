@@ -1,0 +1,176 @@
+//! The device as a peer: hears its channel, lets time pass, and sends what is to be said.
+
+use std::future::pending;
+use std::time::{Duration, SystemTime};
+
+use mom_client::{Channel, Client, Event, Events, FenceGate, Parcel, Time};
+use tokio::time::{Instant, sleep_until, timeout};
+
+use crate::outlet::{Outlet, Sending, sender};
+use crate::server::STATE;
+use crate::{DeviceError, DeviceServer, DeviceTime, Machine, State};
+
+/// How long the last statuses may take to leave when the program ends.
+const FAREWELL: Duration = Duration::from_secs(1);
+
+/// A device at work in its channel.
+///
+/// Its program calls [`DevicePeer::step`] again and again, beside whatever else happens to the device, which it tells by
+/// [`DevicePeer::note`] and [`DevicePeer::fail`].
+pub struct DevicePeer<M: Machine> {
+    client: Client,
+    server: DeviceServer<M>,
+    events: Events,
+    gate: FenceGate,
+    outlet: Outlet<Box<dyn Fn(Parcel) -> Sending + Send + Sync>>,
+    out: Vec<Parcel>,
+    begin: Instant,
+}
+
+impl<M: Machine> DevicePeer<M> {
+    /// Begins to obey the commands of this channel. `begin` is when its time began.
+    #[must_use]
+    pub fn start(client: &Client, channel: &Channel, machine: M, begin: Instant) -> Self {
+        let mut server = DeviceServer::new(machine, channel.path().clone(), time_of_day());
+        let mut out = Vec::new();
+        server.report(&mut out);
+        Self {
+            server,
+            events: channel.events(),
+            gate: channel.gate(),
+            outlet: Outlet::new(Box::new(sender(client))),
+            out,
+            begin,
+            client: client.clone(),
+        }
+    }
+
+    /// Has it ask for its commands, each time for so long, and take none that is too late: [`DeviceServer::pulling`].
+    #[must_use]
+    pub fn pulling(mut self, wait: Duration) -> Self {
+        let wait = DeviceTime::try_from(wait.as_micros()).unwrap_or(DeviceTime::MAX);
+        self.server = self.server.pulling(wait);
+        // What is too late is refused in words.
+        self.events = self.events.with_expired();
+        self
+    }
+
+    /// The device itself.
+    pub fn machine(&self) -> &M {
+        self.server.machine()
+    }
+
+    /// How it stands.
+    pub fn state(&self) -> State {
+        self.server.state()
+    }
+
+    /// Its time.
+    pub fn now(&self) -> DeviceTime {
+        DeviceTime::try_from(self.begin.elapsed().as_micros()).unwrap_or(DeviceTime::MAX)
+    }
+
+    /// Lets something be done to the device that no command does, such as that news of it have come.
+    pub fn note(&mut self, what: impl FnOnce(&mut M)) {
+        let now = self.now();
+        self.server.note(now, what, &mut self.out);
+    }
+
+    /// Ends every command with this error, because the device cannot carry it out.
+    pub fn fail(&mut self, error: &DeviceError) {
+        let now = self.now();
+        self.server.fail(now, error, &mut self.out);
+    }
+
+    /// Ends every command, for a reason in plain words.
+    pub fn halt(&mut self, reason: &str) {
+        let now = self.now();
+        self.server.halt(reason, now, &mut self.out);
+    }
+
+    /// When what it tells of itself was so, if that was not just now.
+    pub fn known_time(&self) -> Option<Time> {
+        let age = self.now().saturating_sub(self.machine().known_at()?);
+        Time::from_micros(time_of_day().micros().saturating_sub(age))
+    }
+
+    /// Says how it stands.
+    pub fn report(&mut self) {
+        self.server.report(&mut self.out);
+    }
+
+    /// Waits until something happens to it, by the hub or by time, and decides what follows; `false` when there will be no more,
+    /// as its channel is gone or its client closed. May be dropped at any time, and nothing is lost.
+    ///
+    /// What it says leaves with the next call: what was decided can be made known elsewhere first.
+    pub async fn step(&mut self) -> bool {
+        let now = self.now();
+        self.server.ask(&self.gate, now, &mut self.out);
+        self.send();
+        let wake = self.server.next_wake().into_iter();
+        let wake = wake.chain(self.server.asks_at(&self.gate)).min();
+        let wake = wake.map(|due| self.at(due));
+        tokio::select! {
+            event = self.events.next() => match event {
+                Some(event) => self.hear(&event),
+                None => return false,
+            },
+            () = sleep_or_wait(wake) => {
+                let now = self.now();
+                self.server.advance(now, &mut self.out);
+            }
+            () = self.outlet.work() => {}
+        }
+        true
+    }
+
+    /// Halts it, lets it say so, and ends. The client stays as it is.
+    pub async fn end(mut self, reason: &str) {
+        self.halt(reason);
+        self.send();
+        if timeout(FAREWELL, self.outlet.flush()).await.is_err() {
+            tracing::warn!("the last messages did not leave in time");
+        }
+    }
+
+    /// Hands over what is to be said; a state is as old as what it tells.
+    fn send(&mut self) {
+        if let Some(time) = self.known_time() {
+            for state in self.out.iter_mut().filter(|parcel| parcel.name() == STATE) {
+                state.timestamp = Some(time);
+            }
+        }
+        self.outlet.push(&mut self.out);
+    }
+
+    fn hear(&mut self, event: &Event) {
+        let age = match event {
+            Event::Message(parcel) => self.client.clock().age(parcel),
+            _ => None,
+        };
+        let now = self.now();
+        self.server.handle(event, &self.gate, age, now, &mut self.out);
+        match event {
+            Event::LinkDown => self.outlet.set_down(true),
+            Event::Rejoined | Event::Resumed => self.outlet.set_down(false),
+            _ => {}
+        }
+    }
+
+    fn at(&self, due: DeviceTime) -> Instant {
+        self.begin + Duration::from_micros(u64::try_from(due).unwrap_or(0))
+    }
+}
+
+async fn sleep_or_wait(wake: Option<Instant>) {
+    match wake {
+        Some(wake) => sleep_until(wake).await,
+        None => pending().await,
+    }
+}
+
+fn time_of_day() -> Time {
+    let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
+    let micros = since.ok().and_then(|since| i64::try_from(since.as_micros()).ok());
+    micros.and_then(Time::from_micros).unwrap_or_default()
+}

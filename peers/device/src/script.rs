@@ -1,0 +1,126 @@
+//! Scripts of a device (M47): statements separated by `;` or by a new line, comments from `#` on.
+
+use crate::words::{Words, split};
+use crate::{DeviceError, Machine, Word};
+
+/// The longest script, in bytes.
+pub const MAX_BYTES: usize = 64 * 1024;
+/// The most statements of a script.
+pub const MAX_STATEMENTS: usize = 1000;
+/// The longest `wait`, in ms.
+pub const MAX_WAIT: u32 = 60_000;
+
+const WAIT: &str = "wait";
+
+/// One statement of a script.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Statement<A> {
+    /// What the device does.
+    Do(A),
+    /// `wait ms`: nothing is begun for so many ms, 0 to [`MAX_WAIT`].
+    Wait(u32),
+}
+
+/// A script: between 1 and [`MAX_STATEMENTS`] statements.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Script<A>(Vec<Statement<A>>);
+
+impl<A> Script<A> {
+    /// The statements, in the order in which they take effect.
+    #[must_use]
+    pub fn statements(&self) -> &[Statement<A>] {
+        &self.0
+    }
+
+    /// What the device does, with the number of each statement (1 for the first).
+    pub fn actions(&self) -> impl Iterator<Item = (&A, u32)> {
+        self.0
+            .iter()
+            .zip(1..)
+            .filter_map(|(statement, number)| match statement {
+                Statement::Do(action) => Some((action, number)),
+                Statement::Wait(_) => None,
+            })
+    }
+
+    /// Whether its first action says only how far it goes from where the device is then, so that it is wrong from anywhere else
+    /// (M35).
+    #[must_use]
+    pub fn is_relative<M: Machine<Action = A>>(&self) -> bool {
+        let first = self.actions().next();
+        first.is_some_and(|(action, _)| M::is_relative(action))
+    }
+
+    /// Reads a script of this machine.
+    ///
+    /// # Errors
+    ///
+    /// `syntax` with the statement's number, where the mistake begins, and the nearest known word where a word is unknown.
+    pub fn read<M: Machine<Action = A>>(text: &str) -> Result<Self, DeviceError> {
+        Self::statements_of::<M>(text).map_err(|error| error.in_text(text))
+    }
+
+    fn statements_of<M: Machine<Action = A>>(text: &str) -> Result<Self, DeviceError> {
+        if text.len() > MAX_BYTES {
+            let length = text.len();
+            let text = format!("the script has {length} bytes, at most {MAX_BYTES} are read");
+            return Err(DeviceError::syntax(MAX_BYTES, text));
+        }
+        let mut statements = Vec::new();
+        for mut words in split(text) {
+            let Some(verb) = words.next() else { continue };
+            let number = u32::try_from(statements.len() + 1).unwrap_or(u32::MAX);
+            if statements.len() == MAX_STATEMENTS {
+                let text = format!("the script has more than {MAX_STATEMENTS} statements");
+                return Err(DeviceError::syntax(verb.at, text));
+            }
+            let statement = statement::<M>(verb, &mut words);
+            statements.push(statement.map_err(|error| error.at_statement(number))?);
+        }
+        match statements.is_empty() {
+            true => Err(DeviceError::syntax(0, "the script has no statement")),
+            false => Ok(Self(statements)),
+        }
+    }
+}
+
+fn statement<M: Machine>(verb: Word<'_>, words: &mut Words<'_>) -> Result<Statement<M::Action>, DeviceError> {
+    let statement = match verb.text {
+        WAIT => Statement::Wait(wait(words)?),
+        _ => match M::read(verb, words) {
+            Some(action) => Statement::Do(action?),
+            None => return Err(unknown::<M>(verb)),
+        },
+    };
+    match words.next() {
+        None => Ok(statement),
+        Some(word) => {
+            let (verb, short) = (verb.text, word.short());
+            let text = format!("`{verb}` ends before `{short}`; is a `;` or a new line missing?");
+            Err(DeviceError::syntax(word.at, text))
+        }
+    }
+}
+
+fn wait(words: &mut Words<'_>) -> Result<u32, DeviceError> {
+    let word = words.need(WAIT, "a time in ms", "it")?;
+    let ms = word.text.parse().ok().filter(|ms| *ms <= MAX_WAIT);
+    ms.ok_or_else(|| {
+        let short = word.short();
+        let text = format!("`wait` takes a whole number of ms from 0 to {MAX_WAIT}, not `{short}`");
+        DeviceError::syntax(word.at, text)
+    })
+}
+
+fn unknown<M: Machine>(verb: Word<'_>) -> DeviceError {
+    let short = verb.short();
+    let lower = short.to_lowercase();
+    let nearest = M::VERBS
+        .iter()
+        .chain([&WAIT])
+        .min_by_key(|verb| strsim::levenshtein(&lower, verb))
+        .copied()
+        .unwrap_or_default();
+    let text = format!("there is no `{short}`; did you mean `{nearest}`?");
+    DeviceError::syntax(verb.at, text).with_nearest(nearest)
+}

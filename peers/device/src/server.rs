@@ -1,0 +1,480 @@
+//! The device's server: reacts to the events of its channel (M36).
+
+use mom_client::{
+    Age, BASED_ON, Code, Delivery, Event, Family, FenceGate, HUB, Map, Parcel, Path, Stale, StateGate, Time,
+    Value, WireError, event, to_value,
+};
+
+use crate::pull::{NEXT, Pull};
+use crate::queue::{Command, CommandQueue, Order, Progress, QueueEvent, State};
+use crate::{DeviceError, DeviceTime, ErrorName, Machine, Script};
+
+/// The message that carries a script.
+const COMMAND: &str = "command";
+/// The message that tells how far a command has come (M42).
+const STATUS: &str = "status";
+/// The message that tells the mount's state.
+pub(crate) const STATE: &str = "state";
+/// Why commands end at the hub's safe state.
+const SAFE: &str = "the hub ordered the safe state, because the token's owner lost it or gave it up";
+
+/// The decisions of a device's peer, without a connection and without a clock.
+///
+/// `handle` takes an event of the device's channel, `advance` lets time pass, `report` tells the state to all, `halt`
+/// ends everything. What is to be sent is pushed to `out`, in order. The driver calls `advance` whenever
+/// [`DeviceServer::next_wake`] is due.
+///
+/// - A command is obeyed if the fence gate lets it pass, if the state that it was based on (where it names one, as a relative
+///   one has to) still holds (M35), if it is not too old, and if the device takes its script. Otherwise, and at every later
+///   change, a `status` is broadcast (M42).
+/// - Whenever the owner changes, for whatever reason, the hub sends `halt`, or the link is lost, all commands end and the device
+///   stands at once: nothing of an old owner is ever under way when a command of the new one begins.
+/// - Anybody's `stop` ends all commands too, and latches until `unstop`. So does a gap in the events, because it may have
+///   contained a `stop`. After each of both it says how it stands, changed or not.
+/// - A peer that joins the channel gets the state; after a lost link it is sent again.
+#[derive(Debug)]
+pub struct DeviceServer<M: Machine> {
+    queue: CommandQueue<M>,
+    channel: Path,
+    states: StateGate,
+    /// Where the device was in the last state that was told.
+    told: Option<Map>,
+    /// The newest fence that was heard of.
+    fence: u64,
+    /// What it asks for, if it does.
+    pull: Option<Pull>,
+}
+
+/// Why a command was refused.
+enum CommandRefusal {
+    /// The device's own reason.
+    Device(DeviceError),
+    /// The command was not sent by the token's present owner.
+    Stale(Stale),
+    /// The state that the command was based on is outdated or unknown, or it is no answer in time.
+    State(WireError),
+}
+
+impl<M: Machine> DeviceServer<M> {
+    /// A server for a device that speaks on this channel, started at this time of day: no state of an earlier start passes for
+    /// one of this.
+    #[must_use]
+    pub fn new(machine: M, channel: Path, start: Time) -> Self {
+        Self {
+            queue: CommandQueue::new(machine),
+            channel,
+            states: StateGate::new(start),
+            told: None,
+            fence: 0,
+            pull: None,
+        }
+    }
+
+    /// Has it ask for its commands, each time for so many µs, and take none that is not an answer or may be too old (W22).
+    ///
+    /// While it has nothing to do, [`DeviceServer::ask`] says `next {wait}`, ms. The token's owner answers by a `command` with the id of
+    /// that in `reference`, and with `expires`. What comes later, answers an older request, or is of an unknown age is refused as
+    /// `expired`.
+    #[must_use]
+    pub fn pulling(mut self, wait: DeviceTime) -> Self {
+        self.pull = Some(Pull::new(wait));
+        self
+    }
+
+    /// Asks for the next command, if that is due and the token has an owner.
+    pub fn ask(&mut self, gate: &FenceGate, now: DeviceTime, out: &mut Vec<Parcel>) {
+        if self.asks_at(gate).is_none_or(|due| due > now) {
+            return;
+        }
+        let Some(wait) = self.pull.as_ref().map(Pull::wait) else {
+            return;
+        };
+        let mut next = self.message(NEXT, Map::new().with("wait", wait / 1000));
+        next.delivery = Some(Delivery::Latest);
+        self.states.stamp(&mut next, false);
+        if let Some(pull) = &mut self.pull {
+            pull.ask(next.id, now);
+        }
+        out.push(next);
+    }
+
+    /// When [`DeviceServer::ask`] has to be called next.
+    #[must_use]
+    pub fn asks_at(&self, gate: &FenceGate) -> Option<DeviceTime> {
+        let pull = self.pull.as_ref().filter(|_| !self.queue.is_busy())?;
+        let owned = gate.guard().is_some_and(|guard| guard.owner.is_some());
+        (owned && self.queue.check_free().is_ok()).then(|| pull.due())
+    }
+
+    /// Handles an event. `gate` is the channel's: it knows the fence of the present owner. `age` is how old a message
+    /// is, as far as that is known.
+    pub fn handle(
+        &mut self,
+        event: &Event,
+        gate: &FenceGate,
+        age: Option<Age>,
+        now: DeviceTime,
+        out: &mut Vec<Parcel>,
+    ) {
+        self.advance(now, out);
+        match event {
+            Event::Message(parcel) => self.handle_message(parcel, gate, age, now, out),
+            Event::Joined(member) => {
+                let mut state = self.state_message(&self.queue.state());
+                state.address = Some(vec![member.peer.as_str().into()]);
+                out.push(state);
+            }
+            // Without names of who joined, all are told.
+            Event::Count(_) | Event::Rejoined | Event::Resumed => self.report(out),
+            Event::Grabbed { fence, .. } => self.take_owner(*fence, now, out),
+            Event::Released { fence, .. } => self.end_older(fence.saturating_add(1), now, out),
+            Event::LinkDown => self.halt("the link to the hub was lost", now, out),
+            Event::Lagged(count) => {
+                let reason = format!("{count} events of the hub were lost, and a stop may be among them");
+                self.act(out, |queue, events| queue.stop(now, &reason, events));
+            }
+            _ => {}
+        }
+    }
+
+    /// Lets time pass until `now`.
+    pub fn advance(&mut self, now: DeviceTime, out: &mut Vec<Parcel>) {
+        self.act(out, |queue, events| queue.advance(now, events));
+    }
+
+    /// When [`DeviceServer::advance`] is to be called next; `None` while the device has nothing to do.
+    #[must_use]
+    pub fn next_wake(&self) -> Option<DeviceTime> {
+        self.queue.next_wake()
+    }
+
+    /// The device itself.
+    pub fn machine(&self) -> &M {
+        self.queue.machine()
+    }
+
+    /// How it stands.
+    pub fn state(&self) -> State {
+        self.queue.state()
+    }
+
+    /// Lets something be done to the device that no command does, such as that news of it have come.
+    pub fn note(&mut self, now: DeviceTime, what: impl FnOnce(&mut M), out: &mut Vec<Parcel>) {
+        self.act(out, |queue, events| queue.note(now, what, events));
+    }
+
+    /// Ends every command with this error, because the device cannot carry it out.
+    pub fn fail(&mut self, now: DeviceTime, error: &DeviceError, out: &mut Vec<Parcel>) {
+        self.act(out, |queue, events| queue.fail(now, error, events));
+    }
+
+    /// Ends every command, for a reason in plain words.
+    pub fn halt(&mut self, reason: &str, now: DeviceTime, out: &mut Vec<Parcel>) {
+        self.act(out, |queue, events| queue.halt(now, reason, events));
+    }
+
+    /// Tells all members of the channel the state.
+    pub fn report(&mut self, out: &mut Vec<Parcel>) {
+        out.push(self.state_message(&self.queue.state()));
+    }
+
+    fn handle_message(
+        &mut self,
+        parcel: &Parcel,
+        gate: &FenceGate,
+        age: Option<Age>,
+        now: DeviceTime,
+        out: &mut Vec<Parcel>,
+    ) {
+        let sender = parcel.sender.as_deref().unwrap_or_default();
+        match parcel.name() {
+            COMMAND => {
+                // The safe state that the token declares ends what the owner began, as `halt` does, and then moves the device.
+                if sender == HUB {
+                    self.halt(SAFE, now, out);
+                }
+                let order = Order {
+                    peer: sender.into(),
+                    id: parcel.id,
+                    fence: parcel.fence,
+                };
+                let passed = gate.check(parcel).map_err(CommandRefusal::Stale);
+                let obeyed = passed.and_then(|()| self.obey(order.clone(), parcel, age, now, out));
+                if let Err(refusal) = obeyed {
+                    let refused = Progress {
+                        order,
+                        statement: 0,
+                        of: 0,
+                    };
+                    out.push(self.status_message(&refused, "error", refusal.content()));
+                }
+            }
+            event::STOP => {
+                let reason = format!("{sender} sent stop");
+                self.obey_stop(out, |queue, events| queue.stop(now, &reason, events));
+            }
+            event::UNSTOP => self.obey_stop(out, |queue, events| queue.unstop(now, events)),
+            // Only the hub may send it; a peer that wants the device to stop has `stop`.
+            event::HALT if sender == HUB => self.halt(SAFE, now, out),
+            _ => {}
+        }
+    }
+
+    /// Stops, or does so no more, and says how the device stands, changed or not.
+    fn obey_stop(
+        &mut self,
+        out: &mut Vec<Parcel>,
+        action: impl FnOnce(&mut CommandQueue<M>, &mut Vec<QueueEvent>),
+    ) {
+        let before = out.len();
+        self.act(out, action);
+        if !out[before..].iter().any(|parcel| parcel.name() == STATE) {
+            self.report(out);
+        }
+    }
+
+    fn obey(
+        &mut self,
+        order: Order,
+        parcel: &Parcel,
+        age: Option<Age>,
+        now: DeviceTime,
+        out: &mut Vec<Parcel>,
+    ) -> Result<(), CommandRefusal> {
+        // The token's events may still be under way; the command's fence has the same information.
+        self.take_owner(order.fence.unwrap_or(0), now, out);
+        self.states.set_moving(self.queue.is_busy());
+        self.states.check(parcel)?;
+        if let Some(pull) = &self.pull {
+            pull.check(parcel, age)?;
+        }
+        let content = parcel
+            .content
+            .as_ref()
+            .and_then(|content| content.to_value().ok());
+        let script = content.as_ref().and_then(Value::as_str).ok_or_else(|| {
+            let text = format!("the content of a command is a string: the script of {}", M::NAME);
+            DeviceError::new(ErrorName::Syntax, text)
+        })?;
+        if let Some(id) = order.id
+            && self.queue.orders().any(|other| *other == order)
+        {
+            let text = format!(
+                "command {id} of {} is still waiting or executing; choose another id",
+                order.peer
+            );
+            return Err(DeviceError::new(ErrorName::DuplicateId, text).into());
+        }
+        self.queue.check_free()?;
+        let script = Script::read::<M>(script)?;
+        if script.is_relative::<M>() && parcel.extra.get(BASED_ON).is_none() {
+            let text = "a relative command is right in one place only: it has to name the state that it is based on, by that state's id in the slot `based-on`";
+            return Err(DeviceError::new(ErrorName::NoState, text).into());
+        }
+        let command = Command {
+            order,
+            script,
+            use_by: use_by(parcel, age, now),
+        };
+        let mut taken = Ok(());
+        self.act(out, |mount, events| taken = mount.submit(command, now, events));
+        taken?;
+        if let Some(pull) = &mut self.pull {
+            pull.renew(now);
+        }
+        Ok(())
+    }
+
+    /// The token has an owner of this fence, perhaps a new one.
+    fn take_owner(&mut self, fence: u64, now: DeviceTime, out: &mut Vec<Parcel>) {
+        if fence <= self.fence {
+            return;
+        }
+        // Before anything is told: each state from now on says that it stands for the new owner.
+        self.fence = fence;
+        if let Some(pull) = &mut self.pull {
+            pull.renew(now);
+        }
+        let before = out.len();
+        self.end_older(fence, now, out);
+        if !out[before..].iter().any(|parcel| parcel.name() == STATE) {
+            self.report(out);
+        }
+    }
+
+    /// Ends what older owners have begun: its sender no longer owns the token.
+    fn end_older(&mut self, fence: u64, now: DeviceTime, out: &mut Vec<Parcel>) {
+        let is_older = |order: &Order| order.fence.is_some_and(|old| old < fence);
+        if self.queue.orders().any(is_older) {
+            self.halt("the token changed hands", now, out);
+        }
+    }
+
+    /// Lets the device act, and reports the outcome.
+    fn act(
+        &mut self,
+        out: &mut Vec<Parcel>,
+        action: impl FnOnce(&mut CommandQueue<M>, &mut Vec<QueueEvent>),
+    ) {
+        let mut events = Vec::new();
+        action(&mut self.queue, &mut events);
+        for event in events {
+            out.push(match event {
+                QueueEvent::Waiting(progress) => self.status_message(&progress, "waiting", None),
+                QueueEvent::Executing(progress) => self.status_message(&progress, "executing", None),
+                QueueEvent::Finished(progress) => self.status_message(&progress, "finished", None),
+                QueueEvent::Failed(progress, error) => {
+                    self.status_message(&progress, "error", to_value(&error).ok())
+                }
+                QueueEvent::State(state) => self.state_message(&state),
+            });
+        }
+    }
+
+    /// `{id?, peer, state, statement, of, error?}`, as a robot's.
+    fn status_message(&self, progress: &Progress, state: &str, error: Option<Value>) -> Parcel {
+        let Progress { order, statement, of } = progress;
+        let mut content = id_map(order)
+            .with("peer", &*order.peer)
+            .with("state", state)
+            .with("statement", *statement)
+            .with("of", *of);
+        if let Some(error) = error {
+            content.set("error", error);
+        }
+        let mut parcel = self.message(STATUS, content);
+        parcel.reference = order.id;
+        parcel
+    }
+
+    /// `{seq, …position, …report, moving, stopped, executing {id?, peer, statement, of}?, waiting, fence?}`.
+    fn state_message(&mut self, state: &State) -> Parcel {
+        let mut content = Map::new().with("seq", state.seq as i64);
+        for (key, value) in state.position.iter().chain(state.report.iter()) {
+            content.set(key, value.clone());
+        }
+        content.set("moving", state.moving);
+        content.set("stopped", state.stopped);
+        if let Some(Progress { order, statement, of }) = &state.executing {
+            let executing = id_map(order).with("peer", &*order.peer);
+            content.set(
+                "executing",
+                executing.with("statement", *statement).with("of", *of),
+            );
+        }
+        content.set("waiting", state.waiting as i64);
+        if let Ok(fence @ 1..) = i64::try_from(self.fence) {
+            content.set("fence", fence);
+        }
+        let mut parcel = self.message(STATE, content);
+        parcel.delivery = Some(Delivery::Latest);
+        let moved = self.told.as_ref() != Some(&state.position);
+        if moved {
+            self.told = Some(state.position.clone());
+        }
+        self.states.stamp(&mut parcel, moved);
+        parcel
+    }
+
+    /// A broadcast without echo.
+    fn message(&self, name: &str, content: Map) -> Parcel {
+        let mut parcel = Parcel::new(Family::Message, name)
+            .context(self.channel.clone())
+            .content(content);
+        parcel.echo = Some(false);
+        parcel
+    }
+}
+
+/// Until when a command may begin; the hub's own is the safe state, which does not grow old.
+fn use_by(parcel: &Parcel, age: Option<Age>, now: DeviceTime) -> Option<DeviceTime> {
+    let expires = parcel.expires.filter(|_| parcel.sender.as_deref() != Some(HUB))?;
+    let life = DeviceTime::try_from(expires.saturating_mul(1000)).ok()?;
+    Some(now.saturating_add(life.saturating_sub(age.map_or(0, |age| age.micros))))
+}
+
+/// `{id?}`.
+fn id_map(order: &Order) -> Map {
+    match order.id.and_then(|id| i64::try_from(id).ok()) {
+        Some(id) => Map::new().with("id", id),
+        None => Map::new(),
+    }
+}
+
+impl CommandRefusal {
+    /// A map of code word, number, plain words, and what else applies.
+    fn content(&self) -> Option<Value> {
+        match self {
+            CommandRefusal::Device(error) => to_value(error).ok(),
+            CommandRefusal::Stale(stale) => Some(stale_map(stale).into()),
+            CommandRefusal::State(error) => Some(error.to_map().into()),
+        }
+    }
+}
+
+impl From<DeviceError> for CommandRefusal {
+    fn from(error: DeviceError) -> Self {
+        CommandRefusal::Device(error)
+    }
+}
+
+impl From<WireError> for CommandRefusal {
+    fn from(error: WireError) -> Self {
+        CommandRefusal::State(error)
+    }
+}
+
+fn stale_map(stale: &Stale) -> Map {
+    let now = match &stale.owner {
+        Some(owner) => format!("{owner} owns its token now, with fence {}", stale.fence),
+        None => "nobody owns its token now".to_owned(),
+    };
+    let text = match stale.given {
+        Some(given) => format!("the command was sent under fence {given}, and {now}"),
+        None => format!("the command was sent without a fence, and {now}"),
+    };
+    let map = Map::new()
+        .with("name", Code::OLDER_FENCE.word())
+        .with("code", u32::from(Code::OLDER_FENCE.number()))
+        .with("text", text);
+    match &stale.owner {
+        Some(owner) => map.with("owner", owner.as_str()),
+        None => map,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stale_command_is_refused_in_plain_words() {
+        for (given, owner, text) in [
+            (
+                Some(7),
+                Some("bob"),
+                "the command was sent under fence 7, and bob owns its token now, with fence 9",
+            ),
+            (
+                Some(9),
+                None,
+                "the command was sent under fence 9, and nobody owns its token now",
+            ),
+            (
+                None,
+                None,
+                "the command was sent without a fence, and nobody owns its token now",
+            ),
+        ] {
+            let stale = Stale {
+                name: COMMAND.to_owned(),
+                given,
+                fence: 9,
+                owner: owner.map(str::to_owned),
+            };
+            let map = stale_map(&stale);
+            assert_eq!(map.get("text").and_then(Value::as_str), Some(text));
+            assert_eq!(map.get("owner").and_then(Value::as_str), owner);
+        }
+    }
+}

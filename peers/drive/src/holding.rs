@@ -1,0 +1,108 @@
+//! A token while work is done under it.
+
+use std::future::Future;
+use std::pin::pin;
+use std::time::Duration;
+
+use mom_client::{Client, Lost, Token, TokenGuard};
+use tokio::time::timeout;
+
+use crate::VerbFailure;
+use crate::asking::ANSWER;
+use crate::failure::Doing as _;
+
+/// A token that we own, or have lost.
+#[derive(Debug)]
+pub struct Holding {
+    token: Token,
+    guard: TokenGuard,
+}
+
+/// How the work under a token ended.
+#[derive(Debug)]
+pub enum WorkEnd<T> {
+    /// By itself.
+    Ended(T),
+    /// Because the user wanted it.
+    Interrupted,
+    /// Because the token was lost.
+    Lost(Lost),
+}
+
+impl Holding {
+    /// Grabs a token, at once or after at most so long in its queue.
+    ///
+    /// # Errors
+    /// The hub's refusal, a lost connection.
+    pub async fn grab(client: &Client, path: &str, wait: Option<Duration>) -> Result<Holding, VerbFailure> {
+        let token = client.token(path).await.doing(format!("join {path}"))?;
+        let grab = match wait {
+            Some(time) => token.grab().wait(time),
+            None => token.grab(),
+        };
+        let guard = grab.await.doing(format!("grab {path}"))?;
+        Ok(Holding { token, guard })
+    }
+
+    /// Accepts a token that another peer offers.
+    ///
+    /// # Errors
+    /// The hub's refusal, a lost connection.
+    pub async fn accept(token: Token) -> Result<Holding, VerbFailure> {
+        let guard = token.accept().await.doing(format!("accept {}", token.path()))?;
+        Ok(Holding { token, guard })
+    }
+
+    /// The fence of the ownership.
+    #[must_use]
+    pub fn fence(&self) -> u64 {
+        self.guard.fence()
+    }
+
+    /// Its guard.
+    #[must_use]
+    pub fn guard(&self) -> &TokenGuard {
+        &self.guard
+    }
+
+    /// Works until the work is done, or the user wants no more, or the token is lost.
+    pub async fn during<T>(
+        &mut self,
+        interrupt: impl Future<Output = ()>,
+        work: impl Future<Output = Result<T, VerbFailure>>,
+    ) -> WorkEnd<Result<T, VerbFailure>> {
+        let (interrupt, work) = (pin!(interrupt), pin!(work));
+        let ended = tokio::select! {
+            biased;
+            lost = self.guard.lost() => return WorkEnd::Lost(lost),
+            () = interrupt => WorkEnd::Interrupted,
+            ended = work => WorkEnd::Ended(ended),
+        };
+        // Who interrupts wants the token back at once, and has no refusal that is to be explained.
+        if !matches!(ended, WorkEnd::Ended(Err(_))) {
+            return ended;
+        }
+        // A device that refuses because the token is lost may say so before the hub does.
+        let _asked = timeout(ANSWER, self.token.info()).await;
+        match self.guard.is_lost() {
+            true => WorkEnd::Lost(self.guard.lost().await),
+            false => ended,
+        }
+    }
+
+    /// Gives the token back. Does nothing if it is lost.
+    ///
+    /// # Errors
+    /// The hub's refusal, a lost connection.
+    pub async fn release(self) -> Result<(), VerbFailure> {
+        let what = format!("release {}", self.guard.path());
+        self.guard.release().await.doing(what)
+    }
+}
+
+/// Why the work ended, in words.
+#[must_use]
+pub fn lost_words(token: &str, lost: &Lost) -> String {
+    let by = lost.by.as_ref().map(|by| format!(" by {by}")).unwrap_or_default();
+    format!("lost {token}: {}{by}", lost.reason)
+}

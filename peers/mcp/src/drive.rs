@@ -1,0 +1,581 @@
+//! `request_token`, `move`, `return_token` and `stop`.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use mom_client::{
+    BASED_ON, ClientError, Event, Events, Family, Loan, Lost, Parcel, TokenGuard, Value, WireError,
+    from_value, plain_duration,
+};
+use serde::Deserialize;
+use serde_json::{Value as Json, json};
+use tokio::time::{Instant, interval_at, timeout};
+
+use crate::answer::Answer;
+use crate::assistant::{Assistant, loss_words};
+use crate::progress::Progress;
+use crate::sight::{count_words, give_command, pose_words, scope_words};
+
+/// How long a person may take by default: clients of MCP wait a minute.
+const PATIENCE: u64 = 50;
+/// How often a waiting client is told so.
+const TOLD: Duration = Duration::from_secs(2);
+/// So long the arm may take to stand under a new owner.
+const HANDS: Duration = Duration::from_secs(5);
+/// An arm that says nothing for so long while it works is not there; a statement may wait for a minute.
+const SILENT: Duration = Duration::from_secs(90);
+/// So long devices may take to say that they stand.
+const STANDS: Duration = Duration::from_secs(1);
+/// So long the state may be behind the report of the same end.
+const LATER: Duration = Duration::from_millis(200);
+/// Who carries out a command has come to rest so soon after it.
+const REST: Duration = Duration::from_secs(2);
+
+/// The arguments of `request_token`.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Wish {
+    reason: String,
+    #[serde(default)]
+    for_seconds: Option<u64>,
+    #[serde(default)]
+    commands: Option<u64>,
+    #[serde(default)]
+    wait_seconds: Option<u64>,
+}
+
+impl Wish {
+    /// Whether it can be asked; else what is wrong.
+    pub(crate) fn check(&self) -> Result<(), String> {
+        if self.reason.trim().is_empty() || self.reason.chars().count() > 500 {
+            return Err("`reason` is to say in 1 to 500 characters what you want to do".to_owned());
+        }
+        for (name, number, most) in [
+            ("for_seconds", self.for_seconds, 86_400),
+            ("commands", self.commands, 10_000),
+            ("wait_seconds", self.wait_seconds, 600),
+        ] {
+            if number.is_some_and(|number| number == 0 || number > most) {
+                return Err(format!("`{name}` is a number from 1 to {most}"));
+            }
+        }
+        Ok(())
+    }
+
+    fn within(&self) -> Duration {
+        Duration::from_secs(self.wait_seconds.unwrap_or(PATIENCE))
+    }
+
+    /// The reason as the owner reads it.
+    fn text(&self) -> String {
+        let seconds = self.for_seconds.map(|seconds| format!("{seconds} s"));
+        let commands = self.commands.map(count_words);
+        let wanted: Vec<String> = seconds.into_iter().chain(commands).collect();
+        match wanted.is_empty() {
+            true => self.reason.clone(),
+            false => format!("{} (for {})", self.reason, wanted.join(" and ")),
+        }
+    }
+}
+
+/// `request_token`
+pub(crate) async fn request_token(
+    assistant: &Arc<Assistant>,
+    wish: &Wish,
+    progress: &mut Progress,
+) -> Answer {
+    if let Some(answer) = granted(assistant) {
+        return answer;
+    }
+    let info = match assistant.token_info().await {
+        Ok(info) => info,
+        Err(answer) => return answer,
+    };
+    let (me, path) = (assistant.client.name(), &assistant.places.token);
+    let offered = info.offer.is_some_and(|offer| offer.to == me);
+    // An offer is accepted as it comes; this one is just about to be.
+    if (offered || info.owner.as_deref() == Some(&*me)) && assistant.taken_soon().await {
+        return granted(assistant)
+            .unwrap_or_else(|| Answer::bad("lost", format!("{path} was granted and lost at once")));
+    }
+    if !info.holders.is_empty() {
+        let holders = info.holders.join(", ");
+        return Answer::bad(
+            "held",
+            format!("{path} is inhibited by {holders}: nobody may drive now"),
+        );
+    }
+    match info.owner {
+        Some(owner) => ask(assistant, wish, &owner, progress).await,
+        None => wait_for_gift(assistant, wish, progress).await,
+    }
+}
+
+/// Nobody can be asked: says how a person gives the token, and waits for that where the call says for how long.
+async fn wait_for_gift(assistant: &Assistant, wish: &Wish, progress: &mut Progress) -> Answer {
+    let (path, command) = (&assistant.places.token, give_command(assistant));
+    if let Some(seconds) = wish.wait_seconds {
+        let words = format!("waiting for a person to give {path}: {command}");
+        progress.tell(0.0, None, words).await;
+        tokio::select! {
+            biased;
+            () = progress.cancelled() => return Answer::bad("cancelled", "before anybody gave the token"),
+            given = timeout(Duration::from_secs(seconds), assistant.taken()) => {
+                if let (Ok(()), Some(answer)) = (given, granted(assistant)) {
+                    return answer;
+                }
+            }
+        }
+    }
+    let text = format!(
+        "nobody holds {path}, so there is nobody to ask, and you cannot take it yourself. A person gives it to you by: \
+         {command}   (it is accepted as soon as it is offered; then call request_token again, or call it with wait_seconds \
+         to wait for that)"
+    );
+    Answer::bad("not-granted", text).with("give", json!(command))
+}
+
+/// Asks the owner and waits for the token, which may be handed over, or given with a scope.
+async fn ask(assistant: &Arc<Assistant>, wish: &Wish, owner: &str, progress: &mut Progress) -> Answer {
+    let path = &assistant.places.token;
+    let Some(token) = assistant.token().await else {
+        return Answer::bad(
+            "try-later",
+            format!("{path} is being joined again; call again in a second"),
+        );
+    };
+    let asked = Instant::now();
+    let mut told = interval_at(asked, TOLD);
+    let request = token.request().within(wish.within()).text(wish.text());
+    let mut request = std::pin::pin!(async move { request.await });
+    let error = loop {
+        tokio::select! {
+            biased;
+            () = progress.cancelled() => {
+                assistant.withdraw().await;
+                return Answer::bad("cancelled", format!("the request to {owner} is taken back"));
+            }
+            () = assistant.taken() => break None,
+            answer = &mut request => match answer {
+                Ok(guard) => {
+                    assistant.put(guard);
+                    assistant.keep_to(wish.for_seconds.map(Duration::from_secs), wish.commands);
+                    break None;
+                }
+                Err(error) => break Some(error),
+            },
+            _ = told.tick() => {
+                let waited = asked.elapsed().as_secs_f64();
+                let words = format!("{owner} has been asked for {path} and has not answered yet");
+                progress.tell(waited, Some(wish.within().as_secs_f64()), words).await;
+            }
+        }
+    };
+    match error {
+        None => granted(assistant)
+            .unwrap_or_else(|| Answer::bad("lost", format!("{path} was granted and lost at once"))),
+        // The owner may have given it instead of answering.
+        Some(error) if is_withdrawn(&error) && assistant.taken_soon().await => {
+            granted(assistant).unwrap_or_else(|| Answer::of_client("request", &error))
+        }
+        Some(error) => Answer::of_client(&format!("{owner} was asked for {path}"), &error),
+    }
+}
+
+fn is_withdrawn(error: &ClientError) -> bool {
+    error.code().is_some_and(|code| code.word() == "withdrawn")
+}
+
+/// What was granted, if the token is in the hand.
+fn granted(assistant: &Assistant) -> Option<Answer> {
+    let (fence, loan) = assistant.held(|guard| (guard.fence(), guard.delegation().cloned()))?;
+    let path = &assistant.places.token;
+    let text = match &loan {
+        Some(Loan {
+            from, time, commands, ..
+        }) => {
+            let time = time.map(plain_duration);
+            let commands = commands.map(count_words);
+            let scope: Vec<String> = time.into_iter().chain(commands).collect();
+            format!(
+                "you hold {path}, given by {from} for {}; it goes back to {from} by itself then, or at return_token",
+                scope.join(" or ")
+            )
+        }
+        None => format!(
+            "you hold {path}, handed over for good, but for what you asked for yourself: nothing else takes it from you than a \
+             person of a higher level, so call return_token as soon as you are done"
+        ),
+    };
+    let scope = loan.map(|loan| {
+        let seconds = loan.time.map(|time| time.as_secs_f64());
+        json!({"from": loan.from, "for_seconds": seconds, "commands": loan.commands})
+    });
+    Some(Answer::good(
+        text,
+        json!({"granted": true, "fence": fence, "scope": scope}),
+    ))
+}
+
+/// How a command came to its end.
+enum End {
+    Finished,
+    Failed(Status),
+    Lost(Lost),
+    Cancelled,
+    /// What became of it is not known.
+    Unknown(Answer),
+}
+
+/// A report about a command.
+#[derive(Debug, Deserialize)]
+struct Status {
+    #[serde(default)]
+    id: Option<u64>,
+    peer: String,
+    state: String,
+    #[serde(default)]
+    statement: u32,
+    #[serde(default)]
+    of: u32,
+    #[serde(default)]
+    error: Option<Value>,
+}
+
+/// `move`
+pub(crate) async fn run(assistant: &Assistant, script: &str, progress: &mut Progress) -> Answer {
+    let mut guard = match take(assistant).await {
+        Ok(guard) => guard,
+        Err(answer) => return *answer,
+    };
+    let before = assistant.newest();
+    let end = carry_out(assistant, &mut guard, script, progress).await;
+    let end = match end {
+        // The hub's word that the token is lost may be behind the robot's that it was halted.
+        End::Failed(status) => {
+            let _asked = assistant.token_info().await;
+            match guard.is_lost() {
+                true => End::Lost(guard.lost().await),
+                false => End::Failed(status),
+            }
+        }
+        end => end,
+    };
+    let path = &assistant.places.token;
+    let answer = match end {
+        End::Cancelled => {
+            // Nobody watches any more: whoever lent it has it back, and the hub halts the robot.
+            let _released = guard.release().await;
+            return Answer::bad(
+                "cancelled",
+                format!("{path} is given back, and the hub has halted the arm"),
+            );
+        }
+        End::Lost(lost) => {
+            let text = format!(
+                "you have {}, so the hub has halted the arm; do not go on",
+                loss_words(path, &lost)
+            );
+            assistant.lose(lost.clone());
+            Answer::bad("lost", text).with("lost", json!({"reason": lost.reason, "by": lost.by}))
+        }
+        End::Finished => Answer::good("finished", json!({"status": "finished"})),
+        End::Failed(status) => failed(&status),
+        End::Unknown(answer) => answer,
+    };
+    let last = !guard.is_lost() && assistant.put_after_command(guard).await;
+    let answer = with_rest(assistant, answer, before).await;
+    match last {
+        true => answer.and(&format!(
+            "that was what you asked {path} for, so it was given back"
+        )),
+        false => answer,
+    }
+}
+
+/// With where the arm is now, and what is left of the scope.
+async fn with_rest(assistant: &Assistant, answer: Answer, before: Option<i64>) -> Answer {
+    // Its last state may come after the report. Of a script that was refused at once there is none.
+    let _newer = assistant
+        .robot_state_when(LATER, |state| Some(state.seq) > before)
+        .await;
+    let rests = assistant.robot_state_when(REST, |state| !state.moving).await;
+    let mut answer = answer;
+    if let Ok(seen) | Err(Some(seen)) = rests {
+        assistant.tell(&seen);
+        let state = &seen.state;
+        let holding = state.holding.as_deref().unwrap_or("nothing");
+        let words = format!("the arm is at {}, holding {holding}", pose_words(&state.pose));
+        answer = answer.and(&words);
+        answer = answer
+            .with("pose", json!(state.pose))
+            .with("holding", json!(state.holding));
+    }
+    let Ok(info) = assistant.token_info().await else {
+        return answer;
+    };
+    let me = assistant.client.name();
+    if let (Some(scope), true) = (info.delegated, info.owner == Some(me)) {
+        let left = json!({"left_seconds": scope.left.map(|left| left.as_secs_f64()), "commands_left": scope.commands});
+        let words = match scope.commands {
+            Some(0) => "that was the last command of the scope".to_owned(),
+            _ => scope_words(scope.left, scope.commands),
+        };
+        answer = answer.and(&words).with("scope", left);
+    }
+    answer
+}
+
+/// Takes the token to move the arm; why nothing is moved.
+async fn take(assistant: &Assistant) -> Result<TokenGuard, Box<Answer>> {
+    let lost = match assistant.take().await {
+        Ok(guard) => return Ok(guard),
+        Err(lost) => lost,
+    };
+    let path = &assistant.places.token;
+    let owner = assistant.token_info().await.ok().and_then(|info| info.owner);
+    // What was given is just about to be in the hand.
+    if owner == Some(assistant.client.name())
+        && assistant.taken_soon().await
+        && let Ok(guard) = assistant.take().await
+    {
+        return Ok(guard);
+    }
+    let now = match owner {
+        Some(owner) => format!("{owner} holds it now; ask with request_token"),
+        None => format!(
+            "nobody holds it now; a person gives it to you by: {}",
+            give_command(assistant)
+        ),
+    };
+    let why = lost.map_or_else(
+        || format!("you do not hold {path}"),
+        |lost| format!("you have {lost}"),
+    );
+    Err(Box::new(Answer::bad(
+        "not-owner",
+        format!("nothing was moved: {why}. {now}"),
+    )))
+}
+
+/// The error of a command.
+fn failed(status: &Status) -> Answer {
+    let error = status.error.clone().unwrap_or_default();
+    let error = error.as_map().map(WireError::from_map);
+    let place = match status.statement {
+        0 => String::new(),
+        number => format!(" at statement {number} of {}", status.of),
+    };
+    let what = format!("the arm ended the script with an error{place}");
+    let answer = match error {
+        Some(error) => Answer::refused(&what, &error),
+        None => Answer::bad("failed", what),
+    };
+    answer
+        .with("status", json!("error"))
+        .with("statement", json!(status.statement))
+        .with("of", json!(status.of))
+}
+
+/// Sends a script and waits for its end.
+async fn carry_out(
+    assistant: &Assistant,
+    guard: &mut TokenGuard,
+    script: &str,
+    progress: &mut Progress,
+) -> End {
+    let fence = guard.fence();
+    // A command that comes while the arm still halts for the last owner is refused.
+    let stands = assistant.robot_state_when(HANDS, |state| state.is_under(fence));
+    tokio::select! {
+        biased;
+        lost = guard.lost() => return End::Lost(lost),
+        () = progress.cancelled() => return End::Cancelled,
+        _stands = stands => {}
+    }
+    let mut events = assistant.robot.events();
+    let mut parcel = Parcel::new(Family::Message, "command").content(script);
+    parcel.fence = Some(fence);
+    if is_relative(script) {
+        let Some(told) = assistant.told().and_then(|id| i64::try_from(id).ok()) else {
+            let text = "`by` is relative to where the arm is: call `where` first, so that you know";
+            return End::Unknown(Answer::bad("stale-state", text));
+        };
+        parcel.extra.set(BASED_ON, told);
+    }
+    let id = match assistant.robot.send(parcel, "send the script").await {
+        Ok(id) => id,
+        Err(failure) if guard.is_lost() => {
+            tracing::debug!("{failure}");
+            return End::Lost(guard.lost().await);
+        }
+        Err(failure) => return End::Unknown(Answer::from(&failure)),
+    };
+    loop {
+        tokio::select! {
+            biased;
+            lost = guard.lost() => return End::Lost(lost),
+            () = progress.cancelled() => return End::Cancelled,
+            next = timeout(SILENT, status(assistant, &mut events, id)) => match next {
+                Ok(Ok(status)) => match status.state.as_str() {
+                    "finished" => return End::Finished,
+                    "error" => return End::Failed(status),
+                    state => {
+                        let words = format!("{state} statement {} of {}", status.statement, status.of);
+                        progress.tell(status.statement.into(), Some(status.of.into()), words).await;
+                    }
+                },
+                Ok(Err(answer)) => return End::Unknown(answer),
+                Err(_) => {
+                    let text = format!("the arm has said nothing for {} s; what became of the script is not known", SILENT.as_secs());
+                    return End::Unknown(Answer::bad("silent", text));
+                }
+            },
+        }
+    }
+}
+
+/// Whether a script has statements that depend on where the arm is.
+fn is_relative(script: &str) -> bool {
+    let mut statements = script.split([';', '\n']);
+    statements.any(|statement| statement.split_whitespace().next() == Some("by"))
+}
+
+/// The next report about our command.
+async fn status(assistant: &Assistant, events: &mut Events, id: u64) -> Result<Status, Answer> {
+    let unknown = |code: &str, why: &str| {
+        Answer::bad(
+            code,
+            format!("{why}; what became of the script is not known, so look"),
+        )
+    };
+    loop {
+        match events.next().await {
+            Some(Event::Message(parcel)) if parcel.name() == "status" => {
+                if let Ok(status) = from_value::<Status>(parcel.value())
+                    && status.id == Some(id)
+                    && status.peer == assistant.client.name()
+                {
+                    return Ok(status);
+                }
+            }
+            Some(Event::LinkDown) | None => {
+                return Err(unknown(
+                    "disconnected",
+                    "the connection to the hub was lost, and the hub halts the arm",
+                ));
+            }
+            Some(Event::Lagged(_)) => return Err(unknown("lagged", "events of the arm were lost here")),
+            Some(_) => {}
+        }
+    }
+}
+
+/// `return_token`
+pub(crate) async fn return_token(assistant: &Assistant) -> Answer {
+    let path = &assistant.places.token;
+    let guard = match assistant.take().await {
+        Ok(guard) => guard,
+        Err(lost) => {
+            assistant.forget_loss();
+            let text = match lost {
+                Some(lost) => format!("there is nothing to give back: you have {lost}"),
+                None => format!("there is nothing to give back: you do not hold {path}"),
+            };
+            return Answer::good(text, json!({"returned": false}));
+        }
+    };
+    let to = guard.delegation().map(|loan| loan.from.clone());
+    match guard.release().await {
+        Ok(()) => {
+            assistant.forget_loss();
+            let text = match &to {
+                Some(to) => format!("{path} is given back to {to}; the arm stands"),
+                None => format!("{path} is free; the arm stands"),
+            };
+            Answer::good(text, json!({"returned": true, "to": to}))
+        }
+        Err(error) => Answer::of_client(&format!("give {path} back"), &error),
+    }
+}
+
+/// `stop`
+pub(crate) async fn stop(assistant: &Assistant) -> Answer {
+    let path = &assistant.places.robot;
+    let message = Parcel::new(Family::Message, "stop");
+    if let Err(failure) = assistant.robot.send(message, &format!("stop {path}")).await {
+        return Answer::from(&failure);
+    }
+    let release = format!("mom unstop {path}");
+    match assistant.robot_state_when(STANDS, |state| state.stopped).await {
+        Ok(seen) => {
+            assistant.tell(&seen);
+            let text = format!(
+                "the arm stands at {}, and stays so until a person lets it go by: {release}",
+                pose_words(&seen.state.pose)
+            );
+            Answer::good(
+                text,
+                json!({"stands": true, "pose": seen.state.pose, "unstop": release}),
+            )
+        }
+        Err(_) => {
+            let text = format!(
+                "the stop was sent, but the arm has not said within {} s that it stands: tell a person at once",
+                STANDS.as_secs()
+            );
+            Answer::bad("silent", text).with("stands", Json::Null)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn wish(json: Json) -> Result<Wish, serde_json::Error> {
+        serde_json::from_value(json)
+    }
+
+    #[test]
+    fn a_wish_has_a_reason_and_limits() {
+        let full =
+            json!({"reason": "to fetch the cup", "for_seconds": 60, "commands": 5, "wait_seconds": 10});
+        let full = wish(full).expect("all are known");
+        assert_eq!(full.check(), Ok(()));
+        assert_eq!(full.text(), "to fetch the cup (for 60 s and 5 commands)");
+        for (bad, named) in [
+            (json!({"reason": " "}), "reason"),
+            (json!({"reason": "x".repeat(501)}), "reason"),
+            (json!({"reason": "x", "for_seconds": 0}), "for_seconds"),
+            (json!({"reason": "x", "commands": 10_001}), "commands"),
+            (json!({"reason": "x", "wait_seconds": 601}), "wait_seconds"),
+        ] {
+            let told = wish(bad)
+                .expect("it can be read")
+                .check()
+                .expect_err("it is wrong");
+            assert!(told.contains(named), "{told}");
+        }
+        for bad in [
+            json!({}),
+            json!({"reason": 7}),
+            json!({"reason": "x", "more": 1}),
+            json!({"reason": "x", "commands": -1}),
+        ] {
+            assert!(wish(bad.clone()).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn what_depends_on_where_the_arm_is() {
+        for (script, relative) in [
+            ("move 1 2 3 0 0", false),
+            ("home\n by 1 0 0 0 0", true),
+            ("grip open;by 1 0 0 0 0", true),
+            ("standby", false),
+        ] {
+            assert_eq!(is_relative(script), relative, "{script}");
+        }
+    }
+}

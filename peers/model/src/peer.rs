@@ -1,0 +1,346 @@
+//! The model server as a peer: joins its contexts and connects them to the [`ModelServer`].
+
+use std::collections::{BTreeMap, VecDeque};
+use std::future::{Future, pending};
+use std::pin::pin;
+use std::time::{Duration, SystemTime};
+
+use mom_client::{
+    Channel, Client, ClientError, Code, ContextKind, Event, Events, LinkState, Parcel, Path, Thinning, Time,
+    Token, WireError,
+};
+use tokio::sync::mpsc;
+use tokio::task::{JoinHandle, JoinSet, spawn_blocking};
+use tokio::time::{MissedTickBehavior, interval};
+
+use crate::{Image, Kind, Look, ModelServer, ServerOptions};
+
+/// How often the server looks at its clock.
+const TICK: Duration = Duration::from_millis(250);
+/// How many images of each camera are looked at, at most: a look takes about 10 ms of a processor.
+const RATE: &str = "4/s";
+/// Events that wait for the server.
+const WAITING: usize = 256;
+
+/// Where the model server listens and tells.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ModelOptions {
+    /// The channel in which it tells; tokens beside it are those of single objects.
+    pub channel: String,
+    /// The channels of the cameras by which it sees. Those that move are of no use.
+    pub cameras: Vec<String>,
+    /// The channel of the robot, which says what it holds.
+    pub robot: String,
+    /// The token whose owner writes all objects.
+    pub token: String,
+    /// What it looks for.
+    pub kinds: Vec<Kind>,
+}
+
+impl Default for ModelOptions {
+    /// The lab's: three cameras that stand, three blocks of 40 mm.
+    fn default() -> ModelOptions {
+        let kind = |(name, colour): (&str, [u8; 3])| Kind {
+            name: name.to_owned(),
+            size: 40.0,
+            colour,
+        };
+        ModelOptions {
+            channel: "/model/objects".to_owned(),
+            cameras: ["/camera/x", "/camera/y", "/camera/top"]
+                .map(str::to_owned)
+                .to_vec(),
+            robot: "/robot/arm".to_owned(),
+            token: "/robot/token".to_owned(),
+            kinds: [
+                ("red", [200, 40, 40]),
+                ("green", [40, 150, 60]),
+                ("blue", [40, 80, 190]),
+            ]
+            .map(kind)
+            .to_vec(),
+        }
+    }
+}
+
+impl ModelOptions {
+    fn server(&self) -> Result<ServerOptions, ClientError> {
+        let cameras: Result<Vec<Path>, _> = self.cameras.iter().map(|path| Path::parse(path)).collect();
+        Ok(ServerOptions {
+            channel: Path::parse(&self.channel)?,
+            token: Path::parse(&self.token)?,
+            cameras: cameras?,
+            kinds: self.kinds.clone(),
+        })
+    }
+}
+
+/// An event, and where it happened.
+enum Heard {
+    Camera(usize, Event),
+    Robot(Event),
+    Token(Path, Event),
+    Model(Event),
+}
+
+/// The model's images on their way: of each camera the newest that nobody has looked at, and the one under way.
+#[derive(Default)]
+struct Looking {
+    /// The camera that has waited longest is the first.
+    waiting: VecDeque<(usize, Image)>,
+    under_way: Option<JoinHandle<(usize, Result<Look, String>)>>,
+}
+
+impl Looking {
+    /// Takes a camera's image; it keeps its place among the others.
+    fn add(&mut self, camera: usize, image: Image) {
+        match self.waiting.iter_mut().find(|(other, _)| *other == camera) {
+            Some((_, older)) => *older = image,
+            None => self.waiting.push_back((camera, image)),
+        }
+    }
+
+    /// Looks at the next image, on a thread of its own.
+    fn begin(&mut self, server: &ModelServer) {
+        if self.under_way.is_none()
+            && let Some((camera, image)) = self.waiting.pop_front()
+        {
+            let wanted = server.wanted();
+            self.under_way = Some(spawn_blocking(move || (camera, image.look(&wanted))));
+        }
+    }
+
+    /// What the image under way shows.
+    async fn done(&mut self) -> Option<(usize, Look)> {
+        let (camera, look) = done(&mut self.under_way).await?;
+        look.inspect_err(|error| tracing::warn!(error, "an image cannot be read"))
+            .ok()
+            .map(|look| (camera, look))
+    }
+}
+
+/// Waits for the work that is under way, if it is; `None` if it failed.
+async fn done<T>(work: &mut Option<JoinHandle<T>>) -> Option<T> {
+    let ended = match work {
+        Some(work) => work.await,
+        None => pending().await,
+    };
+    *work = None;
+    ended
+        .inspect_err(|error| tracing::error!(%error, "the model's work broke down"))
+        .ok()
+}
+
+/// The users of all peers in these contexts, as far as the hub tells them.
+async fn users(client: Client, contexts: Vec<String>) -> BTreeMap<String, String> {
+    let mut users = BTreeMap::new();
+    for path in contexts {
+        match client.members(&path).await {
+            Ok(members) => users.extend(members.into_iter().map(|member| (member.peer, member.user))),
+            Err(error) => tracing::warn!(%error, path, "the hub does not tell whose the peers are"),
+        }
+    }
+    users
+}
+
+/// Runs a model server until `shutdown` is done; then it logs out.
+///
+/// Images are looked at on tokio's blocking threads, one at a time.
+///
+/// ```no_run
+/// use mom_client::Client;
+/// use mom_model::{ModelOptions, peer};
+///
+/// # async fn example() -> Result<(), mom_client::ClientError> {
+/// let client = Client::builder("bin://127.0.0.1:7666").user("model").password("model").connect().await?;
+/// peer::run(client, ModelOptions::default(), std::future::pending()).await?;
+/// # Ok(())
+/// # }
+/// ```
+///
+/// # Errors
+///
+/// [`ClientError`] if an option is bad, a context cannot be joined, or the connection is closed for good.
+pub async fn run(
+    client: Client,
+    options: ModelOptions,
+    shutdown: impl Future<Output = ()>,
+) -> Result<(), ClientError> {
+    let mut server = ModelServer::new(options.server()?, wall(&client));
+    // The tasks end with this function.
+    let mut tasks = JoinSet::new();
+    let (sender, mut heard) = mpsc::channel(WAITING);
+    let tokens = join_tokens(&client, &options).await?;
+    for token in tokens.values() {
+        server.handle_token_info(token.path(), &token.info().await?);
+        let path = token.path().clone();
+        forward(&mut tasks, token.events(), &sender, move |event| {
+            Heard::Token(path.clone(), event)
+        });
+    }
+    let robot = client.channel(&options.robot).await?;
+    forward(&mut tasks, robot.events(), &sender, Heard::Robot);
+    let _cameras = join_cameras(&client, &options, &mut tasks, &sender).await?;
+    let channel = client.channel(&options.channel).await?;
+    forward(&mut tasks, channel.events(), &sender, Heard::Model);
+    drop(sender);
+    let (mut looking, mut asking, mut out) = (Looking::default(), None, Vec::new());
+    let mut tick = interval(TICK);
+    tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut shutdown = pin!(shutdown);
+    tracing::info!(peer = client.name(), channel = %channel.path(), "the model is ready");
+    loop {
+        looking.begin(&server);
+        if asking.is_none() && server.ask_users() {
+            let contexts = tokens
+                .keys()
+                .chain([channel.path()])
+                .map(Path::to_string)
+                .collect();
+            asking = Some(tokio::spawn(users(client.clone(), contexts)));
+        }
+        tokio::select! {
+            () = &mut shutdown => break,
+            () = send(&client, &mut out) => {}
+        }
+        tokio::select! {
+            biased;
+            () = &mut shutdown => break,
+            event = heard.recv() => {
+                let event = event.ok_or_else(|| ended(&client))?;
+                take(event, &mut server, &mut looking, &tokens, &client, &mut out).await;
+            }
+            look = looking.done() => if let Some((camera, look)) = look {
+                server.handle_look(camera, look, wall(&client), &mut out);
+            },
+            users = done(&mut asking) => {
+                server.handle_users(&users.unwrap_or_default(), wall(&client), &mut out);
+            }
+            _ = tick.tick() => server.advance(wall(&client), &mut out),
+        }
+    }
+    client.close().await;
+    Ok(())
+}
+
+/// The tokens by which objects are written: that of all, and those beside the model's channel.
+async fn join_tokens(client: &Client, options: &ModelOptions) -> Result<BTreeMap<Path, Token>, ClientError> {
+    let session = options
+        .channel
+        .rsplit_once('/')
+        .map_or("/", |(session, _)| session);
+    let mut paths = vec![options.token.clone()];
+    let beside = client.list(session).await?;
+    let beside = beside.iter().filter(|context| context.kind == ContextKind::Token);
+    paths.extend(beside.map(|context| context.path.to_string()));
+    let mut tokens = BTreeMap::new();
+    for path in paths {
+        let token = client.token(&path).await?;
+        tokens.insert(token.path().clone(), token);
+    }
+    Ok(tokens)
+}
+
+/// The cameras' channels, whose events come to the server.
+async fn join_cameras(
+    client: &Client,
+    options: &ModelOptions,
+    tasks: &mut JoinSet<()>,
+    sender: &mpsc::Sender<Heard>,
+) -> Result<Vec<Channel>, ClientError> {
+    let thinning = Thinning {
+        newest: true,
+        rate: Some(RATE.parse()?),
+    };
+    let mut cameras = Vec::new();
+    for (index, path) in options.cameras.iter().enumerate() {
+        let camera = client.channel_thinned(path, thinning).await?;
+        forward(tasks, camera.events(), sender, move |event| {
+            Heard::Camera(index, event)
+        });
+        cameras.push(camera);
+    }
+    Ok(cameras)
+}
+
+/// Brings events to the server; it ends when one of the contexts does.
+fn forward(
+    tasks: &mut JoinSet<()>,
+    mut events: Events,
+    sender: &mpsc::Sender<Heard>,
+    wrap: impl Fn(Event) -> Heard + Send + 'static,
+) {
+    let sender = sender.clone();
+    tasks.spawn(async move {
+        while let Some(event) = events.next().await {
+            match &event {
+                Event::Refused(error, reference) => {
+                    tracing::warn!(%error, reference, "the hub refused a message");
+                }
+                Event::Lagged(count) => tracing::warn!(count, "events were lost"),
+                event => tracing::trace!(?event),
+            }
+            if sender.send(wrap(event)).await.is_err() {
+                return;
+            }
+        }
+    });
+}
+
+async fn take(
+    heard: Heard,
+    server: &mut ModelServer,
+    looking: &mut Looking,
+    tokens: &BTreeMap<Path, Token>,
+    client: &Client,
+    out: &mut Vec<Parcel>,
+) {
+    let now = wall(client);
+    match heard {
+        Heard::Camera(camera, event) => {
+            if let Some(image) = server.handle_camera(camera, &event, now) {
+                looking.add(camera, image);
+            }
+        }
+        Heard::Robot(event) => server.handle_robot(&event, now, out),
+        Heard::Model(event) => server.handle_model(&event, now, out),
+        Heard::Token(path, event) => {
+            server.handle_token(&path, &event);
+            let missed = matches!(event, Event::Rejoined | Event::Resumed | Event::Lagged(_));
+            if missed && let Some(token) = tokens.get(&path) {
+                match token.info().await {
+                    Ok(info) => server.handle_token_info(&path, &info),
+                    Err(error) => tracing::warn!(%error, %path, "the owner of the token is not known"),
+                }
+            }
+        }
+    }
+}
+
+/// Why there are no more events.
+fn ended(client: &Client) -> ClientError {
+    match &*client.state().borrow() {
+        LinkState::Closed(error) => ClientError::Closed(error.clone()),
+        _ => WireError::new(Code::UNKNOWN_PATH, "the hub deleted the contexts of the model").into(),
+    }
+}
+
+async fn send(client: &Client, out: &mut Vec<Parcel>) {
+    for parcel in out.drain(..) {
+        if let Err(error) = client.send(parcel).await {
+            tracing::warn!(%error, "a message was not sent");
+        }
+    }
+}
+
+/// The time of day by the hub's clock, which all its peers share; by the own one until the hub's is known.
+pub(crate) fn wall(client: &Client) -> Time {
+    if let Some((time, _)) = client.clock().now() {
+        return time;
+    }
+    let since = SystemTime::now()
+        .duration_since(SystemTime::UNIX_EPOCH)
+        .unwrap_or_default();
+    let micros = i64::try_from(since.as_micros()).ok();
+    micros.and_then(Time::from_micros).unwrap_or_default()
+}

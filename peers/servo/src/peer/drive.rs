@@ -1,0 +1,266 @@
+//! The controller with the hub at both ends: images and reports in, commands out.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, SystemTime};
+
+use mom_client::{Channel, Client, Event, Events, Family, Parcel, Value, from_value};
+use mom_drive::{RobotState, VerbFailure, closed, refusal};
+use serde::Deserialize;
+use tokio::time::{Instant, sleep};
+
+use super::Order;
+use super::report::Report;
+use super::say;
+use super::watch::Eyes;
+use crate::Micros;
+use crate::control::{Action, Phase, Servo};
+use crate::task::NAMES;
+
+/// How often the controller is asked, at least.
+const TICK: Duration = Duration::from_millis(40);
+/// How often progress is told, at least.
+const TOLD: Duration = Duration::from_millis(500);
+/// Commands that may still be reported.
+const MOST_NUMBERS: usize = 64;
+/// A command that is still on its way after this is worth nothing, ms.
+const EXPIRES: u64 = 3000;
+
+/// Where the controller's inputs come from and its commands go.
+pub(super) struct Links {
+    pub(super) client: Client,
+    pub(super) channel: Channel,
+    pub(super) arm: Channel,
+    pub(super) events: Events,
+    pub(super) seen: Eyes,
+}
+
+/// The work under the token.
+pub(super) struct Drive {
+    links: Links,
+    order: Order,
+    servo: Servo,
+    fence: u64,
+    /// The id of the last command.
+    id: u64,
+    /// The controller's numbers of the newest ones.
+    numbers: BTreeMap<u64, u32>,
+    /// That of the command to the jaws which is under way.
+    grip: Option<u64>,
+    holding: bool,
+    told: Option<(Instant, Phase)>,
+}
+
+/// A report about a command.
+#[derive(Debug, Deserialize)]
+struct CommandStatus {
+    #[serde(default)]
+    id: Option<u64>,
+    peer: String,
+    state: String,
+    #[serde(default)]
+    error: Option<Value>,
+}
+
+/// The time by the hub's clock, as all images tell theirs; by the own one as long as that is not known.
+pub(super) fn hub_now(client: &Client) -> Micros {
+    if let Some((time, _)) = client.clock().now() {
+        return time.micros();
+    }
+    let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
+    since
+        .ok()
+        .and_then(|since| Micros::try_from(since.as_micros()).ok())
+        .unwrap_or(0)
+}
+
+impl Drive {
+    pub(super) fn new(links: Links, order: Order, servo: Servo, fence: u64) -> Drive {
+        Drive {
+            links,
+            order,
+            servo,
+            fence,
+            id: 0,
+            numbers: BTreeMap::new(),
+            grip: None,
+            holding: false,
+            told: None,
+        }
+    }
+
+    /// Works until the blocks are aligned, and says how well.
+    pub(super) async fn run(&mut self) -> Result<String, VerbFailure> {
+        loop {
+            match self.servo.next(hub_now(&self.links.client)) {
+                Action::Command(command) => {
+                    self.send(&command).await?;
+                    continue;
+                }
+                Action::Wait => {}
+                Action::Aligned => return Ok(self.aligned()),
+                Action::Failed(why) => return Err(VerbFailure::plain(why)),
+            }
+            self.tell().await;
+            tokio::select! {
+                event = self.links.events.next() => self.note(&event.ok_or_else(closed)?)?,
+                seen = self.links.seen.next() => {
+                    let seen = seen.ok_or_else(|| VerbFailure::plain("there is no camera any more"))?;
+                    self.servo.see(&seen);
+                }
+                () = sleep(TICK) => {}
+            }
+        }
+    }
+
+    fn aligned(&self) -> String {
+        let task = &self.order.task;
+        let off = self.servo.progress().miss.map_or(0.0, |miss| miss.level());
+        format!(
+            "{} stands at the {} of {}, {off:.1} mm off by the images",
+            NAMES[task.first].0, task.side, NAMES[task.second].0
+        )
+    }
+
+    async fn send(&mut self, command: &str) -> Result<(), VerbFailure> {
+        // Its own ids, which the arm's reports refer to.
+        let now = u64::try_from(hub_now(&self.links.client)).unwrap_or(0);
+        self.id = now.max(self.id + 1);
+        self.numbers.insert(self.id, self.servo.progress().commands);
+        while self.numbers.len() > MOST_NUMBERS {
+            self.numbers.pop_first();
+        }
+        if command.starts_with("grip") {
+            self.grip = Some(self.id);
+        }
+        let mut parcel = Parcel::new(Family::Message, "command")
+            .context(self.links.arm.path().clone())
+            .content(command);
+        parcel.id = Some(self.id);
+        parcel.fence = Some(self.fence);
+        parcel.expires = Some(EXPIRES);
+        parcel.echo = Some(false);
+        let sent = self.links.client.send(parcel).await;
+        sent.map_err(|error| VerbFailure::Hub {
+            what: format!("send {command:?}"),
+            error,
+        })
+    }
+
+    /// Takes what the robot or the hub says.
+    fn note(&mut self, event: &Event) -> Result<(), VerbFailure> {
+        match event {
+            Event::Message(parcel) if parcel.name() == "state" => {
+                if let Ok(state) = from_value::<RobotState>(parcel.value()) {
+                    self.holding = state.holding.is_some();
+                }
+            }
+            Event::Message(parcel) if parcel.name() == "status" => {
+                if let Ok(status) = from_value::<CommandStatus>(parcel.value()) {
+                    let age = self
+                        .links
+                        .client
+                        .clock()
+                        .age(parcel)
+                        .map_or(0, |age| age.micros.max(0));
+                    self.note_status(&status, age);
+                }
+            }
+            Event::Refused(error, _) => {
+                let now = hub_now(&self.links.client);
+                self.servo.refused(
+                    "refused",
+                    &format!("the hub refused a command: {}", error.text),
+                    now,
+                    now,
+                );
+            }
+            Event::LinkDown => {
+                return Err(VerbFailure::plain(
+                    "the connection to the hub is lost, and the token with it",
+                ));
+            }
+            Event::Lagged(_) => {
+                return Err(VerbFailure::plain(
+                    "events of the robot were lost; what it did is not known",
+                ));
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn note_status(&mut self, status: &CommandStatus, age: Micros) {
+        if status.peer != self.links.client.name() {
+            return;
+        }
+        let now = hub_now(&self.links.client);
+        match status.state.as_str() {
+            "executing" => {
+                if let Some(number) = status.id.and_then(|id| self.numbers.get(&id)) {
+                    self.servo.begun(*number, now - age);
+                }
+            }
+            "finished" if status.id.is_some() && status.id == self.grip => {
+                self.grip = None;
+                self.servo.jaws_ended(self.holding, now);
+            }
+            "error" => {
+                let error = status.error.clone().unwrap_or_default();
+                let name = error.get("name").and_then(Value::as_str).unwrap_or_default();
+                // The robot has not come to rest after its last owner: soon it has.
+                let name = if name == "changing-hands" { "busy" } else { name };
+                self.servo.refused(name, &refusal(&error).text, now - age, now);
+            }
+            _ => {}
+        }
+    }
+
+    /// Tells progress, if there is any or some time is over.
+    async fn tell(&mut self) {
+        let progress = self.servo.progress();
+        if progress.image_age.is_none() {
+            // There is nothing to tell before the first image.
+            return;
+        }
+        let due = self
+            .told
+            .is_none_or(|(at, phase)| phase != progress.phase || at.elapsed() > TOLD);
+        if due {
+            self.told = Some((Instant::now(), progress.phase));
+            say(
+                &self.links.channel,
+                "progress",
+                self.report("working").to_map(),
+                None,
+            )
+            .await;
+        }
+    }
+
+    fn report(&self, state: &str) -> Report {
+        let error = self.links.client.clock().now().map(|(_, error)| error);
+        let error = error.and_then(|error| i64::try_from(error.as_millis()).ok());
+        Report::of(
+            &self.order.peer,
+            state,
+            &self.order.task,
+            &self.servo.progress(),
+            error,
+        )
+    }
+
+    /// The last report: why it ended, and where the first block is.
+    pub(super) fn last(&mut self, state: &str, why: &str) -> Report {
+        self.servo.pass(hub_now(&self.links.client));
+        let report = self.report(state);
+        let place = report.text.clone().unwrap_or_default();
+        let text = match state {
+            "aligned" => why.to_owned(),
+            _ => format!("{why}; {place}"),
+        };
+        Report {
+            text: Some(text),
+            ..report
+        }
+    }
+}

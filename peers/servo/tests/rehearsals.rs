@@ -1,0 +1,74 @@
+//! The controller with the simulated arm and drawn images, in virtual time.
+
+use fastrand::Rng;
+use mom_rehearsal::{Outcome, Start};
+use mom_servo::control::ALIGNED;
+use proptest::prelude::*;
+use proptest::test_runner::Config;
+
+/// A start from this seed, ended within five minutes of its own time.
+fn rehearse(seed: u64, degrees: f64, delay_ms: i64, jitter_ms: i64) -> Outcome {
+    let mut start = Start::random(&mut Rng::with_seed(seed), degrees, delay_ms * 1000);
+    start.jitter = jitter_ms * 1000;
+    start.rehearse(300)
+}
+
+#[test]
+fn without_a_delay_and_with_right_matrices() {
+    let end = rehearse(1, 0.0, 0, 0);
+    assert!(
+        end.failure.is_none() && end.error < ALIGNED && end.turned < 4.0,
+        "{end:?}"
+    );
+    assert!(end.seconds < 30.0 && end.progress.commands < 30, "{end:?}");
+    assert!(
+        end.progress
+            .miss
+            .is_some_and(|miss| (miss.level() - end.error).abs() < 2.0),
+        "{end:?}"
+    );
+}
+
+/// No command waits for the image of the one before: that would take some twenty times the delay.
+#[test]
+fn a_second_each_way_neither_oscillates_nor_doubles_the_commands() {
+    let [near, far] = [0, 1000].map(|delay| rehearse(4, 2.0, delay, 0));
+    assert!(far.failure.is_none() && far.error < ALIGNED, "{far:?}");
+    assert!(
+        far.progress.commands <= near.progress.commands + 8,
+        "{near:?} {far:?}"
+    );
+    assert!(far.seconds < near.seconds + 25.0, "{near:?} {far:?}");
+    let [delay, error] = far.progress.command_delay;
+    assert!(
+        (delay - 1_000_000).abs() < 60_000 && error < 20_000,
+        "it is measured: {far:?}"
+    );
+}
+
+/// Commands that come late, each by another time, take the hand elsewhere than they should: the block may meet the table
+/// before it is let go.
+#[test]
+fn commands_that_come_late_press_no_block_into_the_table() {
+    for jitter in [300, 600] {
+        let end = rehearse(5, 1.0, 20, jitter);
+        assert!(
+            end.failure.is_none() && end.error < ALIGNED,
+            "{jitter} ms: {end:?}"
+        );
+    }
+}
+
+proptest! {
+    #![proptest_config(Config { cases: 4, ..Config::default() })]
+
+    #[test]
+    fn it_converges_or_says_why_not(seed in 0_u64..1_000_000, degrees in 0.0..3.0_f64, delay in 0_i64..1000, jitter in 0_i64..500) {
+        let end = rehearse(seed, degrees, delay, jitter);
+        prop_assert!(end.inside, "{end:?}");
+        match &end.failure {
+            None => prop_assert!(end.error < ALIGNED + 1.0 && end.turned < 6.0, "{end:?}"),
+            Some(why) => prop_assert!(why.len() > 10 && why != "it takes too long", "{end:?}"),
+        }
+    }
+}
