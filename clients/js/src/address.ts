@@ -25,11 +25,26 @@ export function isPrivate(door: Door): boolean {
   return door.tls || /^(localhost|127(\.\d{1,3}){3}|\[::1\])$/i.test(door.host);
 }
 
+/** The doors of all addresses, in their order; those that cannot be used are left out as long as another one can. */
+export function doorsOf(addresses: string, secret: boolean, secureOnly: boolean): Door[] {
+  const doors: Door[] = [];
+  let failure: unknown;
+  for (const address of addresses.trim().split(/\s+/)) {
+    try {
+      doors.push(...doorsOfOne(address, secret, secureOnly));
+    } catch (error) {
+      failure ??= error;
+    }
+  }
+  if (!doors.length) throw failure;
+  return doors;
+}
+
 /**
  * The doors of an address, the best first: one for `ws://`, `wss://`, `http://` and `https://`; for `mom://` all that a browser has.
  * Those that are `insecure` are left out where a secret is to be said, and those that no page from `https://` may open.
  */
-export function doorsOf(address: string, secret: boolean, secureOnly: boolean): Door[] {
+function doorsOfOne(address: string, secret: boolean, secureOnly: boolean): Door[] {
   const [, scheme = "", host = "", port, query = ""] = ADDRESS.exec(address) ?? [];
   const polled = query === "poll=1";
   if (!host || (query && !polled)) throw local("bad-path", `${JSON.stringify(address)} is no address of a hub: write mom://HOST, wss://HOST or https://HOST`);

@@ -1,4 +1,5 @@
 import { Channel } from "./channel.js";
+import type { LinkCredential } from "./end.js";
 import type { HubClock } from "./clock.js";
 import { Consult } from "./consult.js";
 import { asyncDispose } from "./disposal.js";
@@ -27,7 +28,8 @@ export interface Thinning {
  * Connects to a hub and logs in; tries until it succeeds, the hub refuses, or {@link ConnectOptions.connectWithin} is over.
  *
  * `address` is `mom://HOST` for all doors that a browser has, each tried 250 ms after the one before; or one door: `wss://` and `ws://` for
- * a WebSocket, `https://` and `http://` for the HTTP tunnel. A password or token is said over TLS or to loopback only.
+ * a WebSocket, `https://` and `http://` for the HTTP tunnel; or several, with blanks between them, tried in this order. A password or token is
+ * said over TLS or to loopback only.
  *
  * ```ts
  * const client = await connect("mom://lab.example.org", { user: "alice", password: "secret" });
@@ -85,6 +87,12 @@ export class Client {
   /** The hub's clock, as measured over this link. */
   get clock(): HubClock {
     return this.peer.clock;
+  }
+
+  /** What ends this peer from elsewhere ({@link endPeer}), if its login asked for a link. It is a secret. */
+  get credential(): LinkCredential | null {
+    const { id, secret } = this.peer.credential ?? {};
+    return id !== undefined && secret ? { id, secret } : null;
   }
 
   /** The state of the link. */

@@ -18,6 +18,8 @@ export class HubClock {
   readonly #asked = new Map<number, number>();
   /** Messages that were not delivered because they had expired. */
   expired = 0;
+  /** µs that the newest ping and its answer were on their way. */
+  roundTrip: number | undefined;
 
   /** How far the hub's clock is ahead of this one, in µs, and the error of that; undefined as long as that is not known. */
   get offset(): Age | undefined {
@@ -59,6 +61,7 @@ export class HubClock {
     this.#asked.delete(id ?? -1);
     if (asked === undefined || !(received instanceof Time) || !(sent instanceof Time)) return;
     const now = wallMicros();
+    this.roundTrip = Math.max(0, now - asked - Number(sent.micros - received.micros));
     const [low, high] = [Number(sent.micros) - now, Number(received.micros) - asked];
     const drift = ((now - this.#at) / 1e6) * DRIFT;
     const [older, newer] = [Math.max(low, this.#low - drift), Math.min(high, this.#high + drift)];
@@ -70,6 +73,7 @@ export class HubClock {
   /** @internal Another hub may answer. */
   forget(): void {
     [this.#low, this.#high, this.#at] = [-Infinity, Infinity, 0];
+    this.roundTrip = undefined;
     this.#asked.clear();
   }
 }

@@ -4,6 +4,7 @@
  * @packageDocumentation
  */
 export { connect, Client, type ContextSpec, type Thinning } from "./client.js";
+export { endPeer, type LinkCredential } from "./end.js";
 export { Session, type Joined } from "./session.js";
 export { Channel, type MessageOptions, type Receipt } from "./channel.js";
 export { Token, TokenGuard, InhibitGuard, Given, type GrabOptions, type GiveOptions } from "./token.js";

@@ -252,6 +252,11 @@ export class Peer {
     this.#noteClosed();
   }
 
+  /** What resumes the link. */
+  get credential(): Link | null {
+    return this.#link;
+  }
+
   /** Logs out after everything that was sent before. */
   async end(): Promise<void> {
     if (this.#ending) return this.closed;

@@ -130,7 +130,7 @@ test("a secret goes over no door that others can read", async () => {
 
 test("contexts are found, listed, made and deleted", async () => {
   const carol = await open(ws(), as("carol"));
-  assert.deepEqual((await carol.list("/")).map((context) => context.path), ["/camera", "/chat", "/log", "/robot"]);
+  assert.deepEqual((await carol.list("/")).map((context) => context.path), ["/calibrate", "/camera", "/chat", "/log", "/model", "/robot", "/servo"]);
   assert.equal((await carol.lookup("/robot/arm")).kind, "channel");
   assert.equal((await carol.info("/robot/token"))["lease"], 180000);
   const root = await carol.session("/");
