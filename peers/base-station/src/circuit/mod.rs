@@ -1,0 +1,532 @@
+//! The state machine of one robot's connection (W10, W11), without IO and without a clock.
+//!
+//! Times are microseconds of one clock that never goes back. Whoever drives a [`Circuit`] tells it what happens
+//! ([`Circuit::take`]), does what it asks for ([`Circuit::poll`], until there is nothing more), and takes
+//! [`Input::Time`] to it at [`Circuit::next_wake`].
+
+mod backoff;
+mod budget;
+mod state;
+#[cfg(test)]
+mod tests;
+mod waiting;
+
+use std::collections::VecDeque;
+
+use mom_brs::{Code, Command, Direction, Encoded, Frame, Parser, Table};
+
+use self::backoff::Backoff;
+use self::budget::Budget;
+use self::waiting::Waiting;
+
+pub use state::{End, Refusal, State, Taken};
+pub use waiting::MOST_WAITING;
+
+/// A second, in µs.
+pub(crate) const SECOND: i64 = 1_000_000;
+
+/// So many NULLs may be without a reply.
+const MOST_UNANSWERED: usize = 64;
+
+/// After so many periods without a reply to a NULL, the robot is silent.
+const SILENT_PERIODS: i64 = 3;
+
+/// What happened.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Input<'a> {
+    /// Somebody wants a connection.
+    Connect,
+    /// Nobody wants one any more.
+    Disconnect,
+    /// The TCP connection is up.
+    Connected,
+    /// The robot does not answer what was asked of it: its connection is given up, and another one attempted.
+    GiveUp,
+    /// The attempt failed or the connection ended, not by [`Output::Close`] or [`Output::Abort`].
+    Ended(End),
+    /// Bytes came.
+    Bytes(&'a [u8]),
+    /// What was given to be written is not all written: nothing more can be, for now.
+    Blocked,
+    /// All is written.
+    Unblocked,
+    /// Time has passed.
+    Time,
+}
+
+/// What is to be done.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Output {
+    /// Begin a TCP connection to the robot, and say [`Input::Connected`] or [`Input::Ended`].
+    Connect,
+    /// End the attempt or the connection, and say nothing of it.
+    Close,
+    /// End the connection and drop what is under way: what has not arrived yet would be carried out late.
+    Abort,
+    /// Write these bytes, and say [`Input::Blocked`] if that cannot be done at once.
+    Write(Encoded),
+    /// Tell whoever looks on.
+    Note(Note),
+}
+
+/// What there is to tell of a robot.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Note {
+    /// A frame is written.
+    Sent(Frame),
+    /// A frame has come; of a NULL's reply, the round trip in µs (W8).
+    Received(Frame, Option<i64>),
+    /// It has another state.
+    State(State),
+    /// An attempt failed, or the connection ended.
+    Ended(End),
+}
+
+/// How a circuit behaves; the times are µs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Options {
+    /// Between two NULLs (W8).
+    pub null_period: i64,
+    /// After so much silence within a frame, what is half read is dropped.
+    pub idle: i64,
+    /// Before the second attempt; before each further one it doubles.
+    pub first_backoff: i64,
+    /// The most between two attempts.
+    pub most_backoff: i64,
+    /// An attempt takes no longer.
+    pub connect_timeout: i64,
+    /// After so many failed attempts in a row it gives up; `None`: never.
+    pub attempts: Option<u32>,
+    /// The most bytes that are read of a robot in a second. The rest stays in the network, which slows the sender down.
+    pub read_rate: u32,
+}
+
+/// NULL every 10 s; 200 ms of silence; attempts after 0.5 s to 10 s, each of 5 s, without end; 4 KiB/s, twenty times
+/// what the paper's ten commands in a second amount to.
+impl Default for Options {
+    fn default() -> Options {
+        Options {
+            null_period: 10 * SECOND,
+            idle: SECOND / 5,
+            first_backoff: SECOND / 2,
+            most_backoff: 10 * SECOND,
+            connect_timeout: 5 * SECOND,
+            attempts: None,
+            read_rate: 4096,
+        }
+    }
+}
+
+/// What was wrong with what a robot said, since the circuit was made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Faults {
+    /// Frames of unknown codes.
+    pub unknown: u64,
+    /// Bytes that belong to no frame, those of unknown frames among them.
+    pub bytes: u64,
+    /// How often silence cut a frame.
+    pub cut: u64,
+    /// Values that were out of range.
+    pub clamped: u64,
+    /// Replies to NULLs that were never sent.
+    pub unasked: u64,
+}
+
+impl Faults {
+    fn plus(self, more: mom_brs::Faults) -> Faults {
+        Faults {
+            unknown: self.unknown + u64::from(more.unknown),
+            bytes: self.bytes + u64::from(more.unknown_bytes) + u64::from(more.skipped),
+            cut: self.cut + u64::from(more.cut),
+            clamped: self.clamped + u64::from(more.clamped),
+            unasked: self.unasked,
+        }
+    }
+}
+
+/// Where the connection is, and what is known only there.
+#[derive(Debug)]
+enum Phase {
+    Disconnected,
+    /// The next attempt is at this time.
+    Pausing(i64),
+    /// The attempt ends at this time.
+    Connecting(i64),
+    Up(Up),
+}
+
+/// A TCP connection.
+#[derive(Debug)]
+struct Up {
+    parser: Parser,
+    /// When the last bytes came.
+    last_bytes: i64,
+    /// Whether the robot has said anything.
+    heard: bool,
+    /// Since when nothing can be written.
+    blocked: Option<i64>,
+    /// When the next NULL is due.
+    next_null: i64,
+    /// When the NULLs were sent that have no reply yet; replies come in this order.
+    unanswered: VecDeque<i64>,
+    waiting: Waiting,
+}
+
+/// The state machine of one robot's connection.
+#[derive(Debug)]
+pub struct Circuit {
+    table: &'static Table,
+    options: Options,
+    phase: Phase,
+    told: State,
+    outputs: VecDeque<Output>,
+    backoff: Backoff,
+    budget: Budget,
+    failed: u32,
+    faults: Faults,
+    round_trip: Option<i64>,
+    status: Option<i32>,
+    last_end: Option<End>,
+    in_motion: bool,
+}
+
+impl Circuit {
+    /// A circuit in the state disconnected. The seed makes its pauses differ from those of other robots.
+    #[must_use]
+    pub fn new(table: &'static Table, options: Options, seed: u64) -> Circuit {
+        Circuit {
+            table,
+            options,
+            phase: Phase::Disconnected,
+            told: State::Disconnected,
+            outputs: VecDeque::new(),
+            backoff: Backoff::new(options.first_backoff, options.most_backoff, seed),
+            budget: Budget::new(options.read_rate),
+            failed: 0,
+            faults: Faults::default(),
+            round_trip: None,
+            status: None,
+            last_end: None,
+            in_motion: false,
+        }
+    }
+
+    /// The state.
+    #[must_use]
+    pub fn state(&self) -> State {
+        match &self.phase {
+            Phase::Disconnected => State::Disconnected,
+            Phase::Pausing(_) | Phase::Connecting(_) => State::Trying,
+            Phase::Up(up) if up.heard && up.blocked.is_none() => State::Writable,
+            Phase::Up(_) => State::Connected,
+        }
+    }
+
+    /// The last round trip of a NULL on this connection, in µs.
+    #[must_use]
+    pub const fn round_trip(&self) -> Option<i64> {
+        self.round_trip
+    }
+
+    /// The bits of the last STATUS reply on this connection.
+    #[must_use]
+    pub const fn status(&self) -> Option<i32> {
+        self.status
+    }
+
+    /// Why the last attempt failed or the last connection ended.
+    #[must_use]
+    pub const fn last_end(&self) -> Option<&End> {
+        self.last_end.as_ref()
+    }
+
+    /// What was wrong with what the robot said.
+    #[must_use]
+    pub fn faults(&self) -> Faults {
+        match &self.phase {
+            Phase::Up(up) => self.faults.plus(up.parser.faults()),
+            _ => self.faults,
+        }
+    }
+
+    /// How many frames wait.
+    #[must_use]
+    pub fn waiting(&self) -> usize {
+        match &self.phase {
+            Phase::Up(up) => up.waiting.len(),
+            _ => 0,
+        }
+    }
+
+    /// Whether the base station has set the robot in motion: the last command that was written to it and can move it
+    /// is not MOTOR 0 0. All commands can but NULL, STATUS, LEDS and POSE, as nobody knows those of other tables.
+    #[must_use]
+    pub const fn is_in_motion(&self) -> bool {
+        self.in_motion
+    }
+
+    /// How many bytes may be read of the robot now; at 0, wait until [`Circuit::next_wake`].
+    #[must_use]
+    pub fn may_read(&mut self, now: i64) -> usize {
+        self.budget.left(now)
+    }
+
+    /// Gives a command to be sent.
+    ///
+    /// # Errors
+    ///
+    /// It is not sent, and why.
+    pub fn send(&mut self, frame: Frame) -> Result<Taken, Refusal> {
+        let state = self.state();
+        if frame.direction() != Direction::Command {
+            return Err(Refusal::NoCommand);
+        }
+        let up = match &mut self.phase {
+            Phase::Up(up) if up.heard => up,
+            _ => return Err(Refusal::NotWritable(state)),
+        };
+        if frame.code() == Code::NULL && up.unanswered.len() + up.waiting.nulls() >= MOST_UNANSWERED {
+            return Err(Refusal::Unanswered);
+        }
+        up.waiting.push(frame)
+    }
+
+    /// Drops what waits, and stops the motors before anything else: of a robot that takes commands, in motion or not.
+    ///
+    /// # Errors
+    ///
+    /// There is no connection on which the robot has said anything.
+    pub fn halt(&mut self) -> Result<(), Refusal> {
+        let state = self.state();
+        match &mut self.phase {
+            Phase::Up(up) if up.heard => {
+                up.waiting.clear();
+                let stop = Frame::new(&Command::MOTOR, &[0, 0]).map_err(|_| Refusal::NoCommand)?;
+                up.waiting.push(stop).map(|_| ())
+            }
+            _ => Err(Refusal::NotWritable(state)),
+        }
+    }
+
+    /// Takes what happened. What does not fit the state is nothing: a connection that nobody wants any more may
+    /// still say that it ended. So is what is told of a connection while [`Output::Close`] or [`Output::Connect`] has not
+    /// been polled: it is about an older one.
+    pub fn take(&mut self, now: i64, input: Input<'_>) {
+        let of_connection = !matches!(
+            input,
+            Input::Connect | Input::Disconnect | Input::GiveUp | Input::Time
+        );
+        let input = match of_connection && self.is_connection_older() {
+            true => Input::Time,
+            false => input,
+        };
+        match input {
+            Input::Connect => {
+                if matches!(self.phase, Phase::Disconnected) {
+                    self.failed = 0;
+                    self.backoff.reset();
+                    self.attempt(now);
+                }
+            }
+            Input::Disconnect => match self.phase {
+                Phase::Disconnected => {}
+                Phase::Pausing(_) => self.phase = Phase::Disconnected,
+                Phase::Connecting(_) | Phase::Up(_) => {
+                    self.outputs.push_back(Output::Close);
+                    self.end(End::Unwanted);
+                    self.phase = Phase::Disconnected;
+                }
+            },
+            Input::GiveUp => {
+                if matches!(self.phase, Phase::Up(_)) {
+                    self.give_up(now);
+                }
+            }
+            Input::Connected => {
+                if matches!(self.phase, Phase::Connecting(_)) {
+                    self.begin(now);
+                }
+            }
+            Input::Ended(end) => {
+                if matches!(self.phase, Phase::Connecting(_) | Phase::Up(_)) {
+                    self.fail(now, end);
+                }
+            }
+            Input::Bytes(bytes) => self.read(now, bytes),
+            Input::Blocked => {
+                if let Phase::Up(up) = &mut self.phase {
+                    up.blocked.get_or_insert(now);
+                }
+            }
+            Input::Unblocked => {
+                if let Phase::Up(up) = &mut self.phase {
+                    up.blocked = None;
+                }
+            }
+            Input::Time => {}
+        }
+        self.pass(now);
+        self.tell();
+    }
+
+    /// The next thing to do now; `None`: nothing until the next input or [`Circuit::next_wake`].
+    pub fn poll(&mut self, now: i64) -> Option<Output> {
+        if let Some(output) = self.outputs.pop_front() {
+            return Some(output);
+        }
+        let Phase::Up(up) = &mut self.phase else {
+            return None;
+        };
+        if up.blocked.is_some() {
+            return None;
+        }
+        let frame = if now >= up.next_null && up.unanswered.len() < MOST_UNANSWERED {
+            up.next_null = now.saturating_add(self.options.null_period);
+            Frame::new(&Command::NULL, &[]).ok()?
+        } else {
+            up.waiting.pop()?
+        };
+        match frame.code() {
+            Code::NULL => up.unanswered.push_back(now),
+            Code::STATUS | Code::LEDS | Code::POSE => {}
+            Code::MOTOR => self.in_motion = frame.values().iter().any(|speed| *speed != 0),
+            _ => self.in_motion = true,
+        }
+        self.outputs.push_back(Output::Note(Note::Sent(frame)));
+        Some(Output::Write(frame.encode()))
+    }
+
+    /// When [`Input::Time`] is due, if nothing else happens before.
+    #[must_use]
+    pub fn next_wake(&self) -> Option<i64> {
+        match &self.phase {
+            Phase::Disconnected => None,
+            Phase::Pausing(until) | Phase::Connecting(until) => Some(*until),
+            Phase::Up(up) => {
+                let null = match up.blocked {
+                    // Only its end lets anything out.
+                    Some(_) => None,
+                    None if up.unanswered.len() >= MOST_UNANSWERED => None,
+                    None => Some(up.next_null),
+                };
+                let idle =
+                    (up.parser.buffered() > 0).then(|| up.last_bytes.saturating_add(self.options.idle));
+                let times = [null, idle, self.silent_at(up), self.budget.refilled_at()];
+                times.into_iter().flatten().min()
+            }
+        }
+    }
+
+    /// Whether the connection that the driver has is not the one of this phase.
+    fn is_connection_older(&self) -> bool {
+        let replaces = |output: &Output| matches!(output, Output::Connect | Output::Close | Output::Abort);
+        self.outputs.iter().any(replaces)
+    }
+
+    fn silent_at(&self, up: &Up) -> Option<i64> {
+        let patience = self.options.null_period.saturating_mul(SILENT_PERIODS);
+        let since = up.unanswered.front().into_iter().chain(up.blocked.as_ref()).min();
+        since.map(|since| since.saturating_add(patience))
+    }
+
+    /// What is due by time alone.
+    fn pass(&mut self, now: i64) {
+        match &self.phase {
+            Phase::Pausing(until) if *until <= now => self.attempt(now),
+            Phase::Connecting(until) if *until <= now => {
+                self.outputs.push_back(Output::Close);
+                self.fail(now, End::TimedOut);
+            }
+            Phase::Up(up) if self.silent_at(up).is_some_and(|at| at <= now) => {
+                self.give_up(now);
+            }
+            _ => {}
+        }
+        if let Phase::Up(up) = &mut self.phase
+            && up.last_bytes.saturating_add(self.options.idle) <= now
+        {
+            up.parser.idle();
+        }
+        self.budget.refill(now);
+    }
+
+    fn attempt(&mut self, now: i64) {
+        self.phase = Phase::Connecting(now.saturating_add(self.options.connect_timeout));
+        self.outputs.push_back(Output::Connect);
+    }
+
+    fn begin(&mut self, now: i64) {
+        self.round_trip = None;
+        self.status = None;
+        self.phase = Phase::Up(Up {
+            parser: Parser::new(self.table, Direction::Reply),
+            last_bytes: now,
+            heard: false,
+            blocked: None,
+            next_null: now,
+            unanswered: VecDeque::new(),
+            waiting: Waiting::default(),
+        });
+    }
+
+    /// The end of an attempt or a connection that is still wanted.
+    fn fail(&mut self, now: i64, end: End) {
+        self.end(end);
+        self.failed = self.failed.saturating_add(1);
+        self.phase = match self.options.attempts {
+            Some(most) if self.failed >= most => Phase::Disconnected,
+            _ => Phase::Pausing(now.saturating_add(self.backoff.next())),
+        };
+    }
+
+    fn give_up(&mut self, now: i64) {
+        self.outputs.push_back(Output::Abort);
+        self.fail(now, End::Silent);
+    }
+
+    fn end(&mut self, end: End) {
+        // Nothing is sent on the next connection that was meant for this one.
+        self.faults = self.faults();
+        self.last_end = Some(end.clone());
+        self.outputs.push_back(Output::Note(Note::Ended(end)));
+    }
+
+    fn read(&mut self, now: i64, bytes: &[u8]) {
+        let Phase::Up(up) = &mut self.phase else { return };
+        if bytes.is_empty() {
+            return;
+        }
+        self.budget.spend(now, bytes.len());
+        if up.last_bytes.saturating_add(self.options.idle) <= now {
+            up.parser.idle();
+        }
+        up.last_bytes = now;
+        for frame in up.parser.feed(bytes) {
+            let mut round_trip = None;
+            match frame.code() {
+                Code::NULL => match up.unanswered.pop_front() {
+                    Some(sent) => round_trip = Some(now.saturating_sub(sent).max(0)),
+                    None => self.faults.unasked += 1,
+                },
+                Code::STATUS => self.status = frame.values().first().copied(),
+                _ => {}
+            }
+            self.round_trip = round_trip.or(self.round_trip);
+            if !up.heard {
+                up.heard = true;
+                self.failed = 0;
+                self.backoff.reset();
+            }
+            self.outputs
+                .push_back(Output::Note(Note::Received(frame, round_trip)));
+        }
+    }
+
+    fn tell(&mut self) {
+        let state = self.state();
+        if state != self.told {
+            self.told = state;
+            self.outputs.push_back(Output::Note(Note::State(state)));
+        }
+    }
+}

@@ -1,0 +1,137 @@
+//! The program: a fleet in a terminal, and commands for scripts.
+
+mod args;
+mod plain;
+mod screen;
+#[cfg(test)]
+mod tests;
+mod view;
+mod watching;
+
+use std::fs;
+use std::io::{IsTerminal as _, stdout};
+use std::path::Path;
+
+use anyhow::{Context as _, Result, bail, ensure};
+use clap::Parser as _;
+use mom_base_station::fleet::{Fleet, Unit};
+use mom_base_station::log::{Log, LogFile};
+use mom_base_station::script::Script;
+use mom_base_station::station::{Settings, Station};
+use mom_brs::Table;
+use mom_brs::file::{self, EXTENDED};
+use tokio::signal::unix::{Signal, SignalKind, signal};
+
+use self::args::{Args, Work};
+
+/// How many entries the view can show.
+const REMEMBERED: usize = 1000;
+
+/// Begins: what is wrong with the files is told before any robot is spoken to.
+#[tokio::main]
+pub(crate) async fn main() -> Result<()> {
+    if let Some(written) = mom_pages::asked::<Args>() {
+        return Ok(written?);
+    }
+    let args = Args::parse();
+    let fleet = Fleet::parse(&read(&args.fleet)?).with_context(|| args.fleet.display().to_string())?;
+    let table: &'static Table = match &args.table {
+        Some(path) => file::table(&read(path)?).with_context(|| path.display().to_string())?,
+        None => &EXTENDED,
+    };
+    let begin = |fleet: &Fleet| -> Result<Station> {
+        let mut log = Log::new(REMEMBERED);
+        if let Some(path) = &args.log {
+            let file = LogFile::open(path).with_context(|| path.display().to_string())?;
+            log = log.with_file(file);
+        }
+        let settings = Settings {
+            log,
+            ..Settings::default()
+        };
+        Ok(Station::new(fleet, table, settings))
+    };
+    let mut interrupt = Interrupt::install()?;
+    match args.work {
+        None if stdout().is_terminal() => {
+            let station = begin(&fleet)?;
+            let shown = watching::show(&station, &fleet.units(), table, &mut interrupt).await;
+            finish(&station).await.and(shown)
+        }
+        None => {
+            let station = begin(&fleet)?;
+            let shown = plain::show(&station, &fleet.units(), table, &mut interrupt).await;
+            finish(&station).await.and(shown)
+        }
+        Some(Work::Send(send)) => {
+            let text = send.statement.join(" ");
+            let script = Script::parse(&text, &fleet.units(), table).with_context(|| format!("`{text}`"))?;
+            let station = begin(&part(&fleet, &script.units())?)?;
+            let sent = plain::send(&station, &script, &send, args.timeout, &mut interrupt).await;
+            finish(&station).await.and(sent)
+        }
+        Some(Work::Run(run)) => {
+            let name = || run.script.display().to_string();
+            let script = Script::parse(&read(&run.script)?, &fleet.units(), table).with_context(name)?;
+            let station = begin(&part(&fleet, &script.units())?)?;
+            let played = plain::run(&station, script, run.stay, args.timeout, &mut interrupt).await;
+            finish(&station).await.and(played)
+        }
+        Some(Work::List) => {
+            let station = begin(&fleet)?;
+            let listed = plain::list(&station, args.timeout, &mut interrupt).await;
+            finish(&station).await.and(listed)
+        }
+    }
+}
+
+/// The robots that a script speaks to: the others are left alone.
+fn part(fleet: &Fleet, units: &[Unit]) -> Result<Fleet> {
+    fleet.only(units).context("there is no command for any robot")
+}
+
+fn read(path: &Path) -> Result<String> {
+    /// More than the longest file that says anything.
+    const MOST: u64 = 16 << 20;
+    let name = || path.display().to_string();
+    let length = fs::metadata(path).with_context(name)?.len();
+    ensure!(length <= MOST, "{} is too long: {length} bytes", path.display());
+    fs::read_to_string(path).with_context(name)
+}
+
+/// Stops all robots that were set in motion, and closes the connections.
+async fn finish(station: &Station) -> Result<()> {
+    let left = station.halt().await;
+    station.close().await;
+    if !left.is_empty() {
+        let units: Vec<String> = left.iter().map(Unit::to_string).collect();
+        bail!(
+            "these units were set in motion and could not be stopped: {}",
+            units.join(", ")
+        );
+    }
+    Ok(())
+}
+
+/// Ctrl-C and SIGTERM.
+pub(crate) struct Interrupt {
+    interrupt: Signal,
+    terminate: Signal,
+}
+
+impl Interrupt {
+    fn install() -> Result<Interrupt> {
+        Ok(Interrupt {
+            interrupt: signal(SignalKind::interrupt()).context("cannot listen for Ctrl-C")?,
+            terminate: signal(SignalKind::terminate()).context("cannot listen for SIGTERM")?,
+        })
+    }
+
+    /// Waits for one of them.
+    async fn wait(&mut self) {
+        tokio::select! {
+            _ = self.interrupt.recv() => {}
+            _ = self.terminate.recv() => {}
+        }
+    }
+}

@@ -1,0 +1,120 @@
+//! The view on a terminal: what happens goes in, and what keys ask for is done.
+
+use std::time::Duration;
+
+use anyhow::Result;
+use mom_base_station::circuit::Taken;
+use mom_base_station::fleet::Unit;
+use mom_base_station::play::play;
+use mom_base_station::script::Script;
+use mom_base_station::station::{SendError, Station};
+use mom_brs::Table;
+use tokio::sync::broadcast::error::RecvError;
+use tokio::sync::mpsc::{self, UnboundedSender};
+use tokio::task::JoinSet;
+use tokio::time::{MissedTickBehavior, interval};
+
+use super::Interrupt;
+use super::screen::{Screen, keys};
+use super::view::{Asked, View};
+
+/// The picture is drawn so often at most.
+const PICTURE: Duration = Duration::from_millis(50);
+
+/// Draws until a key or a signal ends it.
+pub(super) async fn show(
+    station: &Station,
+    units: &[Unit],
+    table: &'static Table,
+    interrupt: &mut Interrupt,
+) -> Result<()> {
+    let mut playing = JoinSet::new();
+    let shown = show_and_play(station, units, table, interrupt, &mut playing).await;
+    // Nothing is sent any more when the robots are stopped.
+    playing.shutdown().await;
+    shown
+}
+
+async fn show_and_play(
+    station: &Station,
+    units: &[Unit],
+    table: &'static Table,
+    interrupt: &mut Interrupt,
+    playing: &mut JoinSet<()>,
+) -> Result<()> {
+    let mut changes = station.subscribe();
+    let mut view = View::new(station.snapshot());
+    let mut screen = Screen::take()?;
+    let mut keys = keys();
+    let (tell, mut told) = mpsc::unbounded_channel();
+    let mut second = interval(Duration::from_secs(1));
+    second.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut picture = interval(PICTURE);
+    picture.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut drawn = false;
+    loop {
+        let asked = tokio::select! {
+            () = interrupt.wait() => return Ok(()),
+            Some(event) = keys.recv() => {
+                drawn = false;
+                view.on_event(&event?)
+            }
+            entry = changes.recv() => {
+                match entry {
+                    Ok(entry) => view.take(&entry),
+                    Err(RecvError::Lagged(_)) => {}
+                    Err(RecvError::Closed) => return Ok(()),
+                }
+                drawn = false;
+                continue;
+            }
+            Some(line) = told.recv() => {
+                view.say(line);
+                drawn = false;
+                continue;
+            }
+            _ = second.tick() => view.on_second(),
+            _ = picture.tick(), if !drawn => {
+                view.update(station.snapshot());
+                screen.terminal.draw(|frame| view.draw(frame))?;
+                drawn = true;
+                continue;
+            }
+            Some(_) = playing.join_next(), if !playing.is_empty() => continue,
+        };
+        match asked {
+            Asked::Nothing => {}
+            Asked::Quit => return Ok(()),
+            Asked::ConnectAll => station.connect_all(),
+            Asked::Disconnect(unit) => station.disconnect(unit)?,
+            Asked::Halt => {
+                // What scripts would still say is not said.
+                playing.shutdown().await;
+                playing.spawn(halt(station.clone(), tell.clone()));
+            }
+            Asked::Send(line) => match Script::parse(&line, units, table) {
+                Err(error) => view.say(error.to_string()),
+                Ok(script) => {
+                    playing.spawn(carry_out(station.clone(), script, tell.clone()));
+                }
+            },
+        }
+    }
+}
+
+async fn halt(station: Station, tell: UnboundedSender<String>) {
+    for unit in station.halt().await {
+        let _ = tell.send(format!("unit {unit} could not be stopped"));
+    }
+}
+
+async fn carry_out(station: Station, script: Script, tell: UnboundedSender<String>) {
+    let sent = |_, sent: Result<Taken, SendError>| {
+        if let Err(error) = sent {
+            let _ = tell.send(error.to_string());
+        }
+    };
+    if let Err(failed) = play(&station, script, sent).await {
+        let _ = tell.send(failed.to_string());
+    }
+}

@@ -1,0 +1,364 @@
+//! One robot: its circuit, and the task that carries out what the circuit asks for.
+
+use std::future::{Future, pending};
+use std::io;
+use std::pin::{Pin, pin};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use mom_brs::{Encoded, Frame};
+use parking_lot::Mutex;
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _, Interest};
+use tokio::net::TcpStream;
+use tokio::sync::{Notify, broadcast, watch};
+use tokio::time::{sleep_until, timeout};
+
+use super::{Shared, Snapshot};
+use crate::circuit::{Circuit, End, Input, Output, Refusal, State, Taken};
+use crate::fleet::{Robot, Unit};
+use crate::log::Entry;
+
+/// The most that is read at once: enough for a busy robot, and little enough to leave the others their turn.
+const CHUNK: usize = 512;
+
+/// How many entries of one robot a subscriber may be behind before it misses some.
+const BEHIND: usize = 64;
+
+/// How long a robot may take to see that it is left, before the connection is dropped.
+const FAREWELL: Duration = Duration::from_millis(300);
+
+/// The most that is read of a robot that is left.
+const FAREWELL_BYTES: u64 = 65_536;
+
+/// A robot as the station and its task share it.
+#[derive(Debug)]
+pub(super) struct Seat {
+    robot: Arc<Robot>,
+    circuit: Mutex<Circuit>,
+    /// Wakes the task when the circuit has something to do.
+    wake: Notify,
+    /// Wakes who waits for the task to have done something.
+    done: Notify,
+    snapshot: watch::Sender<Snapshot>,
+    /// What happens with this robot.
+    changes: broadcast::Sender<Entry>,
+}
+
+impl Seat {
+    pub(super) fn new(robot: Robot, circuit: Circuit) -> Seat {
+        let robot = Arc::new(robot);
+        let (snapshot, _) = watch::channel(snapshot(&robot, &circuit));
+        let (changes, _) = broadcast::channel(BEHIND);
+        Seat {
+            robot,
+            circuit: Mutex::new(circuit),
+            wake: Notify::new(),
+            done: Notify::new(),
+            snapshot,
+            changes,
+        }
+    }
+
+    pub(super) fn subscribe(&self) -> broadcast::Receiver<Entry> {
+        self.changes.subscribe()
+    }
+
+    pub(super) fn unit(&self) -> Unit {
+        self.robot.unit
+    }
+
+    pub(super) fn take(&self, shared: &Shared, input: Input<'_>) {
+        self.circuit.lock().take(shared.clock.now(), input);
+        self.wake.notify_one();
+    }
+
+    pub(super) fn send(&self, frame: Frame) -> Result<Taken, Refusal> {
+        let taken = self.circuit.lock().send(frame)?;
+        self.wake.notify_one();
+        Ok(taken)
+    }
+
+    /// Stops the motors, if the robot may be in motion or soon would be; whether that is so.
+    pub(super) fn halt(&self) -> bool {
+        let mut circuit = self.circuit.lock();
+        let moving = circuit.is_in_motion() || circuit.waiting() > 0;
+        // Without a connection it stays in motion, which is told.
+        if moving && circuit.halt().is_ok() {
+            self.wake.notify_one();
+        }
+        moving
+    }
+
+    /// Waits until the stop is written; false if it never will be.
+    pub(super) async fn halted(&self) -> bool {
+        self.until(|| {
+            let circuit = self.circuit.lock();
+            match circuit.state() {
+                State::Writable if circuit.waiting() == 0 => Some(!circuit.is_in_motion()),
+                State::Writable | State::Connected => None,
+                State::Trying | State::Disconnected => Some(false),
+            }
+        })
+        .await
+    }
+
+    /// Sends as soon as there is a place for it.
+    pub(super) async fn send_in_turn(&self, frame: Frame) -> Result<Taken, Refusal> {
+        self.until(|| match self.send(frame) {
+            Err(Refusal::Full | Refusal::Unanswered) => None,
+            sent => Some(sent),
+        })
+        .await
+    }
+
+    /// Asks again whenever the task has done something, until there is an answer.
+    async fn until<T>(&self, mut answer: impl FnMut() -> Option<T>) -> T {
+        loop {
+            // It has to be waiting before it asks, or it would miss what is done in between.
+            let mut done = pin!(self.done.notified());
+            done.as_mut().enable();
+            if let Some(answer) = answer() {
+                return answer;
+            }
+            done.await;
+        }
+    }
+
+    pub(super) fn watch(&self) -> watch::Receiver<Snapshot> {
+        self.snapshot.subscribe()
+    }
+
+    pub(super) fn snapshot(&self) -> Snapshot {
+        snapshot(&self.robot, &self.circuit.lock())
+    }
+}
+
+fn snapshot(robot: &Arc<Robot>, circuit: &Circuit) -> Snapshot {
+    Snapshot {
+        robot: Arc::clone(robot),
+        state: circuit.state(),
+        round_trip: circuit.round_trip(),
+        status: circuit.status(),
+        waiting: circuit.waiting(),
+        faults: circuit.faults(),
+        in_motion: circuit.is_in_motion(),
+        last_end: circuit.last_end().cloned(),
+    }
+}
+
+type Attempt = Pin<Box<dyn Future<Output = io::Result<TcpStream>> + Send>>;
+
+/// What the task has of the network.
+enum Socket {
+    None,
+    Attempt(Attempt),
+    Open {
+        stream: TcpStream,
+        /// What could not be written yet: the bytes of a frame, and how many of them are.
+        unwritten: Option<(Encoded, usize)>,
+    },
+}
+
+/// What has happened to a socket.
+enum Happened {
+    Woken,
+    Connected(TcpStream),
+    Ended(End),
+    Ready { read: bool, write: bool },
+}
+
+/// Drives one robot until the station closes.
+pub(super) async fn drive(shared: Arc<Shared>, seat: Arc<Seat>) {
+    let mut socket = Socket::None;
+    loop {
+        while let Some(output) = next_output(&shared, &seat) {
+            carry_out(&shared, &seat, &mut socket, output).await;
+        }
+        if shared.closing.load(Ordering::Acquire) {
+            return;
+        }
+        let (wake, may_read) = {
+            let mut circuit = seat.circuit.lock();
+            let may_read = circuit.may_read(shared.clock.now());
+            let new = snapshot(&seat.robot, &circuit);
+            seat.snapshot.send_if_modified(|old| {
+                let modified = *old != new;
+                *old = new;
+                modified
+            });
+            (circuit.next_wake(), may_read)
+        };
+        seat.done.notify_waiters();
+        let wake = async {
+            match wake.and_then(|wake| shared.clock.instant(wake)) {
+                Some(wake) => sleep_until(wake).await,
+                None => pending().await,
+            }
+        };
+        let happened = tokio::select! {
+            () = seat.wake.notified() => Happened::Woken,
+            () = wake => Happened::Woken,
+            happened = socket.happens(may_read > 0) => happened,
+        };
+        match happened {
+            Happened::Woken => seat.circuit.lock().take(shared.clock.now(), Input::Time),
+            Happened::Connected(stream) => {
+                let unwritten = None;
+                socket = Socket::Open { stream, unwritten };
+                seat.circuit.lock().take(shared.clock.now(), Input::Connected);
+            }
+            Happened::Ended(end) => {
+                socket = Socket::None;
+                seat.circuit.lock().take(shared.clock.now(), Input::Ended(end));
+            }
+            Happened::Ready { read, write } => {
+                ready(&shared, &seat, &mut socket, read.then_some(may_read), write);
+            }
+        }
+    }
+}
+
+fn next_output(shared: &Shared, seat: &Seat) -> Option<Output> {
+    seat.circuit.lock().poll(shared.clock.now())
+}
+
+async fn carry_out(shared: &Shared, seat: &Seat, socket: &mut Socket, output: Output) {
+    match output {
+        Output::Connect => *socket = Socket::Attempt(attempt(&seat.robot)),
+        Output::Close => {
+            if let Socket::Open { stream, .. } = std::mem::replace(socket, Socket::None) {
+                farewell(stream).await;
+            }
+        }
+        Output::Abort => {
+            if let Socket::Open { stream, .. } = std::mem::replace(socket, Socket::None) {
+                // Without it the system would go on to deliver what was written, however late.
+                let _ = stream.set_zero_linger();
+            }
+        }
+        Output::Write(bytes) => {
+            if let Socket::Open { unwritten, .. } = socket {
+                *unwritten = Some((bytes, 0));
+            }
+            match socket.write() {
+                Ok(true) => {}
+                Ok(false) => seat.circuit.lock().take(shared.clock.now(), Input::Blocked),
+                Err(error) => broken(shared, seat, socket, &error),
+            }
+        }
+        Output::Note(note) => {
+            let entry = Entry {
+                time: shared.clock.now(),
+                unit: seat.unit(),
+                note,
+            };
+            shared.log.lock().push(entry.clone());
+            // Nobody has to look on.
+            let _ = seat.changes.send(entry.clone());
+            let _ = shared.changes.send(entry);
+        }
+    }
+}
+
+fn attempt(robot: &Arc<Robot>) -> Attempt {
+    let robot = Arc::clone(robot);
+    Box::pin(async move {
+        let address = &robot.address;
+        let stream = TcpStream::connect((address.host(), address.port())).await?;
+        // Each frame is small and wants to be there now.
+        stream.set_nodelay(true)?;
+        Ok(stream)
+    })
+}
+
+/// Says that no more comes, and reads until the robot has seen it: to drop a connection while bytes of the robot are
+/// unread may take back what was written last, which may be what stops it.
+async fn farewell(mut stream: TcpStream) {
+    let _ = stream.shutdown().await;
+    let (mut rest, mut nowhere) = (stream.take(FAREWELL_BYTES), tokio::io::sink());
+    let _ = timeout(FAREWELL, tokio::io::copy(&mut rest, &mut nowhere)).await;
+}
+
+/// Reads and writes as much as is possible without waiting.
+fn ready(shared: &Shared, seat: &Seat, socket: &mut Socket, may_read: Option<usize>, write: bool) {
+    if write {
+        match socket.write() {
+            Ok(true) => seat.circuit.lock().take(shared.clock.now(), Input::Unblocked),
+            Ok(false) => {}
+            Err(error) => return broken(shared, seat, socket, &error),
+        }
+    }
+    let (Some(may_read), Socket::Open { stream, .. }) = (may_read, &socket) else {
+        return;
+    };
+    let mut buffer = [0; CHUNK];
+    let chunk = buffer.get_mut(..may_read.min(CHUNK)).unwrap_or_default();
+    match stream.try_read(chunk) {
+        Ok(0) => {
+            *socket = Socket::None;
+            seat.circuit
+                .lock()
+                .take(shared.clock.now(), Input::Ended(End::Closed));
+        }
+        Ok(length) => {
+            let bytes = chunk.get(..length).unwrap_or_default();
+            seat.circuit.lock().take(shared.clock.now(), Input::Bytes(bytes));
+        }
+        Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+        Err(error) => broken(shared, seat, socket, &error),
+    }
+}
+
+fn broken(shared: &Shared, seat: &Seat, socket: &mut Socket, error: &io::Error) {
+    *socket = Socket::None;
+    let end = End::Broken(error.to_string().into());
+    seat.circuit.lock().take(shared.clock.now(), Input::Ended(end));
+}
+
+impl Socket {
+    async fn happens(&mut self, may_read: bool) -> Happened {
+        match self {
+            Socket::None => pending().await,
+            Socket::Attempt(attempt) => match attempt.await {
+                Ok(stream) => Happened::Connected(stream),
+                Err(error) => Happened::Ended(End::Unreachable(error.to_string().into())),
+            },
+            Socket::Open { stream, unwritten } => {
+                let interest = match (may_read, &unwritten) {
+                    (true, None) => Interest::READABLE,
+                    (true, Some(_)) => Interest::READABLE | Interest::WRITABLE,
+                    (false, Some(_)) => Interest::WRITABLE,
+                    (false, None) => return pending().await,
+                };
+                match stream.ready(interest).await {
+                    Ok(ready) => Happened::Ready {
+                        read: may_read && ready.is_readable(),
+                        write: unwritten.is_some() && ready.is_writable(),
+                    },
+                    Err(error) => Happened::Ended(End::Broken(error.to_string().into())),
+                }
+            }
+        }
+    }
+
+    /// Writes what is unwritten; whether nothing is left.
+    fn write(&mut self) -> io::Result<bool> {
+        let Socket::Open { stream, unwritten } = self else {
+            return Ok(true);
+        };
+        while let Some((bytes, written)) = unwritten {
+            let rest = bytes.as_bytes().get(*written..).unwrap_or_default();
+            if rest.is_empty() {
+                *unwritten = None;
+                break;
+            }
+            match stream.try_write(rest) {
+                Ok(length) => *written += length,
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(false),
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(true)
+    }
+}

@@ -1,0 +1,191 @@
+//! The program, as people start it.
+
+use std::io::{BufRead as _, BufReader, Write as _};
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+use serde_json::Value as Json;
+use tempfile::TempDir;
+
+use crate::robot::{Robot, fleet};
+
+/// The program with a fleet of these robots, and a folder for its files.
+fn program(ports: &[u16]) -> (Command, TempDir) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("fleet.toml");
+    std::fs::write(&file, fleet(ports)).expect("a file");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_mom-base-station"));
+    command.arg("--fleet").arg(file).env_remove("MOM_FLEET");
+    (command, folder)
+}
+
+async fn run(mut command: Command) -> Output {
+    let run = tokio::task::spawn_blocking(move || command.output());
+    run.await.expect("no panic").expect("the program starts")
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+#[tokio::test]
+async fn send_tells_what_it_sent_and_stops_the_robot_at_the_end() {
+    let mut robot = Robot::start().await;
+    let (mut command, folder) = program(&[robot.port]);
+    let log = folder.path().join("log.jsonl");
+    command.arg("--log").arg(&log);
+    command.args([
+        "send", "1", "motor", "50", "-50", "--repeat", "10ms", "--times", "3",
+    ]);
+    let output = run(command).await;
+    assert!(output.status.success(), "{output:?}");
+    assert_eq!(
+        text(&output.stdout)
+            .matches("unit 1 -> 06 00050 -0050  motor left=50 right=-50")
+            .count(),
+        3
+    );
+    for expected in [
+        "06 00050 -0050",
+        "06 00050 -0050",
+        "06 00050 -0050",
+        "06 00000 00000",
+    ] {
+        assert_eq!(robot.command().await, expected);
+    }
+    robot.until("closed").await;
+    let wires = |kind: &str| wires(&log, kind);
+    assert_eq!(wires("in"), ["00"]);
+    assert_eq!(
+        wires("out"),
+        [
+            "00",
+            "06 00050 -0050",
+            "06 00050 -0050",
+            "06 00050 -0050",
+            "06 00000 00000"
+        ]
+    );
+}
+
+/// The frames of one direction in a log.
+fn wires(log: &Path, kind: &str) -> Vec<String> {
+    let text = std::fs::read_to_string(log).expect("a log");
+    let entries = text
+        .lines()
+        .map(|line| serde_json::from_str(line).expect("a line of JSON"));
+    let of_kind = entries.filter(|entry: &Json| entry["kind"] == kind);
+    of_kind
+        .filter_map(|entry| Some(entry["wire"].as_str()?.to_owned()))
+        .collect()
+}
+
+#[tokio::test]
+async fn send_waits_for_the_reply() {
+    let robot = Robot::start().await;
+    let (mut command, _folder) = program(&[robot.port]);
+    command.args(["send", "1", "status"]);
+    let output = run(command).await;
+    assert!(output.status.success(), "{output:?}");
+    let stdout = text(&output.stdout);
+    assert!(stdout.contains("unit 1 <- 04 00037  status bits=37"), "{stdout}");
+}
+
+#[tokio::test]
+async fn run_carries_out_a_script_and_names_who_is_missing() {
+    let (mut robot, gone) = (Robot::start().await, Robot::start().await);
+    let (mut command, folder) = program(&[robot.port, gone.port]);
+    drop(gone);
+    let script = folder.path().join("script.txt");
+    std::fs::write(
+        &script,
+        "repeat 2; all leds 3; end\n1 status; on 1 reply status\n1 leds 0",
+    )
+    .unwrap();
+    command.args(["--timeout", "500ms", "run"]).arg(script);
+    let output = run(command).await;
+    for expected in ["07 00003", "07 00003", "04", "07 00000"] {
+        assert_eq!(robot.command().await, expected);
+    }
+    let stderr = text(&output.stderr);
+    assert!(
+        stderr.contains("unit 2 is trying: cannot connect: Connection refused"),
+        "{stderr}"
+    );
+    assert!(
+        stderr.contains("unit 2: it is trying, so it takes no commands"),
+        "{stderr}"
+    );
+    assert!(!output.status.success());
+}
+
+#[tokio::test]
+async fn list_tells_states_round_trips_and_status_bits() {
+    let (robot, gone) = (Robot::start().await, Robot::start().await);
+    let (mut command, _folder) = program(&[robot.port, gone.port]);
+    drop(gone);
+    command.args(["--timeout", "500ms", "list"]);
+    let output = run(command).await;
+    let stdout = text(&output.stdout);
+    let lines: Vec<Vec<&str>> = stdout
+        .lines()
+        .map(|line| line.split_whitespace().collect())
+        .collect();
+    let address = format!("127.0.0.1:{}", robot.port);
+    assert!(
+        matches!(&lines[1][..], ["1", at, "writable", _, "ms", "37"] if *at == address),
+        "{stdout}"
+    );
+    assert!(
+        matches!(&lines[2][..], ["2", _, "trying", "cannot", "connect:", ..]),
+        "{stdout}"
+    );
+}
+
+#[tokio::test]
+async fn without_a_terminal_it_takes_statements_as_lines_and_terminated_within_one_it_stops_the_robot() {
+    let mut robot = Robot::start().await;
+    let (mut command, _folder) = program(&[robot.port]);
+    let piped = command.stdin(Stdio::piped()).stdout(Stdio::piped());
+    let mut child = piped.spawn().unwrap();
+    let mut stdin = child.stdin.take().unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap())
+        .lines()
+        .map_while(Result::ok);
+    assert!(lines.any(|line| line.ends_with("unit 1 is writable")));
+    writeln!(stdin, "repeat 100000; 1 motor 9 9; wait 1; end").unwrap();
+    assert_eq!(robot.command().await, "06 00009 00009");
+    let killed = Command::new("kill").arg(child.id().to_string()).status().unwrap();
+    assert!(killed.success());
+    let (mut last, mut line) = (String::new(), robot.line().await);
+    while line != "closed" {
+        last = std::mem::replace(&mut line, robot.line().await);
+    }
+    assert_eq!(last, "got 06 00000 00000");
+    assert!(child.wait().unwrap().success());
+}
+
+#[tokio::test]
+async fn with_a_fault_in_a_file_or_a_statement_nothing_is_started() {
+    let mut robot = Robot::start().await;
+    let (mut command, _folder) = program(&[robot.port]);
+    command.args(["send", "1", "moter", "1", "1"]);
+    let output = run(command).await;
+    let stderr = text(&output.stderr);
+    assert!(
+        stderr.contains("line 1, column 3: there is no command `moter`; did you mean `motor`?"),
+        "{stderr}"
+    );
+    assert!(!output.status.success());
+
+    let (mut command, folder) = program(&[robot.port, robot.port]);
+    command.arg("list");
+    let output = run(command).await;
+    let stderr = text(&output.stderr);
+    let file = folder.path().join("fleet.toml");
+    let (file, port) = (file.display(), robot.port);
+    let fault = format!("line 6, column 11: 127.0.0.1:{port} is the address of unit 1 already");
+    assert_eq!(stderr, format!("mom-base-station: {file}: {fault}\n"));
+    robot.ask("mute");
+    assert_eq!(robot.line().await, "did mute", "nobody has connected before");
+}

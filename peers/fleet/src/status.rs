@@ -1,0 +1,145 @@
+//! The channel in which every robot's newest state is, so that a page joins one channel.
+
+use std::time::Duration;
+
+use mom_client::{Delivery, Family, GuardState, Map, Parcel, Path};
+use mom_device::State;
+use tokio::time::Instant;
+
+/// So often a robot that moves is told of there.
+const PERIOD: Duration = Duration::from_secs(1);
+/// What changes with each reply, and is no reason to tell.
+const FLEETING: [&str; 5] = ["x", "y", "heading", "round-trip", "gap"];
+
+/// Tells of one robot: at once when it is something else that it does, and once a second while it only goes on.
+#[derive(Debug)]
+pub struct StatusTeller {
+    channel: Path,
+    name: String,
+    group: Option<String>,
+    told: Option<(Map, Instant)>,
+}
+
+impl StatusTeller {
+    /// One for the robot of this number, in this channel, which may belong to a group.
+    #[must_use]
+    pub fn new(channel: Path, unit: u32, group: Option<String>) -> Self {
+        Self {
+            channel,
+            // A name for each robot, as a newer message takes the place of an older one of its name.
+            name: format!("robot-{unit}"),
+            group,
+            told: None,
+        }
+    }
+
+    /// What is to be told now, if anything is.
+    pub fn tell(&mut self, state: &State, guard: Option<&GuardState>, now: Instant) -> Option<Parcel> {
+        let mut content = content(state, guard);
+        if let Some(group) = &self.group {
+            content.set("group", group.as_str());
+        }
+        if let Some((told, at)) = &self.told {
+            let same = *told == content;
+            let alike = same || lasting(told) == lasting(&content);
+            if same || (alike && now < *at + PERIOD) {
+                return None;
+            }
+        }
+        self.told = Some((content.clone(), now));
+        let mut parcel = Parcel::new(Family::Message, self.name.clone())
+            .context(self.channel.clone())
+            .content(content);
+        parcel.delivery = Some(Delivery::Latest);
+        parcel.echo = Some(false);
+        Some(parcel)
+    }
+
+    /// When there may be something to tell that was held back.
+    #[must_use]
+    pub fn due(&self) -> Option<Instant> {
+        self.told.as_ref().map(|(_, at)| *at + PERIOD)
+    }
+}
+
+/// `{…position, …report, moving, stopped, token?, owner?, fence}`, and `group` beside it.
+fn content(state: &State, guard: Option<&GuardState>) -> Map {
+    let mut content = Map::new();
+    for (key, value) in state.position.iter().chain(state.report.iter()) {
+        content.set(key, value.clone());
+    }
+    content.set("moving", state.moving);
+    content.set("stopped", state.stopped);
+    if let Some(guard) = guard {
+        content.set("token", guard.token.to_string());
+    }
+    if let Some(owner) = guard.and_then(|guard| guard.owner.as_deref()) {
+        content.set("owner", owner);
+    }
+    let fence = guard.map_or(0, |guard| guard.fence);
+    content.with("fence", i64::try_from(fence).unwrap_or(i64::MAX))
+}
+
+fn lasting(content: &Map) -> Vec<(&str, &mom_client::Value)> {
+    content
+        .iter()
+        .filter(|(key, _)| !FLEETING.contains(key))
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use mom_client::Value;
+
+    use super::*;
+
+    fn state(x: i64, moving: bool) -> State {
+        State {
+            seq: 1,
+            position: Map::new().with("x", x),
+            report: Map::new().with("unit", 7).with("round-trip", x),
+            moving,
+            stopped: false,
+            executing: None,
+            waiting: 0,
+        }
+    }
+
+    #[test]
+    fn what_goes_on_is_told_once_a_second_and_news_at_once() {
+        let mut status = StatusTeller::new(
+            Path::parse("/fleet/status").expect("a path"),
+            7,
+            Some("red".to_owned()),
+        );
+        let guard = GuardState {
+            token: Path::parse("/fleet/7/token").expect("a path"),
+            names: vec!["command".to_owned()],
+            owner: Some("alice".to_owned()),
+            fence: 9,
+        };
+        let begin = Instant::now();
+        let after = |ms| begin + Duration::from_millis(ms);
+        for (ms, x, moving, told) in [
+            (0, 1, true, true),
+            (10, 2, true, false),
+            (999, 3, true, false),
+            (1000, 3, true, true),
+            (1100, 4, false, true),
+            (3000, 4, false, false),
+            (3001, 5, false, true),
+        ] {
+            let parcel = status.tell(&state(x, moving), Some(&guard), after(ms));
+            assert_eq!(parcel.is_some(), told, "after {ms} ms");
+            if let Some(parcel) = parcel {
+                assert_eq!(parcel.name(), "robot-7");
+                let value = parcel.value();
+                assert_eq!(value.get("x").and_then(Value::as_int), Some(x));
+                assert_eq!(value.get("fence").and_then(Value::as_int), Some(9));
+                for (key, text) in [("owner", "alice"), ("group", "red"), ("token", "/fleet/7/token")] {
+                    assert_eq!(value.get(key).and_then(Value::as_str), Some(text));
+                }
+            }
+        }
+    }
+}

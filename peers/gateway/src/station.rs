@@ -1,0 +1,157 @@
+//! The wires of a base station.
+
+use std::collections::VecDeque;
+
+use mom_base_station::circuit::{Note, Options, State};
+use mom_base_station::log::Entry;
+use mom_base_station::station::{Settings, Station};
+use tokio::sync::broadcast::Receiver;
+use tokio::sync::broadcast::error::RecvError;
+
+use crate::RobotWire;
+use crate::peer::News;
+
+/// How a gateway's base station behaves: it asks robots each second whether they are there, and gives one up that does not answer for
+/// three, as people wait for it; the paper asks each 10 s (W8).
+#[must_use]
+pub fn settings() -> Settings {
+    let second = 1_000_000;
+    Settings {
+        circuit: Options {
+            null_period: second,
+            ..Options::default()
+        },
+        ..Settings::default()
+    }
+}
+
+/// The wires to all robots of a base station. Whoever calls this before [`Station::connect_all`] misses nothing.
+#[must_use]
+pub fn lines(station: &Station) -> Vec<RobotWire> {
+    let mut lines = Vec::new();
+    for snapshot in station.snapshot() {
+        let unit = snapshot.robot.unit;
+        // Before its state is read, so that no change is missed.
+        let (Ok(entries), Ok(now)) = (station.subscribe_to(unit), station.watch(unit)) else {
+            continue;
+        };
+        let is_up = now.borrow().state == State::Writable;
+        let (station, other) = (station.clone(), station.clone());
+        lines.push(RobotWire {
+            unit,
+            group: snapshot.robot.group.clone(),
+            heard: Heard::new(entries, is_up),
+            send: Box::new(move |frame| {
+                station
+                    .send(unit, frame)
+                    .map(drop)
+                    .map_err(|error| error.to_string())
+            }),
+            give_up: Box::new(move || {
+                // It is one of them.
+                let _ = other.give_up(unit);
+            }),
+        });
+    }
+    lines
+}
+
+/// What is heard of a robot.
+#[derive(Debug)]
+pub(crate) struct Heard {
+    entries: Receiver<Entry>,
+    linked: bool,
+    /// What is to be told before more is heard.
+    next: VecDeque<News>,
+}
+
+impl Heard {
+    fn new(entries: Receiver<Entry>, linked: bool) -> Self {
+        let next = linked.then_some(News::Linked).into_iter().collect();
+        Self {
+            entries,
+            linked,
+            next,
+        }
+    }
+
+    /// What is heard next; none once the base station is gone. Nothing is lost if it is not awaited to its end.
+    pub(crate) async fn next(&mut self) -> Option<News> {
+        loop {
+            if let Some(news) = self.next.pop_front() {
+                return Some(news);
+            }
+            match self.entries.recv().await {
+                Ok(entry) => {
+                    let news = self.of(entry.note);
+                    self.next.extend(news);
+                }
+                // Which replies are missing is not known, so the robot is met anew.
+                Err(RecvError::Lagged(missed)) if self.linked => {
+                    self.next
+                        .push_back(News::Lost(format!("{missed} of its replies were missed")));
+                    self.next.push_back(News::Linked);
+                }
+                Err(RecvError::Lagged(_)) => {}
+                Err(RecvError::Closed) => return None,
+            }
+        }
+    }
+
+    fn of(&mut self, note: Note) -> Option<News> {
+        match note {
+            Note::Received(frame, _) => Some(News::Reply(frame)),
+            // One that takes no more bytes for a moment is not lost.
+            Note::State(State::Writable) if !self.linked => {
+                self.linked = true;
+                Some(News::Linked)
+            }
+            Note::State(State::Trying | State::Disconnected) if self.linked => {
+                self.linked = false;
+                Some(News::Lost("its connection has ended".to_owned()))
+            }
+            Note::Ended(end) if self.linked => {
+                self.linked = false;
+                Some(News::Lost(end.to_string()))
+            }
+            _ => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use mom_brs::Frame;
+    use tokio::sync::broadcast;
+
+    use super::*;
+
+    fn entry(note: Note) -> Entry {
+        Entry {
+            time: 0,
+            unit: 1,
+            note,
+        }
+    }
+
+    #[tokio::test]
+    async fn a_robot_of_which_replies_were_missed_is_met_anew() {
+        let (say, entries) = broadcast::channel(2);
+        let mut heard = Heard::new(entries, false);
+        say.send(entry(Note::State(State::Writable)))
+            .expect("it is heard");
+        assert_eq!(heard.next().await, Some(News::Linked));
+        let reply = Frame::reply(&mom_brs::Command::STATUS, &[5]).expect("a reply");
+        for _ in 0..5 {
+            say.send(entry(Note::Received(reply, None))).expect("it is heard");
+        }
+        let lost = News::Lost("3 of its replies were missed".to_owned());
+        let reply = News::Reply(reply);
+        for expected in [&lost, &News::Linked, &reply, &reply] {
+            assert_eq!(heard.next().await.as_ref(), Some(expected));
+        }
+        // One that was never there is not lost.
+        drop(say);
+        assert_eq!(heard.next().await, None);
+    }
+}

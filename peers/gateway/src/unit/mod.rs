@@ -1,0 +1,463 @@
+//! One robot as its gateway knows it: what statements become on the wire, and what replies say of it.
+
+use std::collections::VecDeque;
+
+use mom_brs::{Code, Command, Frame, Table};
+use mom_client::{Map, Value};
+use mom_device::{DeviceError, DeviceTime, ErrorName, Machine, Script, Word, Words};
+use mom_fleet::Action;
+use mom_linuxbot::Status;
+
+#[cfg(test)]
+mod tests;
+
+/// µs between two questions for pose and status while the robot moves. They feed its watchdog too.
+const LIVELY: DeviceTime = 100_000;
+/// µs between them while it stands.
+const CALM: DeviceTime = 1_000_000;
+const ROUND_TRIP: &str = "round-trip";
+/// µs that a robot may take to come to its rest.
+const SETTLES: DeviceTime = 500_000;
+/// The most questions that wait for their answers.
+const MOST_ASKED: usize = 8;
+/// The most points of one statement; the robot keeps 64.
+/// One that moves and answers nothing for so long is given up, with what is under way to it: it would be carried out late.
+const UNANSWERED: DeviceTime = 1_000_000;
+const MOST_POINTS: usize = 64;
+
+/// A robot behind its gateway.
+///
+/// The gateway hands it the replies ([`Unit::heard`]) and whether the robot is connected ([`Unit::linked`],
+/// [`Unit::lost`]), and sends what [`Unit::to_send`] gives. Its states are as old as its replies.
+#[derive(Debug)]
+pub struct Unit {
+    number: u32,
+    table: &'static Table,
+    now: DeviceTime,
+    /// Whether the robot takes commands.
+    linked: bool,
+    /// What is to be sent, in order.
+    out: Vec<Frame>,
+    /// What it did last say of itself, and when that was asked: what it says was so then or later.
+    status: Option<(Status, DeviceTime)>,
+    pose: Option<(Pose, DeviceTime)>,
+    /// When what was asked of it was asked, in order: replies come in the order of their questions (W2).
+    asked_status: VecDeque<Question>,
+    asked_pose: VecDeque<DeviceTime>,
+    /// The number of the next question for its status.
+    question: u64,
+    /// When it is asked next.
+    ask: DeviceTime,
+    /// The first question since it was told to stand: what it answers to that has to be that it does.
+    stood: u64,
+    /// Until when it is asked as often as one that moves, because it may not have come to its rest yet.
+    settles: DeviceTime,
+    /// What it is doing.
+    doing: Doing,
+    /// Until when the motors are set; then they stop, unless the next statement sets them.
+    motors: Option<Motors>,
+    /// Whether it ever told of a charge: robots of others may have no such bits, and an empty battery is none of theirs.
+    has_gauge: bool,
+    leds: i32,
+    /// The round trip, in µs, of the last question that was answered.
+    round_trip: Option<DeviceTime>,
+}
+
+/// Where a robot says that it is: mm, mm, degrees.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Pose {
+    x: i32,
+    y: i32,
+    heading: i32,
+}
+
+/// A question for its status.
+#[derive(Debug, Clone, Copy)]
+struct Question {
+    number: u64,
+    at: DeviceTime,
+}
+
+/// Motors that were set.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Motors {
+    until: DeviceTime,
+    /// The status that was asked by this question, or a later one, tells of them.
+    question: u64,
+}
+
+/// What the robot does of the statement that was begun last.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Doing {
+    /// Nothing, or nothing is known of it.
+    Nothing,
+    /// It drives by itself. The status that was asked by this question, or a later one, tells of it.
+    Drives { question: u64 },
+    /// It is done then.
+    Done { at: DeviceTime },
+}
+
+impl Unit {
+    /// The robot of this number, of which nothing is known yet. It knows the commands of this table.
+    #[must_use]
+    pub fn new(number: u32, table: &'static Table) -> Self {
+        Self {
+            number,
+            table,
+            now: 0,
+            linked: false,
+            out: Vec::new(),
+            status: None,
+            pose: None,
+            asked_status: VecDeque::new(),
+            asked_pose: VecDeque::new(),
+            question: 0,
+            ask: 0,
+            stood: 0,
+            settles: 0,
+            doing: Doing::Nothing,
+            motors: None,
+            has_gauge: false,
+            leds: 0,
+            round_trip: None,
+        }
+    }
+
+    /// What is to be sent to the robot now, in order.
+    pub fn to_send(&mut self) -> Vec<Frame> {
+        std::mem::take(&mut self.out)
+    }
+
+    /// Whether something is to be sent.
+    #[must_use]
+    pub fn has_to_send(&self) -> bool {
+        !self.out.is_empty()
+    }
+
+    /// Whether it may move and does not answer, so that its connection is to be given up.
+    #[must_use]
+    pub fn is_overdue(&self) -> bool {
+        self.overdue_at().is_some_and(|due| self.now >= due)
+    }
+
+    fn overdue_at(&self) -> Option<DeviceTime> {
+        let oldest = self.asked_status.front().filter(|_| self.is_moving())?;
+        Some(oldest.at.saturating_add(UNANSWERED))
+    }
+
+    /// Its connection is given up: what was asked is not answered any more.
+    pub fn given_up(&mut self) {
+        self.out.clear();
+        self.asked_status.clear();
+        self.asked_pose.clear();
+    }
+
+    /// What a report says but for what changes with each reply.
+    #[must_use]
+    pub fn lasting(report: &Map) -> Vec<(&str, &Value)> {
+        report.iter().filter(|(key, _)| *key != ROUND_TRIP).collect()
+    }
+
+    /// The robot takes commands: it is told to stand, whatever it was doing, and asked how it is.
+    pub fn linked(&mut self) {
+        self.linked = true;
+        self.stand();
+        self.ask_now();
+    }
+
+    /// The robot's connection is lost. What it does now is its own watchdog's business; what was known of it grows old.
+    pub fn lost(&mut self) {
+        self.linked = false;
+        self.given_up();
+        self.doing = Doing::Nothing;
+        self.motors = None;
+    }
+
+    /// Takes a reply of the robot; an error if it says that the command under way cannot be carried out.
+    ///
+    /// # Errors
+    ///
+    /// `obstacle` if a way was given up, `battery` if it is empty.
+    pub fn heard(&mut self, reply: &Frame) -> Result<(), DeviceError> {
+        match (reply.code(), reply.values()) {
+            (Code::STATUS, &[bits]) => {
+                let Some(asked) = self.asked_status.pop_front() else {
+                    return Ok(());
+                };
+                self.round_trip = Some(self.now - asked.at);
+                let status = Status::from_bits(bits);
+                self.status = Some((status, asked.at));
+                self.has_gauge |= status.battery > 0;
+                self.insist(status, asked.number);
+                self.arrived(status, asked.number)
+            }
+            (Code::POSE, &[x, y, heading]) => {
+                if let Some(asked) = self.asked_pose.pop_front() {
+                    self.pose = Some((Pose { x, y, heading }, asked));
+                }
+                Ok(())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Has it stand again, if it was told to before it was asked, and says that it does not: whatever became of that order.
+    fn insist(&mut self, status: Status, asked: u64) {
+        let driven = self.motors.is_some() || matches!(self.doing, Doing::Drives { .. });
+        if !driven && asked >= self.stood && (status.moving || status.on_its_way) {
+            let doing = self.doing;
+            self.stand();
+            self.doing = doing;
+            self.ask_now();
+        }
+    }
+
+    /// Takes note that a frame was not sent.
+    pub fn unsent(&mut self, frame: &Frame) {
+        match frame.code() {
+            Code::STATUS => drop(self.asked_status.pop_back()),
+            Code::POSE => drop(self.asked_pose.pop_back()),
+            _ => {}
+        }
+    }
+
+    /// Whether its way has ended, by a status that was asked after it began: an older one tells of what was before.
+    fn arrived(&mut self, status: Status, asked: u64) -> Result<(), DeviceError> {
+        let begun = match (self.doing, self.motors) {
+            (Doing::Drives { question }, _) => Some(question),
+            (_, Some(motors)) => Some(motors.question),
+            _ => None,
+        };
+        let is_empty = self.has_gauge && status.battery == 0 && !status.moving;
+        if is_empty && begun.is_some_and(|question| asked >= question) {
+            self.stand();
+            let text = format!("robot {} stands: its battery is empty", self.number);
+            return Err(DeviceError::new(ErrorName::Battery, text));
+        }
+        let Doing::Drives { question } = self.doing else {
+            return Ok(());
+        };
+        if asked < question || status.on_its_way {
+            return Ok(());
+        }
+        if status.gave_up {
+            self.doing = Doing::Nothing;
+            let why = match status.switches {
+                0 => "something was in its way, or it does not know where it is".to_owned(),
+                switches => format!(
+                    "something was in its way, and presses switches {switches:#06b}; drive it away from there with `motor`"
+                ),
+            };
+            let text = format!("robot {} gave its way up: {why}", self.number);
+            return Err(DeviceError::new(ErrorName::Obstacle, text));
+        }
+        if status.expired {
+            self.doing = Doing::Nothing;
+            let text = format!("robot {} stopped, as it heard nothing for too long", self.number);
+            return Err(DeviceError::new(ErrorName::Link, text));
+        }
+        self.doing = Doing::Done { at: self.now };
+        Ok(())
+    }
+
+    fn follows_nobody(&self) -> DeviceError {
+        let text = format!(
+            "robot {} hears its gateway alone; `follow` is for robots that are peers themselves (mom-rover)",
+            self.number
+        );
+        DeviceError::new(ErrorName::Syntax, text)
+    }
+
+    fn say(&mut self, code: Code, values: &[i32]) -> Result<(), DeviceError> {
+        let frame = self
+            .table
+            .get(code)
+            .and_then(|command| Frame::new(command, values).ok());
+        let frame = frame.ok_or_else(|| {
+            let text = format!("the robots of this gateway know no command {code:?} of such values");
+            DeviceError::new(ErrorName::Syntax, text)
+        })?;
+        self.out.push(frame);
+        Ok(())
+    }
+
+    /// Has the robot stand. That it does is told by what it replies.
+    fn stand(&mut self) {
+        self.doing = Doing::Nothing;
+        self.motors = None;
+        self.stood = self.question;
+        self.settles = self.now.saturating_add(SETTLES);
+        if let (true, Ok(stop)) = (self.linked, Frame::new(&Command::MOTOR, &[0, 0])) {
+            self.out.push(stop);
+        }
+    }
+
+    /// Asks pose and status.
+    fn ask_now(&mut self) {
+        self.ask = self
+            .now
+            .saturating_add(match self.is_moving() || self.now < self.settles {
+                true => LIVELY,
+                false => CALM,
+            });
+        // Who answers slowly is not asked faster than it answers.
+        if !self.linked || self.asked_status.len() >= MOST_ASKED {
+            return;
+        }
+        if self.say(Code::POSE, &[]).is_ok() {
+            self.asked_pose.push_back(self.now);
+        }
+        if self.say(Code::STATUS, &[]).is_ok() {
+            let (number, at) = (self.question, self.now);
+            self.asked_status.push_back(Question { number, at });
+            self.question += 1;
+        }
+    }
+}
+
+impl Machine for Unit {
+    type Action = Action;
+
+    const NAME: &str = "the robot";
+    const VERBS: &[&str] = Action::VERBS;
+    // No more is known of it than it is asked.
+    const PERIOD: DeviceTime = LIVELY;
+
+    fn read(verb: Word<'_>, words: &mut Words<'_>) -> Option<Result<Action, DeviceError>> {
+        Action::read(verb, words)
+    }
+
+    fn is_moving(&self) -> bool {
+        let set = self.motors.is_some() || matches!(self.doing, Doing::Drives { .. });
+        // What is not heard of is not said to stand.
+        let heard = self
+            .status
+            .is_some_and(|(status, _)| status.moving || status.on_its_way);
+        self.linked && (set || heard)
+    }
+
+    fn plan(&mut self, script: &Script<Action>) -> Result<(), DeviceError> {
+        if !self.linked {
+            let text = format!("robot {} is not connected to its gateway", self.number);
+            return Err(DeviceError::new(ErrorName::Link, text));
+        }
+        for (action, number) in script.actions() {
+            if let Action::Follow { .. } = action {
+                return Err(self.follows_nobody().at_statement(number));
+            }
+            if let Action::Drive(points) = action
+                && points.len() > MOST_POINTS
+            {
+                let text = format!("a way has at most {MOST_POINTS} points, not {}", points.len());
+                return Err(DeviceError::new(ErrorName::WorkspaceBoundary, text).at_statement(number));
+            }
+        }
+        Ok(())
+    }
+
+    fn begin(&mut self, action: &Action, now: DeviceTime) -> Result<(), DeviceError> {
+        self.now = now;
+        if self.motors.take().is_some() && !matches!(action, Action::Motor { .. }) {
+            self.stand();
+        }
+        self.doing = match action {
+            Action::Motor { left, right, ms } => {
+                self.say(Code::MOTOR, &[*left, *right])?;
+                let until = now.saturating_add(DeviceTime::from(*ms) * 1000);
+                let question = self.question;
+                self.motors = Some(Motors { until, question });
+                Doing::Done { at: until }
+            }
+            Action::Follow { .. } => return Err(self.follows_nobody()),
+            Action::Leds(data) => {
+                self.say(Code::LEDS, &[*data])?;
+                self.leds = *data;
+                Doing::Done { at: now }
+            }
+            Action::Drive(points) => {
+                for ((x, y), number) in points.iter().zip(0..) {
+                    let code = if number == 0 { Code::GOTO } else { Code::VIA };
+                    self.say(code, &[*x, *y])?;
+                }
+                Doing::Drives {
+                    question: self.question,
+                }
+            }
+        };
+        self.ask_now();
+        Ok(())
+    }
+
+    fn done_at(&self) -> Option<DeviceTime> {
+        match self.doing {
+            Doing::Nothing | Doing::Drives { .. } => None,
+            Doing::Done { at } => Some(at),
+        }
+    }
+
+    fn halt(&mut self, now: DeviceTime) {
+        self.now = now;
+        self.stand();
+        self.ask_now();
+    }
+
+    fn advance(&mut self, now: DeviceTime) {
+        self.now = now;
+        // Later than its end by a moment, so that a `motor` that follows at once sets other values without a stop between.
+        if self.motors.is_some_and(|motors| now > motors.until) {
+            self.stand();
+            self.ask_now();
+        }
+        if now >= self.ask {
+            self.ask_now();
+        }
+    }
+
+    fn next_wake(&self) -> Option<DeviceTime> {
+        if !self.linked {
+            return None;
+        }
+        let motors = self.motors.map(|motors| motors.until.saturating_add(1));
+        [motors, self.overdue_at(), Some(self.ask)]
+            .into_iter()
+            .flatten()
+            .min()
+    }
+
+    /// When the oldest part of what it told was asked.
+    fn known_at(&self) -> Option<DeviceTime> {
+        let status = self.status.map(|(_, asked)| asked);
+        let pose = self.pose.map(|(_, asked)| asked);
+        match (status, pose) {
+            (Some(status), Some(pose)) => Some(status.min(pose)),
+            (one, other) => one.or(other),
+        }
+    }
+
+    /// `{x, y, heading}` in mm, mm and degrees, once it has said so.
+    fn position(&self) -> Map {
+        match self.pose {
+            None => Map::new(),
+            Some((Pose { x, y, heading }, _)) => {
+                Map::new().with("x", x).with("y", y).with("heading", heading)
+            }
+        }
+    }
+
+    /// `{unit, linked, leds, battery?, switches?, expired?, round-trip?}`: percent, a mask of bits, µs.
+    fn report(&self) -> Map {
+        let mut map = Map::new()
+            .with("unit", i64::from(self.number))
+            .with("linked", self.linked)
+            .with("leds", self.leds);
+        if let Some((status, _)) = self.status {
+            map.set("battery", i64::from(status.battery));
+            map.set("switches", i64::from(status.switches));
+            map.set("expired", status.expired);
+        }
+        if let Some(round_trip) = self.round_trip {
+            map.set(ROUND_TRIP, round_trip);
+        }
+        map
+    }
+}

@@ -1,0 +1,330 @@
+//! The robot's server: listens, and lets one base station at a time drive (W9).
+
+use std::future::{Future, pending};
+use std::io;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::pin::pin;
+use std::sync::Arc;
+use std::time::Duration;
+
+use mom_brs::file::EXTENDED;
+use mom_brs::{Code, Direction, Frame, Parser, Table};
+use mom_wheels::WheelTime;
+use tokio::io::{AsyncReadExt, AsyncWriteExt, Interest};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::time::{Instant, sleep_until, timeout};
+
+use crate::{Access, Glance, Observed, Robot};
+
+/// Bytes that are read at once; then others have their turn.
+const PIECE: usize = 512;
+/// The most pieces that are read before another base station is told that this one drives.
+const AT_ONCE: usize = 16;
+/// Bytes of replies that wait for a slow base station. While there are more, nothing is read from it.
+const MOST_UNSENT: usize = 4096;
+/// So long one that is refused may take to read why, and so many may do so at once.
+const FAREWELL: Duration = Duration::from_secs(1);
+const FAREWELLS: usize = 8;
+/// A frame that is not complete after so long is dropped.
+const WITHIN_FRAME: Duration = Duration::from_millis(500);
+
+/// How a robot lets base stations in.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// Which base stations it takes.
+    pub access: Access,
+    /// The commands that it knows.
+    pub table: &'static Table,
+    /// A base station that says nothing for so long is held for dead, and others may drive; none: never, as the paper has it.
+    pub patience: Option<Duration>,
+    /// Whether a second base station is told who drives, rather than just closed.
+    pub tells_holder: bool,
+}
+
+impl Default for Options {
+    /// Base stations of the robot's own machine, all commands of ours, and three and a half of the NULLs that come every 10 s (W8).
+    fn default() -> Self {
+        Self {
+            access: Access::default(),
+            table: &EXTENDED,
+            patience: Some(Duration::from_secs(35)),
+            tells_holder: true,
+        }
+    }
+}
+
+impl Options {
+    /// As the paper has it: a second base station is just closed, and the first stays however long it is silent.
+    #[must_use]
+    pub fn paper(access: Access) -> Self {
+        Self {
+            access,
+            patience: None,
+            tells_holder: false,
+            ..Self::default()
+        }
+    }
+}
+
+/// Serves base stations until `shutdown` is done, one after the other. Then the motors stop.
+///
+/// # Errors
+///
+/// The listener is broken.
+pub async fn serve(
+    listener: TcpListener,
+    robot: Robot,
+    options: Options,
+    shutdown: impl Future<Output = ()>,
+) -> io::Result<()> {
+    serve_observed(listener, robot, options, None, shutdown).await
+}
+
+/// The same, while somebody may look at the robot.
+///
+/// # Errors
+///
+/// As [`serve`].
+pub async fn serve_observed(
+    listener: TcpListener,
+    mut robot: Robot,
+    options: Options,
+    mut observed: Option<Observed>,
+    shutdown: impl Future<Output = ()>,
+) -> io::Result<()> {
+    let begin = Instant::now();
+    let mut shutdown = pin!(shutdown);
+    let mut session: Option<Driving> = None;
+    let farewells = Arc::new(Semaphore::new(FAREWELLS));
+    let result = loop {
+        let wake = robot.next_wake().map(|due| at(begin, due));
+        let dead = session.as_ref().and_then(|session| session.dead(&options));
+        tokio::select! {
+            () = &mut shutdown => break Ok(()),
+            accepted = listener.accept() => match accepted {
+                Ok((stream, from)) => {
+                    // Who comes back at once has closed its old connection before.
+                    if let Some(why) = catch_up(&mut session, &mut robot, begin) {
+                        leave(&mut session, &mut robot, now(begin), &why);
+                    }
+                    admit(stream, from, &mut session, &options, &farewells);
+                }
+                // What one connection has broken is no fault of the listener.
+                Err(error) if is_passing(&error) => tracing::debug!(%error, "a connection was not taken"),
+                Err(error) => break Err(error),
+            },
+            ended = work(&mut session, &mut robot, begin) => {
+                if let Some(why) = ended {
+                    leave(&mut session, &mut robot, now(begin), &why);
+                }
+            }
+            () = sleep_or_wait(wake) => robot.advance(now(begin)),
+            () = sleep_or_wait(dead) => {
+                leave(&mut session, &mut robot, now(begin), "nothing was heard of it");
+            }
+            observed = wanted(&mut observed) => {
+                let station = session.as_ref().map(|session| session.from);
+                observed.show(robot.glance(now(begin)).map(|glance| Glance { station, ..glance }));
+            }
+        }
+        if let Some(error) = robot.fault() {
+            tracing::warn!(%error, "the driver failed");
+        }
+    };
+    robot.halt(now(begin));
+    result
+}
+
+/// Takes a connection, if its base station may drive and no other does.
+fn admit(
+    stream: TcpStream,
+    from: SocketAddr,
+    session: &mut Option<Driving>,
+    options: &Options,
+    farewells: &Arc<Semaphore>,
+) {
+    if !options.access.admits(from.ip()) {
+        tracing::warn!(%from, "refused: this base station is not listed");
+        return;
+    }
+    if let Some(held) = session {
+        tracing::info!(%from, by = %held.from, "refused: another base station drives");
+        if options.tells_holder
+            && let Some(frame) = holder(options.table, held.from.ip())
+        {
+            // A socket that has just been opened takes it; who does not read it is none the wiser.
+            let _ = stream.try_write(frame.encode().as_bytes());
+            if let Ok(place) = Arc::clone(farewells).try_acquire_owned() {
+                tokio::spawn(part(stream, place));
+            }
+        }
+        return;
+    }
+    if let Err(error) = stream.set_nodelay(true) {
+        tracing::debug!(%error, "replies may be late");
+    }
+    tracing::info!(%from, "a base station drives");
+    *session = Some(Driving {
+        stream,
+        from,
+        parser: Parser::new(options.table, Direction::Command),
+        unsent: Vec::new(),
+        heard: Instant::now(),
+    });
+}
+
+/// Closes a connection so that its last word arrives: one that is closed with unread bytes is reset, and what was said is lost.
+async fn part(mut stream: TcpStream, _place: OwnedSemaphorePermit) {
+    let _ = timeout(FAREWELL, async {
+        stream.shutdown().await?;
+        let mut piece = [0; PIECE];
+        while stream.read(&mut piece).await? > 0 {}
+        io::Result::Ok(())
+    })
+    .await;
+}
+
+fn leave(session: &mut Option<Driving>, robot: &mut Robot, now: WheelTime, why: &str) {
+    if let Some(gone) = session.take() {
+        let faults = gone.parser.faults();
+        tracing::info!(from = %gone.from, why, ?faults, "the base station is gone");
+        robot.lost(now);
+    }
+}
+
+/// Who drives, as far as an address of IPv4 says it.
+fn holder(table: &'static Table, by: IpAddr) -> Option<Frame> {
+    let address = match by.to_canonical() {
+        IpAddr::V4(address) => address,
+        IpAddr::V6(_) => Ipv4Addr::BROADCAST,
+    };
+    let bytes = address.octets().map(i32::from);
+    Frame::reply(table.get(Code::HOLDER)?, &bytes).ok()
+}
+
+/// A base station that drives.
+struct Driving {
+    stream: TcpStream,
+    from: SocketAddr,
+    parser: Parser,
+    unsent: Vec<u8>,
+    heard: Instant,
+}
+
+impl Driving {
+    /// When it is to be held for dead.
+    fn dead(&self, options: &Options) -> Option<Instant> {
+        options.patience.map(|patience| self.heard + patience)
+    }
+}
+
+/// Reads and writes once; why the session ended, if it has. May be dropped at any time.
+async fn work(session: &mut Option<Driving>, robot: &mut Robot, begin: Instant) -> Option<String> {
+    let Some(session) = session else {
+        return pending().await;
+    };
+    // Who does not take replies is not heard either, so that they stay bounded.
+    let interest = match (session.unsent.is_empty(), session.unsent.len() < MOST_UNSENT) {
+        (true, _) => Interest::READABLE,
+        (false, true) => Interest::READABLE | Interest::WRITABLE,
+        (false, false) => Interest::WRITABLE,
+    };
+    let half = (session.parser.buffered() > 0).then(|| session.heard + WITHIN_FRAME);
+    let ready = tokio::select! {
+        ready = session.stream.ready(interest) => ready,
+        () = sleep_or_wait(half) => {
+            session.parser.idle();
+            return None;
+        }
+    };
+    let done = ready.and_then(|ready| {
+        if ready.is_writable() {
+            write(session)?;
+        }
+        if ready.is_readable() && session.unsent.len() < MOST_UNSENT {
+            read(session, robot, begin)?;
+        }
+        Ok(())
+    });
+    done.err().map(|error| error.to_string())
+}
+
+/// Reads what has come already; why the session ended, if it has.
+fn catch_up(session: &mut Option<Driving>, robot: &mut Robot, begin: Instant) -> Option<String> {
+    let session = session.as_mut()?;
+    for _ in 0..AT_ONCE {
+        let before = session.heard;
+        if let Err(error) = read(session, robot, begin) {
+            return Some(error.to_string());
+        }
+        if session.heard == before {
+            break;
+        }
+    }
+    None
+}
+
+fn write(session: &mut Driving) -> io::Result<()> {
+    match session.stream.try_write(&session.unsent) {
+        Ok(written) => {
+            session.unsent.drain(..written);
+            Ok(())
+        }
+        Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(()),
+        Err(error) => Err(error),
+    }
+}
+
+fn read(session: &mut Driving, robot: &mut Robot, begin: Instant) -> io::Result<()> {
+    let mut piece = [0; PIECE];
+    let read = match session.stream.try_read(&mut piece) {
+        Ok(0) => return Err(io::Error::other("it closed the connection")),
+        Ok(read) => read,
+        Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(()),
+        Err(error) => return Err(error),
+    };
+    session.heard = Instant::now();
+    for frame in session.parser.feed(piece.get(..read).unwrap_or_default()) {
+        if let Some(reply) = robot.take(&frame, now(begin)) {
+            session.unsent.extend_from_slice(reply.encode().as_bytes());
+        }
+    }
+    if session.unsent.is_empty() {
+        return Ok(());
+    }
+    // At once: waiting for the socket to say that it can be written costs a round.
+    write(session)
+}
+
+/// What a connection may break before it is accepted.
+fn is_passing(error: &io::Error) -> bool {
+    use io::ErrorKind::{ConnectionAborted, ConnectionReset, Interrupted};
+    matches!(error.kind(), ConnectionAborted | ConnectionReset | Interrupted)
+}
+
+fn now(begin: Instant) -> WheelTime {
+    WheelTime::try_from(begin.elapsed().as_micros()).unwrap_or(WheelTime::MAX)
+}
+
+fn at(begin: Instant, due: WheelTime) -> Instant {
+    begin + Duration::from_micros(u64::try_from(due).unwrap_or(0))
+}
+
+/// Waits until somebody looks.
+async fn wanted(observed: &mut Option<Observed>) -> &mut Observed {
+    match observed {
+        Some(observed) => {
+            observed.wanted().await;
+            observed
+        }
+        None => pending().await,
+    }
+}
+
+async fn sleep_or_wait(wake: Option<Instant>) {
+    match wake {
+        Some(wake) => sleep_until(wake).await,
+        None => pending().await,
+    }
+}

@@ -1,0 +1,266 @@
+//! The robot server of the fleet as a program of its own.
+#![allow(clippy::print_stdout, reason = "it says where it listens")]
+
+use std::fmt::Write as _;
+use std::future::Future;
+use std::io::IsTerminal;
+use std::net::{IpAddr, SocketAddr};
+use std::ops::RangeInclusive;
+use std::path::PathBuf;
+use std::pin::pin;
+use std::time::Duration;
+
+use anyhow::Context;
+use clap::Parser;
+use mom_brs::{Table, file};
+use mom_linuxbot::{Access, Options, Page, Robot, Rules, serve_observed, serve_page};
+use mom_wheels::{Chassis, Simulated, Watchdog, WheelTime};
+use tokio::net::TcpListener;
+use tokio::signal::unix::{SignalKind, signal};
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+use tracing_subscriber::EnvFilter;
+
+const EXAMPLES: &str = "\
+Examples:
+  mom-linuxbot
+  mom-linuxbot --listen 0.0.0.0:4000 --allow 192.168.1.5
+  mom-linuxbot --robots 10 --listen 127.0.0.1:0 --write-fleet fleet.toml
+  mom-linuxbot --robots 10 --only 9-10 --listen 127.0.0.1:0 --write-fleet last.toml --group scouts
+  mom-linuxbot --watchdog 1s --battery 40
+  mom-linuxbot --web 127.0.0.1:8080
+  mom-linuxbot --paper
+  RUST_LOG=debug mom-linuxbot --table more-commands.toml
+
+By hand, for those who can type: printf '06 00100 00100' | nc -q1 127.0.0.1 4000
+The robot is a simulated one. The log goes to the standard error; RUST_LOG says how much of it. Ctrl-C and SIGTERM stop the motors and end the
+program.";
+
+/// A LinuxBot: a wheeled robot that one base station at a time drives over TCP.
+#[derive(Debug, Parser)]
+#[command(name = "mom-linuxbot", version, after_help = EXAMPLES)]
+struct LinuxbotArgs {
+    /// Where it listens; port 0 is any that is free. Of several robots each has the next port
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:4000")]
+    listen: SocketAddr,
+    /// Show the robot's own page, with what it sees, here by HTTP; ports as for --listen
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    web: Option<SocketAddr>,
+    /// A base station that may drive, and look at the page, by its address; again for another. Without it: those of this machine
+    #[arg(long, value_name = "ADDRESS")]
+    allow: Vec<IpAddr>,
+    /// The motors stop when no command comes for so long: a time such as 500ms or 2s
+    #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = time, conflicts_with = "paper")]
+    watchdog: Duration,
+    /// As the paper has it: no watchdog, motors run on when the base station is lost, and a second one is just closed
+    #[arg(long)]
+    paper: bool,
+    /// Commands that it knows beside the paper's four, as protocols/brs/commands.toml has them; without it: those
+    #[arg(long, value_name = "FILE")]
+    table: Option<PathBuf>,
+    /// How many robots
+    #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u16).range(1..=10_000))]
+    robots: u16,
+    /// Of those on this floor only some, as other programs are the others: a number or a range such as 9-10
+    #[arg(long, value_name = "UNITS", value_parser = units)]
+    only: Option<RangeInclusive<u16>>,
+    /// What is in their batteries, in percent
+    #[arg(long, value_name = "PERCENT", default_value = "100", value_parser = clap::value_parser!(u8).range(0..=100))]
+    battery: u8,
+    /// Write the addresses into this file, as mom-base-station --fleet reads it
+    #[arg(long, value_name = "FILE")]
+    write_fleet: Option<PathBuf>,
+    /// The group in which the robots are, in that file: robots of one group are driven together
+    #[arg(long, value_name = "NAME", requires = "write_fleet")]
+    group: Option<String>,
+}
+
+/// `9` or `9-10`.
+fn units(text: &str) -> anyhow::Result<RangeInclusive<u16>> {
+    let (first, last) = text.split_once('-').unwrap_or((text, text));
+    let (first, last): (u16, u16) = (first.parse()?, last.parse()?);
+    anyhow::ensure!(
+        1 <= first && first <= last,
+        "it must be a number or a range such as 9-10"
+    );
+    Ok(first..=last)
+}
+
+/// `500ms` or `2s`.
+fn time(text: &str) -> anyhow::Result<Duration> {
+    let (number, unit) = match text.strip_suffix("ms") {
+        Some(number) => (number, 1e-3),
+        None => (text.strip_suffix('s').unwrap_or_default(), 1.0),
+    };
+    let number: f64 = number
+        .parse()
+        .ok()
+        .context("it must be a time such as 500ms or 2s")?;
+    let time = Duration::try_from_secs_f64(number * unit)?;
+    anyhow::ensure!(time >= Duration::from_millis(1), "it must be at least 1ms");
+    Ok(time)
+}
+
+#[tokio::main]
+async fn main() -> anyhow::Result<()> {
+    if let Some(written) = mom_pages::asked::<LinuxbotArgs>() {
+        return Ok(written?);
+    }
+    let args = LinuxbotArgs::parse();
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .init();
+    let mut shutdown = pin!(shutdown()?);
+    let options = options(&args)?;
+    let rules = rules(&args)?;
+    let units = args.only.clone().unwrap_or(1..=args.robots);
+    anyhow::ensure!(
+        *units.end() <= args.robots,
+        "there is no unit {} among {} robots: --robots says how many there are on the floor",
+        units.end(),
+        args.robots
+    );
+    let listeners = listen(args.listen, units.len() as u16).await?;
+    let addresses = listeners
+        .iter()
+        .map(TcpListener::local_addr)
+        .collect::<Result<Vec<_>, _>>()?;
+    announce(&args, &addresses, &units)?;
+    let mut pages = match args.web {
+        Some(web) => listen(web, units.len() as u16).await?.into_iter(),
+        None => Vec::new().into_iter(),
+    };
+    let (stop, stopping) = watch::channel(false);
+    // The pages end with this function.
+    let (mut serving, mut showing) = (JoinSet::new(), JoinSet::new());
+    let others = usize::from(units.start() - 1);
+    let drivers = Simulated::fleet(args.robots).into_iter().skip(others);
+    for ((listener, driver), unit) in listeners.into_iter().zip(drivers).zip(units) {
+        let driver = driver.with_battery(args.battery);
+        let mut seen = None;
+        if let Some(page) = pages.next() {
+            println!("robot {unit} has its page at http://{}/", page.local_addr()?);
+            let (shown, observed) = Page::of(u32::from(unit), options.access.clone(), driver.floor());
+            seen = Some(observed);
+            showing.spawn(serve_page(page, shown));
+        }
+        let robot = Robot::new(Box::new(driver), Chassis::LINUXBOT, rules);
+        let mut stopping = stopping.clone();
+        serving.spawn(serve_observed(
+            listener,
+            robot,
+            options.clone(),
+            seen,
+            async move {
+                // An error is a program that ends, which is as good a reason.
+                let _ = stopping.wait_for(|stop| *stop).await;
+            },
+        ));
+    }
+    tokio::select! {
+        () = &mut shutdown => {}
+        Some(ended) = serving.join_next() => ended?.context("the robot ended")?,
+    }
+    let _ = stop.send(true);
+    while let Some(ended) = serving.join_next().await {
+        ended?.context("the robot ended")?;
+    }
+    Ok(())
+}
+
+/// Says where robots listen, also in the file of a fleet.
+fn announce(
+    args: &LinuxbotArgs,
+    addresses: &[SocketAddr],
+    units: &RangeInclusive<u16>,
+) -> anyhow::Result<()> {
+    if let Some(path) = &args.write_fleet {
+        let written = fleet(addresses, units, args.group.as_deref());
+        std::fs::write(path, written).with_context(|| format!("{} cannot be written", path.display()))?;
+    }
+    if let (Some(first), Some(last)) = (addresses.first(), addresses.last()) {
+        match addresses.len() {
+            1 => println!("a robot listens at {first}"),
+            robots => println!("{robots} robots listen at {first} … {last}"),
+        }
+    }
+    Ok(())
+}
+
+fn options(args: &LinuxbotArgs) -> anyhow::Result<Options> {
+    let access = match &args.allow[..] {
+        [] => Access::default(),
+        listed => Access::only(listed.iter().copied()),
+    };
+    let options = match args.paper {
+        true => Options::paper(access),
+        false => Options {
+            access,
+            ..Options::default()
+        },
+    };
+    let table: &'static Table = match &args.table {
+        None => options.table,
+        Some(path) => {
+            let shown = path.display();
+            let text = std::fs::read_to_string(path).with_context(|| format!("{shown} cannot be read"))?;
+            file::table(&text).with_context(|| format!("{shown} is no table of commands"))?
+        }
+    };
+    Ok(Options { table, ..options })
+}
+
+fn rules(args: &LinuxbotArgs) -> anyhow::Result<Rules> {
+    if args.paper {
+        return Ok(Rules::PAPER);
+    }
+    Ok(Rules {
+        watchdog: Watchdog::after(WheelTime::try_from(args.watchdog.as_micros())?),
+        ..Rules::default()
+    })
+}
+
+/// A listener for each robot: at port 0 all have one that is free, else each the next.
+async fn listen(first: SocketAddr, robots: u16) -> anyhow::Result<Vec<TcpListener>> {
+    let mut listeners = Vec::new();
+    for robot in 0..robots {
+        let mut address = first;
+        if first.port() != 0 {
+            let port = first.port().checked_add(robot);
+            address.set_port(
+                port.with_context(|| format!("there are no {robots} ports from {} on", first.port()))?,
+            );
+        }
+        let listener = TcpListener::bind(address).await;
+        listeners.push(listener.with_context(|| format!("it cannot listen at {address}"))?);
+    }
+    Ok(listeners)
+}
+
+/// The file of addresses of a base station (W14).
+fn fleet(addresses: &[SocketAddr], units: &RangeInclusive<u16>, group: Option<&str>) -> String {
+    let mut text = String::from("# Which unit listens where, as mom-linuxbot has written it.\n");
+    for (address, unit) in addresses.iter().zip(units.clone()) {
+        // Writing to a string does not fail.
+        let _ = write!(text, "\n[[robot]]\nunit = {unit}\naddress = \"{address}\"\n");
+        if let Some(group) = group {
+            let _ = writeln!(text, "group = {group:?}");
+        }
+    }
+    text
+}
+
+/// Done at Ctrl-C or SIGTERM.
+fn shutdown() -> anyhow::Result<impl Future<Output = ()>> {
+    let mut interrupt = signal(SignalKind::interrupt())?;
+    let mut terminate = signal(SignalKind::terminate())?;
+    Ok(async move {
+        tokio::select! {
+            _ = interrupt.recv() => {}
+            _ = terminate.recv() => {}
+        }
+    })
+}
