@@ -1,0 +1,244 @@
+// The hub as panels see it: who is logged in, how the link is, what is owned, and what is watched.
+import type { CallName, Calls, Failure, HubEvent, Link, Login, Me, Order, Owned, Picture, PlainFields, Previous, StopReport, Watch, Word } from "../worker/protocol.js";
+import { HubError, failureOf } from "./failure.js";
+import { HeardPeers } from "./heard.js";
+import { type Port, open } from "./port.js";
+import { whyNot } from "./why.js";
+
+/** What one who watches hears. */
+export interface Handlers {
+  events?(events: HubEvent[], skipped: number): void;
+  picture?(picture: Picture): void;
+  unshown?(size: number, why: "too-large" | "not-readable", sender: string): void;
+  /** It has begun, or begun again after a new login. */
+  joined?(info: PlainFields): void;
+  failed?(failure: Failure): void;
+}
+
+/** Something that a person should know of: an error, or what became of a token. */
+export interface Notice {
+  at: number;
+  tone: "error" | "warning" | "info";
+  text: string;
+  failure?: Failure;
+}
+
+const MOST_NOTICES = 200;
+/** ms until a watch that was refused for now is tried again. */
+const AGAIN = 3000;
+
+type Result<Name extends CallName> = ReturnType<Calls[Name]>;
+
+export class Hub {
+  me = $state.raw<Me | null>(null);
+  link = $state.raw<Link>({ state: "out" });
+  /** The tokens of this page, by path. */
+  owned = $state.raw<ReadonlyMap<string, Owned>>(new Map());
+  /** The newest order to stop or to let go, and what became of it. */
+  order = $state.raw<StopReport | null>(null);
+  /** The newest first. */
+  notices = $state.raw<readonly Notice[]>([]);
+  /** Why a login failed. */
+  refusal = $state.raw<Failure | null>(null);
+  /** Whether a login is under way. */
+  connecting = $state(false);
+  /** Where the hub is, as `mom-connection` says. */
+  address = $state("");
+  /** Whether a login that was kept has been tried, so that a person is to be asked. */
+  asked = $state(false);
+  /** Of whom something was heard, how old. */
+  readonly heard = new HeardPeers();
+  /** How this page has logged in. */
+  login: Login | null = null;
+  /** Whether the user has logged out. */
+  left = false;
+  /** Called when the link's credential has changed. */
+  onMe: (me: Me | null) => void = () => undefined;
+  readonly #port: Port;
+  readonly #asked = new Map<number, { resolve: (value: never) => void; reject: (error: HubError) => void }>();
+  readonly #watches = new Map<number, { watch: Watch; handlers: Handlers }>();
+  readonly #jogEnds = new Set<(path: string, failure: Failure) => void>();
+  #lastId = 0;
+  /** Where a login is under way that has not been explained. */
+  #trying: string | null = null;
+  /** What the hub says to pages of this origin, where it lets none in. */
+  #origin: Failure | null = null;
+
+  constructor() {
+    this.#port = open();
+    this.#port.onWord = (word) => this.#heard(word);
+  }
+
+  /** Whether requests can be answered now. */
+  get isUp(): boolean {
+    return this.link.state === "connected" || this.link.state === "stale";
+  }
+
+  call<Name extends CallName>(call: Name, ...args: Parameters<Calls[Name]>): Promise<Result<Name>> {
+    const id = ++this.#lastId;
+    return new Promise((resolve, reject) => {
+      this.#asked.set(id, { resolve, reject });
+      this.#port.ask({ id, call, args });
+    });
+  }
+
+  async connect(login: Login): Promise<Me> {
+    this.connecting = true;
+    [this.refusal, this.#origin, this.#trying] = [null, null, login.address];
+    this.left = false;
+    try {
+      const me = await this.call("connect", login);
+      [this.me, this.login] = [me, login];
+      this.onMe(me);
+      for (const id of this.#watches.keys()) this.#begin(id);
+      return me;
+    } catch (error) {
+      if (this.#trying === login.address && this.#origin === null) await this.#explain();
+      this.refusal = this.#origin ?? failureOf(error);
+      throw error;
+    } finally {
+      this.#trying = null;
+      this.connecting = false;
+    }
+  }
+
+  /** A browser does not say why it reaches no hub. Where the hub refuses pages of this origin, trying again is in vain. */
+  async #explain(): Promise<void> {
+    const address = this.#trying;
+    if (address === null) return;
+    this.#trying = null;
+    const text = await whyNot(address);
+    if (text === null || !this.connecting) return;
+    this.#origin = { kind: "connection", code: "origin", text, content: {} };
+    await this.call("close");
+  }
+
+  /** Logs out. */
+  async close(): Promise<void> {
+    [this.me, this.left, this.login] = [null, true, null];
+    this.owned = new Map();
+    this.onMe(null);
+    await this.call("close");
+  }
+
+  /** Hears what happens in a context until the function that it gives is called; begins as soon as somebody is logged in. */
+  watch(watch: Watch, handlers: Handlers): () => void {
+    const id = ++this.#lastId;
+    this.#watches.set(id, { watch, handlers });
+    if (this.me) this.#begin(id);
+    return () => {
+      this.#watches.delete(id);
+      if (this.me) void this.call("unwatch", id).catch(() => undefined);
+    };
+  }
+
+  #begin(id: number): void {
+    const wanted = this.#watches.get(id);
+    if (!wanted) return;
+    this.call("watch", id, wanted.watch).catch((error: unknown) => {
+      const failure = failureOf(error);
+      wanted.handlers.failed?.(failure);
+      // It may be there, or permitted, later.
+      if (this.#watches.has(id)) setTimeout(() => this.me && this.#watches.has(id) && this.#begin(id), AGAIN);
+    });
+  }
+
+  /** Stops all devices of a place, or lets them go. */
+  command(order: Order, top = "/"): void {
+    this.call("stop", order, top).catch((error: unknown) => this.note("error", failureOf(error).text, failureOf(error)));
+  }
+
+  onJogEnd(ends: (path: string, failure: Failure) => void): () => void {
+    this.#jogEnds.add(ends);
+    return () => this.#jogEnds.delete(ends);
+  }
+
+  note(tone: Notice["tone"], text: string, failure?: Failure): void {
+    this.notices = [{ at: Date.now(), tone, text, ...(failure ? { failure } : {}) }, ...this.notices].slice(0, MOST_NOTICES);
+  }
+
+  /** The present time by the hub's clock, ms since 1970, if it is known. */
+  hubTime(): number | undefined {
+    return this.link.offset === undefined ? undefined : Date.now() + this.link.offset;
+  }
+
+  #heard(word: Word): void {
+    switch (word.word) {
+      case "answer":
+        this.#asked.get(word.id)?.resolve(word.value as never);
+        return void this.#asked.delete(word.id);
+      case "failure":
+        this.#asked.get(word.id)?.reject(new HubError(word.failure));
+        return void this.#asked.delete(word.id);
+      case "link":
+        return this.#linked(word.link);
+      case "me":
+        this.me = word.me;
+        return this.onMe(word.me);
+      case "owned":
+        return this.#own(word.path, word.owned, word.reason, word.by);
+      case "stop":
+        this.order = word.report;
+        return;
+      case "jog-ended":
+        for (const ends of this.#jogEnds) ends(word.path, word.failure);
+        return;
+    }
+    const handlers = this.#watches.get(word.watch)?.handlers;
+    switch (word.word) {
+      case "events":
+        this.heard.take(word.events);
+        return handlers?.events?.(word.events, word.skipped);
+      case "picture":
+        if (handlers?.picture) handlers.picture(word.picture);
+        else word.picture.bitmap.close();
+        return void this.call("shown", word.watch).catch(() => undefined);
+      case "unshown":
+        return handlers?.unshown?.(word.size, word.why, word.sender);
+      case "joined":
+        return handlers?.joined?.(word.info);
+      case "failed":
+        return handlers?.failed?.(word.failure);
+    }
+  }
+
+  #linked(link: Link): void {
+    const before = this.link;
+    this.link = link;
+    if (link.state === "trying" && link.error) void this.#explain();
+    if (link.state === "closed" && before.state !== "closed" && this.me) {
+      this.me = null;
+      this.owned = new Map();
+      this.refusal = link.error ?? null;
+      this.onMe(null);
+    }
+    if (link.error && link.error.text !== before.error?.text) this.note("warning", link.error.text, link.error);
+  }
+
+  #own(path: string, owned: Owned | null, reason: string | undefined, by: string | undefined): void {
+    const all = new Map(this.owned);
+    if (owned) all.set(path, owned);
+    else all.delete(path);
+    this.owned = all;
+    for (const listener of this.#ownedListeners) listener(path, owned, reason, by);
+  }
+
+  readonly #ownedListeners = new Set<(path: string, owned: Owned | null, reason: string | undefined, by: string | undefined) => void>();
+
+  /** Hears what becomes of this page's tokens. */
+  onOwned(listener: (path: string, owned: Owned | null, reason: string | undefined, by: string | undefined) => void): () => void {
+    this.#ownedListeners.add(listener);
+    return () => this.#ownedListeners.delete(listener);
+  }
+}
+
+export type { Previous };
+
+const hubs = new Map<string, Hub>();
+
+/** The hub of this name; a page with one connection names none. */
+export function hubOf(name = ""): Hub {
+  let hub = hubs.get(name);
+  if (!hub) hubs.set(name, (hub = new Hub()));
+  return hub;
+}

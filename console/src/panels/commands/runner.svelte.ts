@@ -1,0 +1,281 @@
+// Sends the commands of a list one after the other, and follows what becomes of them, as `mom run` does.
+import { DeviceState, type Status } from "../../hub/device.svelte.js";
+import { HubError, failureOf } from "../../hub/failure.js";
+import { number } from "../../hub/fields.js";
+import type { Hub } from "../../hub/hub.svelte.js";
+import { texts } from "../../texts/index.js";
+import type { Failure } from "../../worker/protocol.js";
+import { type Item, type Items, clearFinished, isOpen, next, obstacle, progress, restore, save } from "./list.js";
+import { type Language, isRelative, read } from "./script.js";
+
+/** How long a device may take for its first word of a command, and how long to end what its last owner has begun, in ms. */
+const ANSWER = 10_000;
+const STANDING = 60_000;
+const MOMENT = 300;
+
+const t = texts.commands;
+
+/** Waits until something is there, undefined after so many ms. */
+function until<T>(probe: () => T | undefined, ms = Infinity): Promise<T | undefined> {
+  return new Promise((resolve) => {
+    let timer: ReturnType<typeof setTimeout> | undefined;
+    const finish = (value: T | undefined): void => {
+      clearTimeout(timer);
+      queueMicrotask(() => end());
+      resolve(value);
+    };
+    const end = $effect.root(() => {
+      $effect(() => {
+        const value = probe();
+        if (value !== undefined) finish(value);
+      });
+    });
+    if (ms !== Infinity) timer = setTimeout(() => finish(undefined), ms);
+  });
+}
+
+function local(code: string, text: string): Failure {
+  return { kind: "local", code, text, content: {} };
+}
+
+export class CommandList {
+  items = $state.raw<Items>([]);
+  /** What is sent now: all that wait, or one. */
+  running = $state<"all" | "one" | undefined>(undefined);
+  /** The rest waits when the present one has ended. */
+  pausing = $state(false);
+  /** ms between two commands. */
+  between = $state(0);
+  /** Why the rest waits. */
+  halted = $state<string | undefined>(undefined);
+  readonly device: DeviceState;
+  #attached = 0;
+  #watching: (() => void) | undefined;
+  #lost: string | undefined;
+
+  constructor(
+    readonly hub: Hub,
+    readonly path: string,
+  ) {
+    this.device = new DeviceState(hub, path);
+    try {
+      this.items = restore(localStorage.getItem(this.#place));
+    } catch {
+      // A browser without storage keeps nothing.
+    }
+    hub.onOwned((token, owned, reason, by) => {
+      if (owned !== null || token !== this.device.token) return;
+      this.#lost = texts.token.lost(token, texts.token.reasons[reason ?? ""] ?? reason ?? "", by);
+    });
+  }
+
+  get #place(): string {
+    return `mom-commands ${this.path}`;
+  }
+
+  /** What the device reads; undefined if that is not known. */
+  get language(): Language | undefined {
+    const { pose, state } = this.device;
+    if (!pose && typeof state["pan"] === "number") return "mount";
+    return pose || !Object.keys(state).length ? "arm" : undefined;
+  }
+
+  /** Somebody looks at it until the function that this gives is called. Unseen, nothing more is sent. */
+  attach(): () => void {
+    this.#attached += 1;
+    this.#watching ??= this.device.start();
+    return () => {
+      this.#attached -= 1;
+      queueMicrotask(() => {
+        if (this.#attached) return;
+        if (this.running) [this.pausing, this.halted] = [true, t.unseen];
+        else this.#rest();
+      });
+    };
+  }
+
+  #rest(): void {
+    if (this.#attached || this.running) return;
+    this.#watching?.();
+    this.#watching = undefined;
+  }
+
+  change(items: Items): void {
+    this.items = items;
+    try {
+      localStorage.setItem(this.#place, save(items));
+    } catch {
+      // A browser without storage keeps nothing.
+    }
+  }
+
+  #progress(key: number, step: Partial<Item>): void {
+    this.change(progress(this.items, key, step));
+  }
+
+  /** Why nothing can be sent now, in words; undefined if something can. */
+  get hindrance(): string | undefined {
+    const { hub, device } = this;
+    if (hub.link.state !== "connected" && hub.link.state !== "stale") return t.noLink;
+    if (device.failure) return device.failure.text;
+    if (device.token === undefined) return t.noDevice;
+    if (!hub.owned.has(device.token)) return t.noToken(device.token);
+    if (device.stopped) return t.stopped;
+    return undefined;
+  }
+
+  /** After the present one the rest waits. */
+  pause(): void {
+    this.pausing = true;
+  }
+
+  clearFinished(): void {
+    this.change(clearFinished(this.items));
+  }
+
+  /** Sends all that wait, one after the other, up to the first that fails. */
+  async all(): Promise<void> {
+    if (this.#refuse(this.items.filter(isOpen))) return;
+    await this.#run("all", () => next(this.items));
+  }
+
+  /** Sends one. */
+  async one(key: number): Promise<void> {
+    if (this.#refuse(this.items.filter((item) => item.key === key))) return;
+    let sent = false;
+    await this.#run("one", () => {
+      const item = sent ? undefined : this.items.find((item) => item.key === key);
+      sent = true;
+      return item;
+    });
+  }
+
+  /** Nothing moves before all can be read. */
+  #refuse(items: Items): boolean {
+    const { language } = this;
+    if (language === undefined) return false;
+    for (const { key, text } of items) {
+      const { mistake } = read(text, language);
+      if (!mistake) continue;
+      this.halted = t.mistaken(this.items.findIndex((item) => item.key === key) + 1, mistake.text);
+      return true;
+    }
+    return false;
+  }
+
+  async #run(what: "all" | "one", following: () => Item | undefined): Promise<void> {
+    if (this.running || this.hindrance !== undefined) return;
+    [this.running, this.pausing, this.halted, this.#lost] = [what, false, undefined, undefined];
+    const fence = this.hub.owned.get(this.device.token ?? "")?.fence;
+    const ordered = this.hub.order?.at;
+    /** Why nothing more may be sent. */
+    const over = (): string | undefined => {
+      const { hub, device } = this;
+      if (hub.order && hub.order.at !== ordered && hub.order.order === "stop") return t.stopOrdered;
+      if (hub.link.state !== "connected" && hub.link.state !== "stale") return t.linkLost;
+      if (hub.owned.get(device.token ?? "")?.fence !== fence) return this.#lost ?? t.tokenLost;
+      return undefined;
+    };
+    let first = true;
+    for (let item = following(); item; item = following()) {
+      if (!first && this.between > 0) await until(over, this.between);
+      first = false;
+      const hindered = this.pausing ? (this.halted ?? t.paused) : over();
+      if (hindered !== undefined) {
+        this.halted = hindered;
+        break;
+      }
+      // It may have been removed meanwhile.
+      if (!this.items.some(({ key }) => key === item!.key)) continue;
+      if (!(await this.#carryOut(item, over))) {
+        this.halted = this.items.some(({ state }) => state === "waiting") ? (over() ?? t.failed) : over();
+        break;
+      }
+    }
+    [this.running, this.pausing] = [undefined, false];
+    this.#rest();
+  }
+
+  /** One command to its end, tried again where that is sure to help; whether it has finished. */
+  async #carryOut({ key, text }: Item, over: () => string | undefined): Promise<boolean> {
+    const begun = performance.now();
+    for (;;) {
+      this.#progress(key, { state: "sending", error: undefined, statement: 0, of: 0, took: undefined });
+      const failure = await this.#attempt(key, text, over);
+      const took = performance.now() - begun;
+      if (!failure) {
+        this.#progress(key, { state: "finished", trying: undefined, took });
+        return true;
+      }
+      const waits = took < STANDING && over() === undefined ? obstacle(failure) : undefined;
+      if (waits === undefined || !(await this.#wait(key, failure, waits, over))) {
+        this.#progress(key, { state: "error", error: failure, trying: undefined, took });
+        this.hub.note("error", t.noted(this.path, text, failure.text), failure);
+        return false;
+      }
+    }
+  }
+
+  /** Waits until it may be tried again; false if that is not to be. */
+  async #wait(key: number, failure: Failure, waits: "stands" | "moment", over: () => string | undefined): Promise<boolean> {
+    this.#progress(key, { state: "sending", trying: failure.text });
+    if (waits === "moment") return (await until(over, failure.retryAfter ?? MOMENT)) === undefined;
+    const fence = this.hub.owned.get(this.device.token ?? "")?.fence ?? 0;
+    const stands = await until(() => {
+      if (over() !== undefined) return false;
+      const { state } = this.device;
+      return state["linked"] !== false && (number(state, "fence") ?? -1) >= fence ? true : undefined;
+    }, STANDING);
+    return stands === true;
+  }
+
+  /** Why it failed; null if it has finished. */
+  async #attempt(key: number, text: string, over: () => string | undefined): Promise<Failure | null> {
+    const { device, hub } = this;
+    let id: number;
+    try {
+      const relative = isRelative(text, this.language);
+      if (relative && (await until(() => device.stateId ?? (over() === undefined ? undefined : -1), ANSWER)) === undefined) throw new HubError(local("no-answer", t.silent));
+      id = await device.command(text, { relative });
+    } catch (error) {
+      return failureOf(error);
+    }
+    let seen: Status | undefined;
+    const news = (): Status | undefined => {
+      const status = device.status(id);
+      return status && status !== seen ? status : undefined;
+    };
+    for (;;) {
+      const word = await until<Status | string>(() => news() ?? over(), seen ? Infinity : ANSWER);
+      if (word === undefined) return local("no-answer", t.silent);
+      if (typeof word === "string") {
+        // The device's own last word may be on its way still.
+        const last = hub.me ? await until(() => [device.status(id)].find((status) => status?.state === "finished" || status?.state === "error"), 1000) : undefined;
+        if (last?.state === "finished") return null;
+        return last?.error ? { ...last.error, text: `${word} ${texts.commands.deviceSays(last.error.text)}` } : local("ended", `${word} ${t.halts}`);
+      }
+      seen = word;
+      const { state, statement, of, error } = word;
+      if (state === "finished") {
+        this.#progress(key, { statement, of });
+        return null;
+      }
+      if (state === "error") {
+        this.#progress(key, { statement, of });
+        return error ?? local("error", t.noWords);
+      }
+      this.#progress(key, { state: state === "executing" ? "executing" : "taken", statement, of, trying: undefined });
+    }
+  }
+}
+
+const lists = new WeakMap<Hub, Map<string, CommandList>>();
+
+/** The list of a device, which lives as long as the page. */
+export function listOf(hub: Hub, path: string): CommandList {
+  const all = lists.get(hub) ?? new Map<string, CommandList>();
+  lists.set(hub, all);
+  let found = all.get(path);
+  if (!found) all.set(path, (found = new CommandList(hub, path)));
+  return found;
+}

@@ -1,0 +1,138 @@
+// Asking an agent for work with the robot: it is asked, then lent the token, tells how far it is, and gives the token back.
+import { refusalOf } from "../../hub/device.svelte.js";
+import { failureOf } from "../../hub/failure.js";
+import { fields, text } from "../../hub/fields.js";
+import type { Hub } from "../../hub/hub.svelte.js";
+import { texts } from "../../texts/index.js";
+import type { Failure, HubEvent, Message, PlainFields } from "../../worker/protocol.js";
+
+/** ms in which an agent says whether it takes a task, or how far it is. */
+const PATIENCE = 15_000;
+
+/** What is particular to one agent. */
+export interface Manner {
+  /** The message by which it is asked; what it says to that if it will not is called the same, with `-refused`. */
+  verb: string;
+  /** The field of its progress that names who asked. */
+  asker: string;
+  /** The state in which its work is done. */
+  done: string;
+  /** Its last states, in words. */
+  states: Record<string, string>;
+}
+
+const WORKING = ["accepted", "working"];
+
+export class AgentTask {
+  phase = $state<"idle" | "asking" | "lending" | "working" | "over">("idle");
+  agent = $state("");
+  /** Its newest word. */
+  report = $state.raw<PlainFields>({});
+  failure = $state.raw<Failure | null>(null);
+  #id: number | undefined;
+  /** A word that came before this page knew the id of its question. */
+  #early: Message[] = [];
+  #terms: { for: number; commands?: number } | null = null;
+  #token = "";
+  #timer: ReturnType<typeof setTimeout> | undefined;
+
+  constructor(
+    readonly hub: Hub,
+    readonly channel: string,
+    readonly manner: Manner,
+  ) {}
+
+  get busy(): boolean {
+    return this.phase === "asking" || this.phase === "lending" || this.phase === "working";
+  }
+
+  /** Its last state, if the task is over and it has told one. */
+  get outcome(): string | undefined {
+    const state = text(this.report, "state") ?? "";
+    return this.phase === "over" && state in this.manner.states ? state : undefined;
+  }
+
+  /** Hears the agent until the function that it gives is called. */
+  start(): () => void {
+    const end = this.hub.watch(
+      { path: this.channel, kind: "channel", names: ["progress", `${this.manner.verb}-refused`, "cancel-refused"] },
+      { events: (events) => events.forEach((event) => this.#heard(event)) },
+    );
+    return () => {
+      clearTimeout(this.#timer);
+      end();
+    };
+  }
+
+  async begin(task: PlainFields, token: string, terms: { for: number; commands?: number }): Promise<void> {
+    if (this.busy) return;
+    [this.phase, this.report, this.failure, this.agent, this.#early, this.#id] = ["asking", {}, null, "", [], undefined];
+    [this.#terms, this.#token] = [terms, token];
+    this.#await();
+    try {
+      const { id, delivered } = await this.hub.call("send", this.channel, this.manner.verb, { ...task }, { echo: false });
+      this.#id = id;
+      if (delivered === 0) this.#fail(this.#silence());
+      for (const message of this.#early.splice(0)) this.#heard(message);
+    } catch (error) {
+      this.#fail(failureOf(error));
+    }
+  }
+
+  /** The agent gives the token back, wherever it is with its task. */
+  async cancel(): Promise<void> {
+    await this.hub.call("send", this.channel, "cancel", {}, { echo: false }).catch((error: unknown) => (this.failure = failureOf(error)));
+  }
+
+  #silence(): Failure {
+    return { kind: "local", code: "no-answer", text: texts.objects.silent, content: {} };
+  }
+
+  #await(): void {
+    clearTimeout(this.#timer);
+    this.#timer = setTimeout(() => this.#fail(this.#silence()), PATIENCE);
+  }
+
+  #fail(failure: Failure): void {
+    clearTimeout(this.#timer);
+    [this.phase, this.failure] = ["over", failure];
+    this.hub.note("error", failure.text, failure);
+  }
+
+  #heard(event: HubEvent): void {
+    if (event.type !== "message" || !this.busy) return;
+    const message = event as Message;
+    const said = fields(message.content);
+    if (message.name === "progress") {
+      if (text(said, this.manner.asker) === this.hub.me?.peer && !message.history) this.#progress(said);
+      return;
+    }
+    if (this.#id === undefined) return void this.#early.push(message);
+    if (message.name === `${this.manner.verb}-refused` && message.reference === this.#id) this.#fail(refusalOf(said) ?? { ...this.#silence(), kind: "refused", code: "refused", content: said });
+    if (message.name === "cancel-refused") this.failure = refusalOf(said) ?? null;
+  }
+
+  #progress(said: PlainFields): void {
+    const state = text(said, "state") ?? "";
+    this.report = said;
+    if (state === "accepted" && this.phase === "asking") return void this.#lend(text(said, "agent") ?? "");
+    if (WORKING.includes(state)) {
+      this.phase = "working";
+      return this.#await();
+    }
+    clearTimeout(this.#timer);
+    this.phase = "over";
+    this.hub.note(state === this.manner.done ? "info" : "warning", `${this.manner.states[state] ?? state}: ${text(said, "text") ?? ""}`);
+  }
+
+  async #lend(agent: string): Promise<void> {
+    [this.phase, this.agent] = ["lending", agent];
+    this.#await();
+    try {
+      await this.hub.call("give", this.#token, agent, this.#terms ?? {});
+    } catch (error) {
+      this.#fail(failureOf(error));
+      await this.cancel();
+    }
+  }
+}

@@ -1,0 +1,19 @@
+// The agent that sees (peers/servo), which puts one block beside another.
+import { number } from "../../hub/fields.js";
+import { texts } from "../../texts/index.js";
+import type { PlainFields } from "../../worker/protocol.js";
+import type { Manner } from "./agent.svelte.js";
+
+export const SERVO: Manner = { verb: "align", asker: "peer", done: "aligned", states: texts.objects.states };
+
+/** What it says of the error, the pictures and the commands, in words. */
+export function factsOf(report: PlainFields): string[] {
+  const t = texts.objects;
+  const [mm, pixels, age, delay, commands] = ["mm", "pixels", "image-age", "command-delay", "commands"].map((key) => number(report, key));
+  return [
+    mm === undefined ? "" : t.off(mm, pixels ?? 0),
+    age === undefined ? "" : t.image(age),
+    delay === undefined ? "" : t.delay(delay),
+    commands === undefined ? "" : t.sent(commands),
+  ].filter(Boolean);
+}

@@ -1,0 +1,97 @@
+// The worker: the hub's client, away from the page's thread.
+import { type Client, type Parcel, MomError, type TokenGuard } from "mom-client";
+import { Feeds } from "./feeds.js";
+import { Jogging } from "./jogging.js";
+import { answerFields, failure, plainFields } from "./plain.js";
+import type { Say } from "./port.js";
+import type { CallName, Calls, Owned, Question } from "./protocol.js";
+import { Session } from "./session.js";
+import { Stopping } from "./stopping.js";
+
+/** What answers each call; the answer may take its time. */
+type Answers = { [Name in CallName]: (...args: Parameters<Calls[Name]>) => ReturnType<Calls[Name]> | Promise<ReturnType<Calls[Name]>> };
+
+/**
+ * Ids of messages that the page wants to know; those of the client itself are far below. A page that is loaded anew may get the name
+ * of the one before, and what devices say of that one's messages must not be taken for its own.
+ */
+const FIRST_ID = Date.now() * 1024;
+
+/** Serves one page over a port. */
+export function serve(port: { postMessage: (word: unknown, transfer: Transferable[]) => void; onmessage: ((event: MessageEvent) => void) | null }): void {
+  const say: Say = (word, transfer = []) => port.postMessage(word, transfer);
+  let nextId = FIRST_ID;
+  const session = new Session(say, (client) => {
+    feeds.reset(client);
+    stopping.reset(client);
+  });
+  const stopping: Stopping = new Stopping(say, () => session.login, () => session.isUp, (path, rate) => feeds.attend(path, rate));
+  const feeds: Feeds = new Feeds(say, (path, message) => {
+    if (message.name !== "state") return;
+    const stopped = (message.content as { stopped?: unknown } | undefined)?.stopped;
+    if (typeof stopped === "boolean") stopping.heard(path, message.sender, stopped);
+  });
+  const jogging = new Jogging(() => session.client, say);
+
+  async function obtain(path: string, how: (token: Awaited<ReturnType<Client["token"]>>) => Promise<TokenGuard>): Promise<Owned> {
+    return session.own(await how(await session.client.token(path)));
+  }
+
+  const answers: Answers = {
+    connect: (login) => session.connect(login),
+    close: () => session.close(),
+    watch: (id, watch) => feeds.watch(id, watch),
+    unwatch: (id) => feeds.unwatch(id),
+    shown: (id) => feeds.shown(id),
+    pictureFile: (id) => feeds.pictureFile(id),
+    send: async (path, name, content, options = {}) => {
+      const { to, basedOn, ...slots } = options;
+      await session.client.channel(path);
+      const id = ++nextId;
+      const parcel: Parcel = { family: "message", name, context: path, id, receipt: true, ...slots };
+      if (content !== undefined) parcel.content = content;
+      if (to) parcel.address = to;
+      if (basedOn !== undefined) parcel.extra = { "based-on": basedOn };
+      const receipt = plainFields((await session.client.request(parcel)).content);
+      const dropped = receipt["dropped"];
+      return { id, delivered: Number(receipt["delivered"] ?? 0), dropped: Array.isArray(dropped) ? dropped.map(String) : [] };
+    },
+    jog: (jog) => jogging.set(jog),
+    stop: (order, top) => {
+      jogging.set(null);
+      return stopping.order(order, top);
+    },
+    ask: async (family, name, path, content) => {
+      const parcel: Parcel = { family, name, context: path, ...(content ? { content } : {}) };
+      return answerFields((await session.client.request(parcel)).content);
+    },
+    create: async (path, spec) => void (await session.client.create(path, spec as Parameters<Client["create"]>[1])),
+    list: (path) => session.client.list(path),
+    members: (path) => session.client.members(path),
+    grab: (path, wait) => obtain(path, (token) => token.grab(wait === undefined ? {} : { wait })),
+    withdraw: async (path) => void (await session.client.request({ family: "token", name: "release", context: path })),
+    request: (path, text) => obtain(path, (token) => token.request(text === undefined ? {} : { text })),
+    accept: (path) => obtain(path, (token) => token.accept()),
+    decline: async (path) => (await session.client.token(path)).decline(),
+    acceptRequest: async (path, peer) => (await session.client.token(path)).acceptRequest(peer),
+    declineRequest: async (path, peer, text) => (await session.client.token(path)).declineRequest(peer, text),
+    give: async (path, to, options) => {
+      const given = await session.owned(path).give(to, options);
+      if (options.for !== undefined || options.commands !== undefined) void given.returned().then((guard) => session.own(guard));
+    },
+    release: (path) => session.owned(path).release(),
+    breakHold: async (path) => (await session.client.token(path)).breakHold(),
+  };
+
+  port.onmessage = ({ data }: MessageEvent<Question>) => {
+    const { id, call, args } = data;
+    const answer = answers[call] as ((...args: unknown[]) => unknown) | undefined;
+    void (async () => {
+      if (!answer) throw new MomError("local", "unknown-verb", `there is no call ${String(call)}`);
+      return answer(...args);
+    })().then(
+      (value) => say({ word: "answer", id, value: value ?? null }),
+      (error: unknown) => say({ word: "failure", id, failure: failure(error) }),
+    );
+  };
+}

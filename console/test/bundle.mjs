@@ -1,0 +1,27 @@
+// Makes one module of src loadable by Node: TypeScript and runes, as the page gets them.
+import { mkdtempSync, rmSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { dirname, join } from "node:path";
+import { fileURLToPath, pathToFileURL } from "node:url";
+import { svelte } from "@sveltejs/vite-plugin-svelte";
+import { build } from "vite";
+
+const root = dirname(dirname(fileURLToPath(import.meta.url)));
+
+/** Bundles `src/ENTRY` and imports it. */
+export async function load(entry) {
+  const folder = mkdtempSync(join(tmpdir(), "mom-console-"));
+  try {
+    await build({
+      root,
+      configFile: false,
+      logLevel: "error",
+      plugins: [svelte({ configFile: join(root, "svelte.config.js") })],
+      resolve: { alias: { "mom-client": join(root, "../clients/js/src/index.ts") } },
+      build: { outDir: folder, emptyOutDir: false, minify: false, target: "es2022", lib: { entry: join(root, "src", entry), formats: ["es"], fileName: () => "bundle.mjs" } },
+    });
+    return await import(pathToFileURL(join(folder, "bundle.mjs")).href);
+  } finally {
+    rmSync(folder, { recursive: true, force: true });
+  }
+}
