@@ -2,6 +2,7 @@
 
 use clap::Subcommand;
 use mom_client::Client;
+use mom_drive::VerbFailure;
 
 use crate::cli::GlobalArgs;
 use crate::connect::{Stay, connect};
@@ -9,19 +10,19 @@ use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::Output;
 
-/// The commands of packages. The module `verb` of each has
+/// The commands of packages, each with the path of its module, which has
 ///
 /// - `VerbArgs`, the arguments with their help,
 /// - `run(&args, &client, interrupt, tell)`, which works until it is done or `interrupt` is, and tells each result as
 ///   JSON and as a line for people; the client is logged out here, however it ends,
 ///
-/// and its root has `VerbFailure`, which says why it did not do its work.
+/// whose failure is a `VerbFailure`.
 macro_rules! devices {
-    ($($name:ident: $package:ident,)*) => {
+    ($($name:ident: $($module:ident)::+,)*) => {
         /// The commands of devices.
         #[derive(Debug, Subcommand)]
         pub(crate) enum DeviceCommand {
-            $($name($package::verb::VerbArgs),)*
+            $($name($($module)::+::VerbArgs),)*
         }
 
         impl DeviceCommand {
@@ -38,8 +39,7 @@ macro_rules! devices {
                 let mut tell = |json, line| output.tell(|| json, || line);
                 match self {
                     $(DeviceCommand::$name(args) => {
-                        use $package::VerbFailure;
-                        let ran = $package::verb::run(args, client, interrupt.wait(), &mut tell).await;
+                        let ran = $($module)::+::run(args, client, interrupt.wait(), &mut tell).await;
                         ran.map_err(|failure| match failure {
                             VerbFailure::Hub { what, error } => Failure::of_client(what, error),
                             VerbFailure::Refused { what, error } => Failure::Refused { what, error },
@@ -54,5 +54,10 @@ macro_rules! devices {
 }
 
 devices! {
-    Calibrate: mom_calibrate,
+    Calibrate: mom_calibrate::verb,
+    Objects: mom_model::verb::objects,
+    Put: mom_model::verb::put,
+    Bring: mom_model::verb::bring,
+    Servo: mom_servo::verb,
+    Fleet: mom_gateway::verb,
 }

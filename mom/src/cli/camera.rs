@@ -9,7 +9,7 @@ use super::duration;
 /// `mom camera`
 #[derive(Args, Debug)]
 pub(crate) struct CameraArgs {
-    /// The camera, by its channel's name: x, y, top, wrist
+    /// The camera, by its channel's name: x, y, top, wrist, pan
     pub(crate) view: String,
     /// Width and height of the images in pixels, 64x48 to 1920x1080
     #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size)]
@@ -26,13 +26,46 @@ pub(crate) struct CameraArgs {
     /// The session of the cameras
     #[arg(long, value_name = "PATH", default_value = "/camera")]
     pub(crate) session: String,
-    /// The token whose owner may set the cameras
-    #[arg(long, value_name = "PATH", default_value = "/robot/token")]
-    pub(crate) token: String,
+    /// The token whose owner may set the camera; /robot/token if none is named, but /camera/pan-token for pan
+    #[arg(long, value_name = "PATH")]
+    pub(crate) token: Option<String>,
     /// How long to wait for the camera's answer: 5s
     #[arg(long, value_name = "TIME", value_parser = duration, default_value = "10s")]
     pub(crate) timeout: Duration,
 }
+
+/// `mom aim`
+#[derive(Args, Debug)]
+pub(crate) struct AimArgs {
+    /// Where the camera is to look, in degrees: PAN -170 to 170, 0 is the middle of the table and more is to the right;
+    /// TILT -60 to 30, 0 is level and more is up
+    #[arg(num_args = 2, value_names = ["PAN", "TILT"], allow_negative_numbers = true, required_unless_present = "home")]
+    pub(crate) angles: Vec<f64>,
+    /// Look home: arm and table in the middle of the image
+    #[arg(long, conflicts_with_all = ["angles", "by"])]
+    pub(crate) home: bool,
+    /// The angles are differences from where it looks now
+    #[arg(long)]
+    pub(crate) by: bool,
+    /// The camera's channel
+    #[arg(long, value_name = "PATH", default_value = "/camera/pan")]
+    pub(crate) channel: String,
+    /// The token that guards it
+    #[arg(long, value_name = "PATH", default_value = "/camera/pan-token")]
+    pub(crate) token: String,
+}
+
+pub(crate) const AIM: &str = "\
+It grabs the camera's token, waits until the camera looks there, and releases the token. A longer way is a script:
+  echo 'look 40 -10; wait 500; home' | mom run --channel /camera/pan --token /camera/pan-token --no-check -
+
+Examples:
+  mom aim 20 -10                           20 degrees to the right of the table, 10 below the level
+  mom aim --by -5 0                        5 degrees to the left of where it looks now
+  mom aim --home
+  mom snap pan                             what it sees there
+
+Ctrl-C releases the token; the hub then halts the camera.";
 
 /// Width and height in pixels, as they were asked for: the camera knows its limits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -42,8 +75,8 @@ pub(crate) struct ImageSize {
 }
 
 pub(crate) const CAMERA: &str = "\
-Without options it tells the settings in use, to anybody. Only the owner of the robot's token changes them: if nobody owns
-it, it is grabbed for the change and released after it.
+Without options it tells the settings in use, to anybody. Only the owner of the robot's token changes them, and those of
+pan only the owner of its own: if nobody owns it, it is grabbed for the change and released after it.
 
 Examples:
   mom camera x                             its settings

@@ -18,6 +18,9 @@ pub(crate) struct RunArgs {
     /// The token that guards it
     #[arg(long, value_name = "PATH", default_value = "/robot/token")]
     pub(crate) token: String,
+    /// Grab this zone as well, for as long as the robot is driven; may be repeated
+    #[arg(long = "zone", value_name = "PATH")]
+    pub(crate) zones: Vec<String>,
     /// Go on with the next command after one that failed
     #[arg(long, short)]
     pub(crate) keep_going: bool,
@@ -46,6 +49,7 @@ Examples:
   echo 'move 100 50 200 0 0; grip close' | mom run -
   mom run --json pick.script | jq .state
   mom run --show rapid pick.script
+  mom run --zone /zone/left --zone /zone/middle pick.script
 
 Ctrl-C releases the token; the hub then halts the robot.";
 

@@ -8,6 +8,7 @@ use clap::builder::FalseyValueParser;
 use clap::{Args, Parser, Subcommand};
 use mom_client::{MessageRate, WireError};
 
+mod access;
 mod camera;
 mod contexts;
 mod control;
@@ -18,7 +19,8 @@ mod stop;
 
 use crate::devices::DeviceCommand;
 
-use self::camera::CAMERA;
+use self::access::{AUDIT, EXPLAIN, WHAT_IF};
+use self::camera::{AIM, CAMERA};
 use self::contexts::{CREATE, DELETE};
 pub(crate) use self::parse::parse;
 
@@ -42,7 +44,7 @@ pub(crate) struct Cli {
 
 const EXAMPLES: &str = "\
 Examples:
-  mom lab                                  a hub, a robot arm and four cameras to try
+  mom lab                                  a hub, a robot arm and five cameras to try
   export MOM_USER=alice MOM_PASSWORD=alice
   mom tree                                 what there is, who is there, who drives what
   echo 'move 100 50 200 0 0; grip close' | mom run -
@@ -103,7 +105,7 @@ pub(crate) enum Command {
     /// Let stopped devices move again
     #[command(after_help = UNSTOP)]
     Unstop(StopArgs),
-    /// Run a hub with a robot arm and four cameras in one process, to try
+    /// Run a hub with a robot arm and five cameras in one process, to try
     #[command(after_help = LAB)]
     Lab(LabArgs),
     /// Show the tree of contexts: kinds, members, owners
@@ -115,6 +117,15 @@ pub(crate) enum Command {
     /// Show who is connected, through which door, how well, and who owns what, as it changes
     #[command(after_help = TOP)]
     Top(TopArgs),
+    /// Show who was granted or refused what, or lost it, by which rule
+    #[command(after_help = AUDIT)]
+    Audit(AuditArgs),
+    /// Explain who may do what, by which line of the hub's configuration
+    #[command(after_help = EXPLAIN)]
+    Explain(ExplainArgs),
+    /// Try another configuration on what the hub has recorded
+    #[command(after_help = WHAT_IF)]
+    WhatIf(WhatIfArgs),
     /// Show what programs have reported of their errors to the hub
     #[command(after_help = LOGS)]
     Logs(LogsArgs),
@@ -184,6 +195,9 @@ pub(crate) enum Command {
     /// Tell the settings of a camera, or change them
     #[command(after_help = CAMERA)]
     Camera(CameraArgs),
+    /// Turn the camera that can be turned: grab its token, wait until it looks there, release it
+    #[command(after_help = AIM)]
+    Aim(AimArgs),
     /// Ask a camera for an image and save it
     #[command(after_help = SNAP)]
     Snap(SnapArgs),
@@ -198,6 +212,15 @@ pub(crate) struct LabArgs {
     /// Where to listen; without TLS passwords are accepted on loopback only. Port 0 takes a free one
     #[arg(long, value_name = "ADDRESS")]
     pub(crate) listen: Option<SocketAddr>,
+    /// Two arms that face each other over one table, without cameras: who works where is said by zones
+    #[arg(long)]
+    pub(crate) two_arms: bool,
+    /// A fleet of so many wheeled robots with their base station instead of the arm
+    #[arg(long, value_name = "ROBOTS", conflicts_with = "two_arms", value_parser = clap::value_parser!(u16).range(1..=1000))]
+    pub(crate) fleet: Option<u16>,
+    /// All robots of the fleet under one token, /fleet/token
+    #[arg(long, requires = "fleet")]
+    pub(crate) together: bool,
     /// What to log to standard error: error, warn, info, debug, trace, or per module
     #[arg(long, value_name = "FILTER", env = "MOM_LOG", default_value = "warn")]
     pub(crate) log: String,
@@ -207,6 +230,9 @@ const LAB: &str = "\
 Examples:
   mom lab
   mom lab --listen 127.0.0.1:0             on any free port; it is printed
+  mom lab --two-arms                       two arms whose workspaces overlap
+  mom lab --fleet 10                       ten wheeled robots and their base station
+  mom lab --fleet 10 --together            the same, driven together under one token
   mom lab --log info";
 
 /// `mom tree`
@@ -315,7 +341,8 @@ Examples:
   mom send /chat note --content-json '{\"x\": 1.5, \"names\": [\"red\", \"blue\"]}'
   uptime | mom send /chat chat -";
 
-pub(crate) use camera::CameraArgs;
+pub(crate) use access::{AuditArgs, ExplainArgs, WhatIfArgs};
+pub(crate) use camera::{AimArgs, CameraArgs};
 pub(crate) use contexts::{CreateArgs, DeleteArgs};
 pub(crate) use control::{
     AcceptArgs, BreakArgs, DeclineArgs, ExpelArgs, GiveArgs, GrabArgs, HoldArgs, InhibitArgs, InviteArgs,
@@ -470,6 +497,9 @@ mod tests {
                 &["break", "/token"],
                 &["inhibit", "/token"],
                 &["token", "/token"],
+                &["audit", "/token", "--about", "bob", "--follow"],
+                &["explain", "/token", "grab", "--about", "bob"],
+                &["what-if", "f"],
                 &["invite", "bob", "/a"],
                 &["expel", "bob", "/a", "--text", "out"],
                 &["manage", "/a", "--allow-all"],

@@ -1,5 +1,6 @@
 //! `mom camera`: tells and changes the settings of a camera (M37).
 
+use mom_camera::{CameraOptions, View};
 use mom_client::{Client, Family, Map, Parcel, TokenGuard, Value};
 use serde_json::json;
 use tokio::time::timeout;
@@ -64,9 +65,10 @@ async fn settings(
 ) -> Result<Value, Failure> {
     let channel = client.channel(path).await.doing(format!("join {path}"))?;
     let mut events = channel.events();
+    let token = token(args);
     let (what, guard) = match change.is_empty() {
         true => (format!("ask {path} for its settings"), None),
-        false => (format!("set {path}"), own(client, &args.token).await?),
+        false => (format!("set {path}"), own(client, &token).await?),
     };
     let question = Parcel::new(Family::Message, "settings")
         .context(channel.path().clone())
@@ -75,12 +77,19 @@ async fn settings(
     if let Some(guard) = guard
         && !guard.is_lost()
     {
-        guard.release().await.doing(format!("release {}", args.token))?;
+        guard.release().await.doing(format!("release {token}"))?;
     }
     match asked {
         Ok(answer) => Ok(answer?.value()),
         Err(_) => Err(nobody(path, args.timeout)),
     }
+}
+
+/// The token of the camera: the lab's cameras know theirs, all others are the robot's.
+fn token(args: &cli::CameraArgs) -> String {
+    let view = args.view.parse().unwrap_or(View::X);
+    let token = args.token.clone();
+    token.unwrap_or_else(|| CameraOptions::new(view).token)
 }
 
 /// The token for as long as the change takes, if nobody owns it. Otherwise the camera is asked all the same: it knows

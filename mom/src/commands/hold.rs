@@ -210,7 +210,7 @@ impl Visitors<'_> {
             || {
                 let text = text.map(|text| format!(": {}", words::visible(text)));
                 let how = match self.answers.is_open() {
-                    true => "y hands it over, n does not",
+                    true => "y hands it over for good, n does not",
                     false => "Ctrl-C releases it; with --answer you can hand it over",
                 };
                 format!(
@@ -232,7 +232,8 @@ impl Visitors<'_> {
             "y" | "yes" => true,
             "n" | "no" => false,
             _ => {
-                self.output.remark("y hands it over, n or n and why does not");
+                self.output
+                    .remark("y hands it over for good, n or n and why does not");
                 return Ok(());
             }
         };

@@ -1,7 +1,9 @@
 //! One file for each command.
 
 mod accept;
+mod aim;
 mod asking;
+mod audit;
 mod break_hold;
 mod camera;
 mod chat;
@@ -9,6 +11,7 @@ mod create;
 mod decline;
 mod delete;
 mod expel;
+mod explain;
 mod give;
 mod grab;
 mod hold;
@@ -29,6 +32,7 @@ mod token;
 mod trace;
 mod tree;
 mod watch;
+mod what_if;
 
 use crate::cli::{Cli, Command};
 use crate::doctor;
@@ -49,6 +53,9 @@ pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Tree(args) => tree::run(args, global, output).await,
         Command::Stats(args) => stats::run(args, global, output).await,
         Command::Top(args) => top::run(args, global, output).await,
+        Command::Audit(args) => audit::run(args, global, output).await,
+        Command::Explain(args) => explain::run(args, global, output).await,
+        Command::WhatIf(args) => what_if::run(args, global, output).await,
         Command::Logs(args) => logs::run(args, global, output).await,
         Command::Watch(args) => watch::run(args, global, output).await,
         Command::Send(args) => send::run(args, global, output).await,
@@ -72,6 +79,7 @@ pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Keygen(args) => keygen::run(args, global, output),
         Command::Doctor(args) => doctor::run(args, global, output).await,
         Command::Camera(args) => camera::run(args, global, output).await,
+        Command::Aim(args) => aim::run(args, global, output).await,
         Command::Snap(args) => snap::run(args, global, output).await,
         Command::Device(command) => command.run(global, output).await,
     }

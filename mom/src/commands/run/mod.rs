@@ -15,7 +15,7 @@ use tokio::time::{Instant, sleep, timeout_at};
 
 pub(crate) use self::progress::error_words;
 use self::progress::{ProgressDisplay, StatusChange};
-use self::script::ScriptLine;
+pub(super) use self::script::ScriptLine;
 use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
@@ -34,45 +34,87 @@ const STANDING: Duration = Duration::from_secs(60);
 const MEASURED: Duration = Duration::from_millis(100);
 
 pub(crate) async fn run(args: &cli::RunArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
-    let commands = read(args)?;
-    let client = connect(global, Stay::Once).await?;
-    let mut interrupt = Interrupt::install()?;
-    let (channel, token, mut guard) = drive(&client, &args.channel, &args.token).await?;
-    let events = channel.events();
-    output.remark(ink(
-        format_args!("holding {} (fence {})", args.token, guard.fence()),
-        Tone::Faint,
-    ));
-    let mut job = Job {
-        client: client.clone(),
-        channel: channel.path().clone(),
-        events,
-        progress: ProgressDisplay::new(output, commands.len()),
-        robot: None,
+    let errand = Errand {
+        device: "robot",
+        channel: &args.channel,
+        token: &args.token,
+        zones: &args.zones,
         keep_going: args.keep_going,
-        fence: guard.fence(),
-        newest: None,
         shown: args.show.map(|_| arm::HOME),
-        output,
     };
-    let result = tokio::select! {
-        biased;
-        lost = guard.lost() => Err(lost_failure(&args.token, &lost)),
-        () = interrupt.wait() => Err(Failure::plain("interrupted; the token is released, and the hub halts the robot")),
-        result = job.carry_out(&commands) => match is_done(&result) || !is_lost(&token, &guard).await {
-            true => result,
-            false => Err(lost_failure(&args.token, &guard.lost().await)),
-        },
-    };
-    job.progress.end();
-    let released = match guard.is_lost() {
-        true => Ok(()),
-        false => guard.release().await.doing(format!("release {}", args.token)),
-    };
-    client.close().await;
-    let outcome = result?;
-    released?;
-    outcome.tell(commands.len(), &args.channel, output)
+    errand.run(&read(args)?, global, output).await
+}
+
+/// How a device is driven.
+pub(super) struct Errand<'a> {
+    /// What it is, in words.
+    pub(super) device: &'static str,
+    /// Its channel.
+    pub(super) channel: &'a str,
+    /// The token that guards that.
+    pub(super) token: &'a str,
+    /// The zones that are grabbed with it.
+    pub(super) zones: &'a [String],
+    /// Whether the next command is sent after one that failed.
+    pub(super) keep_going: bool,
+    /// Where the arm is taken to be first, if it is to be shown what a controller would be told.
+    pub(super) shown: Option<Pose>,
+}
+
+impl Errand<'_> {
+    /// Grabs the token, runs the commands one after the other, and releases it.
+    pub(super) async fn run(
+        self,
+        commands: &[ScriptLine],
+        global: &GlobalArgs,
+        output: Output,
+    ) -> Result<(), Failure> {
+        let device = self.device;
+        let client = connect(global, Stay::Once).await?;
+        let mut interrupt = Interrupt::install()?;
+        let (channel, token, mut guard) = drive(&client, self.channel, self.token).await?;
+        let events = channel.events();
+        let zones = grab_zones(&client, self.zones).await?;
+        output.remark(ink(
+            format_args!("holding {} (fence {})", self.token, guard.fence()),
+            Tone::Faint,
+        ));
+        let mut job = Job {
+            client: client.clone(),
+            channel: channel.path().clone(),
+            events,
+            progress: ProgressDisplay::new(output, commands.len()),
+            robot: None,
+            device,
+            keep_going: self.keep_going,
+            fence: guard.fence(),
+            newest: None,
+            shown: self.shown,
+            output,
+        };
+        let result = tokio::select! {
+            biased;
+            lost = guard.lost() => Err(lost_failure(self.token, device, &lost)),
+            () = interrupt.wait() => Err(Failure::plain(format!("interrupted; the token is released, and the hub halts the {device}"))),
+            result = job.carry_out(commands) => match is_done(&result) || !is_lost(&token, &guard).await {
+                true => result,
+                false => Err(lost_failure(self.token, device, &guard.lost().await)),
+            },
+        };
+        job.progress.end();
+        let released = match guard.is_lost() {
+            true => Ok(()),
+            false => guard.release().await.doing(format!("release {}", self.token)),
+        };
+        // After the robot's, so that nobody enters one while the robot is still driven there.
+        for (zone, path) in zones.into_iter().zip(self.zones) {
+            zone.release().await.doing(format!("release {path}"))?;
+        }
+        client.close().await;
+        let outcome = result?;
+        released?;
+        outcome.tell(commands.len(), &self, output)
+    }
 }
 
 /// Joins a robot's channel and grabs its token.
@@ -85,6 +127,16 @@ pub(crate) async fn drive(
     let held = client.token(token).await.doing(format!("join {token}"))?;
     let guard = held.grab().await.doing(format!("grab {token}"))?;
     Ok((joined, held, guard))
+}
+
+/// Grabs zones, after the robot's token: a robot lets its driver have the one in which it stands.
+async fn grab_zones(client: &Client, paths: &[String]) -> Result<Vec<TokenGuard>, Failure> {
+    let mut held = Vec::new();
+    for path in paths {
+        let zone = client.token(path).await.doing(format!("join {path}"))?;
+        held.push(zone.grab().await.doing(format!("grab {path}"))?);
+    }
+    Ok(held)
 }
 
 fn read(args: &cli::RunArgs) -> Result<Vec<ScriptLine>, Failure> {
@@ -119,7 +171,7 @@ struct RunOutcome {
 }
 
 impl RunOutcome {
-    fn tell(self, total: usize, channel: &str, output: Output) -> Result<(), Failure> {
+    fn tell(self, total: usize, errand: &Errand<'_>, output: Output) -> Result<(), Failure> {
         let RunOutcome {
             done,
             failed,
@@ -135,7 +187,10 @@ impl RunOutcome {
         if stopped {
             return Err(Failure::new(
                 format!("{failed} of {commands} failed; token released"),
-                format!("the robot is stopped; let it go with: mom unstop {channel}"),
+                format!(
+                    "the {} is stopped; let it go with: mom unstop {}",
+                    errand.device, errand.channel
+                ),
             ));
         }
         match (failed, total - done - failed) {
@@ -157,6 +212,8 @@ struct Job {
     channel: Path,
     events: Events,
     progress: ProgressDisplay,
+    /// What is driven, in words.
+    device: &'static str,
     /// The robot's peer, once it has answered.
     robot: Option<String>,
     keep_going: bool,
@@ -262,9 +319,10 @@ impl Job {
     /// Waits until the robot says that it stands under our fence.
     async fn stands(&mut self, obstacle: ErrorName) -> Result<(), Failure> {
         let deadline = Instant::now() + STANDING;
+        let device = self.device;
         let still = match obstacle {
-            ErrorName::Link => "the link from the robot to its controller is still down",
-            _ => "the robot still does what its last owner told it",
+            ErrorName::Link => format!("the link from the {device} to its controller is still down"),
+            _ => format!("the {device} still does what its last owner told it"),
         };
         loop {
             let event = timeout_at(deadline, self.events.next()).await.map_err(|_| {
@@ -321,11 +379,7 @@ impl Job {
 
     /// Sends a command and gives its id.
     async fn send(&mut self, command: &ScriptLine) -> Result<u64, Failure> {
-        let relative = command
-            .text
-            .parse::<Script>()
-            .is_ok_and(|script| script.is_relative());
-        let based_on = match relative {
+        let based_on = match script::is_relative(&command.text) {
             true => i64::try_from(self.newest_state().await?).ok(),
             false => None,
         };
@@ -375,7 +429,10 @@ impl Job {
             )),
             Event::LinkDown => Err(Failure::new(
                 "the connection to the hub is lost, and the token with it",
-                "the hub halts the robot; see what it did: mom watch, mom snap",
+                format!(
+                    "the hub halts the {}; see what it did: mom watch, mom snap",
+                    self.device
+                ),
             )),
             Event::Lagged(count) => Err(Failure::plain(format!(
                 "{} lost here; what became of the command is not known",
@@ -387,7 +444,7 @@ impl Job {
 
     fn nobody(&self) -> Failure {
         Failure::new(
-            format!("no robot answers in {}", self.channel),
+            format!("no {} answers in {}", self.device, self.channel),
             format!(
                 "see who is there: mom tree {}",
                 self.channel.parent().unwrap_or_else(Path::root)
@@ -422,9 +479,9 @@ async fn is_lost(token: &Token, guard: &TokenGuard) -> bool {
     guard.is_lost()
 }
 
-fn lost_failure(token: &str, lost: &Lost) -> Failure {
+fn lost_failure(token: &str, device: &str, lost: &Lost) -> Failure {
     Failure::plain(format!(
-        "lost {token}: {}; the hub halts the robot",
+        "lost {token}: {}; the hub halts the {device}",
         lost_words(lost)
     ))
 }

@@ -1,18 +1,30 @@
 //! A script file: each line is one command.
 
 use mom_arm::Script;
+use mom_camera::pan::Mount;
 
 use crate::failure::Failure;
 
 /// One command: a line of the file without its comment.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct ScriptLine {
+pub(crate) struct ScriptLine {
     /// The line in the file, 1 for the first.
     pub(super) line: usize,
     /// How many characters of the line are before the text.
     pub(super) indent: usize,
     /// The script text that is sent.
     pub(super) text: String,
+}
+
+impl ScriptLine {
+    /// A command that stands in no file.
+    pub(crate) fn alone(text: String) -> ScriptLine {
+        ScriptLine {
+            line: 1,
+            indent: 0,
+            text,
+        }
+    }
 }
 
 /// The commands of a file's text; lines with nothing but blanks and comments are none.
@@ -30,6 +42,12 @@ pub(super) fn commands(text: &str) -> Vec<ScriptLine> {
             })
         })
         .collect()
+}
+
+/// Whether a command is right in one place only, in whichever language of the lab's devices it is written.
+pub(super) fn is_relative(text: &str) -> bool {
+    let arm = text.parse::<Script>().is_ok_and(|script| script.is_relative());
+    arm || Mount::script(text).is_ok_and(|script| script.is_relative::<Mount>())
 }
 
 /// Checks that the arm can read every command, before the first of them moves anything.
@@ -72,6 +90,19 @@ mod tests {
                 .map(|command| (command.line, command.text.as_str()))
                 .collect();
             assert_eq!(told, expected, "{text:?}");
+        }
+    }
+
+    #[test]
+    fn relative_commands_of_either_language_are_known() {
+        for (text, relative) in [
+            ("by 0 0 -50 0 0", true),
+            ("turn 5 0; wait 10", true),
+            ("look 5 0; turn 5 0", false),
+            ("home", false),
+            ("dance", false),
+        ] {
+            assert_eq!(is_relative(text), relative, "{text}");
         }
     }
 
