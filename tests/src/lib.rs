@@ -1,6 +1,7 @@
 //! The whole system from outside: dialogues, end to end, threats.
 
 pub mod asking;
+pub mod assistant;
 pub mod attacks;
 pub mod audit;
 pub mod bridge;

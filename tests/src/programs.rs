@@ -22,7 +22,19 @@ pub fn project() -> PathBuf {
 /// If it cannot be built.
 pub fn program(name: &str) -> PathBuf {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
-    let packages = ["mom", "mom-broker", "mom-arm", "mom-camera"];
+    let packages = [
+        "mom",
+        "mom-broker",
+        "mom-arm",
+        "mom-camera",
+        "mom-model",
+        "mom-servo",
+        "mom-mcp",
+        "mom-linuxbot",
+        "mom-base-station",
+        "mom-gateway",
+        "mom-rover",
+    ];
     FOLDER.get_or_init(|| build(&packages)).join(name)
 }
 
@@ -32,6 +44,20 @@ pub fn program(name: &str) -> PathBuf {
 /// # Panics
 /// If they cannot be built.
 pub fn build(packages: &[&str]) -> PathBuf {
+    let packages = packages.iter().flat_map(|package| ["-p", package]);
+    cargo_build(["--bins"].into_iter().chain(packages))
+}
+
+/// The path of an example of a package, built with the tests' own settings.
+///
+/// # Panics
+/// If it cannot be built.
+pub fn example(package: &str, name: &str) -> PathBuf {
+    let folder = cargo_build(["-p", package, "--example", name]);
+    folder.join("examples").join(name)
+}
+
+fn cargo_build<'a>(what: impl IntoIterator<Item = &'a str>) -> PathBuf {
     let test = std::env::current_exe().expect("a test knows its own program");
     let folder = test
         .ancestors()
@@ -40,16 +66,13 @@ pub fn build(packages: &[&str]) -> PathBuf {
         .to_path_buf();
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let mut command = Command::new(cargo);
-    command.args(["build", "--quiet", "--locked", "--bins"]);
+    command.args(["build", "--quiet", "--locked"]).args(what);
     // Those of this package: ring's build script watches them, and it and all above it would be built again each time.
     for (name, _) in std::env::vars_os() {
         let text = name.to_string_lossy();
         if text.starts_with("CARGO_PKG_") || text.starts_with("CARGO_MANIFEST_") {
             command.env_remove(name);
         }
-    }
-    for package in packages {
-        command.args(["-p", package]);
     }
     command.current_dir(project());
     if folder.ends_with("release") {
@@ -72,6 +95,13 @@ pub struct Running {
     /// Where it keeps its state, unless its environment says otherwise.
     _state: Option<tempfile::TempDir>,
     lines: mpsc::Receiver<String>,
+}
+
+/// The turn of a test whose agent drives by the images of a whole lab: two labs at once draw them so seldom on two cores that it needs more
+/// commands than it is lent.
+pub fn turn() -> &'static tokio::sync::Mutex<()> {
+    static TURN: tokio::sync::Mutex<()> = tokio::sync::Mutex::const_new(());
+    &TURN
 }
 
 impl Running {
@@ -143,7 +173,19 @@ impl Running {
     /// # Panics
     /// If it does not start.
     pub fn lab() -> (Running, String) {
-        let lab = Running::start("mom", &["lab", "--listen", "127.0.0.1:0"], &[]);
+        Running::lab_with(&[])
+    }
+
+    /// The same with more options.
+    ///
+    /// # Panics
+    /// If it does not start.
+    pub fn lab_with(options: &[&str]) -> (Running, String) {
+        let lab = Running::start(
+            "mom",
+            &[&["lab", "--listen", "127.0.0.1:0"], options].concat(),
+            &[],
+        );
         let line = lab.line_with("bin://");
         let hub = line.split_whitespace().find(|word| word.starts_with("bin://"));
         (lab, hub.expect("the hub's address").to_owned())

@@ -4,11 +4,13 @@ mod calibration;
 mod connect;
 mod far_hub;
 mod faults;
+mod fleet;
 mod hand;
 mod lab_link;
 mod links;
 mod path;
 mod reach;
+mod servo;
 mod stop_in_image;
 mod token_table;
 mod tracking;
@@ -49,7 +51,7 @@ pub struct Experiment {
 }
 
 /// All experiments, in the order of the document.
-pub const ALL: [Experiment; 9] = [
+pub const ALL: [Experiment; 15] = [
     Experiment {
         name: "reach",
         run: reach::run,
@@ -83,8 +85,32 @@ pub const ALL: [Experiment; 9] = [
         run: stop_in_image::run,
     },
     Experiment {
+        name: "servo",
+        run: servo::run,
+    },
+    Experiment {
         name: "lab-link",
         run: lab_link::run,
+    },
+    Experiment {
+        name: "fleet-trips",
+        run: fleet::trips::run,
+    },
+    Experiment {
+        name: "fleet-rates",
+        run: fleet::rates::run,
+    },
+    Experiment {
+        name: "fleet-lost",
+        run: fleet::lost::run,
+    },
+    Experiment {
+        name: "fleet-many",
+        run: fleet::many::run,
+    },
+    Experiment {
+        name: "fleet-beside",
+        run: fleet::beside::run,
     },
 ];
 

@@ -52,6 +52,7 @@ fn experiments_without_a_network_come_to_something() {
         ("tracking", "- jogging: "),
         ("token-table", "34 of 36 decisions are the paper's"),
         ("calibration", "| 50 | "),
+        ("servo", "| 300 ms | 1 of 1 | "),
     ] {
         let section = experiment(name).expect("it needs no links");
         assert!(section.markdown.contains(row), "{row}: {}", section.markdown);
@@ -69,4 +70,57 @@ fn an_operator_looks_and_stops() {
         "{}",
         section.markdown
     );
+}
+
+/// A fleet over the radio model: exact, as nothing depends on the machine.
+#[test]
+fn a_fleet_over_the_radio_model_keeps_what_it_promises() {
+    for (name, rows) in [
+        (
+            "fleet-trips",
+            &[
+                "| paper, 1 to 2 Mbit/s | | | 6 |",
+                "| 2 Mbit/s, with computers | 1 | none | 6.0",
+            ][..],
+        ),
+        ("fleet-rates", &["| 1 | 166.7 | 10.00/s", "| 10 | 16.7 | "]),
+        (
+            "fleet-lost",
+            &[
+                "| paper | never | never | never | never | never | never | ",
+                "| watchdog 500 ms | 0.4",
+                "| 0 % | 7 | 0 of ",
+            ],
+        ),
+    ] {
+        let section = experiment(name).expect("it needs no links");
+        for row in rows {
+            assert!(section.markdown.contains(row), "{row}: {}", section.markdown);
+        }
+        assert!(!section.markdown.contains("NaN"), "{}", section.markdown);
+        assert!(section.plots.iter().all(|(_, plot)| plot.starts_with("<svg")));
+    }
+}
+
+/// The same over real sockets of this machine, which may be busy: only what does not depend on that is looked at.
+#[test]
+fn a_fleet_over_real_sockets_is_commanded() {
+    for (name, rows) in [
+        ("fleet-many", &["| 10 | ", "| 41 | "][..]),
+        (
+            "fleet-beside",
+            &[
+                "| nothing | ",
+                "| file transfer | ",
+                "| web server | ",
+                "| both | ",
+            ],
+        ),
+    ] {
+        let section = experiment(name).expect("it needs no links");
+        for row in rows {
+            assert!(section.markdown.contains(row), "{row}: {}", section.markdown);
+        }
+        assert!(!section.markdown.contains("NaN"), "{}", section.markdown);
+    }
 }

@@ -221,6 +221,77 @@ async fn nobody_but_the_owner_of_the_token_calibrates() {
     lab.end().await;
 }
 
+/// A person asks, lends the token, and follows: what the console does.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_agent_calibrates_for_whoever_lends_it_the_token() {
+    let lab = Lab::start().await;
+    let bob = lab.join("bob").await;
+    let (alice, folder) = (lab.join("alice").await, tempfile::tempdir().expect("a folder"));
+    let channel = bob.channel("/calibrate").await.expect("people may");
+    let others = alice.channel("/calibrate").await.expect("people may");
+    let (mut events, mut seen_by_alice) = (channel.events(), others.events());
+    let word = |parcel: &Parcel, key: &str| {
+        let value = parcel.value();
+        value
+            .get(key)
+            .and_then(Value::as_str)
+            .unwrap_or_default()
+            .to_owned()
+    };
+    let ask = async |by: &Channel, camera: &str| {
+        let content = Map::new().with("camera", camera).with("poses", 8);
+        let asked = by.message("calibrate").content(Value::from(content)).no_echo();
+        asked.send().await.expect("sent");
+    };
+
+    // One that moves with the arm has no one matrix, which is said before anything is lent.
+    ask(&channel, "wrist").await;
+    let refused = message(&mut events, "calibrate-refused").await;
+    assert!(
+        word(&refused, "text").contains("moves with the arm"),
+        "{refused:?}"
+    );
+
+    ask(&channel, "x").await;
+    let accepted = message(&mut events, "progress").await;
+    assert_eq!(word(&accepted, "state"), "accepted");
+    // It has one task at a time.
+    ask(&others, "top").await;
+    let refused = message(&mut seen_by_alice, "calibrate-refused").await;
+    assert!(word(&refused, "text").contains("bob"), "{refused:?}");
+    let token = bob.token("/robot/token").await.expect("people may");
+    let guard = token.grab().await.expect("it is free");
+    let agent = word(&accepted, "agent");
+    let given = guard.give(agent.as_str()).time(Duration::from_secs(120));
+    let given = given.await.expect("the agent is there");
+    let mut poses = 0;
+    let last = loop {
+        let told = message(&mut events, "progress").await;
+        match word(&told, "state").as_str() {
+            "working" => poses += 1,
+            _ => break told,
+        }
+    };
+    assert_eq!(
+        (word(&last, "state").as_str(), poses),
+        ("calibrated", 8),
+        "{last:?}"
+    );
+    let back = timeout(PATIENCE, given.returned()).await;
+    back.expect("the token returns").expect("to bob");
+    let calibrated = &lab.snap(&folder).await["calibrated"];
+    assert_eq!(calibrated["by"], json!("calibrate"), "{calibrated}");
+
+    // Who does not lend it, or wants no more, ends the task.
+    ask(&channel, "y").await;
+    let accepted = message(&mut events, "progress").await;
+    assert_eq!(word(&accepted, "state"), "accepted");
+    channel.message("cancel").no_echo().send().await.expect("sent");
+    let last = message(&mut events, "progress").await;
+    assert_eq!(word(&last, "state"), "cancelled", "{last:?}");
+    lab.end().await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn who_loses_the_token_tells_the_camera_nothing() {
     let lab = Lab::start().await;

@@ -1,10 +1,10 @@
-//! The four cameras of `mom lab` through a real broker (M37, M38, M54), and the command that sets them.
+//! The cameras of `mom lab` through a real broker (M37, M38, M54), and the command that sets them.
 
 use mom_client::{Client, Event, Events, Value};
 use mom_tests::programs::{PATIENCE, Running, run, text};
 use tokio::time::timeout;
 
-const VIEWS: [&str; 4] = ["x", "y", "top", "wrist"];
+const VIEWS: [&str; 5] = ["x", "y", "top", "wrist", "pan"];
 
 /// `mom lab` as a process, on a free port.
 struct Lab {
@@ -82,7 +82,7 @@ fn names(content: &Value) -> Vec<&str> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn four_cameras_show_each_new_state() {
+async fn all_cameras_show_each_new_state() {
     let lab = Lab::start().await;
     let bob = lab.join("bob").await;
     let mut cameras = Vec::new();
@@ -119,7 +119,11 @@ async fn four_cameras_show_each_new_state() {
             assert!(pose <= taken, "{view}: {pose} is before {taken}");
         }
         let fixed = first.get("matrix") == later.get("matrix");
-        assert_eq!(fixed, *view != "wrist", "{view}: only the wrist's camera moves");
+        assert_eq!(
+            fixed,
+            *view != "wrist",
+            "{view}: only the wrist's camera moves with the arm"
+        );
     }
     for view in VIEWS {
         let snap = lab.mom("alice", &["snap", view, "--output", "-"]).await;

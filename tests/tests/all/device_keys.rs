@@ -74,7 +74,7 @@ async fn a_wrong_key_is_refused_in_words() {
     let hub = format!("bin://{}", broker.local_addr());
     let (wrong, none) = (key_file(&folder, 7), folder.path().join("none.key"));
     let cases = tokio::task::spawn_blocking(move || {
-        for program in ["mom-arm", "mom-camera"] {
+        for program in ["mom-arm", "mom-camera", "mom-model"] {
             for (key, words) in [(&wrong, "cannot log in at"), (&none, "none.key: cannot be read")] {
                 let output = run(program, &["--hub", &hub, "--key", utf8(key)], &[]);
                 let said = text(&output.stderr);

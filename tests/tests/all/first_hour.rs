@@ -4,7 +4,7 @@ use std::process::{Command, Output, Stdio};
 
 use mom_client::{Client, Event};
 use mom_tests::lab;
-use mom_tests::programs::{PATIENCE, Running, program, project, text};
+use mom_tests::programs::{PATIENCE, Running, program, project, text, turn};
 use tokio::io::copy_bidirectional;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::spawn_blocking;
@@ -71,6 +71,7 @@ fn check(output: &Output, line: &str) {
 
 #[test]
 fn what_is_printed_runs_and_runs_again() {
+    let _turn = turn().blocking_lock();
     let lab = Lab::start();
     let [alice, bob] = [0, 1];
     let mom = program("mom");
@@ -228,7 +229,7 @@ async fn a_device_waits_for_its_hub_and_says_so() {
         .await
         .expect("a user of the lab");
     let mut events = alice.channel("/robot/arm").await.expect("people may").events();
-    for device in ["mom-arm", "mom-camera"] {
+    for device in ["mom-arm", "mom-camera", "mom-model"] {
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
         let hub = format!("bin://{}", listener.local_addr().expect("bound"));
         let log = folder.path().join(device);

@@ -1,12 +1,14 @@
-//! `docs/lab.md`: its commands are typed as they stand there, and say what stands there.
+//! `docs/lab.md` and `docs/fleet.md`: their commands are typed as they stand there, and say what stands there.
 
 use std::fs;
 use std::io::{BufRead as _, BufReader};
+use std::os::unix::fs::symlink;
+use std::os::unix::process::CommandExt as _;
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc;
 use std::thread;
 
-use mom_tests::programs::{PATIENCE, Running, program, project};
+use mom_tests::programs::{PATIENCE, Running, program, project, turn};
 
 /// A command of the page, and what it is to say.
 #[derive(Debug)]
@@ -19,12 +21,16 @@ struct Typed {
     code: i32,
 }
 
-fn typed() -> Vec<Typed> {
-    let page = fs::read_to_string(project().join("docs/lab.md")).expect("it is there");
+/// Whose prompts a page has; the owner of the lab starts programs.
+const PERSONS: [&str; 4] = ["alice", "bob", "carol", "owner"];
+
+/// The commands of the blocks of a page that begin so.
+fn typed(page: &str, fence: &str) -> Vec<Typed> {
+    let page = fs::read_to_string(project().join(page)).expect("it is there");
     let mut all: Vec<Typed> = Vec::new();
-    for block in page.split("```console\n").skip(1) {
+    for block in page.split(fence).skip(1) {
         for line in block.split("```").next().unwrap_or_default().lines() {
-            let prompt = ["alice", "bob", "carol"]
+            let prompt = PERSONS
                 .into_iter()
                 .find_map(|person| Some((person, line.strip_prefix(person)?.strip_prefix("$ ")?)));
             if let Some((person, command)) = prompt {
@@ -81,6 +87,8 @@ fn start(typed: &Typed, hub: &str, folder: &std::path::Path) -> (Child, mpsc::Re
         .current_dir(folder)
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
+        // So that it ends with what it has started.
+        .process_group(0)
         .spawn()
         .expect("there is a shell");
     let (sender, lines) = mpsc::channel();
@@ -97,13 +105,36 @@ fn start(typed: &Typed, hub: &str, folder: &std::path::Path) -> (Child, mpsc::Re
 
 #[test]
 fn what_stands_there_is_typed_and_said() {
+    let _turn = turn().blocking_lock();
     let (_lab, hub) = Running::lab();
-    let folder = tempfile::tempdir().expect("a folder");
-    let all = typed();
+    let all = typed("docs/lab.md", "```console\n");
     assert!(all.len() > 12, "{all:?}");
+    type_all(&all, &hub);
+}
+
+#[test]
+fn what_stands_there_of_two_arms_is_typed_and_said() {
+    let (_lab, hub) = Running::lab_with(&["--two-arms"]);
+    let all = typed("docs/lab.md", "```console two-arms\n");
+    assert!(all.len() > 6, "{all:?}");
+    type_all(&all, &hub);
+}
+
+/// Ten robots as programs of their own: a formation, a link that is cut, a battery that dies, and carol who takes the group.
+#[test]
+fn what_stands_there_of_a_fleet_is_typed_and_said() {
+    let (_broker, hub) = Running::broker(&project().join("config/fleet.toml"));
+    let all = typed("docs/fleet.md", "```console ten\n");
+    assert!(all.len() > 12, "{all:?}");
+    type_all(&all, &format!("bin://{hub}"));
+}
+
+fn type_all(all: &[Typed], hub: &str) {
+    let folder = tempfile::tempdir().expect("a folder");
+    symlink(project().join("config"), folder.path().join("config")).expect("a link");
     let mut beside = Vec::new();
-    for typed in &all {
-        let (mut child, lines) = start(typed, &hub, folder.path());
+    for typed in all {
+        let (mut child, lines) = start(typed, hub, folder.path());
         let mut said = Vec::new();
         for expected in &typed.expected {
             loop {
@@ -128,7 +159,9 @@ fn what_stands_there_is_typed_and_said() {
     for (mut child, lines) in beside {
         drop(lines);
         // Whatever it does now, the page has nothing to say about it.
-        let _ = child.kill();
+        let _ = Command::new("kill")
+            .args(["-KILL", "--", &format!("-{}", child.id())])
+            .status();
         let _ = child.wait();
     }
 }

@@ -1,11 +1,15 @@
 //! All tests of the whole system, in one binary.
 
+mod access;
+mod agents;
 mod attacks;
 mod browser;
 mod calibrate;
 mod cameras;
 mod commands;
 mod compression;
+mod console;
+mod contention;
 mod control;
 mod device_keys;
 mod dialogues;
@@ -13,6 +17,8 @@ mod doctor;
 mod driving;
 mod faults;
 mod first_hour;
+mod fleet;
+mod fleet_web;
 
 mod lab_page;
 mod late;
@@ -20,10 +26,13 @@ mod link;
 mod listen;
 mod login;
 mod losses;
+mod mcp;
+mod objects;
 mod order;
 #[cfg(target_os = "linux")]
 mod packages;
 mod page;
+mod pan_tilt;
 mod programs;
 mod protocol;
 #[cfg(target_os = "linux")]
@@ -32,10 +41,13 @@ mod python;
 mod real_camera;
 mod reports;
 mod room;
+mod rover;
 mod runs;
+mod servo;
 mod states;
 mod stats;
 mod stops;
+mod swarm;
 mod thinning;
 mod threats;
 mod time;
@@ -44,6 +56,7 @@ mod told;
 mod top;
 mod traces;
 mod tunnel;
+mod two_arms;
 mod uplink;
 mod web;
 mod zones;

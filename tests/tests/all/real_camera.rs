@@ -241,8 +241,9 @@ async fn a_stream_and_a_snapshot_are_shown_as_they_come() {
     let mut lab = Lab::start().await;
     for path in ["/stream", "/snapshot"] {
         let camera = lab.camera(&web.url(path), Stdio::inherit()).await;
-        // What is still under way of the camera before is smaller.
-        let large = |content: &Value| number(content, "width") == Some(640);
+        // What is still under way of the camera before is smaller, and the first image may come before the arm's first state.
+        let large =
+            |content: &Value| number(content, "width") == Some(640) && content.get("pose-time").is_some();
         let content = next(&mut lab.events, "image", large).await;
         assert!(bytes(&content) == &web.file[..], "{path}: no byte is changed");
         assert_eq!(
@@ -250,10 +251,7 @@ async fn a_stream_and_a_snapshot_are_shown_as_they_come() {
             (Some(640), Some(480))
         );
         assert_eq!(content.get("view").and_then(Value::as_str), Some("bench"));
-        assert!(
-            content.get("overlays").is_some() && content.get("pose-time").is_some(),
-            "of the lab's arm"
-        );
+        assert!(content.get("overlays").is_some(), "of the lab's arm");
         assert_eq!(content.get("matrix"), None);
         lab.hears("image").await;
         let (code, said) = lab.mom(&["camera", "bench"]).await;

@@ -253,23 +253,31 @@ async fn who_may_not_ask_is_not_told() {
     assert_eq!(
         paths(&seen),
         [
+            "/calibrate",
+            "/camera/pan",
             "/camera/top",
             "/camera/wrist",
             "/camera/x",
             "/camera/y",
             "/chat",
-            "/robot/arm"
+            "/model/objects",
+            "/robot/arm",
+            "/servo"
         ]
     );
     let seen = bob.stats("/").await.expect("people may");
     assert_eq!(
         paths(&seen),
         [
+            "/calibrate",
+            "/camera/pan",
             "/camera/top",
             "/camera/wrist",
             "/camera/x",
             "/camera/y",
-            "/robot/arm"
+            "/model/objects",
+            "/robot/arm",
+            "/servo"
         ]
     );
     assert_eq!(

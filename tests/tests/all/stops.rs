@@ -56,9 +56,11 @@ async fn every_device_says_that_it_stands_and_that_it_may_move() {
         told(&all),
         (
             Some(0),
-            "/camera/top: no device; sent to 0 members\n/camera/wrist: no device; sent to 0 members\n\
+            "/calibrate: no device; sent to 0 members\n/camera/pan: no device; sent to 0 members\n\
+             /camera/top: no device; sent to 0 members\n/camera/wrist: no device; sent to 0 members\n\
              /camera/x: no device; sent to 0 members\n/camera/y: no device; sent to 0 members\n\
-             /chat: no device; sent to 0 members\n/robot/arm: arm may move\n"
+             /chat: no device; sent to 0 members\n/model/objects: no device; sent to 0 members\n\
+             /robot/arm: arm may move\n/servo: no device; sent to 0 members\n"
                 .to_owned()
         )
     );

@@ -82,7 +82,8 @@ impl Narrow {
 }
 
 /// A stop, and a command of a higher priority, while a map is under way: they are there long before it.
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+/// On one thread, so that the client sends nothing between what is said in one go.
+#[tokio::test]
 async fn a_stop_passes_a_map_on_a_slow_uplink() {
     // Two maps wait at once where a receiver is slow, and nobody is to be put out for that.
     let broker = lab::start_with(|config| config.limits.outbox = 64 << 20).await;

@@ -81,6 +81,14 @@ fn archive_and_package_have_the_same_programs_and_all_pages() {
         ("bin/mom-broker", "./usr/bin/mom-broker"),
         ("bin/mom-arm", "./usr/bin/mom-arm"),
         ("bin/mom-camera", "./usr/bin/mom-camera"),
+        ("bin/mom-model", "./usr/bin/mom-model"),
+        ("bin/mom-servo", "./usr/bin/mom-servo"),
+        ("bin/mom-mcp", "./usr/bin/mom-mcp"),
+        ("bin/mom-linuxbot", "./usr/bin/mom-linuxbot"),
+        ("bin/mom-base-station", "./usr/bin/mom-base-station"),
+        ("bin/mom-gateway", "./usr/bin/mom-gateway"),
+        ("bin/mom-rover", "./usr/bin/mom-rover"),
+        ("man/mom-mcp.1", "./usr/share/man/man1/mom-mcp.1.gz"),
         ("man/mom-grab.1", "./usr/share/man/man1/mom-grab.1.gz"),
         (
             "man/mom-broker-passwd.1",
@@ -100,6 +108,10 @@ fn archive_and_package_have_the_same_programs_and_all_pages() {
         ),
         ("licences", "./usr/share/doc/mom/licences.gz"),
         ("mom-broker.service", "./lib/systemd/system/mom-broker.service"),
+        (
+            "mom-linuxbot.service",
+            "./lib/systemd/system/mom-linuxbot.service",
+        ),
     ] {
         let tar = format!("{name}/{tar}");
         assert!(archived.contains(&tar), "{tar}: {archived:?}");
@@ -113,19 +125,20 @@ fn archive_and_package_have_the_same_programs_and_all_pages() {
 }
 
 #[test]
-fn the_service_is_not_exposed() {
-    let unit = project().join("packages/mom-broker.service");
-    let mut analyze = Command::new("systemd-analyze");
-    analyze.args(["security", "--offline=yes", "--no-pager", "--threshold", EXPOSURE]);
-    let judged = analyze
-        .arg(unit)
-        .output()
-        .expect("systemd is installed, it need not run");
-    let said = text(&judged.stdout) + &text(&judged.stderr);
-    assert!(
-        judged.status.success() && said.contains("Overall exposure level"),
-        "{said}"
-    );
+fn the_services_are_not_exposed() {
+    for unit in ["mom-broker.service", "mom-linuxbot.service"] {
+        let mut analyze = Command::new("systemd-analyze");
+        analyze.args(["security", "--offline=yes", "--no-pager", "--threshold", EXPOSURE]);
+        let judged = analyze
+            .arg(project().join("packages").join(unit))
+            .output()
+            .expect("systemd is installed, it need not run");
+        let said = text(&judged.stdout) + &text(&judged.stderr);
+        assert!(
+            judged.status.success() && said.contains("Overall exposure level"),
+            "{said}"
+        );
+    }
 }
 
 /// The installed unit.

@@ -7,7 +7,7 @@ use mom_proto::binary::{ChunkHead, PREFACE, chunks};
 use mom_proto::codec::Form;
 use mom_proto::{Family, Value, WireError};
 use mom_tests::lab;
-use mom_tests::raw::{Raw, message};
+use mom_tests::raw::{PATIENCE, Raw, message};
 
 use super::{After, World, chat_binary, chat_json, chat_xml, entity, frame};
 
@@ -20,7 +20,6 @@ async fn threat_4_the_login_deadline() {
     let mut world = World::start_with(|config| config.limits.login_time = LOGIN_TIME).await;
     let login = entity("<parcel><family>login</family><name>login</name>".to_owned() + &" ".repeat(10_000));
     let before = [
-        ("silence", Form::Xml, Vec::new()),
         ("a form that is not clear yet", Form::Xml, b"Con".to_vec()),
         (
             "an unfinished element",
@@ -46,6 +45,11 @@ async fn threat_4_the_login_deadline() {
         slow.check_closed().await;
         world.check_nothing_arrived(what).await;
     }
+    // A browser's connection that was opened in advance would take a word for an answer.
+    let mut silent = world.stranger(Form::Xml).await;
+    let heard = silent.next_within(PATIENCE).await;
+    assert!(heard.expect("it is closed").is_none(), "without a word");
+    world.check_nothing_arrived("silence").await;
     world.end().await;
 }
 
