@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::Result;
 
 use crate::command::{cargo, line, shows, succeeds};
-use crate::{instructions, shuttle, test, tidy};
+use crate::{console, instructions, shuttle, test, tidy};
 
 /// One step that is a cargo command.
 struct Step {
@@ -53,6 +53,12 @@ pub(crate) fn run(root: &Path) -> Result<bool> {
         }
     }
     if !timed("tidy", "cargo xtask tidy", || tidy::run(root))? || !deny(root)? {
+        return Ok(false);
+    }
+    let built = timed("console", "cargo xtask console", || {
+        console::build(root).map(|()| true)
+    })?;
+    if !built {
         return Ok(false);
     }
     if !timed("shuttle", shuttle::COMMAND, || shuttle::run(root, None, None))? {

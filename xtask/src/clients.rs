@@ -12,17 +12,31 @@ use crate::test::Counts;
 /// Where the packages for the client in Python are, from the workspace's folder; `cargo xtask test --install` makes it.
 pub(crate) const PYTHON: &str = "target/python/bin/python";
 
-/// Runs the tests of all clients against the broker of this workspace.
-pub(crate) fn test(root: &Path) -> Result<Counts> {
+/// Builds the programs that other languages' tests start, and says in which folder they are.
+pub(crate) fn programs(root: &Path) -> Result<PathBuf> {
     let mut build = cargo(root);
-    build.args(["build", "--locked", "--quiet", "-p", "mom-broker", "--bins"]);
+    build.args([
+        "build",
+        "--locked",
+        "--quiet",
+        "-p",
+        "mom-broker",
+        "-p",
+        "mom",
+        "--bins",
+    ]);
     if !shows(&mut build)? {
         bail!(
-            "`{}` failed: the clients are tested against the broker",
+            "`{}` failed: the clients and the console are tested against these programs",
             line(&build)
         );
     }
-    let broker = target(root).join("debug/mom-broker");
+    Ok(target(root).join("debug"))
+}
+
+/// Runs the tests of all clients against the broker in this folder.
+pub(crate) fn test(root: &Path, programs: &Path) -> Result<Counts> {
+    let broker = programs.join("mom-broker");
     let mut pytest = Command::new(root.join(PYTHON));
     pytest
         .args(["-m", "pytest"])

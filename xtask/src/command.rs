@@ -6,9 +6,18 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context as _, Result, bail};
 
+use crate::node;
+
+/// A program of this machine, or of those that were installed for this project.
+pub(crate) fn program(name: impl AsRef<std::ffi::OsStr>) -> Command {
+    let mut command = Command::new(name);
+    node::first(&mut command);
+    command
+}
+
 /// The cargo that started this program, so that all steps use one toolchain.
 pub(crate) fn cargo(root: &Path) -> Command {
-    let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| OsString::from("cargo")));
+    let mut command = program(std::env::var_os("CARGO").unwrap_or_else(|| OsString::from("cargo")));
     // Those of this package: ring's build script watches them, and it and all above it would be built again each time.
     for (name, _) in std::env::vars_os() {
         let text = name.to_string_lossy();
@@ -21,9 +30,9 @@ pub(crate) fn cargo(root: &Path) -> Command {
     command
 }
 
-/// Whether `program` starts and ends well with these arguments; its output is not shown.
-pub(crate) fn succeeds(program: &str, args: &[&str]) -> bool {
-    Command::new(program)
+/// Whether this program starts and ends well with these arguments; its output is not shown.
+pub(crate) fn succeeds(name: &str, args: &[&str]) -> bool {
+    program(name)
         .args(args)
         .stdin(Stdio::null())
         .stdout(Stdio::null())

@@ -1,5 +1,5 @@
-//! `cargo xtask long`: what takes too long for each change: random logs by the thousand, minutes of random load, and a thousand
-//! lost connections on each door.
+//! `cargo xtask long`: what takes too long for each change: random logs by the thousand, minutes of random load, a thousand lost
+//! connections on each door, and minutes of a thousand robots.
 
 use std::path::Path;
 use std::process::Command;
@@ -18,7 +18,7 @@ pub(crate) fn run(root: &Path, minutes: u64) -> Result<bool> {
     Ok(ok)
 }
 
-fn steps(root: &Path, minutes: u64) -> [Command; 3] {
+fn steps(root: &Path, minutes: u64) -> [Command; 4] {
     let test = |package: &str, name: &str| {
         let mut test = cargo(root);
         test.args([
@@ -43,7 +43,12 @@ fn steps(root: &Path, minutes: u64) -> [Command; 3] {
         .env("MOM_LOSSES", "1000")
         .env("MOM_PATIENCE_SECONDS", "3600");
     losses.args(["link::survive", "--", "--nocapture"]);
-    [logs, load, losses]
+    let mut swarm = test("mom-tests", "all");
+    swarm
+        .env("MOM_ROBOTS", "1000")
+        .env("MOM_FLEET_SECONDS", (minutes * 60).to_string());
+    swarm.args(["swarm", "--", "--nocapture"]);
+    [logs, load, losses, swarm]
 }
 
 #[cfg(test)]
@@ -52,12 +57,17 @@ mod tests {
 
     #[test]
     fn the_load_lasts_as_long_as_is_said() {
-        let [_, load, _] = steps(Path::new("."), 10);
-        let seconds = load.get_envs().find(|(key, _)| *key == "MOM_LOAD_SECONDS");
-        let seconds = seconds
-            .and_then(|(_, value)| value)
-            .and_then(|value| value.to_str());
-        assert_eq!(seconds, Some("600"));
-        assert!(line(&load).contains("random_load"), "{}", line(&load));
+        let [_, load, _, swarm] = steps(Path::new("."), 10);
+        for (step, key, name) in [
+            (load, "MOM_LOAD_SECONDS", "random_load"),
+            (swarm, "MOM_FLEET_SECONDS", "swarm"),
+        ] {
+            let seconds = step.get_envs().find(|(found, _)| *found == key);
+            let seconds = seconds
+                .and_then(|(_, value)| value)
+                .and_then(|value| value.to_str());
+            assert_eq!(seconds, Some("600"));
+            assert!(line(&step).contains(name), "{}", line(&step));
+        }
     }
 }

@@ -1,4 +1,4 @@
-//! The project tasks of MOM: `cargo xtask ci`, `cargo xtask test`, `cargo xtask shuttle`, `cargo xtask tidy`, `cargo xtask
+//! The project tasks of MOM: `cargo xtask lab`, `cargo xtask console`, `cargo xtask ci`, `cargo xtask test`, `cargo xtask shuttle`, `cargo xtask tidy`, `cargo xtask
 //! mutants`, `cargo xtask instructions`, `cargo xtask bench-peers`, `cargo xtask experiments`, `cargo xtask advisories`, `cargo xtask dist`.
 //!
 //! Everything that CI demands can be run here by the same commands, so that nothing is found only after a push.
@@ -12,6 +12,7 @@ mod advisories;
 mod ci;
 mod clients;
 mod command;
+mod console;
 mod dist;
 mod experiments;
 mod instructions;
@@ -19,6 +20,8 @@ mod javascript;
 mod long;
 mod mutants;
 mod needs;
+mod node;
+mod npm;
 mod peers;
 mod shuttle;
 mod test;
@@ -39,6 +42,8 @@ struct Cli {
 }
 
 const EXAMPLES: &str = "Examples:
+  cargo xtask lab --install                   install what is missing, build the console, start a lab with it
+  cargo xtask lab -- --two-arms               a lab with other options
   cargo xtask test --install                  install what the tests need, then run all of them
   cargo xtask test -- -p mom-hub grab         the tests of one package whose name contains `grab`
   cargo xtask test -- -p mom-hub -- --nocapture
@@ -57,6 +62,11 @@ const EXAMPLES: &str = "Examples:
 
 #[derive(Subcommand)]
 enum Task {
+    /// Start a lab with the console: `cargo xtask console`, then `cargo run --release -- lab`.
+    #[command(after_help = EXAMPLES)]
+    Lab(LabArgs),
+    /// Build the console, which the programs have that are built after it; nothing is done if it is newer than its sources.
+    Console(InstallArgs),
     /// Run all tests and doctests; the last line is `N passed, N failed`.
     #[command(after_help = EXAMPLES)]
     Test(TestArgs),
@@ -104,6 +114,15 @@ enum Task {
     Advisories,
     /// Format, lints, docs, tidy, licences, tests: all that must hold before a change lands.
     Ci(InstallArgs),
+}
+
+#[derive(Args)]
+struct LabArgs {
+    #[command(flatten)]
+    install: InstallArgs,
+    /// Options of `mom lab`, such as `--two-arms` or `--listen 127.0.0.1:0`.
+    #[arg(last = true, value_name = "OPTIONS OF THE LAB")]
+    lab: Vec<String>,
 }
 
 #[derive(Args)]
@@ -199,9 +218,16 @@ fn run(task: Task) -> Result<ExitCode> {
     // What is needed and installed is named from there.
     std::env::set_current_dir(&root).with_context(|| format!("{} cannot be entered", root.display()))?;
     match task {
+        Task::Lab(args) => {
+            build_console(&root, args.install, "cargo xtask lab")
+                .context("no console; the lab runs without it, too, by `cargo run --release -- lab`")?;
+            Ok(exit_code(console::lab(&root, &args.lab)?))
+        }
+        Task::Console(install) => {
+            build_console(&root, install, "cargo xtask console").map(|()| ExitCode::SUCCESS)
+        }
         Task::Test(args) => {
-            needs::ensure(needs::FOR_TESTS, args.install.install, "cargo xtask test")?;
-            needs::ensure(needs::FOR_CLIENTS, args.install.install, "cargo xtask test")?;
+            needs::ensure_all(needs::FOR_ALL_TESTS, args.install.install, "cargo xtask test")?;
             let counts = test::run(&root, &args.cargo_test)?;
             println!("{counts}");
             Ok(exit_code(counts.is_success()))
@@ -218,14 +244,8 @@ fn run(task: Task) -> Result<ExitCode> {
             };
             Ok(exit_code(mutants::run(&root, &sample)?))
         }
-        Task::BenchPeers(args) => {
-            let run = peers::run(&root, "bench-peers", args.no_install, &args.measure);
-            Ok(exit_code(run?))
-        }
-        Task::BenchDoors(args) => {
-            let run = peers::run(&root, "bench-doors", args.no_install, &args.measure);
-            Ok(exit_code(run?))
-        }
+        Task::BenchPeers(args) => bench(&root, "bench-peers", &args),
+        Task::BenchDoors(args) => bench(&root, "bench-doors", &args),
         Task::Experiments(args) => Ok(exit_code(experiments::run(&root, &args.experiment)?)),
         Task::Instructions { install, write } => {
             needs::ensure(
@@ -242,6 +262,10 @@ fn run(task: Task) -> Result<ExitCode> {
         }
         Task::Dist(args) => {
             needs::ensure(needs::FOR_DIST, args.install.install, "cargo xtask dist")?;
+            if args.programs.is_none() {
+                // The programs that are packed have it.
+                build_console(&root, args.install, "cargo xtask dist")?;
+            }
             let (programs, out) = (args.programs.as_deref(), args.out.as_deref());
             dist::run(&root, programs, out, args.fast)?;
             Ok(ExitCode::SUCCESS)
@@ -249,13 +273,19 @@ fn run(task: Task) -> Result<ExitCode> {
         Task::Advisories => Ok(exit_code(advisories::run(&root)?)),
         Task::Tidy => Ok(exit_code(tidy::run(&root)?)),
         Task::Ci(args) => {
-            needs::ensure(needs::FOR_CI, args.install, "cargo xtask ci")?;
-            needs::ensure(needs::FOR_TESTS, args.install, "cargo xtask ci")?;
-            needs::ensure(needs::FOR_CLIENTS, args.install, "cargo xtask ci")?;
-            needs::ensure(needs::FOR_INSTRUCTIONS, args.install, "cargo xtask ci")?;
+            needs::ensure_all(needs::FOR_ALL_OF_CI, args.install, "cargo xtask ci")?;
             Ok(exit_code(ci::run(&root)?))
         }
     }
+}
+
+fn bench(root: &Path, program: &str, args: &PeersArgs) -> Result<ExitCode> {
+    peers::run(root, program, args.no_install, &args.measure).map(exit_code)
+}
+
+fn build_console(root: &Path, install: InstallArgs, task: &str) -> Result<()> {
+    needs::ensure(needs::FOR_CONSOLE, install.install, task)?;
+    console::build(root)
 }
 
 fn exit_code(success: bool) -> ExitCode {
@@ -313,6 +343,24 @@ mod tests {
         };
         assert!(args.install.install);
         assert_eq!(args.cargo_test, ["-p", "mom-hub", "--", "--nocapture"]);
+    }
+
+    #[test]
+    fn what_follows_two_dashes_goes_to_the_lab() {
+        let cli = Cli::try_parse_from([
+            "x",
+            "lab",
+            "--install",
+            "--",
+            "--two-arms",
+            "--listen",
+            "127.0.0.1:0",
+        ]);
+        let Task::Lab(args) = cli.unwrap().task else {
+            panic!("not the lab")
+        };
+        assert!(args.install.install);
+        assert_eq!(args.lab, ["--two-arms", "--listen", "127.0.0.1:0"]);
     }
 
     #[test]

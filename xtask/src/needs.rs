@@ -5,8 +5,8 @@ use std::process::{Command, Stdio};
 use anyhow::{Result, bail};
 
 use crate::clients::PYTHON;
-use crate::command::{shows, succeeds};
-use crate::javascript;
+use crate::command::{program, shows, succeeds};
+use crate::{console, javascript, node};
 
 /// The folder of `PYTHON`.
 const PYTHON_FOLDER: &str = "target/python";
@@ -37,6 +37,8 @@ enum Source {
     PyPi(&'static [&'static str]),
     /// The packages of npm that the lock file in this folder names.
     Npm(&'static str),
+    /// A Node of our own below `target`, as packages of npm.
+    Node(&'static [&'static str]),
     /// Nothing that should be installed behind one's back; the text says how to get it.
     ByHand(&'static str),
 }
@@ -61,6 +63,41 @@ const PYTHON_PACKAGES: &[&str] = &[
     "hatchling",
 ];
 
+const NODEJS: Need = Need {
+    what: "nodejs",
+    detect: ("node", &["--version"]),
+    source: Source::Debian("nodejs"),
+    why: "runs what builds and tests the console and the client in JavaScript",
+};
+
+const NPM: Need = Need {
+    what: "npm",
+    detect: ("npm", &["--version"]),
+    source: Source::Debian("npm"),
+    why: "gets the packages of the console and of the client in JavaScript",
+};
+
+/// Debian 12 has an older one.
+const NODE: Need = Need {
+    what: "Node 20.19, 22.12 or newer",
+    detect: ("node", &["-e", node::IS_RECENT]),
+    source: Source::Node(node::PACKAGES),
+    why: "what builds the console does not run in an older one",
+};
+
+/// What building the console needs; in this order, as one brings the next.
+pub(crate) const FOR_CONSOLE: &[Need] = &[
+    NODEJS,
+    NPM,
+    NODE,
+    Need {
+        what: "packages for console",
+        detect: ("npm", &["ls", "--prefix", console::FOLDER]),
+        source: Source::Npm(console::FOLDER),
+        why: "the console is built and tested with them",
+    },
+];
+
 /// What the tests of the clients in other languages need; in this order, as one brings the next.
 pub(crate) const FOR_CLIENTS: &[Need] = &[
     Need {
@@ -81,18 +118,9 @@ pub(crate) const FOR_CLIENTS: &[Need] = &[
         source: Source::PyPi(PYTHON_PACKAGES),
         why: "the client in Python and its tests",
     },
-    Need {
-        what: "Node 20 or newer, with npm",
-        detect: (
-            "sh",
-            &[
-                "-c",
-                "npm --version && node -e 'process.exit(+(parseInt(process.versions.node) < 20))'",
-            ],
-        ),
-        source: Source::ByHand("install it from https://nodejs.org or by your system's packages"),
-        why: "the client in JavaScript is built and tested by it",
-    },
+    NODEJS,
+    NPM,
+    NODE,
     Need {
         what: "packages for clients/js",
         detect: ("npm", &["ls", "--prefix", javascript::FOLDER]),
@@ -158,9 +186,15 @@ pub(crate) const FOR_TESTS: &[Need] = &[
         what: "chromium",
         detect: ("chromium", &["--version"]),
         source: Source::Debian("chromium"),
-        why: "a page of the tests' own is a peer in a browser",
+        why: "a page of the tests' own is a peer in a browser, and the console's tests open it there",
     },
 ];
+
+/// What `cargo xtask test` needs, in all.
+pub(crate) const FOR_ALL_TESTS: &[&[Need]] = &[FOR_TESTS, FOR_CLIENTS, FOR_CONSOLE];
+
+/// What `cargo xtask ci` needs, in all.
+pub(crate) const FOR_ALL_OF_CI: &[&[Need]] = &[FOR_CI, FOR_TESTS, FOR_CLIENTS, FOR_CONSOLE, FOR_INSTRUCTIONS];
 
 const fn debian(program: &'static str, args: &'static [&'static str], package: &'static str) -> Need {
     Need {
@@ -244,6 +278,22 @@ pub(crate) const FOR_CI: &[Need] = &[
     },
 ];
 
+/// As [`ensure`], of several tables at once.
+pub(crate) fn ensure_all(tables: &[&[Need]], install: bool, task: &str) -> Result<()> {
+    ensure(&union(tables), install, task)
+}
+
+/// Each need once, where it stands first.
+fn union(tables: &[&[Need]]) -> Vec<Need> {
+    let mut all: Vec<Need> = Vec::new();
+    for need in tables.iter().copied().flatten() {
+        if all.iter().all(|known| known.what != need.what) {
+            all.push(*need);
+        }
+    }
+    all
+}
+
 /// Looks for every need. What is missing is installed if `install` says so; else the error holds the commands to type.
 pub(crate) fn ensure(needs: &[Need], install: bool, task: &str) -> Result<()> {
     let missing = |needs: &[Need]| {
@@ -263,21 +313,17 @@ pub(crate) fn ensure(needs: &[Need], install: bool, task: &str) -> Result<()> {
     for need in &absent {
         println!("missing: {} ({})", need.what, need.why);
     }
-    for words in commands(&absent, &prefix()) {
-        println!("install: {}", words.join(" "));
-        let mut command = Command::new(&words[0]);
-        // A package must not stop to ask: CI has no one to answer.
-        command
-            .args(&words[1..])
-            .stdin(Stdio::null())
-            .env("DEBIAN_FRONTEND", "noninteractive")
-            // A service that is installed is not started where this is a run level of one user.
-            .env("RUNLEVEL", "1");
-        if !shows(&mut command)? {
-            bail!(
-                "`{}` failed; run it by hand to see why, then run `{task}` again",
-                words.join(" ")
-            );
+    let mut done: Vec<Vec<String>> = Vec::new();
+    for need in &absent {
+        // What was installed for another may have brought it.
+        if is_there(need) {
+            continue;
+        }
+        for words in commands(&[*need], &prefix()) {
+            if !done.contains(&words) {
+                install_by(&words, task)?;
+                done.push(words);
+            }
         }
     }
     if let Some(need) = missing(&absent).first() {
@@ -295,6 +341,26 @@ pub(crate) fn ensure(needs: &[Need], install: bool, task: &str) -> Result<()> {
         "installed: {}",
         absent.iter().map(|need| need.what).collect::<Vec<_>>().join(", ")
     );
+    Ok(())
+}
+
+/// Runs a command that installs something.
+fn install_by(words: &[String], task: &str) -> Result<()> {
+    println!("install: {}", words.join(" "));
+    let mut command = program(&words[0]);
+    // A package must not stop to ask: CI has no one to answer.
+    command
+        .args(&words[1..])
+        .stdin(Stdio::null())
+        .env("DEBIAN_FRONTEND", "noninteractive")
+        // A service that is installed is not started where this is a run level of one user.
+        .env("RUNLEVEL", "1");
+    if !shows(&mut command)? {
+        bail!(
+            "`{}` failed; run it by hand to see why, then run `{task}` again",
+            words.join(" ")
+        );
+    }
     Ok(())
 }
 
@@ -340,6 +406,12 @@ fn commands(needs: &[Need], prefix: &[String]) -> Vec<Vec<String>> {
                 let install = words(&[], &[PYTHON, "-m", "pip", "install", "--quiet"]);
                 all.push(words(&install, packages));
             }
+            Source::Node(packages) => {
+                // Nothing of it has to run to be installed.
+                let quiet = ["--ignore-scripts", "--no-audit", "--no-fund"];
+                let install = words(&[], &["npm", "install", "--prefix", node::FOLDER]);
+                all.push(words(&words(&install, &quiet), packages));
+            }
             Source::Npm(folder) => all.push(words(&[], &["npm", "ci", "--prefix", folder])),
             Source::Rustup(component) => all.push(words(&[], &["rustup", "component", "add", component])),
             Source::ByHand(_) => {}
@@ -374,6 +446,24 @@ fn advice(missing: &[Need], prefix: &[String], task: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn each_need_is_named_once_in_the_order_of_the_tables() {
+        let whats = union(FOR_ALL_TESTS)
+            .iter()
+            .map(|need| need.what)
+            .collect::<Vec<_>>();
+        for what in [
+            NODEJS.what,
+            NPM.what,
+            "packages for console",
+            "packages for clients/js",
+        ] {
+            assert_eq!(whats.iter().filter(|one| **one == what).count(), 1, "{what}");
+        }
+        let place = |what| whats.iter().position(|one| *one == what);
+        assert!(place(NPM.what) < place("packages for console"), "{whats:?}");
+    }
 
     const fn absent(what: &'static str, source: Source) -> Need {
         Need {
@@ -418,6 +508,8 @@ mod tests {
             absent("b", Source::Debian("pkg-b")),
             absent("d", Source::Crate("cargo-d")),
             absent("e", Source::PyPi(&["e", "f"])),
+            absent("g", Source::Node(&["node-g@22"])),
+            absent("h", Source::Npm("console")),
         ];
         let typed: Vec<_> = commands(&needs, &["sudo".to_owned()])
             .iter()
@@ -433,6 +525,8 @@ mod tests {
                 "cargo install --locked cargo-d",
                 "python3 -m venv target/python",
                 "target/python/bin/python -m pip install --quiet e f",
+                "npm install --prefix target/node --ignore-scripts --no-audit --no-fund node-g@22",
+                "npm ci --prefix console",
             ]
         );
     }

@@ -1,17 +1,20 @@
-//! `cargo xtask test`: every test and doctest of the workspace and of the clients in other languages, added up into one line.
+//! `cargo xtask test`: every test and doctest of the workspace, of the clients in other languages and of the console, added up into one line.
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 use std::process::{Child, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result};
 
-use crate::clients;
-use crate::command::{cargo, line};
-use crate::javascript;
+use crate::command::{cargo, line, shows, succeeds};
+use crate::{clients, console, javascript};
+
+/// Tests of which none ends for so long have come to a standstill; the longest takes two minutes on two cores.
+const STALL: Duration = Duration::from_secs(900);
 
 /// How many tests passed and failed; shown as `N passed, N failed`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -81,6 +84,15 @@ impl fmt::Display for Counts {
 pub(crate) fn run(root: &Path, args: &[String]) -> Result<Counts> {
     // Dialogues run through it.
     javascript::build(root)?;
+    // The programs that are tested have it.
+    console::build(root)?;
+    // Before, because nothing is printed for long while it builds.
+    let mut build = cargo(root);
+    build.args(building(args));
+    println!("$ {}", line(&build));
+    if !shows(&mut build)? {
+        return Ok(Counts::default().concluded(false));
+    }
     let mut command = cargo(root);
     command.args(arguments(args)).stdout(Stdio::piped());
     println!("$ {}", line(&command));
@@ -88,7 +100,7 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<Counts> {
     let stdout = child.stdout.take().context("cargo's output cannot be read")?;
     let (sender, lines) = channel();
     std::thread::spawn(move || read_lines(stdout, &sender));
-    let (counts, status) = follow(&mut child, &lines)?;
+    let (counts, status) = follow(&mut child, &lines, STALL)?;
     if !status.success() && counts.failed == 0 {
         eprintln!("cargo test failed without a failed test ({status}): see the messages above");
     }
@@ -97,10 +109,21 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<Counts> {
         eprintln!("no test ran: the filter fits none; `cargo xtask test` runs all");
     }
     // Whoever asks for a part of the tests asks cargo for it.
-    match args.is_empty() {
-        true => Ok(counts.and(clients::test(root)?)),
-        false => Ok(counts),
+    if !args.is_empty() {
+        return Ok(counts);
     }
+    let programs = clients::programs(root)?;
+    let clients = clients::test(root, &programs)?;
+    let console = console::test(root, &programs.join("mom"))?;
+    Ok(counts.and(clients).and(console))
+}
+
+/// The same without running anything.
+fn building(extra: &[String]) -> Vec<String> {
+    let own = extra.iter().take_while(|arg| *arg != "--");
+    let mut args = arguments(&own.cloned().collect::<Vec<_>>());
+    args.push("--no-run".to_owned());
+    args
 }
 
 /// The whole workspace, unless the caller names packages; every program runs even when one has failed.
@@ -132,23 +155,30 @@ fn read_lines(stdout: impl Read, sender: &Sender<String>) {
     }
 }
 
-/// Shows and counts the lines until cargo has ended and said all.
+/// Shows and counts the lines until cargo has ended and said all. Tests that have come to a standstill are ended, and fail.
 ///
 /// The end of the output alone is not waited for: a program that a test has left behind holds the pipe open, and
 /// this would wait as long as that lives.
-fn follow(child: &mut Child, lines: &Receiver<String>) -> Result<(Counts, ExitStatus)> {
+fn follow(child: &mut Child, lines: &Receiver<String>, stall: Duration) -> Result<(Counts, ExitStatus)> {
     let mut counts = Counts::default();
-    let mut ended = None;
+    let mut slow = Slow::default();
+    let (mut ended, mut heard) = (None, Instant::now());
     loop {
         match lines.recv_timeout(Duration::from_millis(500)) {
             Ok(text) => {
                 print!("{text}");
                 counts.add_line(&text);
+                slow.add_line(&text);
+                heard = Instant::now();
             }
             Err(RecvTimeoutError::Timeout) => {
                 if let Some(status) = ended {
                     eprintln!("note: a test left a program running that still holds the output");
                     return Ok((counts, status));
+                }
+                if heard.elapsed() > stall {
+                    eprintln!("no test has ended for {} s: {slow}", stall.as_secs());
+                    end_with_children(child.id());
                 }
                 ended = child.try_wait().context("cargo cannot be waited for")?;
             }
@@ -160,8 +190,46 @@ fn follow(child: &mut Child, lines: &Receiver<String>) -> Result<(Counts, ExitSt
     }
 }
 
+/// The tests of which the runner says that they take long, as long as they have not ended.
+#[derive(Default)]
+struct Slow(BTreeSet<String>);
+
+impl Slow {
+    fn add_line(&mut self, line: &str) {
+        let Some((name, state)) = line.strip_prefix("test ").and_then(|rest| rest.split_once(' ')) else {
+            return;
+        };
+        match state.starts_with("has been running") {
+            true => self.0.insert(name.to_owned()),
+            false => self.0.remove(name),
+        };
+    }
+}
+
+impl fmt::Display for Slow {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let names: Vec<&str> = self.0.iter().map(String::as_str).collect();
+        match names.is_empty() {
+            true => f.write_str("see which one began last"),
+            false => write!(f, "{} did not", names.join(", ")),
+        }
+    }
+}
+
+/// Ends a program and all that it has started, as far as the system tells whom.
+fn end_with_children(pid: u32) {
+    let known = std::fs::read_to_string(format!("/proc/{pid}/task/{pid}/children")).unwrap_or_default();
+    // It first, so that it starts no other.
+    succeeds("kill", &["-KILL", &pid.to_string()]);
+    for child in known.split_whitespace().filter_map(|word| word.parse().ok()) {
+        end_with_children(child);
+    }
+}
+
 #[cfg(test)]
 mod tests {
+    use std::process::Command;
+
     use super::*;
 
     fn check(lines: &[&str], expected: &str, success: bool) {
@@ -211,6 +279,42 @@ mod tests {
             "0 passed, 0 failed",
             false,
         );
+    }
+
+    #[test]
+    fn tests_at_a_standstill_are_named_and_ended() {
+        let mut child = Command::new("sh")
+            .args([
+                "-c",
+                "echo 'test a has been running for over 60 seconds'; sleep 600 & wait",
+            ])
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let stdout = child.stdout.take().unwrap();
+        let (sender, lines) = channel();
+        std::thread::spawn(move || read_lines(stdout, &sender));
+        let (counts, status) = follow(&mut child, &lines, Duration::from_secs(1)).unwrap();
+        assert!(!status.success());
+        assert_eq!(
+            counts.concluded(status.success()).to_string(),
+            "0 passed, 1 failed"
+        );
+        // The grandchild held the pipe: its end is the end of the lines.
+        assert_eq!(
+            lines.recv_timeout(Duration::from_secs(60)),
+            Err(RecvTimeoutError::Disconnected)
+        );
+
+        let mut slow = Slow::default();
+        for line in [
+            "test a has been running for over 60 seconds",
+            "test b has been running for over 60 seconds",
+            "test a ... ok",
+        ] {
+            slow.add_line(line);
+        }
+        assert_eq!(slow.to_string(), "b did not");
     }
 
     #[test]

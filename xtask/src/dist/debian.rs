@@ -89,6 +89,12 @@ fn lay_out(parts: &Path, tree: &Path, package: &Path) -> Result<()> {
             "lib/systemd/system/mom-broker.service",
             0o644,
         ),
+        // For robots; nobody starts it unasked.
+        (
+            "mom-linuxbot.service",
+            "lib/systemd/system/mom-linuxbot.service",
+            0o644,
+        ),
         ("debian/copyright", "usr/share/doc/mom/copyright", 0o644),
     ] {
         copy(&parts.join(from), &to(into), mode)?;

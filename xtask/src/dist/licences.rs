@@ -8,6 +8,7 @@ use anyhow::{Context as _, Result};
 use serde_json::Value;
 
 use crate::command::{cargo, output};
+use crate::console;
 
 /// Every library that is linked into the packages' programs: name, version, licence, and the texts that come with it.
 pub(super) fn of(root: &Path, packages: &[&str]) -> Result<String> {
@@ -33,11 +34,35 @@ pub(super) fn of(root: &Path, packages: &[&str]) -> Result<String> {
             told.insert(heading, texts(Path::new(word("manifest_path")))?);
         }
     }
+    told.extend(bundled(&root.join(console::FOLDER))?);
     let mut all = String::from("The programs contain these libraries.\n");
     for (heading, texts) in told {
         all.push_str(&format!("\n==== {heading}\n{texts}"));
     }
     Ok(all)
+}
+
+/// What is in the console's page, which is in the programs.
+fn bundled(folder: &Path) -> Result<BTreeMap<String, String>> {
+    let read = |path: &Path| -> Result<Value> {
+        let text = fs::read(path).with_context(|| format!("{} cannot be read", path.display()))?;
+        Ok(serde_json::from_slice(&text)?)
+    };
+    let manifest = read(&folder.join("package.json"))?;
+    let mut told = BTreeMap::new();
+    for name in manifest["dependencies"]
+        .as_object()
+        .into_iter()
+        .flatten()
+        .map(|(name, _)| name)
+    {
+        let package = folder.join("node_modules").join(name).join("package.json");
+        let known = read(&package)?;
+        let word = |key: &str| known[key].as_str().unwrap_or_default();
+        let heading = format!("{name} {}: {}", word("version"), word("license"));
+        told.insert(heading, texts(&package)?);
+    }
+    Ok(told)
 }
 
 /// From a line such as `clap v4.6.7` or `mom v0.1.0 (here) (*)`.
@@ -69,6 +94,28 @@ fn texts(manifest: &Path) -> Result<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_in_the_page_is_told_too() {
+        let folder = tempfile::tempdir().unwrap();
+        let package = folder.path().join("node_modules/plots");
+        fs::create_dir_all(&package).unwrap();
+        let write = |path: &Path, name: &str, text: &str| fs::write(path.join(name), text).unwrap();
+        let manifest = r#"{"dependencies": {"plots": "1"}, "devDependencies": {"tester": "2"}}"#;
+        write(folder.path(), "package.json", manifest);
+        write(
+            &package,
+            "package.json",
+            r#"{"version": "1.2.3", "license": "MIT"}"#,
+        );
+        write(&package, "LICENSE", "as you like");
+        let told = bundled(folder.path()).unwrap();
+        let all: Vec<_> = told
+            .iter()
+            .map(|(heading, text)| (heading.as_str(), text.contains("as you like")))
+            .collect();
+        assert_eq!(all, [("plots 1.2.3: MIT", true)]);
+    }
 
     #[test]
     fn libraries_are_told_with_their_texts_and_ours_are_not() {

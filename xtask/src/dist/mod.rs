@@ -14,7 +14,19 @@ use crate::command::{cargo, line, output, shows};
 use files::{copy, kept, open, put};
 
 /// The programs that are packed. Each has a package of its name.
-const PROGRAMS: [&str; 4] = ["mom-broker", "mom-arm", "mom-camera", "mom"];
+const PROGRAMS: [&str; 11] = [
+    "mom-broker",
+    "mom-arm",
+    "mom-camera",
+    "mom-model",
+    "mom-servo",
+    "mom-mcp",
+    "mom-linuxbot",
+    "mom-base-station",
+    "mom-gateway",
+    "mom-rover",
+    "mom",
+];
 
 /// What is packed, and whose it is.
 struct Release {
@@ -121,15 +133,23 @@ fn lay_out(root: &Path, programs: &Path, tree: &Path) -> Result<()> {
     for name in ["LICENSE-APACHE", "LICENSE-MIT", "CHANGELOG.md", "README.md"] {
         copy(&root.join(name), &tree.join(name), 0o644)?;
     }
-    for name in ["mom.toml", "lab.toml", "lab-users.toml"] {
+    for name in [
+        "mom.toml",
+        "lab.toml",
+        "two-arms.toml",
+        "fleet.toml",
+        "convoy.toml",
+        "lab-users.toml",
+    ] {
         copy(
             &root.join("config").join(name),
             &tree.join("config").join(name),
             0o644,
         )?;
     }
-    let unit = "mom-broker.service";
-    copy(&root.join("packages").join(unit), &tree.join(unit), 0o644)?;
+    for unit in ["mom-broker.service", "mom-linuxbot.service"] {
+        copy(&root.join("packages").join(unit), &tree.join(unit), 0o644)?;
+    }
     put(&tree.join("licences"), &licences::of(root, &PROGRAMS)?, 0o644)?;
     open(tree)
 }

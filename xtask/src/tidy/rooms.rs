@@ -33,7 +33,15 @@ const ROOMS: &[(&str, &[&str])] = &[
     ),
     (
         "mom-broker",
-        &["program", "reload", "broker", "web", "connection", "traffic"],
+        &[
+            "program",
+            "reload",
+            "broker",
+            "inquiry",
+            "web",
+            "connection",
+            "traffic",
+        ],
     ),
 ];
 

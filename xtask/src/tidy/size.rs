@@ -6,7 +6,7 @@ use super::Report;
 use super::tree::Tree;
 
 const LIMIT: usize = 600;
-const EXTENSIONS: &[&str] = &["rs", "ts", "py", "sh"];
+const EXTENSIONS: &[&str] = &["rs", "ts", "svelte", "css", "py", "sh"];
 
 pub(crate) fn check(tree: &Tree, report: &mut Report<'_>) -> Result<()> {
     for (path, text) in tree.with_extension(EXTENSIONS) {
@@ -35,11 +35,13 @@ mod tests {
             ("b.rs", &over),
             ("c.py", &over),
             ("d.json", &over),
+            ("e.svelte", &over),
+            ("f.css", &over),
         ];
         let message = "601 lines, 600 are the most: split it by its reasons to change";
         assert_eq!(
             found(check, &files),
-            [format!("b.rs:601: {message}"), format!("c.py:601: {message}")]
+            ["b.rs", "c.py", "e.svelte", "f.css"].map(|file| format!("{file}:601: {message}"))
         );
     }
 }
