@@ -113,6 +113,8 @@ const ARROWS: &[(&str, May)] = &[
         ]),
     ),
     ("mom-brs", May::Use(&[])),
+    ("mom-rsp", May::Use(&[])),
+    ("mom-rsp-model", May::Use(&["mom-rsp"])),
     (
         "mom-gateway",
         May::Use(&[

@@ -1,0 +1,1 @@
+//! Models of robots (S4 to S6), and what is made of them.
