@@ -1,20 +1,12 @@
 //! The camera of the lab as a program of its own.
 
-use std::future::Future;
-use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::pin::pin;
-use std::time::Duration;
 
-use anyhow::{Context, anyhow};
+use anyhow::Context;
 use clap::Parser;
 use mom_camera::{CameraOptions, CameraSettings, Rendition, SettingsChange, Source, SourceUrl, View, peer};
-use mom_client::{Client, Identity, Key, Proof};
-use tokio::signal::unix::{SignalKind, signal};
-use tracing_subscriber::EnvFilter;
-
-/// For how long the hub keeps its place when the connection is lost.
-const GRACE: Duration = Duration::from_secs(30);
+use mom_program::{HubArgs, begin, shutdown};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -31,26 +23,10 @@ anywhere, a password over TLS (bins://, tcps://) or loopback. Where there is no 
 
 /// The camera of the demonstration lab: shows the robot's workspace after each of its states and on request.
 #[derive(Debug, Parser)]
-#[command(name = "mom-camera", version, after_help = EXAMPLES)]
+#[command(name = "mom-camera", version, after_help = EXAMPLES, mut_arg("user", |user| user.default_value("camera")))]
 struct CameraArgs {
-    /// The hub, as bin://host:port (binary) or tcp://host:port (XML), bins:// or tcps:// with TLS, which may end in ?pin=FINGERPRINT
-    #[arg(long, env = "MOM_HUB", default_value = "bin://127.0.0.1:7666")]
-    hub: String,
-    /// If the hub cannot be reached, report why to it by plain HTTP, which may get through; for mom logs
-    #[arg(long, env = "MOM_REPORT", value_parser = clap::builder::FalseyValueParser::new())]
-    report: bool,
-    /// The user to log in as
-    #[arg(long, default_value = "camera")]
-    user: String,
-    /// A file whose first line is the password
-    #[arg(long, value_name = "FILE", conflicts_with = "key")]
-    password_file: Option<PathBuf>,
-    /// A file with the private key of the user, as mom keygen makes it; it needs no password
-    #[arg(long, value_name = "FILE")]
-    key: Option<PathBuf>,
-    /// A certificate of the user (PEM), whose private key --key names, for a hub over TLS
-    #[arg(long, value_name = "FILE", requires = "key")]
-    certificate: Option<PathBuf>,
+    #[command(flatten)]
+    hub: HubArgs,
     /// Where the camera stands: x, y, top, wrist or pan (which turns and tilts by commands)
     #[arg(long, default_value = "x")]
     view: View,
@@ -95,32 +71,16 @@ struct CameraArgs {
 
 #[tokio::main]
 async fn main() -> anyhow::Result<()> {
-    if let Some(written) = mom_pages::asked::<CameraArgs>() {
-        return Ok(written?);
-    }
-    let args = CameraArgs::parse();
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal())
-        .init();
+    let Some(args) = begin::<CameraArgs>("info")? else {
+        return Ok(());
+    };
     let mut shutdown = pin!(shutdown()?);
     let options = options(&args)?;
-    let mut builder = Client::builder(&args.hub)
-        .user(&args.user)
-        .nickname(args.view.peer(&args.user))
-        .proof(proof(&args)?)
-        .link(GRACE)
-        .wait_for_hub();
-    if args.report {
-        builder = builder.report_failures("mom-camera", env!("CARGO_PKG_VERSION"));
-    }
-    let connected = tokio::select! {
-        connected = builder.connect() => connected,
-        () = &mut shutdown => return Ok(()),
+    let login = args.hub.login("mom-camera", env!("CARGO_PKG_VERSION"))?;
+    let login = login.nickname(args.view.peer(args.hub.user()));
+    let Some(client) = args.hub.connect(login, &mut shutdown).await? else {
+        return Ok(());
     };
-    let client = connected.with_context(|| format!("{} cannot log in at {}", args.user, args.hub))?;
     peer::run(client, options, shutdown)
         .await
         .context("the camera ended")
@@ -154,38 +114,4 @@ fn source(url: &str, settings: &SettingsChange) -> anyhow::Result<Source> {
     let url: SourceUrl = url.parse().context("--url")?;
     let rendition = Rendition::default().with(settings)?;
     Ok(Source { url, rendition })
-}
-
-/// Authenticates by key if there is one.
-fn proof(args: &CameraArgs) -> anyhow::Result<Proof> {
-    match (&args.key, &args.certificate) {
-        (Some(key), Some(certificate)) => Ok(Proof::Certificate(Identity {
-            certificate: certificate.clone(),
-            key: key.clone(),
-        })),
-        (Some(file), None) => Ok(Proof::Key(Key::from_file(file).context("--key")?)),
-        (None, _) => password(args).map(Proof::Password),
-    }
-}
-
-fn password(args: &CameraArgs) -> anyhow::Result<String> {
-    let Some(file) = &args.password_file else {
-        return std::env::var("MOM_PASSWORD")
-            .map_err(|_| anyhow!("set MOM_PASSWORD, or name a file with --password-file or --key"));
-    };
-    let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
-    Ok(text.lines().next().unwrap_or_default().to_owned())
-}
-
-/// Done at Ctrl-C or SIGTERM.
-fn shutdown() -> anyhow::Result<impl Future<Output = ()>> {
-    let mut interrupt = signal(SignalKind::interrupt()).context("cannot listen for Ctrl-C")?;
-    let mut terminate = signal(SignalKind::terminate()).context("cannot listen for SIGTERM")?;
-    Ok(async move {
-        tokio::select! {
-            _ = interrupt.recv() => {}
-            _ = terminate.recv() => {}
-        }
-        tracing::info!("ending");
-    })
 }

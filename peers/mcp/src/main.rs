@@ -11,22 +11,18 @@ mod sight;
 mod stdio;
 mod tools;
 
-use std::future::Future;
-use std::io::IsTerminal;
-use std::path::PathBuf;
 use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 use clap::Parser;
-use mom_client::{Client, Identity, Key, LinkState, Proof};
+use mom_client::{Builder, LinkState};
+use mom_program::{HubArgs, begin, shutdown};
 use rmcp::ServiceExt;
 use rmcp::service::ServerInitializeError;
-use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::watch;
 use tokio::time::timeout;
-use tracing_subscriber::EnvFilter;
 
 use crate::assistant::{Assistant, Places};
 use crate::server::{CallOrder, Tools};
@@ -55,23 +51,10 @@ it. It ends with its standard input, at Ctrl-C and at SIGTERM, and gives the tok
 
 /// Tools for language models (MCP): look at a robot, ask a person for it, drive it under that grant, stop it.
 #[derive(Debug, Parser)]
-#[command(name = "mom-mcp", version, after_help = EXAMPLES)]
+#[command(name = "mom-mcp", version, after_help = EXAMPLES, mut_arg("user", |user| user.default_value("assistant")))]
 struct McpArgs {
-    /// The hub, as bin://host:port (binary) or tcp://host:port (XML), bins:// or tcps:// with TLS, which may end in ?pin=FINGERPRINT
-    #[arg(long, env = "MOM_HUB", default_value = "bin://127.0.0.1:7666")]
-    hub: String,
-    /// The user to log in as; its own one, so that rules and the audit know it from people
-    #[arg(long, default_value = "assistant")]
-    user: String,
-    /// A file whose first line is the password
-    #[arg(long, value_name = "FILE", conflicts_with = "key")]
-    password_file: Option<PathBuf>,
-    /// A file with the private key of the user, as mom keygen makes it; it needs no password
-    #[arg(long, value_name = "FILE")]
-    key: Option<PathBuf>,
-    /// A certificate of the user (PEM), whose private key --key names, for a hub over TLS
-    #[arg(long, value_name = "FILE", requires = "key")]
-    certificate: Option<PathBuf>,
+    #[command(flatten)]
+    hub: HubArgs,
     /// The channel of the robot
     #[arg(long, value_name = "PATH", default_value = "/robot/arm")]
     robot: String,
@@ -89,25 +72,23 @@ struct McpArgs {
 // One thread: calls of one client begin in the order in which they came.
 #[tokio::main(flavor = "current_thread")]
 async fn main() -> anyhow::Result<()> {
-    if let Some(written) = mom_pages::asked::<McpArgs>() {
-        return Ok(written?);
-    }
-    let args = McpArgs::parse();
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info,rmcp=error"));
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal())
-        .init();
+    let Some(args) = begin::<McpArgs>("info,rmcp=error")? else {
+        return Ok(());
+    };
     let mut shutdown = pin!(shutdown()?);
-    let proof = proof(&args)?;
+    let login = args.hub.login("mom-mcp", env!("CARGO_PKG_VERSION"))?;
     let (stdio, gone, written) = stdio::open();
     let (ready, assistant) = watch::channel(None);
     let turn = CallOrder::default();
-    let tools = Tools::new(assistant.clone(), gone.subscribe(), &args.hub, Arc::clone(&turn));
+    let tools = Tools::new(
+        assistant.clone(),
+        gone.subscribe(),
+        &args.hub.hub,
+        Arc::clone(&turn),
+    );
     let ended = tokio::select! {
         ended = serve(tools, stdio) => ended,
-        failed = stay(&args, proof, &ready) => failed,
+        failed = stay(&args, login, &ready) => failed,
         () = &mut shutdown => Ok(()),
     };
     gone.send_replace(true);
@@ -139,16 +120,12 @@ async fn serve(tools: Tools, stdio: Stdio) -> anyhow::Result<()> {
 /// Logs in, which may take until there is a hub, and stays until the hub wants this peer no more.
 async fn stay(
     args: &McpArgs,
-    proof: Proof,
+    login: Builder,
     ready: &watch::Sender<Option<Arc<Assistant>>>,
 ) -> anyhow::Result<()> {
-    let connected = Client::builder(&args.hub)
-        .user(&args.user)
-        .proof(proof)
-        .wait_for_hub()
-        .connect()
-        .await;
-    let client = connected.with_context(|| format!("{} cannot log in at {}", args.user, args.hub))?;
+    let connected = login.connect().await;
+    let client =
+        connected.with_context(|| format!("{} cannot log in at {}", args.hub.user(), args.hub.hub))?;
     let mut state = client.state();
     let places = Places {
         robot: args.robot.clone(),
@@ -157,7 +134,7 @@ async fn stay(
         objects: args.objects.clone(),
     };
     let assistant = Assistant::begin(client, places).await?;
-    tracing::info!("{} is at {}", assistant.client.name(), args.hub);
+    tracing::info!("{} is at {}", assistant.client.name(), args.hub.hub);
     ready.send_replace(Some(assistant));
     let closed = state
         .wait_for(|state| matches!(state, LinkState::Closed(_)))
@@ -166,38 +143,4 @@ async fn stay(
         Ok(LinkState::Closed(Some(why))) => Err(anyhow!("the hub has closed the connection: {}", why.text)),
         _ => Err(anyhow!("the connection to the hub is closed")),
     }
-}
-
-/// Authenticates by key if there is one.
-fn proof(args: &McpArgs) -> anyhow::Result<Proof> {
-    match (&args.key, &args.certificate) {
-        (Some(key), Some(certificate)) => Ok(Proof::Certificate(Identity {
-            certificate: certificate.clone(),
-            key: key.clone(),
-        })),
-        (Some(file), None) => Ok(Proof::Key(Key::from_file(file).context("--key")?)),
-        (None, _) => password(args).map(Proof::Password),
-    }
-}
-
-fn password(args: &McpArgs) -> anyhow::Result<String> {
-    let Some(file) = &args.password_file else {
-        return std::env::var("MOM_PASSWORD")
-            .map_err(|_| anyhow!("set MOM_PASSWORD, or name a file with --password-file or --key"));
-    };
-    let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
-    Ok(text.lines().next().unwrap_or_default().to_owned())
-}
-
-/// Done at Ctrl-C or SIGTERM.
-fn shutdown() -> anyhow::Result<impl Future<Output = ()>> {
-    let mut interrupt = signal(SignalKind::interrupt()).context("cannot listen for Ctrl-C")?;
-    let mut terminate = signal(SignalKind::terminate()).context("cannot listen for SIGTERM")?;
-    Ok(async move {
-        tokio::select! {
-            _ = interrupt.recv() => {}
-            _ = terminate.recv() => {}
-        }
-        tracing::info!("ending");
-    })
 }

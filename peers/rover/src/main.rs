@@ -1,21 +1,14 @@
 //! A robot that is a peer itself, as a program of its own.
 
-use std::future::Future;
-use std::io::IsTerminal;
-use std::path::PathBuf;
 use std::pin::pin;
 use std::time::Duration;
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::{Context, bail};
 use clap::Parser;
-use mom_client::{Client, Key, Path, Proof};
+use mom_client::Path;
+use mom_program::{HubArgs, begin, shutdown};
 use mom_rover::{Rover, RoverOptions, run};
 use mom_wheels::{Chassis, Floor, Pose, Power, Simulated};
-use tokio::signal::unix::{SignalKind, signal};
-use tracing_subscriber::EnvFilter;
-
-/// For how long the hub keeps its place when the connection is lost.
-const GRACE: Duration = Duration::from_secs(30);
 
 const EXAMPLES: &str = "\
 Examples:
@@ -63,53 +56,33 @@ struct RoverArgs {
     /// The manager of its token, by its name in the hub's configuration; without it: that of the session
     #[arg(long, value_name = "NAME")]
     manager: Option<String>,
-    /// The hub, as bin://host:port (binary) or tcp://host:port (XML), bins:// or tcps:// with TLS, which may end in ?pin=FINGERPRINT
-    #[arg(long, env = "MOM_HUB", default_value = "bin://127.0.0.1:7666")]
-    hub: String,
-    /// The user to log in as instead of rover-NAME
-    #[arg(long)]
-    user: Option<String>,
-    /// A file whose first line is the password
-    #[arg(long, value_name = "FILE", conflicts_with = "key")]
-    password_file: Option<PathBuf>,
-    /// A file with the private key of the user, as mom keygen makes it; it needs no password
-    #[arg(long, value_name = "FILE")]
-    key: Option<PathBuf>,
+    #[command(flatten)]
+    hub: HubArgs,
 }
 
 #[tokio::main]
 async fn main() -> anyhow::Result<()> {
-    if let Some(written) = mom_pages::asked::<RoverArgs>() {
-        return Ok(written?);
-    }
-    let args = RoverArgs::parse();
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal())
-        .init();
+    let Some(mut args) = begin::<RoverArgs>("info")? else {
+        return Ok(());
+    };
     let mut shutdown = pin!(shutdown()?);
     let options = options(&args)?;
     let robot = Simulated::new(Chassis::LINUXBOT, Power::LINUXBOT, Floor::ARENA, start(&args.at)?)
         .context("--at is a place within the walls, 100 mm from each")?;
     let rover = Rover::new(Box::new(robot), Chassis::LINUXBOT, options.unit());
     let name = options.path.rsplit('/').next().unwrap_or_default();
-    let user = args.user.clone().unwrap_or_else(|| format!("rover-{name}"));
-    let connecting = Client::builder(&args.hub)
-        .user(&user)
-        .proof(proof(&args)?)
-        .link(GRACE)
-        .wait_for_hub();
-    let connected = tokio::select! {
-        connected = connecting.connect() => connected,
-        () = &mut shutdown => return Ok(()),
+    args.hub.or_user(&format!("rover-{name}"));
+    let login = args.hub.login("mom-rover", env!("CARGO_PKG_VERSION"))?;
+    let Some(client) = args.hub.connect(login, &mut shutdown).await? else {
+        return Ok(());
     };
-    let client = connected.with_context(|| format!("{user} cannot log in at {}", args.hub))?;
     let path = options.path.clone();
     let ended = run(client, rover, options, shutdown).await;
     ended.with_context(|| {
-        format!("the robot ended; `mom explain --help` says how to learn what {user} may do in {path} and its convoy")
+        format!(
+            "the robot ended; `mom explain --help` says how to learn what {} may do in {path} and its convoy",
+            args.hub.user()
+        )
     })
 }
 
@@ -139,34 +112,4 @@ fn start(at: &[f64]) -> anyhow::Result<Pose> {
         &[x, y, heading] if heading.is_finite() => Ok(Pose::new(x, y, heading)),
         _ => bail!("--at takes three numbers, such as 1000,1000,90: mm, mm and degrees"),
     }
-}
-
-/// Authenticates by key if there is one.
-fn proof(args: &RoverArgs) -> anyhow::Result<Proof> {
-    if let Some(file) = &args.key {
-        return Ok(Proof::Key(Key::from_file(file).context("--key")?));
-    }
-    let Some(file) = &args.password_file else {
-        let password = std::env::var("MOM_PASSWORD");
-        return password
-            .map(Proof::Password)
-            .map_err(|_| anyhow!("set MOM_PASSWORD, or name a file with --password-file or --key"));
-    };
-    let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
-    Ok(Proof::Password(
-        text.lines().next().unwrap_or_default().to_owned(),
-    ))
-}
-
-/// Done at Ctrl-C or SIGTERM.
-fn shutdown() -> anyhow::Result<impl Future<Output = ()>> {
-    let mut interrupt = signal(SignalKind::interrupt()).context("cannot listen for Ctrl-C")?;
-    let mut terminate = signal(SignalKind::terminate()).context("cannot listen for SIGTERM")?;
-    Ok(async move {
-        tokio::select! {
-            _ = interrupt.recv() => {}
-            _ = terminate.recv() => {}
-        }
-        tracing::info!("ending");
-    })
 }

@@ -20,9 +20,9 @@ const ROUND_TRIP: &str = "round-trip";
 const SETTLES: DeviceTime = 500_000;
 /// The most questions that wait for their answers.
 const MOST_ASKED: usize = 8;
-/// The most points of one statement; the robot keeps 64.
 /// One that moves and answers nothing for so long is given up, with what is under way to it: it would be carried out late.
 const UNANSWERED: DeviceTime = 1_000_000;
+/// The most points of one statement; the robot keeps 64.
 const MOST_POINTS: usize = 64;
 
 /// A robot behind its gateway.

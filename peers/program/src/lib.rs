@@ -1,0 +1,51 @@
+//! What the programs of peers do alike: the options by which they find their hub and log in, their log, and how they end.
+
+use std::future::Future;
+use std::io::IsTerminal;
+
+use anyhow::Context;
+use clap::Parser;
+use tokio::signal::unix::{SignalKind, signal};
+use tracing_subscriber::EnvFilter;
+
+mod hub;
+
+pub use hub::HubArgs;
+
+/// Reads the arguments of a program, and begins its log on the standard error: as much as `RUST_LOG` says, else as `log` says.
+/// None where its pages were asked for ([`mom_pages::ASK`]), which are written then.
+///
+/// # Errors
+///
+/// Pages that cannot be written. Arguments that are wrong end the program.
+pub fn begin<A: Parser>(log: &str) -> anyhow::Result<Option<A>> {
+    if let Some(written) = mom_pages::asked::<A>() {
+        written.context("cannot write the pages")?;
+        return Ok(None);
+    }
+    let args = A::parse();
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(log));
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .init();
+    Ok(Some(args))
+}
+
+/// Done at Ctrl-C or SIGTERM.
+///
+/// # Errors
+///
+/// The system does not let it listen for them.
+pub fn shutdown() -> anyhow::Result<impl Future<Output = ()>> {
+    let mut interrupt = signal(SignalKind::interrupt()).context("cannot listen for Ctrl-C")?;
+    let mut terminate = signal(SignalKind::terminate()).context("cannot listen for SIGTERM")?;
+    Ok(async move {
+        tokio::select! {
+            _ = interrupt.recv() => {}
+            _ = terminate.recv() => {}
+        }
+        tracing::info!("ending");
+    })
+}
