@@ -418,7 +418,9 @@ impl Machine for Unit {
             return None;
         }
         let motors = self.motors.map(|motors| motors.until.saturating_add(1));
-        [motors, self.overdue_at(), Some(self.ask)]
+        // Once it is overdue, that is for its program to see.
+        let overdue = self.overdue_at().filter(|due| *due > self.now);
+        [motors, overdue, Some(self.ask)]
             .into_iter()
             .flatten()
             .min()
