@@ -35,6 +35,14 @@ impl Chassis {
         lag: 0.1,
     };
 
+    /// CUBO, the robot of the third paper (S25): a body of 20 cm × 21.8 cm, wheels of 80 ms (S28); the rest is assumed.
+    pub const CUBO: Self = Self {
+        wheel_base: 170.0,
+        radius: 110.0,
+        full_speed: 500.0,
+        lag: 0.08,
+    };
+
     /// Degrees/s at which it spins when both motors are set to full speed against each other.
     #[must_use]
     pub fn full_turn(&self) -> f64 {

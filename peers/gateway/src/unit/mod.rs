@@ -420,10 +420,7 @@ impl Machine for Unit {
         let motors = self.motors.map(|motors| motors.until.saturating_add(1));
         // Once it is overdue, that is for its program to see.
         let overdue = self.overdue_at().filter(|due| *due > self.now);
-        [motors, overdue, Some(self.ask)]
-            .into_iter()
-            .flatten()
-            .min()
+        [motors, overdue, Some(self.ask)].into_iter().flatten().min()
     }
 
     /// When the oldest part of what it told was asked.

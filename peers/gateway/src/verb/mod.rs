@@ -80,6 +80,7 @@ Statements, separated by ; or a new line:
   via X Y X Y ...       drive to the last point by way of the others
   leds MASK             set the LEDs, 0 to 255
   wait MS               wait
+  set, do, activate …   of a robot that is mirrored by a model: set joints 30 -20 10; do gesture 3 (docs/simulacrum.md)
   follow PEER MM        drive where this peer drove, so far behind it, until another command comes; for robots that are peers themselves
 
 Examples:

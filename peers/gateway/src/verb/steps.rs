@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 use std::io::Read as _;
 use std::path::Path;
 
-use mom_device::Script;
+use mom_device::{DeviceError, Script};
 use mom_drive::VerbFailure;
+use mom_fleet::Action;
 
 use super::units::{Known, Units};
 use crate::Unit;
@@ -118,7 +119,7 @@ pub(super) fn text(file: &Path) -> Result<(String, String), VerbFailure> {
 fn line(at: &str, units: &str, column: usize, script: &str) -> Result<ScriptLine, VerbFailure> {
     let mistake = |text: String| VerbFailure::new(text, "mom fleet send --help lists the statements");
     let units = Units::parse(units).map_err(|error| mistake(format!("{}{error}", colon(at))))?;
-    Script::read::<Unit>(script).map_err(|error| {
+    check(script).map_err(|error| {
         let place = match (at, error.place()) {
             ("", Some((_, at))) => format!("column {at}: "),
             (_, Some((_, within))) => format!("{at}:{}: ", column + within as usize),
@@ -131,6 +132,18 @@ fn line(at: &str, units: &str, column: usize, script: &str) -> Result<ScriptLine
         units,
         script: script.trim().to_owned(),
     })
+}
+
+/// Whether a script is one of a fleet's robots. One with a verb of models is for its robot to judge.
+fn check(script: &str) -> Result<(), DeviceError> {
+    let verbs = script
+        .split(['\n', ';'])
+        .filter_map(|statement| statement.split_whitespace().next());
+    let mut of_models = verbs.filter(|verb| Action::OF_MODELS.contains(verb));
+    match of_models.next() {
+        Some(_) => Ok(()),
+        None => Script::read::<Unit>(script).map(drop),
+    }
 }
 
 fn colon(at: &str) -> String {

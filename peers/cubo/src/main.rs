@@ -1,0 +1,119 @@
+//! CUBO as a program of its own: a thin robot, here a simulated one.
+
+use std::io::{IsTerminal, Write as _};
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::pin::pin;
+
+use anyhow::{Context, bail};
+use clap::Parser;
+use mom_cubo::{Cubo, CuboHandle, serve};
+use mom_rsp::Key;
+use mom_rsp::robot::Settings;
+use mom_wheels::Pose;
+use tokio::net::UdpSocket;
+use tokio::signal::unix::{SignalKind, signal};
+use tracing_subscriber::EnvFilter;
+
+const EXAMPLES: &str = "\
+Examples:
+  mom-cubo --listen 127.0.0.1:7700
+  mom-cubo --write-key cubo.key
+  mom-cubo --listen 0.0.0.0:7700 --robot-key cubo.key --at 1000,1000,90
+
+It waits for the computer that thinks for it (mom-simulacrum), rests when nothing was heard of that for 500 ms, and plans nothing by itself.
+With a key it answers only who has it. Without one packets travel in the open, which is for loopback and trials. The log goes to the standard
+error; RUST_LOG says how much of it. Ctrl-C and SIGTERM end the session and the program.";
+
+/// CUBO, a thin robot that is mirrored over RSP; here a simulated one.
+#[derive(Debug, Parser)]
+#[command(name = "mom-cubo", version, after_help = EXAMPLES)]
+struct CuboArgs {
+    /// Where it listens (UDP); port 0 takes a free one, which is said
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7700")]
+    listen: SocketAddr,
+    /// A file with the key that it shares with the middle: 64 hexadecimal digits
+    #[arg(long, value_name = "FILE")]
+    robot_key: Option<PathBuf>,
+    /// Write a new key into this file, which must not be there, and end
+    #[arg(long, value_name = "FILE")]
+    write_key: Option<PathBuf>,
+    /// ms without a packet after which it rests
+    #[arg(long, value_name = "MS", default_value = "500", value_parser = clap::value_parser!(u16).range(50..=10_000))]
+    watchdog: u16,
+    /// Where it begins on its floor of 5 m by 5 m: mm, mm, degrees
+    #[arg(
+        long,
+        value_name = "X,Y,HEADING",
+        value_delimiter = ',',
+        num_args = 1,
+        allow_hyphen_values = true,
+        default_value = "2500,2500,0"
+    )]
+    at: Vec<f64>,
+}
+
+#[tokio::main(flavor = "current_thread")]
+async fn main() -> anyhow::Result<()> {
+    if let Some(written) = mom_pages::asked::<CuboArgs>() {
+        return Ok(written?);
+    }
+    let args = CuboArgs::parse();
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .init();
+    if let Some(file) = &args.write_key {
+        return write_key(file);
+    }
+    let pose = match *args.at {
+        [x, y, heading] if heading.is_finite() => Pose::new(x, y, heading),
+        _ => bail!("--at takes three numbers, such as 1000,1000,90: mm, mm and degrees"),
+    };
+    let body = Cubo::new(pose).context("--at is a place within the walls, 110 mm from each")?;
+    let settings = Settings {
+        key: args.robot_key.as_deref().map(read_key).transpose()?,
+        watchdog: args.watchdog,
+        ..Settings::default()
+    };
+    let mut interrupt = signal(SignalKind::interrupt())?;
+    let mut terminate = signal(SignalKind::terminate())?;
+    let mut shutdown = pin!(async move {
+        tokio::select! {
+            _ = interrupt.recv() => {}
+            _ = terminate.recv() => {}
+        }
+    });
+    let socket = UdpSocket::bind(args.listen)
+        .await
+        .with_context(|| format!("cannot listen on {}", args.listen))?;
+    writeln!(std::io::stdout(), "cubo listens on {}", socket.local_addr()?)?;
+    let robot = CuboHandle::new(body, settings)?;
+    tracing::info!("the robot waits for its middle");
+    serve(socket, robot, &mut shutdown)
+        .await
+        .context("the socket failed")
+}
+
+fn write_key(file: &std::path::Path) -> anyhow::Result<()> {
+    use std::os::unix::fs::OpenOptionsExt as _;
+    let mut key: Key = [0; 32];
+    getrandom::fill(&mut key).context("the system gives no random numbers")?;
+    let digits: String = key.iter().map(|byte| format!("{byte:02x}")).collect();
+    let mut options = std::fs::OpenOptions::new();
+    // For its owner's eyes, and never over another key.
+    let opened = options.write(true).create_new(true).mode(0o600).open(file);
+    let mut opened = opened.with_context(|| format!("cannot write {}", file.display()))?;
+    writeln!(opened, "{digits}")?;
+    writeln!(std::io::stdout(), "wrote {}", file.display())?;
+    Ok(())
+}
+
+/// 64 hexadecimal digits, the first line of the file.
+fn read_key(file: &std::path::Path) -> anyhow::Result<Key> {
+    let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+    mom_rsp::key(text.lines().next().unwrap_or_default().trim())
+        .with_context(|| format!("{}: a key is 64 hexadecimal digits", file.display()))
+}

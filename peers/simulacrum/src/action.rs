@@ -1,0 +1,150 @@
+//! What a statement of a mirrored robot's scripts makes it do.
+
+use mom_device::{DeviceError, Word, Words};
+
+/// The longest time for which one statement sets an effector, ms.
+const LONGEST: i32 = 60_000;
+const SET: &str = "elements with their values, and maybe `for` and a time in ms: set left-wheel 100 right-wheel 100 for 1000";
+
+/// What a statement makes the robot do.
+///
+/// | statement | does |
+/// |---|---|
+/// | those of a fleet's robots | drive a robot that has wheels: [`mom_fleet::Action`] |
+/// | `set left-wheel 100 right-wheel 100 for 1000` | sets effectors, in the units of the model, for so many ms; then they take their safe values. Without `for` they stay; a speed needs it |
+/// | `do gesture 3` | has a command executed once; done when the robot has acknowledged it (S19, S20) |
+/// | `activate motion`, `deactivate motion` | an element, or all members of a module (S6, S7) |
+/// | `ask camera` | has a sensor or monitor say its value now, or a memory event be said again (S22) |
+/// | `period 40` | the time between two packets, ms (S10) |
+/// | `clear` | has the robot clear its buffers of memory events (S16) |
+#[derive(Debug, Clone, PartialEq)]
+pub enum Action {
+    /// What wheeled robots do.
+    Wheels(mom_fleet::Action),
+    /// Sets effectors.
+    Set {
+        /// Which, to what.
+        settings: Vec<Setting>,
+        /// For so many ms.
+        ms: Option<u32>,
+    },
+    /// Executes a command.
+    Do(Setting),
+    /// Activates an element, or deactivates it.
+    Activate {
+        /// Which.
+        element: String,
+        /// Whether it is to be active.
+        active: bool,
+    },
+    /// Asks an element.
+    Ask(String),
+    /// Sets the period, ms.
+    Period(u16),
+    /// Clears the robot's buffers.
+    Clear,
+}
+
+/// An element with its values, in the units of the model.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Setting {
+    /// Its name.
+    pub element: String,
+    /// Its values.
+    pub values: Vec<f64>,
+}
+
+impl Action {
+    /// The verbs.
+    pub const VERBS: &[&str] = &[
+        "motor",
+        "leds",
+        "goto",
+        "via",
+        "follow",
+        "set",
+        "do",
+        "activate",
+        "deactivate",
+        "ask",
+        "period",
+        "clear",
+    ];
+
+    /// Reads what follows a verb; `None` if there is no such verb.
+    ///
+    /// # Errors
+    ///
+    /// `syntax`, at the word that is wrong.
+    pub fn read(verb: Word<'_>, words: &mut Words<'_>) -> Option<Result<Self, DeviceError>> {
+        let one = "the name of an element";
+        Some(match verb.text {
+            "set" => set(words),
+            "do" => command(words),
+            "activate" | "deactivate" => {
+                words
+                    .need(verb.text, one, "the element")
+                    .map(|word| Self::Activate {
+                        element: word.text.to_owned(),
+                        active: verb.text == "activate",
+                    })
+            }
+            "ask" => words
+                .need("ask", one, "the element")
+                .map(|word| Self::Ask(word.text.to_owned())),
+            "period" => {
+                let range = i32::from(*mom_rsp::PERIODS.start())..=i32::from(*mom_rsp::PERIODS.end());
+                words
+                    .whole("period", "ms between two packets", "it", range)
+                    .map(|ms| Self::Period(u16::try_from(ms).unwrap_or(20)))
+            }
+            "clear" => Ok(Self::Clear),
+            _ => return mom_fleet::Action::read(verb, words).map(|read| read.map(Self::Wheels)),
+        })
+    }
+}
+
+fn set(words: &mut Words<'_>) -> Result<Action, DeviceError> {
+    let mut settings: Vec<Setting> = Vec::new();
+    let mut next = Some(words.need("set", SET, "the element")?);
+    while let Some(word) = next {
+        if word.text == "for" && !settings.is_empty() {
+            let ms = words.whole("set", SET, "the time after `for`", 1..=LONGEST)?;
+            let ms = u32::try_from(ms).ok();
+            return Ok(Action::Set { settings, ms });
+        }
+        match (number(word), settings.last_mut()) {
+            (Some(value), Some(setting)) => setting.values.push(value),
+            _ => settings.push(named(word)?),
+        }
+        next = words.next();
+    }
+    Ok(Action::Set { settings, ms: None })
+}
+
+fn command(words: &mut Words<'_>) -> Result<Action, DeviceError> {
+    let takes = "a command and its values: do gesture 3";
+    let mut setting = named(words.need("do", takes, "the command")?)?;
+    while !words.is_over() {
+        setting.values.push(words.number("do", takes, "a value")?);
+    }
+    Ok(Action::Do(setting))
+}
+
+fn named(word: Word<'_>) -> Result<Setting, DeviceError> {
+    if !word.text.starts_with(|first: char| first.is_ascii_lowercase()) {
+        let text = format!("`{}` is not the name of an element", word.short());
+        return Err(DeviceError::syntax(word.at, text));
+    }
+    Ok(Setting {
+        element: word.text.to_owned(),
+        values: Vec::new(),
+    })
+}
+
+/// No name of an element begins as a number does; `inf` and `nan` could be names.
+fn number(word: Word<'_>) -> Option<f64> {
+    let begins = |first: char| first.is_ascii_digit() || matches!(first, '-' | '+' | '.');
+    let value: f64 = word.text.parse().ok()?;
+    (word.text.starts_with(begins) && value.is_finite()).then_some(value)
+}
