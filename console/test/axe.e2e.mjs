@@ -37,6 +37,9 @@ const states = {
   drive: [["", "#/drive", (page) => page.locator("mom-cameras mom-camera").getByRole("slider", { name: "Cursor across the table" }).first().waitFor()]],
   // There is none here; test/fleet.e2e.mjs has one.
   fleet: [["none", "#/fleet", text("There is no /fleet/status at this hub.")]],
+  // Nor a mirrored robot; test/simulacrum.e2e.mjs has one.
+  simulacrum: [["none", "#/simulacrum", text("No robot is mirrored at this hub.")]],
+  modeller: [["", "#/modeller", text("No mistakes.")]],
   contexts: ["/", "/robot/arm", "/robot/token", "/camera/x", "/chat"].map((path) => [path, `#/contexts?path=${path}`, (page) => page.locator("mom-context").getByText(path, { exact: true }).first().waitFor()]),
   peers: [["", "#/peers", (page) => page.locator("mom-peers").getByRole("row", { name: /^arm / }).waitFor()]],
   health: [["", "#/health", (page) => page.locator("mom-health").getByRole("link", { name: "/camera/x" }).waitFor()]],

@@ -1,4 +1,4 @@
-// Makes one module of src loadable by Node: TypeScript and runes, as the page gets them.
+// Makes one module of src loadable by Node: TypeScript and runes, as the page gets them, and what it loads later in the same file.
 import { mkdtempSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { dirname, join } from "node:path";
@@ -18,7 +18,7 @@ export async function load(entry) {
       logLevel: "error",
       plugins: [svelte({ configFile: join(root, "svelte.config.js") })],
       resolve: { alias: { "mom-client": join(root, "../clients/js/src/index.ts") } },
-      build: { outDir: folder, emptyOutDir: false, minify: false, target: "es2022", lib: { entry: join(root, "src", entry), formats: ["es"], fileName: () => "bundle.mjs" } },
+      build: { outDir: folder, emptyOutDir: false, minify: false, target: "es2022", lib: { entry: join(root, "src", entry), formats: ["es"], fileName: () => "bundle.mjs" }, rollupOptions: { output: { codeSplitting: false } } },
     });
     return await import(pathToFileURL(join(folder, "bundle.mjs")).href);
   } finally {

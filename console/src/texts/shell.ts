@@ -5,6 +5,8 @@ export const shell = {
   pages: {
     drive: "Drive",
     fleet: "Fleet",
+    simulacrum: "Simulacrum",
+    modeller: "Modeller",
     contexts: "Contexts",
     peers: "Peers",
     access: "Access",

@@ -1,0 +1,156 @@
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { test } from "node:test";
+import { load } from "./bundle.mjs";
+
+const { read, write, quoted, commandOf, LONGEST_FILE } = await load("panels/modeller/file.ts");
+const { check, countOf, rangeOf, listOf, numberOf, wholeOf } = await load("panels/modeller/check.ts");
+const { packetSize, payloadSize, blank, moved, nextKey, emptyDraft, hasField, FIELDS } = await load("panels/modeller/model.ts");
+const { draftOf } = await load("panels/modeller/kept.ts");
+
+const file = (name) => readFileSync(new URL(`../../config/${name}`, import.meta.url), "utf8");
+const cubo = (await read(file("cubo.toml"))).draft;
+const MOTION = ["left-wheel", "right-wheel", "joints", "lips"];
+
+/** A model with these elements, and what is wrong in it: by element and field, `largest` of the model and so on. */
+function mistakes(elements, model = {}) {
+  const draft = { ...emptyDraft(), ...model, elements: elements.map((element, index) => blank(index + 1, element)) };
+  const checked = check(draft);
+  return { ...checked, at: (place, field) => checked.elements[place][field] };
+}
+
+const wheel = { name: "wheel", kind: "effector", type: "i16" };
+
+test("CUBO has no mistakes, and its packets are as large as the paper says (S26)", () => {
+  const { count, payloads, period } = check(cubo);
+  assert.deepEqual([count, period, payloads.length], [0, 20, 16]);
+  const of = (names) => packetSize(payloads, "down", (place) => names.includes(cubo.elements[place].name));
+  assert.equal(of(MOTION), 34);
+  assert.equal(of([...MOTION, "speaker"]), 1992);
+  assert.equal(packetSize(payloads, "down"), 1999);
+  assert.equal(packetSize(payloads, "up"), 700);
+  assert.deepEqual(cubo.elements.flatMap(({ name }, place) => (payloads[place].isBlob ? [name] : [])), ["lcd", "camera"]);
+});
+
+test("each kind has its payloads in both directions (S5)", () => {
+  for (const [kind, down, up] of [["effector", 4, 0], ["sensor", 0, 4], ["monitor", 0, 4], ["command", 5, 1], ["memory-command", 5, 1], ["event", 1, 5], ["memory-event", 1, 7], ["module", 0, 0]]) {
+    const payload = { kind, data: 4, isBytes: false, isBlob: false };
+    assert.deepEqual([payloadSize(payload, "down"), payloadSize(payload, "up")], [down, up], kind);
+  }
+  // The length of bytes and that of a memory event are one.
+  assert.equal(payloadSize({ kind: "memory-event", data: 2 + 100, isBytes: true, isBlob: false }, "up"), 103);
+});
+
+test("a model that is written reads as the same model", async () => {
+  const again = await read(write(cubo));
+  assert.deepEqual(again.draft, cubo);
+  const odd = { ...emptyDraft(), name: "odd", id: "300", doc: 'Says "hallo" \\ ü\n\u007f', watchdog: "0", elements: [
+    blank(1, { name: "a", kind: "effector", type: "f32", count: "3", unit: "m/s^2", scale: "0.5", range: "-1.5..1e3", safe: "0, 1, 2", rate: "2.5", motion: "interpolated" }),
+    blank(2, { name: "b", kind: "effector", type: "i32", count: "x, y", unit: "mm, ", range: "-1..1, -2..2", motion: "incremental" }),
+    blank(3, { name: "c", kind: "monitor", of: "a", period: "20" }),
+    blank(4, { name: "d", kind: "module", members: "a, b" }),
+    blank(5, { name: "e", kind: "command" }),
+    blank(6, { name: "f", kind: "event", type: "bytes", max: "7" }),
+  ] };
+  assert.equal(check(odd).count, 0, JSON.stringify(check(odd).elements));
+  const { draft } = await read(write(odd));
+  assert.deepEqual({ ...draft, period: "", largest: "" }, { ...odd, id: "0x12c", elements: [{ ...odd.elements[0], range: "-1.5..1000" }, ...odd.elements.slice(1)] });
+  assert.equal(write(draft), write({ ...odd, id: "0x12c" }));
+  assert.match(write(odd), /^range = \[\[-1, 1\], \[-2, 2\]\]$/m);
+  assert.equal(quoted("a\u007f\n"), '"a\\u007f\\n"');
+});
+
+test("a file that is no model is refused with its place, and what is not known in it is told", async () => {
+  assert.match((await read('name = "a"\nid = = 1')).mistake, /^It is no TOML, line 2, column 6: /);
+  assert.match((await read("element = 3")).mistake, /\[\[element\]\]/);
+  assert.match((await read("#".repeat(LONGEST_FILE + 1))).mistake, /larger than/);
+  const { draft, notes } = await read('name = "a"\nid = 2024-01-01\ncolour = 1\n# hm\n[[element]]\nname = "w"\nkind = "effectr"\nspeed = 3\nrange = [1]\nparts = ["a", "b"]\ncount = 3\nmotion = "incremental"\ninterpolate = true\n');
+  assert.equal(notes.length, 5);
+  assert.match(notes.join("\n"), /“colour”.*\n.*“speed” of w.*\n.*parts.*\n.*interpolated.*\n.*Comments/);
+  const { model, elements } = check(draft);
+  assert.match(model.id, /whole number from 0 to 65535/);
+  assert.match(elements[0].kind, /“effectr”/);
+  assert.deepEqual((await read("")).draft.elements, []);
+});
+
+test("each mistake stands at its field", () => {
+  for (const [element, field, words] of [
+    [{ ...wheel, name: "" }, "name", /missing/],
+    [{ ...wheel, name: "Left" }, "name", /no name/],
+    [{ ...wheel, name: "a--b" }, "name", /no name/],
+    [{ ...wheel, type: "" }, "type", /missing/],
+    [{ ...wheel, type: "u64" }, "type", /“u64”/],
+    [{ ...wheel, count: "0" }, "count", /1 to 65535/],
+    [{ ...wheel, count: "x, x" }, "count", /Two parts/],
+    [{ ...wheel, count: "x, Y" }, "count", /“Y” is no name/],
+    [{ ...wheel, unit: "m s" }, "unit", /no unit/],
+    [{ ...wheel, count: "3", unit: "m, s" }, "unit", /2 values for 3 numbers/],
+    [{ ...wheel, scale: "0" }, "scale", /1e-12/],
+    [{ ...wheel, range: "5" }, "range", /no range/],
+    [{ ...wheel, range: "5..1" }, "range", /upside down/],
+    [{ ...wheel, range: "0..40000" }, "range", /i16 holds -32768 to 32767/],
+    [{ ...wheel, range: "5..9" }, "safe", /say what is safe/],
+    [{ ...wheel, range: "5..9", safe: "4" }, "safe", /4 is outside/],
+    [{ ...wheel, safe: "x" }, "safe", /no number/],
+    [{ ...wheel, motion: "incremental", safe: "1" }, "safe", /incremental/],
+    [{ ...wheel, rate: "0" }, "rate", /more than 0/],
+    [{ ...wheel, count: "2", scale: "1, 2", rate: "5" }, "rate", /several scales/],
+    [{ ...wheel, motion: "jumping" }, "motion", /“jumping”/],
+    [{ ...wheel, kind: "sensor", rate: "5" }, "rate", /A sensor has none/],
+    [{ ...wheel, kind: "sensor", period: "70000" }, "period", /0 to 60000/],
+    [{ ...wheel, period: "20" }, "period", /An effector has none/],
+    [{ ...wheel, type: "bytes" }, "max", /missing/],
+    [{ ...wheel, type: "bytes", max: "9", unit: "mm" }, "unit", /bytes are none/],
+    [{ ...wheel, max: "9" }, "max", /type bytes/],
+    [{ name: "e", kind: "event", unit: "mm" }, "unit", /without a type/],
+    [{ name: "m", kind: "monitor" }, "of", /missing/],
+    [{ name: "m", kind: "monitor", of: "x" }, "of", /no element “x”/],
+    [{ name: "m", kind: "monitor", of: "m" }, "of", /m is none/],
+    [{ name: "m", kind: "module" }, "members", /missing/],
+    [{ name: "m", kind: "module", members: "x" }, "members", /no element/],
+    [{ name: "m", kind: "module", members: "m" }, "members", /modules have no modules/],
+    [{ ...wheel, doc: "x".repeat(4097) }, "doc", /4096/],
+  ]) assert.match(mistakes([element]).at(0, field) ?? "", words, JSON.stringify(element));
+  assert.equal(mistakes([{ ...wheel, range: "-327680..327670", scale: "10" }]).count, 0);
+  assert.match(mistakes([wheel, wheel]).at(1, "name"), /Two elements/);
+  assert.match(mistakes([{ ...wheel, name: "a1" }, { ...wheel, name: "a-1" }]).at(1, "name"), /same in code as a1/);
+  const two = [wheel, { name: "m", kind: "module", members: "wheel, wheel" }, { name: "n", kind: "module", members: "wheel" }];
+  assert.match(mistakes(two).at(1, "members"), /listed twice/);
+  assert.match(mistakes(two).at(2, "members"), /member of m already/);
+});
+
+test("the model itself is checked: its numbers, how many elements, and how large a packet is", () => {
+  for (const [model, field, words] of [
+    [{ id: "" }, "id", /missing/],
+    [{ id: "0x10000" }, "id", /0 to 65535/],
+    [{ name: "A" }, "name", /no name/],
+    [{ period: "4" }, "period", /5 to 1000/],
+    [{ watchdog: "30" }, "watchdog", /40 ms/],
+    [{ period: "400", watchdog: "500" }, "watchdog", /800 ms/],
+    [{ largest: "63" }, "largest", /64 to 65507/],
+  ]) assert.match(mistakes([wheel], model).model[field] ?? "", words, JSON.stringify(model));
+  for (const model of [{ watchdog: "0" }, { period: "400" }, { id: "0xffff" }]) assert.equal(mistakes([wheel], model).count, 0);
+  assert.match(mistakes([]).whole[0], /at least one element/);
+  assert.match(mistakes(Array.from({ length: 257 }, (_, index) => ({ name: `e${index}`, kind: "event" }))).whole[0], /257/);
+  assert.match(mistakes([wheel, { name: "talk", kind: "command", type: "bytes", max: "2000" }]).model.largest, /to the robot.* has 2042 B.*such as talk/);
+  assert.equal(mistakes([{ ...wheel, type: "bytes", max: "2000" }]).payloads[0].isBlob, true);
+});
+
+test("what is typed is read", () => {
+  assert.deepEqual(listOf("a, , b"), ["a", "", "b"]);
+  assert.deepEqual([listOf(" "), countOf(""), countOf("3"), countOf("x, y")], [[], { count: 1, parts: undefined }, { count: 3, parts: undefined }, { count: 2, parts: ["x", "y"] }]);
+  assert.deepEqual([rangeOf("-1.5..2"), rangeOf("1..2..3"), rangeOf("a..2")], [[-1.5, 2], undefined, undefined]);
+  assert.deepEqual([numberOf("1e3"), wholeOf("0xff"), Number.isNaN(numberOf("")), Number.isNaN(wholeOf("1.5"))], [1000, 255, true, true]);
+  assert.equal(commandOf("cubo"), "mom rsp generate cubo.toml --rust cubo.rs --c cubo.h --docs cubo.md");
+});
+
+test("rows move, and what was kept comes back, whatever it is", () => {
+  const rows = [1, 2, 3].map((key) => blank(key, { name: `e${key}` }));
+  const names = (of) => of.map(({ name }) => name).join("");
+  assert.deepEqual([names(moved(rows, 3, -1)), names(moved(rows, 1, -1)), names(moved(rows, 3, 1)), nextKey(rows), nextKey([])], ["e1e3e2", "e1e2e3", "e1e2e3", 4, 1]);
+  assert.deepEqual(draftOf(JSON.parse(JSON.stringify(cubo))), cubo);
+  for (const stored of [null, 3, {}, { elements: 3 }]) assert.equal(draftOf(stored), undefined);
+  assert.deepEqual(draftOf({ name: 3, elements: [null, { name: "a", kind: 7 }] }).elements.map(({ name, kind }) => [name, kind]), [["a", ""]]);
+  assert.equal(check(emptyDraft()).count, 0);
+  assert.deepEqual(FIELDS.filter((field) => hasField("module", "", field)), ["name", "kind", "members", "doc"]);
+});

@@ -1,0 +1,363 @@
+// The mirror of a robot and the modeller in a browser, against a hub with a peer that says what the middle of a robot says.
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+import { busiest, findings, start, until } from "./lab.mjs";
+import { RawPeer } from "./rawpeer.mjs";
+import { CUBO, FakeRobot, contextsOf } from "./robot.mjs";
+
+let hub;
+let robot;
+let other;
+
+before(async () => {
+  hub = await start({ config: ["/cubo", "/many", "/zoe"].map(contextsOf).join("") });
+  robot = (await FakeRobot.start(hub.host, "/cubo")).run();
+  other = (await FakeRobot.start(hub.host, "/zoe", "carol", CUBO.slice(0, 2))).run();
+});
+after(async () => {
+  await robot?.end();
+  await other?.end();
+  await hub?.end();
+});
+
+async function open(t, user, options = {}) {
+  const page = await hub.page(user, { t, path: "/#/simulacrum", ...options });
+  const mirror = page.locator("mom-simulacrum");
+  await mirror.locator("tbody[data-element]").nth(15).waitFor();
+  return { page, mirror, row: (name) => mirror.locator(`tbody[data-element="${name}"]`), bit: (place) => mirror.locator(`[data-bit="${place}"]`) };
+}
+
+const accessible = async (page) => {
+  // What is scrolled under the head has no size to be touched.
+  await page.evaluate(() => scrollTo(0, 0));
+  assert.deepEqual(await findings(page), []);
+  assert.ok(await page.evaluate(() => document.documentElement.scrollWidth <= innerWidth), "nothing is wider than the page");
+};
+
+async function grab(mirror) {
+  await mirror.getByRole("button", { name: "Grab", exact: true }).click();
+  await mirror.getByRole("button", { name: "Give back" }).waitFor();
+}
+
+const release = async (mirror) => {
+  await mirror.getByRole("button", { name: "Give back" }).click();
+  await mirror.getByText("Nobody holds it.").waitFor();
+};
+
+test("all elements stand in the order of the map, with their values, states and ages", async (t) => {
+  const { page, mirror, row } = await open(t, "alice");
+  assert.deepEqual(await mirror.locator("tbody[data-element]").evaluateAll((rows) => rows.map(({ dataset }) => dataset.element)), CUBO.map(({ name }) => name));
+  await row("surroundings").getByText("812 mm, 340 lx, 41.5 dB, 0, 296.4 K, 11.9 V").waitFor();
+  await row("message-recorded").getByText("1 event").waitFor();
+  await mirror.getByText("session up").waitFor();
+  await mirror.getByText("−2.4 s ± 1.9 ms").waitFor();
+  await mirror.getByText("none dropped").waitFor();
+  // A value that does not change is as new as the robot's last word.
+  const age = row("pose").locator(".age");
+  await until(page, async () => /^\d+(\.\d)? ms/.test(await age.innerText()));
+
+  // What is wanted and not confirmed is marked until it is.
+  await robot.say("joints", { wanted: [10, 20, 30] });
+  await row("joints").locator(".apart").getByText("not confirmed").waitFor();
+  await row("joints").getByText("10, 20, 30 deg").waitFor();
+  await robot.say("joints", { value: [10, 20, 30] });
+  await row("joints").getByText("as wanted").waitFor();
+  assert.equal(await row("joints").locator(".apart").count(), 0);
+  await row("joints").getByRole("img", { name: /^joints, the last 60 s: 0 deg to 10 deg$/ }).waitFor();
+
+  await robot.say("lips", { activated: false });
+  await row("lips").getByText("not yet off").waitFor();
+  await robot.say("lips", { active: false });
+  await row("lips").getByText("off", { exact: true }).waitFor();
+  await robot.say("lips", { activated: true, active: true });
+  await robot.say("service-button", { events: 2 });
+  await row("service-button").getByText("2 events").waitFor();
+
+  // A lost session: ages run on.
+  await robot.travel({ linked: false, dropped: { sealed: 3, old: 12 } });
+  for (const name of ["pose", "left-wheel"]) await robot.say(name, { linked: false, active: false });
+  await mirror.getByText("lost: no session").waitFor();
+  await mirror.getByText("dropped: old 12, sealed 3").waitFor();
+  await row("pose").getByText("not yet active").waitFor();
+  await until(page, async () => /^[1-9]\d*\.\d s/.test(await age.innerText()));
+  await robot.travel({ linked: true, dropped: {} });
+  for (const name of ["pose", "left-wheel"]) await robot.say(name, { linked: true, active: true });
+  await mirror.getByText("session up").waitFor();
+});
+
+test("bits light up as they travel, in either direction, and stay hidden where they are sealed and not told", async (t) => {
+  const { page, mirror, bit } = await open(t, "bob");
+  const packet = mirror.getByRole("region", { name: "The packet" });
+  await bit(0).getByText("Bit 0, left-wheel: to the robot").waitFor({ state: "attached" });
+  assert.equal(await bit(0).locator(".down").evaluate((light) => getComputedStyle(light).animationName), "down");
+  await bit(7).getByText("Bit 7, pose: from the robot").waitFor({ state: "attached" });
+  await bit(2).getByText("Bit 2, joints: not in the newest packets").waitFor({ state: "attached" });
+  const down = packet.getByRole("group", { name: "To the robot" });
+  for (const [field, value] of [["Model", "0xc0b0"], ["Encryption", "none"], ["Type", "data"], ["Session", "a1b2c3d4e5f6"]]) assert.equal(await down.locator("dt", { hasText: field }).locator("+ dd").innerText(), value);
+  await down.getByText("c000", { exact: true }).waitFor();
+  await down.getByText("00640064", { exact: true }).waitFor();
+  await packet.getByText("2.8 KiB/s").waitFor();
+  await packet.getByText("0.4 %").waitFor();
+
+  robot.bits = { down: [2], up: [2, 14] };
+  await robot.travel();
+  await bit(2).getByText("Bit 2, joints: both ways").waitFor({ state: "attached" });
+  await bit(0).getByText("Bit 0, left-wheel: not in the newest packets").waitFor({ state: "attached" });
+  // One that was lit fades.
+  assert.ok(await bit(0).locator(".down.seen:not(.on)").count());
+  assert.equal(await bit(5).locator(".seen").count(), 0);
+
+  robot.sealed = true;
+  await robot.travel();
+  await down.getByText("ChaCha20-Poly1305").waitFor();
+  assert.equal(await down.getByText("sealed", { exact: true }).count(), 2);
+  assert.equal(await down.getByText(/5e5e/).count(), 0);
+  await bit(14).getByText("Bit 14, posture: from the robot").waitFor({ state: "attached" });
+  await accessible(page);
+  robot.sealed = false;
+  robot.bits = { down: [0, 1], up: [7] };
+  await robot.travel();
+});
+
+test("with reduced motion a bit is lit as long as it is in the newest packet", async (t) => {
+  const { bit } = await open(t, "bob", { reducedMotion: "reduce" });
+  await bit(0).locator(".down.on").waitFor({ state: "attached" });
+  const colour = (place) => bit(place).locator(".down").evaluate((light) => [getComputedStyle(light).animationName, getComputedStyle(light).backgroundColor]);
+  const [[animation, lit], [, dark]] = [await colour(0), await colour(2)];
+  assert.equal(animation, "none");
+  assert.notEqual(lit, dark);
+});
+
+test("the owner sets, executes, switches and asks, each under the fence", async (t) => {
+  const { page, mirror, row } = await open(t, "alice");
+  robot.heard.length = 0;
+  const sent = mirror.getByRole("region", { name: "Sent" });
+  await row("left-wheel").getByRole("button", { name: "left-wheel" }).click();
+  const set = row("left-wheel").getByRole("button", { name: "Set" });
+  // Without the token nothing is sent, and it is said why.
+  assert.equal(await set.getAttribute("aria-disabled"), "true");
+  await row("left-wheel").getByText("Grab /cubo/token first").waitFor();
+  await set.click({ force: true });
+  await accessible(page);
+  await grab(mirror);
+  await until(page, async () => (await set.getAttribute("aria-disabled")) === "false");
+
+  const value = row("left-wheel").getByLabel("Value (mm/s)");
+  await value.fill("fast");
+  await row("left-wheel").getByText("“fast” is no number").waitFor();
+  await value.fill("100");
+  await row("left-wheel").getByLabel("for (ms)").fill("");
+  await row("left-wheel").getByText("A speed needs a time.").waitFor();
+  await set.click();
+  assert.deepEqual(robot.heard, []);
+  await row("left-wheel").getByLabel("for (ms)").fill("1000");
+  await value.press("Enter");
+  await sent.getByText("set left-wheel 100 for 1000").waitFor();
+  await sent.getByText(/^finished/).waitFor();
+  await row("left-wheel").locator(".value").getByText("100 mm/s").waitFor();
+
+  await row("joints").getByRole("button", { name: "joints" }).click();
+  const joints = row("joints").getByLabel("Values (deg)");
+  await joints.fill("-90 0");
+  await row("joints").getByText("3 numbers are needed, and these are 2").waitFor();
+  await joints.fill("-90, 0, 20.5");
+  await row("joints").getByRole("button", { name: "Set" }).click();
+  await row("joints").getByText("−90, 0, 20.5 deg").first().waitFor();
+
+  await row("gesture").getByRole("button", { name: "gesture" }).click();
+  await row("gesture").getByLabel("Parameters").fill("3");
+  await row("gesture").getByRole("button", { name: "Execute" }).click();
+  await row("camera").getByRole("button", { name: "camera" }).click();
+  await row("camera").getByRole("button", { name: "Ask" }).click();
+  await row("motion").getByRole("button", { name: "motion" }).click();
+  await row("motion").getByRole("button", { name: "Deactivate" }).click();
+  await row("motion").getByText("off", { exact: true }).waitFor();
+  await row("motion").getByRole("button", { name: "Activate", exact: true }).click();
+  await row("motion").getByText("active", { exact: true }).waitFor();
+  await row("message-recorded").getByRole("button", { name: "message-recorded" }).click();
+  await row("message-recorded").getByRole("button", { name: "Clear buffers" }).click();
+  await until(page, () => robot.heard.length === 7);
+  assert.deepEqual(robot.heard.map(({ content }) => content), ["set left-wheel 100 for 1000", "set joints -90 0 20.5", "do gesture 3", "ask camera", "deactivate motion", "activate motion", "clear"]);
+  assert.ok(robot.heard.every(({ fence, permitted }) => fence > 0 && permitted), "each had the fence of the token's owner");
+
+  // What the robot refuses stands there in words, with what to do.
+  await row("speaker").getByRole("button", { name: "speaker" }).click();
+  await row("speaker").getByLabel("Values").fill("1");
+  await row("speaker").getByRole("button", { name: "Set" }).click();
+  const refusal = sent.getByRole("alert").filter({ hasText: "Refused: set speaker 1" });
+  await refusal.getByText("speaker takes no numbers").waitFor();
+  await refusal.getByText("Edit the command: the mistake is marked.").waitFor();
+  await accessible(page);
+  await refusal.getByRole("button", { name: "Dismiss" }).click();
+  await refusal.waitFor({ state: "detached" });
+
+  // STOP stops it, and then nothing is sent.
+  await page.keyboard.press("Escape");
+  await row("motion").getByText("The device is stopped: let it go first.").waitFor();
+  await page.locator("mom-stop").getByRole("button", { name: "Let go" }).click();
+  await until(page, async () => (await set.getAttribute("aria-disabled")) === "false");
+  await release(mirror);
+});
+
+test("T is sent when the slider is let go, and is confirmed or not", async (t) => {
+  const { page, mirror } = await open(t, "alice");
+  const period = mirror.getByRole("region", { name: "T, the time between two packets" });
+  const slider = period.getByRole("slider", { name: "T (ms)" });
+  const fact = (name) => period.locator("dt", { hasText: name }).locator("+ dd").innerText();
+  assert.ok(await slider.isDisabled());
+  await grab(mirror);
+  await until(page, () => slider.isEnabled());
+  robot.heard.length = 0;
+  assert.equal(await fact("Wanted"), "20 ms");
+  robot.obeys = false;
+  await slider.focus();
+  for (let ms = 20; ms < 40; ms += 1) await page.keyboard.press("ArrowRight");
+  await until(page, () => robot.heard.length > 0);
+  assert.deepEqual(robot.heard.map(({ content }) => content), ["period 40"]);
+  assert.deepEqual([await fact("Wanted"), await fact("Confirmed")], ["40 ms", "not yet"]);
+  await robot.travel({ period: 40, confirmed: false });
+  await until(page, async () => (await fact("Confirmed")) === "not yet");
+  await robot.travel({ confirmed: true });
+  await until(page, async () => (await fact("Confirmed")) === "40 ms");
+
+  // With the pointer: nothing is sent before it is let go.
+  robot.obeys = true;
+  robot.heard.length = 0;
+  await slider.scrollIntoViewIfNeeded();
+  const { x, y, width, height } = await slider.boundingBox();
+  await page.mouse.move(x + width * 0.2, y + height / 2);
+  await page.mouse.down();
+  await page.mouse.move(x + width * 0.5, y + height / 2, { steps: 4 });
+  const wanted = await fact("Wanted");
+  assert.deepEqual(robot.heard, []);
+  await page.mouse.up();
+  await until(page, async () => (await fact("Confirmed")) === wanted);
+  assert.deepEqual(robot.heard.map(({ content }) => content), [`period ${parseInt(wanted, 10)}`]);
+  await robot.travel({ period: 20 });
+  await release(mirror);
+});
+
+test("a token that somebody else has is refused in words", async (t) => {
+  const bob = await RawPeer.login(hub.host, "bob");
+  t.after(() => bob.close());
+  await bob.ask("context", "join", "/cubo");
+  await bob.ask("token", "grab", "/cubo/token");
+  const { page, mirror, row } = await open(t, "alice");
+  await mirror.getByText(/^bob(~\d)? holds it/).waitFor();
+  await mirror.getByRole("button", { name: "Grab", exact: true }).click();
+  await mirror.getByRole("alert").filter({ hasText: "Refused: grab" }).getByRole("button", { name: "Wait in the queue" }).waitFor();
+  await row("camera").getByRole("button", { name: "camera" }).click();
+  await row("camera").getByText("Grab /cubo/token first").waitFor();
+  await accessible(page);
+});
+
+test("of several robots one is chosen, and the address names it", async (t) => {
+  const { page, mirror } = await open(t, "bob");
+  await mirror.getByRole("combobox", { name: "Robot" }).selectOption("/zoe");
+  await mirror.locator("tbody[data-element]").nth(2).waitFor({ state: "detached" });
+  assert.match(page.url(), /#\/simulacrum\?path=%2Fzoe%2Fsimulacrum$/);
+  await page.reload();
+  await mirror.locator("tbody[data-element]").nth(1).waitFor();
+  assert.equal(await mirror.locator("tbody[data-element]").count(), 2);
+  await mirror.getByText("Bit 1, right-wheel: to the robot").waitFor({ state: "attached" });
+});
+
+for (const [width, colorScheme] of [[360, "light"], [360, "dark"], [1280, "light"], [1280, "dark"]]) {
+  test(`both pages are accessible at ${width} px, ${colorScheme}`, async (t) => {
+    const { page, mirror, row } = await open(t, "alice", { viewport: { width, height: 760 }, colorScheme, reducedMotion: "reduce" });
+    for (const name of ["left-wheel", "gesture", "pose"]) await row(name).getByRole("button", { name }).click();
+    await mirror.getByText("Nobody holds it.").or(mirror.getByText(/holds it/)).first().waitFor();
+    await accessible(page);
+    const { modeller } = await model(page);
+    await modeller.getByRole("textbox", { name: "Range of lips" }).fill("9..1");
+    await modeller.getByText("The range is upside down").waitFor();
+    await accessible(page);
+  });
+}
+
+async function model(page) {
+  await page.evaluate(() => (location.hash = "#/modeller"));
+  const modeller = page.locator("mom-modeller");
+  await modeller.getByRole("button", { name: "Example: CUBO" }).click();
+  await modeller.getByText("Loaded cubo.toml: 16 elements.").waitFor();
+  const size = (row, way) => modeller.getByRole("region", { name: "The packet" }).getByRole("row", { name: new RegExp(`^${row}`) }).getByRole("cell").nth(way).innerText();
+  return { modeller, size };
+}
+
+test("a model is made: packets follow, mistakes stand at their field, and it is downloaded", async (t) => {
+  const page = await hub.page("bob", { t, path: "/#/modeller" });
+  const { modeller, size } = await model(page);
+  assert.deepEqual([await size("Full packet", 0), await size("Full packet", 1), await size("Each second", 0)], ["1,999 B", "700 B", "99,950 B/s"]);
+  const packet = modeller.getByRole("region", { name: "The packet" });
+  await packet.getByRole("button", { name: "motion" }).click();
+  assert.equal(await size("What is chosen", 0), "34 B");
+  await packet.getByRole("checkbox", { name: "speaker is in the packet" }).check();
+  assert.equal(await size("What is chosen", 0), "1,992 B");
+  await packet.getByRole("button", { name: "All" }).click();
+
+  await modeller.getByLabel("T (ms)").fill("40");
+  assert.equal(await size("Each second at T = 40 ms", 0), "49,975 B/s");
+  await modeller.getByRole("textbox", { name: "Most bytes of speaker" }).fill("1000");
+  assert.equal(await size("Full packet", 0), "1,043 B");
+  const rate = modeller.getByRole("textbox", { name: "Rate (unit/s) of joints" });
+  await rate.fill("-1");
+  const mistake = await rate.getAttribute("aria-describedby");
+  assert.equal(await modeller.locator(`#${mistake}`).innerText(), "A change in units a second, more than 0.");
+  const download = modeller.getByRole("button", { name: "Download as TOML" });
+  assert.equal(await download.getAttribute("aria-disabled"), "true");
+  await rate.fill("90");
+  // An element of another kind has other fields; what stands in one that it has not is said.
+  await modeller.getByRole("combobox", { name: "Kind of lips" }).selectOption("sensor");
+  await modeller.getByText("A sensor has none: empty this field.").waitFor();
+  await modeller.getByRole("combobox", { name: "Kind of lips" }).selectOption("effector");
+  await modeller.getByRole("button", { name: "Move down: left-wheel" }).click();
+  assert.equal(await modeller.locator("tr[data-element]").first().getAttribute("data-element"), "right-wheel");
+  await modeller.getByRole("button", { name: "Add an element" }).click();
+  await modeller.getByText("It is missing.").first().waitFor();
+  await modeller.getByRole("textbox", { name: "Name of element 16" }).fill("lamp");
+  await modeller.getByRole("combobox", { name: "Type of lamp" }).selectOption("u8");
+  await modeller.getByText("No mistakes.").waitFor();
+  assert.equal(await size("Device map, 17 bits", 0), "3");
+
+  const [file] = await Promise.all([page.waitForEvent("download"), download.click()]);
+  assert.equal(file.suggestedFilename(), "cubo.toml");
+  const path = await file.path();
+  await page.reload();
+  await modeller.locator('tr[data-element="lamp"]').waitFor();
+  await modeller.getByRole("button", { name: "Remove: lamp" }).click();
+  await modeller.locator('input[type="file"]').setInputFiles(path);
+  await modeller.getByText("Replace the model that is here?").waitFor();
+  await modeller.getByRole("button", { name: "Replace it" }).click();
+  await modeller.locator('tr[data-element="lamp"]').waitFor();
+  assert.equal(await size("Device map, 17 bits", 0), "3");
+  await modeller.locator('input[type="file"]').setInputFiles({ name: "bad.toml", mimeType: "text/plain", buffer: Buffer.from("name = ") });
+  await modeller.getByText(/^bad\.toml was not loaded\. It is no TOML, line 1, column \d+:/).waitFor();
+  await modeller.getByText("mom rsp generate cubo.toml --rust cubo.rs --c cubo.h --docs cubo.md").waitFor();
+});
+
+test("a robot of 256 elements that all change ten times a second leaves the page quick", async (t) => {
+  const many = await FakeRobot.start(hub.host, "/many", "carol", Array.from({ length: 256 }, (_, place) => ({ name: `sensor-${place}`, kind: "sensor", value: [0, 0], unit: ["mm", "deg"] })));
+  let [round, ended] = [0, false];
+  const tell = async () => {
+    for (; !ended; round += 1) {
+      await Promise.all(Array.from({ length: 256 }, (_, place) => many.say(`sensor-${place}`, { value: [round, place] })));
+      await many.travel();
+      await new Promise((resolve) => setTimeout(resolve, 80));
+    }
+  };
+  const telling = tell();
+  t.after(async () => {
+    ended = true;
+    await telling;
+    await many.end();
+  });
+  const page = await hub.page("alice", { t, path: "/#/simulacrum?path=/many/simulacrum" });
+  const mirror = page.locator("mom-simulacrum");
+  await mirror.locator("tbody[data-element]").nth(255).waitFor();
+  const longest = await busiest(page, async () => {
+    const begun = round;
+    await until(page, () => round > begun + 20);
+  });
+  t.diagnostic(`the longest task takes ${longest.toFixed(1)} ms of the processor`);
+  assert.ok(longest < 50, `${longest} ms`);
+});
