@@ -201,6 +201,8 @@ pub(crate) enum Command {
     /// Ask a camera for an image and save it
     #[command(after_help = SNAP)]
     Snap(SnapArgs),
+    /// Check models of thin robots, and generate code and documents from them
+    Rsp(mom_rsp_model::verb::VerbArgs),
     /// What devices bring along.
     #[command(flatten)]
     Device(DeviceCommand),
@@ -221,6 +223,9 @@ pub(crate) struct LabArgs {
     /// All robots of the fleet under one token, /fleet/token
     #[arg(long, requires = "fleet")]
     pub(crate) together: bool,
+    /// CUBO, a thin robot that is mirrored over RSP, instead of the arm
+    #[arg(long, conflicts_with_all = ["two_arms", "fleet"])]
+    pub(crate) cubo: bool,
     /// What to log to standard error: error, warn, info, debug, trace, or per module
     #[arg(long, value_name = "FILTER", env = "MOM_LOG", default_value = "warn")]
     pub(crate) log: String,
@@ -233,6 +238,7 @@ Examples:
   mom lab --two-arms                       two arms whose workspaces overlap
   mom lab --fleet 10                       ten wheeled robots and their base station
   mom lab --fleet 10 --together            the same, driven together under one token
+  mom lab --cubo                           a thin robot, mirrored over RSP
   mom lab --log info";
 
 /// `mom tree`

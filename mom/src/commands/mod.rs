@@ -23,6 +23,7 @@ mod logs;
 mod manage;
 mod offers;
 mod request;
+mod rsp;
 mod run;
 mod send;
 mod snap;
@@ -81,6 +82,7 @@ pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Camera(args) => camera::run(args, global, output).await,
         Command::Aim(args) => aim::run(args, global, output).await,
         Command::Snap(args) => snap::run(args, global, output).await,
+        Command::Rsp(args) => rsp::run(args, output),
         Command::Device(command) => command.run(global, output).await,
     }
 }

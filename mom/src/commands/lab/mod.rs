@@ -1,5 +1,5 @@
-//! `mom lab`: a hub, a robot arm, five cameras, their model of the objects and two agents in one process, to try; or two arms, or a
-//! fleet.
+//! `mom lab`: a hub, a robot arm, five cameras, their model of the objects and two agents in one process, to try; or two arms, a
+//! fleet, or a thin robot.
 
 use std::env;
 use std::io::{self, IsTerminal as _};
@@ -27,6 +27,7 @@ use crate::interrupt::Interrupt;
 use crate::output::Output;
 use crate::output::style::{Tone, ink};
 
+mod cubo;
 mod eyes;
 mod fleet;
 mod summary;
@@ -72,6 +73,7 @@ enum Kind {
     Arm,
     TwoArms,
     Fleet { robots: u16, together: bool },
+    Cubo,
 }
 
 impl Kind {
@@ -82,6 +84,7 @@ impl Kind {
                 together: args.together,
             },
             (None, true) => Self::TwoArms,
+            (None, false) if args.cubo => Self::Cubo,
             (None, false) => Self::Arm,
         }
     }
@@ -94,7 +97,7 @@ pub(crate) async fn run(args: &cli::LabArgs, output: Output) -> Result<(), Failu
     let mut config = match kind {
         Kind::Arm => Config::lab(),
         Kind::TwoArms => Config::two_arms(),
-        Kind::Fleet { .. } => Config::fleet(),
+        Kind::Fleet { .. } | Kind::Cubo => Config::fleet(),
     };
     if let Some(listen) = args.listen {
         config.listen = vec![listen.into()];
@@ -112,7 +115,7 @@ pub(crate) async fn run(args: &cli::LabArgs, output: Output) -> Result<(), Failu
     let broker = Broker::start(config).await.map_err(start_failure)?;
     let mut eyes = match kind {
         Kind::Fleet { robots, .. } => Eyes::open(robots).await?,
-        Kind::Arm | Kind::TwoArms => Eyes::default(),
+        Kind::Arm | Kind::TwoArms | Kind::Cubo => Eyes::default(),
     };
     let lab = LabSummary {
         address: within_reach(broker.local_addr()),
@@ -128,6 +131,7 @@ pub(crate) async fn run(args: &cli::LabArgs, output: Output) -> Result<(), Failu
     let mut devices = match kind {
         Kind::Arm => start_devices(&broker, &stopping).await?,
         Kind::TwoArms => start_arms(&broker, &stopping).await?,
+        Kind::Cubo => cubo::start(&broker, &stopping).await?,
         Kind::Fleet { robots, together } => {
             fleet::start(&broker, robots, together, &mut eyes, &stopping).await?
         }

@@ -8,6 +8,7 @@ use mom_client::Fingerprint;
 use mom_model::ModelOptions;
 use serde_json::{Value as Json, json};
 
+use super::cubo::PATH as CUBO;
 use super::{Kind, TWO_ARMS, USUAL};
 use crate::output::style::{Tone, ink, padded};
 
@@ -65,6 +66,10 @@ impl LabSummary {
                         "A hub and two robot arms over one table are running here. Ctrl-C ends them."
                             .to_owned()
                     }
+                    Kind::Cubo => {
+                        "A hub, the robot CUBO and the computer that thinks for it are running here. Ctrl-C ends them."
+                            .to_owned()
+                    }
                     Kind::Fleet { robots, .. } => format!(
                         "A hub, {robots} robots and their base station are running here. Ctrl-C ends them."
                     ),
@@ -101,6 +106,7 @@ impl LabSummary {
             Kind::Arm => self.proposals(),
             Kind::TwoArms => self.proposals_for_two(),
             Kind::Fleet { together, .. } => self.proposals_for_fleet(together),
+            Kind::Cubo => self.proposals_for_cubo(),
         });
         lines.join("\n")
     }
@@ -110,6 +116,19 @@ impl LabSummary {
         let place = |text: &str| ink(text, Tone::Place);
         if let Kind::Fleet { robots, together } = self.kind {
             return self.fleet(robots, together);
+        }
+        if matches!(self.kind, Kind::Cubo) {
+            let robot = format!(
+                "{}, driven by whoever holds {}",
+                place(&format!("{CUBO}/robot")),
+                place(&format!("{CUBO}/token"))
+            );
+            let mirror = format!(
+                "{}, what is wanted and what is confirmed of each element",
+                place(&format!("{CUBO}/simulacrum"))
+            );
+            let camera = place(&format!("{CUBO}/camera"));
+            return vec![("robot", robot), ("mirror", mirror), ("camera", camera)];
         }
         if matches!(self.kind, Kind::TwoArms) {
             let robots = TWO_ARMS.map(|(_, channel, _)| {
@@ -226,6 +245,28 @@ impl LabSummary {
             ),
             command("MOM grab /zone/middle"),
             command("MOM watch --recursive /zone"),
+        ]
+    }
+
+    /// What to type next, with a thin robot.
+    fn proposals_for_cubo(&self) -> Vec<String> {
+        let program = &self.program;
+        let person = |name: &str| format!("export {}MOM_USER={name} MOM_PASSWORD={name}", self.hub());
+        let command = |text: &str| format!("  {}", ink(text.replace("MOM", program), Tone::Command));
+        let export = |name: &str| format!("  {}", ink(person(name), Tone::Command));
+        vec![
+            "Try in another terminal, as alice:".to_owned(),
+            export("alice"),
+            command("MOM fleet send 1 'via 2800 2500 2800 2800 2500 2800 2500 2500'"),
+            command("MOM fleet send 1 'set joints 45 -45 10; do gesture 3'"),
+            command("MOM fleet send 1 'set left-wheel 100 right-wheel -100 for 2000'"),
+            command("MOM fleet send 1 'period 40'"),
+            command("MOM watch /fleet/1/simulacrum"),
+            command("MOM stop /fleet"),
+            command("MOM unstop /fleet"),
+            "and meanwhile, in a third one, as carol, who may take what alice has:".to_owned(),
+            export("carol"),
+            command(&format!("MOM grab {CUBO}/token")),
         ]
     }
 
