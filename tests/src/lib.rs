@@ -6,6 +6,7 @@ pub mod attacks;
 pub mod audit;
 pub mod bridge;
 pub mod canary;
+pub mod datagrams;
 pub mod dialogue;
 pub mod faulty;
 pub mod lab;

@@ -34,6 +34,8 @@ pub fn program(name: &str) -> PathBuf {
         "mom-base-station",
         "mom-gateway",
         "mom-rover",
+        "mom-cubo",
+        "mom-simulacrum",
     ];
     FOLDER.get_or_init(|| build(&packages)).join(name)
 }

@@ -129,6 +129,15 @@ fn what_stands_there_of_a_fleet_is_typed_and_said() {
     type_all(&all, &format!("bin://{hub}"));
 }
 
+/// CUBO and its middle as programs of their own: a square, a network that is cut, and carol who takes it.
+#[test]
+fn what_stands_there_of_a_thin_robot_is_typed_and_said() {
+    let (_broker, hub) = Running::broker(&project().join("config/fleet.toml"));
+    let all = typed("docs/simulacrum.md", "```console cubo\n");
+    assert!(all.len() > 12, "{all:?}");
+    type_all(&all, &format!("bin://{hub}"));
+}
+
 fn type_all(all: &[Typed], hub: &str) {
     let folder = tempfile::tempdir().expect("a folder");
     symlink(project().join("config"), folder.path().join("config")).expect("a link");

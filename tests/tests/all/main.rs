@@ -44,6 +44,7 @@ mod room;
 mod rover;
 mod runs;
 mod servo;
+mod simulacrum;
 mod states;
 mod stats;
 mod stops;

@@ -88,6 +88,8 @@ fn archive_and_package_have_the_same_programs_and_all_pages() {
         ("bin/mom-base-station", "./usr/bin/mom-base-station"),
         ("bin/mom-gateway", "./usr/bin/mom-gateway"),
         ("bin/mom-rover", "./usr/bin/mom-rover"),
+        ("bin/mom-cubo", "./usr/bin/mom-cubo"),
+        ("bin/mom-simulacrum", "./usr/bin/mom-simulacrum"),
         ("man/mom-mcp.1", "./usr/share/man/man1/mom-mcp.1.gz"),
         ("man/mom-grab.1", "./usr/share/man/man1/mom-grab.1.gz"),
         (
