@@ -14,7 +14,7 @@ use crate::command::{cargo, line, output, shows};
 use files::{copy, kept, open, put};
 
 /// The programs that are packed. Each has a package of its name.
-const PROGRAMS: [&str; 11] = [
+const PROGRAMS: [&str; 13] = [
     "mom-broker",
     "mom-arm",
     "mom-camera",
@@ -25,6 +25,8 @@ const PROGRAMS: [&str; 11] = [
     "mom-base-station",
     "mom-gateway",
     "mom-rover",
+    "mom-cubo",
+    "mom-simulacrum",
     "mom",
 ];
 
