@@ -75,6 +75,12 @@ impl<S: Fn(Parcel) -> Sending> Outlet<S> {
         self.down = down;
     }
 
+    /// Whether everything is held back.
+    #[must_use]
+    pub fn is_down(&self) -> bool {
+        self.down
+    }
+
     /// Sends one parcel; never ends while there is none. May be dropped at any time, nothing is lost.
     pub async fn work(&mut self) {
         if self.sending.is_none() && !self.down {

@@ -70,6 +70,11 @@ impl<M: Machine> DevicePeer<M> {
         DeviceTime::try_from(self.begin.elapsed().as_micros()).unwrap_or(DeviceTime::MAX)
     }
 
+    /// Whether its link to the hub is down, so that nothing can be said.
+    pub fn is_down(&self) -> bool {
+        self.outlet.is_down()
+    }
+
     /// Lets something be done to the device that no command does, such as that news of it have come.
     pub fn note(&mut self, what: impl FnOnce(&mut M)) {
         let now = self.now();

@@ -107,6 +107,7 @@ pub async fn run(
             let told = status.tell(&device.state(), guard.as_ref(), Instant::now());
             teller.out.extend(told);
         }
+        outlet.set_down(device.is_down());
         outlet.push(&mut teller.out);
         tokio::select! {
             biased;

@@ -4,7 +4,7 @@ use std::future::Future;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
-use mom_client::{Channel, Client, ClientError, Family, Map, Parcel, Time, Value};
+use mom_client::{Channel, Client, ClientError, Delivery, Family, Map, Parcel, Time, Value};
 use mom_device::{DevicePeer, Outlet, State, sender};
 use mom_fleet::{StatusTeller, ensure_session, enter, enter_status};
 use mom_rsp::Kind;
@@ -17,6 +17,9 @@ use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until};
 
 use crate::{Mirror, Simulacrum, Teller};
+
+/// So often the mirror is looked at for what is to be told; packets come more often.
+const LOOK: Duration = Duration::from_millis(50);
 
 /// Where mirrored robots are at the hub.
 #[derive(Debug, Clone, Default)]
@@ -86,6 +89,8 @@ struct Robot {
     /// Where blobs of these elements go.
     blobs: Vec<(u8, Channel)>,
     told: State,
+    /// When the mirror is looked at next.
+    look: Instant,
     out: Vec<Parcel>,
 }
 
@@ -130,6 +135,7 @@ impl Robot {
         Ok(Robot {
             teller: Teller::new(mirror.path().clone()),
             told: device.state(),
+            look: Instant::now(),
             client: client.clone(),
             robot,
             notices,
@@ -152,6 +158,8 @@ impl Robot {
         loop {
             self.fail_if_failed();
             let due = self.tell();
+            // What cannot be sent is not tried again and again.
+            outlet.set_down(self.device.is_down());
             outlet.push(&mut self.out);
             tokio::select! {
                 biased;
@@ -210,7 +218,7 @@ impl Robot {
         let mut parcel = Parcel::new(Family::Message, name)
             .context(channel.path().clone())
             .content(content);
-        parcel.priority = Some(-10);
+        (parcel.priority, parcel.delivery) = (Some(-10), Some(Delivery::Latest));
         parcel.echo = Some(false);
         parcel.timestamp = self.robot.age().and_then(before_now);
         self.out.push(parcel);
@@ -234,8 +242,11 @@ impl Robot {
             self.device.report();
             self.told = state.clone();
         }
-        let told = self.teller.tell(&self.robot, before_now, now);
-        self.out.extend(told);
+        if self.look <= now {
+            self.look = now + LOOK;
+            let told = self.teller.tell(&self.robot, before_now, now);
+            self.out.extend(told);
+        }
         if let Some((_, teller)) = &mut self.status {
             let guard = self.channel.gate().guard();
             if let Some(mut parcel) = teller.tell(&state, guard.as_ref(), now) {
@@ -243,7 +254,7 @@ impl Robot {
                 self.out.push(parcel);
             }
         }
-        self.teller.due(now).max(now + Duration::from_millis(20))
+        self.look
     }
 }
 

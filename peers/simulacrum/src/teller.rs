@@ -81,12 +81,6 @@ impl Teller {
         out
     }
 
-    /// When there may be something to tell.
-    #[must_use]
-    pub fn due(&self, now: Instant) -> Instant {
-        self.packets.as_ref().map_or(now, |(_, at)| *at + PACKETS)
-    }
-
     fn parcel(&self, name: &str, content: Map) -> Parcel {
         let mut parcel = Parcel::new(Family::Message, name)
             .context(self.channel.clone())

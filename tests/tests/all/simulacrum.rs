@@ -15,8 +15,8 @@ struct Stage {
     hub: String,
     network: Datagrams,
     cubo: Running,
-    _middle: Running,
-    _broker: Running,
+    middle: Running,
+    broker: Running,
     _folder: tempfile::TempDir,
 }
 
@@ -74,8 +74,8 @@ impl Stage {
             hub,
             network,
             cubo,
-            _middle: middle,
-            _broker: broker,
+            middle,
+            broker,
             _folder: folder,
         }
     }
@@ -308,4 +308,35 @@ async fn a_thin_robot_is_one_of_the_fleet() {
         "{words}"
     );
     told(&mut events, |state| !is(state, "moving")).await;
+}
+
+/// The hub is lost: the robot rests, and the middle ends when it is told to, whatever it had to say.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_lost_hub_has_it_rest_and_the_middle_still_ends() {
+    let Stage {
+        hub,
+        network: _network,
+        cubo,
+        middle,
+        broker,
+        _folder,
+    } = Stage::new(&[]).await;
+    let alice = Client::builder(&hub)
+        .user("alice")
+        .password("alice")
+        .connect()
+        .await;
+    let alice = alice.expect("the lab knows her");
+    let (channel, mut events) = linked(&alice).await;
+    let guard = grab(&alice).await;
+    let mut robot = Robot::new(channel, guard.fence());
+    tokio::spawn(async move { robot.carry_out("motor 100 -100 60000").await });
+    told(&mut events, |state| is(state, "moving")).await;
+    broker.signal("KILL");
+    middle.signal("TERM");
+    let ended = spawn_blocking(|| middle.wait()).await.expect("it ends");
+    assert!(ended.success(), "{ended}");
+    spawn_blocking(move || cubo.line_with("the robot rests"))
+        .await
+        .expect("it does");
 }
