@@ -10,6 +10,7 @@ mod lab_link;
 mod links;
 mod path;
 mod reach;
+mod rsp;
 mod servo;
 mod stop_in_image;
 mod token_table;
@@ -51,7 +52,7 @@ pub struct Experiment {
 }
 
 /// All experiments, in the order of the document.
-pub const ALL: [Experiment; 15] = [
+pub const ALL: [Experiment; 17] = [
     Experiment {
         name: "reach",
         run: reach::run,
@@ -111,6 +112,14 @@ pub const ALL: [Experiment; 15] = [
     Experiment {
         name: "fleet-beside",
         run: fleet::beside::run,
+    },
+    Experiment {
+        name: "rsp-sizes",
+        run: rsp::sizes::run,
+    },
+    Experiment {
+        name: "rsp-acks",
+        run: rsp::acks::run,
     },
 ];
 
