@@ -52,7 +52,7 @@ pub struct Experiment {
 }
 
 /// All experiments, in the order of the document.
-pub const ALL: [Experiment; 17] = [
+pub const ALL: [Experiment; 18] = [
     Experiment {
         name: "reach",
         run: reach::run,
@@ -116,6 +116,10 @@ pub const ALL: [Experiment; 17] = [
     Experiment {
         name: "rsp-sizes",
         run: rsp::sizes::run,
+    },
+    Experiment {
+        name: "rsp-path",
+        run: rsp::path::run,
     },
     Experiment {
         name: "rsp-acks",

@@ -2,6 +2,7 @@
 //! the kernel's own TCP.
 
 pub(super) mod acks;
+pub(super) mod path;
 mod probe;
 pub(super) mod sizes;
 mod world;
@@ -38,10 +39,15 @@ impl fmt::Display for Mean {
     /// With the digits that are asked for.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let digits = f.precision().unwrap_or(1);
+        let plus = if f.sign_plus() && self.mean >= 0.0 {
+            "+"
+        } else {
+            ""
+        };
         match (self.mean.is_nan(), self.half.is_nan()) {
             (true, _) => f.write_str("none"),
-            (_, true) => write!(f, "{:.digits$}", self.mean),
-            _ => write!(f, "{:.digits$} ± {:.digits$}", self.mean, self.half),
+            (_, true) => write!(f, "{plus}{:.digits$}", self.mean),
+            _ => write!(f, "{plus}{:.digits$} ± {:.digits$}", self.mean, self.half),
         }
     }
 }

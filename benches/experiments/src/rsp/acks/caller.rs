@@ -107,8 +107,16 @@ impl Caller {
         &self.calls
     }
 
-    pub(super) fn told(&self) -> &Told {
-        &self.told
+    /// What passed, from the first call on.
+    pub(super) fn told(self) -> Told {
+        let begin = self.calls.first().map_or(0, |call| call.at);
+        let mut told = self.told;
+        told.arrows.retain(|arrow| arrow.sent >= begin);
+        for arrow in &mut told.arrows {
+            arrow.sent -= begin;
+            arrow.arrived = arrow.arrived.map(|at| at - begin);
+        }
+        told
     }
 
     fn is_of_middle(&self) -> bool {
@@ -196,10 +204,10 @@ impl Caller {
         self.bytes += item.as_ref().map_or(0, |item| item.bytes);
         let [call, ack] = &mut self.to_lose;
         let lost = item.is_some() && std::mem::take(if is_ack { ack } else { call });
-        if let Some(call) = self.calls.first().filter(|_| self.is_watched) {
+        if self.is_watched {
             self.told.arrows.push(Arrow {
                 down: direction == Direction::Down,
-                sent: now - call.at,
+                sent: now,
                 lost,
                 arrived: None,
                 label: item.map(|item| item.label).unwrap_or_default(),
@@ -209,11 +217,11 @@ impl Caller {
     }
 
     fn reaches(&mut self, now: u64, direction: Direction, datagram: &[u8]) {
-        if let Some(call) = self.calls.first().filter(|_| self.is_watched) {
+        if self.is_watched {
             let down = direction == Direction::Down;
             let under_way = |arrow: &&mut Arrow| arrow.down == down && !arrow.lost && arrow.arrived.is_none();
             if let Some(arrow) = self.told.arrows.iter_mut().find(under_way) {
-                arrow.arrived = Some(now - call.at);
+                arrow.arrived = Some(now);
             }
         }
         // A command's acknowledgement is told by the middle's end itself.

@@ -13,8 +13,8 @@ const LEFT: f64 = 60.0;
 /// Above the lines, and from one row of charts to the next.
 const TOP: f64 = 90.0;
 /// Units for each ms, and the ms that are shown after the call.
-const SCALE: f64 = 1.5;
-const SHOWN: u64 = 240;
+const SCALE: f64 = 1.0;
+const SHOWN: u64 = 400;
 
 const CALL: &str = "#0083cc";
 const ACK: &str = "#009e73";
@@ -91,15 +91,18 @@ fn chart(svg: &mut String, title: &str, told: &Told, x: f64, y: f64) {
     }
     if let Some((time, word)) = told.over.filter(|(time, _)| *time < SHOWN * MS) {
         // The one who called is told.
-        let (side, anchor) = if is_command {
-            (x + 6.0, "start")
-        } else {
-            (right + 8.0, "start")
-        };
         let _ = writeln!(
             svg,
-            "<text x=\"{side}\" y=\"{:.1}\" text-anchor=\"{anchor}\" font-weight=\"bold\">{word}</text>",
-            at(time) + 12.0
+            "<text x=\"{:.0}\" y=\"{:.1}\">{}</text><text x=\"{:.0}\" y=\"{:.1}\">{word}</text>",
+            right + 10.0,
+            at(time),
+            if is_command {
+                "at the middle:"
+            } else {
+                "at the robot:"
+            },
+            right + 10.0,
+            at(time) + 13.0,
         );
     }
 }

@@ -157,7 +157,7 @@ fn told(kind: u8, paper: bool, seed: u64) -> Result<Told> {
     let mut world = world(kind, 1, paper, 0.0, seed)?;
     world.scene.script();
     world.run_until(world.now + 2 * SECOND);
-    Ok(world.scene.told().clone())
+    Ok(world.scene.told())
 }
 
 fn markdown(all: &[Rows], ids: usize, seeds: u64) -> String {

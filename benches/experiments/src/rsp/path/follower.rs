@@ -2,7 +2,9 @@
 
 use fastrand::Rng;
 use mom_cubo::model::LAYOUT;
-use mom_cubo::model::elements::{Joints, LeftWheel, Lips, Microphone, Pose as PoseSensor, Posture, RightWheel, Speaker, Surroundings};
+use mom_cubo::model::elements::{
+    Joints, LeftWheel, Lips, Microphone, Pose as PoseSensor, Posture, RightWheel, Speaker, Surroundings,
+};
 use mom_rsp::middle::{Middle, Notice};
 use mom_rsp::robot::Body;
 use mom_rsp::typed::Named as _;
@@ -125,7 +127,8 @@ impl Follower {
             return;
         };
         self.stamp = reading.stamp;
-        let [x, y, heading] = [[x0, x1], [y0, y1], [h0, h1]].map(|bytes| f64::from(i16::from_be_bytes(bytes)));
+        let [x, y, heading] =
+            [[x0, x1], [y0, y1], [h0, h1]].map(|bytes| f64::from(i16::from_be_bytes(bytes)));
         self.began = self.began.or(Some(now));
         self.believed.update(&self.track, x, y);
         let pose = Pose::new(x, y, heading / 10.0);
@@ -250,7 +253,11 @@ impl Scene for Follower {
         if self.filter || !is_data {
             return;
         }
-        let items = Items::parse(&LAYOUT, Direction::Down, datagram.get(Header::LEN..).unwrap_or_default());
+        let items = Items::parse(
+            &LAYOUT,
+            Direction::Down,
+            datagram.get(Header::LEN..).unwrap_or_default(),
+        );
         for (element, item) in items.into_iter().flatten() {
             if let Item::Value(value) = item {
                 self.turn(element, value);

@@ -26,7 +26,13 @@ pub(super) struct Track {
 impl Track {
     /// 2 m × 2 m, counterclockwise.
     pub(super) fn square() -> Track {
-        let corners = [[2000.0, 2000.0], [4000.0, 2000.0], [4000.0, 4000.0], [2000.0, 4000.0], [2000.0, 2000.0]];
+        let corners = [
+            [2000.0, 2000.0],
+            [4000.0, 2000.0],
+            [4000.0, 4000.0],
+            [2000.0, 4000.0],
+            [2000.0, 2000.0],
+        ];
         let mut points = Vec::new();
         for (from, to) in corners.iter().zip(corners.iter().skip(1)) {
             let steps = 2000.0 / STEP;
@@ -54,7 +60,10 @@ impl Track {
         };
         Track {
             name: "figure eight",
-            points: circle(1.0).chain(circle(-1.0)).chain([[3000.0, 3000.0]]).collect(),
+            points: circle(1.0)
+                .chain(circle(-1.0))
+                .chain([[3000.0, 3000.0]])
+                .collect(),
         }
     }
 
@@ -152,7 +161,11 @@ mod tests {
         }
         assert!(!progress.is_done(&square));
         let eight = Track::eight();
-        assert!((eight.length() - 2.0 * TAU * 500.0).abs() < 10.0, "{}", eight.length());
+        assert!(
+            (eight.length() - 2.0 * TAU * 500.0).abs() < 10.0,
+            "{}",
+            eight.length()
+        );
         // Half way it crosses where it began, and is not there again.
         let mut progress = Progress::default();
         for step in 0..=628 {
@@ -170,6 +183,9 @@ mod tests {
         progress.update(&square, left_of_it.x, left_of_it.y);
         let [left, right] = progress.steer(&square, left_of_it);
         assert!(left > right, "{left} {right}");
-        assert_eq!(progress.steer(&square, Pose::new(2500.0, 2000.0, 0.0)), [200, 200]);
+        assert_eq!(
+            progress.steer(&square, Pose::new(2500.0, 2000.0, 0.0)),
+            [200, 200]
+        );
     }
 }
