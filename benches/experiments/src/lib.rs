@@ -52,7 +52,7 @@ pub struct Experiment {
 }
 
 /// All experiments, in the order of the document.
-pub const ALL: [Experiment; 18] = [
+pub const ALL: [Experiment; 20] = [
     Experiment {
         name: "reach",
         run: reach::run,
@@ -122,8 +122,16 @@ pub const ALL: [Experiment; 18] = [
         run: rsp::path::run,
     },
     Experiment {
+        name: "rsp-filter",
+        run: rsp::filter::run,
+    },
+    Experiment {
         name: "rsp-acks",
         run: rsp::acks::run,
+    },
+    Experiment {
+        name: "rsp-delay",
+        run: rsp::delay::run,
     },
 ];
 

@@ -2,6 +2,8 @@
 //! the kernel's own TCP.
 
 pub(super) mod acks;
+pub(super) mod delay;
+pub(super) mod filter;
 pub(super) mod path;
 mod probe;
 pub(super) mod sizes;

@@ -163,6 +163,12 @@ pub(super) trait Scene: Body {
         let _ = (now, datagram);
     }
 
+    /// Datagrams of the middle that were held back, and go on now.
+    fn late(&mut self, now: u64) -> Vec<Vec<u8>> {
+        let _ = now;
+        Vec::new()
+    }
+
     /// When one of the programs wants a turn, whatever happens on the link.
     fn wake(&self) -> Option<u64> {
         None
@@ -234,6 +240,9 @@ impl<E: End, S: Scene> World<E, S> {
             let _ = self.middle.receive(now, &mut datagram);
         }
         self.scene.at_middle(now, &mut self.middle);
+        for datagram in self.scene.late(now) {
+            self.down.send(&datagram, now);
+        }
         while let Some(datagram) = self.middle.poll(now) {
             if self.scene.leaves_middle(now, datagram) {
                 self.down.send(datagram, now);

@@ -106,13 +106,13 @@ impl Follower {
         self.outcome.is_some()
     }
 
-    /// What came of it; one that is not over is late.
+    /// What came of it; one that is not over is late, and of one that never began no figure is a number.
     pub(super) fn drove(self) -> Drove {
-        let samples = self.samples.max(1.0);
+        let samples = self.samples;
         Drove {
             outcome: self.outcome.unwrap_or(Outcome::Late),
             rms: (self.squares / samples).sqrt(),
-            worst: self.worst,
+            worst: if samples > 0.0 { self.worst } else { f64::NAN },
             age: self.ages / samples,
             trace: self.trace,
         }

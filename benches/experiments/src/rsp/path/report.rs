@@ -7,7 +7,7 @@ use mom_plots::{Axis, Plot, Series};
 use super::super::{Mean, PERIOD};
 use super::follower::{Drove, Outcome};
 use super::track::{LOOKAHEAD, SPEED, Track};
-use super::{Arm, BASE, Cell, DATAGRAMS, LANES, OURS, PAPER, Row, STREAMS};
+use super::{Arm, BASE, Cell, DATAGRAMS, LANES, OURS, PAPER, Row, SILENCE, STREAMS};
 use crate::{IMAGES, Section};
 
 type Value = fn(&Drove) -> f64;
@@ -88,7 +88,7 @@ fn head(tables: &[Vec<Row>]) -> String {
          - *Paper mode*: all elements that have a value in each packet, over UDP: 26 bytes down and 28 up, as only the wheels are written. *Variable, TCP*: the same packets.\n\
          - *Fixed size*: the same with all elements in each packet, 1992 bytes down and 688 up. The paper's rival is *fixed size, TCP*; which kind of TCP, it does not say, so there it is with Nagle's algorithm (the system's default) and without.\n\n\
          **Inputs:** the base: {} ms each way, jitter up to {:.0} % of that, {:.0} % of the IP packets lost each way, {} Mbit/s; one of these is another one in each row below. A link has a queue of 500 ms, keeps the order of packets, and carries a datagram of 1992 bytes as two IP packets. \
-         At the beginning a robot is up to 20 mm and 5° off, which the seed draws. A drive ends at the end of the path, 1 m off it, or after twice its time. Poses are true and in whole mm.\n\n\
+         At the beginning a robot is up to 20 mm and 5° off, which the seed draws. In own mode the middle gives a session up after {SILENCE} ms of silence: with its 500 ms there would be none over a round trip of more. A drive ends at the end of the path, 1 m off it, or after twice its time. Poses are true and in whole mm.\n\n\
          UDP is in virtual time, {} drives each. TCP is the kernel's (cubic), in real time through a packet relay of the same link model between two network namespaces, {} drives each, {LANES} robots at a time on a machine that is shared; *RSP, in real time* is RSP there, to compare. \
          Intervals are 95 %.\n\n",
         BASE.delay,
@@ -100,9 +100,10 @@ fn head(tables: &[Vec<Row>]) -> String {
     )
 }
 
-/// The mean of a value of a cell's drives.
+/// The mean of a value of a cell's drives, those that began.
 fn mean(cell: &Cell, value: Value) -> Mean {
-    Mean::of(&cell.drives.iter().map(value).collect::<Vec<f64>>())
+    let values = cell.drives.iter().map(value).filter(|value| value.is_finite());
+    Mean::of(&values.collect::<Vec<f64>>())
 }
 
 /// A row for each link, a column for each arm.
@@ -157,28 +158,31 @@ fn shares(rows: &[Row]) -> String {
     ];
     let names = pairs.map(|(name, ..)| name).join(" | ");
     let mut text = format!(
-        "What comes of the size and what of the transport: differences of the RMS error on the square, mm, between two arms that differ in this alone (more is worse):\n\n| | {names} |\n|---|{}\n",
+        "What comes of the size and what of the transport: differences of the RMS error on the square, mm, between two arms that differ in this alone, drive by drive of the same seed (more is worse):\n\n| | {names} |\n|---|{}\n",
         "---:|".repeat(pairs.len())
     );
     for row in rows {
-        let rms = |arm: Arm| {
-            let cell = row.cells.iter().find(|cell| cell.arm == arm);
-            cell.map(|cell| mean(cell, |drove| drove.rms))
+        let drives = |arm: Arm| {
+            row.cells
+                .iter()
+                .find(|cell| cell.arm == arm)
+                .map(|cell| &cell.drives)
         };
-        let cells = pairs.map(|(_, with, without)| match (rms(with), rms(without)) {
-            (Some(with), Some(without)) => {
-                let difference = Mean {
-                    mean: with.mean - without.mean,
-                    half: with.half.hypot(without.half),
-                };
-                let sure = difference.mean.abs() > difference.half;
-                if sure {
-                    format!("**{difference:+.1}**")
-                } else {
-                    format!("{difference:+.1}")
-                }
+        let cells = pairs.map(|(_, with, without)| {
+            let (Some(with), Some(without)) = (drives(with), drives(without)) else {
+                return String::new();
+            };
+            // The same seed begins at the same place.
+            let differences = with
+                .iter()
+                .zip(without)
+                .map(|(with, without)| with.rms - without.rms);
+            let difference = Mean::of(&differences.collect::<Vec<f64>>());
+            if difference.mean.abs() > difference.half {
+                format!("**{difference:+.1}**")
+            } else {
+                format!("{difference:+.1}")
             }
-            _ => String::new(),
         });
         // Writing to a String cannot fail.
         let _ = writeln!(text, "| {} | {} |", row.name, cells.join(" | "));

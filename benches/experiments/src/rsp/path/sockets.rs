@@ -17,7 +17,7 @@ use tokio::time::{Instant, sleep_until};
 
 use super::super::world::{Scene, cubo, middle};
 use super::follower::{Drove, Follower};
-use super::{Arm, BASE, Cell, LANES, Link, OURS, Row, STREAMS, Track, Transport};
+use super::{Arm, BASE, Cell, LANES, Link, OURS, Row, Track, Transport};
 use crate::runtime;
 
 /// The longest datagram, and what is read at once.
@@ -45,7 +45,12 @@ struct Job {
 ///
 /// # Errors
 /// Where no namespaces can be made; the tables are as before then.
-pub(super) fn drive_all(tracks: &[Track], tables: &mut [Vec<Row>], seeds: Range<u64>) -> Result<()> {
+pub(super) fn drive_all(
+    tracks: &[Track],
+    tables: &mut [Vec<Row>],
+    streams: &[Arm],
+    seeds: Range<u64>,
+) -> Result<()> {
     // One that nobody uses tells whether there can be any.
     drop(
         RelayedLink::new(BASE.shape(), BASE.shape(), 1, "cubic")
@@ -56,10 +61,8 @@ pub(super) fn drive_all(tracks: &[Track], tables: &mut [Vec<Row>], seeds: Range<
         for (track, rows) in tables.iter().enumerate() {
             for (row, of) in rows.iter().enumerate() {
                 let is_base = of.link == BASE;
-                let arms = STREAMS
-                    .into_iter()
-                    .filter(|_| is_base || track == 0)
-                    .chain(is_base.then_some(CHECK));
+                let arms = streams.iter().filter(|_| is_base || track == 0);
+                let arms = arms.chain(is_base.then_some(&CHECK)).copied();
                 jobs.extend(arms.map(|arm| Job {
                     track,
                     row,
@@ -89,7 +92,8 @@ pub(super) fn drive_all(tracks: &[Track], tables: &mut [Vec<Row>], seeds: Range<
         }
     });
     let mut made = made.into_inner().unwrap_or_else(PoisonError::into_inner);
-    made.sort_by_key(|(job, _)| job.seed);
+    let place = |arm: Arm| streams.iter().position(|of| *of == arm).unwrap_or(streams.len());
+    made.sort_by_key(|(job, _)| (place(job.arm), job.seed));
     for (job, drove) in made {
         let drove = drove.with_context(|| format!("{} over {:?}", job.arm.name, job.link))?;
         let row = tables.get_mut(job.track).and_then(|rows| rows.get_mut(job.row));
