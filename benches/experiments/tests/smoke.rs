@@ -102,6 +102,54 @@ fn a_fleet_over_the_radio_model_keeps_what_it_promises() {
     }
 }
 
+/// A thin robot over a modelled link: exact, as nothing depends on the machine.
+#[test]
+fn a_thin_robot_over_a_modelled_link_is_the_papers() {
+    for (name, rows) in [
+        (
+            "rsp-sizes",
+            &[
+                "| paper mode, the packet | 34 | 1992 | 1221.9 | 1992 | 38.66 % |",
+                "| paper mode, with IP and UDP | 62 | 2040 |",
+                "| 0 % | 0.00 ± 0.00 |",
+            ][..],
+        ),
+        ("rsp-filter", &["| none | 4", "| 100 ms, then a burst | "]),
+        (
+            "rsp-acks",
+            &[
+                "| memory command | 20 % | 80 | 80 | 0 | 0 |",
+                "In own mode none was carried out another number",
+            ],
+        ),
+    ] {
+        let section = experiment(name).expect("it needs no links");
+        for row in rows {
+            assert!(section.markdown.contains(row), "{row}: {}", section.markdown);
+        }
+        assert!(!section.markdown.contains("NaN"), "{}", section.markdown);
+        assert!(section.plots.iter().all(|(_, plot)| plot.starts_with("<svg")));
+    }
+}
+
+/// The same at real sockets; those that need namespaces are left out where there are none.
+#[test]
+fn a_thin_robot_at_real_sockets_is_commanded() {
+    for (name, rows) in [
+        ("rsp-path", &["The square, 0.1 m", "| base | "][..]),
+        (
+            "rsp-delay",
+            &["| encode | no | ", "| the motion filter's wait for T | no | "],
+        ),
+    ] {
+        let section = experiment(name).expect("it runs without links");
+        for row in rows {
+            assert!(section.markdown.contains(row), "{row}: {}", section.markdown);
+        }
+        assert!(!section.markdown.contains("NaN"), "{}", section.markdown);
+    }
+}
+
 /// The same over real sockets of this machine, which may be busy: only what does not depend on that is looked at.
 #[test]
 fn a_fleet_over_real_sockets_is_commanded() {

@@ -185,7 +185,7 @@ async fn command(
             let encoded = begin.elapsed();
             let header = Header::decode(datagram).map_err(|why| anyhow!("a header: {why}"))?;
             let called = begin.elapsed();
-            socket.try_send(datagram)?;
+            socket.send(datagram).await?;
             let call = begin.elapsed() - called;
             if header.kind == Type::Data {
                 if let Some(written) = written.take() {

@@ -142,7 +142,7 @@ impl Mover {
         for (square, output) in self.squares.iter_mut().zip(self.outputs) {
             *square += (output - wanted).powi(2);
         }
-        if since / TICK % (PERIOD / TICK) == 0 {
+        if (since / TICK).is_multiple_of(PERIOD / TICK) {
             let before = self.before.replace(self.outputs).unwrap_or(self.outputs);
             for ((jump, before), output) in self.jumps.iter_mut().zip(before).zip(self.outputs) {
                 *jump = jump.max((output - before).abs());
@@ -376,7 +376,9 @@ fn markdown(rows: &[Row]) -> String {
     }
     text += &format!(
         "\nFor absolute values the newest one is all there is to know, so \"as it comes\" is no worse than hold, and is sooner by the wait for T; what hurts is to carry out a burst one command after the other, which makes the delay of the worst gap the delay of all that follows. \
-         Interpolation and limit trade error for smoothness. For steps a sum keeps what came in a burst, but only totals keep what was lost.\n\n![Motion through gaps](images/{IMAGES}-rsp-filter.svg)\n"
+         \
+         A limit bounds the change in one T ({:.0} here) for little more error. Interpolation does not: on a line through one T, with one output each T, it is that T later and no smoother. For steps a sum keeps what came in a burst, but only totals keep what was lost.\n\n![Motion through gaps](images/{IMAGES}-rsp-filter.svg)\n",
+        f64::from(RATE) * PERIOD as f64 / SECOND as f64
     );
     text
 }

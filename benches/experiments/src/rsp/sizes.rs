@@ -228,7 +228,7 @@ struct Lost {
 fn lost(mode: Mode, packets: u64, loss: f64, seeds: Range<u64>) -> Result<Lost> {
     let mut lost = Lost::default();
     for seed in seeds {
-        let show = show(mode, packets, &[0..u64::MAX], loss, seed)?;
+        let show = show(mode, packets, std::slice::from_ref(&(0..u64::MAX)), loss, seed)?;
         let percent = |arrived: usize, sent: usize| 100.0 * (1.0 - arrived as f64 / sent.max(1) as f64);
         lost.motion.push(percent(show.motions.len(), show.periods.len()));
         lost.sound.push(percent(show.sound, show.played));
@@ -412,12 +412,12 @@ mod tests {
 
     #[test]
     fn sizes_are_the_papers() {
-        let paper = show(Mode::Paper, 100, &[20..50], 0.0, 1).unwrap();
+        let paper = show(Mode::Paper, 100, std::slice::from_ref(&(20..50)), 0.0, 1).unwrap();
         let sizes: Vec<usize> = paper.periods.iter().map(|period| period.data).collect();
         let with = |number: usize| if (20..50).contains(&number) { 1992 } else { 34 };
         assert_eq!(sizes, (0..100).map(with).collect::<Vec<_>>(), "S26");
         assert_eq!((paper.periods[0].ip, paper.periods[20].ip), (62, 2040), "S27");
-        let ours = show(Mode::Ours, 100, &[20..50], 0.0, 1).unwrap();
+        let ours = show(Mode::Ours, 100, std::slice::from_ref(&(20..50)), 0.0, 1).unwrap();
         assert_eq!(ours.periods[30].all, 34 + 5 * 31 + 1956);
         assert_eq!(ours.sound, 30 * SOUND);
     }

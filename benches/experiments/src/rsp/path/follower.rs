@@ -163,7 +163,7 @@ impl Follower {
         let Some(began) = self.began.filter(|_| self.outcome.is_none()) else {
             return;
         };
-        if self.samples as u64 % 10 == 0 {
+        if (self.samples as u64).is_multiple_of(10) {
             self.trace.push((pose.x / 1000.0, pose.y / 1000.0));
         }
         self.samples += 1.0;

@@ -188,7 +188,7 @@ pub(crate) fn run(settings: &Settings) -> Result<Section> {
     let quick = settings.quick;
     let (seeds, stream_seeds) = if quick { (2, 1) } else { (SEEDS, STREAM_SEEDS) };
     let (tracks, streams) = match quick {
-        true => (vec![Track::square().shortened(150.0)], &STREAMS[3..]),
+        true => (vec![Track::square().shortened(100.0)], &STREAMS[3..]),
         false => (vec![Track::square(), Track::eight()], &STREAMS[..]),
     };
     let mut tables = Vec::new();
