@@ -1,13 +1,24 @@
 //! Each experiment, small: figures mean nothing here, what the page says of them does.
 
+use std::path::PathBuf;
+
 use mom_experiments::{ALL, Section, Settings};
 
 /// An experiment of this name, small, with the real broker; none where it needs what only root may make.
 fn experiment(name: &str) -> Option<Section> {
+    small(name, mom_tests::programs::program("mom-broker"))
+}
+
+/// One that has no use for a broker, whose programs need not be built for it.
+fn without_broker(name: &str) -> Section {
+    small(name, PathBuf::new()).expect("it needs no links")
+}
+
+fn small(name: &str, broker: PathBuf) -> Option<Section> {
     let settings = Settings {
         seed: 1,
         quick: true,
-        broker: mom_tests::programs::program("mom-broker"),
+        broker,
     };
     let experiment = ALL.iter().find(|experiment| experiment.name == name);
     let section = (experiment.expect("it is one of them").run)(&settings);
@@ -123,7 +134,7 @@ fn a_thin_robot_over_a_modelled_link_is_the_papers() {
             ],
         ),
     ] {
-        let section = experiment(name).expect("it needs no links");
+        let section = without_broker(name);
         for row in rows {
             assert!(section.markdown.contains(row), "{row}: {}", section.markdown);
         }
@@ -142,7 +153,7 @@ fn a_thin_robot_at_real_sockets_is_commanded() {
             &["| encode | no | ", "| the motion filter's wait for T | no | "],
         ),
     ] {
-        let section = experiment(name).expect("it runs without links");
+        let section = without_broker(name);
         for row in rows {
             assert!(section.markdown.contains(row), "{row}: {}", section.markdown);
         }
