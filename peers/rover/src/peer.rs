@@ -76,7 +76,7 @@ pub async fn run(
     };
     let begin = Instant::now();
     let device = DevicePeer::start(&client, &channel, rover, begin);
-    let device = match options.pull {
+    let mut device = match options.pull {
         Some(wait) => device.pulling(wait),
         None => device,
     };
@@ -89,7 +89,6 @@ pub async fn run(
         out: Vec::new(),
     };
     let mut outlet = Outlet::new(sender(&client));
-    let mut device = device;
     tracing::info!(peer = client.name(), channel = %channel.path(), "the robot is ready");
     let mut shutdown = pin!(shutdown);
     loop {
