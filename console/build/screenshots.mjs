@@ -1,4 +1,4 @@
-// Makes the pictures of docs/console.md and docs/fleet.md anew from a lab: npm run screenshots; those of the fleet alone: npm run screenshots -- fleet. MOM_BIN is the program; with MOM_PREVIEW=1 the page is that of dist
+// Makes the pictures of docs/console.md, docs/fleet.md and docs/simulacrum.md anew from a lab: npm run screenshots; some of them alone: npm run screenshots -- fleet, or -- cubo. MOM_BIN is the program; with MOM_PREVIEW=1 the page is that of dist
 // (`vite preview`), and not the one that the program has in it.
 import { spawn } from "node:child_process";
 import { writeFileSync } from "node:fs";
@@ -10,8 +10,9 @@ const images = fileURLToPath(new URL("../../docs/images", import.meta.url));
 /** Bytes of one picture. */
 const MOST = 150_000;
 
-const alone = process.argv[2] === "fleet";
-const lab = await start(alone ? { lab: ["--fleet", "10"] } : {});
+const alone = process.argv[2];
+const LABS = { fleet: ["--fleet", "10"], cubo: ["--cubo"] };
+const lab = await start(alone ? { lab: LABS[alone] } : {});
 let preview;
 if (process.env.MOM_PREVIEW) {
   process.env.MOM_HUB = lab.address;
@@ -97,6 +98,21 @@ async function shootFleet(lab) {
   await shoot("fleet-send-dark", opened, 1280, 1000, "dark");
 }
 
+/** CUBO on its way along a square, and its model. */
+async function shootCubo(lab) {
+  const env = { ...process.env, MOM_HUB: `bin://${lab.host}`, MOM_USER: "alice", MOM_PASSWORD: "alice" };
+  const opened = await lab.page("carol");
+  await opened.evaluate(() => (location.hash = "#/simulacrum"));
+  await opened.locator("mom-simulacrum").getByText("session up").first().waitFor();
+  const square = "set joints 40 -30 10; via 3000 2500 3000 3000 2500 3000 2500 2500";
+  const driving = spawn(process.env.MOM_BIN, ["fleet", "send", "1", square], { env, stdio: "ignore" });
+  await opened.locator("mom-token").getByText("alice holds it").waitFor();
+  await opened.waitForTimeout(8000);
+  await shoot("simulacrum", opened, 1280, 1100, "light");
+  await shoot("modeller-dark", opened, 1280, 1000, "dark", "#/modeller");
+  driving.kill();
+}
+
 async function shootLab() {
   const [alice, bob, carol] = [await page("alice"), await page("bob"), await page("carol")];
   const health = await page("carol");
@@ -142,10 +158,12 @@ async function shootLab() {
   await shoot("health", health, 1280, 900, "light");
   const fleet = await start({ lab: ["--fleet", "10"] });
   await shootFleet(fleet).finally(() => fleet.end());
+  const cubo = await start({ lab: LABS.cubo });
+  await shootCubo(cubo).finally(() => cubo.end());
 }
 
 try {
-  await (alone ? shootFleet(lab) : shootLab());
+  await { fleet: () => shootFleet(lab), cubo: () => shootCubo(lab), undefined: shootLab }[String(alone)]();
 } finally {
   await lab.end();
   await preview?.close();
