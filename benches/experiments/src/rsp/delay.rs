@@ -22,7 +22,7 @@ use super::world::{cubo, ip_bytes, middle};
 use super::{MS, PERIOD};
 use crate::{IMAGES, Section, Settings, quantile, runtime};
 
-/// Sessions, each with another phase between the periods of both ends, and packets of each.
+/// Sessions, and packets of each.
 const SESSIONS: u64 = 20;
 const PACKETS: usize = 60;
 /// A session that has not got so far by then fails, s.
@@ -197,7 +197,7 @@ async fn command(
                         call,
                     });
                 }
-                // So that the packets of a session meet the robot's period at one phase, and writes meet the middle's at any.
+                // At any time of the period.
                 planned = Some(now() + random.u64(0..PERIOD - 2 * MS));
             }
         }
@@ -291,7 +291,7 @@ pub(crate) fn run(settings: &Settings) -> Result<Section> {
 fn markdown(motion: &[Vec<f64>], music: &[Vec<f64>]) -> String {
     let mut text = format!(
         "The paper's equation for the delay, T_d = Σ (l_i / C + tr_i + tl_i(k) + M / b_i), counts links and nodes: length over speed of light, routing, load, size over rate; it takes the load for what cannot be foreseen (S11). \
-         Here the parts are measured from a program's `write` to the robot's wheel, between two threads with a UDP socket each over loopback, T = 20 ms: {} values with 24 bytes to a packet, and {} with music, 1990 bytes, in paper mode. Writes come at random times, and each session has another phase between the periods of both ends.\n\n\
+         Here the parts are measured from a program's `write` to the robot's wheel, between two threads with a UDP socket each over loopback, T = 20 ms: {} values with 24 bytes to a packet, and {} with music, 1990 bytes, in paper mode. Writes come at random times; {SESSIONS} sessions each.\n\n\
          **Inputs:** the times of the writes. Timers of these programs count in whole ms, as the robots' do. The machine is shared with other work.\n\n\
          | part, µs | in the equation | motion: p50 | mean | p99 | most | with music: p50 | p99 |\n|---|---|---:|---:|---:|---:|---:|---:|\n",
         motion.first().map_or(0, Vec::len),
@@ -323,10 +323,11 @@ fn markdown(motion: &[Vec<f64>], music: &[Vec<f64>]) -> String {
     let waits = means.first().unwrap_or(&0.0) + means.last().unwrap_or(&0.0);
     let _ = writeln!(
         text,
-        "\nOf {:.1} ms in the mean, {:.1} are the two waits for a period, which the equation has not: each is T / 2 in the mean, and T at most. The middle's can be had shorter by a smaller T alone; the filter's is the price of one output each T. \
-         What the equation has, beside them, over {:.0} km at {}:\n\n| bytes with IP and UDP | l / C, ms | M / b, ms: {} |\n|---:|---:|{}",
+        "\nOf {:.1} ms in the mean, {:.1} are the two waits for a period, which the equation has not. The middle's is T / 2 in the mean, as writes come at any time. The robot's period begins with the first packet of a session, so later ones arrive at about the moment of its turn: \
+         one that is just before it waits for nothing, one that is just after it for nearly all of T; the median here is {:.1} ms. What the equation has, beside them, over {:.0} km at {}:\n\n| bytes with IP and UDP | l / C, ms | M / b, ms: {} |\n|---:|---:|{}",
         means.iter().sum::<f64>() / 1000.0,
         waits / 1000.0,
+        motion.last().map_or(f64::NAN, |part| quantile(part, 0.5)) / 1000.0,
         FAR / 1000.0,
         RATES.map(|rate| format!("{rate} Mbit/s")).join(", "),
         RATES.map(|rate| format!("{rate} Mbit/s")).join(" | "),

@@ -375,7 +375,7 @@ fn markdown(rows: &[Row]) -> String {
         );
     }
     text += &format!(
-        "\nFor absolute values the newest one is all there is to know, so \"as it comes\" is no worse than hold, and is sooner by the wait for T; what hurts is to carry out a burst one command after the other, which makes the delay of the worst gap the delay of all that follows. \
+        "\nFor absolute values the newest one is all there is to know, so \"as it comes\" is no worse than hold; what hurts is to carry out a burst one command after the other, which makes the delay of the worst gap the delay of all that follows. \
          \
          A limit bounds the change in one T ({:.0} here) for little more error. Interpolation does not: on a line through one T, with one output each T, it is that T later and no smoother. For steps a sum keeps what came in a burst, but only totals keep what was lost.\n\n![Motion through gaps](images/{IMAGES}-rsp-filter.svg)\n",
         f64::from(RATE) * PERIOD as f64 / SECOND as f64

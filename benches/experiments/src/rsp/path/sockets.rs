@@ -17,7 +17,7 @@ use tokio::time::{Instant, sleep_until};
 
 use super::super::world::{Scene, cubo, middle};
 use super::follower::{Drove, Follower};
-use super::{Arm, BASE, Cell, LANES, Link, OURS, Row, Track, Transport};
+use super::{Arm, BASE, LANES, Link, Row, Track, Transport};
 use crate::runtime;
 
 /// The longest datagram, and what is read at once.
@@ -25,12 +25,6 @@ const LONGEST: usize = 4096;
 const READ: usize = 65_536;
 /// A drive that has not begun by then never does.
 const PATIENCE: Duration = Duration::from_secs(240);
-
-/// The same arm as in virtual time, to see that both agree.
-const CHECK: Arm = Arm {
-    name: "RSP, in real time",
-    ..OURS
-};
 
 /// One drive that is to be made, and where it belongs.
 struct Job {
@@ -41,32 +35,27 @@ struct Job {
     seed: u64,
 }
 
-/// Makes the drives over TCP, several at a time, and adds them to the tables: on the first path over all links, on the others over the base.
+/// Makes the drives in real time, several at once, and adds them to the tables: over TCP on the first path over all links, all else over
+/// the base alone.
 ///
 /// # Errors
-/// Where no namespaces can be made; the tables are as before then.
+/// How many could not be made, and why the first of them; the others are added.
 pub(super) fn drive_all(
     tracks: &[Track],
     tables: &mut [Vec<Row>],
-    streams: &[Arm],
+    arms: &[Arm],
     seeds: Range<u64>,
 ) -> Result<()> {
-    // One that nobody uses tells whether there can be any.
-    drop(
-        RelayedLink::new(BASE.shape(), BASE.shape(), 1, "cubic")
-            .context("no network namespaces here: only root may make them")?,
-    );
     let mut jobs = VecDeque::new();
     for seed in seeds {
         for (track, rows) in tables.iter().enumerate() {
             for (row, of) in rows.iter().enumerate() {
                 let is_base = of.link == BASE;
-                let arms = streams.iter().filter(|_| is_base || track == 0);
-                let arms = arms.chain(is_base.then_some(&CHECK)).copied();
-                jobs.extend(arms.map(|arm| Job {
+                let is_made = |arm: &&Arm| is_base || track == 0 && arm.transport != Transport::Udp;
+                jobs.extend(arms.iter().filter(is_made).map(|arm| Job {
                     track,
                     row,
-                    arm,
+                    arm: *arm,
                     link: of.link,
                     seed,
                 }));
@@ -92,26 +81,30 @@ pub(super) fn drive_all(
         }
     });
     let mut made = made.into_inner().unwrap_or_else(PoisonError::into_inner);
-    let place = |arm: Arm| streams.iter().position(|of| *of == arm).unwrap_or(streams.len());
+    let place = |arm: Arm| arms.iter().position(|of| *of == arm);
     made.sort_by_key(|(job, _)| (place(job.arm), job.seed));
+    let (all, mut failed) = (made.len(), Vec::new());
     for (job, drove) in made {
-        let drove = drove.with_context(|| format!("{} over {:?}", job.arm.name, job.link))?;
         let row = tables.get_mut(job.track).and_then(|rows| rows.get_mut(job.row));
-        let cells = &mut row.context("no such link")?.cells;
-        match cells.iter_mut().find(|cell| cell.arm == job.arm) {
-            Some(cell) => cell.drives.push(drove),
-            None => cells.push(Cell {
-                arm: job.arm,
-                drives: vec![drove],
-            }),
+        match (drove, row) {
+            (Ok(drove), Some(row)) => row.add(job.arm, drove),
+            (Ok(_), None) => {}
+            (Err(error), _) => failed.push(error.context(format!("{} over {:?}", job.arm.name, job.link))),
         }
     }
-    Ok(())
+    let count = failed.len();
+    match failed.into_iter().next() {
+        None => Ok(()),
+        Some(first) => Err(first.context(format!(
+            "{count} of {all} drives in real time could not be made; the first"
+        ))),
+    }
 }
 
 /// One drive; the namespaces are gone when it ends.
 fn drive(arm: Arm, track: &Track, link: Link, seed: u64) -> Result<Drove> {
-    let relayed = RelayedLink::new(link.shape(), link.shape(), seed, "cubic")?;
+    let relayed = RelayedLink::new(link.shape(), link.shape(), seed, "cubic")
+        .context("no network namespaces here: only root may make them")?;
     let follower = Follower::new(track, arm.filter, arm.fixed, seed)?;
     let runtime = runtime()?;
     let _inside = runtime.enter();
