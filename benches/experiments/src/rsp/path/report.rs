@@ -200,7 +200,7 @@ fn words() -> String {
          - *Transport alone*: without loss TCP follows the path as UDP does, at any of the sizes, and a long delay is as bad for both. With loss small packets over TCP wait for what was lost, which makes poses older, and is seen from 100 ms each way on.\n\
          - *Both together* are what the paper saw. Where packets are lost TCP gets about 1.22 segments in a round trip over the root of the loss, {:.1} Mbit/s at the base and {:.1} with {} ms each way. A fixed size needs more than that, so what is sent waits ever longer, and the robot leaves the path; packets of 26 bytes need {:.3} Mbit/s. \
          The rival here skips nothing: what the system does not take yet waits in its program. One that skipped would still have the system's own buffers before it.\n\
-         - *Nagle* keeps small packets until the last one is acknowledged, so poses are older by about a round trip; beside a flow that does not fit it makes no difference.\n\
+         - *Nagle* keeps small packets until the last one is acknowledged, so poses are older by up to a round trip; beside a flow that does not fit it makes no difference.\n\
          - *Own mode and paper mode* are alike here: of a motion that is new in each packet both send the same. The motion filter costs up to T of delay, which counts where there is much of it already. Up to 100 ms each way what is measured is how pure pursuit cuts corners, and a little more delay even helps.\n\n",
         needed(1992),
         rate(BASE.delay),
