@@ -376,3 +376,17 @@ fn what_is_not_for_an_end_is_dropped_by_its_reason() {
         assert_eq!(world.robot.counters().dropped(reason), before + 1);
     }
 }
+
+/// A round trip that is longer than the silence that ends a session: packets come each period all the same.
+#[test]
+fn a_session_holds_over_a_round_trip_of_800_ms() {
+    let far = Weather {
+        delay: 400,
+        ..Weather::default()
+    };
+    let mut world = World::new(Settings::default(), far, 1);
+    world.middle.start(world.now);
+    world.run(6000);
+    assert_eq!(world.middle.state(), State::Up);
+    assert_eq!(world.told.sessions, [true], "one session, which was never lost");
+}

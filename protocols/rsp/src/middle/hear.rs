@@ -7,7 +7,7 @@ use alloc::vec::Vec;
 use super::blobs::{Incoming, Part};
 use super::clock::Clock;
 use super::device::Kept;
-use super::{Middle, NOTICES, Notice, Reason, Refusal, State};
+use super::{FIRST_MOST, Middle, NOTICES, Notice, Reason, Refusal, State};
 use crate::handshake::{self, BUSY, MODEL, REFUSAL, VERSION as OTHER_VERSION, Welcome};
 use crate::packet::{bit, is_padded};
 use crate::seal::{self, Keys, NONCE};
@@ -104,7 +104,10 @@ impl Middle<'_> {
         };
         self.traffic = Some(Traffic::new(header.session, Direction::Down, keys));
         self.clock = Clock::default();
-        (self.state, self.next, self.heard) = (State::Up, now, now);
+        (self.state, self.next) = (State::Up, now);
+        // The first packet takes a round trip, as the welcome has; those that follow come each period, however far the robot is.
+        let way = now.saturating_sub(self.called.unwrap_or(now));
+        self.heard = now + way.min(FIRST_MOST);
         (self.cleared, self.is_answerer) = (0, false);
         self.buffers = (welcome.buffers, header.buffers, now);
         self.control.number = 0;

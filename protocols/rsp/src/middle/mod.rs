@@ -29,6 +29,9 @@ use crate::{Counters, Direction, Element, Kind, Layout, Motion, PERIODS, Payload
 /// Notices that can wait; what makes more of them is refused, or comes again.
 const NOTICES: usize = 1024;
 
+/// The most that the first packet of a session may take longer than those that follow, µs.
+const FIRST_MOST: u64 = 2_000_000;
+
 /// The wait after the first hello, and the longest, µs.
 const HELLO: u64 = 200_000;
 const HELLO_MOST: u64 = 1_000_000;
@@ -56,6 +59,8 @@ pub struct Middle<'m> {
     nonce: [u8; NONCE],
     /// The wait after the next hello.
     wait: u64,
+    /// When the first of these hellos left.
+    called: Option<u64>,
     /// When the next packets are due.
     next: u64,
     /// When the newest authentic packet arrived.
@@ -113,6 +118,7 @@ impl<'m> Middle<'m> {
             traffic: None,
             nonce: [0; NONCE],
             wait: HELLO,
+            called: None,
             next: 0,
             heard: 0,
             newest: None,
@@ -509,6 +515,7 @@ impl<'m> Middle<'m> {
 
     /// Asks for a session with a new nonce.
     fn call(&mut self, now: u64) {
+        self.called = None;
         (self.random)(&mut self.nonce);
         self.state = State::Calling;
         (self.wait, self.next, self.due_end, self.refused) = (HELLO, now, false, None);

@@ -86,6 +86,7 @@ impl Middle<'_> {
     }
 
     fn say_hello(&mut self, now: u64, out: &mut [u8]) -> Option<usize> {
+        self.called.get_or_insert(now);
         let key = self.settings.key.as_ref();
         let header = Header {
             version: VERSION,

@@ -89,7 +89,7 @@ fn head(tables: &[Vec<Row>]) -> String {
          - *Paper mode*: all elements that have a value in each packet, over UDP: 26 bytes down and 28 up, as only the wheels are written. *Variable, TCP*: the same packets.\n\
          - *Fixed size*: the same with all elements in each packet, 1992 bytes down and 688 up. The paper's rival is *fixed size, TCP*; which kind of TCP, it does not say, so there it is with Nagle's algorithm (the system's default) and without.\n\n\
          **Inputs:** the base: {} ms each way, jitter up to {:.0} % of that, {:.0} % of the IP packets lost each way, {} Mbit/s; one of these is another one in each row below. A link has a queue of 500 ms, keeps the order of packets, and carries a datagram of 1992 bytes as two IP packets. \
-         At the beginning a robot is up to 20 mm and 5° off, which the seed draws. In own mode the middle gives a session up after {SILENCE} ms of silence: with its 500 ms there would be none over a round trip of more. A drive ends at the end of the path, 1 m off it, or after twice its time. Poses are true and in whole mm.\n\n\
+         At the beginning a robot is up to 20 mm and 5° off, which the seed draws. In own mode the middle gives a session up after {SILENCE} ms of silence instead of 500. A drive ends at the end of the path, 1 m off it, or after twice its time. Poses are true and in whole mm.\n\n\
          UDP is in virtual time, {} drives each. TCP is the kernel's (cubic), in real time through a packet relay of the same link model between two network namespaces, {} drives each, {LANES} robots at a time on a machine that is shared; *RSP, in real time* is RSP there, to compare. \
          Intervals are 95 %.\n\n",
         BASE.delay,
