@@ -78,6 +78,8 @@ const ARROWS: &[(&str, May)] = &[
         "mom-simulacrum",
         May::Use(&[
             "mom-client",
+            // The robot of its tests.
+            "mom-cubo",
             "mom-device",
             "mom-fleet",
             "mom-rover",
