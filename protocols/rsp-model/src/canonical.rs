@@ -51,6 +51,11 @@ fn element_text(element: &ModelElement, all: &[ModelElement]) -> String {
         (Kind::Monitor, _) => write!(text, " period={} of={}", element.period, name_at(element.of)),
         _ => Ok(()),
     })
+    // What has no sound keeps the hash that it had before there was any.
+    .and_then(|()| match element.sound {
+        Some(sound) => write!(text, " sound={sound}"),
+        None => Ok(()),
+    })
     .and_then(|()| writeln!(text, " module={}", name_at(element.module)));
     debug_assert!(done.is_ok(), "a String takes all that is written");
     for quantity in &element.quantities {

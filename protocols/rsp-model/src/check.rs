@@ -1,6 +1,8 @@
 //! Sections become a model, if nothing is wrong with them.
 
-use mom_rsp::{Kind, Motion, Number, Payload};
+use std::ops::Range;
+
+use mom_rsp::{Codec, Kind, Motion, Number, Payload, Sound};
 
 use crate::canonical;
 use crate::fault::{Fault, Found};
@@ -29,6 +31,7 @@ const ELEMENT_KEYS: &[&str] = &[
     "type",
     "count",
     "max",
+    "sound",
     "parts",
     "unit",
     "scale",
@@ -157,6 +160,7 @@ fn has_key(kind: Kind, key: &str) -> bool {
         "name" | "kind" | "doc" => true,
         "safe" | "rate" | "motion" | "interpolate" => kind == Kind::Effector,
         "period" => matches!(kind, Kind::Sensor | Kind::Monitor),
+        "sound" => matches!(kind, Kind::Effector | Kind::Sensor),
         "of" => kind == Kind::Monitor,
         "members" => kind == Kind::Module,
         _ => !matches!(kind, Kind::Monitor | Kind::Module),
@@ -191,6 +195,7 @@ fn element(section: &Section, before: &[Draft]) -> Result<Draft, Found> {
         kind,
         payload: Payload::Nothing,
         blob: None,
+        sound: None,
         quantities: Vec::new(),
         motion: Motion::Absolute {
             interpolate: false,
@@ -209,6 +214,7 @@ fn element(section: &Section, before: &[Draft]) -> Result<Draft, Found> {
         other => {
             no_keys_of_numbers(&keys, other)?;
             element.payload = other;
+            element.sound = sound(&keys, other)?;
             if let (Kind::Effector, Payload::Bytes(_)) = (kind, other) {
                 // No bytes: their number alone.
                 element.safe = vec![0, 0];
@@ -272,27 +278,74 @@ fn payload(keys: &Keys<'_>, kind: Kind) -> Result<Payload, Found> {
         (Some(item), _) => item,
         (None, Kind::Effector | Kind::Sensor) => keys.required("type")?,
         (None, _) => {
-            return match keys.key_span("max") {
-                Some(span) => Err(Found::new(
-                    Fault::NotOfKind,
-                    span,
-                    "`max` is of `type = \"bytes\"`, and there is no `type`",
-                )),
+            return match of_bytes(keys) {
+                Some((key, span)) => {
+                    let words = format!("`{key}` is of `type = \"bytes\"`, and there is no `type`");
+                    Err(Found::new(Fault::NotOfKind, span, words))
+                }
                 None => Ok(Payload::Nothing),
             };
         }
     };
     match choice(item, "type", &types)? {
         None => Ok(Payload::Bytes(keys.integer("max", 1..=u16::MAX, None)?)),
-        Some(number) => match keys.key_span("max") {
-            Some(span) => Err(Found::new(
-                Fault::NotOfKind,
-                span,
-                "`max` is of bytes; how many numbers there are is `count`",
-            )),
+        Some(number) => match of_bytes(keys) {
+            Some((key, span)) => {
+                let words = format!("`{key}` is of bytes; how many numbers there are is `count`");
+                Err(Found::new(Fault::NotOfKind, span, words))
+            }
             None => Ok(Payload::Numbers(number, quantities::count(keys)?)),
         },
     }
+}
+
+/// A key that is of bytes alone.
+fn of_bytes<'k>(keys: &'k Keys<'_>) -> Option<(&'static str, &'k Range<usize>)> {
+    ["max", "sound"]
+        .into_iter()
+        .find_map(|key| Some((key, keys.key_span(key)?)))
+}
+
+/// What kind of sound the bytes are, if they are some.
+fn sound(keys: &Keys<'_>, payload: Payload) -> Result<Option<Sound>, Found> {
+    let (Some(item), Payload::Bytes(most)) = (keys.get("sound"), payload) else {
+        return Ok(None);
+    };
+    let text = string(item)?;
+    let found = |fault: Fault, words: String| Err(Found::new(fault, &item.span, words));
+    let Some((word, rate)) = text.split_once(' ') else {
+        let words = format!(
+            "a sound is a codec and its samples a second, such as `pcm 16000`, and not {}",
+            shown(text)
+        );
+        return found(Fault::UnknownWord, words);
+    };
+    let Some(codec) = Codec::ALL.into_iter().find(|codec| codec.word() == word) else {
+        return found(
+            Fault::UnknownWord,
+            unknown("codec", word, &Codec::ALL.map(Codec::word)),
+        );
+    };
+    let is_right = |rate: &u32| codec.takes(*rate);
+    let Some(rate) = rate.parse().ok().filter(is_right) else {
+        let rates = match codec {
+            Codec::Pcm => "8000 to 96000 samples a second, a multiple of 50",
+            Codec::Opus => "8000, 12000, 16000, 24000 or 48000 samples a second",
+        };
+        return found(
+            Fault::Number,
+            format!("{word} has {rates}, and not {}", shown(rate)),
+        );
+    };
+    let sound = Sound { codec, rate };
+    if sound.block() > usize::from(most) {
+        let words = format!(
+            "20 ms of it have up to {} bytes, and `max` is {most}",
+            sound.block()
+        );
+        return found(Fault::Number, words);
+    }
+    Ok(Some(sound))
 }
 
 fn numbers(keys: &Keys<'_>, element: &mut ModelElement, of: Number, count: u16) -> Result<(), Found> {

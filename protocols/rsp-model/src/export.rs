@@ -68,6 +68,7 @@ fn data(element: &ModelElement, keys: &mut Vec<(&'static str, String)>) {
         Payload::Bytes(most) => {
             keys.push(("type", quoted("bytes")));
             keys.push(("max", element.blob.unwrap_or(most).to_string()));
+            keys.extend(element.sound.map(|sound| ("sound", quoted(&sound.to_string()))));
             return;
         }
         Payload::Numbers(number, count) => (number, count),

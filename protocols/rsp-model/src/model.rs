@@ -1,6 +1,6 @@
 //! A model that has been read and checked.
 
-use mom_rsp::{Element, Kind, Layout, Motion, Number, Payload};
+use mom_rsp::{Element, Kind, Layout, Motion, Number, Payload, Sound};
 
 use crate::fault::ModelError;
 use crate::{canonical, check, export, text, xmi};
@@ -56,6 +56,8 @@ pub struct ModelElement {
     /// Of an effector, sensor or monitor whose longest value does not fit a packet: its most bytes. It travels in fragments
     /// (S13, S27), and its payload is `Bytes(0)`.
     pub blob: Option<u16>,
+    /// Of an effector or a sensor of type bytes: that they are sound, and of what make.
+    pub sound: Option<Sound>,
     /// What its numbers mean: one for each of them, or one for all. Empty where it has none.
     pub quantities: Vec<Quantity>,
     /// Of an effector: how its values are used; limits are in units of the wire.

@@ -411,6 +411,70 @@ fn keys_of_other_kinds_are_refused() {
 }
 
 #[test]
+fn a_sound_is_a_codec_and_a_rate_that_it_knows() {
+    let speaker = |sound: &str, max: u16| {
+        format!("sound = \"{sound}\"\nkind = \"effector\"\ntype = \"bytes\"\nmax = {max}")
+    };
+    for (sound, max, fault, words) in [
+        (
+            "pcm",
+            2000,
+            Fault::UnknownWord,
+            "a sound is a codec and its samples a second, such as `pcm 16000`, and not `pcm`",
+        ),
+        (
+            "pmc 16000",
+            2000,
+            Fault::UnknownWord,
+            "there is no codec `pmc`; did you mean `pcm`?",
+        ),
+        (
+            "pcm 44101",
+            4000,
+            Fault::Number,
+            "pcm has 8000 to 96000 samples a second, a multiple of 50, and not `44101`",
+        ),
+        (
+            "opus 44100",
+            2000,
+            Fault::Number,
+            "opus has 8000, 12000, 16000, 24000 or 48000 samples a second, and not `44100`",
+        ),
+        (
+            "pcm 48900",
+            1955,
+            Fault::Number,
+            "20 ms of it have up to 1956 bytes, and `max` is 1955",
+        ),
+    ] {
+        in_element(&speaker(sound, max), fault, (5, 9), words);
+    }
+    for sound in ["pcm 48900", "opus 48000"] {
+        let model = Model::read(&element(&speaker(sound, 1956))).expect(sound);
+        assert_eq!(
+            model.elements()[0]
+                .sound
+                .map(|sound| sound.to_string())
+                .as_deref(),
+            Some(sound)
+        );
+        assert_eq!(Model::read(&model.to_toml()).as_ref(), Ok(&model));
+    }
+    in_element(
+        "sound = \"pcm 8000\"\nkind = \"event\"\ntype = \"bytes\"\nmax = 500",
+        Fault::NotOfKind,
+        (5, 1),
+        "an event has no `sound`",
+    );
+    in_element(
+        "sound = \"pcm 8000\"\nkind = \"sensor\"\ntype = \"u8\"",
+        Fault::NotOfKind,
+        (5, 1),
+        "`sound` is of bytes; how many numbers there are is `count`",
+    );
+}
+
+#[test]
 fn references_lead_to_elements_of_the_right_kind() {
     let with = |lines: &str| element(&format!("{EFFECTOR}[[element]]\nname = \"other\"\n{lines}"));
     for (lines, place, words) in [

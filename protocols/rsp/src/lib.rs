@@ -104,6 +104,7 @@ pub mod robot;
 mod seal;
 mod sequence;
 mod size;
+mod sound;
 mod traffic;
 pub mod typed;
 
@@ -114,6 +115,7 @@ pub use packet::{Item, Items, Writer};
 pub use refused::Refused;
 pub use sequence::is_newer;
 pub use size::LayoutFault;
+pub use sound::{Codec, Sound};
 
 /// A key that both ends share.
 pub type Key = [u8; 32];

@@ -100,6 +100,17 @@ impl Header<'_> {
             }
         });
         for element in &model.elements {
+            if let Some(sound) = element.sound {
+                code.line(format!(
+                    "/* {}: samples of its sound a second ({sound}). */",
+                    element.name
+                ));
+                code.line(format!(
+                    "#define {large}_SAMPLE_RATE_{} {}",
+                    upper(&element.name),
+                    sound.rate
+                ));
+            }
             self.quantities(element, code);
         }
     }

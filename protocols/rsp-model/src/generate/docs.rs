@@ -108,6 +108,11 @@ fn notes(model: &Model, element: &ModelElement, place: usize) -> String {
     if let Some(rate) = element.rate {
         notes.push(format!("At most {rate} a second."));
     }
+    if let Some(sound) = element.sound {
+        notes.push(format!(
+            "Sound in blocks of 20 ms: {sound} samples a second, mono."
+        ));
+    }
     if element.period > 0 {
         notes.push(format!("At most every {} ms.", element.period));
     }

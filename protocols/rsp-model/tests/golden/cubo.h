@@ -10,8 +10,8 @@
 #define CUBO_MODEL_ID 0xc0b0u
 /* The hash of the model, which both ends have alike. */
 #define CUBO_HASH \
-    { 0xeb, 0x42, 0xde, 0x49, 0x60, 0xdd, 0x67, 0xf3, 0x83, 0x56, 0x8e, 0x78, 0x7f, 0x30, 0xca, 0x74, \
-      0xcb, 0xd1, 0x73, 0xd6, 0x9c, 0xbb, 0xa3, 0xd4, 0xdc, 0x4e, 0x32, 0xcd, 0xf3, 0x77, 0x93, 0xeb }
+    { 0x4a, 0x1d, 0x1d, 0x79, 0xc8, 0x7d, 0x3e, 0xff, 0x33, 0x6d, 0x16, 0x9f, 0x0d, 0x5b, 0x8c, 0x93, \
+      0xbb, 0x71, 0x33, 0xbc, 0x11, 0x9f, 0x17, 0x70, 0x3d, 0xdd, 0xce, 0x4d, 0x48, 0xea, 0x09, 0xcf }
 /* The period T when nobody says otherwise. */
 #define CUBO_PERIOD_MS 20
 /* The longest silence before the safe values; 0 for none. */
@@ -37,7 +37,7 @@ enum cubo_element {
     CUBO_ELEMENT_JOINTS = 2,
     /* How far the lips are open. */
     CUBO_ELEMENT_LIPS = 3,
-    /* 20 ms of sound: 16 bits, mono, 48.9 kHz. */
+    /* 20 ms of sound. */
     CUBO_ELEMENT_SPEAKER = 4,
     /* A picture for the display of 3 inches, as JPEG. It travels in fragments. */
     CUBO_ELEMENT_LCD = 5,
@@ -49,7 +49,7 @@ enum cubo_element {
     CUBO_ELEMENT_SERVICE_BUTTON = 8,
     /* The message button has been pressed. */
     CUBO_ELEMENT_MESSAGE_BUTTON = 9,
-    /* 20 ms of sound: 16 bits, mono, 16 kHz. */
+    /* 20 ms of sound. */
     CUBO_ELEMENT_MICROPHONE = 10,
     /* An image of the colour camera, as JPEG. It travels in fragments. */
     CUBO_ELEMENT_CAMERA = 11,
@@ -99,6 +99,8 @@ enum cubo_element {
 /* The safe value as on the wire. */
 #define CUBO_SAFE_LIPS { 0x00, 0x00 }
 
+/* speaker: samples of its sound a second (pcm 48900). */
+#define CUBO_SAMPLE_RATE_SPEAKER 48900
 /* surroundings: a number on the wire times this is the value in: mm. */
 #define CUBO_SCALE_SURROUNDINGS__DISTANCE (1.0)
 #define CUBO_MIN_SURROUNDINGS__DISTANCE (0.0)
@@ -137,6 +139,8 @@ enum cubo_element {
 #define CUBO_MIN_POSE__HEADING (-180.0)
 #define CUBO_MAX_POSE__HEADING (180.0)
 
+/* microphone: samples of its sound a second (pcm 16000). */
+#define CUBO_SAMPLE_RATE_MICROPHONE 16000
 /* gesture: a number on the wire times this is the value in: no unit. */
 #define CUBO_SCALE_GESTURE (1.0)
 #define CUBO_MIN_GESTURE (0.0)

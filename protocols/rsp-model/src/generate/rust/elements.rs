@@ -49,6 +49,21 @@ impl Writer<'_> {
                 element.name
             ));
         });
+        if let Some(sound) = element.sound {
+            code.block(format!("\nimpl {name} {{"), "}", |code| {
+                code.line("/// What its bytes are.");
+                code.block(
+                    "pub const SOUND: ::mom_rsp::Sound = ::mom_rsp::Sound {",
+                    "};",
+                    |code| {
+                        code.line(format!(
+                            "codec: ::mom_rsp::Codec::{:?},\nrate: {},",
+                            sound.codec, sound.rate
+                        ));
+                    },
+                );
+            });
+        }
         let mut marks = Vec::new();
         match element.kind {
             Kind::Effector => marks.push("Effector"),
