@@ -40,10 +40,30 @@ impl Datagrams {
     /// # Errors
     ///
     /// No socket.
-    pub async fn before(server: SocketAddr, seed: u64) -> io::Result<Self> {
-        let near = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await?;
-        let far = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await?;
-        far.connect(server).await?;
+    ///
+    /// # Panics
+    ///
+    /// Outside a runtime.
+    pub fn before(server: SocketAddr, seed: u64) -> io::Result<Self> {
+        let any = || std::net::UdpSocket::bind((Ipv4Addr::LOCALHOST, 0));
+        let far = any()?;
+        far.connect(server)?;
+        Self::between(any()?, far, seed)
+    }
+
+    /// One that hands on what `near` receives to where `far` is connected to, and the answers back; either may be in a network of its own.
+    ///
+    /// # Errors
+    ///
+    /// Sockets that cannot be used.
+    ///
+    /// # Panics
+    ///
+    /// Outside a runtime.
+    pub fn between(near: std::net::UdpSocket, far: std::net::UdpSocket, seed: u64) -> io::Result<Self> {
+        near.set_nonblocking(true)?;
+        far.set_nonblocking(true)?;
+        let (near, far) = (UdpSocket::from_std(near)?, UdpSocket::from_std(far)?);
         let address = near.local_addr()?;
         let weather = Arc::new(Mutex::new(Weather::default()));
         let task = tokio::spawn(carry(near, far, Arc::clone(&weather), seed));

@@ -1,5 +1,5 @@
 //! `cargo xtask long`: what takes too long for each change: random logs by the thousand, minutes of random load, a thousand lost
-//! connections on each door, and minutes of a thousand robots.
+//! connections on each door, minutes of a thousand robots, and a million packets of a mirrored one.
 
 use std::path::Path;
 use std::process::Command;
@@ -7,6 +7,9 @@ use std::process::Command;
 use anyhow::Result;
 
 use crate::command::{cargo, line, shows};
+
+/// Packets of each direction: a million of both.
+const MILLION_OF_BOTH: &str = "500000";
 
 /// Builds and runs them one after the other; whether all went well.
 pub(crate) fn run(root: &Path, minutes: u64) -> Result<bool> {
@@ -18,7 +21,7 @@ pub(crate) fn run(root: &Path, minutes: u64) -> Result<bool> {
     Ok(ok)
 }
 
-fn steps(root: &Path, minutes: u64) -> [Command; 4] {
+fn steps(root: &Path, minutes: u64) -> [Command; 5] {
     let test = |package: &str, name: &str| {
         let mut test = cargo(root);
         test.args([
@@ -48,7 +51,10 @@ fn steps(root: &Path, minutes: u64) -> [Command; 4] {
         .env("MOM_ROBOTS", "1000")
         .env("MOM_FLEET_SECONDS", (minutes * 60).to_string());
     swarm.args(["swarm", "--", "--nocapture"]);
-    [logs, load, losses, swarm]
+    let mut packets = test("mom-tests", "all");
+    packets.env("MOM_PACKETS", MILLION_OF_BOTH);
+    packets.args(["endurance", "--", "--nocapture"]);
+    [logs, load, losses, swarm, packets]
 }
 
 #[cfg(test)]
@@ -57,7 +63,7 @@ mod tests {
 
     #[test]
     fn the_load_lasts_as_long_as_is_said() {
-        let [_, load, _, swarm] = steps(Path::new("."), 10);
+        let [_, load, _, swarm, _] = steps(Path::new("."), 10);
         for (step, key, name) in [
             (load, "MOM_LOAD_SECONDS", "random_load"),
             (swarm, "MOM_FLEET_SECONDS", "swarm"),

@@ -15,6 +15,8 @@ mod device_keys;
 mod dialogues;
 mod doctor;
 mod driving;
+#[cfg(target_os = "linux")]
+mod endurance;
 mod faults;
 mod first_hour;
 mod fleet;

@@ -7,7 +7,7 @@ use alloc::vec::Vec;
 use crate::{FRAGMENT, Fragment, is_newer};
 
 /// Blobs that can wait to be sent.
-const WAITING: usize = 8;
+const WAITING: usize = 16;
 
 /// A blob that is being sent.
 struct Leaving {

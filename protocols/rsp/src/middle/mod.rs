@@ -376,7 +376,7 @@ impl<'m> Middle<'m> {
     /// # Errors
     ///
     /// [`Refused::NoSession`], [`Refused::Element`], [`Refused::Kind`], [`Refused::Inactive`]; [`Refused::Size`] for no bytes or too
-    /// many; [`Refused::Full`] when 8 blobs wait.
+    /// many; [`Refused::Full`] when 16 blobs wait.
     pub fn send_blob(&mut self, element: u8, bytes: &[u8]) -> Result<u16, Refused> {
         self.usable(element, &[Kind::Effector])?;
         if bytes.is_empty() || bytes.len() > self.settings.blob || u32::try_from(bytes.len()).is_err() {
@@ -393,6 +393,11 @@ impl<'m> Middle<'m> {
         device.blob = blob.wrapping_add(1);
         self.outgoing.push(element, blob, bytes.to_vec());
         Ok(blob)
+    }
+
+    /// From the next packet on, so many bytes of fragments are sent each period at most.
+    pub fn set_budget(&mut self, bytes: u16) {
+        self.settings.budget = bytes;
     }
 
     /// The robot's clock beside this one.

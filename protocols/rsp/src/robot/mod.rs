@@ -8,11 +8,13 @@ mod body;
 mod cell;
 mod hear;
 mod motion;
+mod playout;
 mod say;
 
 pub use assembly::Assembly;
 pub use body::{Body, Outgoing, RobotFault, Settings};
 pub use cell::{slot, values};
+pub use playout::{Played, Playout, PlayoutCounts};
 #[cfg(feature = "middle")]
 pub(crate) use say::next_id;
 
