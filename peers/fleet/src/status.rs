@@ -8,16 +8,21 @@ use tokio::time::Instant;
 
 /// So often a robot that moves is told of there.
 const PERIOD: Duration = Duration::from_secs(1);
+/// News of a robot wait for so long since the last ones: one that starts and stops all the time is told of five times a second.
+const GAP: Duration = Duration::from_millis(200);
 /// What changes with each reply, and is no reason to tell.
 const FLEETING: [&str; 5] = ["x", "y", "heading", "round-trip", "gap"];
 
-/// Tells of one robot: at once when it is something else that it does, and once a second while it only goes on.
+/// Tells of one robot: when it is something else that it does, at once or 200 ms after the last news, and once a second while it only
+/// goes on.
 #[derive(Debug)]
 pub struct StatusTeller {
     channel: Path,
     name: String,
     group: Option<String>,
     told: Option<(Map, Instant)>,
+    /// Whether something was held back until its gap is over.
+    held: bool,
 }
 
 impl StatusTeller {
@@ -30,12 +35,24 @@ impl StatusTeller {
             name: format!("robot-{unit}"),
             group,
             told: None,
+            held: false,
         }
     }
 
     /// What is to be told now, if anything is.
-    pub fn tell(&mut self, state: &State, guard: Option<&GuardState>, now: Instant) -> Option<Parcel> {
-        let mut content = content(state, guard);
+    ///
+    /// While a gap is not over, neither `state` nor `guard` is asked for.
+    pub fn tell(
+        &mut self,
+        state: impl FnOnce() -> State,
+        guard: impl FnOnce() -> Option<GuardState>,
+        now: Instant,
+    ) -> Option<Parcel> {
+        self.held = self.told.as_ref().is_some_and(|(_, at)| now < *at + GAP);
+        if self.held {
+            return None;
+        }
+        let mut content = content(&state(), guard().as_ref());
         if let Some(group) = &self.group {
             content.set("group", group.as_str());
         }
@@ -55,10 +72,15 @@ impl StatusTeller {
         Some(parcel)
     }
 
-    /// When there may be something to tell that was held back.
+    /// When there may be something to tell that was held back, or that changes by itself while the robot moves.
     #[must_use]
-    pub fn due(&self) -> Option<Instant> {
-        self.told.as_ref().map(|(_, at)| *at + PERIOD)
+    pub fn due(&self, moving: bool) -> Option<Instant> {
+        let (_, at) = self.told.as_ref()?;
+        match (self.held, moving) {
+            (true, _) => Some(*at + GAP),
+            (false, true) => Some(*at + PERIOD),
+            (false, false) => None,
+        }
     }
 }
 
@@ -125,12 +147,23 @@ mod tests {
             (10, 2, true, false),
             (999, 3, true, false),
             (1000, 3, true, true),
-            (1100, 4, false, true),
+            // News within the gap wait for its end.
+            (1100, 4, false, false),
+            (1199, 4, true, false),
+            (1200, 4, false, true),
             (3000, 4, false, false),
             (3001, 5, false, true),
+            (3100, 6, false, false),
+            (4001, 6, false, true),
         ] {
-            let parcel = status.tell(&state(x, moving), Some(&guard), after(ms));
+            let parcel = status.tell(|| state(x, moving), || Some(guard.clone()), after(ms));
             assert_eq!(parcel.is_some(), told, "after {ms} ms");
+            let held = [1100, 1199, 3100].contains(&ms);
+            let due = status
+                .due(moving)
+                .map(|due| due.duration_since(begin).as_millis());
+            assert_eq!(due.is_some(), held || moving, "after {ms} ms");
+            assert!(!held || due.is_some_and(|due| due > ms.into()), "after {ms} ms");
             if let Some(parcel) = parcel {
                 assert_eq!(parcel.name(), "robot-7");
                 let value = parcel.value();

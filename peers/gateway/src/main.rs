@@ -11,6 +11,10 @@ use mom_brs::file;
 use mom_gateway::{GatewayOptions, connections, lines, run, settings};
 use mom_program::{HubArgs, begin, shutdown};
 
+/// A thousand robots are a lot of small pieces of memory.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 const EXAMPLES: &str = "\
 Examples:
   MOM_PASSWORD=gateway mom-gateway --fleet fleet.toml --manager robot-token

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use mom_brs::file::EXTENDED;
 use mom_brs::{Code, Frame, Table};
 use mom_client::{Channel, Client, ClientError};
-use mom_device::{DeviceError, DevicePeer, ErrorName};
+use mom_device::{DeviceError, DevicePeer, ErrorName, Machine as _};
 use mom_fleet::{StatusTeller, ensure_session, enter, enter_status};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -191,7 +191,13 @@ impl Robot {
                 _ = stopping.wait_for(|stop| *stop) => break,
                 more = self.device.step() => if !more { break },
                 news = self.line.heard.next() => match news {
-                    Some(news) => self.hear(news),
+                    Some(news) => {
+                        self.hear(news);
+                        // Replies that have come together are taken together.
+                        while let Some(news) = self.line.heard.ready() {
+                            self.hear(news);
+                        }
+                    }
                     None => break,
                 },
                 () = sleep_or_wait(told) => {}
@@ -221,17 +227,15 @@ impl Robot {
                 self.device.fail(&DeviceError::new(ErrorName::Link, text));
             }
             News::Reply(reply) => {
-                let before = self.device.state();
+                let before = self.device.machine().known();
                 let mut heard = Ok(());
                 self.device.note(|unit| heard = unit.heard(&reply));
                 if let Err(error) = heard {
                     self.device.fail(&error);
                 }
-                let after = self.device.state();
                 // While it moves it is told of by itself.
-                let differs = before.position != after.position
-                    || Unit::lasting(&before.report) != Unit::lasting(&after.report);
-                if differs && !after.moving {
+                let machine = self.device.machine();
+                if !machine.is_moving() && before != machine.known() {
                     self.device.report();
                 }
             }
@@ -266,17 +270,18 @@ impl Robot {
 
     /// Tells of it in the fleet's channel; when to look again.
     async fn tell(&mut self) -> Option<Instant> {
-        let guard = self.channel.gate().guard();
-        let state = self.device.state();
-        if let Some(mut parcel) = self.status.tell(&state, guard.as_ref(), Instant::now()) {
+        let told = self.status.tell(
+            || self.device.state(),
+            || self.channel.gate().guard(),
+            Instant::now(),
+        );
+        if let Some(mut parcel) = told {
             parcel.timestamp = self.device.known_time();
             if let Err(error) = self.client.send(parcel).await {
                 tracing::debug!(unit = self.line.unit, %error, "its status was not told");
             }
         }
-        self.status
-            .due()
-            .filter(|due| state.moving && *due > Instant::now())
+        self.status.due(self.device.machine().is_moving())
     }
 }
 

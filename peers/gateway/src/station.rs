@@ -6,7 +6,7 @@ use mom_base_station::circuit::{Note, Options, State};
 use mom_base_station::log::Entry;
 use mom_base_station::station::{Settings, Station};
 use tokio::sync::broadcast::Receiver;
-use tokio::sync::broadcast::error::RecvError;
+use tokio::sync::broadcast::error::{RecvError, TryRecvError};
 
 use crate::RobotWire;
 use crate::peer::News;
@@ -81,20 +81,46 @@ impl Heard {
             if let Some(news) = self.next.pop_front() {
                 return Some(news);
             }
-            match self.entries.recv().await {
-                Ok(entry) => {
-                    let news = self.of(entry.note);
-                    self.next.extend(news);
-                }
-                // Which replies are missing is not known, so the robot is met anew.
-                Err(RecvError::Lagged(missed)) if self.linked => {
-                    self.next
-                        .push_back(News::Lost(format!("{missed} of its replies were missed")));
-                    self.next.push_back(News::Linked);
-                }
-                Err(RecvError::Lagged(_)) => {}
-                Err(RecvError::Closed) => return None,
+            let entry = self.entries.recv().await;
+            if matches!(entry, Err(RecvError::Closed)) {
+                return None;
             }
+            self.take(entry.map_err(|error| match error {
+                RecvError::Lagged(missed) => missed,
+                RecvError::Closed => 0,
+            }));
+        }
+    }
+
+    /// What was heard already.
+    pub(crate) fn ready(&mut self) -> Option<News> {
+        loop {
+            if let Some(news) = self.next.pop_front() {
+                return Some(news);
+            }
+            match self.entries.try_recv() {
+                Ok(entry) => self.take(Ok(entry)),
+                Err(TryRecvError::Lagged(missed)) => self.take(Err(missed)),
+                // Its end is for the next wait to see.
+                Err(TryRecvError::Empty | TryRecvError::Closed) => return None,
+            }
+        }
+    }
+
+    /// Takes an entry, or how many were missed.
+    fn take(&mut self, entry: Result<Entry, u64>) {
+        match entry {
+            Ok(entry) => {
+                let news = self.of(entry.note);
+                self.next.extend(news);
+            }
+            // Which replies are missing is not known, so the robot is met anew.
+            Err(missed) if self.linked => {
+                self.next
+                    .push_back(News::Lost(format!("{missed} of its replies were missed")));
+                self.next.push_back(News::Linked);
+            }
+            Err(_) => {}
         }
     }
 

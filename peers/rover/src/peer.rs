@@ -4,8 +4,8 @@ use std::future::{Future, pending};
 use std::pin::pin;
 use std::time::Duration;
 
-use mom_client::{Client, ClientError, Delivery, Event, Events, Family, Parcel, Path, Value};
-use mom_device::{DevicePeer, Outlet, State, sender};
+use mom_client::{Channel, Client, ClientError, Delivery, Event, Events, Family, Parcel, Path, Value};
+use mom_device::{DevicePeer, Machine as _, Outlet, State, sender};
 use mom_fleet::{StatusTeller, ensure_session, enter, enter_status};
 use mom_wheels::pilot::Point;
 use tokio::time::{Instant, sleep_until};
@@ -100,12 +100,9 @@ pub async fn run(
                 device.fail(&error);
             }
         }
-        let due = teller.tell(&mut device);
-        if let Some(status) = &mut teller.status {
-            let guard = channel.gate().guard();
-            let told = status.tell(&device.state(), guard.as_ref(), Instant::now());
-            teller.out.extend(told);
-        }
+        let pose = teller.tell(&mut device);
+        let status = teller.tell_status(&device, &channel);
+        let due = pose.into_iter().chain(status).min();
         outlet.set_down(device.is_down());
         outlet.push(&mut teller.out);
         tokio::select! {
@@ -136,6 +133,14 @@ struct Teller {
 }
 
 impl Teller {
+    /// Tells the fleet of it; when to look again.
+    fn tell_status(&mut self, device: &DevicePeer<Rover>, channel: &Channel) -> Option<Instant> {
+        let status = self.status.as_mut()?;
+        let told = status.tell(|| device.state(), || channel.gate().guard(), Instant::now());
+        self.out.extend(told);
+        status.due(device.machine().is_moving())
+    }
+
     /// Tells what is due; when to look again.
     fn tell(&mut self, device: &mut DevicePeer<Rover>) -> Option<Instant> {
         let state = device.state();
@@ -146,11 +151,7 @@ impl Teller {
             self.told = state.clone();
         }
         let now = Instant::now();
-        let status = self.status.as_ref().and_then(StatusTeller::due);
-        let status = status.filter(|due| state.moving && *due > now);
-        let Some((channel, due)) = &mut self.pose else {
-            return status;
-        };
+        let (channel, due) = self.pose.as_mut()?;
         if *due <= now {
             // Where it is now, and not when it steered last.
             device.note(|_| {});
@@ -167,7 +168,7 @@ impl Teller {
         if state.moving {
             *due = (*due).min(now + MOVING);
         }
-        Some(status.map_or(*due, |status| status.min(*due)))
+        Some(*due)
     }
 }
 

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use mom_brs::{Encoded, Frame};
+use mom_brs::Frame;
 use parking_lot::Mutex;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _, Interest};
 use tokio::net::TcpStream;
@@ -155,8 +155,10 @@ enum Socket {
     Attempt(Attempt),
     Open {
         stream: TcpStream,
-        /// What could not be written yet: the bytes of a frame, and how many of them are.
-        unwritten: Option<(Encoded, usize)>,
+        /// What is not written yet.
+        unwritten: Vec<u8>,
+        /// Whether some of it was not tried yet.
+        is_new: bool,
     },
 }
 
@@ -174,6 +176,21 @@ pub(super) async fn drive(shared: Arc<Shared>, seat: Arc<Seat>) {
     loop {
         while let Some(output) = next_output(&shared, &seat) {
             carry_out(&shared, &seat, &mut socket, output).await;
+        }
+        // What has come together goes together: a robot that reads it at once answers it at once.
+        if socket.has_new() {
+            match socket.write() {
+                // A robot that takes no more is told nothing more until it does.
+                Ok(true) => {}
+                Ok(false) => {
+                    seat.circuit.lock().take(shared.clock.now(), Input::Blocked);
+                    continue;
+                }
+                Err(error) => {
+                    broken(&shared, &seat, &mut socket, &error);
+                    continue;
+                }
+            }
         }
         if shared.closing.load(Ordering::Acquire) {
             return;
@@ -204,8 +221,11 @@ pub(super) async fn drive(shared: Arc<Shared>, seat: Arc<Seat>) {
         match happened {
             Happened::Woken => seat.circuit.lock().take(shared.clock.now(), Input::Time),
             Happened::Connected(stream) => {
-                let unwritten = None;
-                socket = Socket::Open { stream, unwritten };
+                socket = Socket::Open {
+                    stream,
+                    unwritten: Vec::new(),
+                    is_new: false,
+                };
                 seat.circuit.lock().take(shared.clock.now(), Input::Connected);
             }
             Happened::Ended(end) => {
@@ -238,13 +258,12 @@ async fn carry_out(shared: &Shared, seat: &Seat, socket: &mut Socket, output: Ou
             }
         }
         Output::Write(bytes) => {
-            if let Socket::Open { unwritten, .. } = socket {
-                *unwritten = Some((bytes, 0));
-            }
-            match socket.write() {
-                Ok(true) => {}
-                Ok(false) => seat.circuit.lock().take(shared.clock.now(), Input::Blocked),
-                Err(error) => broken(shared, seat, socket, &error),
+            if let Socket::Open {
+                unwritten, is_new, ..
+            } = socket
+            {
+                unwritten.extend_from_slice(bytes.as_bytes());
+                *is_new = true;
             }
         }
         Output::Note(note) => {
@@ -324,17 +343,19 @@ impl Socket {
                 Ok(stream) => Happened::Connected(stream),
                 Err(error) => Happened::Ended(End::Unreachable(error.to_string().into())),
             },
-            Socket::Open { stream, unwritten } => {
-                let interest = match (may_read, &unwritten) {
-                    (true, None) => Interest::READABLE,
-                    (true, Some(_)) => Interest::READABLE | Interest::WRITABLE,
-                    (false, Some(_)) => Interest::WRITABLE,
-                    (false, None) => return pending().await,
+            Socket::Open {
+                stream, unwritten, ..
+            } => {
+                let interest = match (may_read, unwritten.is_empty()) {
+                    (true, true) => Interest::READABLE,
+                    (true, false) => Interest::READABLE | Interest::WRITABLE,
+                    (false, false) => Interest::WRITABLE,
+                    (false, true) => return pending().await,
                 };
                 match stream.ready(interest).await {
                     Ok(ready) => Happened::Ready {
                         read: may_read && ready.is_readable(),
-                        write: unwritten.is_some() && ready.is_writable(),
+                        write: !unwritten.is_empty() && ready.is_writable(),
                     },
                     Err(error) => Happened::Ended(End::Broken(error.to_string().into())),
                 }
@@ -342,19 +363,25 @@ impl Socket {
         }
     }
 
+    /// Whether there is something that was not tried to be written.
+    fn has_new(&self) -> bool {
+        matches!(self, Socket::Open { is_new: true, .. })
+    }
+
     /// Writes what is unwritten; whether nothing is left.
     fn write(&mut self) -> io::Result<bool> {
-        let Socket::Open { stream, unwritten } = self else {
+        let Socket::Open {
+            stream,
+            unwritten,
+            is_new,
+        } = self
+        else {
             return Ok(true);
         };
-        while let Some((bytes, written)) = unwritten {
-            let rest = bytes.as_bytes().get(*written..).unwrap_or_default();
-            if rest.is_empty() {
-                *unwritten = None;
-                break;
-            }
-            match stream.try_write(rest) {
-                Ok(length) => *written += length,
+        *is_new = false;
+        while !unwritten.is_empty() {
+            match stream.try_write(unwritten) {
+                Ok(length) => drop(unwritten.drain(..length)),
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(false),
                 Err(error) => return Err(error),
             }

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use mom_brs::{Code, Command, Frame, Table};
-use mom_client::{Map, Value};
+use mom_client::Map;
 use mom_device::{DeviceError, DeviceTime, ErrorName, Machine, Script, Word, Words};
 use mom_fleet::Action;
 use mom_linuxbot::Status;
@@ -65,7 +65,7 @@ pub struct Unit {
 
 /// Where a robot says that it is: mm, mm, degrees.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Pose {
+pub(crate) struct Pose {
     x: i32,
     y: i32,
     heading: i32,
@@ -152,10 +152,11 @@ impl Unit {
         self.asked_pose.clear();
     }
 
-    /// What a report says but for what changes with each reply.
-    #[must_use]
-    pub fn lasting(report: &Map) -> Vec<(&str, &Value)> {
-        report.iter().filter(|(key, _)| *key != ROUND_TRIP).collect()
+    /// What it said of itself, but for what changes with each reply: where it is, what its status tells, its LEDs, and whether it is linked.
+    pub(crate) fn known(&self) -> (Option<Pose>, Option<Status>, i32, bool) {
+        let pose = self.pose.map(|(pose, _)| pose);
+        let status = self.status.map(|(status, _)| status);
+        (pose, status, self.leds, self.linked)
     }
 
     /// The robot takes commands: it is told to stand, whatever it was doing, and asked how it is.
@@ -366,7 +367,10 @@ impl Machine for Unit {
                 let until = now.saturating_add(DeviceTime::from(*ms) * 1000);
                 let question = self.question;
                 self.motors = Some(Motors { until, question });
-                Doing::Done { at: until }
+                self.doing = Doing::Done { at: until };
+                // It feeds the watchdog as a question does, and how it goes is told by the next one, or at its end.
+                self.ask = self.ask.min(now.saturating_add(LIVELY));
+                return Ok(());
             }
             Action::Follow { .. } => return Err(self.follows_nobody()),
             Action::Leds(data) => {
