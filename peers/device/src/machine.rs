@@ -4,7 +4,7 @@ use std::fmt;
 
 use mom_client::Map;
 
-use crate::{DeviceError, DeviceTime, STATE_PERIOD, Script, Word, Words};
+use crate::{Attachments, DeviceError, DeviceTime, STATE_PERIOD, Script, Word, Words};
 
 /// A device without its queue, its owner and its link: what its actions are, and how it carries one out.
 ///
@@ -28,6 +28,15 @@ pub trait Machine: fmt::Debug {
     ///
     /// `syntax`, at the word that is wrong.
     fn read(verb: Word<'_>, words: &mut Words<'_>) -> Option<Result<Self::Action, DeviceError>>;
+
+    /// Gives an action the bytes that it names, of those that came with its script.
+    ///
+    /// # Errors
+    ///
+    /// `syntax` if they did not come.
+    fn attach(_action: &mut Self::Action, _attachments: &Attachments) -> Result<(), DeviceError> {
+        Ok(())
+    }
 
     /// Whether an action says only how far it goes from where the device is, so that it is wrong from anywhere else (M35).
     fn is_relative(_action: &Self::Action) -> bool {

@@ -1,7 +1,11 @@
 //! Scripts of a device (M47): statements separated by `;` or by a new line, comments from `#` on.
 
+use std::collections::BTreeMap;
+
+use mom_client::{Map, Value};
+
 use crate::words::{Words, split};
-use crate::{DeviceError, Machine, Word};
+use crate::{DeviceError, ErrorName, Machine, Word};
 
 /// The longest script, in bytes.
 pub const MAX_BYTES: usize = 64 * 1024;
@@ -11,6 +15,44 @@ pub const MAX_STATEMENTS: usize = 1000;
 pub const MAX_WAIT: u32 = 60_000;
 
 const WAIT: &str = "wait";
+
+/// Bytes that come with a script, by the names that its statements use, such as sounds and pictures.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Attachments(BTreeMap<String, Vec<u8>>);
+
+impl Attachments {
+    /// Those of a map of names to bytes.
+    ///
+    /// # Errors
+    ///
+    /// `syntax` for one that is not bytes.
+    pub fn of(map: &Map) -> Result<Self, DeviceError> {
+        let bytes = |(name, value): (&str, &Value)| match value {
+            Value::Binary(bytes) => Ok((name.to_owned(), bytes.to_vec())),
+            _ => Err(DeviceError::new(
+                ErrorName::Syntax,
+                format!("the attachment `{name}` has to be bytes"),
+            )),
+        };
+        map.iter().map(bytes).collect::<Result<_, _>>().map(Self)
+    }
+
+    /// The bytes of this name.
+    ///
+    /// # Errors
+    ///
+    /// `syntax` with the names that there are.
+    pub fn get(&self, name: &str) -> Result<&[u8], DeviceError> {
+        self.0.get(name).map(Vec::as_slice).ok_or_else(|| {
+            let names: Vec<&str> = self.0.keys().map(String::as_str).collect();
+            let text = match names.is_empty() {
+                true => format!("`{name}` did not come with the script: it has no attachments"),
+                false => format!("`{name}` did not come with the script, but {}", names.join(", ")),
+            };
+            DeviceError::new(ErrorName::Syntax, text)
+        })
+    }
+}
 
 /// One statement of a script.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -58,6 +100,24 @@ impl<A> Script<A> {
     /// `syntax` with the statement's number, where the mistake begins, and the nearest known word where a word is unknown.
     pub fn read<M: Machine<Action = A>>(text: &str) -> Result<Self, DeviceError> {
         Self::statements_of::<M>(text).map_err(|error| error.in_text(text))
+    }
+
+    /// Reads a script of this machine that comes with bytes.
+    ///
+    /// # Errors
+    ///
+    /// As [`Script::read`], and for bytes that did not come.
+    pub fn read_with<M: Machine<Action = A>>(
+        text: &str,
+        attachments: &Attachments,
+    ) -> Result<Self, DeviceError> {
+        let mut script = Self::read::<M>(text)?;
+        for (statement, number) in script.0.iter_mut().zip(1..) {
+            if let Statement::Do(action) = statement {
+                M::attach(action, attachments).map_err(|error| error.at_statement(number))?;
+            }
+        }
+        Ok(script)
     }
 
     fn statements_of<M: Machine<Action = A>>(text: &str) -> Result<Self, DeviceError> {

@@ -7,7 +7,7 @@ use mom_client::{
 
 use crate::pull::{NEXT, Pull};
 use crate::queue::{Command, CommandQueue, Order, Progress, QueueEvent, State};
-use crate::{DeviceError, DeviceTime, ErrorName, Machine, Script};
+use crate::{Attachments, DeviceError, DeviceTime, ErrorName, Machine, Script};
 
 /// The message that carries a script.
 const COMMAND: &str = "command";
@@ -252,10 +252,7 @@ impl<M: Machine> DeviceServer<M> {
             .content
             .as_ref()
             .and_then(|content| content.to_value().ok());
-        let script = content.as_ref().and_then(Value::as_str).ok_or_else(|| {
-            let text = format!("the content of a command is a string: the script of {}", M::NAME);
-            DeviceError::new(ErrorName::Syntax, text)
-        })?;
+        let (script, attachments) = script_of::<M>(content.as_ref())?;
         if let Some(id) = order.id
             && self.queue.orders().any(|other| *other == order)
         {
@@ -266,7 +263,7 @@ impl<M: Machine> DeviceServer<M> {
             return Err(DeviceError::new(ErrorName::DuplicateId, text).into());
         }
         self.queue.check_free()?;
-        let script = Script::read::<M>(script)?;
+        let script = Script::read_with::<M>(script, &attachments)?;
         if script.is_relative::<M>() && parcel.extra.get(BASED_ON).is_none() {
             let text = "a relative command is right in one place only: it has to name the state that it is based on, by that state's id in the slot `based-on`";
             return Err(DeviceError::new(ErrorName::NoState, text).into());
@@ -384,6 +381,31 @@ impl<M: Machine> DeviceServer<M> {
         parcel.echo = Some(false);
         parcel
     }
+}
+
+/// The script of a command's content, and the bytes that came with it.
+fn script_of<M: Machine>(content: Option<&Value>) -> Result<(&str, Attachments), DeviceError> {
+    let plain = content.and_then(Value::as_str).map(|script| (script, None));
+    let with = || {
+        let content = content?;
+        Some((content.get("script")?.as_str()?, content.get("attachments")))
+    };
+    let (script, attachments) = plain.or_else(with).ok_or_else(|| {
+        let text = format!(
+            "the content of a command is a string, the script of {}, or {{script, attachments}}",
+            M::NAME
+        );
+        DeviceError::new(ErrorName::Syntax, text)
+    })?;
+    let attachments = match attachments {
+        None => Attachments::default(),
+        Some(Value::Map(map)) => Attachments::of(map)?,
+        Some(_) => {
+            let text = "attachments are a map of names to bytes";
+            return Err(DeviceError::new(ErrorName::Syntax, text));
+        }
+    };
+    Ok((script, attachments))
 }
 
 /// Until when a command may begin; the hub's own is the safe state, which does not grow old.

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use mom_client::{Event, Events, Family, Parcel, Value, from_value};
+use mom_client::{Event, Events, Family, Map, Parcel, Value, from_value};
 use serde::Deserialize;
 use tokio::time::{Instant, timeout, timeout_at};
 
@@ -131,9 +131,28 @@ impl Robot {
     /// # Errors
     /// A robot that is stopped or not there, or that began and failed; a pose that it cannot reach is an end.
     pub async fn carry_out(&mut self, command: &str) -> Result<CommandEnd, VerbFailure> {
+        self.carry_out_with(command, &Map::new()).await
+    }
+
+    /// The same with bytes that the command names, such as a sound: a map of names to binary values.
+    ///
+    /// # Errors
+    /// As [`carry_out`](Self::carry_out).
+    pub async fn carry_out_with(
+        &mut self,
+        command: &str,
+        attachments: &Map,
+    ) -> Result<CommandEnd, VerbFailure> {
+        let content = match attachments.is_empty() {
+            true => Value::from(command),
+            false => Map::new()
+                .with("script", command)
+                .with("attachments", attachments.clone())
+                .into(),
+        };
         let (mut unlinked, mut unmeasured) = (None, None);
         loop {
-            let mut parcel = Parcel::new(Family::Message, "command").content(command);
+            let mut parcel = Parcel::new(Family::Message, "command").content(content.clone());
             // Not under another ownership, should the token be lost and come back meanwhile.
             parcel.fence = Some(self.fence);
             let what = format!("send {command:?}");
@@ -303,8 +322,6 @@ impl Robot {
 
 #[cfg(test)]
 mod tests {
-    use mom_client::Map;
-
     use super::*;
 
     #[test]

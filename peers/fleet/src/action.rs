@@ -50,7 +50,17 @@ impl Action {
     pub const VERBS: &[&str] = &["motor", "leds", "goto", "via", "follow"];
 
     /// The verbs of robots that are mirrored by a model (`mom-simulacrum`): what follows them only that model knows.
-    pub const OF_MODELS: &[&str] = &["set", "do", "activate", "deactivate", "ask", "period", "clear"];
+    pub const OF_MODELS: &[&str] = &[
+        "set",
+        "do",
+        "play",
+        "show",
+        "activate",
+        "deactivate",
+        "ask",
+        "period",
+        "clear",
+    ];
 
     /// Reads what follows a verb; `None` if there is no such verb.
     ///

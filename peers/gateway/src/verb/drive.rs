@@ -5,7 +5,7 @@ use std::future::{Future, poll_fn};
 use std::pin::pin;
 use std::task::Poll;
 
-use mom_client::{Client, TokenGuard};
+use mom_client::{Client, Map, TokenGuard};
 use mom_drive::{CommandEnd, DeviceChannel, Doing as _, Robot, Tell, VerbFailure, lost_words};
 use serde_json::json;
 use tokio::sync::mpsc;
@@ -18,6 +18,8 @@ use super::steps::Work;
 pub(super) struct Drivers<'a> {
     pub(super) client: &'a Client,
     pub(super) fleet: &'a str,
+    /// What comes with each script.
+    pub(super) attachments: &'a Map,
 }
 
 /// What became of a command.
@@ -51,7 +53,7 @@ impl Drivers<'_> {
                 let text = "interrupted; the tokens are released, and the hub halts the robots";
                 Err(VerbFailure::plain(text))
             }
-            worked = Self::steps(work, robots, &mut failed, tell) => worked,
+            worked = self.steps(work, robots, &mut failed, tell) => worked,
         };
         let released = held.release().await;
         ended?;
@@ -64,6 +66,7 @@ impl Drivers<'_> {
     }
 
     async fn steps(
+        &self,
         work: &Work,
         mut robots: BTreeMap<u32, Robot>,
         failed: &mut usize,
@@ -77,9 +80,10 @@ impl Drivers<'_> {
                     continue;
                 };
                 let (unit, scripts, outcomes) = (*unit, scripts.clone(), outcomes.clone());
+                let attachments = self.attachments.clone();
                 working.spawn(async move {
                     for script in scripts {
-                        let error = match robot.carry_out(&script).await {
+                        let error = match robot.carry_out_with(&script, &attachments).await {
                             Ok(CommandEnd::Done) => None,
                             Ok(CommandEnd::Refused(why)) => Some(VerbFailure::plain(why)),
                             Err(error) => Some(error),

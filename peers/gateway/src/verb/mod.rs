@@ -11,7 +11,7 @@ use std::path::PathBuf;
 use std::pin::pin;
 use std::time::Duration;
 
-use mom_client::Client;
+use mom_client::{Client, Map, Value};
 use mom_drive::{Tell, VerbFailure};
 
 use steps::Steps;
@@ -42,6 +42,9 @@ pub enum FleetTask {
         /// What each does: statements of a robot's script
         #[arg(required = true)]
         script: Vec<String>,
+        /// Bytes that come with the script, such as a sound: by the file's name without its extension, or as said; may be given several times
+        #[arg(long = "attach", value_name = "[NAME=]FILE", value_parser = attachment)]
+        attachments: Vec<(String, PathBuf)>,
     },
     /// Run a file of lines such as `1-3: goto 1000 1000`: robots work side by side, and wait for each other at `---`
     #[command(after_help = RUN)]
@@ -80,12 +83,13 @@ Statements, separated by ; or a new line:
   via X Y X Y ...       drive to the last point by way of the others
   leds MASK             set the LEDs, 0 to 255
   wait MS               wait
-  set, do, activate …   of a robot that is mirrored by a model: set joints 30 -20 10; do gesture 3 (docs/simulacrum.md)
+  set, do, play …       of a robot that is mirrored by a model: set joints 30 -20 10; do gesture 3 (docs/simulacrum.md)
   follow PEER MM        drive where this peer drove, so far behind it, until another command comes; for robots that are peers themselves
 
 Examples:
   mom fleet send 7 'motor 200 200 1000'
-  mom fleet send 1,3-5 'via 2000 2000 3000 2000; leds 1'";
+  mom fleet send 1,3-5 'via 2000 2000 3000 2000; leds 1'
+  mom fleet send 1 'play speaker hello' --attach hello.wav";
 
 const RUN: &str = "\
 A file for ten robots that form a line, and then blink together:
@@ -120,9 +124,21 @@ pub async fn run(
     interrupt: impl Future<Output = ()>,
     tell: Tell<'_>,
 ) -> Result<(), VerbFailure> {
+    let mut attachments = Map::new();
     let steps = match &args.task {
         FleetTask::List => return list::run(&args.fleet, client, tell).await,
-        FleetTask::Send { units, script } => Steps::one(units, &script.join("; "))?,
+        FleetTask::Send {
+            units,
+            script,
+            attachments: files,
+        } => {
+            for (name, file) in files {
+                let bytes = std::fs::read(file)
+                    .map_err(|error| VerbFailure::plain(format!("{}: {error}", file.display())))?;
+                attachments.set(name, Value::Binary(bytes.into()));
+            }
+            Steps::one(units, &script.join("; "))?
+        }
         FleetTask::Run { file } => Steps::read(file)?,
         FleetTask::Feed { file, robot, within } => {
             let feeding = feed::Feeding {
@@ -145,9 +161,27 @@ pub async fn run(
     drive::Drivers {
         client,
         fleet: &args.fleet,
+        attachments: &attachments,
     }
     .run(&steps, &mut interrupt, tell)
     .await
+}
+
+/// A file, and by which name a script knows it.
+fn attachment(text: &str) -> Result<(String, PathBuf), String> {
+    let (name, file) = match text.split_once('=') {
+        Some((name, file)) => (Some(name.to_owned()), PathBuf::from(file)),
+        None => {
+            let file = PathBuf::from(text);
+            let stem = file.file_stem().and_then(|stem| stem.to_str());
+            (stem.map(str::to_owned), file)
+        }
+    };
+    let is_word = |name: &String| !name.is_empty() && !name.contains([' ', ';', '#']);
+    match name.filter(is_word) {
+        Some(name) => Ok((name, file)),
+        None => Err("a script names it by one word: hello.wav, or hello=some file.wav".to_owned()),
+    }
 }
 
 /// The channel of a robot.
