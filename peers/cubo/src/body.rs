@@ -4,9 +4,10 @@
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
 
-use mom_rsp::robot::Outgoing;
+use mom_rsp::robot::{Outgoing, Played, Playout, PlayoutCounts};
 use mom_rsp::typed::{Named as _, Unsent};
-use mom_rsp::{FRAGMENT, Fragment};
+use mom_rsp::{FRAGMENT, Fragment, Sound};
+use mom_sound::Decoder;
 use mom_wheels::{Chassis, Driver, Floor, Motors, Pose, Power, Simulated, WheelTime, eye, switch};
 
 use crate::End;
@@ -22,6 +23,13 @@ const PICTURE: WheelTime = 1_000_000;
 const GESTURE: WheelTime = 1_500_000;
 /// mm beyond which the robot sees no obstacle.
 const SIGHT: f64 = 2000.0;
+/// Blocks of sound that can wait: as many as come together at the longest period, twice.
+const BLOCKS: usize = 24;
+/// The most bytes of one.
+const BLOCK: usize = elements::Speaker::SOUND.block();
+/// dB of the room, and of a sound at full scale.
+const QUIET: f64 = 30.0;
+const LOUD: f64 = 80.0;
 /// Blobs that wait to be sent, of which the oldest is dropped.
 const WAITING: usize = 2;
 
@@ -54,6 +62,15 @@ pub struct Cubo {
     /// Blobs under way to the middle.
     outgoing: VecDeque<Outgoings>,
     pictures: u16,
+    /// Blocks of sound until they are played.
+    playout: Playout<BLOCK, BLOCKS>,
+    decoder: Decoder,
+    /// What had become of blocks before this sound.
+    sounding: Option<PlayoutCounts>,
+    /// When the loudspeaker takes the next block.
+    speaker_at: WheelTime,
+    /// How loud the loudspeaker is, dB.
+    loudness: f64,
     /// What it heard of the loudspeaker last.
     echo: Vec<u8>,
     messages: u16,
@@ -69,8 +86,10 @@ pub struct Cubo {
 pub struct Doings {
     /// Gestures, in the order in which they were played.
     pub gestures: Vec<u8>,
-    /// Blocks of sound that were played, and those that came too late or in part.
+    /// Blocks of sound that came in packets and were played at once (S26).
     pub blocks: u64,
+    /// The sound that was played last, of those that came in blocks of their own.
+    pub heard: Vec<i16>,
     /// Bytes of the picture on the display.
     pub display: usize,
     /// Sessions that began and ended.
@@ -97,8 +116,8 @@ impl Cubo {
     ///
     /// # Errors
     ///
-    /// A place that is not on the floor.
-    pub fn new(pose: Pose) -> Result<Self, mom_wheels::SetupError> {
+    /// A place that is not on the floor; a codec that this program was built without.
+    pub fn new(pose: Pose) -> anyhow::Result<Self> {
         let floor = Floor::ARENA;
         Ok(Self {
             now: 0,
@@ -113,6 +132,11 @@ impl Cubo {
             picture_at: 0,
             outgoing: VecDeque::new(),
             pictures: 0,
+            playout: Playout::default(),
+            decoder: Decoder::new(elements::Speaker::SOUND)?,
+            sounding: None,
+            speaker_at: 0,
+            loudness: QUIET,
             echo: Vec::new(),
             messages: 0,
             raised: VecDeque::new(),
@@ -144,6 +168,7 @@ impl Cubo {
         if self.gesture.is_some_and(|(_, until)| now >= until) {
             self.gesture = None;
         }
+        self.play();
         let share = 1.0 - (-seconds / JOINT_LAG).exp();
         let wanted = self.wanted_posture();
         let moved = |is: Deg, wanted: Deg| Deg(is.0 + (wanted.0 - is.0) * share);
@@ -152,6 +177,60 @@ impl Cubo {
             right_arm: moved(self.posture.right_arm, wanted.right_arm),
             head_tilt: moved(self.posture.head_tilt, wanted.head_tilt),
         };
+    }
+
+    /// Plays what is due: the loudspeaker takes a block each 20 ms.
+    fn play(&mut self) {
+        let period = Sound::PERIOD as WheelTime;
+        while self.speaker_at <= self.now {
+            let at = u64::try_from(self.speaker_at).unwrap_or(0);
+            self.speaker_at += period;
+            if self.playout.is_silent() {
+                self.loudness = QUIET;
+                if let Some(before) = self.sounding.take() {
+                    let counts = self.playout.counts();
+                    tracing::info!(
+                        blocks = counts.played - before.played,
+                        lost = counts.lost - before.lost,
+                        late = counts.late - before.late,
+                        "a sound was played"
+                    );
+                }
+                self.speaker_at = self.speaker_at.max(self.now + 1);
+                continue;
+            }
+            let samples = match self.playout.take(at) {
+                Some(Played::Block(bytes)) => self.decoder.block(bytes),
+                Some(Played::Lost) => self.decoder.lost(),
+                // It waits for more.
+                None => continue,
+            };
+            self.loudness = mom_sound::level(&samples).map_or(QUIET, |level| (LOUD + level).max(QUIET));
+            let bytes: Vec<u8> = samples.iter().copied().flat_map(i16::to_le_bytes).collect();
+            self.hear(&bytes);
+            self.doings.heard.extend(samples);
+            // The last ten seconds.
+            let most = 10 * elements::Speaker::SOUND.rate as usize;
+            let over = self.doings.heard.len().saturating_sub(most);
+            self.doings.heard.drain(..over);
+        }
+    }
+
+    /// The microphone hears the loudspeaker: a third of the samples.
+    fn hear(&mut self, samples: &[u8]) {
+        self.echo = samples
+            .chunks_exact(2)
+            .step_by(3)
+            .flatten()
+            .copied()
+            .take(640)
+            .collect();
+    }
+
+    /// What became of blocks of sound.
+    #[must_use]
+    pub fn sound(&self) -> PlayoutCounts {
+        self.playout.counts()
     }
 
     /// Where arms and head are to be: the gesture that is played takes the arms.
@@ -172,6 +251,7 @@ impl Cubo {
 
     /// Tells its end what it senses and what has happened.
     pub fn tell(&mut self, end: &mut End) {
+        self.playout.set_period(end.period());
         let sensors = self.wheels.sensors(self.now).ok();
         let pose = sensors.and_then(|sensors| sensors.pose).unwrap_or_default();
         let switches = sensors.map_or(0, |sensors| sensors.switches);
@@ -179,7 +259,7 @@ impl Cubo {
         let surroundings = Surroundings {
             distance: Mm(self.distance(pose)),
             luminance: Lx(800.0),
-            sound_level: DB(if self.echo.is_empty() { 30.0 } else { 62.0 }),
+            sound_level: DB(self.loudness),
             touch: touched.into(),
             temperature: K(296.0),
             battery: Percent(sensors.map_or(0, |sensors| sensors.battery).into()),
@@ -296,19 +376,14 @@ impl Body for Cubo {
         self.lips = value;
     }
 
-    /// Plays a block of sound, of which the microphone hears a third of the samples.
+    /// Plays a block of sound that was in a packet.
     fn set_speaker(&mut self, bytes: &[u8]) {
         if bytes.is_empty() {
             return;
         }
         self.doings.blocks += 1;
-        self.echo = bytes
-            .chunks_exact(2)
-            .step_by(3)
-            .flatten()
-            .copied()
-            .take(640)
-            .collect();
+        self.loudness = 62.0;
+        self.hear(bytes);
     }
 
     fn run_gesture(&mut self, value: u8) {
@@ -316,8 +391,15 @@ impl Body for Cubo {
         self.doings.gestures.push(value);
     }
 
-    /// The display shows its newest picture; what that looks like is not simulated.
+    /// Sound is played; the display shows its newest picture, and what that looks like is not simulated.
     fn fragment(&mut self, fragment: Fragment<'_>) {
+        if fragment.element == elements::Speaker::PLACE {
+            if self.playout.is_silent() {
+                self.doings.heard.clear();
+                self.sounding = Some(self.playout.counts());
+            }
+            self.playout.push(u64::try_from(self.now).unwrap_or(0), &fragment);
+        }
         if fragment.element == elements::Lcd::PLACE {
             self.doings.display = usize::try_from(fragment.total).unwrap_or(0);
         }
@@ -354,6 +436,7 @@ impl Body for Cubo {
             false => {
                 self.doings.sessions.1 += 1;
                 self.outgoing.clear();
+                self.playout.silence();
             }
         }
     }

@@ -1,9 +1,13 @@
 //! What a statement of a mirrored robot's scripts makes it do.
 
-use mom_device::{DeviceError, Word, Words};
+use std::sync::Arc;
+
+use mom_device::{Attachments, DeviceError, Word, Words};
 
 /// The longest time for which one statement sets an effector, ms.
 const LONGEST: i32 = 60_000;
+const PLAY: &str = "an effector, the sound's name, and maybe `on`: play speaker hello";
+const SHOW: &str = "an effector and the picture's name: show lcd face";
 const SET: &str = "elements with their values, and maybe `for` and a time in ms: set left-wheel 100 right-wheel 100 for 1000";
 
 /// What a statement makes the robot do.
@@ -13,6 +17,8 @@ const SET: &str = "elements with their values, and maybe `for` and a time in ms:
 /// | those of a fleet's robots | drive a robot that has wheels: [`mom_fleet::Action`] |
 /// | `set left-wheel 100 right-wheel 100 for 1000` | sets effectors, in the units of the model, for so many ms; then they take their safe values. Without `for` they stay; a speed needs it |
 /// | `do gesture 3` | has a command executed once; done when the robot has acknowledged it (S19, S20) |
+/// | `play speaker hello`, `play speaker song on` | plays the attachment of that name, a WAV file, in blocks of 20 ms (S13); done when it was heard, or with `on` at once, and the next statements are carried out beside it. A halt ends it |
+/// | `show lcd face` | hands the attachment of that name to an effector of type bytes |
 /// | `activate motion`, `deactivate motion` | an element, or all members of a module (S6, S7) |
 /// | `ask camera` | has a sensor or monitor say its value now, or a memory event be said again (S22) |
 /// | `period 40` | the time between two packets, ms (S10) |
@@ -27,6 +33,22 @@ pub enum Action {
         settings: Vec<Setting>,
         /// For so many ms.
         ms: Option<u32>,
+    },
+    /// Plays a sound.
+    Play {
+        /// Where.
+        element: String,
+        /// What.
+        sound: Attached,
+        /// While the next statements are carried out.
+        on: bool,
+    },
+    /// Hands bytes to an effector.
+    Show {
+        /// To which.
+        element: String,
+        /// What.
+        bytes: Attached,
     },
     /// Executes a command.
     Do(Setting),
@@ -54,6 +76,30 @@ pub struct Setting {
     pub values: Vec<f64>,
 }
 
+/// An attachment that a statement names.
+#[derive(Clone, PartialEq)]
+pub struct Attached {
+    /// Its name.
+    pub name: String,
+    /// Its bytes, once the script was read with its attachments.
+    pub bytes: Arc<[u8]>,
+}
+
+impl std::fmt::Debug for Attached {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Attached({:?}, {} bytes)", self.name, self.bytes.len())
+    }
+}
+
+impl Attached {
+    fn named(word: Word<'_>) -> Self {
+        Self {
+            name: word.text.to_owned(),
+            bytes: Arc::default(),
+        }
+    }
+}
+
 impl Action {
     /// The verbs.
     pub const VERBS: &[&str] = &[
@@ -64,6 +110,8 @@ impl Action {
         "follow",
         "set",
         "do",
+        "play",
+        "show",
         "activate",
         "deactivate",
         "ask",
@@ -81,6 +129,13 @@ impl Action {
         Some(match verb.text {
             "set" => set(words),
             "do" => command(words),
+            "play" => play(words),
+            "show" => words.need("show", SHOW, "the effector").and_then(|element| {
+                Ok(Self::Show {
+                    element: named(element)?.element,
+                    bytes: Attached::named(words.need("show", SHOW, "the picture")?),
+                })
+            }),
             "activate" | "deactivate" => {
                 words
                     .need(verb.text, one, "the element")
@@ -102,6 +157,37 @@ impl Action {
             _ => return mom_fleet::Action::read(verb, words).map(|read| read.map(Self::Wheels)),
         })
     }
+}
+
+impl Action {
+    /// Takes the bytes that it names.
+    ///
+    /// # Errors
+    ///
+    /// `syntax` if they did not come with the script.
+    pub fn attach(&mut self, attachments: &Attachments) -> Result<(), DeviceError> {
+        match self {
+            Self::Play { sound: attached, .. } | Self::Show { bytes: attached, .. } => {
+                attached.bytes = attachments.get(&attached.name)?.into();
+                Ok(())
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+fn play(words: &mut Words<'_>) -> Result<Action, DeviceError> {
+    let element = named(words.need("play", PLAY, "the effector")?)?.element;
+    let sound = Attached::named(words.need("play", PLAY, "the sound")?);
+    let on = match words.next() {
+        None => false,
+        Some(word) if word.text == "on" => true,
+        Some(word) => {
+            let text = format!("`play` takes {PLAY}, and not `{}`", word.short());
+            return Err(DeviceError::syntax(word.at, text));
+        }
+    };
+    Ok(Action::Play { element, sound, on })
 }
 
 fn set(words: &mut Words<'_>) -> Result<Action, DeviceError> {

@@ -5,14 +5,17 @@
 //! [`run`] connects both.
 
 mod action;
+mod generator;
 mod link;
 mod peer;
+mod playing;
 mod teller;
 mod unit;
 mod values;
 mod wheels;
 
-pub use action::{Action, Setting};
+pub use action::{Action, Attached, Setting};
+pub use generator::{GENERATE, GENERATED};
 pub use link::{Listener, Simulacrum, serve};
 pub use peer::{RobotLine, SimulacrumOptions, run};
 pub use teller::{PACKET, Teller};

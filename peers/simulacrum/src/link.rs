@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use mom_rsp::middle::{Middle, MiddleFault, Notice, Offset, Settings, State};
-use mom_rsp::{Counters, Direction, Refused};
+use mom_rsp::{Counters, Direction, Kind, Refused, Sound};
 use mom_rsp_model::{Model, ModelElement};
 use parking_lot::Mutex;
 use tokio::net::UdpSocket;
@@ -34,6 +34,8 @@ struct Shared {
     name: String,
     model: Model,
     begin: Instant,
+    /// Bytes of fragments that are sent each period beside sounds.
+    pictures: u16,
     middle: Mutex<Middle<'static>>,
     /// There is something to send before the next period.
     hurry: Notify,
@@ -81,7 +83,9 @@ impl Simulacrum {
     /// # Errors
     ///
     /// Settings that are out of their range.
-    pub fn new(name: &str, model: Model, settings: Settings) -> Result<Self, MiddleFault> {
+    pub fn new(name: &str, model: Model, mut settings: Settings) -> Result<Self, MiddleFault> {
+        let pictures = settings.budget;
+        settings.budget = budget(&model, pictures, settings.period);
         // The layout is as old as the program, as robots are named when it starts.
         let layout = Box::leak(Box::new(model.clone().into_layout()));
         let middle = Middle::new(layout, settings, |bytes| {
@@ -95,6 +99,7 @@ impl Simulacrum {
             heard: model.elements().iter().map(|_| watch::Sender::new(0)).collect(),
             model,
             begin: Instant::now(),
+            pictures,
             middle: Mutex::new(middle),
             hurry: Notify::new(),
             notices: broadcast::Sender::new(WAITING),
@@ -194,6 +199,20 @@ impl Simulacrum {
     /// Has what waits sent as soon as its period lets it.
     pub fn hurry(&self) {
         self.0.hurry.notify_one();
+    }
+
+    /// Changes the time between two packets, ms (S10).
+    ///
+    /// # Errors
+    ///
+    /// One that is out of its range.
+    pub fn set_period(&self, ms: u16) -> Result<(), Refused> {
+        let budget = budget(self.model(), self.0.pictures, ms);
+        self.with(|middle| {
+            middle.set_period(ms)?;
+            middle.set_budget(budget);
+            Ok(())
+        })
     }
 
     /// Whether there is a session.
@@ -312,6 +331,18 @@ impl Simulacrum {
             let _ = self.0.notices.send(Arc::new(notice));
         }
     }
+}
+
+/// Bytes of fragments each period: so many, and beside them the sound that is heard meanwhile.
+fn budget(model: &Model, others: u16, period: u16) -> u16 {
+    let sounds = model
+        .elements()
+        .iter()
+        .filter(|element| element.kind == Kind::Effector);
+    let block: usize = sounds.filter_map(|element| element.sound).map(Sound::block).sum();
+    let blocks = (u64::from(period) * 1000).div_ceil(Sound::PERIOD);
+    let sounds = usize::try_from(blocks).unwrap_or(1).saturating_mul(block);
+    u16::try_from(sounds).unwrap_or(u16::MAX).saturating_add(others)
 }
 
 /// The element that a notice is about.

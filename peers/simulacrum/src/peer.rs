@@ -4,7 +4,7 @@ use std::future::Future;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
-use mom_client::{Channel, Client, ClientError, Delivery, Family, Map, Parcel, Time, Value};
+use mom_client::{Channel, Client, ClientError, Delivery, Event, Events, Family, Map, Parcel, Time, Value};
 use mom_device::{DevicePeer, Outlet, State, sender};
 use mom_fleet::{StatusTeller, ensure_session, enter, enter_status};
 use mom_rsp::Kind;
@@ -16,6 +16,7 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until};
 
+use crate::generator::{GENERATE, answer};
 use crate::{Mirror, Simulacrum, Teller};
 
 /// So often the mirror is looked at for what is to be told; packets come more often.
@@ -84,6 +85,9 @@ struct Robot {
     channel: Channel,
     /// Joined for as long as this lives.
     mirror: Channel,
+    /// Who asks for code in it, one after the other.
+    asked: Events,
+    made: JoinSet<Parcel>,
     teller: Teller,
     status: Option<(Channel, StatusTeller)>,
     /// Where blobs of these elements go.
@@ -141,6 +145,8 @@ impl Robot {
             notices,
             device,
             channel,
+            asked: mirror.events(),
+            made: JoinSet::new(),
             mirror,
             status,
             blobs,
@@ -174,6 +180,12 @@ impl Robot {
                     }
                     Err(RecvError::Closed) => break,
                 },
+                // One at a time: what takes long must not take all.
+                event = self.asked.next(), if self.made.is_empty() => match event {
+                    Some(event) => self.make(event),
+                    None => break,
+                },
+                Some(Ok(answer)) = self.made.join_next() => self.out.push(answer),
                 () = outlet.work() => {}
                 () = sleep_until(due) => {}
             }
@@ -200,6 +212,15 @@ impl Robot {
         }
         if matches!(notice, Notice::Up | Notice::Lost | Notice::Ended) {
             self.device.report();
+        }
+    }
+
+    /// Has code made for who asks for it.
+    fn make(&mut self, event: Event) {
+        let Event::Message(ask) = event else { return };
+        if ask.name() == GENERATE {
+            let robot = self.robot.clone();
+            self.made.spawn_blocking(move || answer(&ask, robot.model()));
         }
     }
 
@@ -248,8 +269,8 @@ impl Robot {
             self.out.extend(told);
         }
         if let Some((_, teller)) = &mut self.status {
-            let guard = self.channel.gate().guard();
-            if let Some(mut parcel) = teller.tell(&state, guard.as_ref(), now) {
+            let told = teller.tell(|| state, || self.channel.gate().guard(), now);
+            if let Some(mut parcel) = told {
                 parcel.timestamp = self.device.known_time();
                 self.out.push(parcel);
             }

@@ -1,13 +1,15 @@
 //! A mirrored robot as a machine of the hub: its owner commands it in the terms of its model.
 
 use mom_client::Map;
-use mom_device::{DeviceError, DeviceTime, ErrorName, Machine, Script, Word, Words};
+use mom_device::{Attachments, DeviceError, DeviceTime, ErrorName, Machine, Script, Word, Words};
 use mom_rover::Rover;
 use mom_rsp::middle::Notice;
-use mom_rsp::{Kind, Refused};
+use mom_rsp::{Kind, Payload, Refused, Sound};
 use mom_rsp_model::ModelElement;
+use mom_sound::{Clip, Encoder, SoundError};
 use mom_wheels::Chassis;
 
+use crate::playing::Playing;
 use crate::teller::thousandths;
 use crate::{Action, Setting, Simulacrum, Wheels, to_wire};
 
@@ -21,6 +23,8 @@ pub struct Mirror {
     rover: Option<Rover>,
     now: DeviceTime,
     doing: Doing,
+    /// The sound that is played, whatever else is done.
+    playing: Option<Playing>,
     failure: Option<DeviceError>,
 }
 
@@ -54,6 +58,7 @@ impl Mirror {
             rover,
             now: 0,
             doing: Doing::Nothing,
+            playing: None,
             failure: None,
         };
         mirror.rest();
@@ -138,6 +143,7 @@ impl Mirror {
 
     fn stand(&mut self) {
         self.doing = Doing::Nothing;
+        self.playing = None;
         let now = self.now;
         if let Some(rover) = &mut self.rover {
             rover.halt(now);
@@ -210,12 +216,55 @@ impl Mirror {
                 }
             }),
             Action::Do(setting) => self.value(setting, is_command, "the commands").map(drop),
+            Action::Play { element, sound, .. } => {
+                let (_, kind) = self.speaker(element)?;
+                let heard = Clip::read(&sound.bytes).and_then(|_| Encoder::new(kind));
+                heard
+                    .map(drop)
+                    .map_err(|error| Self::sound_fault(&sound.name, &error))
+            }
+            Action::Show { element, bytes } => {
+                self.bytes(element)?;
+                match bytes.bytes.is_empty() {
+                    true => {
+                        let text = format!("`{}` is empty", bytes.name);
+                        Err(DeviceError::new(ErrorName::Syntax, text))
+                    }
+                    false => Ok(()),
+                }
+            }
             Action::Activate { element, .. } => {
                 self.named(element, is_switched, "what can be switched").map(drop)
             }
             Action::Ask(element) => self.named(element, is_asked, "what can be asked").map(drop),
             Action::Wheels(_) | Action::Period(_) | Action::Clear => Ok(()),
         }
+    }
+
+    /// The effector of type bytes that a statement names, and what sound it plays.
+    fn bytes(&self, name: &str) -> Result<(u8, Option<Sound>), DeviceError> {
+        let (place, element) = self.named(name, is_effector, "the effectors")?;
+        match element.payload {
+            Payload::Bytes(_) => Ok((place, element.sound)),
+            _ => {
+                let text = format!("`{name}` takes numbers: `set` sets it");
+                Err(DeviceError::new(ErrorName::Syntax, text))
+            }
+        }
+    }
+
+    /// The effector that plays sounds, and which.
+    fn speaker(&self, name: &str) -> Result<(u8, Sound), DeviceError> {
+        let (place, sound) = self.bytes(name)?;
+        let sound = sound.ok_or_else(|| {
+            let text = format!("`{name}` plays no sound by its model; `show` hands bytes to it");
+            DeviceError::new(ErrorName::Syntax, text)
+        })?;
+        Ok((place, sound))
+    }
+
+    fn sound_fault(name: &str, error: &SoundError) -> DeviceError {
+        DeviceError::new(ErrorName::Syntax, format!("`{name}` cannot be played: {error}"))
     }
 
     fn refused(&self, refused: Refused) -> DeviceError {
@@ -252,6 +301,20 @@ impl Mirror {
                 let ticket = self.robot.command(place, &bytes);
                 return Ok(Doing::Command(ticket.map_err(|error| self.refused(error))?));
             }
+            Action::Play { element, sound, on } => {
+                let (place, kind) = self.speaker(element)?;
+                let playing = Playing::begin(place, kind, &sound.bytes, self.now);
+                let playing = playing.map_err(|error| Self::sound_fault(&sound.name, &error))?;
+                let end = if *on { self.now } else { playing.end() };
+                self.playing = Some(playing);
+                return Ok(Doing::Done(end));
+            }
+            Action::Show { element, bytes } => {
+                let (place, _) = self.bytes(element)?;
+                self.robot
+                    .with(|middle| middle.send_blob(place, &bytes.bytes))
+                    .map(drop)
+            }
             Action::Activate { element, active } => {
                 let (place, _) = self.named(element, is_switched, "what can be switched")?;
                 self.robot.with(|middle| middle.set_activated(place, *active))
@@ -260,7 +323,7 @@ impl Mirror {
                 let (place, _) = self.named(element, is_asked, "what can be asked")?;
                 self.robot.with(|middle| middle.ask(place))
             }
-            Action::Period(ms) => self.robot.with(|middle| middle.set_period(*ms)),
+            Action::Period(ms) => self.robot.set_period(*ms),
             Action::Clear => self.robot.with(|middle| middle.clear_buffers()),
             Action::Wheels(_) => Ok(()),
         };
@@ -295,6 +358,10 @@ impl Machine for Mirror {
 
     fn read(verb: Word<'_>, words: &mut Words<'_>) -> Option<Result<Action, DeviceError>> {
         Action::read(verb, words)
+    }
+
+    fn attach(action: &mut Action, attachments: &Attachments) -> Result<(), DeviceError> {
+        action.attach(attachments)
     }
 
     fn is_moving(&self) -> bool {
@@ -353,6 +420,13 @@ impl Machine for Mirror {
         if let Some(rover) = &mut self.rover {
             rover.advance(now);
         }
+        if let Some(playing) = &mut self.playing {
+            let sent = playing.advance(&self.robot, now);
+            if let Err(error) = sent {
+                self.playing = None;
+                self.failure = self.failure.take().or(Some(error));
+            }
+        }
         // Later than its end by a moment, so that a `set` that follows at once sets other values without a rest between.
         if let Doing::Set(until, places) = &self.doing
             && now > *until
@@ -372,7 +446,8 @@ impl Machine for Mirror {
             Doing::Set(until, _) => Some(until.saturating_add(1)),
             _ => None,
         };
-        rover.into_iter().chain(set).min()
+        let playing = self.playing.as_ref().and_then(Playing::next_wake);
+        [rover, set, playing].into_iter().flatten().min()
     }
 
     fn known_at(&self) -> Option<DeviceTime> {

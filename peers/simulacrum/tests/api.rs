@@ -5,12 +5,15 @@ use std::net::Ipv4Addr;
 use std::sync::mpsc;
 use std::time::Duration;
 
-use mom_cubo::{Cubo, CuboHandle, Touch};
+use mom_cubo::model::LAYOUT;
+use mom_cubo::model::robot::{Dispatch, PACKET};
+use mom_cubo::{Cubo, CuboHandle, End, Touch};
+use mom_device::{Machine as _, Script};
 use mom_rsp::middle::{Notice, Settings};
-use mom_rsp::robot;
+use mom_rsp::{Direction, Header, Item, Items, Type, robot};
 use mom_rsp_model::Model;
-use mom_simulacrum::{Simulacrum, serve, to_wire};
-use mom_wheels::Pose;
+use mom_simulacrum::{Mirror, Simulacrum, serve, to_wire};
+use mom_wheels::{Chassis, Pose};
 use tokio::net::UdpSocket;
 use tokio::time::timeout;
 
@@ -105,4 +108,95 @@ async fn listeners_are_called_as_an_event_is_heard_and_once() {
     })
     .await;
     assert!(heard.try_recv().is_err(), "each event once");
+}
+
+/// A middle and a robot in virtual time, with nothing between them.
+struct Bench {
+    mirror: Simulacrum,
+    machine: Mirror,
+    body: Cubo,
+    end: End,
+    /// µs.
+    now: u64,
+}
+
+impl Bench {
+    fn new() -> Bench {
+        let model = Model::read(mom_cubo::MODEL).expect("a model");
+        let mirror = Simulacrum::new("cubo", model, Settings::default()).expect("settings");
+        let mut bench = Bench {
+            machine: Mirror::new(mirror.clone(), Chassis::CUBO, None),
+            mirror,
+            body: Cubo::new(Pose::new(2500.0, 2500.0, 0.0)).expect("a place"),
+            end: End::new(&LAYOUT, robot::Settings::default()).expect("settings"),
+            now: 0,
+        };
+        bench.mirror.with(|middle| middle.start(0));
+        while !bench.mirror.is_up() {
+            bench.step();
+        }
+        bench
+    }
+
+    /// A ms passes; the speeds of the left wheel that left for the robot.
+    fn step(&mut self) -> Vec<i16> {
+        self.now += 1000;
+        let Bench {
+            mirror,
+            machine,
+            body,
+            end,
+            now,
+        } = self;
+        let mut speeds = Vec::new();
+        machine.advance(i64::try_from(*now).expect("not so late"));
+        body.advance(i64::try_from(*now).expect("not so late"));
+        while let Some(mut datagram) = mirror.with(|middle| middle.poll(*now).map(<[u8]>::to_vec)) {
+            let header = Header::decode(&datagram).expect("a header");
+            if header.kind == Type::Data {
+                let payload = datagram.get(Header::LEN..).unwrap_or_default();
+                let items = Items::parse(&LAYOUT, Direction::Down, payload).expect("a packet");
+                speeds.extend(items.filter_map(|(place, item)| match (place, item) {
+                    (0, Item::Value(value)) => Some(i16::from_be_bytes(value.try_into().expect("two bytes"))),
+                    _ => None,
+                }));
+            }
+            end.receive(*now, &mut datagram, &mut Dispatch(&mut *body))
+                .expect("it is taken");
+        }
+        body.tell(end);
+        let mut out = vec![0; PACKET];
+        while let Some(length) = end.poll(*now, &mut out, &mut Dispatch(&mut *body)) {
+            let datagram = out.get_mut(..length).expect("it was written");
+            mirror
+                .with(|middle| middle.receive(*now, datagram))
+                .expect("it is taken");
+        }
+        while let Some(notice) = mirror.with(mom_rsp::middle::Middle::next_notice) {
+            machine.heard(&notice).expect("nothing is lost");
+        }
+        speeds
+    }
+}
+
+/// Part 7: at the owner's loss, which halts the machine, safe values are on their way within 2 T, whenever in a period that is.
+#[test]
+fn safe_values_are_on_their_way_within_two_periods_of_a_halt() {
+    for phase in 0..20 {
+        let mut bench = Bench::new();
+        let script =
+            Script::read::<Mirror>("set left-wheel 200 right-wheel 200 for 60000").expect("a script");
+        bench.machine.plan(&script).expect("it can be done");
+        let (action, _) = script.actions().next().expect("one");
+        let now = i64::try_from(bench.now).expect("not so late");
+        bench.machine.begin(action, now).expect("it begins");
+        let mut told = Vec::new();
+        for _ in 0..100 + phase {
+            told.extend(bench.step());
+        }
+        assert_eq!(told.last(), Some(&200));
+        bench.machine.halt(i64::try_from(bench.now).expect("not so late"));
+        let left = (1..).find(|_| bench.step().contains(&0)).expect("it leaves");
+        assert!(left <= 40, "{left} ms after a halt in ms {phase} of a period");
+    }
 }

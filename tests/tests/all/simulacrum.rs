@@ -46,7 +46,7 @@ impl Stage {
             .next()
             .expect("an address")
             .to_owned();
-        let network = Datagrams::before(address.parse().expect("an address"), 1).await;
+        let network = Datagrams::before(address.parse().expect("an address"), 1);
         let network = network.expect("a network");
         let (broker, hub) = Running::broker(&project().join("config/fleet.toml"));
         let hub = format!("bin://{hub}");
@@ -274,6 +274,91 @@ async fn it_drives_through_a_bad_network() {
     })
     .await;
     guard.release().await.expect("it was had");
+}
+
+/// S13, S25: a sound comes with its command, is played beside a gesture over a bad network, and the robot's microphone hears it. Nobody
+/// else's sound is played.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_sound_is_played_over_a_bad_network_and_heard() {
+    let stage = Stage::new(&[]).await;
+    let alice = stage.arrive("alice").await;
+    linked(&alice).await;
+    stage.network.set(Weather {
+        loss: 0.02,
+        doubled: 0.05,
+        delay: Duration::from_millis(5),
+        jitter: Duration::from_millis(20),
+        ..Weather::default()
+    });
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("hello.wav");
+    // It is given the rate of the robot's loudspeaker.
+    let wav = mom_sound::Clip::tone(440.0, 1.0, 44_100)
+        .to_wav()
+        .expect("a file");
+    std::fs::write(&file, wav).expect("it is written");
+    let mirror = alice.channel("/fleet/1/simulacrum").await.expect("she may look");
+    let mut elements = mirror.events();
+    let hub = stage.hub.clone();
+    let sending = spawn_blocking(move || {
+        let attached = file.to_str().expect("a path").to_owned();
+        let mom = |script: &str, attached: &[&str]| {
+            let known = [
+                "--hub",
+                hub.as_str(),
+                "--user",
+                "alice",
+                "fleet",
+                "send",
+                "1",
+                script,
+            ];
+            run(
+                "mom",
+                &[&known[..], attached].concat(),
+                &[("MOM_PASSWORD", "alice")],
+            )
+        };
+        (
+            mom(
+                "play speaker hello on; do gesture 2; wait 1200",
+                &["--attach", &attached],
+            ),
+            mom("play speaker nobody", &["--attach", &attached]),
+            mom("play lcd hello", &["--attach", &attached]),
+            mom("show lcd hello", &["--attach", &attached]),
+        )
+    });
+    // 30 dB is its room.
+    message(&mut elements, "surroundings", |content| {
+        match content.get("value") {
+            Some(Value::List(values)) => matches!(values.get(2), Some(Value::Double(level)) if *level > 60.0),
+            _ => false,
+        }
+    })
+    .await;
+    let (played, missing, silent, shown) = sending.await.expect("they ran");
+    assert!(
+        played.status.success(),
+        "{}{}",
+        text(&played.stdout),
+        text(&played.stderr)
+    );
+    let line = stage.cubo.line_with("a sound was played");
+    assert!(line.contains("blocks=") && !line.contains("blocks=0"), "{line}");
+    for (output, words) in [
+        (&missing, "`nobody` did not come with the script, but hello"),
+        (&silent, "`lcd` plays no sound by its model"),
+    ] {
+        let said = text(&output.stdout) + &text(&output.stderr);
+        assert!(!output.status.success() && said.contains(words), "{said}");
+    }
+    assert!(
+        shown.status.success(),
+        "{}{}",
+        text(&shown.stdout),
+        text(&shown.stderr)
+    );
 }
 
 /// The verbs of fleets and devices know it as any other robot.

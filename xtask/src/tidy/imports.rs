@@ -72,7 +72,7 @@ const ARROWS: &[(&str, May)] = &[
     ("mom-drive", May::Use(&["mom-client"])),
     (
         "mom-cubo",
-        May::Use(&["mom-rsp", "mom-rsp-model", "mom-wheels", "mom-pages"]),
+        May::Use(&["mom-rsp", "mom-rsp-model", "mom-sound", "mom-wheels", "mom-pages"]),
     ),
     (
         "mom-simulacrum",
@@ -85,6 +85,7 @@ const ARROWS: &[(&str, May)] = &[
             "mom-rover",
             "mom-rsp",
             "mom-rsp-model",
+            "mom-sound",
             "mom-wheels",
             "mom-program",
         ]),
@@ -102,6 +103,7 @@ const ARROWS: &[(&str, May)] = &[
     ),
     ("mom-wheels", May::Use(&[])),
     ("mom-radio", May::Use(&[])),
+    ("mom-sound", May::Use(&["mom-rsp"])),
     ("mom-linuxbot", May::Use(&["mom-brs", "mom-wheels", "mom-pages"])),
     (
         "mom-model",
