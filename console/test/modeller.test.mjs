@@ -7,6 +7,8 @@ const { read, write, quoted, commandOf, LONGEST_FILE } = await load("panels/mode
 const { check, countOf, rangeOf, listOf, numberOf, wholeOf } = await load("panels/modeller/check.ts");
 const { packetSize, payloadSize, blank, moved, nextKey, emptyDraft, hasField, FIELDS } = await load("panels/modeller/model.ts");
 const { draftOf } = await load("panels/modeller/kept.ts");
+const { Generator, PATIENCE, linesOf } = await load("panels/modeller/generator.svelte.ts");
+const { plain } = await load("worker/plain.ts");
 
 const file = (name) => readFileSync(new URL(`../../config/${name}`, import.meta.url), "utf8");
 const cubo = (await read(file("cubo.toml"))).draft;
@@ -119,6 +121,29 @@ test("each mistake stands at its field", () => {
   assert.match(mistakes(two).at(2, "members"), /member of m already/);
 });
 
+test("bytes are sound if they say so, and their blocks have room", async () => {
+  const speaker = { name: "speaker", kind: "effector", type: "bytes", max: "1956" };
+  for (const [element, words] of [
+    [{ sound: "pcm 44101" }, /A codec and its samples a second/],
+    [{ sound: "pcm 7950" }, /A codec/],
+    [{ sound: "mp3 44100" }, /A codec/],
+    [{ sound: "pcm" }, /A codec/],
+    [{ sound: "opus 44100" }, /A codec/],
+    [{ sound: "pcm 48950" }, /20 ms of it have up to 1958 bytes/],
+    [{ sound: "opus 48000", max: "1274" }, /up to 1275 bytes/],
+    [{ sound: "pcm 16000", type: "i16", max: "" }, /Only bytes can be sound/],
+    [{ sound: "pcm 16000", type: "", max: "" }, /Only bytes can be sound/],
+    [{ sound: "pcm 16000", kind: "command" }, /A command has none/],
+  ]) assert.match(mistakes([{ ...speaker, ...element }]).at(0, "sound") ?? "", words, JSON.stringify(element));
+  for (const sound of ["pcm 48900", "pcm 8000", "opus 48000", " opus 8000 ", ""]) {
+    const elements = [{ ...speaker, sound }, { ...speaker, name: "microphone", kind: "sensor", sound }];
+    assert.equal(mistakes(elements).count, 0, sound);
+  }
+  assert.deepEqual(cubo.elements.flatMap(({ name, sound }) => (sound ? [[name, sound]] : [])), [["speaker", "pcm 48900"], ["microphone", "pcm 16000"]]);
+  assert.match(write(cubo), /^max = 640\nsound = "pcm 16000"$/m);
+  assert.deepEqual([hasField("sensor", "bytes", "sound"), hasField("sensor", "bytes", "unit"), hasField("event", "bytes", "sound"), hasField("sensor", "u8", "sound")], [true, false, false, false]);
+});
+
 test("the model itself is checked: its numbers, how many elements, and how large a packet is", () => {
   for (const [model, field, words] of [
     [{ id: "" }, "id", /missing/],
@@ -153,4 +178,116 @@ test("rows move, and what was kept comes back, whatever it is", () => {
   assert.deepEqual(draftOf({ name: 3, elements: [null, { name: "a", kind: 7 }] }).elements.map(({ name, kind }) => [name, kind]), [["a", ""]]);
   assert.equal(check(emptyDraft()).count, 0);
   assert.deepEqual(FIELDS.filter((field) => hasField("module", "", field)), ["name", "kind", "members", "doc"]);
+});
+
+/** A hub with these mirrors, whose middle says what `says` is asked to; `asked` is what it was asked. */
+function hubOf({ robots = ["/fleet/1"], delivered = 1, send } = {}) {
+  const sessions = new Set(robots.flatMap((robot) => robot.split("/").slice(1).map((_, depth, parts) => `/${parts.slice(0, depth + 1).join("/")}`)));
+  const all = [...[...sessions].map((path) => ({ path, kind: "session" })), ...robots.flatMap((path) => [{ path: `${path}/simulacrum`, kind: "channel" }, { path: `${path}/robot`, kind: "channel" }, { path: `${path}/token`, kind: "token" }])];
+  let handlers;
+  const hub = {
+    isUp: true,
+    asked: [],
+    watched: [],
+    robots: all,
+    watch: (what, heard) => {
+      handlers = heard;
+      hub.watched.push(what);
+      queueMicrotask(() => hub.joins !== false && heard.joined({}));
+      return () => hub.watched.splice(hub.watched.indexOf(what), 1);
+    },
+    call: async (call, ...args) => {
+      if (call === "list") return hub.robots.filter(({ path }) => path !== "/" && (path.slice(0, path.lastIndexOf("/")) || "/") === args[0]);
+      hub.asked.push(args);
+      return send ? send() : { id: 7, delivered };
+    },
+  };
+  const says = (content, reference = 7, more = {}) => handlers.events([{ type: "message", name: "generated", content, reference, cut: false, ...more }]);
+  return { hub, says, heard: () => handlers };
+}
+
+const settled = () => new Promise((resolve) => setImmediate(resolve));
+
+async function generator(options) {
+  const fake = hubOf(options);
+  const made = new Generator(fake.hub);
+  await made.mirrors.look();
+  return { ...fake, made };
+}
+
+test("a middle is asked for code of a model, and the answer to this question is taken", async () => {
+  const { hub, made, says } = await generator();
+  const asking = made.ask("c", "name = 1");
+  await settled();
+  assert.deepEqual(hub.watched, [{ path: "/fleet/1/simulacrum", kind: "channel", names: ["generated"], newest: true, answers: true }]);
+  assert.deepEqual(hub.asked, [["/fleet/1/simulacrum", "generate", { language: "c", model: "name = 1" }, { echo: false, expires: PATIENCE }]]);
+  assert.equal(made.asking, "c");
+  says({ language: "c", name: "other.h", text: "" }, 6);
+  says({ language: "c", name: "cubo.h", text: "#pragma once\n" });
+  assert.deepEqual(await asking, { name: "cubo.h", text: "#pragma once\n" });
+  assert.deepEqual([made.asking, hub.watched], [undefined, []]);
+
+  // Without a model it is the robot's; and an answer may come before the id of its question.
+  let sent;
+  const early = await generator({ send: () => new Promise((resolve) => (sent = resolve)) });
+  const own = early.made.ask("toml");
+  await settled();
+  assert.deepEqual(early.hub.asked[0][2], { language: "toml" });
+  early.says({ name: "cubo.toml", text: "id = 1\n" });
+  sent({ id: 7, delivered: 1 });
+  assert.equal((await own).name, "cubo.toml");
+});
+
+test("what fails is said in words: mistakes, refusals, nonsense, and silence", async (t) => {
+  const { hub, made, says, heard } = await generator();
+  const fails = async (act, words) => {
+    const asking = made.ask("rust", "");
+    const failed = assert.rejects(asking, words);
+    await settled();
+    await act();
+    await failed;
+    assert.deepEqual([made.asking, hub.watched], [undefined, []]);
+  };
+  await fails(() => says({ language: "rust", error: "line 3, column 1: there is no key `peroid`" }), /^Error: The middle says: line 3, column 1: there is no key `peroid`$/);
+  for (const [content, more] of [["nonsense"], [{ name: "x" }], [{ text: "x" }], [{ name: "x", text: "x" }, { cut: true }]]) await fails(() => says(content, 7, more), /\/fleet\/1 was not understood/);
+  await fails(() => heard().failed({ kind: "refused", code: "denied", text: "bob may not join", content: {} }), /bob may not join/);
+
+  t.mock.timers.enable({ apis: ["setTimeout"] });
+  await fails(() => t.mock.timers.tick(PATIENCE), /The middle of \/fleet\/1 did not answer within 5 s/);
+  hub.joins = false;
+  await fails(() => t.mock.timers.tick(PATIENCE), /did not answer/);
+  t.mock.timers.reset();
+
+  const alone = await generator({ delivered: 0 });
+  await assert.rejects(alone.made.ask("rust", ""), /The middle of \/fleet\/1 is not there/);
+  const refused = await generator({ send: () => Promise.reject(new Error("bob may not send generate")) });
+  await assert.rejects(refused.made.ask("rust", ""), /bob may not send generate/);
+});
+
+test("nothing is asked without a link or a mirrored robot, and of several robots one is", async () => {
+  const { hub, made } = await generator({ robots: ["/fleet/1", "/fleet/2"] });
+  assert.deepEqual([made.mirrors.paths, made.path, made.hindrance], [["/fleet/1/simulacrum", "/fleet/2/simulacrum"], "/fleet/1/simulacrum", undefined]);
+  made.choose("/fleet/2/simulacrum");
+  assert.equal(made.path, "/fleet/2/simulacrum");
+  hub.isUp = false;
+  assert.match(made.hindrance, /no connection/);
+  await assert.rejects(made.ask("rust"), /no connection/);
+  hub.isUp = true;
+  // One that is gone is not chosen any more.
+  hub.robots = hub.robots.filter(({ path }) => !path.startsWith("/fleet/2"));
+  await made.mirrors.look();
+  assert.equal(made.path, "/fleet/1/simulacrum");
+  hub.robots = [];
+  await made.mirrors.look();
+  assert.match(made.hindrance, /No robot is mirrored/);
+  await assert.rejects(made.ask("rust"), /No robot is mirrored/);
+  assert.match(new Generator(hub).hindrance, /Looking for/);
+  assert.deepEqual(hub.asked, []);
+});
+
+test("an answer comes to the page as a whole, other messages within bounds; and lines are counted", () => {
+  const text = "x".repeat(1 << 20);
+  assert.deepEqual([plain({ text }).cut, plain({ text }).content.text.length], [true, 65_536]);
+  assert.deepEqual(plain({ text }, true, true), { content: { text }, cut: false, size: 0 });
+  assert.deepEqual(["", "a", "a\n", "a\nb\n", "\n"].map(linesOf), [0, 1, 1, 2, 1]);
 });

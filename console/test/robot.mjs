@@ -58,6 +58,9 @@ export const mapHex = (bits) => packetHex({ bits }).slice(40);
 export class FakeRobot {
   /** What was sent to it: name, content, fence. */
   heard = [];
+  /** What its middle was asked to write, and what it answers; nothing if that is undefined. */
+  asked = [];
+  answer = ({ language }) => ({ language, name: "cubo.rs", text: "// code\n" });
   packet = { linked: true, period: 20, confirmed: true, loss: 0.004, "round-trip": 1840, offset: -2350000, error: 1900, sent: 5000, received: 4980, "down-rate": 2950, "up-rate": 2600, "free-buffers": 3, accepted: 4980, dropped: {}, heard: 9000 };
   bits = { down: [0, 1], up: [7] };
   sealed = false;
@@ -73,6 +76,7 @@ export class FakeRobot {
     robot.mirror = await robot.client.channel(`${path}/simulacrum`);
     robot.channel = await robot.client.channel(`${path}/robot`, { device: true });
     void robot.#obey();
+    void robot.#write();
     await robot.#tellState();
     for (const name of robot.elements.keys()) await robot.say(name);
     await robot.travel();
@@ -120,6 +124,16 @@ export class FakeRobot {
       await status("executing");
       const error = this.obeys ? await this.#do(String(content)) : undefined;
       if (this.obeys) await status(error ? "error" : "finished", error);
+    }
+  }
+
+  /** Writes code for who asks for it. */
+  async #write() {
+    for await (const { type, name, sender, content, parcel } of this.mirror.events()) {
+      if (type !== "message" || name !== "generate") continue;
+      this.asked.push(content);
+      const answer = this.answer(content);
+      if (answer) await this.mirror.sendAcknowledged("generated", answer, { to: [sender], reference: parcel.id, echo: false });
     }
   }
 

@@ -1,5 +1,6 @@
 // The mirror of a robot and the modeller in a browser, against a hub with a peer that says what the middle of a robot says.
 import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
 import { after, before, test } from "node:test";
 import { busiest, findings, start, until } from "./lab.mjs";
 import { RawPeer } from "./rawpeer.mjs";
@@ -299,6 +300,9 @@ test("a model is made: packets follow, mistakes stand at their field, and it is 
   assert.equal(await size("Each second at T = 40 ms", 0), "49,975 B/s");
   await modeller.getByRole("textbox", { name: "Most bytes of speaker" }).fill("1000");
   assert.equal(await size("Full packet", 0), "1,043 B");
+  // Its sound has no room then: less of it has.
+  await modeller.getByText("20 ms of it have up to 1956 bytes: more than this element may have.").waitFor();
+  await modeller.getByRole("textbox", { name: "Sound of speaker" }).fill("pcm 25000");
   const rate = modeller.getByRole("textbox", { name: "Rate (unit/s) of joints" });
   await rate.fill("-1");
   const mistake = await rate.getAttribute("aria-describedby");
@@ -333,6 +337,78 @@ test("a model is made: packets follow, mistakes stand at their field, and it is 
   await modeller.locator('input[type="file"]').setInputFiles({ name: "bad.toml", mimeType: "text/plain", buffer: Buffer.from("name = ") });
   await modeller.getByText(/^bad\.toml was not loaded\. It is no TOML, line 1, column \d+:/).waitFor();
   await modeller.getByText("mom rsp generate cubo.toml --rust cubo.rs --c cubo.h --docs cubo.md").waitFor();
+});
+
+/** What is downloaded by a button. */
+async function downloaded(page, button) {
+  const [file] = await Promise.all([page.waitForEvent("download"), button.click()]);
+  return { name: file.suggestedFilename(), text: readFileSync(await file.path(), "utf8") };
+}
+
+test("the middle of a robot writes code of the model, and gives the robot's own", async (t) => {
+  const page = await hub.page("bob", { t, path: "/#/modeller" });
+  const { modeller } = await model(page);
+  const code = modeller.getByRole("region", { name: "Code for both ends" });
+  const rust = code.getByRole("button", { name: "Rust" });
+  const enabled = (button) => until(page, async () => (await button.getAttribute("aria-disabled")) === "false");
+  await enabled(rust);
+  // More than a message of others may have.
+  const text = "// What packets are made of.\n".repeat(3000);
+  robot.answer = ({ language }) => ({ language, name: "cubo.rs", text });
+  assert.deepEqual(await downloaded(page, rust), { name: "cubo.rs", text });
+  await code.getByRole("status").getByText("Downloaded cubo.rs: 3,000 lines.").waitFor();
+  assert.deepEqual(robot.asked.map(({ language }) => language), ["rust"]);
+  assert.match(robot.asked[0].model, /^name = "cubo"\n[^]*^sound = "pcm 48900"$/m);
+
+  robot.answer = ({ language }) => ({ language, error: "line 3, column 1: there is no key `peroid`" });
+  await code.getByRole("button", { name: "C header" }).click();
+  await code.getByRole("alert").getByText("No code was made. The middle says: line 3, column 1: there is no key `peroid`").waitFor();
+  robot.answer = () => undefined;
+  await code.getByRole("button", { name: "Description" }).click();
+  await code.getByRole("status").getByText("Waiting for the middle of /cubo…").waitFor();
+  assert.equal(await rust.getAttribute("aria-disabled"), "true");
+  await code.getByRole("alert").getByText("The middle of /cubo did not answer within 5 s.").waitFor();
+  await enabled(rust);
+  await modeller.getByLabel("T (ms)").fill("1");
+  assert.deepEqual([await rust.getAttribute("aria-disabled"), await rust.getAttribute("title")], ["true", "Correct the mistakes first."]);
+  await accessible(page);
+
+  // Of several robots one is chosen; a changed model is replaced when that is confirmed.
+  const load = modeller.getByRole("button", { name: "Load from robot" });
+  const robots = modeller.getByRole("combobox", { name: "Robot", exact: true });
+  await robots.selectOption("/many");
+  await load.click();
+  await modeller.getByRole("alert").getByText("The model of /many was not loaded. The middle of /many is not there.").waitFor();
+  await robots.selectOption("/zoe");
+  other.answer = ({ language }) => ({ language, name: "zoe.toml", text: 'name = "zoe"\nid = 7\n[[element]]\nname = "wheel"\nkind = "effector"\ntype = "i16"\n' });
+  await load.click();
+  await modeller.getByText("Replace the model that is here?").waitFor();
+  assert.deepEqual(other.asked, [{ language: "toml" }]);
+  await modeller.getByRole("button", { name: "Replace it" }).click();
+  await modeller.getByText("Loaded zoe.toml of /zoe: 1 element.").waitFor();
+  await modeller.getByText("No mistakes.").waitFor();
+  assert.equal(await modeller.getByLabel("Name", { exact: true }).inputValue(), "zoe");
+});
+
+test("what CUBO's own middle writes is downloaded, and its model has no mistakes", async (t) => {
+  const lab = await start({ lab: ["--cubo"] });
+  t.after(() => lab.end());
+  const page = await lab.page("alice", { t, path: "/#/modeller" });
+  const { modeller } = await model(page);
+  const code = modeller.getByRole("region", { name: "Code for both ends" });
+  for (const [button, name, words] of [["Rust", "cubo.rs", /^pub mod elements \{$/m], ["C header", "cubo.h", /^#define CUBO_/m], ["Description", "cubo.md", /^# /m]]) {
+    const made = code.getByRole("button", { name: button });
+    await until(page, async () => (await made.getAttribute("aria-disabled")) === "false");
+    const file = await downloaded(page, made);
+    assert.equal(file.name, name);
+    assert.match(file.text, words);
+    await code.getByRole("status").getByText(`Downloaded ${name}: ${file.text.split("\n").length - 1} lines.`.replace(/(\d)(\d{3}) /, "$1,$2 ")).waitFor();
+  }
+  await modeller.getByRole("button", { name: "Load from robot" }).click();
+  await modeller.getByText("Loaded cubo.toml of /fleet/1: 16 elements.").waitFor();
+  assert.equal(await modeller.getByRole("list", { name: "Notes on the file" }).count(), 0);
+  await modeller.getByText("No mistakes.").waitFor();
+  assert.equal(await modeller.getByRole("textbox", { name: "Sound of speaker" }).inputValue(), "pcm 48900");
 });
 
 test("a robot of 256 elements that all change ten times a second leaves the page quick", async (t) => {

@@ -1,5 +1,5 @@
 // The table in which a robot's model is made. Only its page needs these, so they are not among the texts that are loaded first.
-import { size } from "./figures.js";
+import { plural, size } from "./figures.js";
 
 const shown = (text: string): string => `“${text.length > 40 ? `${text.slice(0, 40)}…` : text}”`;
 
@@ -12,12 +12,12 @@ export const modeller = {
   elements: "Elements",
   /** What an element is called where it has no name yet. */
   element: (place: number, name: string) => (name ? `${name}` : `element ${place}`),
-  columns: { place: "Bit", name: "Name", kind: "Kind", type: "Type", count: "Count or parts", max: "Most bytes", unit: "Unit", scale: "Scale", range: "Range", safe: "Safe", rate: "Rate (unit/s)", motion: "Motion", period: "Period (ms)", of: "Effector", members: "Members", doc: "Description" },
-  heads: { count: "Count, parts or bytes", of: "Effector or members" },
+  columns: { place: "Bit", name: "Name", kind: "Kind", type: "Type", count: "Count or parts", max: "Most bytes", sound: "Sound", unit: "Unit", scale: "Scale", range: "Range", safe: "Safe", rate: "Rate (unit/s)", motion: "Motion", period: "Period (ms)", of: "Effector", members: "Members", doc: "Description" },
+  heads: { count: "Count, parts or bytes", unit: "Unit or sound", of: "Effector or members" } as Record<string, string>,
   kinds: { effector: "effector", sensor: "sensor", monitor: "monitor", command: "command", module: "module", event: "event", "memory-command": "memory command", "memory-event": "memory event" } as Record<string, string>,
   noType: "no data",
   motions: { "": "absolute", interpolated: "interpolated", incremental: "incremental" } as Record<string, string>,
-  placeholders: { count: "3, or names: x, y", unit: "mm/s", range: "-500..500", members: "left-wheel, lips", scale: "1", safe: "0" } as Record<string, string>,
+  placeholders: { count: "3, or names: x, y", unit: "mm/s", sound: "pcm 16000", range: "-500..500", members: "left-wheel, lips", scale: "1", safe: "0" } as Record<string, string>,
   hint: "Lists have commas between their values, ranges two dots: -90..90, -20..40. Unit, scale, range and safe are said once for all numbers of an element, or once for each.",
   field: (column: string, element: string) => `${column} of ${element}`,
   add: "Add an element",
@@ -28,6 +28,13 @@ export const modeller = {
   open: "Load a file…",
   example: "Example: CUBO",
   download: "Download as TOML",
+  robot: {
+    label: "Robot",
+    load: "Load from robot",
+    title: (robot: string) => `Load the model of ${robot}`,
+    file: (name: string, robot: string) => `${name} of ${robot}`,
+    failed: (robot: string, why: string) => `The model of ${robot} was not loaded. ${why}`,
+  },
   file: {
     name: (model: string) => `${model || "robot"}.toml`,
     tooLarge: (most: number) => `The file is larger than ${size(most)}: no model is.`,
@@ -49,8 +56,26 @@ export const modeller = {
   keep: "Keep it",
 
   code: "Code for both ends",
-  codeHow: "Download the model, then have the command line write the code: Rust for both ends, a header of C99 for robots that are not in Rust, and a page that describes the packets.",
+  codeHow: "The middle of a robot at this hub writes it from the model: Rust for both ends, a header of C99 for robots that are not in Rust, or a page that describes the packets.",
+  codeOwn: "Or on your own machine, from the downloaded TOML:",
+  languages: {
+    rust: { name: "Rust", title: "Download the Rust code for both ends" },
+    c: { name: "C header", title: "Download the header of C99" },
+    docs: { name: "Description", title: "Download the page that describes the packets" },
+  },
   copy: "Copy",
+  generator: {
+    noLink: "There is no connection to the hub.",
+    looking: "Looking for mirrored robots…",
+    noRobot: "No robot is mirrored at this hub, so there is no middle that writes code.",
+    asking: (robot: string) => `Waiting for the middle of ${robot}…`,
+    absent: (robot: string) => `The middle of ${robot} is not there.`,
+    silent: (robot: string, ms: number) => `The middle of ${robot} did not answer within ${ms / 1000} s.`,
+    refused: (error: string) => `The middle says: ${error}`,
+    unclear: (robot: string) => `The answer of the middle of ${robot} was not understood.`,
+    made: (name: string, lines: number) => `Downloaded ${name}: ${plural(lines, "line")}.`,
+    failed: (why: string) => `No code was made. ${why}`,
+  },
 
   packet: "The packet",
   ways: { down: "to the robot", up: "from the robot" } as { down: string; up: string },
@@ -98,6 +123,9 @@ export const modeller = {
     notOfBytes: "It is of numbers, and bytes are none: empty this field.",
     needsType: "It is of numbers, and without a type there are none.",
     maxOfBytes: "It is of the type bytes; how many numbers there are is their count.",
+    soundOfBytes: "Only bytes can be sound: empty this field.",
+    sound: "A codec and its samples a second: pcm 16000 (8000 to 96000, a multiple of 50), or opus 48000 (8000, 12000, 16000, 24000 or 48000). Nothing for bytes that are no sound.",
+    soundBlock: (bytes: number) => `20 ms of it have up to ${bytes} bytes: more than this element may have.`,
     nameTwice: "Two elements have this name.",
     sameInCode: (other: string) => `It is the same in code as ${other}.`,
     partTwice: (name: string) => `Two parts have the name ${name}, or one that is the same in code.`,

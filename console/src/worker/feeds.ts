@@ -23,9 +23,9 @@ function birth(client: Client, parcel: Parcel): { born: number | undefined; erro
   return age ? { born: Date.now() - age.micros / 1000, error: age.error / 1000 } : { born: undefined, error: undefined };
 }
 
-function messageOf(client: Client, event: MessageEvent): Message {
+function messageOf(client: Client, event: MessageEvent, answer: boolean): Message {
   const { parcel, name, sender, history } = event;
-  const { content, cut, size } = plain(event.content, name !== "image");
+  const { content, cut, size } = plain(event.content, name !== "image", answer);
   const { id, reference, fence } = parcel;
   return { type: "message", name, sender, content, cut, size, id, reference, fence, history, ...birth(client, parcel), arrived: Date.now() };
 }
@@ -204,11 +204,18 @@ class Feed {
     }
   }
 
+  /** Whether somebody waits for an answer of this name. */
+  #isAnswer(name: string): boolean {
+    for (const { watch } of this.watchers.values()) if (watch.answers && watch.names?.includes(name)) return true;
+    return false;
+  }
+
   #message(event: MessageEvent): void {
-    const message = messageOf(this.client, event);
+    const answer = this.#isAnswer(event.name);
+    const message = messageOf(this.client, event, answer);
     this.hears(this.path, message);
     const key = keyOf(message);
-    if (message.size <= KEPT_SIZE && !message.cut) {
+    if (message.size <= KEPT_SIZE && !message.cut && !answer) {
       this.#last.delete(key);
       this.#last.set(key, message);
       if (this.#last.size > this.#kept) this.#last.delete(this.#last.keys().next().value!);

@@ -6,9 +6,9 @@ import type { Failure, Plain, PlainFields } from "./protocol.js";
 const MOST_VALUES = 5000;
 const MOST_TEXT = 64 * 1024;
 
-/** Answers of the hub have bounds of its own; these are above them. */
-const MOST_OF_HUB = 400_000;
-const MOST_TEXT_OF_HUB = 8 * 1024 * 1024;
+/** Answers have bounds of their own, which the hub sets; these are above them. */
+const MOST_OF_ANSWER = 400_000;
+const MOST_TEXT_OF_ANSWER = 8 * 1024 * 1024;
 
 /** What is left of the bounds. */
 interface Budget {
@@ -65,9 +65,9 @@ function convert(value: Value | undefined, budget: Budget): Plain {
   return fields;
 }
 
-/** What is passed on of a content, whether something was left out, and how many bytes of binary it has. */
-export function plain(value: Value | undefined, binary = false): { content: Plain | undefined; cut: boolean; size: number } {
-  const budget: Budget = { values: MOST_VALUES, text: MOST_TEXT, cut: false, size: 0, binary };
+/** What is passed on of a content, within wider bounds if it is an answer; whether something was left out, and how many bytes of binary it has. */
+export function plain(value: Value | undefined, binary = false, answer = false): { content: Plain | undefined; cut: boolean; size: number } {
+  const budget: Budget = { values: answer ? MOST_OF_ANSWER : MOST_VALUES, text: answer ? MOST_TEXT_OF_ANSWER : MOST_TEXT, cut: false, size: 0, binary };
   const content = value === undefined ? undefined : convert(value, budget);
   return { content, cut: budget.cut, size: budget.size };
 }
@@ -82,7 +82,7 @@ export function plainFields(value: Value | undefined): PlainFields {
 
 /** All that the hub answers: the statistics of a large one are more than a message may be. */
 export function answerFields(value: Value | undefined): PlainFields {
-  return fieldsOf(value === undefined ? undefined : convert(value, { values: MOST_OF_HUB, text: MOST_TEXT_OF_HUB, cut: false, size: 0, binary: true }));
+  return fieldsOf(plain(value, true, true).content);
 }
 
 export function failure(error: unknown): Failure {

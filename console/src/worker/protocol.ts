@@ -117,6 +117,8 @@ export interface Watch {
   most?: number | undefined;
   /** Of each sender and name only the newest goes to the page, and not oftener than once in so many ms; for channels with many names, of which none is left out. */
   every?: number | undefined;
+  /** Messages of these `names` answer what the page asked: they may be as large as answers of the hub. */
+  answers?: boolean | undefined;
   /** Messages `image` are decoded, the newest when the page has shown the one before, at most so many pixels wide. */
   pictures?: number | undefined;
 }

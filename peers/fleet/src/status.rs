@@ -8,21 +8,25 @@ use tokio::time::Instant;
 
 /// So often a robot that moves is told of there.
 const PERIOD: Duration = Duration::from_secs(1);
-/// News of a robot wait for so long since the last ones: one that starts and stops all the time is told of five times a second.
+/// One that starts and stops all the time is told of so often.
 const GAP: Duration = Duration::from_millis(200);
+/// Who was told of seldom may be told of so often at once.
+const AT_ONCE: u32 = 4;
 /// What changes with each reply, and is no reason to tell.
 const FLEETING: [&str; 5] = ["x", "y", "heading", "round-trip", "gap"];
 
-/// Tells of one robot: when it is something else that it does, at once or 200 ms after the last news, and once a second while it only
-/// goes on.
+/// Tells of one robot: at once when it is something else that it does, though five times a second at most in the long run, and once a second
+/// while it only goes on.
 #[derive(Debug)]
 pub struct StatusTeller {
     channel: Path,
     name: String,
     group: Option<String>,
     told: Option<(Map, Instant)>,
-    /// Whether something was held back until its gap is over.
-    held: bool,
+    /// When all that was told would have been told with a gap before each.
+    paid: Option<Instant>,
+    /// Until when something is held back.
+    held: Option<Instant>,
 }
 
 impl StatusTeller {
@@ -35,21 +39,23 @@ impl StatusTeller {
             name: format!("robot-{unit}"),
             group,
             told: None,
-            held: false,
+            paid: None,
+            held: None,
         }
     }
 
     /// What is to be told now, if anything is.
     ///
-    /// While a gap is not over, neither `state` nor `guard` is asked for.
+    /// While something is held back, neither `state` nor `guard` is asked for.
     pub fn tell(
         &mut self,
         state: impl FnOnce() -> State,
         guard: impl FnOnce() -> Option<GuardState>,
         now: Instant,
     ) -> Option<Parcel> {
-        self.held = self.told.as_ref().is_some_and(|(_, at)| now < *at + GAP);
-        if self.held {
+        let next = self.paid.and_then(|paid| paid.checked_sub(GAP * (AT_ONCE - 1)));
+        self.held = next.filter(|next| now < *next);
+        if self.held.is_some() {
             return None;
         }
         let mut content = content(&state(), guard().as_ref());
@@ -64,6 +70,7 @@ impl StatusTeller {
             }
         }
         self.told = Some((content.clone(), now));
+        self.paid = Some(self.paid.map_or(now, |paid| paid.max(now)) + GAP);
         let mut parcel = Parcel::new(Family::Message, self.name.clone())
             .context(self.channel.clone())
             .content(content);
@@ -75,12 +82,8 @@ impl StatusTeller {
     /// When there may be something to tell that was held back, or that changes by itself while the robot moves.
     #[must_use]
     pub fn due(&self, moving: bool) -> Option<Instant> {
-        let (_, at) = self.told.as_ref()?;
-        match (self.held, moving) {
-            (true, _) => Some(*at + GAP),
-            (false, true) => Some(*at + PERIOD),
-            (false, false) => None,
-        }
+        let goes_on = self.told.as_ref().filter(|_| moving).map(|(_, at)| *at + PERIOD);
+        self.held.or(goes_on)
     }
 }
 
@@ -147,23 +150,32 @@ mod tests {
             (10, 2, true, false),
             (999, 3, true, false),
             (1000, 3, true, true),
-            // News within the gap wait for its end.
-            (1100, 4, false, false),
-            (1199, 4, true, false),
-            (1200, 4, false, true),
+            (1100, 4, false, true),
             (3000, 4, false, false),
             (3001, 5, false, true),
-            (3100, 6, false, false),
-            (4001, 6, false, true),
+            // The fourth of a row is told at once, and the fifth waits.
+            (3010, 5, true, true),
+            (3020, 5, false, true),
+            (3030, 5, true, true),
+            (3040, 5, false, false),
+            (3200, 5, true, false),
+            (3201, 5, false, true),
+            (3210, 6, true, false),
+            (3401, 6, true, true),
         ] {
             let parcel = status.tell(|| state(x, moving), || Some(guard.clone()), after(ms));
             assert_eq!(parcel.is_some(), told, "after {ms} ms");
-            let held = [1100, 1199, 3100].contains(&ms);
             let due = status
                 .due(moving)
                 .map(|due| due.duration_since(begin).as_millis());
-            assert_eq!(due.is_some(), held || moving, "after {ms} ms");
-            assert!(!held || due.is_some_and(|due| due > ms.into()), "after {ms} ms");
+            let expected = match ms {
+                3040 | 3200 => Some(3201),
+                3210 => Some(3401),
+                _ if !moving => None,
+                _ if told => Some(u128::from(ms) + 1000),
+                _ => Some(1000),
+            };
+            assert_eq!(due, expected, "after {ms} ms");
             if let Some(parcel) = parcel {
                 assert_eq!(parcel.name(), "robot-7");
                 let value = parcel.value();

@@ -1,6 +1,6 @@
 //! Blocks of 20 ms.
 
-use mom_rsp::{Codec, Sound};
+use mom_rsp::{AudioCodec, Sound};
 
 use crate::SoundError;
 #[cfg(feature = "opus")]
@@ -32,8 +32,8 @@ impl Encoder {
             sound,
             #[cfg(feature = "opus")]
             opus: match sound.codec {
-                Codec::Pcm => None,
-                Codec::Opus => {
+                AudioCodec::Pcm => None,
+                AudioCodec::Opus => {
                     let application = opus_rs::Application::Audio;
                     let mut opus = opus_rs::OpusEncoder::new(rate(sound), 1, application).map_err(failed)?;
                     opus.bitrate_bps = BITS;
@@ -85,8 +85,8 @@ impl Decoder {
             last: vec![0; sound.samples()],
             #[cfg(feature = "opus")]
             opus: match sound.codec {
-                Codec::Pcm => None,
-                Codec::Opus => Some(Box::new(
+                AudioCodec::Pcm => None,
+                AudioCodec::Opus => Some(Box::new(
                     opus_rs::OpusDecoder::new(rate(sound), 1).map_err(failed)?,
                 )),
             },
@@ -138,7 +138,7 @@ impl Decoder {
 
 fn check(sound: Sound) -> Result<(), SoundError> {
     match sound.codec {
-        Codec::Opus if !cfg!(feature = "opus") => Err(SoundError::NoOpus),
+        AudioCodec::Opus if !cfg!(feature = "opus") => Err(SoundError::NoOpus),
         _ => Ok(()),
     }
 }
@@ -178,7 +178,7 @@ mod tests {
         let wanted = level(Clip::tone(440.0, 1.0, 48_000).samples()).unwrap();
         for rate in [16_000, 48_000] {
             let sound = Sound {
-                codec: Codec::Opus,
+                codec: AudioCodec::Opus,
                 rate,
             };
             let (samples, bytes) = heard(sound, |_| false);
@@ -197,7 +197,7 @@ mod tests {
 
     #[test]
     fn a_lost_block_is_no_silence_and_many_are() {
-        for codec in Codec::ALL {
+        for codec in AudioCodec::ALL {
             let sound = Sound { codec, rate: 16_000 };
             let block = sound.samples();
             let (samples, _) = heard(sound, |number| number == 20);
@@ -211,7 +211,7 @@ mod tests {
 
     #[test]
     fn what_is_no_block_harms_nobody() {
-        for codec in Codec::ALL {
+        for codec in AudioCodec::ALL {
             let sound = Sound { codec, rate: 16_000 };
             let mut decoder = Decoder::new(sound).unwrap();
             for length in 0..40_usize {

@@ -4,10 +4,10 @@
 //! effector, and a [`Decoder`] in the robot makes samples of them again, also of blocks that are lost.
 //!
 //! ```
-//! use mom_rsp::{Codec, Sound};
+//! use mom_rsp::{AudioCodec, Sound};
 //! use mom_sound::{Clip, Decoder, Encoder};
 //!
-//! let sound = Sound { codec: Codec::Pcm, rate: 16_000 };
+//! let sound = Sound { codec: AudioCodec::Pcm, rate: 16_000 };
 //! let clip = Clip::tone(440.0, 0.1, sound.rate);
 //! let (mut encoder, mut decoder) = (Encoder::new(sound)?, Decoder::new(sound)?);
 //! let mut heard = Vec::new();

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use mom_rsp::{Codec, Kind, Motion, Number, Payload, Sound};
+use mom_rsp::{AudioCodec, Kind, Motion, Number, Payload, Sound};
 
 use crate::canonical;
 use crate::fault::{Fault, Found};
@@ -320,17 +320,17 @@ fn sound(keys: &Keys<'_>, payload: Payload) -> Result<Option<Sound>, Found> {
         );
         return found(Fault::UnknownWord, words);
     };
-    let Some(codec) = Codec::ALL.into_iter().find(|codec| codec.word() == word) else {
+    let Some(codec) = AudioCodec::ALL.into_iter().find(|codec| codec.word() == word) else {
         return found(
             Fault::UnknownWord,
-            unknown("codec", word, &Codec::ALL.map(Codec::word)),
+            unknown("codec", word, &AudioCodec::ALL.map(AudioCodec::word)),
         );
     };
     let is_right = |rate: &u32| codec.takes(*rate);
     let Some(rate) = rate.parse().ok().filter(is_right) else {
         let rates = match codec {
-            Codec::Pcm => "8000 to 96000 samples a second, a multiple of 50",
-            Codec::Opus => "8000, 12000, 16000, 24000 or 48000 samples a second",
+            AudioCodec::Pcm => "8000 to 96000 samples a second, a multiple of 50",
+            AudioCodec::Opus => "8000, 12000, 16000, 24000 or 48000 samples a second",
         };
         return found(
             Fault::Number,

@@ -115,7 +115,7 @@ pub use packet::{Item, Items, Writer};
 pub use refused::Refused;
 pub use sequence::is_newer;
 pub use size::LayoutFault;
-pub use sound::{Codec, Sound};
+pub use sound::{AudioCodec, Sound};
 
 /// A key that both ends share.
 pub type Key = [u8; 32];

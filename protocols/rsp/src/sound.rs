@@ -6,30 +6,30 @@ use core::fmt;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sound {
     /// How a block is written.
-    pub codec: Codec,
+    pub codec: AudioCodec,
     /// Samples a second.
     pub rate: u32,
 }
 
 /// How a block of sound is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Codec {
+pub enum AudioCodec {
     /// Samples of 16 bits, little-endian.
     Pcm,
     /// A packet of Opus (RFC 6716).
     Opus,
 }
 
-impl Codec {
+impl AudioCodec {
     /// All of them.
-    pub const ALL: [Codec; 2] = [Codec::Pcm, Codec::Opus];
+    pub const ALL: [AudioCodec; 2] = [AudioCodec::Pcm, AudioCodec::Opus];
 
     /// What it is called in a model's file.
     #[must_use]
     pub const fn word(self) -> &'static str {
         match self {
-            Codec::Pcm => "pcm",
-            Codec::Opus => "opus",
+            AudioCodec::Pcm => "pcm",
+            AudioCodec::Opus => "opus",
         }
     }
 
@@ -37,8 +37,8 @@ impl Codec {
     #[must_use]
     pub const fn takes(self, rate: u32) -> bool {
         match self {
-            Codec::Pcm => 8000 <= rate && rate <= 96_000 && rate.is_multiple_of(Sound::BLOCKS),
-            Codec::Opus => matches!(rate, 8000 | 12_000 | 16_000 | 24_000 | 48_000),
+            AudioCodec::Pcm => 8000 <= rate && rate <= 96_000 && rate.is_multiple_of(Sound::BLOCKS),
+            AudioCodec::Opus => matches!(rate, 8000 | 12_000 | 16_000 | 24_000 | 48_000),
         }
     }
 }
@@ -60,9 +60,9 @@ impl Sound {
     #[must_use]
     pub const fn block(self) -> usize {
         match self.codec {
-            Codec::Pcm => 2 * self.samples(),
+            AudioCodec::Pcm => 2 * self.samples(),
             // The longest packet of one frame (RFC 6716, 3.2.1).
-            Codec::Opus => 1275,
+            AudioCodec::Opus => 1275,
         }
     }
 }

@@ -1,9 +1,9 @@
 //! A thin robot that is mirrored over datagrams, as a device of the hub (S1 to S25): robot, middle and hub are programs of their own.
 
-use std::process::Command;
+use std::process::{Command, Output};
 use std::time::Duration;
 
-use mom_client::{Client, Event, Events, Value};
+use mom_client::{Client, Event, Events, Map, Value};
 use mom_drive::{CommandEnd, DeviceChannel, Robot};
 use mom_tests::datagrams::{Datagrams, Weather};
 use mom_tests::programs::{PATIENCE, Running, program, project, run, text};
@@ -184,6 +184,32 @@ async fn the_mirror_tells_what_is_wanted_and_what_is_confirmed() {
     guard.release().await.expect("it was had");
 }
 
+/// S4: who may drive has code made of a model by the robot's middle, as the console's modeller does; a guest does not.
+#[tokio::test(flavor = "multi_thread")]
+async fn code_is_made_for_who_asks_in_the_mirror() {
+    let stage = Stage::new(&[]).await;
+    let alice = stage.arrive("alice").await;
+    linked(&alice).await;
+    let mirror = alice.channel("/fleet/1/simulacrum").await.expect("she may look");
+    let mut events = mirror.events();
+    let ask = Map::new().with("language", "c");
+    mirror.send("generate", ask.clone()).await.expect("it leaves");
+    let made = message(&mut events, "generated", |_| true).await;
+    let word = |key: &str| {
+        made.get(key)
+            .and_then(Value::as_str)
+            .unwrap_or_default()
+            .to_owned()
+    };
+    assert_eq!(word("name"), "cubo.h", "{made:?}");
+    assert!(word("text").contains("#define CUBO_SAMPLE_RATE_SPEAKER 48900"));
+    let wrong = ask.with("model", "name = \"cart\"\nid = seven\n");
+    mirror.send("generate", wrong).await.expect("it leaves");
+    let refused = message(&mut events, "generated", |_| true).await;
+    let why = refused.get("error").and_then(Value::as_str).unwrap_or_default();
+    assert!(why.starts_with("line 2, column "), "{why}");
+}
+
 /// One arbitration over all protocols: who does not own the token moves nothing, and a change of owner has the robot rest first.
 #[tokio::test(flavor = "multi_thread")]
 async fn only_the_owner_drives_and_who_takes_over_finds_it_at_rest() {
@@ -276,6 +302,14 @@ async fn it_drives_through_a_bad_network() {
     guard.release().await.expect("it was had");
 }
 
+/// What alice is told who sends this to robot 1, with a file.
+fn send(hub: &str, script: &str, file: &str) -> Output {
+    let words = [
+        "--hub", hub, "--user", "alice", "fleet", "send", "1", script, "--attach", file,
+    ];
+    run("mom", &words, &[("MOM_PASSWORD", "alice")])
+}
+
 /// S13, S25: a sound comes with its command, is played beside a gesture over a bad network, and the robot's microphone hears it. Nobody
 /// else's sound is played.
 #[tokio::test(flavor = "multi_thread")]
@@ -302,32 +336,13 @@ async fn a_sound_is_played_over_a_bad_network_and_heard() {
     let hub = stage.hub.clone();
     let sending = spawn_blocking(move || {
         let attached = file.to_str().expect("a path").to_owned();
-        let mom = |script: &str, attached: &[&str]| {
-            let known = [
-                "--hub",
-                hub.as_str(),
-                "--user",
-                "alice",
-                "fleet",
-                "send",
-                "1",
-                script,
-            ];
-            run(
-                "mom",
-                &[&known[..], attached].concat(),
-                &[("MOM_PASSWORD", "alice")],
-            )
-        };
-        (
-            mom(
-                "play speaker hello on; do gesture 2; wait 1200",
-                &["--attach", &attached],
-            ),
-            mom("play speaker nobody", &["--attach", &attached]),
-            mom("play lcd hello", &["--attach", &attached]),
-            mom("show lcd hello", &["--attach", &attached]),
-        )
+        [
+            "play speaker hello on; do gesture 2; wait 1200",
+            "play speaker nobody",
+            "play lcd hello",
+            "show lcd hello",
+        ]
+        .map(|script| send(&hub, script, &attached))
     });
     // 30 dB is its room.
     message(&mut elements, "surroundings", |content| {
@@ -337,7 +352,7 @@ async fn a_sound_is_played_over_a_bad_network_and_heard() {
         }
     })
     .await;
-    let (played, missing, silent, shown) = sending.await.expect("they ran");
+    let [played, missing, silent, shown] = sending.await.expect("they ran");
     assert!(
         played.status.success(),
         "{}{}",

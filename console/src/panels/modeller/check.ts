@@ -1,6 +1,6 @@
 // What is wrong in a model, at which field, in words: the same that `mom rsp check` finds, but all of it at once.
 import { modeller as t } from "../../texts/modeller.js";
-import { BOUNDS, DEFAULTS, type Draft, FIELDS, type Field, HEADER, type Kind, MODEL_FIELDS, MOST_ELEMENTS, MOTIONS, type ModelField, NUMBER_SIZES, type Payload, type Row, TAG, type Way, hasField, isKind, isNumber, isType, mapSize, packetSize, payloadSize } from "./model.js";
+import { BOUNDS, DEFAULTS, type Draft, FIELDS, type Field, HEADER, type Kind, MODEL_FIELDS, MOST_ELEMENTS, MOTIONS, type ModelField, NUMBER_SIZES, type Payload, type Row, TAG, type Way, hasField, isKind, isNumber, isType, mapSize, packetSize, payloadSize, soundOf } from "./model.js";
 
 const m = t.mistakes;
 const LONGEST_NAME = 48;
@@ -145,6 +145,15 @@ function safe(row: Row, count: number, limits: readonly [number, number][], mist
   }
 }
 
+/** Why elements of a kind, with data of a type, do not have a field. */
+function misplaced(kind: Kind, type: string, field: Field): string {
+  if (!hasField(kind, "u8", field) && !hasField(kind, "bytes", field)) return m.notOfKind(t.kinds[kind]!);
+  if (field === "max") return m.maxOfBytes;
+  if (field === "sound") return m.soundOfBytes;
+  // A field of numbers is in the way of bytes, or of no data at all.
+  return type === "bytes" ? m.notOfBytes : m.needsType;
+}
+
 /** Checks one element by itself; its payload, as far as it can be read. */
 function element(row: Row, mistakes: Mistakes<Field>): Payload | undefined {
   if (!row.name.trim()) say(mistakes, "name", m.missing);
@@ -157,8 +166,7 @@ function element(row: Row, mistakes: Mistakes<Field>): Payload | undefined {
   }
   for (const field of FIELDS) {
     if (!row[field].trim() || hasField(kind, type, field)) continue;
-    // A field of numbers is in the way of bytes, or of no data at all.
-    say(mistakes, field, hasField(kind, "u8", field) || hasField(kind, "bytes", field) ? (field === "max" ? m.maxOfBytes : type === "bytes" ? m.notOfBytes : m.needsType) : m.notOfKind(t.kinds[kind]!));
+    say(mistakes, field, misplaced(kind, type, field));
   }
   if (row.period.trim() && hasField(kind, type, "period")) {
     const period = whole(row.period, 0, 60_000, 0);
@@ -177,6 +185,11 @@ function element(row: Row, mistakes: Mistakes<Field>): Payload | undefined {
   }
   if (!isNumber(type)) {
     const max = whole(row.max, 1, 65_535, undefined);
+    if (row.sound.trim() && hasField(kind, type, "sound")) {
+      const sound = soundOf(row.sound);
+      if (!sound) say(mistakes, "sound", m.sound);
+      else if ("value" in max && sound.block > max.value) say(mistakes, "sound", m.soundBlock(sound.block));
+    }
     if ("value" in max) return { kind, data: 2 + max.value, isBytes: true, isBlob: false };
     say(mistakes, "max", max.mistake);
     return undefined;

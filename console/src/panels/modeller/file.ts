@@ -26,7 +26,7 @@ function typedRange(value: unknown): string {
 }
 
 const ROOT = new Set(["name", "id", "doc", "period", "largest-packet", "watchdog", "element"]);
-const ELEMENT = new Set(["name", "kind", "type", "count", "max", "parts", "unit", "scale", "range", "safe", "rate", "motion", "interpolate", "period", "of", "members", "doc"]);
+const ELEMENT = new Set(["name", "kind", "type", "count", "max", "sound", "parts", "unit", "scale", "range", "safe", "rate", "motion", "interpolate", "period", "of", "members", "doc"]);
 
 function rowOf(table: Table, key: number, notes: string[]): Row {
   const name = typed(table["name"]);
@@ -42,6 +42,7 @@ function rowOf(table: Table, key: number, notes: string[]): Row {
     type: typed(table["type"]),
     count: typed(named ? table["parts"] : table["count"]),
     max: typed(table["max"]),
+    sound: typed(table["sound"]),
     unit: typed(table["unit"]),
     scale: typed(table["scale"]),
     range: typedRange(table["range"]),
@@ -107,6 +108,7 @@ function keysOf(row: Row): [key: string, value: string][] {
   if (has("of")) add("of", quoted(row.of.trim()));
   if (has("type")) add("type", quoted(row.type));
   if (has("max")) add("max", String(wholeOf(row.max)));
+  if (has("sound")) add("sound", quoted(row.sound.trim()));
   if (has("count")) {
     const { count, parts } = countOf(row.count);
     if (parts) add("parts", list(parts.map(quoted)));

@@ -6,7 +6,7 @@ export type Type = (typeof TYPES)[number];
 export const MOTIONS = ["absolute", "interpolated", "incremental"] as const;
 
 /** The fields of an element that are texts. Lists have commas between their values, a range has `..` between its ends. */
-export const FIELDS = ["name", "kind", "type", "count", "max", "unit", "scale", "range", "safe", "rate", "motion", "period", "of", "members", "doc"] as const;
+export const FIELDS = ["name", "kind", "type", "count", "max", "sound", "unit", "scale", "range", "safe", "rate", "motion", "period", "of", "members", "doc"] as const;
 export type Field = (typeof FIELDS)[number];
 export type Row = { readonly [field in Field]: string } & { readonly key: number };
 
@@ -34,6 +34,14 @@ export const BOUNDS: { readonly [type: string]: readonly [number, number] } = {
   f32: [-3.4028234663852886e38, 3.4028234663852886e38],
 };
 
+/** Whether a text says what sound bytes are, such as `pcm 16000`, and the most bytes of its blocks of 20 ms. */
+export function soundOf(text: string): { readonly block: number } | undefined {
+  const [, codec, digits] = /^(pcm|opus) (\d{4,5})$/.exec(text.trim()) ?? [];
+  const rate = Number(digits);
+  if (codec === "pcm") return rate >= 8000 && rate <= 96_000 && rate % 50 === 0 ? { block: rate / 25 } : undefined;
+  return codec === "opus" && [8000, 12_000, 16_000, 24_000, 48_000].includes(rate) ? { block: 1275 } : undefined;
+}
+
 export const isKind = (word: string): word is Kind => (KINDS as readonly string[]).includes(word);
 export const isType = (word: string): word is Type => (TYPES as readonly string[]).includes(word);
 export const isNumber = (type: string): boolean => type in NUMBER_SIZES;
@@ -60,13 +68,15 @@ export function hasField(kind: string, type: string, field: Field): boolean {
       return kind !== "monitor" && kind !== "module";
     case "max":
       return kind !== "monitor" && kind !== "module" && type === "bytes";
+    case "sound":
+      return (kind === "effector" || kind === "sensor") && type === "bytes";
     default:
       return kind !== "monitor" && kind !== "module" && numbers;
   }
 }
 
 export function blank(key: number, values: Partial<Row> = {}): Row {
-  return { name: "", kind: "sensor", type: "", count: "", max: "", unit: "", scale: "", range: "", safe: "", rate: "", motion: "", period: "", of: "", members: "", doc: "", ...values, key };
+  return { name: "", kind: "sensor", type: "", count: "", max: "", sound: "", unit: "", scale: "", range: "", safe: "", rate: "", motion: "", period: "", of: "", members: "", doc: "", ...values, key };
 }
 
 export function emptyDraft(): Draft {

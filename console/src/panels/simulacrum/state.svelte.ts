@@ -1,5 +1,6 @@
 // A robot's mirror, as one channel tells it.
 import type { Hub } from "../../hub/hub.svelte.js";
+import { robotOf } from "../../hub/mirrors.svelte.js";
 import { whileVisible } from "../../hub/visible.js";
 import type { Failure, HubEvent, Message } from "../../worker/protocol.js";
 import { type Element, type Packet, elementOf, inOrder, isPlaced, packetOf } from "./element.js";
@@ -55,7 +56,7 @@ export class SimulacrumState {
 
   /** The robot's own channel, in which statements are sent to it. */
   get robot(): string {
-    return `${this.path.slice(0, this.path.lastIndexOf("/"))}/robot`;
+    return `${robotOf(this.path)}/robot`;
   }
 
   /** Watches it until the function that it gives is called. */

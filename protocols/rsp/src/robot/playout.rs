@@ -13,7 +13,7 @@ const SPARE: usize = 2;
 /// latest. What is late is dropped; where all were late, as after a gap of the network, the sound waits anew.
 #[derive(Clone, Debug)]
 pub struct Playout<const BLOCK: usize, const DEPTH: usize> {
-    slots: [Slot<BLOCK>; DEPTH],
+    slots: [Held<BLOCK>; DEPTH],
     phase: Phase,
     /// The block that is played next.
     next: u16,
@@ -61,7 +61,7 @@ pub enum Played<'a> {
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Slot<const BLOCK: usize> {
+struct Held<const BLOCK: usize> {
     /// 0 for a slot that is free.
     total: u16,
     blob: u16,
@@ -70,8 +70,8 @@ struct Slot<const BLOCK: usize> {
     bytes: [u8; BLOCK],
 }
 
-impl<const BLOCK: usize> Slot<BLOCK> {
-    const FREE: Self = Slot {
+impl<const BLOCK: usize> Held<BLOCK> {
+    const FREE: Self = Held {
         total: 0,
         blob: 0,
         lacks: 0,
@@ -86,7 +86,7 @@ impl<const BLOCK: usize> Slot<BLOCK> {
 impl<const BLOCK: usize, const DEPTH: usize> Default for Playout<BLOCK, DEPTH> {
     fn default() -> Self {
         Playout {
-            slots: [Slot::FREE; DEPTH],
+            slots: [Held::FREE; DEPTH],
             phase: Phase::Silent,
             next: 0,
             newest: None,

@@ -57,7 +57,7 @@ impl Writer<'_> {
                     "};",
                     |code| {
                         code.line(format!(
-                            "codec: ::mom_rsp::Codec::{:?},\nrate: {},",
+                            "codec: ::mom_rsp::AudioCodec::{:?},\nrate: {},",
                             sound.codec, sound.rate
                         ));
                     },
