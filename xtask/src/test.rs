@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::fmt;
 use std::io::{BufRead, BufReader, Read};
+use std::num::NonZero;
 use std::path::Path;
 use std::process::{Child, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -15,6 +16,9 @@ use crate::{clients, console, javascript};
 
 /// Tests of which none ends for so long have come to a standstill; the longest takes two minutes on two cores.
 const STALL: Duration = Duration::from_secs(900);
+
+/// How many tests run side by side, as the runner knows it.
+const THREADS: &str = "RUST_TEST_THREADS";
 
 /// How many tests passed and failed; shown as `N passed, N failed`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -95,6 +99,11 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<Counts> {
     }
     let mut command = cargo(root);
     command.args(arguments(args)).stdout(Stdio::piped());
+    if std::env::var_os(THREADS).is_none() {
+        // Those of the whole system wait for their programs more than they compute.
+        let cores = std::thread::available_parallelism().map_or(1, NonZero::get);
+        command.env(THREADS, (cores + 1).to_string());
+    }
     println!("$ {}", line(&command));
     let mut child = command.spawn().context("cargo cannot be started")?;
     let stdout = child.stdout.take().context("cargo's output cannot be read")?;

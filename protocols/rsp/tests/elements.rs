@@ -280,6 +280,20 @@ fn a_memory_event_is_held_until_it_is_acknowledged_and_can_be_cleared() {
 }
 
 #[test]
+fn a_lost_memory_event_is_asked_for_though_other_events_go_on() {
+    let mut world = World::up(Settings::default());
+    world.robot.raise(CARD, b"card").unwrap();
+    world.drop_up = |packet| packet.len() > 22;
+    world.run(20);
+    world.drop_up = |_| false;
+    for number in 0..10_u16 {
+        world.robot.raise(BUTTON, &number.to_be_bytes()).unwrap();
+        world.run(20);
+    }
+    assert_eq!(world.raised(CARD), [b"card".to_vec()]);
+}
+
+#[test]
 fn a_memory_event_waits_for_a_session() {
     let mut world = World::new(Settings::default(), Weather::default(), 3);
     world.robot.raise(CARD, b"early").unwrap();

@@ -259,6 +259,10 @@ impl Middle<'_> {
     /// An event is delivered once, and acknowledged each time (S21, S22).
     fn hear_event(&mut self, now: u64, place: u8, id: u8, data: &[u8], stamp: u32) {
         let is_full = self.notices.len() >= NOTICES;
+        let is_held = self
+            .layout
+            .element(place)
+            .is_some_and(|element| element.kind == Kind::MemoryEvent);
         let Some(device) = self.devices.get_mut(usize::from(place)) else {
             return;
         };
@@ -268,7 +272,10 @@ impl Middle<'_> {
             (1.., 0) => device.ack = Some(id),
             (0, _) | (_, 1..=127) if !is_full => {
                 (device.id, device.ack) = (id, Some(id));
-                self.buffers.2 = now;
+                // Events of other kinds tell nothing of what is held.
+                if is_held {
+                    self.buffers.2 = now;
+                }
                 self.notices.push_back(Notice::Raised {
                     element: place,
                     id,
