@@ -24,7 +24,7 @@ const GESTURE: WheelTime = 1_500_000;
 /// mm beyond which the robot sees no obstacle.
 const SIGHT: f64 = 2000.0;
 /// Blocks of sound that can wait: as many as come together at the longest period, twice.
-const BLOCKS: usize = 24;
+const BLOCKS: usize = 32;
 /// The most bytes of one.
 const BLOCK: usize = elements::Speaker::SOUND.block();
 /// dB of the room, and of a sound at full scale.

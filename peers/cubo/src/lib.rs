@@ -1,6 +1,6 @@
 //! CUBO, the robot of the third paper (S25): thin, so that it plans nothing by itself (S1), and mirrored over RSP.
 //!
-//! [`model`] is generated from `config/cubo.toml`. [`Cubo`] is its body, here a simulated one; [`serve`] connects both to a socket.
+//! [`model`] is generated from `config/cubo.toml`; with the feature `opus` its loudspeaker takes Opus instead of samples. [`Cubo`] is its body, here a simulated one; [`serve`] connects both to a socket.
 
 mod body;
 mod serve;
@@ -9,7 +9,7 @@ pub use body::{Cubo, Doings, Touch};
 pub use serve::{CuboHandle, serve};
 
 /// The model's file, for the middle.
-pub const MODEL: &str = include_str!("../../../config/cubo.toml");
+pub const MODEL: &str = include_str!(concat!(env!("OUT_DIR"), "/cubo.toml"));
 
 /// Both ends of the model, generated.
 #[allow(

@@ -19,6 +19,7 @@ const EXAMPLES: &str = "\
 Examples:
   mom-cubo --listen 127.0.0.1:7700
   mom-cubo --write-key cubo.key
+  mom-cubo --write-model cubo.toml
   mom-cubo --listen 0.0.0.0:7700 --robot-key cubo.key --at 1000,1000,90
 
 It waits for the computer that thinks for it (mom-simulacrum), rests when nothing was heard of that for 500 ms, and plans nothing by itself.
@@ -38,6 +39,9 @@ struct CuboArgs {
     /// Write a new key into this file, which must not be there, and end
     #[arg(long, value_name = "FILE")]
     write_key: Option<PathBuf>,
+    /// Write the robot's model into this file, which must not be there, and end: its middle needs it (mom-simulacrum --model)
+    #[arg(long, value_name = "FILE")]
+    write_model: Option<PathBuf>,
     /// ms without a packet after which it rests
     #[arg(long, value_name = "MS", default_value = "500", value_parser = clap::value_parser!(u16).range(50..=10_000))]
     watchdog: u16,
@@ -67,6 +71,9 @@ async fn main() -> anyhow::Result<()> {
         .init();
     if let Some(file) = &args.write_key {
         return write_key(file);
+    }
+    if let Some(file) = &args.write_model {
+        return write_new(file, 0o644, mom_cubo::MODEL);
     }
     let pose = match *args.at {
         [x, y, heading] if heading.is_finite() => Pose::new(x, y, heading),
@@ -98,15 +105,21 @@ async fn main() -> anyhow::Result<()> {
 }
 
 fn write_key(file: &std::path::Path) -> anyhow::Result<()> {
-    use std::os::unix::fs::OpenOptionsExt as _;
     let mut key: Key = [0; 32];
     getrandom::fill(&mut key).context("the system gives no random numbers")?;
     let digits: String = key.iter().map(|byte| format!("{byte:02x}")).collect();
+    // For its owner's eyes.
+    write_new(file, 0o600, &(digits + "\n"))
+}
+
+/// Writes a file that is not there.
+fn write_new(file: &std::path::Path, mode: u32, text: &str) -> anyhow::Result<()> {
+    use std::os::unix::fs::OpenOptionsExt as _;
     let mut options = std::fs::OpenOptions::new();
-    // For its owner's eyes, and never over another key.
-    let opened = options.write(true).create_new(true).mode(0o600).open(file);
+    // Never over another one.
+    let opened = options.write(true).create_new(true).mode(mode).open(file);
     let mut opened = opened.with_context(|| format!("cannot write {}", file.display()))?;
-    writeln!(opened, "{digits}")?;
+    opened.write_all(text.as_bytes())?;
     writeln!(std::io::stdout(), "wrote {}", file.display())?;
     Ok(())
 }
