@@ -20,7 +20,7 @@ pub use machine::Machine;
 pub use outlet::{Outlet, Sending, sender};
 pub use queue::{Command, CommandQueue, MAX_WAITING, Order, Progress, QueueEvent, STATE_PERIOD, State};
 pub use run::DevicePeer;
-pub use script::{Attachments, MAX_BYTES, MAX_STATEMENTS, MAX_WAIT, Script, Statement};
+pub use script::{Attachments, MAX_ATTACHED, MAX_BYTES, MAX_STATEMENTS, MAX_WAIT, Script, Statement};
 pub use server::DeviceServer;
 pub use words::{Word, Words};
 

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use mom_client::Map;
 
-use crate::{DeviceError, DeviceTime, ErrorName, Machine, Script, Statement};
+use crate::{DeviceError, DeviceTime, ErrorName, MAX_ATTACHED, Machine, Script, Statement};
 
 /// µs between two states while a device moves, unless its machine says otherwise: 20 Hz.
 pub const STATE_PERIOD: DeviceTime = 50_000;
@@ -186,11 +186,29 @@ impl<M: Machine> CommandQueue<M> {
     ) -> Result<(), DeviceError> {
         self.advance(now, events);
         self.check_free()?;
+        self.check_attached(&command.script)?;
         self.machine.plan(&command.script)?;
         events.push(QueueEvent::Waiting(command.progress(0)));
         self.waiting.push_back(command);
         self.seq += 1;
         self.advance(now, events);
+        Ok(())
+    }
+
+    /// Whether there is room for what came with a script.
+    fn check_attached(&self, script: &Script<M::Action>) -> Result<(), DeviceError> {
+        let active = self.active.iter().map(|active| &active.command);
+        let held = active
+            .chain(&self.waiting)
+            .map(|command| command.script.attached())
+            .sum::<usize>();
+        if script.attached() > 0 && held + script.attached() > MAX_ATTACHED {
+            let text = format!(
+                "{held} bytes came with commands that wait already, and {} more are more than {MAX_ATTACHED}; try again when one has ended",
+                script.attached()
+            );
+            return Err(DeviceError::new(ErrorName::QueueFull, text));
+        }
         Ok(())
     }
 

@@ -11,6 +11,8 @@ use crate::{DeviceError, ErrorName, Machine, Word};
 pub const MAX_BYTES: usize = 64 * 1024;
 /// The most statements of a script.
 pub const MAX_STATEMENTS: usize = 1000;
+/// The most bytes that came with the scripts of one device that wait and are carried out.
+pub const MAX_ATTACHED: usize = 8 << 20;
 /// The longest `wait`, in ms.
 pub const MAX_WAIT: u32 = 60_000;
 
@@ -35,6 +37,12 @@ impl Attachments {
             )),
         };
         map.iter().map(bytes).collect::<Result<_, _>>().map(Self)
+    }
+
+    /// How many bytes they have.
+    #[must_use]
+    pub fn size(&self) -> usize {
+        self.0.values().map(Vec::len).sum()
     }
 
     /// The bytes of this name.
@@ -65,18 +73,28 @@ pub enum Statement<A> {
 
 /// A script: between 1 and [`MAX_STATEMENTS`] statements.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Script<A>(Vec<Statement<A>>);
+pub struct Script<A> {
+    statements: Vec<Statement<A>>,
+    /// Bytes that came with it.
+    attached: usize,
+}
 
 impl<A> Script<A> {
     /// The statements, in the order in which they take effect.
     #[must_use]
     pub fn statements(&self) -> &[Statement<A>] {
-        &self.0
+        &self.statements
+    }
+
+    /// How many bytes came with it.
+    #[must_use]
+    pub fn attached(&self) -> usize {
+        self.attached
     }
 
     /// What the device does, with the number of each statement (1 for the first).
     pub fn actions(&self) -> impl Iterator<Item = (&A, u32)> {
-        self.0
+        self.statements
             .iter()
             .zip(1..)
             .filter_map(|(statement, number)| match statement {
@@ -112,7 +130,8 @@ impl<A> Script<A> {
         attachments: &Attachments,
     ) -> Result<Self, DeviceError> {
         let mut script = Self::read::<M>(text)?;
-        for (statement, number) in script.0.iter_mut().zip(1..) {
+        script.attached = attachments.size();
+        for (statement, number) in script.statements.iter_mut().zip(1..) {
             if let Statement::Do(action) = statement {
                 M::attach(action, attachments).map_err(|error| error.at_statement(number))?;
             }
@@ -139,7 +158,10 @@ impl<A> Script<A> {
         }
         match statements.is_empty() {
             true => Err(DeviceError::syntax(0, "the script has no statement")),
-            false => Ok(Self(statements)),
+            false => Ok(Self {
+                statements,
+                attached: 0,
+            }),
         }
     }
 }

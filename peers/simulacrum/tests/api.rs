@@ -5,10 +5,11 @@ use std::net::Ipv4Addr;
 use std::sync::mpsc;
 use std::time::Duration;
 
+use mom_client::{Map, Value};
 use mom_cubo::model::LAYOUT;
 use mom_cubo::model::robot::{Dispatch, PACKET};
 use mom_cubo::{Cubo, CuboHandle, End, Touch};
-use mom_device::{Machine as _, Script};
+use mom_device::{Attachments, Command, CommandQueue, ErrorName, MAX_ATTACHED, Machine as _, Order, Script};
 use mom_rsp::middle::{Notice, Settings};
 use mom_rsp::{Direction, Header, Item, Items, Type, robot};
 use mom_rsp_model::Model;
@@ -199,4 +200,31 @@ fn safe_values_are_on_their_way_within_two_periods_of_a_halt() {
         let left = (1..).find(|_| bench.step().contains(&0)).expect("it leaves");
         assert!(left <= 40, "{left} ms after a halt in ms {phase} of a period");
     }
+}
+
+/// What waits with its sounds and pictures is bounded, so that no owner fills the memory of a middle that others need.
+#[test]
+fn so_many_attachments_wait_and_no_more() {
+    let model = Model::read(mom_cubo::MODEL).expect("a model");
+    let mirror = Simulacrum::new("cubo", model, Settings::default()).expect("settings");
+    let mut queue = CommandQueue::new(Mirror::new(mirror, Chassis::CUBO, None));
+    let half = MAX_ATTACHED / 2;
+    let mut submit = |size: usize| {
+        let face = Map::new().with("face", Value::Binary(vec![1; size].into()));
+        let attachments = Attachments::of(&face).expect("bytes");
+        let command = Command {
+            order: Order {
+                peer: "alice".into(),
+                id: None,
+                fence: None,
+            },
+            script: Script::read_with::<Mirror>("wait 60000; show lcd face", &attachments).expect("a script"),
+            use_by: None,
+        };
+        queue.submit(command, 0, &mut Vec::new())
+    };
+    submit(half).expect("there is room");
+    submit(half).expect("there is room");
+    let full = submit(1).expect_err("there is none");
+    assert_eq!(full.name(), ErrorName::QueueFull, "{full}");
 }
