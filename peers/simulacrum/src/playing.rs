@@ -147,11 +147,11 @@ mod tests {
             };
             timeout(PATIENCE, all).await.expect("all of it is heard");
             let (heard, counts) = cubo.look(|body, _| (body.doings.heard.clone(), body.sound()));
-            // On a busy machine a block may be late; what is heard is never wrong.
-            if counts.lost == 0 {
+            // On a busy machine blocks may be late, or come in larger heaps; what is heard is never wrong.
+            if counts.lost + counts.late + counts.skipped == 0 {
                 assert!(heard.starts_with(clip.samples()), "T = {period} ms");
             }
-            assert!(counts.played > 0 && counts.large == 0, "{counts:?}");
+            assert!(counts.played >= 15 && counts.large == 0, "{counts:?}");
         }
     }
 }

@@ -139,7 +139,9 @@ impl<const BLOCK: usize, const DEPTH: usize> Playout<BLOCK, DEPTH> {
             Phase::Waits(since) if now.saturating_sub(since) < self.patience() => return None,
             Phase::Waits(_) | Phase::Plays => self.phase = Phase::Plays,
         }
-        if self.waiting() > (self.patience() / Sound::PERIOD) as usize + 1 + SPARE {
+        // As many as come together may wait beside those that are wanted.
+        let most = (self.patience() + self.together()) / Sound::PERIOD;
+        if self.waiting() > most as usize + 1 + SPARE {
             self.drop_next();
             self.counts.skipped = self.counts.skipped.saturating_add(1);
         }
@@ -197,8 +199,14 @@ impl<const BLOCK: usize, const DEPTH: usize> Playout<BLOCK, DEPTH> {
 
     /// For how long the first block waits, µs; less than would fill the buffer.
     fn patience(&self) -> u64 {
-        let wanted = 2 * u64::from(self.jitter) + 2 * u64::from(self.period).max(Sound::PERIOD);
-        wanted.min(Sound::PERIOD * (DEPTH as u64).saturating_sub(2))
+        let wanted = 2 * u64::from(self.jitter) + 2 * self.together();
+        let room = Sound::PERIOD * (DEPTH as u64).saturating_sub(2);
+        wanted.min(room.saturating_sub(self.together()))
+    }
+
+    /// The time between two arrivals, µs: what sounds meanwhile comes together.
+    fn together(&self) -> u64 {
+        u64::from(self.period).max(Sound::PERIOD)
     }
 
     fn begin(&mut self, now: u64, blob: u16) {
@@ -332,6 +340,48 @@ mod tests {
         ]);
         assert_eq!(out, [254, 255, 0, 1, 2, 3, 4].map(Some));
         assert_eq!((counts.played, counts.lost, counts.late), (7, 0, 0));
+    }
+
+    #[test]
+    fn at_the_longest_period_blocks_come_ten_at_a_time_and_none_is_left_out() {
+        for first in 1..=10_u16 {
+            let mut buffer = Playout::<BLOCK, 32>::default();
+            buffer.set_period(200);
+            let (mut sent, mut heard) = (0, Vec::new());
+            for ms in 0..5000_u64 {
+                if ms % 200 == 0 {
+                    let until = first + 10 * (ms / 200) as u16;
+                    for number in sent..until.min(200) {
+                        let bytes = block(number);
+                        for part in [0, 1] {
+                            let offset = part * FRAGMENT;
+                            buffer.push(
+                                ms * 1000,
+                                &Fragment {
+                                    element: 0,
+                                    blob: number,
+                                    offset: offset as u32,
+                                    total: BLOCK as u32,
+                                    bytes: &bytes[offset..][..FRAGMENT],
+                                },
+                            );
+                        }
+                    }
+                    sent = until.min(200);
+                }
+                if ms % 20 == 7
+                    && let Some(Played::Block(bytes)) = buffer.take(ms * 1000)
+                {
+                    heard.push(bytes[0]);
+                }
+            }
+            assert_eq!(
+                heard,
+                (0..200).collect::<Vec<u8>>(),
+                "{first}: {:?}",
+                buffer.counts()
+            );
+        }
     }
 
     #[test]
