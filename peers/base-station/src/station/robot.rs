@@ -247,6 +247,8 @@ async fn carry_out(shared: &Shared, seat: &Seat, socket: &mut Socket, output: Ou
     match output {
         Output::Connect => *socket = Socket::Attempt(attempt(&seat.robot)),
         Output::Close => {
+            // What was said to be sent may be what stops the robot. More than one try would be late.
+            let _ = socket.write();
             if let Socket::Open { stream, .. } = std::mem::replace(socket, Socket::None) {
                 farewell(stream).await;
             }
@@ -387,5 +389,51 @@ impl Socket {
             }
         }
         Ok(true)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use mom_brs::{Command, PAPER};
+    use tokio::net::TcpListener;
+
+    use super::*;
+    use crate::circuit::Options;
+    use crate::fleet::Fleet;
+    use crate::station::{Clock, Settings};
+
+    /// A connection is closed in the same turn in which its last frames were taken, as by a thread that halts all.
+    #[tokio::test]
+    async fn what_was_taken_before_the_close_arrives() {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let text = format!("[[robot]]\nunit = 1\naddress = \"{address}\"\n");
+        let robot = Fleet::parse(&text).unwrap().robots()[0].clone();
+        let seat = Seat::new(robot, Circuit::new(&PAPER, Options::default(), 1));
+        let (changes, _) = broadcast::channel(1);
+        let shared = Shared {
+            clock: Clock::start(),
+            changes,
+            log: Mutex::new(Settings::default().log),
+            closing: false.into(),
+        };
+        let mut socket = Socket::Open {
+            stream: TcpStream::connect(address).await.unwrap(),
+            unwritten: Vec::new(),
+            is_new: false,
+        };
+        let (mut robot, _) = listener.accept().await.unwrap();
+        let frames =
+            [[100, -100], [0, 0]].map(|speeds| Frame::new(&Command::MOTOR, &speeds).unwrap().encode());
+        let written = frames.iter().flat_map(|frame| frame.as_bytes().to_vec());
+        let written: Vec<u8> = written.collect();
+        for frame in frames {
+            carry_out(&shared, &seat, &mut socket, Output::Write(frame)).await;
+        }
+        let mut heard = Vec::new();
+        let reading = robot.read_to_end(&mut heard);
+        let (_, read) = tokio::join!(carry_out(&shared, &seat, &mut socket, Output::Close), reading);
+        read.unwrap();
+        assert_eq!(heard, written);
     }
 }
