@@ -23,13 +23,14 @@ const PICTURE: WheelTime = 1_000_000;
 const GESTURE: WheelTime = 1_500_000;
 /// mm beyond which the robot sees no obstacle.
 const SIGHT: f64 = 2000.0;
-/// Blocks of sound that can wait: as many as come together at the longest period, twice.
+/// Blocks of sound that can wait: three times as many as come together at the longest period.
 const BLOCKS: usize = 32;
 /// The most bytes of one.
 const BLOCK: usize = elements::Speaker::SOUND.block();
-/// dB of the room, and of a sound at full scale.
+/// dB of the room, of a sound at full scale, and of music that comes in packets, whose samples nobody looks at.
 const QUIET: f64 = 30.0;
 const LOUD: f64 = 80.0;
+const MUSIC: f64 = 62.0;
 /// Blobs that wait to be sent, of which the oldest is dropped.
 const WAITING: usize = 2;
 
@@ -382,7 +383,7 @@ impl Body for Cubo {
             return;
         }
         self.doings.blocks += 1;
-        self.loudness = 62.0;
+        self.loudness = MUSIC;
         self.hear(bytes);
     }
 

@@ -100,24 +100,21 @@ impl Attached {
     }
 }
 
+const WHEELS: &[&str] = mom_fleet::Action::VERBS;
+const MODELS: &[&str] = mom_fleet::Action::OF_MODELS;
+
+/// Both lists in one.
+const fn joined() -> [&'static str; WHEELS.len() + MODELS.len()] {
+    let mut verbs = [""; WHEELS.len() + MODELS.len()];
+    let (wheels, models) = verbs.split_at_mut(WHEELS.len());
+    wheels.copy_from_slice(WHEELS);
+    models.copy_from_slice(MODELS);
+    verbs
+}
+
 impl Action {
-    /// The verbs.
-    pub const VERBS: &[&str] = &[
-        "motor",
-        "leds",
-        "goto",
-        "via",
-        "follow",
-        "set",
-        "do",
-        "play",
-        "show",
-        "activate",
-        "deactivate",
-        "ask",
-        "period",
-        "clear",
-    ];
+    /// The verbs: those of wheeled robots, and those of models.
+    pub const VERBS: &[&str] = &joined();
 
     /// Reads what follows a verb; `None` if there is no such verb.
     ///

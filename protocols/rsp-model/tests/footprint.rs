@@ -35,7 +35,7 @@ const PROGRAM: &str = r#"
 #![no_std]
 #![no_main]
 
-#[allow(dead_code)]
+#[allow(dead_code, reason = "what nobody calls is not in the program either")]
 mod cubo {
     include!("cubo.rs");
 }

@@ -22,7 +22,7 @@ use mom_rsp::{Element, Key, Kind, Layout, Motion, Number, Payload, Type};
 const KEY: Key = [7; 32];
 /// Who says nothing for so long is not there, ms.
 const SILENCE: u16 = 2000;
-/// At most so long nothing is looked at.
+/// At most so long nothing is looked at. A socket's own timeout is as coarse as the kernel's ticks, 4 ms, and packets come each ms.
 const NAP: Duration = Duration::from_micros(200);
 
 const VALUE: u8 = 0;
