@@ -407,9 +407,21 @@ fn loss_is_counted_by_sequence() {
     );
 }
 
+/// One output of an effector: when it came, how long after the last packet, and its value; in ms.
+#[derive(Debug)]
+struct Output {
+    at: u64,
+    waited: u64,
+    value: i16,
+}
+
 /// Remembers the outputs of one effector.
 #[derive(Default)]
-struct Outputs(Vec<i16>);
+struct Outputs {
+    now: u64,
+    arrived: u64,
+    all: Vec<Output>,
+}
 
 impl Body for Outputs {
     fn random(&mut self, bytes: &mut [u8]) {
@@ -417,14 +429,24 @@ impl Body for Outputs {
     }
 
     fn effector(&mut self, _: u8, value: &[u8]) {
-        self.0.push(i16::from_be_bytes([value[0], value[1]]));
+        self.all.push(Output {
+            at: self.now,
+            waited: self.now - self.arrived,
+            value: i16::from_be_bytes([value[0], value[1]]),
+        });
     }
 
     fn command(&mut self, _: u8, _: &[u8]) {}
 }
 
-/// What a motion filter puts out of values that arrive at these ms.
-fn filtered(motion: Motion, values: &[(u64, i16)], paper: bool) -> Vec<i16> {
+/// What a motion filter puts out of values that are written at these ms. Packets leave each 20 ms and take as long as `late` says of
+/// the ms of their sending, or are lost.
+fn put_out(
+    motion: Motion,
+    values: &[(u64, i16)],
+    paper: bool,
+    late: impl Fn(u64) -> Option<u64>,
+) -> Vec<Output> {
     let elements = [mom_rsp::Element {
         motion,
         ..element("motor", Kind::Effector, Payload::Numbers(Number::I16, 1))
@@ -444,20 +466,34 @@ fn filtered(motion: Motion, values: &[(u64, i16)], paper: bool) -> Vec<i16> {
     let mut outputs = Outputs::default();
     middle.start(0);
     let mut values = values.iter().peekable();
+    let mut under_way = Vec::new();
     let mut out = [0; 600];
     for ms in 0..400 {
         let now = ms * 1000;
+        outputs.now = ms;
         while let Some((_, value)) = values.next_if(|(at, _)| *at == ms) {
             middle.write(0, &value.to_be_bytes()).expect("it fits");
         }
         while let Some(packet) = middle.poll(now).map(<[u8]>::to_vec) {
-            let _ = robot.receive(now, &mut packet.clone(), &mut outputs);
+            if let Some(late) = late(ms) {
+                under_way.push((ms + late, packet));
+            }
+        }
+        for (_, mut packet) in under_way.extract_if(.., |(at, _)| *at <= ms) {
+            outputs.arrived = ms;
+            let _ = robot.receive(now, &mut packet, &mut outputs);
         }
         while let Some(len) = robot.poll(now, &mut out, &mut outputs) {
             let _ = middle.receive(now, &mut out[..len]);
         }
     }
-    outputs.0
+    outputs.all
+}
+
+/// What a motion filter puts out of values that are written at these ms.
+fn filtered(motion: Motion, values: &[(u64, i16)], paper: bool) -> Vec<i16> {
+    let outputs = put_out(motion, values, paper, |_| Some(0));
+    outputs.into_iter().map(|output| output.value).collect()
 }
 
 #[test]
@@ -469,7 +505,11 @@ fn the_motion_filter_follows_its_settings() {
         "the newest wins, else hold"
     );
     let limited = filtered(absolute(false, Some(2000.0)), &[(30, 100)], false);
-    assert_eq!(limited, [40, 80, 100], "2000 a second are 40 in 20 ms");
+    assert_eq!(
+        limited,
+        [40, 86, 100],
+        "2000 a second are 40 in 20 ms, and 46 in 23"
+    );
     let slow = filtered(absolute(false, Some(25.0)), &[(30, 4)], false);
     assert_eq!(slow, [1, 2, 3, 4], "less than one unit in a period adds up");
     let between = filtered(absolute(true, None), &[(30, 100)], false);
@@ -481,7 +521,7 @@ fn the_motion_filter_follows_its_settings() {
     let steps = Motion::Incremental { rate: Some(500.0) };
     assert_eq!(
         filtered(steps, &[(30, 25), (31, 5), (32, -2)], false),
-        [10, 10, 8],
+        [10, 11, 7],
         "the sum, limited (S12)"
     );
     assert_eq!(
@@ -491,4 +531,28 @@ fn the_motion_filter_follows_its_settings() {
         -10,
         "raw increments add up too"
     );
+}
+
+#[test]
+fn an_output_follows_the_packet_that_brought_it() {
+    let absolute = Motion::Absolute {
+        interpolate: false,
+        rate: None,
+    };
+    let values: Vec<_> = (1..20).map(|turn| (20 * turn, turn as i16)).collect();
+    let waited = |late: fn(u64) -> Option<u64>| -> Vec<u64> {
+        let outputs = put_out(absolute, &values, false, late);
+        let is_apart = outputs.windows(2).all(|two| two[1].at - two[0].at >= 17);
+        assert!(is_apart, "two within 7/8 of T: {outputs:?}");
+        outputs.iter().map(|output| output.waited).collect()
+    };
+    assert_eq!(waited(|_| Some(0)), [0; 19]);
+    assert_eq!(waited(|_| Some(7)), [0; 19]);
+    // Two ms of jitter are less than an eighth of T, to either side.
+    assert_eq!(waited(|ms| Some(5 + ms / 20 % 3)), [0; 19]);
+    // Where one is lost, the next one does not wait.
+    assert_eq!(waited(|ms| (ms % 100 != 0 || ms == 0).then_some(0)), [0; 16]);
+    // What comes in the wake of a late one waits for its turn, each less than the one before.
+    let waited = waited(|ms| Some(if ms == 200 { 12 } else { 0 }));
+    assert_eq!(waited[9..], [0, 10, 8, 6, 4, 2, 0, 0, 0, 0]);
 }

@@ -11,7 +11,7 @@ pub trait Body {
     /// Fills the bytes with what nobody can foresee: nonces and sessions are made of it.
     fn random(&mut self, bytes: &mut [u8]);
 
-    /// The motion filter has a new output (S12), at most one each period: of an absolute effector its value, of an
+    /// The motion filter has a new output (S12), one each period and never two within 7/8 of it: of an absolute effector its value, of an
     /// incremental one the step. Nothing new is no call: hold. When nobody commands the effector, its safe value, at once.
     fn effector(&mut self, element: u8, value: &[u8]);
 

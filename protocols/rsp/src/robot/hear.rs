@@ -79,7 +79,7 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
         }
         self.traffic = Some(traffic);
         (self.pending, self.phase, self.paper) = (None, Phase::Up, pending.paper);
-        (self.period, self.next, self.before) = (pending.period, now, now);
+        (self.period, self.next) = (pending.period, now);
         (self.fed, self.floor, self.control, self.cleared) = (now, 0, None, 0);
         (self.answers.control, self.answers.end, self.is_ender) = (false, false, false);
         body.session(true);

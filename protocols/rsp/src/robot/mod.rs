@@ -74,10 +74,12 @@ pub struct Robot<'m, const E: usize, const V: usize, const B: usize, const S: us
     paper: bool,
     /// ms.
     period: u16,
-    /// When the effectors and the data packet are due.
+    /// When the data packet is due.
     next: u64,
-    /// The period before that one.
-    before: u64,
+    /// When the motion filter has its next output, [`NEVER`] if it has none.
+    due: u64,
+    /// When it had its last one.
+    moved: u64,
     /// When the newest data packet arrived.
     fed: u64,
     /// Data packets below this sequence are late.
@@ -133,7 +135,8 @@ impl<'m, const E: usize, const V: usize, const B: usize, const S: usize> Robot<'
             paper: false,
             period: *crate::PERIODS.end(),
             next: 0,
-            before: 0,
+            due: NEVER,
+            moved: 0,
             fed: 0,
             floor: 0,
             control: None,
@@ -292,6 +295,7 @@ impl<'m, const E: usize, const V: usize, const B: usize, const S: usize> Robot<'
     /// The session is over: safe values, and what was said of events is forgotten.
     fn over(&mut self, body: &mut impl Body) {
         self.phase = Phase::Down;
+        self.due = NEVER;
         for place in 0..E {
             let place = place as u8;
             let Some((element, cell, _)) = self.parts(place) else {
@@ -325,6 +329,9 @@ impl<'m, const E: usize, const V: usize, const B: usize, const S: usize> Robot<'
         body.session(false);
     }
 }
+
+/// A time that does not come.
+const NEVER: u64 = u64::MAX;
 
 /// The flags of a sensor that put it into the next packet.
 const DUE: u8 = SENT | ASKED;

@@ -1,7 +1,11 @@
 //! The motion filter (S12): one output each period, whatever arrived meanwhile.
+//!
+//! An output follows the packet that brought its value: a clock of the filter's own would let each value wait for its turn, up to a
+//! whole period. Two outputs are 7/8 of a period apart at least, so that packets may come a little early; what needs more outputs to
+//! get there has them 9/8 of a period apart, so that the next packet comes before them and its value need not wait.
 
 use super::cell::{self, Cell, NEW};
-use super::{Body, Robot};
+use super::{Body, NEVER, Robot};
 use crate::{Element, Kind, Motion, Number, Payload, number};
 
 /// The parts of an effector's bytes, as [`cell::bytes`] says: of one number the newest value (or the total that was heard), the last
@@ -18,6 +22,7 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
         let Payload::Numbers(number, _) = element.payload else {
             cell::store(element.payload, bytes, value);
             cell.set(NEW);
+            self.plan(now, period);
             return;
         };
         let is_same = bytes.get(..value.len()) == Some(value);
@@ -46,27 +51,42 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
         });
         cell.at = now as u32;
         cell.set(NEW);
+        self.plan(now, period);
+    }
+
+    /// A value is here that was not put out yet.
+    fn plan(&mut self, now: u64, period: u64) {
+        if self.due == NEVER {
+            // All has rested. A limit of change allows what it does in one period: a rest is not made up for in one step.
+            self.moved = self.moved.max(now.saturating_sub(period));
+        }
+        self.due = self.due.min(self.moved + period - period / 8);
     }
 
     /// Puts out what is new, of all effectors.
-    pub(super) fn move_all(&mut self, now: u64, elapsed: u64, body: &mut impl Body) {
+    pub(super) fn move_all(&mut self, now: u64, body: &mut impl Body) {
+        let elapsed = now.saturating_sub(self.moved);
+        (self.moved, self.due) = (now, NEVER);
         for place in 0..E {
-            self.move_one(now, elapsed, place as u8, body);
+            if self.move_one(now, elapsed, place as u8, body) {
+                self.due = now + self.period_us() + self.period_us() / 8;
+            }
         }
     }
 
-    fn move_one(&mut self, now: u64, elapsed: u64, place: u8, body: &mut impl Body) {
+    /// Puts out what is new of one effector, and says whether it has still some way to go.
+    fn move_one(&mut self, now: u64, elapsed: u64, place: u8, body: &mut impl Body) -> bool {
         let period = self.period_us();
         let Some((element, cell, bytes)) = self.parts(place) else {
-            return;
+            return false;
         };
         if element.kind != Kind::Effector || !cell.is(NEW) {
-            return;
+            return false;
         }
         let Payload::Numbers(number, _) = element.payload else {
             cell.clear(NEW);
             body.effector(place, cell::stored(element.payload, bytes));
-            return;
+            return false;
         };
         let limit = cell::rate(element.motion).map(|rate| allowance(cell, rate, number, elapsed));
         let (is_sum, part) = match element.motion {
@@ -100,6 +120,7 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
         if let Some(output) = bytes.get(from..from + size).filter(|_| moved) {
             body.effector(place, output);
         }
+        !arrived
     }
 
     /// An effector has nobody to command it: its safe value, at once.

@@ -34,8 +34,11 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
                 if core::mem::take(&mut self.answers.control) {
                     return self.say_control(now, out);
                 }
+                if now >= self.due {
+                    self.move_all(now, body);
+                }
                 if now >= self.next {
-                    return self.say_data(now, out, body);
+                    return self.say_data(now, out);
                 }
                 self.say_fragment(now, out, body)
             }
@@ -47,8 +50,9 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
     pub fn wake(&self) -> Option<u64> {
         match self.phase {
             Phase::Down => None,
-            Phase::Up if !self.paper => Some(self.next.min(self.fed + self.watchdog_us())),
-            Phase::Up | Phase::Ending => Some(self.next),
+            Phase::Up if !self.paper => Some(self.next.min(self.due).min(self.fed + self.watchdog_us())),
+            Phase::Up => Some(self.next.min(self.due)),
+            Phase::Ending => Some(self.next),
         }
     }
 
@@ -126,9 +130,7 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
         self.close(Type::UpControl, now, out, 1 + map_len)
     }
 
-    fn say_data(&mut self, now: u64, out: &mut [u8], body: &mut impl Body) -> Option<usize> {
-        self.move_all(now, now.saturating_sub(self.before), body);
-        self.before = now;
+    fn say_data(&mut self, now: u64, out: &mut [u8]) -> Option<usize> {
         let period = self.period_us();
         // One late turn does not make the next ones come in a row.
         self.next = (self.next + period).max(now + period / 2);
