@@ -21,7 +21,7 @@
 //! )?;
 //! let elements = model.wire_elements();
 //! let layout = model.layout(&elements);
-//! assert_eq!((layout.id, layout.elements[0].payload.size()), (7, 2));
+//! assert_eq!((layout.id(), layout.elements()[0].payload.size()), (7, 2));
 //!
 //! let error = Model::read("name = \"cart\"\nid = 7\nperoid = 20\n").unwrap_err();
 //! assert_eq!(error.to_string(), "line 3, column 1: there is no key `peroid`; did you mean `period`?");

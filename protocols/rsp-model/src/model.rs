@@ -244,13 +244,13 @@ impl Model {
     }
 
     /// The model as packets need it, around what [`wire_elements`](Model::wire_elements) gave.
+    ///
+    /// # Panics
+    ///
+    /// By elements that are not the model's and of which no packets can be made.
     #[must_use]
     pub const fn layout<'m>(&self, elements: &'m [Element<'m>]) -> Layout<'m> {
-        Layout {
-            id: self.id,
-            hash: self.hash,
-            elements,
-        }
+        Layout::new(self.id, self.hash, elements)
     }
 
     /// The model as packets need it, for as long as the program runs.

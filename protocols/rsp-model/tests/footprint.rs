@@ -8,9 +8,10 @@ use std::process::Command;
 use mom_rsp_model::Model;
 use mom_rsp_model::generate::{Ends, rust_for};
 
-/// The most bytes of code and constants: what there is, and a little more, so that growth is seen. The goal, 16 KiB of code, is missed
-/// by an eighth.
-const MOST: usize = 21 * 1024;
+/// The goal is 16 KiB of code, which the compiler of today keeps by 1 %; another one may need a little more.
+const CODE: usize = 17 * 1024;
+/// The most bytes of constants: what there is, and a little more, so that growth is seen.
+const CONSTANTS: usize = 3 * 1024;
 
 const MANIFEST: &str = r#"
 [package]
@@ -162,5 +163,8 @@ fn the_robots_end_of_cubo_stays_small() {
     println!("{code} B of code and {constants} B of constants");
     // All of it is there: nobody's end is so small.
     assert!(code > 8 * 1024, "{sizes}");
-    assert!(code + constants <= MOST, "{code} + {constants} B: {sizes}");
+    assert!(
+        code <= CODE && constants <= CONSTANTS,
+        "{code} and {constants} B: {sizes}"
+    );
 }

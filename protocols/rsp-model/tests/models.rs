@@ -50,8 +50,8 @@ fn a_layout_has_what_packets_need() {
     let model = Model::read(IR_ROBOT).unwrap();
     let elements = model.wire_elements();
     let layout = model.layout(&elements);
-    assert_eq!((layout.id, layout.hash), (8, model.hash()));
-    let kinds: Vec<Kind> = layout.elements.iter().map(|element| element.kind).collect();
+    assert_eq!((layout.id(), *layout.hash()), (8, model.hash()));
+    let kinds: Vec<Kind> = layout.elements().iter().map(|element| element.kind).collect();
     // Figure 8: bits 6 and 7 are the command and the event (S18).
     assert_eq!(
         kinds,
@@ -66,14 +66,14 @@ fn a_layout_has_what_packets_need() {
             Kind::Module
         ]
     );
-    let turret = &layout.elements[2];
+    let turret = &layout.elements()[2];
     assert_eq!(turret.name, "turret");
     assert_eq!(turret.payload, Payload::Numbers(Number::I16, 1));
     // 90 degrees a second are 900 steps of the wire.
     assert_eq!(turret.motion, Motion::Incremental { rate: Some(900.0) });
     assert_eq!(turret.safe, [0, 0]);
     assert_eq!((turret.module, turret.of), (Some(7), None));
-    let monitor = &layout.elements[4];
+    let monitor = &layout.elements()[4];
     assert_eq!((monitor.of, monitor.payload), (Some(2), turret.payload));
     assert_eq!(layout, Model::read(IR_ROBOT).unwrap().into_layout());
 }

@@ -66,11 +66,7 @@ static ELEMENTS: [Element<'static>; 8] = [
     element("sum", Kind::Sensor, 1, NEWEST),
 ];
 
-static LAYOUT: Layout<'static> = Layout {
-    id: 0xe0d0,
-    hash: [3; 32],
-    elements: &ELEMENTS,
-};
+static LAYOUT: Layout<'static> = Layout::new(0xe0d0, [3; 32], &ELEMENTS);
 
 type End = Robot<'static, 8, { values(&LAYOUT) }, 4, { slot(&LAYOUT) }>;
 

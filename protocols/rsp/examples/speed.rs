@@ -30,10 +30,10 @@ const fn motor(name: &str) -> Element<'_> {
 }
 
 /// 16 elements, six of which have two bytes to say.
-static LAYOUT: Layout<'static> = Layout {
-    id: 7,
-    hash: [0; 32],
-    elements: &[
+static LAYOUT: Layout<'static> = Layout::new(
+    7,
+    [0; 32],
+    &[
         motor("m00"),
         motor("m01"),
         motor("m02"),
@@ -51,14 +51,14 @@ static LAYOUT: Layout<'static> = Layout {
         motor("m14"),
         motor("m15"),
     ],
-};
+);
 
 const PLACES: [u8; 6] = [0, 1, 5, 8, 11, 15];
 
 fn once(number: u32, packet: &mut [u8; 64]) -> Option<usize> {
     let header = Header {
         version: VERSION,
-        model: LAYOUT.id,
+        model: LAYOUT.id(),
         encryption: 0,
         kind: Type::Data,
         sequence: number as u16,

@@ -1,5 +1,7 @@
 //! What both ends know of a robot before the first packet: its elements, in the order of the device map.
 
+use crate::LayoutFault;
+
 /// What an element is (S5).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Kind {
@@ -118,10 +120,58 @@ pub struct Element<'m> {
 /// The model of a robot, as its packets need it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Layout<'m> {
-    /// The model's number in each header.
-    pub id: u16,
-    /// The model's hash (SHA-256), of which both ends must have the same.
-    pub hash: [u8; 32],
-    /// In the order of the device map; at most 256.
-    pub elements: &'m [Element<'m>],
+    pub(crate) id: u16,
+    pub(crate) hash: [u8; 32],
+    pub(crate) elements: &'m [Element<'m>],
+}
+
+impl<'m> Layout<'m> {
+    /// A model by which packets can be made: its number in each header, its hash (SHA-256), of which both ends must have the same, and
+    /// its elements in the order of the device map.
+    ///
+    /// # Panics
+    ///
+    /// Where [`try_new`](Self::try_new) has an error. Of a constant, that is when it is compiled: the program has no code that checks it.
+    #[must_use]
+    pub const fn new(id: u16, hash: [u8; 32], elements: &'m [Element<'m>]) -> Layout<'m> {
+        match Layout::try_new(id, hash, elements) {
+            Ok(layout) => layout,
+            Err(_) => panic!("no packets can be made by this model"),
+        }
+    }
+
+    /// As [`new`](Self::new), of a model that is not known to be one.
+    ///
+    /// # Errors
+    ///
+    /// Why no packets can be made by it.
+    pub const fn try_new(
+        id: u16,
+        hash: [u8; 32],
+        elements: &'m [Element<'m>],
+    ) -> Result<Layout<'m>, LayoutFault> {
+        let layout = Layout { id, hash, elements };
+        match layout.fault() {
+            Some(fault) => Err(fault),
+            None => Ok(layout),
+        }
+    }
+
+    /// The model's number.
+    #[must_use]
+    pub const fn id(&self) -> u16 {
+        self.id
+    }
+
+    /// The model's hash.
+    #[must_use]
+    pub const fn hash(&self) -> &[u8; 32] {
+        &self.hash
+    }
+
+    /// The elements, 1 to 256.
+    #[must_use]
+    pub const fn elements(&self) -> &'m [Element<'m>] {
+        self.elements
+    }
 }

@@ -23,11 +23,8 @@
 //!     of: None,
 //!     digest: 1,
 //! };
-//! static LAYOUT: Layout<'static> = Layout {
-//!     id: 1,
-//!     hash: [0; 32],
-//!     elements: &[MOTOR, Element { name: "bumper", kind: Kind::Sensor, safe: &[], ..MOTOR }],
-//! };
+//! static LAYOUT: Layout<'static> =
+//!     Layout::new(1, [0; 32], &[MOTOR, Element { name: "bumper", kind: Kind::Sensor, safe: &[], ..MOTOR }]);
 //!
 //! struct Motors(i16);
 //!

@@ -31,16 +31,16 @@ pub(crate) fn wrap(number: Number, value: i64) -> i64 {
     }
 }
 
-fn float(value: i64) -> f32 {
+pub(crate) fn float(value: i64) -> f32 {
     f32::from_bits(value as u32)
 }
 
-fn bits(value: f32) -> i64 {
+pub(crate) fn bits(value: f32) -> i64 {
     i64::from(value.to_bits())
 }
 
 /// The nearest number that the type has.
-fn saturate(number: Number, value: i64) -> i64 {
+pub(crate) fn saturate(number: Number, value: i64) -> i64 {
     let bits = number.size() as u32 * 8;
     let (low, high) = match number {
         Number::U8 | Number::U16 | Number::U32 | Number::F32 => (0, (1 << bits) - 1),

@@ -86,6 +86,35 @@ impl<'p> Iterator for Items<'p> {
     }
 }
 
+/// What the bit of an element carries in one direction.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Bit {
+    Value,
+    Ask,
+    Activate,
+    Ack,
+    /// An id that may be 0.
+    AckOrAsk,
+    Call,
+    /// A call whose data go behind their number, whatever their type.
+    Counted,
+    /// It is never 1.
+    Never,
+}
+
+const fn carried(direction: Direction, kind: Kind) -> Bit {
+    match (direction, kind) {
+        (Direction::Down, Kind::Effector) | (Direction::Up, Kind::Sensor | Kind::Monitor) => Bit::Value,
+        (Direction::Down, Kind::Sensor | Kind::Monitor) => Bit::Ask,
+        (Direction::Down, Kind::Module) => Bit::Activate,
+        (Direction::Down, Kind::MemoryEvent) => Bit::AckOrAsk,
+        (Direction::Down, Kind::Event) | (Direction::Up, Kind::Command | Kind::MemoryCommand) => Bit::Ack,
+        (Direction::Down, Kind::Command | Kind::MemoryCommand) | (Direction::Up, Kind::Event) => Bit::Call,
+        (Direction::Up, Kind::MemoryEvent) => Bit::Counted,
+        (Direction::Up, Kind::Effector | Kind::Module) => Bit::Never,
+    }
+}
+
 /// Takes the item of an element from the front of a payload.
 #[inline]
 fn take<'p>(
@@ -93,35 +122,27 @@ fn take<'p>(
     direction: Direction,
     payload: &mut &'p [u8],
 ) -> Result<Item<'p>, Dropped> {
-    match (direction, element.kind) {
-        (Direction::Down, Kind::Effector) => {
+    match carried(direction, element.kind) {
+        Bit::Value => {
             let value = data(element.payload, payload)?;
-            element
-                .payload
-                .is_finite(value)
-                .then_some(Item::Value(value))
-                .ok_or(Dropped::Payload)
+            let counts = direction == Direction::Up || element.payload.is_finite(value);
+            counts.then_some(Item::Value(value)).ok_or(Dropped::Payload)
         }
-        (Direction::Down, Kind::Sensor | Kind::Monitor) => Ok(Item::Ask),
-        (Direction::Down, Kind::Module) => Ok(Item::Activate),
-        (Direction::Up, Kind::Effector | Kind::Module) => Err(Dropped::Map),
-        (Direction::Up, Kind::Sensor | Kind::Monitor) => data(element.payload, payload).map(Item::Value),
-        (Direction::Down, Kind::MemoryEvent) => Ok(Item::Ack(byte(payload)?)),
-        (Direction::Down, Kind::Event) | (Direction::Up, Kind::Command | Kind::MemoryCommand) => {
-            Ok(Item::Ack(id(payload)?))
-        }
-        (Direction::Up, Kind::MemoryEvent) => {
+        Bit::Ask => Ok(Item::Ask),
+        Bit::Activate => Ok(Item::Activate),
+        Bit::AckOrAsk => Ok(Item::Ack(byte(payload)?)),
+        Bit::Ack => Ok(Item::Ack(id(payload)?)),
+        Bit::Call => Ok(Item::Call {
+            id: id(payload)?,
+            data: data(element.payload, payload)?,
+        }),
+        Bit::Counted => {
             let id = id(payload)?;
             let data = counted(payload)?;
             let fits = element.payload.takes(data);
             fits.then_some(Item::Call { id, data }).ok_or(Dropped::Payload)
         }
-        (Direction::Down, Kind::Command | Kind::MemoryCommand) | (Direction::Up, Kind::Event) => {
-            Ok(Item::Call {
-                id: id(payload)?,
-                data: data(element.payload, payload)?,
-            })
-        }
+        Bit::Never => Err(Dropped::Map),
     }
 }
 
@@ -206,38 +227,27 @@ impl<'b> Writer<'b> {
             .ok_or(Refused::Element)?;
         let mut rest = self.payload.get_mut(self.used..).ok_or(Refused::Full)?;
         let before = rest.len();
-        match (self.direction, of.kind, item) {
-            (Direction::Down, Kind::Effector, Item::Value(value)) => {
-                if !of.payload.is_finite(value) {
+        match (carried(self.direction, of.kind), item) {
+            (_, Item::Call { id: 0, .. }) | (Bit::Ack, Item::Ack(0)) => return Err(Refused::Value),
+            (Bit::Value, Item::Value(value)) => {
+                if self.direction == Direction::Down && !of.payload.is_finite(value) {
                     return Err(Refused::Value);
                 }
                 put_data(&mut rest, of.payload, value)?;
             }
-            (Direction::Up, Kind::Sensor | Kind::Monitor, Item::Value(value)) => {
-                put_data(&mut rest, of.payload, value)?;
-            }
-            (Direction::Down, Kind::Sensor | Kind::Monitor, Item::Ask)
-            | (Direction::Down, Kind::Module, Item::Activate) => {}
-            (Direction::Down, Kind::Event | Kind::MemoryEvent, Item::Ack(id))
-            | (Direction::Up, Kind::Command | Kind::MemoryCommand, Item::Ack(id)) => {
-                if id == 0 && of.kind != Kind::MemoryEvent {
-                    return Err(Refused::Value);
-                }
-                put_bytes(&mut rest, &[id])?;
-            }
-            (Direction::Up, Kind::MemoryEvent, Item::Call { id: id @ 1.., data }) => {
+            (Bit::Ask, Item::Ask) | (Bit::Activate, Item::Activate) => {}
+            (Bit::Ack | Bit::AckOrAsk, Item::Ack(id)) => put_bytes(&mut rest, &[id])?,
+            (Bit::Counted, Item::Call { id, data }) => {
                 if !of.payload.takes(data) {
                     return Err(Refused::Size);
                 }
                 put_bytes(&mut rest, &[id])?;
                 put_counted(&mut rest, data)?;
             }
-            (Direction::Down, Kind::Command | Kind::MemoryCommand, Item::Call { id: id @ 1.., data })
-            | (Direction::Up, Kind::Event, Item::Call { id: id @ 1.., data }) => {
+            (Bit::Call, Item::Call { id, data }) => {
                 put_bytes(&mut rest, &[id])?;
                 put_data(&mut rest, of.payload, data)?;
             }
-            (_, _, Item::Call { id: 0, .. }) => return Err(Refused::Value),
             _ => return Err(Refused::Kind),
         }
         self.used += before - rest.len();

@@ -8,6 +8,10 @@ use crate::{Dropped, Header, Key};
 pub(crate) struct Keys {
     pub(crate) down: Key,
     pub(crate) up: Key,
+    /// Without the feature there are none, and the compiler leaves out what would be done with them.
+    #[cfg(not(feature = "cipher"))]
+    #[expect(dead_code, reason = "it cannot be made")]
+    none: core::convert::Infallible,
 }
 
 /// Bytes of a nonce of the handshake.

@@ -60,30 +60,27 @@ impl fmt::Display for LayoutFault {
 impl core::error::Error for LayoutFault {}
 
 impl Layout<'_> {
-    /// Whether packets can be made by the model.
-    ///
-    /// # Errors
-    ///
-    /// The first fault.
-    pub const fn check(&self) -> Result<(), LayoutFault> {
+    /// Why no packets can be made by the model: the first fault.
+    pub(crate) const fn fault(&self) -> Option<LayoutFault> {
         let elements = self.elements;
         if elements.is_empty() || elements.len() > 256 {
-            return Err(LayoutFault::Count);
+            return Some(LayoutFault::Count);
         }
         let mut at = 0;
         while at < elements.len() {
-            if let Some(fault) = self.fault(at) {
-                return Err(fault);
+            let fault = self.element_fault(at);
+            if fault.is_some() {
+                return fault;
             }
             at += 1;
         }
         match self.largest() > DATAGRAM {
-            true => Err(LayoutFault::Large),
-            false => Ok(()),
+            true => Some(LayoutFault::Large),
+            false => None,
         }
     }
 
-    const fn fault(&self, at: usize) -> Option<LayoutFault> {
+    const fn element_fault(&self, at: usize) -> Option<LayoutFault> {
         let element = &self.elements[at];
         let place = at as u8;
         let size = element.payload.size();

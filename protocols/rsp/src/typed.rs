@@ -2,7 +2,7 @@
 //!
 //! A generated type stands for each element and says its place, and how its values become bytes and come of them.
 
-use crate::Number;
+use crate::{Number, number};
 
 /// What one number of an element means.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,57 +20,35 @@ pub struct Quantity {
 impl Quantity {
     /// Writes a value in its unit as on the wire, or says that it is outside the range. `to` has the number's size.
     #[must_use]
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "a model's range lies within its type, and casts saturate"
-    )]
     pub fn put(&self, value: f64, to: &mut [u8]) -> bool {
         // What came of a number of the wire must go back there, whatever its last digit.
         let slack = self.scale * 1e-6;
-        if !(value >= self.min - slack && value <= self.max + slack) {
+        if !(value >= self.min - slack && value <= self.max + slack) || to.len() != self.number.size() {
             return false;
         }
         let wire = value / self.scale;
-        // Away from zero at a half; core does not round.
-        let whole = (wire + if wire < 0.0 { -0.5 } else { 0.5 }) as i64;
-        let bytes = match self.number {
-            Number::U8 => [whole as u8, 0, 0, 0],
-            Number::I8 => [whole as i8 as u8, 0, 0, 0],
-            Number::U16 => wide((whole as u16).to_be_bytes()),
-            Number::I16 => wide((whole as i16).to_be_bytes()),
-            Number::U32 => (whole as u32).to_be_bytes(),
-            Number::I32 => (whole as i32).to_be_bytes(),
-            Number::F32 => (wire as f32).to_be_bytes(),
+        let wire = match self.number {
+            Number::F32 => number::bits(wire as f32),
+            // Away from zero at a half; core does not round.
+            _ => number::saturate(self.number, (wire + if wire < 0.0 { -0.5 } else { 0.5 }) as i64),
         };
-        match bytes.get(..self.number.size()) {
-            Some(bytes) if bytes.len() == to.len() => {
-                to.copy_from_slice(bytes);
-                true
-            }
-            _ => false,
-        }
+        number::store(wire, to);
+        true
     }
 
     /// A value in its unit from bytes of the wire, of which there have to be as many as the number has.
     #[must_use]
     pub fn get(&self, from: &[u8]) -> Option<f64> {
-        let wire = match (self.number, from) {
-            (Number::U8, &[byte]) => f64::from(byte),
-            (Number::I8, &[byte]) => f64::from(i8::from_be_bytes([byte])),
-            (Number::U16, &[a, b]) => f64::from(u16::from_be_bytes([a, b])),
-            (Number::I16, &[a, b]) => f64::from(i16::from_be_bytes([a, b])),
-            (Number::U32, &[a, b, c, d]) => f64::from(u32::from_be_bytes([a, b, c, d])),
-            (Number::I32, &[a, b, c, d]) => f64::from(i32::from_be_bytes([a, b, c, d])),
-            (Number::F32, &[a, b, c, d]) => f64::from(f32::from_be_bytes([a, b, c, d])),
-            _ => return None,
+        if from.len() != self.number.size() {
+            return None;
+        }
+        let wire = number::load(self.number, from);
+        let wire = match self.number {
+            Number::F32 => f64::from(number::float(wire)),
+            _ => wire as f64,
         };
         Some(wire * self.scale)
     }
-}
-
-const fn wide([a, b]: [u8; 2]) -> [u8; 4] {
-    [a, b, 0, 0]
 }
 
 /// Stands for an element of a model.
@@ -108,7 +86,7 @@ pub trait Numbers: Named {
     /// What the number of this index means.
     #[must_use]
     fn quantity(index: usize) -> Option<&'static Quantity> {
-        Self::QUANTITIES.get(index).or_else(|| Self::QUANTITIES.first())
+        quantity_of(Self::QUANTITIES, index)
     }
 
     /// The bytes of a value, `None` if a number of it is outside its range.
@@ -124,36 +102,48 @@ pub trait Numbers: Named {
     }
 }
 
-fn size<N: Numbers + ?Sized>() -> usize {
-    N::QUANTITIES.first().map_or(1, |first| first.number.size())
-}
-
 fn encode_list<N: Numbers + ?Sized>(list: N::List) -> Option<N::Bytes> {
     let mut bytes = N::BYTES;
-    let parts = bytes.as_mut().chunks_exact_mut(size::<N>());
-    for (index, (part, number)) in parts.zip(list.as_ref()).enumerate() {
-        if !N::quantity(index)?.put(*number, part) {
-            return None;
-        }
-    }
-    Some(bytes)
+    encode_all(N::QUANTITIES, list.as_ref(), bytes.as_mut()).then_some(bytes)
 }
 
 fn decode_list<N: Numbers + ?Sized>(bytes: &[u8]) -> Option<N::List> {
     let mut list = N::LIST;
-    if bytes.len() != N::BYTES.as_ref().len() {
-        return None;
-    }
-    let parts = bytes.chunks_exact(size::<N>());
-    for (index, (number, part)) in list.as_mut().iter_mut().zip(parts).enumerate() {
-        let quantity = N::quantity(index)?;
-        let value = quantity.get(part)?;
-        *number = match N::LIMITED {
+    let fits = bytes.len() == N::BYTES.as_ref().len();
+    (fits && decode_all(N::QUANTITIES, N::LIMITED, bytes, list.as_mut())).then_some(list)
+}
+
+/// What the number of this index means, of those of an element.
+fn quantity_of(quantities: &[Quantity], index: usize) -> Option<&Quantity> {
+    quantities.get(index).or_else(|| quantities.first())
+}
+
+fn size(quantities: &[Quantity]) -> usize {
+    quantities.first().map_or(1, |first| first.number.size())
+}
+
+// Once for all elements: a copy for each would be a tenth of a robot's code.
+fn encode_all(quantities: &[Quantity], list: &[f64], bytes: &mut [u8]) -> bool {
+    let parts = bytes.chunks_exact_mut(size(quantities));
+    let mut all = parts.zip(list).enumerate();
+    all.all(|(index, (part, number))| {
+        quantity_of(quantities, index).is_some_and(|quantity| quantity.put(*number, part))
+    })
+}
+
+fn decode_all(quantities: &[Quantity], limited: bool, bytes: &[u8], list: &mut [f64]) -> bool {
+    let parts = bytes.chunks_exact(size(quantities));
+    for (index, (number, part)) in list.iter_mut().zip(parts).enumerate() {
+        let Some((quantity, value)) = quantity_of(quantities, index).and_then(|of| Some((of, of.get(part)?)))
+        else {
+            return false;
+        };
+        *number = match limited {
             true => value.max(quantity.min).min(quantity.max),
             false => value,
         };
     }
-    Some(list)
+    true
 }
 
 /// Stands for an element of type bytes.

@@ -451,11 +451,7 @@ fn put_out(
         motion,
         ..element("motor", Kind::Effector, Payload::Numbers(Number::I16, 1))
     }];
-    let layout = Layout {
-        id: 1,
-        hash: [0; 32],
-        elements: &elements,
-    };
+    let layout = Layout::new(1, [0; 32], &elements);
     let mut robot = Robot::<1, 6, 0, 0>::new(&layout, Default::default()).expect("it fits");
     let settings = Settings {
         paper,

@@ -10,10 +10,10 @@ use mom_rsp::{
 const WHEEL: Payload = Payload::Numbers(Number::I8, 1);
 
 /// The robot of the paper's figure 8.
-static FIGURE: Layout<'static> = Layout {
-    id: 0x1234,
-    hash: [0; 32],
-    elements: &[
+static FIGURE: Layout<'static> = Layout::new(
+    0x1234,
+    [0; 32],
+    &[
         element("left-wheel", Kind::Effector, WHEEL),
         element("right-wheel", Kind::Effector, WHEEL),
         element("turret", Kind::Effector, Payload::Numbers(Number::I16, 1)),
@@ -23,7 +23,7 @@ static FIGURE: Layout<'static> = Layout {
         element("ir-receiver", Kind::Event, WHEEL),
         element("all", Kind::Module, Payload::Nothing),
     ],
-};
+);
 
 #[test]
 fn a_header_has_20_bytes_big_endian() {
@@ -147,10 +147,7 @@ fn what_does_not_fit_the_model_is_said() {
 
 #[test]
 fn bits_behind_the_last_element_are_0() {
-    let seven = Layout {
-        elements: &FIGURE.elements[..7],
-        ..FIGURE
-    };
+    let seven = Layout::new(FIGURE.id(), *FIGURE.hash(), &FIGURE.elements()[..7]);
     assert_eq!(
         Items::parse(&seven, Direction::Down, &[0x01]).map(Iterator::count),
         Err(Dropped::Map)

@@ -181,14 +181,10 @@ fn a_second_middle_is_told_that_the_robot_is_busy_until_the_first_is_silent() {
 
 #[test]
 fn another_model_is_refused_by_the_names_of_what_differs() {
-    let mut elements: Vec<Element<'static>> = CUBO.elements.to_vec();
+    let mut elements: Vec<Element<'static>> = CUBO.elements().to_vec();
     elements[usize::from(RANGE)].digest = 2;
     elements[usize::from(BUMP)].name = "light-2";
-    let layout = Layout {
-        hash: [1; 32],
-        elements: elements.leak(),
-        ..CUBO
-    };
+    let layout = Layout::new(CUBO.id(), [1; 32], elements.leak());
     let mut world = World::new(keyed(), Weather::default(), 1);
     let settings = mom_rsp::robot::Settings {
         key: Some(KEY),

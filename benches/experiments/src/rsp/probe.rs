@@ -36,10 +36,10 @@ const fn element(name: &'static str, kind: Kind, motion: Motion) -> Element<'sta
     }
 }
 
-pub(super) static PROBE: Layout<'static> = Layout {
-    id: 8,
-    hash: [8; 32],
-    elements: &[
+pub(super) static PROBE: Layout<'static> = Layout::new(
+    8,
+    [8; 32],
+    &[
         element("command", Kind::Command, absolute(false, None)),
         element("memory-command", Kind::MemoryCommand, absolute(false, None)),
         element("event", Kind::Event, absolute(false, None)),
@@ -49,7 +49,7 @@ pub(super) static PROBE: Layout<'static> = Layout {
         element("limited", Kind::Effector, absolute(false, Some(RATE))),
         element("steps", Kind::Effector, Motion::Incremental { rate: None }),
     ],
-};
+);
 
 /// Its end, with eight buffers for memory events.
 pub(super) type Probe = Robot<'static, 8, { robot::values(&PROBE) }, 8, { robot::slot(&PROBE) }>;

@@ -28,7 +28,7 @@ pub(crate) fn holds(model: &Model) {
         assert!(model.packet_size(direction) + mom_rsp_model::TAG <= limit);
     }
     let elements = model.wire_elements();
-    assert_eq!(model.layout(&elements).id, model.id());
+    assert_eq!(model.layout(&elements).id(), model.id());
     assert!(!generate::rust(model).is_empty());
     assert!(!generate::c(model).is_empty());
     assert!(!generate::markdown(model).is_empty());

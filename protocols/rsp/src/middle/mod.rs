@@ -97,13 +97,12 @@ impl<'m> Middle<'m> {
     ///
     /// # Errors
     ///
-    /// What is wrong with the model or the settings.
+    /// What is wrong with the settings.
     pub fn new(
         layout: &'m Layout<'m>,
         settings: Settings,
         random: impl FnMut(&mut [u8]) + Send + 'm,
     ) -> Result<Self, MiddleFault> {
-        layout.check().map_err(MiddleFault::Layout)?;
         if !PERIODS.contains(&settings.period) {
             return Err(MiddleFault::Period);
         }

@@ -181,8 +181,6 @@ impl Default for Settings {
 /// Why there can be no middle's end with these settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MiddleFault {
-    /// The model itself.
-    Layout(crate::LayoutFault),
     /// The period is not one of [`PERIODS`](crate::PERIODS).
     Period,
     /// A key needs the feature `cipher`.
@@ -192,7 +190,6 @@ pub enum MiddleFault {
 impl fmt::Display for MiddleFault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            MiddleFault::Layout(fault) => return fault.fmt(f),
             MiddleFault::Period => "the period is not between 1 and 200 ms",
             MiddleFault::Cipher => "a key needs the feature `cipher`",
         })

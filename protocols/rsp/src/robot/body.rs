@@ -86,8 +86,6 @@ impl Default for Settings {
 /// Why there can be no robot's end with these buffers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RobotFault {
-    /// The model itself.
-    Layout(crate::LayoutFault),
     /// `E` is not the number of its elements.
     Elements,
     /// `V` is less than [`values`](super::values) of the model.
@@ -101,7 +99,6 @@ pub enum RobotFault {
 impl core::fmt::Display for RobotFault {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         f.write_str(match self {
-            RobotFault::Layout(fault) => return fault.fmt(f),
             RobotFault::Elements => "the robot has another number of elements than the model",
             RobotFault::Values => "the robot has too few bytes for the values of the model",
             RobotFault::Buffers => "the robot's buffers of memory events are too small, or too many",

@@ -1,7 +1,7 @@
 //! What a robot's end does with a datagram.
 
 use super::cell::{ACTIVE, ASKED, NEW, SENT};
-use super::{Body, Pending, Phase, Robot};
+use super::{Body, NEVER, Pending, Phase, Robot};
 use crate::handshake::{self, BUSY, Hello, MODEL, VERSION as OTHER_VERSION};
 use crate::packet::{bit, is_padded};
 use crate::seal::{self, Keys};
@@ -61,25 +61,26 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
         datagram: &mut [u8],
         body: &mut impl Body,
     ) -> Result<(), Dropped> {
-        let pending = self
-            .pending
+        let pending = self.pending.as_ref();
+        let pending = pending
             .filter(|pending| pending.session == header.session)
             .ok_or(Dropped::Session)?;
+        let (session, period, paper) = (pending.session, pending.period, pending.paper);
         let keys = match &self.settings.key {
             None => None,
             Some(key) => {
-                let keys = Keys::derive(key, &pending.hello, &pending.welcome, pending.session);
+                let keys = Keys::derive(key, &pending.hello, &pending.welcome, session);
                 Some(keys.ok_or(Dropped::Encryption)?)
             }
         };
-        let mut traffic = Traffic::new(pending.session, Direction::Up, keys);
+        let mut traffic = Traffic::new(session, Direction::Up, keys);
         let (full, payload) = traffic.open(header, datagram)?;
         if self.phase == Phase::Up {
             self.over(body);
         }
         self.traffic = Some(traffic);
-        (self.pending, self.phase, self.paper) = (None, Phase::Up, pending.paper);
-        (self.period, self.next) = (pending.period, now);
+        (self.pending, self.phase, self.paper) = (None, Phase::Up, paper);
+        (self.period, self.next) = (period, now);
         (self.fed, self.floor, self.control, self.cleared) = (now, 0, None, 0);
         (self.answers.control, self.answers.end, self.is_ender) = (false, false, false);
         body.session(true);
@@ -309,7 +310,11 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
             self.floor = self.floor.max(full + 1);
             if period != self.period {
                 self.period = period;
-                self.next = self.next.min(now + self.period_us());
+                let latest = now + self.period_us();
+                self.next = self.next.min(latest);
+                if self.due != NEVER {
+                    self.due = self.due.min(latest);
+                }
             }
             for place in 0..E {
                 self.activate(place as u8, bit(map, place), body);
@@ -347,7 +352,7 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
         };
         let refusal = if header.version != VERSION {
             Some((OTHER_VERSION, Dropped::Version))
-        } else if hello.hash != self.layout.hash || header.model != self.layout.id {
+        } else if hello.hash[..] != self.layout.hash[..] || header.model != self.layout.id {
             Some((MODEL, Dropped::Model))
         } else if alive {
             Some((BUSY, Dropped::Busy))
@@ -359,17 +364,17 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
             return Err(dropped);
         }
         // The same hello again has the same answer.
-        if self.pending.is_none_or(|pending| pending.hello != hello.nonce) {
-            let mut pending = Pending {
+        let known = self.pending.as_ref();
+        if known.is_none_or(|known| known.hello != hello.nonce) {
+            let pending = self.pending.insert(Pending {
                 hello: hello.nonce,
                 welcome: [0; seal::NONCE],
                 session: [0; 6],
                 period: hello.period,
                 paper: hello.paper,
-            };
+            });
             body.random(&mut pending.welcome);
             body.random(&mut pending.session);
-            self.pending = Some(pending);
         }
         self.answers.welcome = true;
         Ok(())

@@ -100,9 +100,8 @@ impl<'m, const E: usize, const V: usize, const B: usize, const S: usize> Robot<'
     ///
     /// # Errors
     ///
-    /// What is wrong with the model, the buffers or the settings.
+    /// What is wrong with the buffers or the settings.
     pub fn new(layout: &'m Layout<'m>, settings: Settings) -> Result<Self, RobotFault> {
-        layout.check().map_err(RobotFault::Layout)?;
         if layout.elements.len() != E {
             return Err(RobotFault::Elements);
         }

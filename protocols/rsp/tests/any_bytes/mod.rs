@@ -32,10 +32,10 @@ const ABSOLUTE: Motion = Motion::Absolute {
 const STEPS: Motion = Motion::Incremental { rate: Some(1000.0) };
 
 /// One of each kind and type, and a map of two bytes that is padded.
-static LAYOUT: Layout<'static> = Layout {
-    id: 0,
-    hash: [0; 32],
-    elements: &[
+static LAYOUT: Layout<'static> = Layout::new(
+    0,
+    [0; 32],
+    &[
         element(
             "a",
             Kind::Effector,
@@ -76,7 +76,7 @@ static LAYOUT: Layout<'static> = Layout {
             STEPS,
         ),
     ],
-};
+);
 
 /// A header, a map and a payload: what is read is written again as the same bytes.
 pub fn any_packet(bytes: &[u8]) {
@@ -110,7 +110,7 @@ impl Body for Checks {
     }
 
     fn effector(&mut self, element: u8, value: &[u8]) {
-        let element = LAYOUT.elements[usize::from(element)];
+        let element = LAYOUT.elements()[usize::from(element)];
         assert_eq!(element.kind, Kind::Effector);
         match element.payload {
             Payload::Bytes(most) => assert!(value.len() <= usize::from(most)),
@@ -119,7 +119,7 @@ impl Body for Checks {
     }
 
     fn command(&mut self, element: u8, data: &[u8]) {
-        let element = LAYOUT.elements[usize::from(element)];
+        let element = LAYOUT.elements()[usize::from(element)];
         assert!(matches!(element.kind, Kind::Command | Kind::MemoryCommand));
         assert!(data.len() <= element.payload.size());
     }

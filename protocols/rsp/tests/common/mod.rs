@@ -54,10 +54,10 @@ pub const LIGHT: u8 = 14;
 pub const BUMP: u8 = 15;
 
 /// A robot like the paper's CUBO (S25), of 16 elements.
-pub static CUBO: Layout<'static> = Layout {
-    id: 0x0102,
-    hash: [9; 32],
-    elements: &[
+pub static CUBO: Layout<'static> = Layout::new(
+    0x0102,
+    [9; 32],
+    &[
         Element {
             module: Some(DRIVE),
             ..element("left", Kind::Effector, SPEED)
@@ -96,7 +96,7 @@ pub static CUBO: Layout<'static> = Layout {
         },
         element("bump", Kind::MemoryEvent, Payload::Nothing),
     ],
-};
+);
 
 pub type Cubo = Robot<'static, 16, { robot::values(&CUBO) }, 4, { robot::slot(&CUBO) }>;
 

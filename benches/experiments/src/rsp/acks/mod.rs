@@ -111,7 +111,7 @@ pub(crate) fn run(settings: &Settings) -> Result<Section> {
             rows.push((*loss, row(false)?, row(true)?));
         }
         let is_memory = PROBE
-            .elements
+            .elements()
             .get(usize::from(kind))
             .is_some_and(|element| matches!(element.kind, Kind::MemoryCommand | Kind::MemoryEvent));
         all.push(Rows {

@@ -83,17 +83,17 @@ impl Writer<'_> {
         });
         doc(code, "The model as packets need it.");
         code.block(
-            "pub const LAYOUT: ::mom_rsp::Layout<'static> = ::mom_rsp::Layout {",
-            "};\n",
+            "pub const LAYOUT: ::mom_rsp::Layout<'static> = ::mom_rsp::Layout::new(",
+            ");\n",
             |code| {
-                code.line(format!("id: {},", model.id));
-                code.block("hash: [", "],", |code| {
+                code.line(format!("{},", model.id));
+                code.block("[", "],", |code| {
                     for row in model.hash.chunks(15) {
                         let row: Vec<String> = row.iter().map(|byte| format!("{byte:#04x}")).collect();
                         code.line(format!("{},", row.join(", ")));
                     }
                 });
-                code.line("elements: &ELEMENTS,");
+                code.line("&ELEMENTS,");
             },
         );
     }
