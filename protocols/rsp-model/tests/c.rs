@@ -1,21 +1,28 @@
 //! The header for C: it compiles without warnings, and a program in C makes and reads the bytes that the layout means.
 
-use std::fs;
+use std::fs::{self, File};
 use std::path::Path;
 use std::process::Command;
 
-use mom_rsp::{Kind, Payload};
+use mom_rsp::{Item, Items, Kind, Layout, Payload, Writer};
 use mom_rsp_model::{Direction, Model, generate};
 
 const CUBO: &str = include_str!("../../../config/cubo.toml");
 const IR_ROBOT: &str = include_str!("../../../config/ir-robot.toml");
+const KINDS: &str = include_str!("golden/kinds.toml");
 
 /// Compiles a program with the model's header, runs it, and gives what it prints.
 fn run(name: &str, model: &Model, program: &str) -> Vec<u8> {
+    run_on(name, model, program, &[])
+}
+
+/// The same of a program that reads these bytes.
+fn run_on(name: &str, model: &Model, program: &str, input: &[u8]) -> Vec<u8> {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("c-{name}"));
     fs::create_dir_all(&folder).expect("a folder");
     fs::write(folder.join("rsp.h"), generate::c(model)).expect("a header");
     fs::write(folder.join("main.c"), program).expect("a program");
+    fs::write(folder.join("input"), input).expect("its input");
     let compiled = Command::new("gcc")
         .args([
             "-std=c99",
@@ -35,7 +42,10 @@ fn run(name: &str, model: &Model, program: &str) -> Vec<u8> {
         "{}",
         String::from_utf8_lossy(&compiled.stderr)
     );
-    let ran = Command::new(folder.join("main")).output().expect("it runs");
+    let ran = Command::new(folder.join("main"))
+        .stdin(File::open(folder.join("input")).expect("its input"))
+        .output()
+        .expect("it runs");
     assert!(ran.status.success(), "{name}: {:?}", ran.status);
     ran.stdout
 }
@@ -248,4 +258,124 @@ fn every_type_goes_there_and_back() {
     let sizes: Vec<usize> = printed.lines().map(|line| line.len() / 2).collect();
     let full = [Direction::Down, Direction::Up].map(|way| model.packet_size(way) - mom_rsp_model::HEADER);
     assert_eq!(sizes, full);
+}
+
+/// Reads bodies of packets, each behind its direction and its length, and prints what is written of what was read.
+const AGAIN: &str = r#"
+int main(void)
+{
+    static uint8_t body[65536], again[65536];
+    int direction;
+    while ((direction = getchar()) != EOF) {
+        size_t size = (size_t)getchar() << 8;
+        size |= (size_t)getchar();
+        CHECK(fread(body, 1, size, stdin) == size);
+        struct kinds_down down;
+        struct kinds_up up;
+        if (direction == 0 && kinds_down_decode(&down, body, size))
+            print(again, kinds_down_encode(&down, again, sizeof again));
+        else if (direction == 1 && kinds_up_decode(&up, body, size))
+            print(again, kinds_up_encode(&up, again, sizeof again));
+        else
+            printf("refused\n");
+    }
+    return 0;
+}
+"#;
+
+/// Numbers that look random, the same each time (splitmix64).
+struct Random(u64);
+
+impl Random {
+    fn below(&mut self, end: usize) -> usize {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mixed = (self.0 ^ self.0 >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((mixed ^ mixed >> 31) % end as u64) as usize
+    }
+
+    fn bytes(&mut self, count: usize) -> Vec<u8> {
+        (0..count).map(|_| self.below(256) as u8).collect()
+    }
+
+    /// The body of a packet with some of the elements.
+    fn body(&mut self, layout: &Layout<'_>, direction: mom_rsp::Direction) -> Vec<u8> {
+        let mut body = vec![0; 65_536];
+        let mut writer = Writer::new(layout, direction, &mut body).expect("room for the map");
+        let seldom = 1 + self.below(8);
+        for (place, element) in (0..).zip(layout.elements()) {
+            if self.below(seldom) > 0 {
+                continue;
+            }
+            let size = match element.payload {
+                Payload::Bytes(most) => self.below(usize::from(most) + 1),
+                payload => payload.size(),
+            };
+            let data = self.bytes(size);
+            let (id, ack) = (1 + self.below(255) as u8, self.below(256) as u8);
+            let call = Item::Call { id, data: &data };
+            for item in [
+                Item::Value(&data),
+                Item::Ask,
+                Item::Activate,
+                Item::Ack(ack),
+                call,
+            ] {
+                if writer.put(place, item).is_ok() {
+                    break;
+                }
+            }
+        }
+        let size = writer.finish();
+        body.truncate(size);
+        body
+    }
+
+    /// One byte is another, one is missing, or there are more.
+    fn spoil(&mut self, body: &mut Vec<u8>) {
+        let place = self.below(body.len());
+        let byte = [0, 0x7f, 0xff, self.below(256) as u8][self.below(4)];
+        match self.below(4) {
+            0 => body.truncate(place),
+            1 => body.push(byte),
+            _ => body[place] = byte,
+        }
+    }
+}
+
+#[test]
+fn c_takes_and_makes_the_same_packets_as_rust() {
+    let model = Model::read(KINDS).unwrap();
+    let elements = model.wire_elements();
+    let layout = model.layout(&elements);
+    let mut random = Random(1);
+    let (mut input, mut expected) = (Vec::new(), Vec::new());
+    for number in 0..20_000 {
+        let (code, direction) = match random.below(2) {
+            0 => (0, mom_rsp::Direction::Down),
+            _ => (1, mom_rsp::Direction::Up),
+        };
+        let mut body = random.body(&layout, direction);
+        if number % 2 == 1 {
+            random.spoil(&mut body);
+        }
+        input.push(code);
+        input.extend((body.len() as u16).to_be_bytes());
+        input.extend(&body);
+        expected.push(match Items::parse(&layout, direction, &body) {
+            Ok(_) => hex(&body),
+            Err(_) => "refused".to_owned(),
+        });
+    }
+    let refused = expected.iter().filter(|line| *line == "refused").count();
+    assert!(
+        (2_000..9_000).contains(&refused),
+        "{refused} of the bodies are wrong"
+    );
+    let printed = String::from_utf8(run_on("again", &model, &format!("{TOOLS}{AGAIN}"), &input)).unwrap();
+    let lines: Vec<&str> = printed.lines().collect();
+    for (number, (line, expected)) in lines.iter().zip(&expected).enumerate() {
+        assert_eq!(line, expected, "packet {number}");
+    }
+    assert_eq!(lines.len(), expected.len());
 }

@@ -119,10 +119,15 @@ impl Header<'_> {
         let Payload::Numbers(..) = element.payload else {
             return;
         };
-        for quantity in &element.quantities {
-            // Names have no two `-` side by side, so that two `_` belong to a part.
-            let part = quantity.part.as_deref().map(|part| format!("__{}", upper(part)));
-            let name = format!("{}{}", upper(&element.name), part.unwrap_or_default());
+        let has_several = element.quantities.len() > 1;
+        for (index, quantity) in element.quantities.iter().enumerate() {
+            // Names have no two `-` side by side, so that two `_` belong to a part, by its name or its index.
+            let part = match &quantity.part {
+                Some(part) => format!("__{}", upper(part)),
+                None if has_several => format!("__{index}"),
+                None => String::new(),
+            };
+            let name = format!("{}{part}", upper(&element.name));
             let large = &self.large;
             let unit = match quantity.unit.as_str() {
                 "" => "no unit",
@@ -222,7 +227,7 @@ impl Header<'_> {
     fn encode(&self, direction: Direction, code: &mut Code) {
         let (small, large, way) = (&self.small, &self.large, way(direction));
         code.line(
-            "/* The bytes of map and payloads, or 0 if there is no room for them or a bit may not be 1. */",
+            "/* The bytes of map and payloads, or 0 if there is no room for them, a bit may not be 1, an id is 0 or an effector's number is not finite. */",
         );
         let begin = format!(
             "static inline size_t {small}_{way}_encode(const struct {small}_{way} *from, uint8_t *to, size_t room)\n{{"
@@ -285,6 +290,9 @@ impl Header<'_> {
             }
         }
         if let Some(id) = id {
+            if has_id(element, content) {
+                code.line(format!("if (from->{id} == 0)\n    return 0;"));
+            }
             code.line(format!("to[at++] = from->{id};"));
         }
         match data {
@@ -304,19 +312,21 @@ impl Header<'_> {
             _ => {}
         }
         if let Data::Numbers(number, count) = data {
-            let put = |value: &str| {
-                format!(
-                    "at += {small}_put_{}(to + at, {});",
-                    bits(number),
-                    to_bits(small, number, value)
-                )
+            let value = match count {
+                1 => format!("from->{name}"),
+                _ => format!("from->{name}[i]"),
             };
+            let value = to_bits(small, number, &value);
+            let check = match is_checked(element, number) {
+                true => format!("if (!{small}_is_finite({value}))\n    return 0;\n"),
+                false => String::new(),
+            };
+            let put = format!("{check}at += {small}_put_{}(to + at, {value});", bits(number));
             match count {
-                1 => code.line(put(&format!("from->{name}"))),
-                _ => code.line(format!(
-                    "for (size_t i = 0; i < {count}; i++)\n    {}",
-                    put(&format!("from->{name}[i]"))
-                )),
+                1 => code.line(put),
+                _ => code.block(format!("for (size_t i = 0; i < {count}; i++) {{"), "}", |code| {
+                    code.line(put);
+                }),
             };
         }
     }
@@ -376,6 +386,9 @@ impl Header<'_> {
         };
         code.line(format!("if (size - at < {fixed})\n    return 0;"));
         if let Some(id) = id {
+            if has_id(element, content) {
+                code.line("if (from[at] == 0)\n    return 0;");
+            }
             code.line(format!("to->{id} = from[at++];"));
         }
         match payload {
@@ -402,15 +415,31 @@ impl Header<'_> {
                 Number::F32 => format!("{small}_to_float({get})"),
                 number => format!("({}){get}", c_type(number)),
             };
+            let check = match is_checked(element, number) {
+                true => format!("if (!{small}_is_finite({get}))\n    return 0;\n"),
+                false => String::new(),
+            };
             match count {
-                1 => code.line(format!("to->{name} = {value};\nat += {};", number.size())),
-                _ => code.line(format!(
-                    "for (size_t i = 0; i < {count}; i++, at += {})\n    to->{name}[i] = {value};",
-                    number.size()
-                )),
+                1 => code.line(format!("{check}to->{name} = {value};\nat += {};", number.size())),
+                _ => {
+                    let begin = format!("for (size_t i = 0; i < {count}; i++, at += {}) {{", number.size());
+                    code.block(begin, "}", |code| {
+                        code.line(format!("{check}to->{name}[i] = {value};"));
+                    })
+                }
             };
         }
     }
+}
+
+/// Whether the id may not be 0. That of a memory event asks for all that are held.
+fn has_id(element: &ModelElement, content: Content) -> bool {
+    content != Content::Ack || element.kind != mom_rsp::Kind::MemoryEvent
+}
+
+/// Whether each number has to be finite: what would move nobody knows where.
+fn is_checked(element: &ModelElement, number: Number) -> bool {
+    element.kind == mom_rsp::Kind::Effector && number == Number::F32
 }
 
 /// The data of one payload.

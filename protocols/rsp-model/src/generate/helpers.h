@@ -64,6 +64,12 @@ static inline uint32_t NAME_of_float(float value)
     return bits;
 }
 
+/* Whether the bits of a float are neither infinite nor no number. */
+static inline int NAME_is_finite(uint32_t bits)
+{
+    return (bits & 0x7f800000u) != 0x7f800000u;
+}
+
 static inline float NAME_to_float(uint32_t bits)
 {
     float value;

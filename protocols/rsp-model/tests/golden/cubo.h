@@ -234,6 +234,12 @@ static inline uint32_t cubo_of_float(float value)
     return bits;
 }
 
+/* Whether the bits of a float are neither infinite nor no number. */
+static inline int cubo_is_finite(uint32_t bits)
+{
+    return (bits & 0x7f800000u) != 0x7f800000u;
+}
+
 static inline float cubo_to_float(uint32_t bits)
 {
     float value;
@@ -317,7 +323,7 @@ struct cubo_down {
     uint8_t message_recorded; /* the id that is acknowledged */
 };
 
-/* The bytes of map and payloads, or 0 if there is no room for them or a bit may not be 1. */
+/* The bytes of map and payloads, or 0 if there is no room for them, a bit may not be 1, an id is 0 or an effector's number is not finite. */
 static inline size_t cubo_down_encode(const struct cubo_down *from, uint8_t *to, size_t room)
 {
     size_t at = CUBO_MAP_SIZE;
@@ -337,8 +343,9 @@ static inline size_t cubo_down_encode(const struct cubo_down *from, uint8_t *to,
     if (cubo_bit(from->map, CUBO_ELEMENT_JOINTS)) {
         if (room - at < 6)
             return 0;
-        for (size_t i = 0; i < 3; i++)
+        for (size_t i = 0; i < 3; i++) {
             at += cubo_put_16(to + at, (uint16_t)from->joints[i]);
+        }
     }
     if (cubo_bit(from->map, CUBO_ELEMENT_LIPS)) {
         if (room - at < 2)
@@ -366,15 +373,21 @@ static inline size_t cubo_down_encode(const struct cubo_down *from, uint8_t *to,
     if (cubo_bit(from->map, CUBO_ELEMENT_SERVICE_BUTTON)) {
         if (room - at < 1)
             return 0;
+        if (from->service_button == 0)
+            return 0;
         to[at++] = from->service_button;
     }
     if (cubo_bit(from->map, CUBO_ELEMENT_MESSAGE_BUTTON)) {
         if (room - at < 1)
             return 0;
+        if (from->message_button == 0)
+            return 0;
         to[at++] = from->message_button;
     }
     if (cubo_bit(from->map, CUBO_ELEMENT_GESTURE)) {
         if (room - at < 2)
+            return 0;
+        if (from->gesture.id == 0)
             return 0;
         to[at++] = from->gesture.id;
         at += cubo_put_8(to + at, from->gesture.data);
@@ -410,8 +423,9 @@ static inline int cubo_down_decode(struct cubo_down *to, const uint8_t *from, si
     if (cubo_bit(to->map, CUBO_ELEMENT_JOINTS)) {
         if (size - at < 6)
             return 0;
-        for (size_t i = 0; i < 3; i++, at += 2)
+        for (size_t i = 0; i < 3; i++, at += 2) {
             to->joints[i] = (int16_t)cubo_get_16(from + at);
+        }
     }
     if (cubo_bit(to->map, CUBO_ELEMENT_LIPS)) {
         if (size - at < 2)
@@ -442,15 +456,21 @@ static inline int cubo_down_decode(struct cubo_down *to, const uint8_t *from, si
     if (cubo_bit(to->map, CUBO_ELEMENT_SERVICE_BUTTON)) {
         if (size - at < 1)
             return 0;
+        if (from[at] == 0)
+            return 0;
         to->service_button = from[at++];
     }
     if (cubo_bit(to->map, CUBO_ELEMENT_MESSAGE_BUTTON)) {
         if (size - at < 1)
             return 0;
+        if (from[at] == 0)
+            return 0;
         to->message_button = from[at++];
     }
     if (cubo_bit(to->map, CUBO_ELEMENT_GESTURE)) {
         if (size - at < 2)
+            return 0;
+        if (from[at] == 0)
             return 0;
         to->gesture.id = from[at++];
         to->gesture.data = (uint8_t)cubo_get_8(from + at);
@@ -485,7 +505,7 @@ struct cubo_up {
     int16_t posture[3];
 };
 
-/* The bytes of map and payloads, or 0 if there is no room for them or a bit may not be 1. */
+/* The bytes of map and payloads, or 0 if there is no room for them, a bit may not be 1, an id is 0 or an effector's number is not finite. */
 static inline size_t cubo_up_encode(const struct cubo_up *from, uint8_t *to, size_t room)
 {
     size_t at = CUBO_MAP_SIZE;
@@ -507,22 +527,28 @@ static inline size_t cubo_up_encode(const struct cubo_up *from, uint8_t *to, siz
     if (cubo_bit(from->map, CUBO_ELEMENT_SURROUNDINGS)) {
         if (room - at < 12)
             return 0;
-        for (size_t i = 0; i < 6; i++)
+        for (size_t i = 0; i < 6; i++) {
             at += cubo_put_16(to + at, from->surroundings[i]);
+        }
     }
     if (cubo_bit(from->map, CUBO_ELEMENT_POSE)) {
         if (room - at < 6)
             return 0;
-        for (size_t i = 0; i < 3; i++)
+        for (size_t i = 0; i < 3; i++) {
             at += cubo_put_16(to + at, (uint16_t)from->pose[i]);
+        }
     }
     if (cubo_bit(from->map, CUBO_ELEMENT_SERVICE_BUTTON)) {
         if (room - at < 1)
+            return 0;
+        if (from->service_button.id == 0)
             return 0;
         to[at++] = from->service_button.id;
     }
     if (cubo_bit(from->map, CUBO_ELEMENT_MESSAGE_BUTTON)) {
         if (room - at < 1)
+            return 0;
+        if (from->message_button.id == 0)
             return 0;
         to[at++] = from->message_button.id;
     }
@@ -547,21 +573,27 @@ static inline size_t cubo_up_encode(const struct cubo_up *from, uint8_t *to, siz
     if (cubo_bit(from->map, CUBO_ELEMENT_GESTURE)) {
         if (room - at < 1)
             return 0;
+        if (from->gesture == 0)
+            return 0;
         to[at++] = from->gesture;
     }
     if (cubo_bit(from->map, CUBO_ELEMENT_MESSAGE_RECORDED)) {
         if (room - at < 7)
             return 0;
+        if (from->message_recorded.id == 0)
+            return 0;
         to[at++] = from->message_recorded.id;
         at += cubo_put_16(to + at, 4);
-        for (size_t i = 0; i < 2; i++)
+        for (size_t i = 0; i < 2; i++) {
             at += cubo_put_16(to + at, from->message_recorded.data[i]);
+        }
     }
     if (cubo_bit(from->map, CUBO_ELEMENT_POSTURE)) {
         if (room - at < 6)
             return 0;
-        for (size_t i = 0; i < 3; i++)
+        for (size_t i = 0; i < 3; i++) {
             at += cubo_put_16(to + at, (uint16_t)from->posture[i]);
+        }
     }
     if (cubo_bit(from->map, CUBO_ELEMENT_MOTION))
         return 0;
@@ -591,22 +623,28 @@ static inline int cubo_up_decode(struct cubo_up *to, const uint8_t *from, size_t
     if (cubo_bit(to->map, CUBO_ELEMENT_SURROUNDINGS)) {
         if (size - at < 12)
             return 0;
-        for (size_t i = 0; i < 6; i++, at += 2)
+        for (size_t i = 0; i < 6; i++, at += 2) {
             to->surroundings[i] = (uint16_t)cubo_get_16(from + at);
+        }
     }
     if (cubo_bit(to->map, CUBO_ELEMENT_POSE)) {
         if (size - at < 6)
             return 0;
-        for (size_t i = 0; i < 3; i++, at += 2)
+        for (size_t i = 0; i < 3; i++, at += 2) {
             to->pose[i] = (int16_t)cubo_get_16(from + at);
+        }
     }
     if (cubo_bit(to->map, CUBO_ELEMENT_SERVICE_BUTTON)) {
         if (size - at < 1)
+            return 0;
+        if (from[at] == 0)
             return 0;
         to->service_button.id = from[at++];
     }
     if (cubo_bit(to->map, CUBO_ELEMENT_MESSAGE_BUTTON)) {
         if (size - at < 1)
+            return 0;
+        if (from[at] == 0)
             return 0;
         to->message_button.id = from[at++];
     }
@@ -633,23 +671,29 @@ static inline int cubo_up_decode(struct cubo_up *to, const uint8_t *from, size_t
     if (cubo_bit(to->map, CUBO_ELEMENT_GESTURE)) {
         if (size - at < 1)
             return 0;
+        if (from[at] == 0)
+            return 0;
         to->gesture = from[at++];
     }
     if (cubo_bit(to->map, CUBO_ELEMENT_MESSAGE_RECORDED)) {
         if (size - at < 7)
             return 0;
+        if (from[at] == 0)
+            return 0;
         to->message_recorded.id = from[at++];
         if (cubo_get_16(from + at) != 4)
             return 0;
         at += 2;
-        for (size_t i = 0; i < 2; i++, at += 2)
+        for (size_t i = 0; i < 2; i++, at += 2) {
             to->message_recorded.data[i] = (uint16_t)cubo_get_16(from + at);
+        }
     }
     if (cubo_bit(to->map, CUBO_ELEMENT_POSTURE)) {
         if (size - at < 6)
             return 0;
-        for (size_t i = 0; i < 3; i++, at += 2)
+        for (size_t i = 0; i < 3; i++, at += 2) {
             to->posture[i] = (int16_t)cubo_get_16(from + at);
+        }
     }
     if (cubo_bit(to->map, CUBO_ELEMENT_MOTION))
         return 0;

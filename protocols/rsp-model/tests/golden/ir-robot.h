@@ -148,6 +148,12 @@ static inline uint32_t ir_robot_of_float(float value)
     return bits;
 }
 
+/* Whether the bits of a float are neither infinite nor no number. */
+static inline int ir_robot_is_finite(uint32_t bits)
+{
+    return (bits & 0x7f800000u) != 0x7f800000u;
+}
+
 static inline float ir_robot_to_float(uint32_t bits)
 {
     float value;
@@ -226,7 +232,7 @@ struct ir_robot_down {
     uint8_t ir_receiver; /* the id that is acknowledged */
 };
 
-/* The bytes of map and payloads, or 0 if there is no room for them or a bit may not be 1. */
+/* The bytes of map and payloads, or 0 if there is no room for them, a bit may not be 1, an id is 0 or an effector's number is not finite. */
 static inline size_t ir_robot_down_encode(const struct ir_robot_down *from, uint8_t *to, size_t room)
 {
     size_t at = IR_ROBOT_MAP_SIZE;
@@ -251,11 +257,15 @@ static inline size_t ir_robot_down_encode(const struct ir_robot_down *from, uint
     if (ir_robot_bit(from->map, IR_ROBOT_ELEMENT_IR_FIRE)) {
         if (room - at < 2)
             return 0;
+        if (from->ir_fire.id == 0)
+            return 0;
         to[at++] = from->ir_fire.id;
         at += ir_robot_put_8(to + at, from->ir_fire.data);
     }
     if (ir_robot_bit(from->map, IR_ROBOT_ELEMENT_IR_RECEIVER)) {
         if (room - at < 1)
+            return 0;
+        if (from->ir_receiver == 0)
             return 0;
         to[at++] = from->ir_receiver;
     }
@@ -291,12 +301,16 @@ static inline int ir_robot_down_decode(struct ir_robot_down *to, const uint8_t *
     if (ir_robot_bit(to->map, IR_ROBOT_ELEMENT_IR_FIRE)) {
         if (size - at < 2)
             return 0;
+        if (from[at] == 0)
+            return 0;
         to->ir_fire.id = from[at++];
         to->ir_fire.data = (uint8_t)ir_robot_get_8(from + at);
         at += 1;
     }
     if (ir_robot_bit(to->map, IR_ROBOT_ELEMENT_IR_RECEIVER)) {
         if (size - at < 1)
+            return 0;
+        if (from[at] == 0)
             return 0;
         to->ir_receiver = from[at++];
     }
@@ -315,7 +329,7 @@ struct ir_robot_up {
     } ir_receiver;
 };
 
-/* The bytes of map and payloads, or 0 if there is no room for them or a bit may not be 1. */
+/* The bytes of map and payloads, or 0 if there is no room for them, a bit may not be 1, an id is 0 or an effector's number is not finite. */
 static inline size_t ir_robot_up_encode(const struct ir_robot_up *from, uint8_t *to, size_t room)
 {
     size_t at = IR_ROBOT_MAP_SIZE;
@@ -341,10 +355,14 @@ static inline size_t ir_robot_up_encode(const struct ir_robot_up *from, uint8_t 
     if (ir_robot_bit(from->map, IR_ROBOT_ELEMENT_IR_FIRE)) {
         if (room - at < 1)
             return 0;
+        if (from->ir_fire == 0)
+            return 0;
         to[at++] = from->ir_fire;
     }
     if (ir_robot_bit(from->map, IR_ROBOT_ELEMENT_IR_RECEIVER)) {
         if (room - at < 2)
+            return 0;
+        if (from->ir_receiver.id == 0)
             return 0;
         to[at++] = from->ir_receiver.id;
         at += ir_robot_put_8(to + at, from->ir_receiver.data);
@@ -383,10 +401,14 @@ static inline int ir_robot_up_decode(struct ir_robot_up *to, const uint8_t *from
     if (ir_robot_bit(to->map, IR_ROBOT_ELEMENT_IR_FIRE)) {
         if (size - at < 1)
             return 0;
+        if (from[at] == 0)
+            return 0;
         to->ir_fire = from[at++];
     }
     if (ir_robot_bit(to->map, IR_ROBOT_ELEMENT_IR_RECEIVER)) {
         if (size - at < 2)
+            return 0;
+        if (from[at] == 0)
             return 0;
         to->ir_receiver.id = from[at++];
         to->ir_receiver.data = (uint8_t)ir_robot_get_8(from + at);
