@@ -320,14 +320,12 @@ fn markdown(motion: &[Vec<f64>], music: &[Vec<f64>]) -> String {
     }
     let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len().max(1) as f64;
     let means: Vec<f64> = motion.iter().map(|part| mean(part)).collect();
-    let waits = means.first().unwrap_or(&0.0) + means.last().unwrap_or(&0.0);
     let _ = writeln!(
         text,
-        "\nOf {:.1} ms in the mean, {:.1} are the two waits for a period, which the equation has not. The middle's is T / 2 in the mean, as writes come at any time. The robot's period begins with the first packet of a session, so later ones arrive at about the moment of its turn: \
-         one that is just before it waits for nothing, one that is just after it for nearly all of T; the median here is {:.1} ms. What the equation has, beside them, over {:.0} km at {}:\n\n| bytes with IP and UDP | l / C, ms | M / b, ms: {} |\n|---:|---:|{}",
+        "\nOf {:.1} ms in the mean, {:.1} are the middle's wait for its turn, which the equation has not: T / 2 in the mean, as writes come at any time. The robot's motion filter would wait as long if it had a clock of its own; but an output follows the packet that brought its value, unless the one before came less than 7/8 of T ago. \
+         What the equation has, beside them, over {:.0} km at {}:\n\n| bytes with IP and UDP | l / C, ms | M / b, ms: {} |\n|---:|---:|{}",
         means.iter().sum::<f64>() / 1000.0,
-        waits / 1000.0,
-        motion.last().map_or(f64::NAN, |part| quantile(part, 0.5)) / 1000.0,
+        means.first().unwrap_or(&0.0) / 1000.0,
         FAR / 1000.0,
         RATES.map(|rate| format!("{rate} Mbit/s")).join(", "),
         RATES.map(|rate| format!("{rate} Mbit/s")).join(" | "),

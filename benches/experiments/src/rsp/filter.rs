@@ -65,11 +65,12 @@ struct Mover {
     is_prepared: bool,
     tick: u64,
     outputs: [f64; WAYS.len()],
-    /// Values and steps that wait for their period, where there is no filter.
+    /// Values and steps that wait until the one before was carried out, where there is no filter; and when that is.
     queue: VecDeque<[f64; 2]>,
+    turn: u64,
     samples: f64,
     squares: [f64; WAYS.len()],
-    /// A period ago, and the most change in one.
+    /// A tick ago, and the most change in one.
     before: Option<[f64; WAYS.len()]>,
     jumps: [f64; WAYS.len()],
     /// s, what it shall do, what it does.
@@ -101,6 +102,7 @@ impl Mover {
             tick: 0,
             outputs: [0.0; WAYS.len()],
             queue: VecDeque::new(),
+            turn: 0,
             samples: 0.0,
             squares: [0.0; WAYS.len()],
             before: None,
@@ -142,11 +144,9 @@ impl Mover {
         for (square, output) in self.squares.iter_mut().zip(self.outputs) {
             *square += (output - wanted).powi(2);
         }
-        if (since / TICK).is_multiple_of(PERIOD / TICK) {
-            let before = self.before.replace(self.outputs).unwrap_or(self.outputs);
-            for ((jump, before), output) in self.jumps.iter_mut().zip(before).zip(self.outputs) {
-                *jump = jump.max((output - before).abs());
-            }
+        let before = self.before.replace(self.outputs).unwrap_or(self.outputs);
+        for ((jump, before), output) in self.jumps.iter_mut().zip(before).zip(self.outputs) {
+            *jump = jump.max((output - before).abs());
         }
         self.trace
             .push((since as f64 / SECOND as f64, wanted, self.outputs));
@@ -191,10 +191,11 @@ impl Scene for Mover {
         }
     }
 
-    fn at_robot(&mut self, now: u64, end: &mut impl End) {
-        if end.wake().is_some_and(|wake| wake <= now)
+    fn at_robot(&mut self, now: u64, _: &mut impl End) {
+        if now >= self.turn
             && let Some([value, step]) = self.queue.pop_front()
         {
+            self.turn = now + PERIOD;
             self.outputs[QUEUE] = value;
             self.outputs[STEP_QUEUE] += step;
         }
@@ -244,7 +245,8 @@ impl Scene for Mover {
     }
 
     fn wake(&self) -> Option<u64> {
-        Some(self.tick)
+        let turn = (!self.queue.is_empty()).then_some(self.turn);
+        Some(turn.map_or(self.tick, |turn| turn.min(self.tick)))
     }
 }
 
@@ -339,7 +341,7 @@ fn markdown(rows: &[Row]) -> String {
          *With* the filter: hold (the newest value, one each T), interpolation (on a straight line through one T), limit ({RATE} units/s at most). *Without*: each packet *as it comes*, the last of a burst last; and *one each T*, \
          as a robot does that carries out one command after the other. The error is against what is wanted at that time, so the first row is what delay and periods cost anyway.\n\n\
          **Inputs:** the motion, the gaps and their times, which the seed draws. Intervals are 95 %.\n\n\
-         | gap, once a second | with, RMS: hold | interpolation | limit | without: as it comes | one each T | most change in one T: hold | interpolation | limit | as it comes | one each T |\n\
+         | gap, once a second | with, RMS: hold | interpolation | limit | without: as it comes | one each T | most change at once: hold | interpolation | limit | as it comes | one each T |\n\
          |---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|\n",
         rows.first().map_or(0, |row| row.ours.len())
     );
@@ -377,7 +379,7 @@ fn markdown(rows: &[Row]) -> String {
     text += &format!(
         "\nFor absolute values the newest one is all there is to know, so \"as it comes\" is no worse than hold; what hurts is to carry out a burst one command after the other, which makes the delay of the worst gap the delay of all that follows. \
          \
-         A limit bounds the change in one T ({:.0} here) for little more error. Interpolation does not: on a line through one T, with one output each T, it is that T later and no smoother. For steps a sum keeps what came in a burst, but only totals keep what was lost.\n\n![Motion through gaps](images/{IMAGES}-rsp-filter.svg)\n",
+         A limit bounds the change of an output ({:.0} in one T) for little more error. Interpolation does so little: on a line through one T, with one output each T, it is that T later and hardly smoother. For steps a sum keeps what came in a burst, but only totals keep what was lost.\n\n![Motion through gaps](images/{IMAGES}-rsp-filter.svg)\n",
         f64::from(RATE) * PERIOD as f64 / SECOND as f64
     );
     text

@@ -42,10 +42,11 @@ pub(super) fn section(tracks: &[Track], tables: &[Vec<Row>], missing: Option<any
             );
             text += &table(rows, value, digits, number == 0);
         }
+        text += &shares(track, rows);
     }
     let mut plots = Vec::new();
     if let (Some(track), Some(rows)) = (tracks.first(), tables.first()) {
-        text += &shares(rows);
+        text += &words();
         let _ = writeln!(
             text,
             "![Error against delay](images/{IMAGES}-rsp-path-delay.svg)\n\n![Error against loss](images/{IMAGES}-rsp-path-loss.svg)\n\n![Paths](images/{IMAGES}-rsp-path.svg)"
@@ -144,7 +145,7 @@ fn table(rows: &[Row], value: Value, digits: usize, counted: bool) -> String {
 }
 
 /// What comes of size and what of transport: differences between arms that differ in one thing.
-fn shares(rows: &[Row]) -> String {
+fn shares(track: &Track, rows: &[Row]) -> String {
     let [variable, _, fixed, fixed_nagle] = STREAMS;
     let [_, unfiltered, _, datagram] = DATAGRAMS;
     let pairs = [
@@ -159,7 +160,8 @@ fn shares(rows: &[Row]) -> String {
     ];
     let names = pairs.map(|(name, ..)| name).join(" | ");
     let mut text = format!(
-        "What comes of the size and what of the transport: differences of the RMS error on the square, mm, between two arms that differ in this alone, drive by drive of the same seed (more is worse):\n\n| | {names} |\n|---|{}\n",
+        "What comes of the size and what of the transport: differences of the RMS error on the {}, mm, between two arms that differ in this alone, drive by drive of the same seed (more is worse; bold is what differs from 0 beyond its interval):\n\n| | {names} |\n|---|{}\n",
+        track.name,
         "---:|".repeat(pairs.len())
     );
     for row in rows {
@@ -188,7 +190,7 @@ fn shares(rows: &[Row]) -> String {
         // Writing to a String cannot fail.
         let _ = writeln!(text, "| {} | {} |", row.name, cells.join(" | "));
     }
-    text + "\nBold is what differs from 0 beyond its interval.\n\n" + &words()
+    text + "\n"
 }
 
 /// What is read from it. The rate that TCP gets where packets are lost is Mathis's: 1.22 segments in a round trip, over the root of the loss.
@@ -201,7 +203,7 @@ fn words() -> String {
          - *Both together* are what the paper saw. Where packets are lost TCP gets about 1.22 segments in a round trip over the root of the loss, {:.1} Mbit/s at the base and {:.1} with {} ms each way. A fixed size needs more than that, so what is sent waits ever longer, and the robot leaves the path; packets of 26 bytes need {:.3} Mbit/s. \
          The rival here skips nothing: what the system does not take yet waits in its program. One that skipped would still have the system's own buffers before it.\n\
          - *Nagle* keeps small packets until the last one is acknowledged, so poses are older by up to a round trip; beside a flow that does not fit it makes no difference.\n\
-         - *Own mode and paper mode* are alike here: of a motion that is new in each packet both send the same. The motion filter costs up to T of delay, which counts where there is much of it already. Up to 100 ms each way what is measured is how pure pursuit cuts corners, and a little more delay even helps.\n\n",
+         - *Own mode and paper mode* are alike here: of a motion that is new in each packet both send the same. The motion filter costs little: its outputs follow the packets. Up to 100 ms each way what is measured is how pure pursuit cuts corners, and a little more delay even helps.\n\n",
         needed(1992),
         rate(BASE.delay),
         rate(2 * BASE.delay),

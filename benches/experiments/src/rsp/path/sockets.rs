@@ -35,8 +35,8 @@ struct Job {
     seed: u64,
 }
 
-/// Makes the drives in real time, several at once, and adds them to the tables: over TCP on the first path over all links, all else over
-/// the base alone.
+/// Makes the drives in real time, several at once, and adds them to the tables: those over TCP over all links, all else over the
+/// base alone.
 ///
 /// # Errors
 /// How many could not be made, and why the first of them; the others are added.
@@ -50,8 +50,7 @@ pub(super) fn drive_all(
     for seed in seeds {
         for (track, rows) in tables.iter().enumerate() {
             for (row, of) in rows.iter().enumerate() {
-                let is_base = of.link == BASE;
-                let is_made = |arm: &&Arm| is_base || track == 0 && arm.transport != Transport::Udp;
+                let is_made = |arm: &&Arm| of.link == BASE || arm.transport != Transport::Udp;
                 jobs.extend(arms.iter().filter(is_made).map(|arm| Job {
                     track,
                     row,
