@@ -21,4 +21,4 @@ pub use peer::{RobotLine, SimulacrumOptions, run};
 pub use teller::{PACKET, Teller};
 pub use unit::Mirror;
 pub use values::{ValueFault, from_wire, to_wire};
-pub use wheels::Wheels;
+pub use wheels::{Wheels, chassis};

@@ -10,7 +10,7 @@ use mom_program::{HubArgs, begin, shutdown};
 use mom_rsp::Key;
 use mom_rsp::middle::Settings;
 use mom_rsp_model::Model;
-use mom_simulacrum::{RobotLine, Simulacrum, SimulacrumOptions, run, serve};
+use mom_simulacrum::{RobotLine, Simulacrum, SimulacrumOptions, chassis, run, serve};
 use mom_wheels::Chassis;
 use tokio::net::UdpSocket;
 use tokio::sync::watch;
@@ -47,6 +47,9 @@ struct SimulacrumArgs {
     /// ms without a packet after which a robot is lost
     #[arg(long, value_name = "MS", default_value = "500", value_parser = clap::value_parser!(u16).range(50..=10_000))]
     silence: u16,
+    /// mm between the wheels of these robots, by which the middle plans turns
+    #[arg(long, value_name = "MM", default_value_t = Chassis::CUBO.wheel_base)]
+    wheel_base: f64,
     /// To the letter of the paper, without a watchdog and without a key
     #[arg(long, conflicts_with = "robot_key")]
     paper: bool,
@@ -107,6 +110,7 @@ async fn robots(args: &SimulacrumArgs) -> anyhow::Result<(Vec<RobotLine>, Vec<Ud
     // With a mistake in a file nothing is started.
     let model =
         Model::read(&read(&args.model)?).map_err(|error| anyhow!("{}: {error}", args.model.display()))?;
+    let chassis = chassis(&model, args.wheel_base).context("--wheel-base and the model's wheels")?;
     let settings = Settings {
         key: args.robot_key.as_deref().map(key).transpose()?,
         period: args.period.unwrap_or(model.period()),
@@ -131,7 +135,7 @@ async fn robots(args: &SimulacrumArgs) -> anyhow::Result<(Vec<RobotLine>, Vec<Ud
         lines.push(RobotLine {
             robot,
             path: path.clone(),
-            chassis: Chassis::CUBO,
+            chassis,
         });
     }
     Ok((lines, sockets))

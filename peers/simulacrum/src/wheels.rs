@@ -1,9 +1,37 @@
 //! The wheels of a mirrored robot as a driver, so that what drives wheeled robots drives it: the robot itself plans nothing (S1).
 
-use mom_rsp_model::ModelElement;
-use mom_wheels::{Chassis, Driver, DriverError, Fault, Motors, Pose, Sensors, WheelTime};
+use mom_rsp_model::{Model, ModelElement};
+use mom_wheels::{Chassis, Driver, DriverError, Fault, Motors, Pose, Sensors, SetupError, WheelTime};
 
 use crate::{Simulacrum, to_wire};
+
+const WHEELS: [&str; 2] = ["left-wheel", "right-wheel"];
+
+/// The chassis of the robots of a model: CUBO's, but for mm between the wheels, and the full speed, which is the least of the ranges of
+/// the model's wheels.
+///
+/// # Errors
+///
+/// [`SetupError::Parameter`] for a number that is out of its range.
+pub fn chassis(model: &Model, wheel_base: f64) -> Result<Chassis, SetupError> {
+    let wheels = model
+        .elements()
+        .iter()
+        .filter(|element| WHEELS.contains(&element.name.as_str()) && is_speed(element));
+    let most = wheels
+        .filter_map(|element| element.quantity(0))
+        .map(|quantity| quantity.max.min(-quantity.min));
+    let chassis = Chassis {
+        wheel_base,
+        full_speed: most.reduce(f64::min).unwrap_or(Chassis::CUBO.full_speed),
+        ..Chassis::CUBO
+    };
+    chassis.check().map(|()| chassis)
+}
+
+fn is_speed(element: &ModelElement) -> bool {
+    element.quantity(0).is_some_and(|quantity| quantity.unit == "mm/s")
+}
 
 /// The wheels of a robot whose model has the effectors `left-wheel` and `right-wheel`, in mm/s.
 ///
@@ -23,7 +51,11 @@ impl Wheels {
     /// The wheels of a robot, if it has some; they reach the chassis's full speed at 1000 per mille.
     #[must_use]
     pub fn of(robot: &Simulacrum, chassis: Chassis) -> Option<Self> {
-        let wheel = |name| robot.element(name).map(|(place, _)| place);
+        let wheel = |name| {
+            let (place, element) = robot.element(name)?;
+            is_speed(element).then_some(place)
+        };
+        let [left, right] = WHEELS.map(wheel);
         let part = |element: &ModelElement, name: &str| {
             let named = |quantity: &mom_rsp_model::Quantity| quantity.part.as_deref() == Some(name);
             element.quantities.iter().position(named)
@@ -43,8 +75,8 @@ impl Wheels {
             percent.then_some((place, part))
         });
         Some(Self {
-            left: wheel("left-wheel")?,
-            right: wheel("right-wheel")?,
+            left: left?,
+            right: right?,
             pose,
             battery,
             robot: robot.clone(),
@@ -119,5 +151,37 @@ impl Driver for Wheels {
 
     fn next_wake(&mut self) -> Option<WheelTime> {
         None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn model(left: &str, right: &str) -> Model {
+        let wheel = |name, range| {
+            format!("[[element]]\nname = \"{name}\"\nkind = \"effector\"\ntype = \"i16\"\n{range}\n")
+        };
+        let text = format!(
+            "name = \"cart\"\nid = 7\n{}{}",
+            wheel("left-wheel", left),
+            wheel("right-wheel", right)
+        );
+        Model::read(&text).unwrap()
+    }
+
+    #[test]
+    fn a_chassis_is_as_fast_as_the_slower_wheel_of_the_model() {
+        let cart = model(
+            "unit = \"mm/s\"\nrange = [-300, 400]",
+            "unit = \"mm/s\"\nrange = [-350, 350]",
+        );
+        let wide = chassis(&cart, 400.0).unwrap();
+        assert_eq!((wide.wheel_base, wide.full_speed), (400.0, 300.0));
+        assert!(wide.full_turn() < Chassis::CUBO.full_turn());
+        assert!(chassis(&cart, 1.0).is_err());
+        let percent = model("unit = \"%\"\nrange = [-100, 100]", "unit = \"%\"\nrange = [-100, 100]");
+        let other = chassis(&percent, 170.0).unwrap();
+        assert_eq!(other, Chassis::CUBO, "percent are no speed");
     }
 }
