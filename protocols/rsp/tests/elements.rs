@@ -336,6 +336,18 @@ fn blobs_go_in_parts_behind_the_packets_and_never_delay_them() {
         whole = whole.or(assembly.push(&part).map(<[u8]>::to_vec));
     }
     assert_eq!(whole.as_ref(), Some(&music));
+    // Another session numbers its blobs anew.
+    let part = |blob, byte| Fragment {
+        element: SPEAKER,
+        blob,
+        offset: 0,
+        total: 2,
+        bytes: if byte == 0 { &[0, 0] } else { &[1, 1] },
+    };
+    assert_eq!(assembly.push(&part(7, 0)), Some(&[0, 0][..]));
+    assert_eq!(assembly.push(&part(0, 1)), None, "it is older");
+    assembly.clear();
+    assert_eq!(assembly.push(&part(0, 1)), Some(&[1, 1][..]));
 }
 
 #[test]

@@ -386,3 +386,38 @@ fn a_session_holds_over_a_round_trip_of_800_ms() {
     assert_eq!(world.middle.state(), State::Up);
     assert_eq!(world.told.sessions, [true], "one session, which was never lost");
 }
+
+#[test]
+fn a_robot_without_a_watchdog_keeps_its_session() {
+    let mut world = World::new(Settings::default(), Weather::default(), 1);
+    world.robot = robot(None, 0);
+    world.middle.start(world.now);
+    world.run(300);
+    assert!(world.robot.is_up() && world.middle.state() == State::Up);
+    world.drop_down = |_| true;
+    world.run(400);
+    assert!(world.robot.is_up(), "nothing is said, and nobody watches");
+    // Whoever asks after the silence of a middle that is gone gets a session.
+    world.drop_down = |_| false;
+    world.middle = middle(Settings::default(), 2);
+    world.run(200);
+    world.middle.start(world.now);
+    world.run(400);
+    assert!(world.robot.is_up() && world.middle.state() == State::Up);
+}
+
+#[test]
+fn the_end_of_a_robots_session_is_said_at_once() {
+    let mut world = World::up(Settings::default());
+    world.run(3);
+    world.sent_up.clear();
+    world.robot.end(world.now + world.ahead, &mut world.told);
+    world.step();
+    assert_eq!(
+        world.sent_up.first().map(|packet| kind(packet)),
+        Some(Type::UpEnd)
+    );
+    world.run(100);
+    assert_eq!(world.middle.state(), State::Idle);
+    assert!(world.robot.wake().is_none(), "it has nothing to do any more");
+}

@@ -68,6 +68,12 @@ impl<const BYTES: usize> Assembly<BYTES> {
         self.bytes.get(..total)
     }
 
+    /// Forgets the blob that was begun and its number: another session begins with another one.
+    pub fn clear(&mut self) {
+        self.dropped = self.dropped.saturating_add(u32::from(self.left > 0));
+        (self.blob, self.heard, self.left) = (None, [0; 4], 0);
+    }
+
     /// Blobs that never became complete, or were too large.
     #[must_use]
     pub fn dropped(&self) -> u32 {

@@ -35,7 +35,8 @@ pub trait Body {
         let _ = (element, active);
     }
 
-    /// A session began; or it is over, and all effectors have their safe values.
+    /// A session began; or it is over, and all effectors have their safe values. The next one numbers its blobs anew: what puts them
+    /// together is cleared.
     fn session(&mut self, up: bool) {
         let _ = up;
     }
@@ -66,8 +67,8 @@ pub struct Outgoing {
 pub struct Settings {
     /// The key that is shared with the middle; `None` for packets in the open. One needs the feature `cipher`.
     pub key: Option<Key>,
-    /// After so many ms without a data packet the effectors get their safe values and the session is over; a middle in paper mode is
-    /// trusted for ever.
+    /// After so many ms without a data packet the effectors get their safe values and the session is over; 0 for never. A middle in paper
+    /// mode is trusted for ever.
     pub watchdog: u16,
     /// Bytes of fragments that are sent each period at most.
     pub budget: u16,

@@ -346,7 +346,7 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
         }
         self.flood.1 += 1;
         let alive = match self.phase {
-            Phase::Up if self.paper => now.saturating_sub(self.fed) < ALIVE,
+            Phase::Up if !self.is_watched() => now.saturating_sub(self.fed) < ALIVE,
             Phase::Up => true,
             Phase::Ending | Phase::Down => false,
         };
@@ -394,10 +394,14 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
     pub(super) fn watch(&mut self, now: u64, body: &mut impl Body) {
         let silent = now.saturating_sub(self.fed);
         match self.phase {
-            Phase::Up if !self.paper && silent >= self.watchdog_us() => self.over(body),
+            Phase::Up if self.is_watched() && silent >= self.watchdog_us() => self.over(body),
             Phase::Ending if silent >= ALIVE => self.phase = Phase::Down,
             _ => {}
         }
+    }
+
+    pub(super) fn is_watched(&self) -> bool {
+        !self.paper && self.settings.watchdog > 0
     }
 
     pub(super) fn watchdog_us(&self) -> u64 {

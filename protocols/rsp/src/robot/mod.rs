@@ -227,7 +227,7 @@ impl<'m, const E: usize, const V: usize, const B: usize, const S: usize> Robot<'
         if self.phase == Phase::Up {
             self.over(body);
             (self.phase, self.is_ender) = (Phase::Ending, true);
-            self.fed = now;
+            (self.fed, self.next) = (now, now);
         }
     }
 

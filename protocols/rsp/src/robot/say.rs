@@ -50,7 +50,9 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
     pub fn wake(&self) -> Option<u64> {
         match self.phase {
             Phase::Down => None,
-            Phase::Up if !self.paper => Some(self.next.min(self.due).min(self.fed + self.watchdog_us())),
+            Phase::Up if self.is_watched() => {
+                Some(self.next.min(self.due).min(self.fed + self.watchdog_us()))
+            }
             Phase::Up => Some(self.next.min(self.due)),
             Phase::Ending => Some(self.next),
         }
