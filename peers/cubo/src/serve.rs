@@ -5,11 +5,11 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_rsp::Dropped;
 use mom_rsp::robot::Settings;
+use mom_rsp::{Dropped, Header, Type};
 use parking_lot::Mutex;
 use tokio::net::UdpSocket;
-use tokio::time::{Instant, sleep_until};
+use tokio::time::{Instant, sleep_until, timeout};
 
 use crate::model::LAYOUT;
 use crate::model::robot::{Dispatch, PACKET};
@@ -21,6 +21,8 @@ const LONGEST: usize = 65_536;
 const AT_ONCE: usize = 64;
 /// So often the body is asked what it senses while there is no session.
 const IDLE: Duration = Duration::from_millis(500);
+/// So long it waits for the middle's word that it has heard of the session's end.
+const FAREWELL: Duration = Duration::from_millis(300);
 
 /// A robot that can be touched and looked at from outside while it is served. Clones are of the same robot.
 #[derive(Clone)]
@@ -32,6 +34,8 @@ struct Whole {
     begin: Instant,
     /// From where the newest authentic packet came: packets go there.
     middle: Option<SocketAddr>,
+    /// From where the newest hello came that is refused: the refusal goes there.
+    asker: Option<SocketAddr>,
 }
 
 impl CuboHandle {
@@ -46,6 +50,7 @@ impl CuboHandle {
             end: End::new(&LAYOUT, settings)?,
             begin: Instant::now(),
             middle: None,
+            asker: None,
         }))))
     }
 
@@ -67,10 +72,17 @@ impl Whole {
     }
 
     fn receive(&mut self, datagram: &mut [u8], from: SocketAddr) {
+        if from.port() == 0 {
+            // Nobody can be answered there.
+            return;
+        }
         let now = self.now();
         match self.end.receive(now, datagram, &mut Dispatch(&mut self.body)) {
             Ok(()) => self.middle = Some(from),
-            Err(Dropped::Busy) => tracing::debug!(%from, "a hello was refused: there is a session"),
+            Err(why @ (Dropped::Busy | Dropped::Model | Dropped::Version)) => {
+                tracing::debug!(%from, %why, "a hello was refused");
+                self.asker = Some(from);
+            }
             // Who has not the key is not answered (S13).
             Err(why) => tracing::debug!(%from, %why, "a datagram was dropped"),
         }
@@ -83,28 +95,56 @@ impl Whole {
         self.body.tell(&mut self.end);
         self.end.poll(now, into, &mut Dispatch(&mut self.body))
     }
+
+    /// Where a datagram of the robot goes.
+    fn receiver(&mut self, datagram: &[u8]) -> Option<SocketAddr> {
+        let is_refusal = Header::decode(datagram).is_ok_and(|header| header.kind == Type::Refusal);
+        match is_refusal {
+            true => self.asker.take(),
+            false => self.middle,
+        }
+    }
 }
 
 /// Serves a robot on this socket, until `shutdown` is done. Then its session is ended.
 ///
 /// # Errors
 ///
-/// A socket that fails for good.
+/// A socket that fails for good. The robot rests then, too.
 pub async fn serve(
     socket: UdpSocket,
     robot: CuboHandle,
     shutdown: impl Future<Output = ()>,
 ) -> io::Result<()> {
-    let mut shutdown = std::pin::pin!(shutdown);
+    let served = tokio::select! {
+        failed = exchange(&socket, &robot, |_| false) => failed,
+        () = shutdown => Ok(()),
+    };
+    {
+        let whole = &mut *robot.0.lock();
+        let now = whole.now();
+        whole.end.end(now, &mut Dispatch(&mut whole.body));
+    }
+    if served.is_ok() {
+        // An end without a session has nothing to do any more.
+        let over = exchange(&socket, &robot, |end| end.wake().is_none());
+        let _ = timeout(FAREWELL, over).await;
+    }
+    served
+}
+
+/// Sends and receives until the robot's end is in a state in which it is over.
+async fn exchange(socket: &UdpSocket, robot: &CuboHandle, over: impl Fn(&End) -> bool) -> io::Result<()> {
     let mut buffer = vec![0; LONGEST];
     let mut out = vec![0; PACKET];
-    let mut was_up = false;
+    let mut was_up = robot.0.lock().end.is_up();
     loop {
         let wake = {
             let whole = &mut *robot.0.lock();
             while let Some(length) = whole.next(&mut out) {
-                if let (Some(to), Some(datagram)) = (whole.middle, out.get(..length)) {
-                    send(&socket, datagram, to)?;
+                let datagram = out.get(..length).unwrap_or_default();
+                if let Some(to) = whole.receiver(datagram) {
+                    send(socket, datagram, to);
                 }
             }
             if was_up != whole.end.is_up() {
@@ -113,6 +153,9 @@ pub async fn serve(
                     true => tracing::info!("a session began"),
                     false => tracing::info!("the session is over, and the robot rests"),
                 }
+            }
+            if over(&whole.end) {
+                return Ok(());
             }
             let wake = whole
                 .end
@@ -123,7 +166,6 @@ pub async fn serve(
         tokio::select! {
             ready = socket.readable() => ready?,
             () = sleep_until(wake) => {}
-            () = &mut shutdown => break,
         }
         for _ in 0..AT_ONCE {
             match socket.try_recv_from(&mut buffer) {
@@ -137,22 +179,14 @@ pub async fn serve(
             }
         }
     }
-    let whole = &mut *robot.0.lock();
-    let now = whole.now();
-    whole.end.end(now, &mut Dispatch(&mut whole.body));
-    while let Some(length) = whole.next(&mut out) {
-        if let (Some(to), Some(datagram)) = (whole.middle, out.get(..length)) {
-            send(&socket, datagram, to)?;
-        }
-    }
-    Ok(())
 }
 
-/// What the system has no room for is lost, as in the network.
-fn send(socket: &UdpSocket, datagram: &[u8], to: SocketAddr) -> io::Result<()> {
-    match socket.try_send_to(datagram, to) {
-        Err(error) if !is_passing(&error) => Err(error),
-        _ => Ok(()),
+/// What is not taken is lost, as in the network: an address that cannot be reached ends nothing.
+fn send(socket: &UdpSocket, datagram: &[u8], to: SocketAddr) {
+    if let Err(error) = socket.try_send_to(datagram, to)
+        && error.kind() != io::ErrorKind::WouldBlock
+    {
+        tracing::debug!(%to, %error, "a datagram was not sent");
     }
 }
 
@@ -168,4 +202,27 @@ fn is_passing(error: &io::Error) -> bool {
             | io::ErrorKind::PermissionDenied
             | io::ErrorKind::Interrupted
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use mom_rsp::middle::{Middle, Settings as Ends};
+    use mom_wheels::Pose;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn who_cannot_be_answered_is_not_heard() {
+        let body = Cubo::new(Pose::new(2500.0, 2500.0, 0.0)).unwrap();
+        let robot = CuboHandle::new(body, Settings::default()).unwrap();
+        let mut middle = Middle::new(&LAYOUT, Ends::default(), |bytes: &mut [u8]| bytes.fill(3)).unwrap();
+        middle.start(0);
+        let mut hello = middle.poll(0).unwrap().to_vec();
+        let whole = &mut *robot.0.lock();
+        whole.receive(&mut hello.clone(), "127.0.0.1:0".parse().unwrap());
+        assert_eq!(whole.middle, None);
+        let from = "127.0.0.1:7700".parse().unwrap();
+        whole.receive(&mut hello, from);
+        assert_eq!(whole.middle, Some(from));
+    }
 }
