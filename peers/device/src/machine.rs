@@ -46,6 +46,11 @@ pub trait Machine: fmt::Debug {
     /// Whether it is busy with something that no command began, or moves on after one.
     fn is_moving(&self) -> bool;
 
+    /// Whether a halt would change nothing: it does not move, and nothing that a command left behind goes on.
+    fn is_at_rest(&self) -> bool {
+        !self.is_moving()
+    }
+
     /// Checks a script from where the device will be after those that were planned before, and plans on from its end.
     ///
     /// # Errors

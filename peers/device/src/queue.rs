@@ -202,11 +202,14 @@ impl<M: Machine> CommandQueue<M> {
             .chain(&self.waiting)
             .map(|command| command.script.attached())
             .sum::<usize>();
-        if script.attached() > 0 && held + script.attached() > MAX_ATTACHED {
-            let text = format!(
-                "{held} bytes came with commands that wait already, and {} more are more than {MAX_ATTACHED}; try again when one has ended",
-                script.attached()
-            );
+        let more = script.attached();
+        if more > 0 && held + more > MAX_ATTACHED {
+            let text = match more > MAX_ATTACHED {
+                true => format!("{more} bytes came with the command, and {MAX_ATTACHED} at most are taken"),
+                false => format!(
+                    "{held} bytes came with commands that wait already, and {more} more are more than {MAX_ATTACHED}; try again when one has ended"
+                ),
+            };
             return Err(DeviceError::new(ErrorName::QueueFull, text));
         }
         Ok(())
@@ -255,6 +258,11 @@ impl<M: Machine> CommandQueue<M> {
         self.active.is_some() || !self.waiting.is_empty()
     }
 
+    /// Whether a halt would change nothing.
+    pub fn is_at_rest(&self) -> bool {
+        !self.is_busy() && self.machine.is_at_rest()
+    }
+
     /// Whose commands are being carried out or wait.
     pub fn orders(&self) -> impl Iterator<Item = &Order> {
         let active = self.active.iter().map(|active| &active.command);
@@ -265,7 +273,7 @@ impl<M: Machine> CommandQueue<M> {
     pub fn halt(&mut self, now: DeviceTime, reason: &str, events: &mut Vec<QueueEvent>) {
         self.advance(now, events);
         // What goes on after its command, as a wheel does, is halted too.
-        if self.is_busy() || self.machine.is_moving() {
+        if !self.is_at_rest() {
             let error = DeviceError::new(ErrorName::Halted, format!("{} was halted: {reason}", M::NAME));
             self.end(error.clone(), &error, events);
         }

@@ -1,6 +1,7 @@
 //! Scripts of a device (M47): statements separated by `;` or by a new line, comments from `#` on.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use mom_client::{Map, Value};
 
@@ -18,9 +19,9 @@ pub const MAX_WAIT: u32 = 60_000;
 
 const WAIT: &str = "wait";
 
-/// Bytes that come with a script, by the names that its statements use, such as sounds and pictures.
+/// Bytes that come with a script, by the names that its statements use, such as sounds and pictures. Statements share them.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Attachments(BTreeMap<String, Vec<u8>>);
+pub struct Attachments(BTreeMap<String, Arc<[u8]>>);
 
 impl Attachments {
     /// Those of a map of names to bytes.
@@ -30,7 +31,7 @@ impl Attachments {
     /// `syntax` for one that is not bytes.
     pub fn of(map: &Map) -> Result<Self, DeviceError> {
         let bytes = |(name, value): (&str, &Value)| match value {
-            Value::Binary(bytes) => Ok((name.to_owned(), bytes.to_vec())),
+            Value::Binary(bytes) => Ok((name.to_owned(), bytes[..].into())),
             _ => Err(DeviceError::new(
                 ErrorName::Syntax,
                 format!("the attachment `{name}` has to be bytes"),
@@ -42,7 +43,7 @@ impl Attachments {
     /// How many bytes they have.
     #[must_use]
     pub fn size(&self) -> usize {
-        self.0.values().map(Vec::len).sum()
+        self.0.values().map(|bytes| bytes.len()).sum()
     }
 
     /// The bytes of this name.
@@ -50,8 +51,8 @@ impl Attachments {
     /// # Errors
     ///
     /// `syntax` with the names that there are.
-    pub fn get(&self, name: &str) -> Result<&[u8], DeviceError> {
-        self.0.get(name).map(Vec::as_slice).ok_or_else(|| {
+    pub fn get(&self, name: &str) -> Result<Arc<[u8]>, DeviceError> {
+        self.0.get(name).cloned().ok_or_else(|| {
             let names: Vec<&str> = self.0.keys().map(String::as_str).collect();
             let text = match names.is_empty() {
                 true => format!("`{name}` did not come with the script: it has no attachments"),

@@ -41,6 +41,8 @@ pub struct DeviceServer<M: Machine> {
     told: Option<Map>,
     /// The newest fence that was heard of.
     fence: u64,
+    /// That of the command that was taken last, 0 for the hub's.
+    commanded: u64,
     /// What it asks for, if it does.
     pull: Option<Pull>,
 }
@@ -66,6 +68,7 @@ impl<M: Machine> DeviceServer<M> {
             states: StateGate::new(start),
             told: None,
             fence: 0,
+            commanded: 0,
             pull: None,
         }
     }
@@ -268,6 +271,7 @@ impl<M: Machine> DeviceServer<M> {
             let text = "a relative command is right in one place only: it has to name the state that it is based on, by that state's id in the slot `based-on`";
             return Err(DeviceError::new(ErrorName::NoState, text).into());
         }
+        let commanded = order.fence.unwrap_or(0);
         let command = Command {
             order,
             script,
@@ -276,6 +280,7 @@ impl<M: Machine> DeviceServer<M> {
         let mut taken = Ok(());
         self.act(out, |mount, events| taken = mount.submit(command, now, events));
         taken?;
+        self.commanded = commanded;
         if let Some(pull) = &mut self.pull {
             pull.renew(now);
         }
@@ -299,10 +304,11 @@ impl<M: Machine> DeviceServer<M> {
         }
     }
 
-    /// Ends what older owners have begun: its sender no longer owns the token.
+    /// Ends what older owners have begun, also what their commands left behind: its sender no longer owns the token.
     fn end_older(&mut self, fence: u64, now: DeviceTime, out: &mut Vec<Parcel>) {
         let is_older = |order: &Order| order.fence.is_some_and(|old| old < fence);
-        if self.queue.orders().any(is_older) {
+        let is_left = !self.queue.is_busy() && !self.queue.is_at_rest() && self.commanded < fence;
+        if is_left || self.queue.orders().any(is_older) {
             self.halt("the token changed hands", now, out);
         }
     }
