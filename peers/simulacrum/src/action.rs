@@ -165,7 +165,7 @@ impl Action {
     pub fn attach(&mut self, attachments: &Attachments) -> Result<(), DeviceError> {
         match self {
             Self::Play { sound: attached, .. } | Self::Show { bytes: attached, .. } => {
-                attached.bytes = attachments.get(&attached.name)?.into();
+                attached.bytes = attachments.get(&attached.name)?;
                 Ok(())
             }
             _ => Ok(()),

@@ -370,11 +370,9 @@ pub async fn serve(
     socket: UdpSocket,
     shutdown: impl Future<Output = ()>,
 ) -> io::Result<()> {
-    let now = robot.now();
-    robot.with(|middle| middle.start(now));
     let mut shutdown = std::pin::pin!(shutdown);
     tokio::select! {
-        ended = exchange(&robot, &socket, |_| false) => return ended,
+        failed = stay_linked(&robot, &socket) => return failed,
         () = &mut shutdown => {}
     }
     let now = robot.now();
@@ -389,17 +387,26 @@ pub async fn serve(
     Ok(())
 }
 
+/// Asks for a session, and for another one whenever the robot has ended one.
+async fn stay_linked(robot: &Simulacrum, socket: &UdpSocket) -> io::Result<()> {
+    loop {
+        let now = robot.now();
+        robot.with(|middle| middle.start(now));
+        exchange(robot, socket, |state| state == State::Idle).await?;
+    }
+}
+
 /// Sends and receives until the middle is in a state in which it is over.
 async fn exchange(robot: &Simulacrum, socket: &UdpSocket, over: impl Fn(State) -> bool) -> io::Result<()> {
     let mut buffer = vec![0; LONGEST];
     let mut datagram = Vec::with_capacity(2048);
     loop {
         while robot.next_datagram(&mut datagram) {
-            // A full buffer of the system loses it as the network might; a robot that is not there refuses it.
+            // What the system does not take is lost, as in the network; a robot that is not reached is silent, and lost by that.
             if let Err(error) = socket.try_send(&datagram)
                 && !is_passing(&error)
             {
-                return Err(error);
+                tracing::warn!(robot = robot.name(), %error, "a datagram was not sent");
             }
         }
         robot.dispatch();

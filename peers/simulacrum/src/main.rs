@@ -97,7 +97,14 @@ async fn main() -> anyhow::Result<()> {
     let options = SimulacrumOptions {
         manager: args.manager,
     };
-    let ended = run(client, lines, options, shutdown).await;
+    let ended = tokio::select! {
+        ended = run(client, lines, options, shutdown) => ended,
+        // Without its socket a robot is out of reach, and whoever starts programs may start this one anew.
+        Some(link) = links.join_next() => {
+            link?.context("a robot's socket failed")?;
+            anyhow::bail!("a robot's link has ended");
+        }
+    };
     let _ = stop.send(true);
     while let Some(link) = links.join_next().await {
         link?.context("a robot's socket failed")?;

@@ -107,9 +107,12 @@ impl Teller {
             if let Some(reading) = reading {
                 set_values(&mut map, "value", from_wire(element, reading.value));
                 known.since = Some(Duration::from_micros(now.saturating_sub(reading.at)));
+                // The packets of a robot say nothing of what is not active: its value grows old.
+                let is_told = element.kind == Kind::Effector || middle.active(place);
                 known.age = middle
                     .heard_at()
-                    .map(|at| Duration::from_micros(now.saturating_sub(at.max(reading.at))));
+                    .map(|at| if is_told { at.max(reading.at) } else { reading.at })
+                    .map(|at| Duration::from_micros(now.saturating_sub(at)));
             }
         });
         let units: Vec<Value> = element

@@ -4,7 +4,7 @@ use mom_client::Map;
 use mom_device::{Attachments, DeviceError, DeviceTime, ErrorName, Machine, Script, Word, Words};
 use mom_rover::Rover;
 use mom_rsp::middle::Notice;
-use mom_rsp::{Kind, Payload, Refused, Sound};
+use mom_rsp::{Kind, Motion, Payload, Refused, Sound};
 use mom_rsp_model::ModelElement;
 use mom_sound::{Clip, Encoder, SoundError};
 use mom_wheels::Chassis;
@@ -25,6 +25,10 @@ pub struct Mirror {
     doing: Doing,
     /// The sound that is played, whatever else is done.
     playing: Option<Playing>,
+    /// An effector may have another value than its safe one, by a statement that is done.
+    is_set: bool,
+    /// Effectors that are switched off until the robot has confirmed it, so that they forget the steps that they have not made.
+    held: Vec<u8>,
     failure: Option<DeviceError>,
 }
 
@@ -59,6 +63,8 @@ impl Mirror {
             now: 0,
             doing: Doing::Nothing,
             playing: None,
+            is_set: false,
+            held: Vec::new(),
             failure: None,
         };
         mirror.rest();
@@ -100,12 +106,28 @@ impl Mirror {
                     "{name} was lost before it acknowledged it: it was executed once, or not at all, and is not sent again"
                 ))
             }
+            Notice::Active {
+                element,
+                active: false,
+            } if self.held.contains(element) => {
+                self.held.retain(|held| held != element);
+                if let Err(error) = self.robot.with(|middle| middle.set_activated(*element, true)) {
+                    tracing::error!(robot = name, element, %error, "it stays switched off");
+                }
+                self.robot.hurry();
+                Ok(())
+            }
             // What was written before is forgotten, and the robot rests.
             Notice::Up => {
+                self.held.clear();
                 self.rest();
                 Ok(())
             }
-            Notice::Lost | Notice::Ended => {
+            Notice::Ended => {
+                self.stand();
+                lost(format!("{name} has ended its session, and rests"))
+            }
+            Notice::Lost => {
                 self.stand();
                 lost(format!(
                     "{name} is lost: nothing was heard of it for too long, and its watchdog has it rest"
@@ -123,22 +145,37 @@ impl Mirror {
 
     /// Has all effectors take their safe values.
     fn rest(&mut self) {
-        for (place, element) in (0..).zip(self.robot.model().elements()) {
+        let robot = self.robot.clone();
+        for (place, element) in (0..).zip(robot.model().elements()) {
             if element.kind == Kind::Effector {
                 self.write_safe(place, element);
             }
         }
+        self.is_set = false;
     }
 
-    fn write_safe(&self, place: u8, element: &ModelElement) {
-        // What was never written is safe already, and pictures and sounds end by themselves.
+    fn write_safe(&mut self, place: u8, element: &ModelElement) {
+        // Pictures and sounds end by themselves.
         if element.quantities.is_empty() || !self.robot.is_up() {
             // Without a session the robot has its safe values already.
             return;
         }
-        if let Err(error) = self.robot.write(place, &element.safe) {
+        let taken = match element.motion {
+            Motion::Absolute { .. } => self.robot.write(place, &element.safe),
+            Motion::Incremental { .. } => self.hold(place),
+        };
+        if let Err(error) = taken {
             tracing::error!(robot = self.robot.name(), element = element.name, %error, "a safe value was not taken");
         }
+    }
+
+    /// An effector that moves by steps makes none of those that it was told and has not made yet: a step of 0 would not take them back.
+    fn hold(&mut self, place: u8) -> Result<(), Refused> {
+        if !self.is_set || !self.robot.with(|middle| middle.activated(place)) {
+            return Ok(());
+        }
+        self.held.push(place);
+        self.robot.with(|middle| middle.set_activated(place, false))
     }
 
     fn stand(&mut self) {
@@ -283,6 +320,7 @@ impl Mirror {
         let taken = match action {
             Action::Set { settings, ms } => {
                 let mut places = Vec::new();
+                self.is_set = true;
                 for setting in settings {
                     let (place, bytes) = self.value(setting, is_effector, "the effectors")?;
                     self.robot
@@ -369,6 +407,10 @@ impl Machine for Mirror {
         drives || matches!(self.doing, Doing::Set(..) | Doing::Command(_))
     }
 
+    fn is_at_rest(&self) -> bool {
+        !self.is_moving() && !self.is_set && self.playing.is_none()
+    }
+
     fn plan(&mut self, script: &Script<Action>) -> Result<(), DeviceError> {
         for (action, number) in script.actions() {
             self.check(action).map_err(|error| error.at_statement(number))?;
@@ -422,8 +464,10 @@ impl Machine for Mirror {
         }
         if let Some(playing) = &mut self.playing {
             let sent = playing.advance(&self.robot, now);
-            if let Err(error) = sent {
+            if sent.is_err() || playing.next_wake().is_none() {
                 self.playing = None;
+            }
+            if let Err(error) = sent {
                 self.failure = self.failure.take().or(Some(error));
             }
         }
@@ -431,9 +475,10 @@ impl Machine for Mirror {
         if let Doing::Set(until, places) = &self.doing
             && now > *until
         {
+            let (robot, places) = (self.robot.clone(), places.clone());
             for place in places {
-                if let Some(element) = self.robot.model().elements().get(usize::from(*place)) {
-                    self.write_safe(*place, element);
+                if let Some(element) = robot.model().elements().get(usize::from(place)) {
+                    self.write_safe(place, element);
                 }
             }
             self.doing = Doing::Nothing;
@@ -477,13 +522,14 @@ impl Machine for Mirror {
 
 impl Mirror {
     /// What was set for a time rests, unless it is set anew.
-    fn end_set(&self, places: &[u8], next: &Action) {
+    fn end_set(&mut self, places: &[u8], next: &Action) {
         let again: &[Setting] = match next {
             Action::Set { settings, .. } => settings,
             _ => &[],
         };
+        let robot = self.robot.clone();
         for place in places {
-            let Some(element) = self.robot.model().elements().get(usize::from(*place)) else {
+            let Some(element) = robot.model().elements().get(usize::from(*place)) else {
                 continue;
             };
             if again.iter().all(|setting| setting.element != element.name) {

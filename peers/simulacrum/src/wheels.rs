@@ -30,7 +30,9 @@ pub fn chassis(model: &Model, wheel_base: f64) -> Result<Chassis, SetupError> {
 }
 
 fn is_speed(element: &ModelElement) -> bool {
-    element.quantity(0).is_some_and(|quantity| quantity.unit == "mm/s")
+    element
+        .quantity(0)
+        .is_some_and(|quantity| quantity.unit == "mm/s")
 }
 
 /// The wheels of a robot whose model has the effectors `left-wheel` and `right-wheel`, in mm/s.
@@ -127,7 +129,12 @@ impl Driver for Wheels {
     }
 
     fn sensors(&mut self, _at: WheelTime) -> Result<Sensors, DriverError> {
-        let value = |element: u8, part: usize| self.robot.read(element)?.values.get(part).copied();
+        // What a sensor said before it was switched off says nothing of now.
+        let value = |element: u8, part: usize| {
+            let is_active = self.robot.with(|middle| middle.active(element));
+            let known = self.robot.read(element).filter(|_| is_active)?;
+            known.values.get(part).copied()
+        };
         let pose = self.pose.and_then(|(element, [x, y, heading])| {
             Some(Pose::new(
                 value(element, x)?,
@@ -180,7 +187,10 @@ mod tests {
         assert_eq!((wide.wheel_base, wide.full_speed), (400.0, 300.0));
         assert!(wide.full_turn() < Chassis::CUBO.full_turn());
         assert!(chassis(&cart, 1.0).is_err());
-        let percent = model("unit = \"%\"\nrange = [-100, 100]", "unit = \"%\"\nrange = [-100, 100]");
+        let percent = model(
+            "unit = \"%\"\nrange = [-100, 100]",
+            "unit = \"%\"\nrange = [-100, 100]",
+        );
         let other = chassis(&percent, 170.0).unwrap();
         assert_eq!(other, Chassis::CUBO, "percent are no speed");
     }

@@ -1,7 +1,7 @@
 //! The Robot API (S7, S8) of a mirror whose robot is a simulated CUBO, over a socket.
 
 use std::future::pending;
-use std::net::Ipv4Addr;
+use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::mpsc;
 use std::time::Duration;
 
@@ -13,34 +13,47 @@ use mom_device::{Attachments, Command, CommandQueue, ErrorName, MAX_ATTACHED, Ma
 use mom_rsp::middle::{Notice, Settings};
 use mom_rsp::{Direction, Header, Item, Items, Type, robot};
 use mom_rsp_model::Model;
-use mom_simulacrum::{Mirror, Simulacrum, serve, to_wire};
-use mom_wheels::{Chassis, Pose};
+use mom_simulacrum::{Action, Mirror, Simulacrum, Wheels, serve, to_wire};
+use mom_wheels::{Chassis, Driver as _, Pose};
 use tokio::net::UdpSocket;
+use tokio::sync::oneshot;
 use tokio::time::timeout;
 
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// A robot that is served, and its mirror once there is a session.
-async fn pair() -> (CuboHandle, Simulacrum) {
-    let robot = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await.expect("a port");
-    let middle = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await.expect("a port");
-    let address = robot.local_addr().expect("it has one");
-    middle.connect(address).await.expect("a way");
+fn cubo() -> CuboHandle {
     let body = Cubo::new(Pose::new(1000.0, 2000.0, 90.0)).expect("a place");
     let settings = robot::Settings {
         watchdog: 5000,
         ..robot::Settings::default()
     };
-    let cubo = CuboHandle::new(body, settings).expect("settings");
-    tokio::spawn(mom_cubo::serve(robot, cubo.clone(), pending()));
+    CuboHandle::new(body, settings).expect("settings")
+}
+
+fn mirror() -> Simulacrum {
     let settings = Settings {
         silence: 5000,
         ..Settings::default()
     };
     let model = Model::read(mom_cubo::MODEL).expect("a model");
-    let mirror = Simulacrum::new("cubo", model, settings).expect("settings");
+    Simulacrum::new("cubo", model, settings).expect("settings")
+}
+
+/// A middle's socket, connected to a robot's.
+async fn connected(address: SocketAddr) -> UdpSocket {
+    let middle = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await.expect("a port");
+    middle.connect(address).await.expect("a way");
+    middle
+}
+
+/// A robot that is served, and its mirror once there is a session.
+async fn pair() -> (CuboHandle, Simulacrum) {
+    let robot = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await.expect("a port");
+    let address = robot.local_addr().expect("it has one");
+    let (cubo, mirror) = (cubo(), mirror());
+    tokio::spawn(mom_cubo::serve(robot, cubo.clone(), pending()));
     let mut notices = mirror.notices();
-    tokio::spawn(serve(mirror.clone(), middle, pending()));
+    tokio::spawn(serve(mirror.clone(), connected(address).await, pending()));
     let up = async { while *notices.recv().await.expect("it lives") != Notice::Up {} };
     timeout(PATIENCE, up).await.expect("there is a session");
     (cubo, mirror)
@@ -109,6 +122,65 @@ async fn listeners_are_called_as_an_event_is_heard_and_once() {
     })
     .await;
     assert!(heard.try_recv().is_err(), "each event once");
+}
+
+/// A robot whose program ends its session and begins anew is mirrored again, and is not taken for lost meanwhile (S23).
+#[tokio::test(flavor = "multi_thread")]
+async fn a_robot_that_ended_its_session_is_asked_again() {
+    let (socket, mirror) = (
+        UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await.expect("a port"),
+        mirror(),
+    );
+    let address = socket.local_addr().expect("it has one");
+    let (stop, stopped) = oneshot::channel::<()>();
+    let first = cubo();
+    let ended = tokio::spawn(mom_cubo::serve(socket, first.clone(), async move {
+        let _ = stopped.await;
+    }));
+    let mut notices = mirror.notices();
+    tokio::spawn(serve(mirror.clone(), connected(address).await, pending()));
+    let mut until = async |wanted: Notice| {
+        let heard = async { while *notices.recv().await.expect("it lives") != wanted {} };
+        timeout(PATIENCE, heard)
+            .await
+            .unwrap_or_else(|_| panic!("{wanted:?} is noticed"));
+    };
+    until(Notice::Up).await;
+    // The robot's session begins by the packet after that.
+    while !first.look(|_, end| end.is_up()) {
+        tokio::task::yield_now().await;
+    }
+    stop.send(()).expect("it is served");
+    until(Notice::Ended).await;
+    ended.await.expect("it ends").expect("by itself");
+    let again = UdpSocket::bind(address).await.expect("the same port");
+    tokio::spawn(mom_cubo::serve(again, cubo(), pending()));
+    until(Notice::Up).await;
+}
+
+/// The refusal of another model reaches who asked, with the names of what differs (part 2).
+#[tokio::test(flavor = "multi_thread")]
+async fn another_model_is_refused_by_the_names_of_its_elements() {
+    let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await.expect("a port");
+    let address = socket.local_addr().expect("it has one");
+    tokio::spawn(mom_cubo::serve(socket, cubo(), pending()));
+    let model = mom_cubo::MODEL.replacen("range = [-500, 500]", "range = [-400, 400]", 1);
+    let model = Model::read(&model).expect("a model");
+    let mirror = Simulacrum::new("cubo", model, Settings::default()).expect("settings");
+    let mut notices = mirror.notices();
+    tokio::spawn(serve(mirror, connected(address).await, pending()));
+    let refused = timeout(PATIENCE, async {
+        loop {
+            if let Notice::Refused(refusal) = &*notices.recv().await.expect("it lives") {
+                return format!("{refusal:?}");
+            }
+        }
+    });
+    let refused = refused.await.expect("it is refused");
+    assert!(
+        refused.contains("left-wheel") && !refused.contains("joints"),
+        "{refused}"
+    );
 }
 
 /// A middle and a robot in virtual time, with nothing between them.
@@ -202,6 +274,105 @@ fn safe_values_are_on_their_way_within_two_periods_of_a_halt() {
     }
 }
 
+/// What a statement left set when it was done rests at a halt, as what goes on does.
+#[test]
+fn a_halt_ends_what_a_statement_left() {
+    let mut bench = Bench::new();
+    let now = i64::try_from(bench.now).expect("not so late");
+    let script = Script::read::<Mirror>("set joints 30 -20 10").expect("a script");
+    let (action, _) = script.actions().next().expect("one");
+    assert!(bench.machine.is_at_rest());
+    bench.machine.begin(action, now).expect("it begins");
+    assert_eq!(bench.machine.done_at(), Some(now));
+    let (joints, _) = bench.mirror.element("joints").expect("CUBO has them");
+    assert!(!bench.machine.is_moving() && !bench.machine.is_at_rest());
+    bench.machine.halt(now);
+    assert!(bench.machine.is_at_rest());
+    assert_eq!(bench.mirror.wanted(joints), Some(vec![0.0, 0.0, 0.0]));
+}
+
+/// Remembers how far the turret of figure 8's robot was turned.
+struct Turret(i64);
+
+impl robot::Body for Turret {
+    fn random(&mut self, bytes: &mut [u8]) {
+        bytes.fill(5);
+    }
+
+    fn effector(&mut self, element: u8, value: &[u8]) {
+        if element == 2 {
+            self.0 += i64::from(i16::from_be_bytes(value.try_into().expect("two bytes")));
+        }
+    }
+
+    fn command(&mut self, _: u8, _: &[u8]) {}
+}
+
+/// What moves by steps makes no more of them after a halt, though it had many left (S12).
+#[test]
+fn a_halt_ends_the_steps_that_were_not_made() {
+    let model = Model::read(include_str!("../../../config/ir-robot.toml")).expect("a model");
+    let layout = model.clone().into_layout();
+    let mut end = robot::Robot::<8, 128, 4, 64>::new(&layout, robot::Settings::default()).expect("it fits");
+    let mirror = Simulacrum::new("ir", model, Settings::default()).expect("settings");
+    let mut machine = Mirror::new(mirror.clone(), Chassis::CUBO, None);
+    let mut turret = Turret(0);
+    mirror.with(|middle| middle.start(0));
+    let mut pass = |machine: &mut Mirror, turret: &mut Turret, ms: std::ops::Range<u64>| {
+        let mut out = [0; 2048];
+        for now in ms.map(|ms| ms * 1000) {
+            machine.advance(i64::try_from(now).expect("not so late"));
+            while let Some(mut datagram) = mirror.with(|middle| middle.poll(now).map(<[u8]>::to_vec)) {
+                end.receive(now, &mut datagram, turret).expect("it is taken");
+            }
+            while let Some(length) = end.poll(now, &mut out, turret) {
+                let datagram = out.get_mut(..length).expect("it was written");
+                let heard = mirror.with(|middle| middle.receive(now, datagram));
+                heard.expect("it is taken");
+            }
+            while let Some(notice) = mirror.with(mom_rsp::middle::Middle::next_notice) {
+                machine.heard(&notice).expect("nothing is lost");
+            }
+        }
+        turret.0
+    };
+    pass(&mut machine, &mut turret, 0..100);
+    let script = Script::read::<Mirror>("set turret 300").expect("a script");
+    let (action, _) = script.actions().next().expect("one");
+    machine.begin(action, 100_000).expect("it begins");
+    let turned = pass(&mut machine, &mut turret, 100..400);
+    assert!((50..1000).contains(&turned), "{turned}");
+    machine.halt(400_000);
+    let at_most = pass(&mut machine, &mut turret, 400..440);
+    let stood = pass(&mut machine, &mut turret, 440..1400);
+    assert_eq!(stood, at_most, "it stands within 2 T");
+    // The next owner can turn it.
+    let script = Script::read::<Mirror>("set turret -1").expect("a script");
+    let (action, _) = script.actions().next().expect("one");
+    machine.begin(action, 1_400_000).expect("it is active again");
+    assert!(pass(&mut machine, &mut turret, 1400..1600) < stood);
+}
+
+/// A place that a sensor said before it was switched off is not where the robot is.
+#[test]
+fn what_is_switched_off_tells_no_place() {
+    let mut bench = Bench::new();
+    let (pose, _) = bench.mirror.element("pose").expect("CUBO has it");
+    let place = |bench: &Bench| {
+        let mut wheels = Wheels::of(&bench.mirror, Chassis::CUBO).expect("CUBO has wheels");
+        wheels.sensors(0).expect("there is a session").pose
+    };
+    while place(&bench).is_none() {
+        bench.step();
+    }
+    let switched = bench.mirror.with(|middle| middle.set_activated(pose, false));
+    switched.expect("there is a session");
+    while bench.mirror.with(|middle| middle.active(pose)) {
+        bench.step();
+    }
+    assert_eq!(place(&bench), None);
+}
+
 /// What waits with its sounds and pictures is bounded, so that no owner fills the memory of a middle that others need.
 #[test]
 fn so_many_attachments_wait_and_no_more() {
@@ -227,4 +398,20 @@ fn so_many_attachments_wait_and_no_more() {
     submit(half).expect("there is room");
     let full = submit(1).expect_err("there is none");
     assert_eq!(full.name(), ErrorName::QueueFull, "{full}");
+}
+
+#[test]
+fn statements_share_the_bytes_of_an_attachment() {
+    let face = Map::new().with("face", Value::Binary(vec![1; 1000].into()));
+    let attachments = Attachments::of(&face).expect("bytes");
+    let script = "show lcd face\n".repeat(1000);
+    let script = Script::read_with::<Mirror>(&script, &attachments).expect("a script");
+    let shown = script.actions().map(|(action, _)| match action {
+        Action::Show { bytes, .. } => bytes.bytes.as_ptr(),
+        other => panic!("{other:?}"),
+    });
+    let mut shown: Vec<_> = shown.collect();
+    assert_eq!(shown.len(), 1000);
+    shown.dedup();
+    assert_eq!(shown.len(), 1, "no statement has a copy of its own");
 }

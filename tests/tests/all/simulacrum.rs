@@ -181,7 +181,12 @@ async fn the_mirror_tells_what_is_wanted_and_what_is_confirmed() {
     let packet = message(&mut events, "packet", |packet| packet.get("error").is_some()).await;
     let error = packet.get("error").and_then(Value::as_int).expect("µs");
     assert!(error < 500_000, "the clock is known to {error} µs");
+    // What a command that is done has left set rests too, when nobody owns it any more.
     guard.release().await.expect("it was had");
+    message(&mut events, "joints", |joints| {
+        first(joints, "value") == Some(0.0)
+    })
+    .await;
 }
 
 /// S4: who may drive has code made of a model by the robot's middle, as the console's modeller does; a guest does not.
