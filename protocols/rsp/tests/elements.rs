@@ -351,6 +351,30 @@ fn blobs_go_in_parts_behind_the_packets_and_never_delay_them() {
 }
 
 #[test]
+fn sound_does_not_wait_for_a_picture() {
+    let mut world = World::up(Settings::default());
+    world.middle.send_blob(LCD, &[1; 5000]).expect("it fits");
+    world.run(30);
+    for block in [2, 3] {
+        world.middle.send_blob(SPEAKER, &[block; 900]).expect("it fits");
+    }
+    world.run(300);
+    let parts: Vec<(u8, u8)> = world
+        .told
+        .fragments
+        .iter()
+        .map(|(element, _, _, bytes)| (*element, bytes[0]))
+        .collect();
+    let at = |part: (u8, u8)| parts.iter().rposition(|other| *other == part).expect("it came");
+    assert!(at((SPEAKER, 2)) < at((SPEAKER, 3)), "in order: {parts:?}");
+    assert!(
+        at((SPEAKER, 3)) + 2 < at((LCD, 1)),
+        "before the rest of the picture: {parts:?}"
+    );
+    assert_eq!(parts.len(), 11 + 2 + 2);
+}
+
+#[test]
 fn blobs_of_the_robot_are_put_together_and_incomplete_ones_counted() {
     let mut world = World::up(Settings::default());
     let picture: Vec<u8> = (0..3000_u32).map(|at| (at / 7) as u8).collect();

@@ -17,7 +17,7 @@ struct Leaving {
     offset: usize,
 }
 
-/// The blobs that wait to be sent, in order.
+/// The blobs that wait to be sent, those of one element in order.
 #[derive(Default)]
 pub(super) struct Outgoing {
     waiting: VecDeque<Leaving>,
@@ -46,9 +46,17 @@ impl Outgoing {
         self.waiting.clear();
     }
 
-    /// Hands the next part to `send`.
+    /// Hands the next part to `send`: of the blob that has the least to be sent, so that sound need not wait for a picture.
     pub(super) fn next<R>(&mut self, send: impl FnOnce(Fragment<'_>) -> R) -> Option<R> {
-        let leaving = self.waiting.front_mut()?;
+        let first = |place: usize, leaving: &Leaving| {
+            let before = self.waiting.iter().take(place);
+            before.into_iter().all(|other| other.element != leaving.element)
+        };
+        let all = self.waiting.iter().enumerate();
+        let (place, _) = all
+            .filter(|(place, leaving)| first(*place, leaving))
+            .min_by_key(|(_, leaving)| leaving.bytes.len() - leaving.offset)?;
+        let leaving = self.waiting.get_mut(place)?;
         let rest = leaving.bytes.get(leaving.offset..)?;
         let bytes = rest.get(..FRAGMENT).unwrap_or(rest);
         let fragment = Fragment {
@@ -61,7 +69,7 @@ impl Outgoing {
         let result = send(fragment);
         leaving.offset += bytes.len();
         if leaving.offset >= leaving.bytes.len() {
-            self.waiting.pop_front();
+            self.waiting.remove(place);
         }
         Some(result)
     }
