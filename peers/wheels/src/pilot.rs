@@ -203,6 +203,8 @@ impl Pilot {
             Err(error) => {
                 // Whether this can be done or not, the first error is the one to tell.
                 let _stopped = driver.set_motors(Motors::STOP, at);
+                // Who looks again at once would do nothing else.
+                self.due = at.saturating_add(PERIOD);
                 return Err(error);
             }
         };
@@ -400,8 +402,10 @@ mod tests {
         let mut blind = Blind {
             motors: Motors::new(300, 300),
         };
-        let error = pilot(&[AHEAD]).drive(&mut blind, 0).expect_err("it is blind");
+        let mut pilot = pilot(&[AHEAD]);
+        let error = pilot.drive(&mut blind, 7000).expect_err("it is blind");
         assert_eq!((error.fault(), blind.motors), (Fault::Sensors, Motors::STOP));
+        assert_eq!(pilot.next_wake(), Some(7000 + PERIOD), "it is asked again later");
     }
 
     /// mm that a start or a point keeps from where a wall would be touched.
