@@ -11,7 +11,7 @@ use mom_client::{Channel, Client, ClientError};
 use mom_device::{DeviceError, DevicePeer, ErrorName, Machine as _};
 use mom_fleet::{StatusTeller, ensure_session, enter, enter_status};
 use tokio::sync::watch;
-use tokio::task::JoinSet;
+use tokio::task::{JoinSet, yield_now};
 use tokio::time::{Instant, sleep_until};
 
 use crate::Unit;
@@ -185,6 +185,11 @@ impl Robot {
     async fn drive(mut self, mut stopping: watch::Receiver<bool>) {
         loop {
             self.send();
+            if self.device.machine().has_to_send() {
+                // What has been said goes out before more is, which would have no place otherwise.
+                yield_now().await;
+                continue;
+            }
             let told = self.tell().await;
             tokio::select! {
                 biased;
@@ -266,6 +271,7 @@ impl Robot {
                 }
             }
         }
+        self.device.note(Unit::sent);
     }
 
     /// Tells of it in the fleet's channel; when to look again.

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use mom_base_station::circuit::{Note, Options, State};
+use mom_base_station::circuit::{Note, Options, State, Taken};
 use mom_base_station::log::Entry;
 use mom_base_station::station::{Settings, Station};
 use tokio::sync::broadcast::Receiver;
@@ -42,10 +42,11 @@ pub fn lines(station: &Station) -> Vec<RobotWire> {
             group: snapshot.robot.group.clone(),
             heard: Heard::new(entries, is_up),
             send: Box::new(move |frame| {
-                station
-                    .send(unit, frame)
-                    .map(drop)
-                    .map_err(|error| error.to_string())
+                let taken = station.send(unit, frame).map_err(|error| error.to_string())?;
+                if let Taken::Replaced(dropped) = taken {
+                    tracing::warn!(unit, dropped, %frame, "commands that waited for the robot are not sent: this one overrides them");
+                }
+                Ok(())
             }),
             give_up: Box::new(move || {
                 // It is one of them.

@@ -161,7 +161,7 @@ struct Up {
     parser: Parser,
     /// When the last bytes came.
     last_bytes: i64,
-    /// Whether the robot has said anything.
+    /// Whether the robot has said anything but who holds it.
     heard: bool,
     /// Since when nothing can be written.
     blocked: Option<i64>,
@@ -512,7 +512,8 @@ impl Circuit {
                 _ => {}
             }
             self.round_trip = round_trip.or(self.round_trip);
-            if !up.heard {
+            // A robot that says who holds it closes next: it takes no commands, and to be tried at once would be in vain.
+            if !up.heard && frame.code() != Code::HOLDER {
                 up.heard = true;
                 self.failed = 0;
                 self.backoff.reset();

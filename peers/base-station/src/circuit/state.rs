@@ -14,7 +14,7 @@ pub enum State {
     /// A connection is wanted and there is none: one is being made, or the next attempt waits for its time.
     Trying,
     /// The TCP connection is up, and the robot does not take commands: it has said nothing yet (a NULL is under way; a
-    /// listening robot that serves somebody else lets TCP connect too), or takes no more bytes.
+    /// listening robot that serves somebody else lets TCP connect too), or only who holds it, or takes no more bytes.
     Connected,
     /// The TCP connection is up, the robot has said something, and bytes can be written: it takes commands.
     Writable,
@@ -100,6 +100,6 @@ pub enum Refusal {
 pub enum Taken {
     /// It goes out, after those that wait.
     Queued,
-    /// So much waits that it has taken the place of a MOTOR that waited.
-    Replaced,
+    /// It goes out, and so many commands that waited do not: it overrides them, or has taken the place of one.
+    Replaced(usize),
 }

@@ -174,6 +174,43 @@ fn attempts_come_after_half_a_second_doubling_to_ten() {
     }
 }
 
+/// What a robot says before it closes, as it has a base station already, is no success.
+#[test]
+fn a_robot_that_says_who_holds_it_is_never_writable_and_tried_ever_more_seldom() {
+    let options = Options {
+        attempts: Some(5),
+        ..Options::default()
+    };
+    let mut circuit = Circuit::new(&EXTENDED, options, 1);
+    take(&mut circuit, 0, Input::Connect);
+    let mut now = 0;
+    for most in [500, 1000, 2000, 4000] {
+        take(&mut circuit, now, Input::Connected);
+        take(&mut circuit, now, Input::Bytes(b"90 00192 00168 00001 00020"));
+        assert_eq!(circuit.state(), State::Connected);
+        let refusal = Refusal::NotWritable(State::Connected);
+        assert_eq!(circuit.send(frame("motor", &[1, 1])), Err(refusal));
+        assert_eq!(circuit.halt(), Err(refusal));
+        take(&mut circuit, now, Input::Ended(End::Closed));
+        let pause = circuit.next_wake().unwrap() - now;
+        assert!(
+            (most * MS * 4 / 5..=most * MS).contains(&pause),
+            "{pause} of {most}"
+        );
+        now += pause;
+        take(&mut circuit, now, Input::Time);
+    }
+    take(&mut circuit, now, Input::Connected);
+    take(&mut circuit, now, Input::Bytes(b"90 00192 00168 00001 00020"));
+    take(&mut circuit, now, Input::Ended(End::Closed));
+    assert_eq!(circuit.state(), State::Disconnected, "these were all attempts");
+    assert!(
+        all(&mut circuit, now)
+            .iter()
+            .all(|output| !matches!(output, Output::Note(Note::State(State::Writable)))),
+    );
+}
+
 #[test]
 fn robots_of_other_seeds_pause_otherwise_and_the_same_seed_alike() {
     let pause = |seed| {
@@ -264,7 +301,7 @@ fn nothing_is_sent_to_a_robot_that_has_not_spoken_and_nothing_waits_for_the_next
 }
 
 #[test]
-fn beyond_64_a_motor_replaces_the_newest_that_waits_and_others_are_refused() {
+fn in_a_full_queue_a_motor_replaces_the_newest_that_waits_and_others_are_refused() {
     let mut circuit = writable();
     circuit.take(1, Input::Blocked);
     circuit.send(frame("motor", &[1, 1])).unwrap();
@@ -273,7 +310,7 @@ fn beyond_64_a_motor_replaces_the_newest_that_waits_and_others_are_refused() {
         assert_eq!(circuit.send(frame("leds", &[1])), Ok(Taken::Queued));
     }
     assert_eq!(circuit.send(frame("leds", &[2])), Err(Refusal::Full));
-    assert_eq!(circuit.send(frame("motor", &[3, 3])), Ok(Taken::Replaced));
+    assert_eq!(circuit.send(frame("motor", &[3, 3])), Ok(Taken::Replaced(1)));
     assert_eq!(circuit.waiting(), MOST_WAITING);
     circuit.take(2, Input::Unblocked);
     let frames = written(&mut circuit, 2);
@@ -281,6 +318,52 @@ fn beyond_64_a_motor_replaces_the_newest_that_waits_and_others_are_refused() {
         frames.starts_with("06 00001 00001|06 00003 00003|07 00001|"),
         "{frames}"
     );
+}
+
+/// Else the robot would stand, and then drive off.
+#[test]
+fn a_stop_drops_the_motion_that_waits_and_goes_after_the_rest() {
+    for full in [false, true] {
+        let mut circuit = writable();
+        circuit.take(1, Input::Blocked);
+        for (name, values) in [
+            ("motor", &[1, 1][..]),
+            ("leds", &[1]),
+            ("goto", &[1, 1]),
+            ("via", &[2, 2]),
+            ("pose", &[]),
+        ] {
+            circuit.send(frame(name, values)).unwrap();
+        }
+        while full && circuit.waiting() < MOST_WAITING {
+            circuit.send(frame("via", &[3, 3])).unwrap();
+        }
+        let dropped = circuit.waiting() - 2;
+        let stop = frame("motor", &[0, 0]);
+        assert_eq!(circuit.send(stop), Ok(Taken::Replaced(dropped)));
+        // A stop that waits is dropped for the next one, too.
+        assert_eq!(circuit.send(stop), Ok(Taken::Replaced(1)));
+        circuit.send(frame("goto", &[4, 4])).unwrap();
+        circuit.take(2, Input::Unblocked);
+        assert_eq!(
+            written(&mut circuit, 2),
+            "07 00001|12|06 00000 00000|10 00004 00004"
+        );
+    }
+}
+
+#[test]
+fn a_stop_has_its_place_in_a_queue_that_is_full_of_other_commands() {
+    let mut circuit = writable();
+    circuit.take(1, Input::Blocked);
+    while circuit.send(frame("leds", &[1])).is_ok() {}
+    let stop = frame("motor", &[0, 0]);
+    assert_eq!(circuit.send(stop), Ok(Taken::Queued));
+    assert_eq!(circuit.send(stop), Ok(Taken::Replaced(1)));
+    assert_eq!(circuit.send(frame("leds", &[1])), Err(Refusal::Full));
+    assert_eq!(circuit.waiting(), MOST_WAITING + 1);
+    circuit.take(2, Input::Unblocked);
+    assert!(written(&mut circuit, 2).ends_with("|07 00001|06 00000 00000"));
 }
 
 #[test]
@@ -417,6 +500,7 @@ fn step() -> impl Strategy<Value = Step> {
         Just(Step::Wake),
         (0..20 * SECOND).prop_map(Step::Wait),
         Just(Step::Send(frame("motor", &[1, 2]))),
+        Just(Step::Send(frame("motor", &[0, 0]))),
         Just(Step::Send(frame("null", &[]))),
         Just(Step::Send(frame("leds", &[7]))),
         Just(Step::Halt),
@@ -464,7 +548,7 @@ proptest! {
                 }
             }
             prop_assert!(told.is_none_or(|told| told == circuit.state()));
-            prop_assert!(circuit.waiting() <= MOST_WAITING);
+            prop_assert!(circuit.waiting() <= MOST_WAITING + 1);
             prop_assert_eq!(circuit.next_wake().is_none(), circuit.state() == State::Disconnected);
             prop_assert!(circuit.next_wake().is_none_or(|wake| wake > now), "it would spin");
         }

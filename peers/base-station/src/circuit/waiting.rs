@@ -6,10 +6,10 @@ use mom_brs::{Code, Frame};
 
 use super::{Refusal, Taken};
 
-/// The most commands that wait for one robot.
-pub const MOST_WAITING: usize = 64;
+/// The most commands that wait for one robot, but for a stop: a way of 64 points, with a stop before and questions after it.
+pub const MOST_WAITING: usize = 96;
 
-/// A bounded queue, in which a newer MOTOR takes the place of a waiting one when it is full.
+/// A bounded queue, in which a newer MOTOR takes the place of a waiting one when it is full. One more place is for a stop.
 #[derive(Debug, Default)]
 pub(super) struct Waiting {
     frames: VecDeque<Frame>,
@@ -26,6 +26,9 @@ impl Waiting {
     }
 
     pub(super) fn push(&mut self, frame: Frame) -> Result<Taken, Refusal> {
+        if frame.code() == Code::MOTOR && frame.values() == [0, 0] {
+            return Ok(self.stop(frame));
+        }
         if self.frames.len() < MOST_WAITING {
             self.frames.push_back(frame);
             return Ok(Taken::Queued);
@@ -36,9 +39,23 @@ impl Waiting {
         match newest {
             Some(waiting) if is_motor(&frame) => {
                 *waiting = frame;
-                Ok(Taken::Replaced)
+                Ok(Taken::Replaced(1))
             }
             _ => Err(Refusal::Full),
+        }
+    }
+
+    /// Takes a stop, and drops all motion before it, which would only be late. So there is never a second stop, and this
+    /// one always has its place.
+    fn stop(&mut self, stop: Frame) -> Taken {
+        let before = self.frames.len();
+        self.frames
+            .retain(|frame| !matches!(frame.code(), Code::MOTOR | Code::GOTO | Code::VIA));
+        let dropped = before - self.frames.len();
+        self.frames.push_back(stop);
+        match dropped {
+            0 => Taken::Queued,
+            dropped => Taken::Replaced(dropped),
         }
     }
 

@@ -151,7 +151,13 @@ impl ToCome {
             }
             // NULLs leave by themselves, too.
             Ok(Taken::Queued) if frame.code() != Code::NULL => self.unwritten.set(self.unwritten.get() + 1),
-            Ok(_) => {}
+            Ok(Taken::Queued) => {}
+            Ok(Taken::Replaced(dropped)) => {
+                // It is to come itself.
+                self.unwritten
+                    .set((self.unwritten.get() + 1).saturating_sub(dropped as u64));
+                warn(format!("{frame} overrides what waited: {dropped} not sent"));
+            }
         }
     }
 
@@ -382,4 +388,29 @@ pub(super) fn table(snapshots: &[Snapshot]) -> String {
         cells.join("  ").trim_end().to_owned()
     };
     rows.iter().map(line).collect::<Vec<_>>().join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What a stop has overridden never leaves.
+    #[test]
+    fn what_is_overridden_is_not_waited_for() {
+        let come = ToCome::default();
+        let motor = |speed| Frame::new(&Command::MOTOR, &[speed, speed]).unwrap();
+        come.sent(motor(1), Ok(Taken::Queued));
+        come.sent(motor(2), Ok(Taken::Queued));
+        come.sent(motor(0), Ok(Taken::Replaced(2)));
+        assert!(!come.is_nothing());
+        let note = Note::Sent(motor(0));
+        come.take(&Entry {
+            time: 0,
+            unit: 1,
+            note,
+        })
+        .unwrap();
+        assert!(come.is_nothing());
+        assert_eq!(come.refused.get(), 0);
+    }
 }

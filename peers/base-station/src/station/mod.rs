@@ -181,7 +181,7 @@ impl Station {
     }
 
     /// Sends a command to a robot. It does not wait: what cannot be written yet waits, up to
-    /// [`MOST_WAITING`](crate::circuit::MOST_WAITING) commands.
+    /// [`MOST_WAITING`](crate::circuit::MOST_WAITING) commands. A stop always has its place, and overrides the motion that waits.
     ///
     /// # Errors
     ///
@@ -274,8 +274,12 @@ impl Station {
     /// Ends all connections and the tasks, and waits for that, a second at most. Motors are not stopped by it:
     /// [`halt`](Station::halt) before.
     pub async fn close(&self) {
-        self.inner.shared.closing.store(true, Ordering::Release);
+        // Before: a task that wakes by itself and sees `closing` ends, and may not have been told to part from its robot.
         self.disconnect_all();
+        self.inner.shared.closing.store(true, Ordering::Release);
+        for seat in self.inner.seats.values() {
+            seat.wake();
+        }
         let mut tasks = std::mem::take(&mut *self.inner.tasks.lock());
         let ended = timeout(PATIENCE, async { while tasks.join_next().await.is_some() {} }).await;
         if ended.is_err() {

@@ -22,8 +22,9 @@ use crate::log::Entry;
 /// The most that is read at once: enough for a busy robot, and little enough to leave the others their turn.
 const CHUNK: usize = 512;
 
-/// How many entries of one robot a subscriber may be behind before it misses some.
-const BEHIND: usize = 64;
+/// How many entries of one robot a subscriber may be behind before it misses some: more than one turn's, in which all that
+/// waits is written.
+const BEHIND: usize = 256;
 
 /// How long a robot may take to see that it is left, before the connection is dropped.
 const FAREWELL: Duration = Duration::from_millis(300);
@@ -70,6 +71,11 @@ impl Seat {
 
     pub(super) fn take(&self, shared: &Shared, input: Input<'_>) {
         self.circuit.lock().take(shared.clock.now(), input);
+        self.wake.notify_one();
+    }
+
+    /// Has the task look at what is to be done.
+    pub(super) fn wake(&self) {
         self.wake.notify_one();
     }
 
@@ -400,16 +406,74 @@ mod tests {
     use super::*;
     use crate::circuit::Options;
     use crate::fleet::Fleet;
-    use crate::station::{Clock, Settings};
+    use crate::station::{Clock, Settings, Station};
+
+    /// Longer than anything takes, however busy the machine is.
+    const PATIENCE: Duration = Duration::from_secs(30);
+
+    async fn listen() -> (TcpListener, u16) {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let port = listener.local_addr().unwrap().port();
+        (listener, port)
+    }
+
+    fn robot(unit: Unit, port: u16) -> Robot {
+        let text = format!("[[robot]]\nunit = {unit}\naddress = \"127.0.0.1:{port}\"\n");
+        Fleet::parse(&text).unwrap().robots()[0].clone()
+    }
+
+    fn seat(robot: Robot) -> Seat {
+        Seat::new(robot, Circuit::new(&PAPER, Options::default(), 1))
+    }
+
+    /// A task that ends before its circuit was told to part from its robot drops what it has to say.
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn no_task_ends_while_the_station_still_parts_from_other_robots() {
+        let (one, three) = (listen().await, listen().await);
+        let fleet = format!(
+            "[[robot]]\nunit = 1\naddress = \"127.0.0.1:{}\"\n[[robot]]\nunit = 3\naddress = \"127.0.0.1:{}\"\n",
+            one.1, three.1
+        );
+        let mut station = Station::new(&Fleet::parse(&fleet).unwrap(), &PAPER, Settings::default());
+        // To close gets no further than to this one, whose circuit is taken. It has no task that would wait for it.
+        let second = Arc::new(seat(robot(2, one.1)));
+        let inner = Arc::get_mut(&mut station.inner).unwrap();
+        inner.seats.insert(2, Arc::clone(&second));
+        station.connect(1).unwrap();
+        station.connect(3).unwrap();
+        let (mut first, _) = one.0.accept().await.unwrap();
+        let (mut third, _) = three.0.accept().await.unwrap();
+        first.read_exact(&mut [0; 2]).await.unwrap();
+        third.read_exact(&mut [0; 2]).await.unwrap();
+        let (taken, is_taken) = tokio::sync::oneshot::channel();
+        let (release, released) = std::sync::mpsc::channel::<()>();
+        let holder = std::thread::spawn(move || {
+            let _circuit = second.circuit.lock();
+            let _ = taken.send(());
+            let _ = released.recv();
+        });
+        is_taken.await.unwrap();
+        let mut seen = station.watch(3).unwrap();
+        // On a thread of its own: the tasks that it wakes would wait for the thread of a task.
+        let runtime = tokio::runtime::Handle::current();
+        let closing = std::thread::spawn(move || runtime.block_on(station.close()));
+        let parted = timeout(PATIENCE, first.read_to_end(&mut Vec::new())).await;
+        // The third robot wakes its task by what it says, and that goes on.
+        third.write_all(b"00").await.unwrap();
+        let is_heard = timeout(PATIENCE, seen.wait_for(|seen| seen.state == State::Writable));
+        let is_heard = is_heard.await.is_ok_and(|heard| heard.is_ok());
+        drop(release);
+        holder.join().unwrap();
+        closing.join().unwrap();
+        parted.expect("the first is parted from").unwrap();
+        assert!(is_heard, "the task of the third robot has ended");
+    }
 
     /// A connection is closed in the same turn in which its last frames were taken, as by a thread that halts all.
     #[tokio::test]
     async fn what_was_taken_before_the_close_arrives() {
-        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let address = listener.local_addr().unwrap();
-        let text = format!("[[robot]]\nunit = 1\naddress = \"{address}\"\n");
-        let robot = Fleet::parse(&text).unwrap().robots()[0].clone();
-        let seat = Seat::new(robot, Circuit::new(&PAPER, Options::default(), 1));
+        let (listener, port) = listen().await;
+        let seat = seat(robot(1, port));
         let (changes, _) = broadcast::channel(1);
         let shared = Shared {
             clock: Clock::start(),
@@ -418,7 +482,7 @@ mod tests {
             closing: false.into(),
         };
         let mut socket = Socket::Open {
-            stream: TcpStream::connect(address).await.unwrap(),
+            stream: TcpStream::connect(("127.0.0.1", port)).await.unwrap(),
             unwritten: Vec::new(),
             is_new: false,
         };

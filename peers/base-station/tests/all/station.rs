@@ -9,6 +9,7 @@ use mom_base_station::log::Entry;
 use mom_base_station::play::play;
 use mom_base_station::script::Script;
 use mom_base_station::station::{SendError, Settings, Snapshot, Station};
+use mom_brs::file::EXTENDED;
 use mom_brs::{Command, Frame, PAPER};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpListener;
@@ -186,6 +187,33 @@ async fn a_robot_that_says_nothing_any_more_is_left_and_tried_again() {
     assert_eq!(ended, Note::Ended(End::Silent));
     robot.tell("unmute").await;
     writable(&station, 1).await;
+}
+
+/// What a gateway says at once, before it hears the first of the notes that all of it has been written.
+#[tokio::test]
+async fn the_longest_way_goes_out_in_one_turn_and_nobody_misses_an_entry() {
+    let mut robot = Robot::start().await;
+    let station = station(&[robot.port], Options::default());
+    station.connect_all();
+    writable(&station, 1).await;
+    let mut changes = station.subscribe_to(1).expect("a unit of the fleet");
+    // One thread: nothing is written until all is said.
+    let say = |name: &str, values: &[i32]| {
+        let command = EXTENDED.command(name).expect("one of ours");
+        let frame = Frame::new(command, values).expect("its values");
+        station.send(1, frame).expect("it has its place");
+    };
+    say("motor", &[0, 0]);
+    say("goto", &[0, 0]);
+    (1..64).for_each(|x| say("via", &[x, 0]));
+    say("pose", &[]);
+    say("status", &[]);
+    robot.until("got 06 00000 00000").await;
+    let mut sent = 0;
+    while sent < 67 {
+        let entry = changes.try_recv().expect("nothing is missed");
+        sent += usize::from(matches!(entry.note, Note::Sent(_)));
+    }
 }
 
 /// A connection that is only closed would go on to deliver what was written, however late.

@@ -93,6 +93,8 @@ enum Doing {
     Nothing,
     /// It drives by itself. The status that was asked by this question, or a later one, tells of it.
     Drives { question: u64 },
+    /// It is to show these LEDs, which is done when it is sent.
+    Shows { leds: i32 },
     /// It is done then.
     Done { at: DeviceTime },
 }
@@ -210,6 +212,15 @@ impl Unit {
             self.stand();
             self.doing = doing;
             self.ask_now();
+        }
+    }
+
+    /// Takes note that all was sent that [`Unit::to_send`] gave, but for what failed. So a script of many LEDs says no more at
+    /// once than may wait, and one of which some were refused is not finished.
+    pub fn sent(&mut self) {
+        if let Doing::Shows { leds } = self.doing {
+            self.leds = leds;
+            self.doing = Doing::Done { at: self.now };
         }
     }
 
@@ -375,8 +386,7 @@ impl Machine for Unit {
             Action::Follow { .. } => return Err(self.follows_nobody()),
             Action::Leds(data) => {
                 self.say(Code::LEDS, &[*data])?;
-                self.leds = *data;
-                Doing::Done { at: now }
+                Doing::Shows { leds: *data }
             }
             Action::Drive(points) => {
                 for ((x, y), number) in points.iter().zip(0..) {
@@ -394,7 +404,7 @@ impl Machine for Unit {
 
     fn done_at(&self) -> Option<DeviceTime> {
         match self.doing {
-            Doing::Nothing | Doing::Drives { .. } => None,
+            Doing::Nothing | Doing::Drives { .. } | Doing::Shows { .. } => None,
             Doing::Done { at } => Some(at),
         }
     }

@@ -50,16 +50,29 @@ impl Pair {
 
     /// Puts what the unit says on its way.
     fn pump(&mut self) {
-        let mut frames = Vec::new();
-        if self.queue.machine().has_to_send() {
-            self.queue
-                .note(self.now, |unit| frames = unit.to_send(), &mut self.events);
+        while self.queue.machine().has_to_send() {
+            let frames = self.said();
+            let at = self.now + self.delay;
+            self.down.extend(frames.into_iter().map(|frame| (at, frame)));
+            self.queue.note(self.now, Unit::sent, &mut self.events);
         }
-        let at = self.now + self.delay;
-        self.down.extend(frames.into_iter().map(|frame| (at, frame)));
+    }
+
+    fn said(&mut self) -> Vec<Frame> {
+        let mut frames = Vec::new();
+        self.queue
+            .note(self.now, |unit| frames = unit.to_send(), &mut self.events);
+        frames
     }
 
     fn command(&mut self, script: &str) -> Result<(), DeviceError> {
+        let taken = self.submit(script);
+        self.pump();
+        taken
+    }
+
+    /// Takes a command, and sends nothing.
+    fn submit(&mut self, script: &str) -> Result<(), DeviceError> {
         let command = Queued {
             order: Order {
                 peer: "alice".into(),
@@ -69,9 +82,7 @@ impl Pair {
             script: Script::read::<Unit>(script)?,
             use_by: None,
         };
-        let taken = self.queue.submit(command, self.now, &mut self.events);
-        self.pump();
-        taken
+        self.queue.submit(command, self.now, &mut self.events)
     }
 
     /// Lets time pass until then, event by event.
@@ -179,6 +190,35 @@ fn a_way_is_done_when_the_robot_says_so() {
     pair.pass(60_000 * MS);
     assert_eq!(pair.ended(), ["obstacle"], "there is a wall");
     assert_eq!(pair.queue.machine().leds, 1, "and nothing came after it");
+}
+
+/// However many a script sets: each waits until the one before it is sent.
+#[test]
+fn leds_are_set_when_that_is_sent_and_not_before() {
+    let script: Vec<String> = (1..=70).map(|leds| format!("leds {leds}")).collect();
+    let script = script.join("; ");
+    let mut pair = Pair::new(0);
+    pair.command(&script).expect("it is taken");
+    pair.pass(0);
+    assert_eq!(pair.ended(), ["finished"]);
+    assert_eq!(pair.queue.machine().leds, 70);
+    pair.submit(&script).expect("it is taken");
+    for leds in 1..=3 {
+        let mut frames = pair.said();
+        frames.retain(|frame| frame.code() == Code::LEDS);
+        assert_eq!(frames.len(), 1);
+        assert_eq!(frames[0].values(), [leds]);
+        if leds < 3 {
+            pair.queue.note(pair.now, Unit::sent, &mut pair.events);
+        }
+    }
+    assert_eq!(pair.ended(), [""; 0]);
+    // The third has no place.
+    let error = DeviceError::new(ErrorName::Link, "it was not told to do it");
+    pair.queue.fail(pair.now, &error, &mut pair.events);
+    pair.queue.note(pair.now, Unit::sent, &mut pair.events);
+    assert_eq!(pair.ended(), ["link"]);
+    assert_eq!(pair.queue.machine().leds, 2);
 }
 
 #[test]
