@@ -23,6 +23,8 @@ pub struct StatusTeller {
     name: String,
     group: Option<String>,
     told: Option<(Map, Instant)>,
+    /// When it is looked at again while the robot moves.
+    again: Option<Instant>,
     /// When all that was told would have been told with a gap before each.
     paid: Option<Instant>,
     /// Until when something is held back.
@@ -39,6 +41,7 @@ impl StatusTeller {
             name: format!("robot-{unit}"),
             group,
             told: None,
+            again: None,
             paid: None,
             held: None,
         }
@@ -65,10 +68,14 @@ impl StatusTeller {
         if let Some((told, at)) = &self.told {
             let same = *told == content;
             let alike = same || lasting(told) == lasting(&content);
-            if same || (alike && now < *at + PERIOD) {
+            let next = *at + PERIOD;
+            if same || (alike && now < next) {
+                // One that moves and is the same for longer, as it presses against a wall, is not looked at all the time.
+                self.again = Some(if now < next { next } else { now + PERIOD });
                 return None;
             }
         }
+        self.again = Some(now + PERIOD);
         self.told = Some((content.clone(), now));
         self.paid = Some(self.paid.map_or(now, |paid| paid.max(now)) + GAP);
         let mut parcel = Parcel::new(Family::Message, self.name.clone())
@@ -82,8 +89,7 @@ impl StatusTeller {
     /// When there may be something to tell that was held back, or that changes by itself while the robot moves.
     #[must_use]
     pub fn due(&self, moving: bool) -> Option<Instant> {
-        let goes_on = self.told.as_ref().filter(|_| moving).map(|(_, at)| *at + PERIOD);
-        self.held.or(goes_on)
+        self.held.or(self.again.filter(|_| moving))
     }
 }
 
@@ -127,6 +133,28 @@ mod tests {
             stopped: false,
             executing: None,
             waiting: 0,
+        }
+    }
+
+    /// Else whoever waits until then would not wait at all.
+    #[test]
+    fn what_is_the_same_for_long_is_due_in_the_future() {
+        let mut status = StatusTeller::new(Path::parse("/fleet/status").expect("a path"), 7, None);
+        let begin = Instant::now();
+        let after = |ms| begin + Duration::from_millis(ms);
+        for (ms, x, told, due) in [
+            (0, 1, true, 1000),
+            (400, 1, false, 1000),
+            (1000, 1, false, 2000),
+            (1500, 1, false, 2500),
+            (2500, 1, false, 3500),
+            // It is free again: it was told of long ago.
+            (2600, 2, true, 3600),
+        ] {
+            let parcel = status.tell(|| state(x, true), || None, after(ms));
+            assert_eq!(parcel.is_some(), told, "after {ms} ms");
+            assert_eq!(status.due(true), Some(after(due)), "after {ms} ms");
+            assert_eq!(status.due(false), None, "after {ms} ms");
         }
     }
 
