@@ -250,10 +250,13 @@ async fn work(session: &mut Option<Driving>, robot: &mut Robot, begin: Instant) 
     done.err().map(|error| error.to_string())
 }
 
-/// Reads what has come already; why the session ended, if it has.
+/// Reads what has come already, as long as its replies stay bounded; why the session ended, if it has.
 fn catch_up(session: &mut Option<Driving>, robot: &mut Robot, begin: Instant) -> Option<String> {
     let session = session.as_mut()?;
     for _ in 0..AT_ONCE {
+        if session.unsent.len() >= MOST_UNSENT {
+            break;
+        }
         let before = session.heard;
         if let Err(error) = read(session, robot, begin) {
             return Some(error.to_string());
@@ -326,5 +329,56 @@ async fn sleep_or_wait(wake: Option<Instant>) {
     match wake {
         Some(wake) => sleep_until(wake).await,
         None => pending().await,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use mom_wheels::{Chassis, Simulated};
+
+    use super::*;
+    use crate::Rules;
+
+    /// Each connection of somebody else has the robot catch up.
+    #[tokio::test]
+    async fn replies_that_nobody_reads_stay_bounded_however_many_others_connect() {
+        let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
+        let address = listener.local_addr().expect("it has one");
+        let station = TcpStream::connect(address).await.expect("it listens");
+        let (stream, from) = listener.accept().await.expect("it has come");
+        let mut session = Some(Driving {
+            stream,
+            from,
+            parser: Parser::new(&EXTENDED, Direction::Command),
+            unsent: Vec::new(),
+            heard: Instant::now(),
+        });
+        let mut robot = Robot::new(
+            Box::new(Simulated::linuxbot()),
+            Chassis::LINUXBOT,
+            Rules::default(),
+        );
+        let begin = Instant::now();
+        let poses = "12".repeat(PIECE * AT_ONCE / 2);
+        // Until the sockets between them are full, and then as often again.
+        let mut rounds = 0;
+        while rounds < 20 {
+            let full = session
+                .as_ref()
+                .is_some_and(|session| session.unsent.len() >= MOST_UNSENT);
+            rounds += usize::from(full);
+            match station.try_write(poses.as_bytes()) {
+                Err(error) if error.kind() != io::ErrorKind::WouldBlock => panic!("{error}"),
+                _ => {}
+            }
+            let ready = session
+                .as_ref()
+                .map(|session| session.stream.ready(Interest::READABLE));
+            ready.expect("it drives").await.expect("it stands");
+            assert_eq!(catch_up(&mut session, &mut robot, begin), None);
+            let unsent = session.as_ref().map_or(0, |session| session.unsent.len());
+            // The last piece that is read may have so many replies of 20 bytes.
+            assert!(unsent < MOST_UNSENT + (PIECE / 2 + 1) * 20, "{unsent} bytes");
+        }
     }
 }

@@ -12,6 +12,9 @@ use crate::status::Status;
 /// The most points that wait to be driven to; VIA beyond them is dropped, and counted.
 const MOST_POINTS: usize = 64;
 
+/// µs until a driver that did not take a stop is told again.
+const STOPS_AGAIN: WheelTime = 50_000;
+
 /// What a robot does where the paper's did otherwise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Rules {
@@ -55,6 +58,8 @@ pub struct Robot {
     pilot: Option<Pilot>,
     /// Whether the motors may be running.
     running: bool,
+    /// When the motors are to be stopped again, as the driver has refused it.
+    stop_again: Option<WheelTime>,
     /// Whether the watchdog has stopped them, and nothing has moved them since.
     expired: bool,
     gave_up: bool,
@@ -85,6 +90,7 @@ impl Robot {
             points: Vec::new(),
             pilot: None,
             running: false,
+            stop_again: None,
             expired: false,
             gave_up: false,
             leds: 0,
@@ -148,6 +154,12 @@ impl Robot {
 
     /// Lets time pass until `now`: the pilot steers, and the watchdog looks.
     pub fn advance(&mut self, now: WheelTime) {
+        if let Some(due) = self.stop_again {
+            if now >= due {
+                self.stop(now);
+            }
+            return;
+        }
         if self.running && self.rules.watchdog.must_stop(self.fed, now) {
             self.halt(now);
             self.expired = true;
@@ -156,23 +168,26 @@ impl Robot {
         let Some(pilot) = &mut self.pilot else { return };
         let driven = pilot.drive(&mut *self.driver, now);
         match pilot.end() {
-            None => {}
+            None => self.note(driven),
             Some(PilotEnd::Arrived) => {
                 self.forget_points();
-                self.running = false;
+                self.stopped(driven, now);
             }
             Some(PilotEnd::GaveUp(why)) => {
                 tracing::info!(%why, "the way to a point is given up");
                 self.forget_points();
-                (self.running, self.gave_up) = (false, true);
+                self.gave_up = true;
+                self.stopped(driven, now);
             }
         }
-        self.note(driven);
     }
 
     /// When [`Robot::advance`] is to be called next; `None` while nothing happens by itself.
     #[must_use]
     pub fn next_wake(&self) -> Option<WheelTime> {
+        if self.stop_again.is_some() {
+            return self.stop_again;
+        }
         let watchdog = self.rules.watchdog.stops_at(self.fed).filter(|_| self.running);
         let pilot = self.pilot.as_ref().and_then(Pilot::next_wake);
         [watchdog, pilot].into_iter().flatten().min()
@@ -229,10 +244,26 @@ impl Robot {
     }
 
     fn set_motors(&mut self, motors: Motors, now: WheelTime) {
-        let set = self.driver.set_motors(motors, now);
-        self.running = motors != Motors::STOP;
         self.expired = false;
+        if motors == Motors::STOP {
+            return self.stop(now);
+        }
+        let set = self.driver.set_motors(motors, now);
+        (self.running, self.stop_again) = (true, None);
         self.note(set);
+    }
+
+    fn stop(&mut self, now: WheelTime) {
+        let set = self.driver.set_motors(Motors::STOP, now);
+        self.stopped(set, now);
+    }
+
+    /// Takes note of what the driver said to a stop. One that it refused is tried again, unless a command moves
+    /// the robot before: nothing else would stop it.
+    fn stopped(&mut self, set: Result<(), DriverError>, now: WheelTime) {
+        self.running = set.is_err();
+        self.note(set);
+        self.stop_again = self.running.then(|| now.saturating_add(STOPS_AGAIN));
     }
 
     fn drive_to(&mut self, x: i32, y: i32, now: WheelTime) {
@@ -244,7 +275,7 @@ impl Robot {
         }
         self.points.push(Point::new(f64::from(x), f64::from(y)));
         self.pilot = Some(Pilot::new(self.chassis, self.points.clone(), now));
-        (self.running, self.expired, self.gave_up) = (true, false, false);
+        (self.running, self.stop_again, self.expired, self.gave_up) = (true, None, false, false);
         self.advance(now);
     }
 
@@ -413,6 +444,85 @@ mod tests {
             (true, false, false)
         );
         assert_eq!(status.switches & switch::FRONT, switch::FRONT);
+    }
+
+    /// A simulated robot whose driver refuses the next so many stops.
+    struct Stubborn {
+        robot: Simulated,
+        refuses: usize,
+    }
+
+    impl Driver for Stubborn {
+        fn set_motors(&mut self, motors: Motors, at: WheelTime) -> Result<(), DriverError> {
+            if motors == Motors::STOP && self.refuses > 0 {
+                self.refuses -= 1;
+                return Err(DriverError::new(Fault::Motors, "they do not obey"));
+            }
+            self.robot.set_motors(motors, at)
+        }
+
+        fn set_leds(&mut self, leds: u8, at: WheelTime) -> Result<(), DriverError> {
+            self.robot.set_leds(leds, at)
+        }
+
+        fn sensors(&mut self, at: WheelTime) -> Result<Sensors, DriverError> {
+            self.robot.sensors(at)
+        }
+
+        fn next_wake(&mut self) -> Option<WheelTime> {
+            Driver::next_wake(&mut self.robot)
+        }
+    }
+
+    #[test]
+    fn a_stop_that_the_driver_refuses_is_tried_until_it_stands() {
+        let stubborn = |refuses| {
+            let robot = Simulated::linuxbot();
+            Robot::new(
+                Box::new(Stubborn { robot, refuses }),
+                Chassis::LINUXBOT,
+                Rules::default(),
+            )
+        };
+        let moves = |robot: &mut Robot, now| robot.status(now).map(|status| status.moving);
+        // Whoever stops it: its base station, the loss of that, and the watchdog.
+        type Stop = fn(&mut Robot);
+        let stops: [(Stop, WheelTime); 3] = [
+            (
+                |robot| assert_eq!(robot.take(&frame("motor", &[0, 0]), 100 * MS), None),
+                100 * MS,
+            ),
+            (|robot| robot.lost(100 * MS), 100 * MS),
+            (|robot| pass(robot, 500 * MS), 500 * MS),
+        ];
+        for (stop, now) in stops {
+            let mut robot = stubborn(3);
+            robot.take(&frame("motor", &[100, 100]), 0);
+            stop(&mut robot);
+            assert_eq!(robot.fault().map(|error| error.fault()), Some(Fault::Motors));
+            assert_eq!(robot.next_wake(), Some(now + 50 * MS));
+            let expired = robot.status(now).map(|status| status.expired);
+            pass(&mut robot, now + 149 * MS);
+            assert_eq!(moves(&mut robot, now + 149 * MS), Some(true));
+            pass(&mut robot, now + 150 * MS);
+            assert_eq!(moves(&mut robot, now + 150 * MS), Some(false));
+            assert_eq!(robot.next_wake(), None, "it stands");
+            let still = robot.status(now + 150 * MS).map(|status| status.expired);
+            assert_eq!(still, expired, "who has stopped it is told as before");
+        }
+        // What moves it again has the last word.
+        let mut robot = stubborn(1);
+        robot.take(&frame("motor", &[100, 100]), 0);
+        robot.take(&frame("motor", &[0, 0]), 10 * MS);
+        robot.take(&frame("motor", &[200, 200]), 20 * MS);
+        pass(&mut robot, 400 * MS);
+        assert_eq!(moves(&mut robot, 400 * MS), Some(true));
+        // So it is at the end of a way.
+        let mut robot = stubborn(1);
+        robot.take(&frame("goto", &[2500, 2500]), 0);
+        assert_eq!(robot.next_wake(), Some(50 * MS));
+        pass(&mut robot, 50 * MS);
+        assert_eq!(robot.next_wake(), None);
     }
 
     #[test]
