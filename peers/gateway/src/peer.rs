@@ -7,8 +7,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use mom_brs::file::EXTENDED;
 use mom_brs::{Code, Frame, Table};
-use mom_client::{Channel, Client, ClientError};
-use mom_device::{DeviceError, DevicePeer, ErrorName, Machine as _};
+use mom_client::{Channel, Client, ClientError, Parcel};
+use mom_device::{DeviceError, DevicePeer, ErrorName, Machine as _, Outlet, sender};
 use mom_fleet::{StatusTeller, ensure_session, enter, enter_status};
 use tokio::sync::watch;
 use tokio::task::{JoinSet, yield_now};
@@ -183,6 +183,8 @@ struct Robot {
 
 impl Robot {
     async fn drive(mut self, mut stopping: watch::Receiver<bool>) {
+        // A hub that takes nothing holds up neither stops nor replies.
+        let mut outlet = Outlet::new(sender(&self.client));
         loop {
             self.send();
             if self.device.machine().has_to_send() {
@@ -190,7 +192,10 @@ impl Robot {
                 yield_now().await;
                 continue;
             }
-            let told = self.tell().await;
+            let mut out = Vec::new();
+            let told = self.tell(&mut out);
+            outlet.set_down(self.device.is_down());
+            outlet.push(&mut out);
             tokio::select! {
                 biased;
                 _ = stopping.wait_for(|stop| *stop) => break,
@@ -205,6 +210,7 @@ impl Robot {
                     }
                     None => break,
                 },
+                () = outlet.work() => {}
                 () = sleep_or_wait(told) => {}
             }
         }
@@ -274,8 +280,8 @@ impl Robot {
         self.device.note(Unit::sent);
     }
 
-    /// Tells of it in the fleet's channel; when to look again.
-    async fn tell(&mut self) -> Option<Instant> {
+    /// What is to be told of it in the fleet's channel; when to look again.
+    fn tell(&mut self, out: &mut Vec<Parcel>) -> Option<Instant> {
         let told = self.status.tell(
             || self.device.state(),
             || self.channel.gate().guard(),
@@ -283,9 +289,7 @@ impl Robot {
         );
         if let Some(mut parcel) = told {
             parcel.timestamp = self.device.known_time();
-            if let Err(error) = self.client.send(parcel).await {
-                tracing::debug!(unit = self.line.unit, %error, "its status was not told");
-            }
+            out.push(parcel);
         }
         self.status.due(self.device.machine().is_moving())
     }
