@@ -82,8 +82,15 @@ pub fn admit(
         .filter(|standing| standing.max_age.is_none_or(young))
     {
         None => Ok(Admission::Consult),
-        Some(standing) => admit_with(route, peer, &standing.answer, parcel, ingress)
-            .map(|receivers| Admission::Pass(receivers, standing.rate)),
+        Some(standing) => match admit_with(route, peer, &standing.answer, parcel, ingress) {
+            Ok(receivers) => Ok(Admission::Pass(receivers, standing.rate)),
+            // Others are told of who joins a moment before the route has it: what one of them says to it then is for the hub, which
+            // knows all. Many names would keep the hub busy.
+            Err(error) if error.code == Code::UNKNOWN_PEER && addressees(parcel) <= FEW_NAMES => {
+                Ok(Admission::Consult)
+            }
+            Err(error) => Err(error),
+        },
     }
 }
 
@@ -289,6 +296,10 @@ pub fn receivers(route: &Route, peer: PeerId, parcel: &Parcel) -> Result<Receive
 
 /// Addressees that are looked for one by one.
 const FEW_NAMES: usize = 4;
+
+fn addressees(parcel: &Parcel) -> usize {
+    parcel.address.as_ref().map_or(0, Vec::len)
+}
 
 fn places_by_name(route: &Route) -> HashMap<&str, usize> {
     let members = route.members.iter().enumerate();

@@ -393,7 +393,14 @@ fn a_message_goes_to_whom_it_is_addressed() {
         Ok(Receivers::These(vec![1, 0]))
     );
     assert_eq!(to(Some(&[]), None), Ok(Receivers::These(vec![])));
-    let error = to(Some(&["alice", "alcie"]), None).expect_err("nobody of that name");
+    // Others may have been told already of somebody who has just joined: the hub knows that, and is asked of few names.
+    let mut early = message("say");
+    early.address = Some(vec!["alice".into(), "carol".into()]);
+    let before = early.clone();
+    let asked = admit(&route, BOB, &mut early, &ingress(1_000_000));
+    assert_eq!(asked, Ok(Admission::Consult));
+    assert_eq!(early, before, "the hub gets it as it came");
+    let error = to(Some(&["alice", "alcie", "a", "b", "c"]), None).expect_err("nobody of that name");
     assert_eq!(error.code, Code::UNKNOWN_PEER);
     assert_eq!(error.get("nearest").and_then(Value::as_str), Some("alice"));
     assert_eq!(error.get("slot").and_then(Value::as_str), Some("address"));
