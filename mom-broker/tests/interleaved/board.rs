@@ -9,7 +9,7 @@ use mom_managers::Registry;
 use mom_net::Reader;
 use mom_proto::{Family, Limit, Limits, Map, Parcel, Path, from_value};
 
-use super::{clock, explore, heard, link, on, said};
+use super::{clock, explore, hear, heard, link, on, said};
 use crate::traffic::channel::Sender;
 use crate::traffic::encodings::Bounds;
 use crate::traffic::outbox::Outbox;
@@ -43,6 +43,10 @@ fn contexts() -> Vec<ContextSpec> {
         context("/lab/key", "token").with("manager", manager),
         context("/lab/arm", "channel").with("guard", guard),
         context("/lab/bulk", "channel").with("overflow", "wait"),
+        Map::new()
+            .with("path", "/lab/stand")
+            .with("kind", "channel")
+            .with("presence", "all"),
     ];
     all.into_iter()
         .map(|spec| from_value(spec.into()).expect("a context"))
@@ -185,6 +189,41 @@ fn all_receivers_hear_one_order() {
                 .map(|(_, id)| *id);
             assert_eq!(ids.collect::<Vec<_>>(), [0, 1, 2]);
         }
+        lab.board.check();
+    });
+}
+
+/// A member that is told of somebody may answer at once, though the route may not have the new one yet: a device says how it stands.
+#[test]
+fn who_has_just_joined_hears_what_is_said_to_it() {
+    explore(|| {
+        let mut lab = Lab::new();
+        let (robot, mut to_robot) = lab.enter("robot", 1);
+        let (alice, _to_alice) = lab.enter("alice", 1);
+        let (bob, mut to_bob) = lab.enter("bob", 1);
+        for peer in [robot, alice] {
+            ask(&lab.board, peer, Family::Context, "join", "/lab/stand");
+        }
+        let stand = || path("/lab/stand");
+        // So that a verdict stands for its states, and the hub is not asked.
+        assert!(say_to(&lab.board, robot, said("state", 1).context(stand())));
+        heard(&mut to_robot);
+        let joins = on(&lab.board, move |board| {
+            ask(board, bob, Family::Context, "join", "/lab/stand");
+        });
+        // What she says has all that waits for the robot written.
+        let speaks = on(&lab.board, move |board| {
+            assert!(say_to(board, alice, said("noise", 1).context(stand())));
+        });
+        let told = |parcel: &Parcel| parcel.is(Family::Event, "joined");
+        while !told(&hear(&mut to_robot).expect("it is told")) {}
+        let mut state = said("state", 7).context(stand());
+        state.address = Some(vec!["bob".into()]);
+        assert!(say_to(&lab.board, robot, state));
+        joins.join().expect("he joined");
+        speaks.join().expect("she spoke");
+        let state = messages(&heard(&mut to_bob), "state");
+        assert_eq!(state, [("robot".to_owned(), 7)]);
         lab.board.check();
     });
 }
