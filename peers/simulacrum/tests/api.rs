@@ -5,11 +5,13 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::mpsc;
 use std::time::Duration;
 
-use mom_client::{Map, Value};
+use mom_client::{Event, Family, FenceGate, Map, Parcel, Path, Time, Value};
 use mom_cubo::model::LAYOUT;
 use mom_cubo::model::robot::{Dispatch, PACKET};
 use mom_cubo::{Cubo, CuboHandle, End, Touch};
-use mom_device::{Attachments, Command, CommandQueue, ErrorName, MAX_ATTACHED, Machine as _, Order, Script};
+use mom_device::{
+    Attachments, Command, CommandQueue, DeviceServer, ErrorName, MAX_ATTACHED, Machine as _, Order, Script,
+};
 use mom_rsp::middle::{Notice, Settings};
 use mom_rsp::{Direction, Header, Item, Items, Type, robot};
 use mom_rsp_model::Model;
@@ -289,6 +291,54 @@ fn a_halt_ends_what_a_statement_left() {
     bench.machine.halt(now);
     assert!(bench.machine.is_at_rest());
     assert_eq!(bench.mirror.wanted(joints), Some(vec![0.0, 0.0, 0.0]));
+}
+
+/// Who takes or loses the token, and the loss of the hub, end what a finished command has set; the same owner keeps it.
+#[test]
+fn what_was_set_does_not_outlive_its_owner() {
+    let token = || Path::parse("/lab/token").expect("a path");
+    let grabbed = |fence| Event::Grabbed {
+        owner: "somebody".to_owned(),
+        level: 1,
+        fence,
+        lease: None,
+        path: token(),
+    };
+    let released = Event::Released {
+        owner: "alice".to_owned(),
+        reason: "released".to_owned(),
+        by: None,
+        fence: 5,
+        path: token(),
+    };
+    for (event, rests) in [
+        (grabbed(5), false),
+        (grabbed(6), true),
+        (released, true),
+        (Event::LinkDown, true),
+    ] {
+        let Bench { mirror, machine, .. } = Bench::new();
+        let channel = Path::parse("/lab/robot").expect("a path");
+        let mut server = DeviceServer::new(machine, channel.clone(), Time::default());
+        let gate = FenceGate::new();
+        let guard = Map::new()
+            .with("token", "/lab/token")
+            .with("names", vec!["command".into()])
+            .with("fence", 5)
+            .with("owner", "alice");
+        gate.joined(&Map::new().with("guard", guard));
+        let mut out = Vec::new();
+        let mut command = Parcel::new(Family::Message, "command")
+            .context(channel)
+            .content("set joints 30 -20 10");
+        (command.sender, command.id, command.fence) = (Some("alice".into()), Some(1), Some(5));
+        server.handle(&Event::Message(command), &gate, None, 0, &mut out);
+        let (joints, _) = mirror.element("joints").expect("CUBO has them");
+        let is_set = || mirror.wanted(joints) == Some(vec![30.0, -20.0, 10.0]);
+        assert!(is_set() && !server.machine().is_moving(), "{out:?}");
+        server.handle(&event, &gate, None, 1000, &mut out);
+        assert_eq!(is_set(), !rests, "{event:?}");
+    }
 }
 
 /// Remembers how far the turret of figure 8's robot was turned.
