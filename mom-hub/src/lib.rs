@@ -5,7 +5,7 @@
 //! effects, so a log of inputs replays exactly.
 //!
 //! Its rooms lie on one another, and each uses only those after it: `hub` (the way in), `verbs` (one per file),
-//! `contexts` (make, join, leave, delete), `ownership` (tokens in the tree), `asking` (managers, peers and chairs),
+//! `contexts` (make, join, leave, delete), `stops` (who is stopped), `ownership` (tokens in the tree), `asking` (managers, peers and chairs),
 //! `world` (what the hub knows, and its effects), `messages` (admission, routes, rates), `tree` (contexts and peers as
 //! data), `token` (one token by itself), then `heard`, `content`, `values` and `peer_id`. `cargo xtask tidy` holds that.
 //!
@@ -33,6 +33,7 @@ mod hub;
 mod messages;
 mod ownership;
 mod peer_id;
+mod stops;
 mod token;
 mod tree;
 mod values;
@@ -51,9 +52,11 @@ pub use token::record::{Holder, Record, Ticket};
 pub use tree::clock::PeerClock;
 pub use tree::context::Presence;
 pub use tree::keep::{Keep, KeepArgs};
+pub use tree::latch::{Latch, Stop, StopRecord};
 pub use tree::member::{Member, StandingVerdict};
 pub use tree::peers::User;
 pub use tree::spec::ContextSpec;
+pub use tree::stop_row::StopRow;
 pub use world::audit::Audit;
 pub use world::effect::Effect;
 pub use world::inquiry::{About, Explain, Inquiry};

@@ -104,6 +104,8 @@ impl Code {
     pub const TOO_LONG: Code = Code::new(230, "too-long");
     /// A line that is no JSON.
     pub const BAD_JSON: Code = Code::new(231, "bad-json");
+    /// An `unstop` names an older stop than the one that holds.
+    pub const NEWER_STOP: Code = Code::new(232, "newer-stop");
 
     /// The hub is shutting down.
     pub const SHUTDOWN: Code = Code::new(300, "shutdown");
@@ -184,6 +186,7 @@ impl Code {
         Code::NOT_ENCODABLE,
         Code::TOO_LONG,
         Code::BAD_JSON,
+        Code::NEWER_STOP,
         Code::SHUTDOWN,
         Code::SLOW_RECEIVER,
         Code::SILENT,

@@ -35,6 +35,11 @@ pub const DROPPED: &str = "dropped";
 /// A stop went out without its content.
 pub const SHORTENED: &str = "shortened";
 
+/// Devices of a channel are stopped, and by whom.
+pub const STOPPED: &str = "stopped";
+/// They may move again.
+pub const UNSTOPPED: &str = "unstopped";
+
 /// A peer has lost its connection and may come back for a while.
 pub const LOST: &str = "lost";
 /// It has come back.
@@ -67,11 +72,13 @@ pub enum Reason {
     Given,
     /// A token given for a time or a number of commands returned to the giver.
     Returned,
+    /// Somebody stopped the device, and the token says that a stop ends its owner's grant.
+    Stopped,
 }
 
 impl Reason {
     /// All reasons.
-    pub const ALL: [Reason; 9] = [
+    pub const ALL: [Reason; 10] = [
         Reason::Released,
         Reason::Expired,
         Reason::Preempted,
@@ -81,6 +88,7 @@ impl Reason {
         Reason::Revoked,
         Reason::Given,
         Reason::Returned,
+        Reason::Stopped,
     ];
 
     /// The word on the wire.
@@ -95,6 +103,7 @@ impl Reason {
             Reason::Revoked => "revoked",
             Reason::Given => "given",
             Reason::Returned => "returned",
+            Reason::Stopped => "stopped",
         }
     }
 

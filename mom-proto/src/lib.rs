@@ -70,7 +70,7 @@ pub use names::{
     resembles, xml_violation,
 };
 pub use packed::{Packed, ZSTD};
-pub use parcel::{ContextNumber, HISTORY, MAX_ID, Parcel};
+pub use parcel::{ContextNumber, HISTORY, MAX_ID, Parcel, STOP};
 pub use path::Path;
 pub use pattern::Pattern;
 pub use serde_value::{from_value, to_value};

@@ -14,6 +14,9 @@ const IMAGE: &str = "image";
 /// The slot by which the hub marks messages for late joiners; it is removed from peers' parcels.
 pub const HISTORY: &str = "history";
 
+/// The slot with the number of a stop: the hub's own on `stop`, on `unstop` the newest that its user has seen.
+pub const STOP: &str = "stop";
+
 /// The hub's number of a context: one for the whole hub, from 1, never reused (design §5).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ContextNumber(pub u64);

@@ -28,6 +28,8 @@ pub enum Verb {
     Info,
     /// `context join` (M23).
     Join,
+    /// `context join` as a device: no request of its own, but a right of its own, as others rely on what a device says.
+    Device,
     /// `context leave` (M23).
     Leave,
     /// `context delete`.
@@ -86,7 +88,7 @@ pub enum Verb {
 
 impl Verb {
     /// All verbs.
-    pub const ALL: [Verb; 36] = [
+    pub const ALL: [Verb; 37] = [
         Verb::Login,
         Verb::Answer,
         Verb::Resume,
@@ -96,6 +98,7 @@ impl Verb {
         Verb::List,
         Verb::Info,
         Verb::Join,
+        Verb::Device,
         Verb::Leave,
         Verb::Delete,
         Verb::Members,
@@ -137,6 +140,7 @@ impl Verb {
             Verb::List => "list",
             Verb::Info => "info",
             Verb::Join => "join",
+            Verb::Device => "device",
             Verb::Leave => "leave",
             Verb::Delete => "delete",
             Verb::Members => "members",
@@ -172,7 +176,7 @@ impl Verb {
         match self {
             Verb::Login | Verb::Answer | Verb::Resume | Verb::Logout => Family::Login,
             Verb::Create | Verb::Lookup | Verb::List | Verb::Info => Family::Context,
-            Verb::Join | Verb::Leave | Verb::Delete | Verb::Members => Family::Context,
+            Verb::Join | Verb::Device | Verb::Leave | Verb::Delete | Verb::Members => Family::Context,
             Verb::Stats | Verb::Audit | Verb::Explain | Verb::WhatIf => Family::Context,
             Verb::Invite | Verb::Expel => Family::Context,
             Verb::Grab | Verb::Release | Verb::Renew => Family::Token,
@@ -199,6 +203,9 @@ impl Verb {
             (Family::Message, "unstop") => Ok(Verb::Unstop),
             (Family::Message, _) => Ok(Verb::Send),
             (Family::Token, "info") => Ok(Verb::Info),
+            // The same rights, asked for a channel that one has not joined, or for all below a session.
+            (Family::Context, "stop") => Ok(Verb::Stop),
+            (Family::Context, "unstop") => Ok(Verb::Unstop),
             (Family::Event | Family::Reply | Family::Error, _) => Err(WireError::new(
                 Code::UNKNOWN_VERB,
                 format!("only the hub sends parcels of family {family}"),
@@ -206,11 +213,11 @@ impl Verb {
             .slot("family")),
             _ => Verb::ALL
                 .into_iter()
-                .find(|verb| verb.family() == family && verb.word() == name)
+                .find(|verb| verb.is_asked_for() && verb.family() == family && verb.word() == name)
                 .ok_or_else(|| {
                     let names = Verb::ALL
                         .iter()
-                        .filter(|verb| verb.family() == family)
+                        .filter(|verb| verb.is_asked_for() && verb.family() == family)
                         .map(|verb| verb.word());
                     let everywhere = Verb::ALL.iter().map(|verb| verb.word());
                     let near = nearest(name, names).or_else(|| nearest(name, everywhere));
@@ -222,6 +229,11 @@ impl Verb {
                     .nearest_opt(near)
                 }),
         }
+    }
+
+    /// Whether a parcel asks for it; what is no request is a right that another request needs as well.
+    fn is_asked_for(self) -> bool {
+        self != Verb::Device
     }
 
     /// Whether nobody can be refused this: giving up what one has, and being alive.
@@ -253,7 +265,7 @@ mod tests {
 
     #[test]
     fn every_verb_is_found_by_its_parcel() {
-        for verb in Verb::ALL {
+        for verb in Verb::ALL.into_iter().filter(|verb| verb.is_asked_for()) {
             let name = if verb == Verb::Send {
                 "command"
             } else {
@@ -263,6 +275,15 @@ mod tests {
             assert_eq!(Verb::from_word(verb.word()), Some(verb));
         }
         assert_eq!(Verb::of(Family::Token, "info"), Ok(Verb::Info));
+        assert_eq!(Verb::of(Family::Context, "stop"), Ok(Verb::Stop));
+        assert_eq!(Verb::of(Family::Context, "unstop"), Ok(Verb::Unstop));
+    }
+
+    #[test]
+    fn a_right_that_is_no_request_is_known_to_rules_only() {
+        assert_eq!(Verb::from_word("device"), Some(Verb::Device));
+        let error = Verb::of(Family::Context, "device").expect_err("no request");
+        assert_eq!(error.code, Code::UNKNOWN_VERB);
     }
 
     #[test]

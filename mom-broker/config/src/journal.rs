@@ -24,6 +24,18 @@ impl Config {
         }
     }
 
+    /// The name under which its stops are kept in a directory that several brokers may share.
+    pub fn stops_name(&self) -> String {
+        let path = self.source.as_ref().map(|source| Path::new(&source.name));
+        let path = path.map(|path| path.canonicalize().unwrap_or_else(|_| path.to_owned()));
+        let Some(path) = path.filter(|_| self.store.path.is_none()) else {
+            return "stops".to_owned();
+        };
+        let sum = Sha256::digest(path.as_os_str().as_encoded_bytes());
+        let sum: String = sum.iter().take(4).map(|byte| format!("{byte:02x}")).collect();
+        format!("stops-{sum}")
+    }
+
     /// Opens a recording, to decide it again by this configuration.
     ///
     /// # Errors

@@ -13,7 +13,7 @@ use mom_journal::{Tap, WriteError};
 use mom_login::{LoginStats, Logins};
 use mom_net::{SelfSigned, ServerTls, Takes, Transceiver};
 use mom_proto::Fingerprint;
-use mom_store::{StoreAnswer, StoreError};
+use mom_store::{StopFile, StoreAnswer, StoreError};
 use mom_system::Clock;
 use parking_lot::{Mutex, RwLock};
 use tokio::sync::{mpsc, watch};
@@ -23,7 +23,7 @@ use tokio::time::{Instant, timeout_at};
 use crate::connection::{DRAIN, Doors, Remote, Services, Serving, login_time};
 use crate::inquiry::Answering;
 use crate::traffic::encodings::Bounds;
-use crate::traffic::switchboard::{Switchboard, Touched, flush};
+use crate::traffic::switchboard::{Keeping, Switchboard, Touched, flush};
 use crate::web::Web;
 
 use listen::{Listener, listen};
@@ -135,13 +135,20 @@ impl Broker {
         {
             settings.epoch = epoch;
         }
+        let mut kept = mom_store::open_stops(&config.store, config.stops_name()).await?;
+        if let Some(kept) = &mut kept {
+            settings.keeps_stops = true;
+            settings.stops = std::mem::take(&mut kept.records);
+            settings.stops_unread = kept.unread.is_some();
+        }
+        let (stops, stop_answers) = kept.map(|kept| (kept.file, kept.answers)).unzip();
         let hub = config.make_hub(settings.clone())?;
         let journal = (&config.audit, &config.record);
         let tap = Tap::start(journal, config.file(), &settings, &clock)?;
         let mut logins = Logins::new(config.users.clone(), config.login.clone(), clock.clone())
             .map_err(ConfigError::from)?;
         remember_places(&mut logins, config.store.path.as_deref());
-        let board = Switchboard::new(hub, clock, bounds(&config), store, tap);
+        let board = Switchboard::new(hub, clock, bounds(&config), Keeping { store, stops }, tap);
         board.memory.set_bound(config.memory_bound());
         let services = Services::new(board, logins, config.limits.clone());
         let tls = Arc::new(RwLock::new(open_tls(&config)?));
@@ -168,7 +175,7 @@ impl Broker {
             };
             tasks.spawn(listener.run(socket));
         }
-        if let Some(answers) = answers {
+        for answers in answers.into_iter().chain(stop_answers) {
             tasks.spawn(take_answers(Arc::clone(&services.board), answers));
         }
         let running = Arc::new(Mutex::new(config));
@@ -244,7 +251,7 @@ impl Broker {
     /// Takes no more connections, tells all peers, lets what waits go out and the store write, at most 10 s.
     pub async fn stop(mut self) {
         let deadline = Instant::now() + DRAIN;
-        let store = &self.services.board.store;
+        let store = &self.services.board.keeping.store;
         let peers_by = store.as_ref().map_or(deadline, |_| deadline - LAST_RECORDS);
         // Nobody is listening any more if all tasks have ended.
         let _ = self.stopping.send(true);
@@ -260,6 +267,15 @@ impl Broker {
             && timeout_at(deadline, store.close()).await.is_err()
         {
             tracing::warn!("the store did not write all in time; what it had not answered may be lost");
+        }
+        if self.services.board.keeping.stops.is_some() {
+            let board = Arc::clone(&self.services.board);
+            let closed = tokio::task::spawn_blocking(move || {
+                board.keeping.stops.iter().for_each(StopFile::close);
+            });
+            if timeout_at(deadline, closed).await.is_err() {
+                tracing::warn!("what is stopped was not written in time");
+            }
         }
         // What is left are connections that have not said in which form they speak.
         self.tasks.shutdown().await;

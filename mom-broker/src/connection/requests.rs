@@ -86,10 +86,11 @@ fn pace(most: u64) -> Pace {
     Pace::every_within((SECOND / most).max(1), SECOND)
 }
 
-/// Whether a request is one of those that are limited. Keeping what one has, giving it up, and answering the hub is not.
+/// Whether a request is one of those that are limited. Keeping what one has, giving it up, answering the hub, and stopping
+/// is not; the hub bounds how much one user may stop at once.
 pub(super) fn counts(parcel: &Parcel) -> bool {
     let verb = Verb::of(parcel.family, &parcel.name);
-    !matches!(verb, Ok(Verb::Renew | Verb::Release | Verb::Verdict))
+    !matches!(verb, Ok(Verb::Renew | Verb::Release | Verb::Verdict | Verb::Stop))
 }
 
 #[cfg(test)]

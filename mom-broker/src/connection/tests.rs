@@ -19,7 +19,7 @@ use tokio::time::Instant;
 
 use super::{Remote, Services, Serving};
 use crate::traffic::encodings::Bounds;
-use crate::traffic::switchboard::Switchboard;
+use crate::traffic::switchboard::{Keeping, Switchboard};
 
 /// The lab without a listener.
 struct House {
@@ -45,7 +45,7 @@ impl House {
         let journal = (&config.audit, &config.record);
         let tap = Tap::start(journal, config.file(), &settings, &clock).expect("no files to write");
         let logins = Logins::new(config.users, config.login, clock.clone()).expect("right");
-        let board = Switchboard::new(hub.expect("right"), clock, bounds, None, tap);
+        let board = Switchboard::new(hub.expect("right"), clock, bounds, Keeping::default(), tap);
         House {
             services: Services::new(board, logins, config.limits),
         }

@@ -17,6 +17,7 @@ mod row;
 mod rows;
 mod settings;
 mod start;
+mod stops;
 #[cfg(test)]
 mod tests;
 
@@ -34,6 +35,7 @@ pub use error::StoreError;
 // The broker knows it by its shorter name.
 pub use queue::StoreAnswer;
 pub use settings::StoreConfig;
+pub use stops::{KeptStops, StopFile};
 
 use disk::{Disk, lane_file};
 use queue::StoreQueue;
@@ -115,6 +117,22 @@ pub async fn take_epoch(state: Option<&FilePath>, wall: Time) -> Result<Option<u
     let epoch = taken.unwrap_or_else(|error| Err(disk::unwritable(&shown, &error)))?;
     tracing::info!(state = %shown.display(), epoch, "fences rise over restarts");
     Ok(Some(epoch))
+}
+
+/// Opens what keeps stops over restarts, in the store's directory or the one for state; none where a configuration has
+/// neither. `name` tells brokers apart that share a directory.
+///
+/// # Errors
+/// A directory that cannot be used.
+pub async fn open_stops(config: &StoreConfig, name: String) -> Result<Option<KeptStops>, StoreError> {
+    let Some(directory) = config.path.clone().or_else(|| config.state.clone()) else {
+        return Ok(None);
+    };
+    let shown = directory.clone();
+    let opened = tokio::task::spawn_blocking(move || StopFile::open(&directory, &name)).await;
+    opened
+        .unwrap_or_else(|error| Err(disk::unwritable(&shown, &error)))
+        .map(Some)
 }
 
 impl Store {

@@ -5,11 +5,10 @@ use std::collections::BTreeSet;
 use mom_proto::event::{self, Reason};
 use mom_proto::{Code, ContextNumber, Fence, Map, Path, WireError};
 
-use super::steps::{STEP, TOLD, told};
 use crate::token::state::Granting;
 use crate::tree::context::Role;
 use crate::world::World;
-use crate::world::steps::{Deleter, Deletion, Job, Phase};
+use crate::world::steps::{Deleter, Deletion, Job, Phase, STEP, TOLD, told};
 use crate::{Audit, Effect, PeerId};
 
 impl World {

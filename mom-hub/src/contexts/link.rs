@@ -3,10 +3,9 @@
 use mom_proto::ContextNumber;
 use mom_proto::event;
 
-use super::steps::{STEP, TOLD, told};
 use crate::world::World;
 use crate::world::events::peer_map;
-use crate::world::steps::{Job, LinkNews};
+use crate::world::steps::{Job, LinkNews, STEP, TOLD, told};
 use crate::{Effect, PeerId};
 
 impl World {

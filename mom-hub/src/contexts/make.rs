@@ -214,6 +214,11 @@ impl World {
         only(spec.expiry.is_some(), "expiry", ContextKind::Token)?;
         only(spec.deadman.is_some(), "deadman", ContextKind::Token)?;
         only(spec.safe_on_give.is_some(), "safe-on-give", ContextKind::Token)?;
+        only(
+            spec.stop_ends_grant.is_some(),
+            "stop-ends-grant",
+            ContextKind::Token,
+        )?;
         match kind {
             ContextKind::Session => Ok(Role::Session),
             ContextKind::Channel => Ok(Role::Channel(Channel {
@@ -361,6 +366,7 @@ fn make_token(spec: &ContextSpec, terms: Terms) -> Result<Token, WireError> {
         },
         safe,
         safe_on_give: spec.safe_on_give.unwrap_or(true),
+        stop_ends_grant: spec.stop_ends_grant.unwrap_or(false),
         ..Token::default()
     })
 }

@@ -6,10 +6,9 @@ use std::sync::Arc;
 use mom_proto::event;
 use mom_proto::{ContextNumber, Path, Thinning};
 
-use super::steps::{STEP, TOLD, told};
 use crate::world::World;
 use crate::world::events::peer_map;
-use crate::world::steps::{Job, Leaving};
+use crate::world::steps::{Job, Leaving, STEP, TOLD, told};
 use crate::{Effect, Member, PeerId};
 
 /// Contexts that are told to forget their creator in place of one that is left: it is that much cheaper.

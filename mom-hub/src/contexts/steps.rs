@@ -1,27 +1,12 @@
 //! What would hold up others goes in steps: large deletions, and the ways out of large sessions.
 
-use mom_proto::{Micros, Path};
+use mom_proto::Path;
 
-use crate::world::steps::{Job, Leaving};
+use crate::world::steps::{Job, Leaving, PAUSE};
 use crate::world::{Timer, World};
 use crate::{Effect, PeerId};
 
-/// Contexts that one step ends, removes or leaves, and peers that it tells.
-pub(super) const STEP: usize = 32;
-pub(super) const TOLD: usize = 256;
-
-/// The time between two steps, in which others have their turns.
-const PAUSE: Micros = 1_000;
-
 impl World {
-    /// Lets a job go on with its next step a little later.
-    pub(super) fn begin_job(&mut self, job: Job) {
-        if self.jobs.is_empty() {
-            self.timers.insert((self.after(PAUSE), Timer::Step));
-        }
-        self.jobs.push_back(job);
-    }
-
     /// Goes on with what is done in steps, each in its turn; gives a way out that has come to its end.
     pub(crate) fn go_on(&mut self, out: &mut Vec<Effect>) -> Option<Leaving> {
         let Some(job) = self.jobs.pop_front() else {
@@ -42,6 +27,11 @@ impl World {
                 }
                 false => self.jobs.push_back(Job::Leave(leaving)),
             },
+            Job::Stop(mut sweep) => {
+                if !self.sweep_step(&mut sweep, out) {
+                    self.queue_job(Job::Stop(sweep));
+                }
+            }
             Job::Link(mut news) => {
                 if !self.link_step(&mut news, out) {
                     self.jobs.push_back(Job::Link(news));
@@ -70,13 +60,4 @@ impl World {
             }
         }
     }
-}
-
-/// How many are told by effects.
-pub(super) fn told(effects: &[Effect]) -> usize {
-    let one = |effect: &Effect| match effect {
-        Effect::Deliver { to, .. } => to.len(),
-        _ => 0,
-    };
-    effects.iter().map(one).sum()
 }

@@ -267,11 +267,26 @@ fn review(world: &mut World, questions: &mut Questions, out: &mut Vec<Effect>) {
             let Some(place) = place.map(|place| place.number) else {
                 continue;
             };
+            review_device(world, peer, place);
             if world.refused(peer, Verb::Join, place) {
                 let text = "the configuration has changed: this peer may not be here any more";
                 put_out(world, questions, (place, peer, None), Some(text), out);
             }
         }
+    }
+}
+
+/// Takes a member that may not be a device any more for an ordinary one.
+fn review_device(world: &mut World, peer: PeerId, place: ContextNumber) {
+    let member = world.tree.get(place).and_then(|place| place.members.get(&peer));
+    let Some(thinning) = member
+        .filter(|member| member.device)
+        .map(|member| member.thinning)
+    else {
+        return;
+    };
+    if world.refused(peer, Verb::Device, place) {
+        world.set_terms(place, peer, thinning, false);
     }
 }
 

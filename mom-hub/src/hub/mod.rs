@@ -15,6 +15,7 @@ use mom_proto::{ContextNumber, Family, Micros, Path, Value};
 
 use crate::asking::questions::{Due, Questions};
 use crate::contexts::make::{SetupError, make_root, manager_word};
+use crate::stops::end_call;
 use crate::verbs;
 use crate::world::{Timer, World};
 use crate::{ContextSpec, Effect, Input, PeerId, Route, Settings};
@@ -100,6 +101,10 @@ impl Hub {
                 verbs::run(world, questions, Due::new(peer, *parcel), out);
             }
             Input::Stored { ticket, ok } => {
+                if let Some(storing) = world.stops.storing.remove(&ticket) {
+                    world.take_kept(storing, ok, out);
+                    return;
+                }
                 // The queue has advanced first; now the requests that came while this was stored.
                 if let Some(token) = world.take_stored(ticket, ok, out) {
                     verbs::run_waiting(world, questions, out);
@@ -136,6 +141,7 @@ impl Hub {
                 let due = questions.unanswered(world, question, out);
                 verbs::run_all(world, questions, due, out);
             }
+            Timer::Call(call) => end_call(world, call, out),
             Timer::Step => {
                 if let Some(left) = world.go_on(out) {
                     verbs::follow(world, questions, left, out);

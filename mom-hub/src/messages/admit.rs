@@ -1,6 +1,6 @@
 //! Whether a message may pass, and to whom: one truth for the hub and for the broker's fast path.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -10,6 +10,7 @@ use mom_proto::{Code, Family, Fence, HISTORY, Micros, Parcel, Time, WireError, e
 
 use super::age::{age_of, aged, check_age, check_life, is_ahead, is_within};
 use super::route::{Guard, GuardOwner, Route};
+use crate::tree::member::has_own_right;
 use crate::{Member, PeerClock, PeerId};
 
 /// The priorities that peers may use; others are brought into this range (M7).
@@ -49,6 +50,23 @@ pub enum Receivers {
     These(Vec<usize>),
 }
 
+impl Receivers {
+    /// Their places in a route of so many members.
+    pub(crate) fn places(&self, members: usize) -> Vec<usize> {
+        match self {
+            Receivers::All => (0..members).collect(),
+            Receivers::AllBut(own) => (0..members).filter(|place| place != own).collect(),
+            Receivers::These(places) => places.clone(),
+        }
+    }
+
+    /// Who they are.
+    pub(crate) fn peers(&self, route: &Route) -> BTreeSet<PeerId> {
+        let places = self.places(route.members.len()).into_iter();
+        places.map(|place| route.members[place].peer).collect()
+    }
+}
+
 /// Admits a message of a peer to a channel and stamps it: sender, context, hub time, age, fence.
 ///
 /// # Errors
@@ -65,6 +83,10 @@ pub fn admit(
     let Some(member) = route.member(peer) else {
         return Ok(Admission::Consult);
     };
+    // Stops have one order, which only the hub knows, and what a device says of itself may be awaited there.
+    if has_own_right(&parcel.name) || (route.awaited && member.device) {
+        return Ok(Admission::Consult);
+    }
     let owner = route.guard.as_ref().and_then(|guard| guard.owner.as_ref());
     let overdue = owner
         .and_then(|owner| owner.lost_at)

@@ -23,6 +23,8 @@ pub struct Route {
     pub overflow: Overflow,
     /// What is kept for late joiners; none = nothing.
     pub keep: Option<Keep>,
+    /// Somebody waits for the word of its devices, which comes to the hub then.
+    pub awaited: bool,
 }
 
 /// The guard of a channel: its listed messages need ownership of a token.

@@ -76,6 +76,7 @@ fn route() -> Route {
         delivery: Delivery::Reliable,
         overflow: Overflow::default(),
         keep: None,
+        awaited: false,
     }
 }
 
@@ -98,7 +99,7 @@ fn pass(route: &Route, peer: PeerId, parcel: &mut Parcel) -> Result<Receivers, W
             assert_eq!(rate, None);
             Ok(receivers)
         }
-        Admission::Consult => panic!("a verdict stands for {}", parcel.name),
+        Admission::Consult => panic!("{} needs no hub", parcel.name),
     }
 }
 
@@ -116,24 +117,46 @@ fn change(owner: impl FnOnce(&mut GuardOwner)) -> Route {
 #[test]
 fn a_guard_covers_the_names_that_it_lists_and_no_other() {
     let mut route = route();
-    for (name, fence) in [
-        ("command", Some(FENCE)),
-        ("jog", Some(FENCE)),
-        ("say", None),
-        ("stop", None),
-    ] {
+    for (name, fence) in [("command", Some(FENCE)), ("jog", Some(FENCE)), ("say", None)] {
         let mut parcel = message(name);
         assert_eq!(pass(&route, ALICE, &mut parcel), Ok(Receivers::All));
         assert_eq!(parcel.fence, fence, "{name}");
     }
     assert_eq!(pass(&route, BOB, &mut message("say")), Ok(Receivers::All));
-    assert_eq!(pass(&route, BOB, &mut message("stop")), Ok(Receivers::All));
     assert_eq!(refused(&route, BOB, message("jog")).code, Code::NOT_OWNER);
 
     let guard = route.guard.as_mut().expect("a guard");
     guard.names = vec!["*".to_owned()].into();
     assert_eq!(refused(&route, BOB, message("say")).code, Code::NOT_OWNER);
-    assert_eq!(pass(&route, BOB, &mut message("stop")), Ok(Receivers::All));
+    let mut stop = message("stop");
+    let passed = admit_with(&route, BOB, &allowed(), &mut stop, &ingress(0));
+    assert_eq!((passed, stop.fence), (Ok(Receivers::All), None));
+}
+
+#[test]
+fn stops_have_one_order_which_the_hub_knows() {
+    let route = route();
+    for name in ["stop", "unstop"] {
+        let admitted = admit(&route, BOB, &mut message(name), &ingress(0));
+        assert_eq!(admitted, Ok(Admission::Consult), "{name}");
+    }
+}
+
+#[test]
+fn what_a_device_says_goes_to_the_hub_while_it_is_awaited() {
+    let mut route = route();
+    route.awaited = true;
+    let state = |route: &Route| admit(route, BOB, &mut message("state"), &ingress(0));
+    assert_eq!(
+        state(&route),
+        Ok(Admission::Pass(Receivers::All, None)),
+        "it is no device"
+    );
+    let device = route.members[1].on_terms(mom_proto::Thinning::default(), true);
+    route.members[1] = Arc::new(device);
+    assert_eq!(state(&route), Ok(Admission::Consult));
+    route.awaited = false;
+    assert_eq!(state(&route), Ok(Admission::Pass(Receivers::All, None)));
 }
 
 #[test]

@@ -158,6 +158,7 @@ impl Token {
         self.terms = new.terms;
         self.safe = new.safe;
         self.safe_on_give = new.safe_on_give;
+        self.stop_ends_grant = new.stop_ends_grant;
         let alive_until = self.deadman_from(now);
         if let Some(owner) = self.owner.as_mut().filter(|_| deadman) {
             owner.alive_until = alive_until;

@@ -23,6 +23,8 @@ pub(crate) struct Token {
     pub(crate) safe: Option<SafeState>,
     /// Whether the safe state is sent also where the owner gave the token away.
     pub(crate) safe_on_give: bool,
+    /// Whether a stop of a channel that it guards ends its owner's grant.
+    pub(crate) stop_ends_grant: bool,
     /// The channels that it guards.
     pub(crate) guarded: BTreeSet<ContextNumber>,
     /// Waiting grabs in the order in which they are granted.

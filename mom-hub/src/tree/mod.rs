@@ -5,9 +5,11 @@
 pub(crate) mod clock;
 pub(crate) mod context;
 pub(crate) mod keep;
+pub(crate) mod latch;
 pub(crate) mod member;
 pub(crate) mod peers;
 pub(crate) mod spec;
+pub(crate) mod stop_row;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Bound;
@@ -313,6 +315,18 @@ impl Tree {
         let start = after.map_or(first, |after| after.as_str().to_owned());
         let range = (Bound::Excluded(start.as_str()), Bound::Excluded(end.as_str()));
         self.by_path.range::<str, _>(range).map(|(_, number)| *number)
+    }
+
+    /// The context that was made last.
+    pub(crate) fn newest(&self) -> ContextNumber {
+        let newest = self.contexts.last_key_value();
+        newest.map_or(ContextNumber(0), |(number, _)| *number)
+    }
+
+    /// The first context that was made after this one and is there.
+    pub(crate) fn made_after(&self, number: ContextNumber) -> Option<ContextNumber> {
+        let later = (Bound::Excluded(number), Bound::Unbounded);
+        self.contexts.range(later).next().map(|(number, _)| *number)
     }
 
     /// The last context below a path, which has none below it.

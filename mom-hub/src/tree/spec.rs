@@ -60,6 +60,9 @@ pub struct ContextSpec {
     /// Tokens: whether the safe state is sent also when the owner gives it away; absent = yes.
     #[serde(default)]
     pub safe_on_give: Option<bool>,
+    /// Tokens: whether a stop of a channel that it guards ends its owner's grant; absent = no.
+    #[serde(default)]
+    pub stop_ends_grant: Option<bool>,
 }
 
 /// The guard of a channel.

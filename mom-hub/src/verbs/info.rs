@@ -45,10 +45,14 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
             if let Some(guard) = &channel.guard {
                 info.set("guard", guard.describe(Map::new()));
             }
+            info.set("stop", world.stops.latch(&context.path).describe());
         }
         Role::Token(token) => {
             info.set("lease", lease_value(token));
             info.set("expiry", expiry_word(token.terms.expiry));
+            if let Some(stops) = world.stops_guarded_by(token) {
+                info.set("stopped", stops);
+            }
             for (key, value) in describe_owner(world, token)
                 .into_iter()
                 .chain(describe_waiting(world, token))

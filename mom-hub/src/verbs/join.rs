@@ -1,15 +1,17 @@
 //! `context join`: entered through its parent (M23). Joining again is answered, and changes only what the member is
 //! to be spared and whether it is a device, if the content says so.
 
-use mom_proto::{Code, ContextNumber, MessageRate, Overflow, Thinning, Value, WireError};
+use mom_proto::{Code, ContextNumber, Fence, MessageRate, Overflow, Thinning, Value, Verb, WireError};
 use serde::Deserialize;
 
 use super::checks::Request;
 use super::expel::check_not_expelled;
 use crate::Effect;
 use crate::asking::refusal::Refusal;
+use crate::asking::wish::Wish;
 use crate::content;
 use crate::ownership::{describe_owner, lease_value};
+use crate::stops::DeviceWord;
 use crate::tree::context::Role;
 use crate::world::World;
 
@@ -21,7 +23,7 @@ struct Args {
     #[serde(default)]
     rate: Option<Value>,
     #[serde(default)]
-    device: bool,
+    device: Option<Value>,
 }
 
 impl Args {
@@ -39,6 +41,11 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     let number = world.allowed(request)?;
     world.check_parent_joined(request.peer, number)?;
     let terms = terms(world, request, number)?;
+    let device = terms.as_ref().and_then(|(_, device)| *device);
+    if device.is_some() {
+        // Others rely on what a device says, so it takes a right to be one.
+        world.ask(request.peer, &Wish::new(Verb::Device, number), &request.answers)?;
+    }
     if !world.tree.is_member(request.peer, number) {
         check_not_expelled(world, request.peer, number)?;
         let joined = world.peers.get(request.peer).map_or(0, |peer| peer.joined.len());
@@ -49,7 +56,10 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         world.add_member(number, request.peer, out);
     }
     if let Some((thinning, device)) = terms {
-        world.set_terms(number, request.peer, thinning, device);
+        world.set_terms(number, request.peer, thinning, device.is_some());
+    }
+    if let Some(word) = device {
+        world.meet_device(number, request.peer, word, out);
     }
     let Some(context) = world.tree.get(number) else {
         return Err(world
@@ -76,6 +86,13 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
             if let Some(keep) = channel.keep {
                 content.set("keep", keep.to_map());
             }
+            let latch = world.stops.latch(&context.path);
+            let name = device.and_then(|_| context.members.get(&request.peer));
+            match name.map(|member| &member.facts.name) {
+                Some(name) => content.set("stop", latch.describe_for(name)),
+                None if latch.newest > Fence::default() => content.set("stop", latch.describe()),
+                None => {}
+            }
             if let Some(guard) = &channel.guard {
                 // The owner and fence now: a late joiner has to know them to check what comes (M33).
                 let token = world.tree.token_at(&guard.token);
@@ -86,15 +103,18 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         }
     }
     request.push_ok(world, Some(content), out);
+    if device.is_some() {
+        world.tell_device(number, request.peer, false, out);
+    }
     Ok(())
 }
 
-/// What the peer asks to be spared, and whether it is a device; none if it says nothing of that.
+/// What the peer asks to be spared, and what it says as a device; none if it says nothing of that.
 fn terms(
     world: &World,
     request: &Request,
     number: ContextNumber,
-) -> Result<Option<(Thinning, bool)>, WireError> {
+) -> Result<Option<(Thinning, Option<DeviceWord>)>, WireError> {
     if request.parcel.content.is_none() {
         return Ok(None);
     }
@@ -104,12 +124,16 @@ fn terms(
         .tree
         .get(number)
         .is_some_and(|context| context.channel().is_some());
-    if (thinning.thins() || args.device) && !is_channel {
+    let device = args.device.as_ref().map(DeviceWord::read).transpose()?.flatten();
+    if let Some(word) = &device {
+        word.check(world.settings.epoch)?;
+    }
+    if (thinning.thins() || device.is_some()) && !is_channel {
         let text = format!(
             "{} is no channel: only messages are thinned, and devices stop",
             request.path
         );
         return Err(WireError::new(Code::WRONG_KIND, text).slot("content"));
     }
-    Ok(Some((thinning, args.device)))
+    Ok(Some((thinning, device)))
 }

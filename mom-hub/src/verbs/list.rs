@@ -8,6 +8,7 @@ use serde::Deserialize;
 
 use super::checks::{PAGE, Request, of_kind};
 use crate::Effect;
+use crate::Latch;
 use crate::asking::refusal::Refusal;
 use crate::asking::wish::Wish;
 use crate::content;
@@ -52,12 +53,15 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         }
         if let Some(child) = world.tree.get(child) {
             let members = count(child.members.len());
-            list.push(Value::Map(
-                child
-                    .summary()
-                    .with("name", child.path.name())
-                    .with("members", members),
-            ));
+            let mut summary = child
+                .summary()
+                .with("name", child.path.name())
+                .with("members", members);
+            let latch = child.channel().map(|_| world.stops.latch(&child.path));
+            if let Some(latch) = latch.filter(Latch::is_stopped) {
+                summary.set("stop", latch.describe());
+            }
+            list.push(Value::Map(summary));
         }
     }
     let mut content = Map::new().with("children", list);

@@ -65,6 +65,8 @@ pub(crate) fn resume(world: &mut World, peer: PeerId, out: &mut Vec<Effect>) {
     world.timers.remove(&(until, Timer::Grace(peer)));
     let fact = world.fact("resumed", peer);
     world.audit(fact, out);
+    // Before anything else: a device moves nothing until it has heard how it stands.
+    world.tell_device_everywhere(peer, out);
     world.tell_of_link(peer, out);
 }
 

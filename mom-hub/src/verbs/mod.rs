@@ -29,11 +29,12 @@ mod renew;
 mod request;
 mod send;
 mod stats;
+mod stop;
 mod uninhibit;
 mod verdict;
 mod what_if;
 
-use mom_proto::{Code, Parcel, Path, Verb, WireError};
+use mom_proto::{Code, Family, Parcel, Path, Verb, WireError};
 
 use crate::asking::questions::{Due, Questions};
 use crate::asking::refusal::Refusal;
@@ -186,6 +187,7 @@ fn carry_out(
         Verb::Break => breaking::on(world, request, out),
         Verb::Inhibit => inhibit::on(world, request, out),
         Verb::Uninhibit => uninhibit::on(world, request, out),
+        Verb::Stop | Verb::Unstop if request.parcel.family == Family::Context => stop::on(world, request, out),
         Verb::Send | Verb::Stop | Verb::Unstop => send::on(world, questions, request, out),
         Verb::Verdict => verdict::on(world, questions, request, out),
         Verb::Logout => {
@@ -199,7 +201,9 @@ fn carry_out(
         | Verb::Ping
         | Verb::Pong
         | Verb::Ack
-        | Verb::Resent) => {
+        | Verb::Resent
+        // A right, and no request.
+        | Verb::Device) => {
             let text = format!("{verb} is not answered here");
             Err(WireError::new(Code::UNKNOWN_VERB, text).into())
         }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use mom_managers::{Answer, Grant, Scope, Standing, Verdict};
-use mom_proto::{ContextKind, ContextNumber, Micros, Parcel, Verb, WireError};
+use mom_proto::{ContextKind, ContextNumber, Micros, Parcel, STOP, Verb, WireError};
 
 use super::checks::{Request, of_kind};
 use crate::asking::questions::{Questions, take_parcel};
@@ -11,9 +11,10 @@ use crate::asking::refusal::Refusal;
 use crate::asking::wish::Wish;
 use crate::messages::admit::admit_with;
 use crate::messages::age::{Aged, age_of, is_within};
+use crate::stops::{Stopping, reason_of, unstop};
 use crate::tree::member::has_own_right;
 use crate::world::World;
-use crate::{Effect, Ingress, PeerClock, PeerId, Route, StandingVerdict};
+use crate::{Effect, Ingress, PeerClock, PeerId, Receivers, Route, StandingVerdict};
 
 pub(crate) fn on(
     world: &mut World,
@@ -40,6 +41,9 @@ pub(crate) fn on(
         ..Wish::new(request.verb, number)
     };
     let (answer, rate) = match standing(world, request, number, wish.age) {
+        _ if request.verb == Verb::Stop && world.is_own_stop(peer, number, &request.parcel) => {
+            (Answer::Allow(Grant::default()), None)
+        }
         Some(standing) => (standing.answer, standing.rate),
         None => {
             let verdict = world.consult(peer, &wish, &request.answers);
@@ -59,6 +63,24 @@ pub(crate) fn on(
     };
     let ingress = world.ingress(peer);
     let receivers = admit_with(&route, peer, &answer, &mut request.parcel, &ingress)?;
+    match request.verb {
+        Verb::Stop => {
+            let parcel = take_parcel(&mut request.parcel);
+            push_stop(world, peer, parcel, (route, receivers), out);
+            return Ok(());
+        }
+        Verb::Unstop => {
+            let parcel = take_parcel(&mut request.parcel);
+            return match unstop(world, peer, number, parcel.clone(), out) {
+                Ok(()) => Ok(()),
+                Err(error) => {
+                    request.parcel = parcel;
+                    Err(error.into())
+                }
+            };
+        }
+        _ => world.note_word(number, peer, &request.parcel, out),
+    }
     let parcel = take_parcel(&mut request.parcel);
     let route = match world.count_command(peer, &route, &parcel) {
         true => world.route(number).unwrap_or(route),
@@ -72,6 +94,35 @@ pub(crate) fn on(
         rate,
     });
     Ok(())
+}
+
+/// Hands out a stop under the next number of its channel, and remembers it.
+fn push_stop(
+    world: &mut World,
+    peer: PeerId,
+    mut parcel: Parcel,
+    (route, receivers): (Route, Receivers),
+    out: &mut Vec<Effect>,
+) {
+    let (channel, number) = (route.number, world.next_stop(route.number));
+    parcel.extra.set(STOP, number);
+    let only = parcel.address.clone();
+    let (reason, heard) = (reason_of(&parcel), receivers.peers(&route));
+    out.push(Effect::Send {
+        from: peer,
+        parcel: Box::new(parcel),
+        receivers,
+        route: Arc::new(route),
+        rate: None,
+    });
+    let stopping = Stopping {
+        channel,
+        peer,
+        only: only.as_deref(),
+        reason,
+        heard,
+    };
+    world.take_hold(&stopping, number, None, out);
 }
 
 /// The verdict that stands for a message. A request with answers of its own is decided by them alone; sends that have

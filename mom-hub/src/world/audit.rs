@@ -26,10 +26,12 @@ pub struct Audit {
     pub rule: Option<Arc<str>>,
     /// The code of a refusal.
     pub code: Option<Code>,
-    /// Plain words of a refusal, of who put a peer out, of a step of the clock, or of a fault.
+    /// Plain words of a refusal, of who put a peer out, of a step of the clock, of a fault, or why devices are stopped.
     pub text: Option<String>,
     /// The fence of the ownership that began or ended.
     pub fence: Option<u64>,
+    /// The number of a stop that began or was lifted.
+    pub stop: Option<u64>,
     /// Why an ownership ended, or how it began if not by a grab.
     pub reason: Option<Reason>,
     /// The other peer: who broke the token, gave it, or owns it.
@@ -38,7 +40,7 @@ pub struct Audit {
 
 impl Audit {
     /// All values of [`Audit::what`].
-    pub const WORDS: [&'static str; 16] = [
+    pub const WORDS: [&'static str; 18] = [
         "login",
         "gone",
         "link-lost",
@@ -54,6 +56,8 @@ impl Audit {
         "deleted",
         "configured",
         "clock-stepped",
+        "stopped",
+        "unstopped",
         "fault",
     ];
 
@@ -89,6 +93,9 @@ impl Audit {
         }
         if let Some(fence) = self.fence {
             map.set("fence", i64::try_from(fence).unwrap_or(i64::MAX));
+        }
+        if let Some(stop) = self.stop {
+            map.set("stop", i64::try_from(stop).unwrap_or(i64::MAX));
         }
         map
     }

@@ -7,7 +7,7 @@ use mom_proto::{ContextNumber, Parcel, WireError};
 use mom_managers::Rate;
 
 use super::inquiry::Inquiry;
-use crate::{Audit, PeerId, Receivers, Record, Route, Ticket};
+use crate::{Audit, PeerId, Receivers, Record, Route, StopRecord, Ticket};
 
 /// One effect. Effects of one input are carried out in their order.
 #[derive(Clone, Debug, PartialEq)]
@@ -71,6 +71,14 @@ pub enum Effect {
         /// What.
         record: Record,
         /// Whose durability is awaited; none = nobody's.
+        ticket: Option<Ticket>,
+    },
+    /// Keep what is stopped in a channel over a restart. With a ticket the hub waits for
+    /// [`Input::Stored`](crate::Input::Stored): before an unstop is handed out, and to say that a stop is kept.
+    Keep {
+        /// What; where nothing was ever stopped it may be forgotten.
+        record: StopRecord,
+        /// Whose keeping is awaited; none = nobody's.
         ticket: Option<Ticket>,
     },
     /// Write a fact into the audit log.

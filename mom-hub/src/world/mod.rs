@@ -11,6 +11,7 @@ mod names;
 mod routes;
 pub(crate) mod settings;
 pub(crate) mod steps;
+pub(crate) mod stops;
 
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -23,6 +24,7 @@ use crate::tree::Tree;
 use crate::tree::peers::Peers;
 use crate::{Audit, Effect, PeerId, Record, Settings, Ticket};
 use steps::Job;
+use stops::Stops;
 
 /// All that the hub knows, but for the questions that it has asked.
 #[derive(Debug)]
@@ -57,6 +59,8 @@ pub(crate) struct World {
     pub(crate) stirred: BTreeSet<ContextNumber>,
     /// Waiting grabs whose turn it is, and about which somebody has to be asked: token and ticket.
     pub(crate) to_ask: Vec<(ContextNumber, u64)>,
+    /// Which devices are stopped.
+    pub(crate) stops: Stops,
     // In a cell, because lookups find faults too.
     faults: RefCell<Vec<&'static str>>,
 }
@@ -76,6 +80,8 @@ pub(crate) enum Timer {
     Request(ContextNumber, u64),
     /// Ends the waiting for a verdict.
     Answer(u64),
+    /// Ends the waiting for the word of devices.
+    Call(u64),
     /// Goes on with what is done in steps.
     Step,
     /// Ends the time for which only the owner of before a restart may have a token.
@@ -88,6 +94,8 @@ impl World {
     /// A world without any context.
     pub(crate) fn new(mut settings: Settings, registry: Registry) -> World {
         let records = std::mem::take(&mut settings.records);
+        let stopped = std::mem::take(&mut settings.stops);
+        let stops = Stops::new(stopped, settings.stops_unread, settings.epoch, settings.anchor);
         World {
             settings,
             registry,
@@ -111,6 +119,7 @@ impl World {
             last_waiter: 0,
             stirred: BTreeSet::new(),
             to_ask: Vec::new(),
+            stops,
             faults: RefCell::default(),
         }
     }

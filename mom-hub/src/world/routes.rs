@@ -21,6 +21,7 @@ impl World {
             delivery: channel.delivery,
             overflow: channel.overflow,
             keep: channel.keep,
+            awaited: self.stops.is_awaited(number),
         })
     }
 

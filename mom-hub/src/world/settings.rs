@@ -2,7 +2,7 @@
 
 use mom_proto::{Limits, Micros, Time};
 
-use crate::Record;
+use crate::{Record, StopRecord};
 
 /// The hub's constants.
 #[derive(Clone, Debug)]
@@ -15,6 +15,12 @@ pub struct Settings {
     pub durable: bool,
     /// The records that were durable before the start.
     pub records: Vec<Record>,
+    /// Whether stops are kept ([`Effect::Keep`](crate::Effect::Keep)).
+    pub keeps_stops: bool,
+    /// What was stopped before the start.
+    pub stops: Vec<StopRecord>,
+    /// That could not be read: what is not in `stops` is stopped.
+    pub stops_unread: bool,
     /// The limits that the login reply advertises.
     pub limits: Limits,
     /// For how long another user cannot have the name of a peer that left, in µs.
@@ -33,6 +39,9 @@ impl Default for Settings {
             epoch: 0,
             durable: false,
             records: Vec::new(),
+            keeps_stops: false,
+            stops: Vec::new(),
+            stops_unread: false,
             limits: Limits::default(),
             name_rest: 60_000_000,
             counts_above: 200,

@@ -1,9 +1,46 @@
 //! What is done in steps: much is deleted, or left.
 
 use mom_proto::event::Reason;
-use mom_proto::{ContextNumber, Map, Path, WireError};
+use mom_proto::{ContextNumber, Map, Micros, Path, WireError};
 
-use crate::{Audit, PeerId};
+use super::stops::Order;
+use super::{Timer, World};
+use crate::{Audit, Effect, PeerId};
+
+/// Contexts that one step ends, removes, leaves or stops, and peers that it tells.
+pub(crate) const STEP: usize = 32;
+pub(crate) const TOLD: usize = 256;
+
+/// The time between two steps, in which others have their turns.
+pub(crate) const PAUSE: Micros = 1_000;
+
+impl World {
+    /// Lets a job go on with its next step a little later.
+    pub(crate) fn begin_job(&mut self, job: Job) {
+        if self.jobs.is_empty() {
+            self.timers.insert((self.after(PAUSE), Timer::Step));
+        }
+        self.queue_job(job);
+    }
+
+    /// Lets a job wait for its next step. A stop goes before all others: nobody's deletions hold it up.
+    pub(crate) fn queue_job(&mut self, job: Job) {
+        match job {
+            Job::Stop(_) => self.jobs.push_front(job),
+            _ => self.jobs.push_back(job),
+        }
+    }
+}
+
+/// How many are told by effects.
+pub(crate) fn told(effects: &[Effect]) -> usize {
+    let one = |effect: &Effect| match effect {
+        Effect::Deliver { to, .. } => to.len(),
+        Effect::Send { route, .. } => route.members.len(),
+        _ => 0,
+    };
+    effects.iter().map(one).sum()
+}
 
 /// What goes on between other inputs.
 #[derive(Debug)]
@@ -11,6 +48,20 @@ pub(crate) enum Job {
     Delete(Box<Deletion>),
     Leave(Leaving),
     Link(LinkNews),
+    Stop(Box<Sweep>),
+}
+
+/// A stop or unstop of all channels below a session.
+#[derive(Debug)]
+pub(crate) struct Sweep {
+    pub(crate) order: Order,
+    pub(crate) top: Path,
+    /// The last one that was told, in the order of paths.
+    pub(crate) after: Option<Path>,
+    /// The newest context at the beginning: what was made since is looked at in the end.
+    pub(crate) newest: ContextNumber,
+    /// The last one of those that was looked at.
+    pub(crate) again: Option<ContextNumber>,
 }
 
 /// A peer has lost its connection, or has come back.

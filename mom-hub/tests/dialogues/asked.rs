@@ -477,7 +477,11 @@ fn what_stands_does_not_overtake_a_message_that_waits() {
     assert!(heard[0].starts_with("alice< consult"), "{heard:?}");
     assert_eq!(stands(&stage), Some(false), "the next one has to wait behind it");
     let heard = by_its_clock(&mut stage, "message stop /lab/own");
-    assert_eq!(of(&heard, &["alice"]), ["alice< stop of bob"], "but never a stop");
+    assert_eq!(
+        of(&heard, &["alice"]),
+        ["alice< stop of bob stop=1"],
+        "but never a stop"
+    );
     stage.at(400);
     stage.say("alice", "manager verdict / consult=1 allow=true");
     assert_eq!(stands(&stage), Some(true));

@@ -18,6 +18,7 @@ mod review;
 mod safe_first;
 mod stage;
 mod stats;
+mod stops;
 mod terms;
 mod thinning;
 mod threat_19;

@@ -19,6 +19,7 @@ const ROOMS: &[(&str, &[&str])] = &[
             "hub",
             "verbs",
             "contexts",
+            "stops",
             "ownership",
             "asking",
             "world",

@@ -1,6 +1,6 @@
 //! The lines of a recording: its head, inputs with their decisions, its end.
 
-use mom_hub::{Holder, Hub, Input, PeerClock, Record, Settings, Ticket, User};
+use mom_hub::{Holder, Hub, Input, PeerClock, Record, Settings, StopRow, Ticket, User};
 use mom_proto::{ClockOffset, Content, ContextNumber, Family, Limits, Parcel, Path, Time, Verb};
 use serde::{Deserialize, Serialize};
 
@@ -46,6 +46,14 @@ pub(super) struct RecordingHead {
     /// What was durable before the start.
     #[serde(default)]
     pub(super) records: Vec<OldRecord>,
+    /// Whether stops were kept.
+    #[serde(default)]
+    pub(super) keeps_stops: bool,
+    /// What was stopped before the start, and whether that could not be read.
+    #[serde(default)]
+    pub(super) stops: Vec<StopRow>,
+    #[serde(default)]
+    pub(super) stops_unread: bool,
     /// The limits, for readers of the file; a replay uses those of its own configuration.
     pub(super) limits: Limits,
 }
@@ -151,6 +159,9 @@ impl RecordingHead {
             hash: config.sha256.clone(),
             durable: settings.durable,
             records: settings.records.iter().map(OldRecord::new).collect(),
+            keeps_stops: settings.keeps_stops,
+            stops: settings.stops.iter().map(StopRow::from).collect(),
+            stops_unread: settings.stops_unread,
             limits: settings.limits.clone(),
         }
     }
@@ -163,6 +174,14 @@ impl RecordingHead {
             epoch: self.epoch,
             durable: self.durable,
             records: records.collect::<Result<_, _>>()?,
+            keeps_stops: self.keeps_stops,
+            stops: self
+                .stops
+                .iter()
+                .cloned()
+                .map(StopRow::record)
+                .collect::<Result<_, _>>()?,
+            stops_unread: self.stops_unread,
             limits,
             ..Settings::default()
         })

@@ -102,9 +102,9 @@ pub enum Outcome {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         question: Option<u64>,
     },
-    /// A change of ownership waits until it is durable.
+    /// A change of ownership, or an unstop, waits until it is durable.
     Stored {
-        /// The token.
+        /// The token, or the channel.
         context: String,
         /// The number of the ticket.
         ticket: u64,
@@ -143,6 +143,13 @@ pub(super) fn outcomes(effects: &[Effect], asked: Option<(u64, Option<Verb>)>) -
                 context: record.path.to_string(),
                 ticket: ticket.0,
             }),
+            Effect::Keep {
+                record,
+                ticket: Some(ticket),
+            } => outcomes.push(Outcome::Stored {
+                context: record.path.to_string(),
+                ticket: ticket.0,
+            }),
             Effect::Close {
                 peer,
                 error: Some(error),
@@ -150,7 +157,11 @@ pub(super) fn outcomes(effects: &[Effect], asked: Option<(u64, Option<Verb>)>) -
                 peer: peer.0,
                 code: error.code.word().to_owned(),
             }),
-            Effect::Route(_) | Effect::RouteGone(_) | Effect::Store { .. } | Effect::Close { .. } => {}
+            Effect::Route(_)
+            | Effect::RouteGone(_)
+            | Effect::Store { .. }
+            | Effect::Keep { .. }
+            | Effect::Close { .. } => {}
         }
     }
     if let Some((peer, _)) = asked.filter(|(peer, _)| !outcomes.iter().any(|one| one.answers(*peer))) {

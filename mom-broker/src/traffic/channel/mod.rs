@@ -336,6 +336,15 @@ pub(crate) fn hub_origin(parcel: &Parcel) -> Origin {
     }
 }
 
+/// What the hub says: by the control lane, but for a stop that holds, which goes as any stop does.
+pub(crate) fn by_hub(parcel: &Parcel, encodings: Encodings, account: Option<&Arc<Account>>) -> Arc<Packet> {
+    let mut packet = control(parcel.family, encodings, hub_origin(parcel), account);
+    if let (Lane::Stop, Some(packet)) = (lane_of(parcel), Arc::get_mut(&mut packet)) {
+        packet.lane = Lane::Stop;
+    }
+    packet
+}
+
 /// What goes by the control lane.
 pub(crate) fn control(
     family: Family,
@@ -389,6 +398,7 @@ pub(crate) mod tests {
             delivery: Delivery::default(),
             overflow: mom_proto::Overflow::default(),
             keep: None,
+            awaited: false,
         }
     }
 

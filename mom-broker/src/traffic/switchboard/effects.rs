@@ -79,6 +79,7 @@ impl Work {
             Effect::RouteGone(_)
             | Effect::Send { .. }
             | Effect::Store { .. }
+            | Effect::Keep { .. }
             | Effect::Audit(_)
             | Effect::Close { .. } => 1,
         };
@@ -142,6 +143,7 @@ impl Switchboard {
                     }
                 }
                 Effect::Store { record, ticket } => self.keep(record, ticket),
+                Effect::Keep { record, ticket } => self.keep_stop(&record, ticket),
                 Effect::Audit(_) => {}
                 Effect::Close { peer, error } => {
                     if let Some(outbox) = self.outbox(peer) {

@@ -3,17 +3,17 @@
 use std::sync::Arc;
 
 use dashmap::DashMap;
-use mom_hub::{Hub, PeerId, Record, Ticket};
+use mom_hub::{Hub, PeerId, Record, StopRecord, Ticket};
 use mom_journal::Tap;
 use mom_net::Taken;
 use mom_proto::{Code, ContextNumber, Family, Map, Micros, Parcel, Path, Value, WireError, event};
-use mom_store::Store;
+use mom_store::{StopFile, Store};
 use mom_system::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use mom_system::sync::{Mutex, Notify};
 use mom_system::{Clock, Workers};
 
 use crate::traffic::batch::{self, BatchWriter};
-use crate::traffic::channel::{Channel, LARGEST_STOP, Sent, control, hub_origin, stamped};
+use crate::traffic::channel::{Channel, LARGEST_STOP, Sent, by_hub, control, hub_origin, stamped};
 use crate::traffic::encodings::{Bounds, Encoder, Encodings};
 use crate::traffic::inquiries::Inquiries;
 use crate::traffic::memory::Memory;
@@ -50,8 +50,7 @@ pub(crate) struct Switchboard {
     /// For what grows with the size of what one peer sends.
     pub(crate) workers: Arc<Workers>,
     pub(crate) memory: Memory,
-    /// None where nothing outlives the broker; the hub knows, and stores nothing.
-    pub(crate) store: Option<Store>,
+    pub(crate) keeping: Keeping,
     pub(crate) outboxes: DashMap<PeerId, Arc<Outbox>>,
     batch_writer: BatchWriter,
     /// What peers ask and files answer.
@@ -66,11 +65,18 @@ pub(crate) struct Switchboard {
     stopping: AtomicBool,
 }
 
+/// What outlives the broker; the hub knows where nothing does, and keeps nothing.
+#[derive(Debug, Default)]
+pub(crate) struct Keeping {
+    pub(crate) store: Option<Store>,
+    pub(crate) stops: Option<StopFile>,
+}
+
 /// Outboxes that were given something in the present turn and have to be flushed at its end.
 pub(crate) type Touched = Vec<Arc<Outbox>>;
 
 impl Switchboard {
-    pub(crate) fn new(hub: Hub, clock: Clock, bounds: Bounds, store: Option<Store>, tap: Tap) -> Switchboard {
+    pub(crate) fn new(hub: Hub, clock: Clock, bounds: Bounds, keeping: Keeping, tap: Tap) -> Switchboard {
         let routes = hub.routes();
         let board = Switchboard {
             clock,
@@ -82,7 +88,7 @@ impl Switchboard {
             bounds,
             workers: Arc::default(),
             memory: Memory::default(),
-            store,
+            keeping,
             outboxes: DashMap::new(),
             batch_writer: BatchWriter::default(),
             inquiries: Inquiries::default(),
@@ -275,10 +281,18 @@ impl Switchboard {
 
     /// Hands a record to the store, which answers by [`Input::Stored`] later and never waits here.
     pub(crate) fn keep(&self, record: Record, ticket: Option<Ticket>) {
-        match &self.store {
+        match &self.keeping.store {
             Some(store) => store.put(record, ticket),
             // Its settings tell the hub that nothing is durable here, so it awaits nothing.
             None => tracing::error!(token = %record.path, ?ticket, "a record without a store"),
+        }
+    }
+
+    /// The same of what is stopped in a channel.
+    pub(crate) fn keep_stop(&self, record: &StopRecord, ticket: Option<Ticket>) {
+        match &self.keeping.stops {
+            Some(stops) => stops.keep(record, ticket),
+            None => tracing::error!(channel = %record.path, ?ticket, "a stop is to be kept nowhere"),
         }
     }
 
@@ -341,7 +355,7 @@ impl Switchboard {
                     [outbox] => outbox.account(),
                     _ => None,
                 };
-                let packet = control(parcel.family, encodings, hub_origin(parcel), account.as_ref());
+                let packet = by_hub(parcel, encodings, account.as_ref());
                 for outbox in outboxes {
                     self.push(&outbox, Arc::clone(&packet), touched);
                 }

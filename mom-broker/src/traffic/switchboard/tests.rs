@@ -20,7 +20,7 @@ use proptest::test_runner::{Config, TestRunner};
 use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 
-use super::{Handled, Switchboard, Touched, flush};
+use super::{Handled, Keeping, Switchboard, Touched, flush};
 use crate::traffic::channel::Sender;
 use crate::traffic::encodings::Bounds;
 use crate::traffic::outbox::Outbox;
@@ -191,7 +191,7 @@ impl World {
         let tap = Tap::start(journal, ConfigFile::default(), &settings, &clock).expect("it writes nothing");
         let (near, said) = link().await;
         let mut world = World {
-            board: Switchboard::new(hub, clock.clone(), bounds, None, tap),
+            board: Switchboard::new(hub, clock.clone(), bounds, Keeping::default(), tap),
             clock,
             runs,
             peers: Vec::new(),

@@ -6,10 +6,11 @@
 use std::collections::BTreeMap;
 
 use mom_hub::{
-    Configuration, ContextSpec, Effect, Hub, Input, PeerId, Receivers, Record, Settings, Ticket, User,
+    Configuration, ContextSpec, Effect, Hub, Input, PeerId, Receivers, Record, Settings, StopRecord, Ticket,
+    User,
 };
 use mom_managers::Registry;
-use mom_proto::{Family, Map, Parcel, Path, Value, from_value};
+use mom_proto::{Family, Map, Parcel, Path, STOP, Value, from_value};
 
 /// The epoch of the fences, unless said otherwise.
 pub(crate) const EPOCH: u64 = 1;
@@ -31,6 +32,8 @@ pub(crate) struct Stage {
     last_peer: u64,
     /// What was given to the store, and is not answered if it is awaited.
     pub(crate) stored: Vec<(Record, Option<Ticket>)>,
+    /// What is to be kept of stops, in the same way.
+    pub(crate) kept: Vec<(StopRecord, Option<Ticket>)>,
     pub(crate) effects: Vec<Effect>,
 }
 
@@ -109,6 +112,7 @@ impl Stage {
             peers: BTreeMap::new(),
             last_peer: 0,
             stored: Vec::new(),
+            kept: Vec::new(),
             effects: Vec::new(),
         }
     }
@@ -147,7 +151,8 @@ impl Stage {
         self.peers[name]
     }
 
-    /// A peer says a line: family, name, path, and `key=value` of its content, or `@fence=…` of the parcel.
+    /// A peer says a line: family, name, path, and `key=value` of its content, or `@fence=…`, `@stop=…`, `@to=…` of the parcel; `number=…` is the key
+    /// `stop` with an epoch.
     pub(crate) fn say(&mut self, name: &str, line: &str) -> Vec<String> {
         let input = self.request(name, line);
         self.give(input)
@@ -192,6 +197,18 @@ impl Stage {
                 "@fence" => {
                     let number = value.as_int().and_then(|number| u64::try_from(number).ok());
                     parcel.fence = number.map(|number| (EPOCH << 20) + number);
+                }
+                "@stop" => {
+                    let number = value.as_int().map(|number| (EPOCH.cast_signed() << 20) + number);
+                    parcel.extra.set(STOP, number.expect("a number"));
+                }
+                "@to" => {
+                    let names = value.as_str().expect("names").split(',');
+                    parcel.address = Some(names.map(Into::into).collect());
+                }
+                "number" => {
+                    let number = value.as_int().expect("a number");
+                    content.set(STOP, (EPOCH.cast_signed() << 20) + number);
                 }
                 key => content.set(key, value),
             }
@@ -266,6 +283,13 @@ impl Stage {
         self.give(Input::Stored { ticket, ok })
     }
 
+    /// The oldest awaited record of stops is kept, or will never be.
+    pub(crate) fn answer_kept(&mut self, ok: bool) -> Vec<String> {
+        let awaited = self.kept.iter_mut().find_map(|(_, ticket)| ticket.take());
+        let ticket = awaited.expect("something is being kept");
+        self.give(Input::Stored { ticket, ok })
+    }
+
     /// Gives the hub an input; what is heard.
     pub(crate) fn give(&mut self, input: Input) -> Vec<String> {
         let mut effects = Vec::new();
@@ -284,10 +308,16 @@ impl Stage {
                     route,
                     ..
                 } => {
-                    assert_eq!(*receivers, Receivers::All);
-                    heard.extend(route.members.iter().map(|member| self.line(member.peer, parcel)));
+                    let places: Vec<usize> = match receivers {
+                        Receivers::All => (0..route.members.len()).collect(),
+                        Receivers::AllBut(own) => (0..route.members.len()).filter(|at| at != own).collect(),
+                        Receivers::These(places) => places.clone(),
+                    };
+                    let peers = places.into_iter().map(|place| route.members[place].peer);
+                    heard.extend(peers.map(|peer| self.line(peer, parcel)));
                 }
                 Effect::Store { record, ticket } => self.stored.push((record.clone(), *ticket)),
+                Effect::Keep { record, ticket } => self.kept.push((record.clone(), *ticket)),
                 Effect::Close { peer, .. } => heard.push(format!("{} closed", self.name(*peer))),
                 _ => {}
             }
@@ -303,7 +333,9 @@ impl Stage {
             _ => None,
         });
         let pair = |(key, value): (&str, &Value)| match value {
-            Value::Int(fence) if key == "fence" => format!("fence={}", fence & ((1 << 20) - 1)),
+            Value::Int(number) if ["fence", "stop"].contains(&key) => {
+                format!("{key}={}", number & ((1 << 20) - 1))
+            }
             Value::Int(number) => format!("{key}={number}"),
             Value::String(text) => format!("{key}={text}"),
             other => format!("{key}={other:?}"),
@@ -323,6 +355,9 @@ impl Stage {
         let content = parcel.value();
         if parcel.family == Family::Message {
             line += &format!(" of {}", parcel.sender.as_deref().unwrap_or_default());
+        }
+        if let Some(Value::Int(stop)) = parcel.extra.get(STOP) {
+            line += &format!(" stop={}", stop & ((1 << 20) - 1));
         }
         let fence = parcel.fence.map(|fence| fence.cast_signed());
         for key in SHOWN {

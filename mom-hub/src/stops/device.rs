@@ -1,0 +1,218 @@
+//! What a device says of itself, and what it hears when it comes: a device moves nothing before it knows.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use mom_proto::{Code, ContextNumber, Family, Fence, Map, Parcel, STOP, Value, WireError, event};
+
+use super::map_of;
+use crate::tree::latch::Stop;
+use crate::world::World;
+use crate::world::stops::Word;
+use crate::{Audit, Effect, PeerId};
+
+/// The message by which a device says how it stands.
+const STATE: &str = "state";
+
+/// Seconds by which the epoch of a device's number may be ahead of the hub's: clocks of hubs differ.
+const AHEAD: u64 = 1 << 20;
+
+/// What a device says when it joins: the newest stop that it has heard of, and whether it stands for it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct DeviceWord {
+    pub(crate) number: Fence,
+    pub(crate) stopped: bool,
+}
+
+impl DeviceWord {
+    /// From the content of a join: `true`, or `{stop, stopped}`; none = it is no device.
+    ///
+    /// # Errors
+    /// `bad-content`.
+    pub(crate) fn read(value: &Value) -> Result<Option<DeviceWord>, WireError> {
+        let bad = |key: &str, text: &str| WireError::new(Code::BAD_CONTENT, text).slot(key);
+        let map = match value {
+            Value::Bool(device) => return Ok(device.then(DeviceWord::default)),
+            Value::Map(map) => map,
+            _ => {
+                return Err(bad(
+                    "content/device",
+                    "device is a boolean, or a map {stop, stopped}",
+                ));
+            }
+        };
+        if let Some((key, _)) = map.iter().find(|(key, _)| ![STOP, "stopped"].contains(&&**key)) {
+            return Err(bad(
+                &format!("content/device/{key}"),
+                "device has the keys stop and stopped",
+            ));
+        }
+        let number = match map.get(STOP) {
+            None => 0,
+            Some(Value::Int(number)) => u64::try_from(*number)
+                .map_err(|_| bad("content/device/stop", "the number of a stop is not negative"))?,
+            Some(_) => return Err(bad("content/device/stop", "the number of a stop is an int")),
+        };
+        let stopped = match map.get("stopped") {
+            None => false,
+            Some(Value::Bool(stopped)) => *stopped,
+            Some(_) => return Err(bad("content/device/stopped", "stopped is a boolean")),
+        };
+        Ok(Some(DeviceWord {
+            number: number.into(),
+            stopped,
+        }))
+    }
+
+    /// Checks that a hub can have given out the number.
+    pub(crate) fn check(&self, epoch: u64) -> Result<(), WireError> {
+        if self.number < Fence::floor(epoch.saturating_add(AHEAD)) {
+            return Ok(());
+        }
+        let text = format!("no hub has given out a stop of number {}", self.number);
+        Err(WireError::new(Code::BAD_CONTENT, text).slot("content/device/stop"))
+    }
+}
+
+impl World {
+    /// Takes in what a device says that joins: where it knows of a stop that this hub does not, the stop holds.
+    pub(crate) fn meet_device(
+        &mut self,
+        channel: ContextNumber,
+        peer: PeerId,
+        word: DeviceWord,
+        out: &mut Vec<Effect>,
+    ) {
+        let facts = self.peers.get(peer).map(|peer| Arc::clone(&peer.facts));
+        let path = self.tree.get(channel).map(|context| context.path.clone());
+        let (Some(facts), Some(path)) = (facts, path) else {
+            return self.fault("a device is met that is not there");
+        };
+        if word.number <= self.stops.latch(&path).newest {
+            return;
+        }
+        let since = self.wall();
+        let latch = self.stops.latch_mut(&path);
+        latch.newest = word.number;
+        if word.stopped {
+            let stop = Stop {
+                number: word.number,
+                by: Arc::clone(&facts.name),
+                user: Arc::clone(&facts.user),
+                since,
+                reason: Some("it was stopped when it joined".into()),
+            };
+            latch.stop(stop, Some(&[Arc::clone(&facts.name)]));
+            let told = latch.describe();
+            let to = self.told_of_stops(channel, &BTreeSet::from([peer]));
+            self.push_event(event::STOPPED, &path, to, told, out);
+            let fact = Audit {
+                context: Some(path),
+                stop: Some(word.number.into()),
+                ..self.fact("stopped", peer)
+            };
+            self.audit(fact, out);
+        }
+        self.keep(channel, None, out);
+    }
+
+    /// Tells a device, and nobody else, how it stands: it has joined, or come back.
+    pub(crate) fn tell_device(
+        &self,
+        channel: ContextNumber,
+        peer: PeerId,
+        came_back: bool,
+        out: &mut Vec<Effect>,
+    ) {
+        let context = self.tree.get(channel);
+        let member = context.and_then(|context| Some((context, context.members.get(&peer)?)));
+        let Some((context, member)) = member.filter(|(_, member)| member.device) else {
+            return;
+        };
+        let latch = self.stops.latch(&context.path);
+        let name = &member.facts.name;
+        match latch.holding(name) {
+            Some(stop) => {
+                let mut parcel = self.hub_parcel(Family::Message, event::STOP, &context.path);
+                parcel.received = parcel.timestamp;
+                parcel.address = Some(vec![Arc::clone(name)]);
+                parcel.extra.set(STOP, stop.number);
+                parcel.content = Some(stop.describe(Map::new()).into());
+                out.push(Effect::Deliver {
+                    to: vec![peer],
+                    parcel: Arc::new(parcel),
+                });
+            }
+            // Who joins is told by the reply.
+            None if came_back => {
+                let content = latch.describe_for(name);
+                self.push_event(event::UNSTOPPED, &context.path, vec![peer], content, out);
+            }
+            None => {}
+        }
+    }
+
+    /// Tells a device that has come back how it stands in each of its channels.
+    pub(crate) fn tell_device_everywhere(&self, peer: PeerId, out: &mut Vec<Effect>) {
+        let joined = self.peers.get(peer).map(|peer| &peer.joined);
+        for channel in joined.into_iter().flatten() {
+            self.tell_device(*channel, peer, true, out);
+        }
+    }
+
+    /// Whether a message is a device's stop of itself, which needs no right.
+    pub(crate) fn is_own_stop(&self, peer: PeerId, channel: ContextNumber, parcel: &Parcel) -> bool {
+        let context = self.tree.get(channel);
+        let member = context.and_then(|context| context.members.get(&peer));
+        let own = member
+            .filter(|member| member.device)
+            .map(|member| &member.facts.name);
+        own.is_some()
+            && parcel
+                .address
+                .as_deref()
+                .is_some_and(|only| only.iter().all(|name| Some(name) == own))
+    }
+
+    /// Takes in how a device says that it stands, if somebody waits for that.
+    pub(crate) fn note_word(
+        &mut self,
+        channel: ContextNumber,
+        peer: PeerId,
+        parcel: &Parcel,
+        out: &mut Vec<Effect>,
+    ) {
+        if parcel.name() != STATE || !self.stops.is_awaited(channel) {
+            return;
+        }
+        let context = self.tree.get(channel);
+        let member = context.and_then(|context| context.members.get(&peer));
+        let Some(name) = member
+            .filter(|member| member.device)
+            .map(|member| Arc::clone(&member.facts.name))
+        else {
+            return;
+        };
+        let Some(map) = map_of(parcel) else { return };
+        let Some(stopped) = map.get("stopped").and_then(Value::as_bool) else {
+            return;
+        };
+        // A device of protocol 1.1 names no number: what it says now is what it does.
+        let number = match map.get(STOP) {
+            Some(Value::Int(number)) => u64::try_from(*number).ok().map(Fence::from),
+            _ => None,
+        };
+        let calls: Vec<u64> = self.stops.calls.keys().copied().collect();
+        for call in calls {
+            let wants = self.stops.calls.get(&call).map(|call| call.verb);
+            let obeys = stopped == (wants == Some(mom_proto::Verb::Stop));
+            let note = |called: &mut crate::world::stops::Called| {
+                let heard = number.is_none_or(|number| number >= called.number);
+                if let Some(word) = called.devices.get_mut(&name).filter(|_| obeys && heard) {
+                    *word = Word::Obeys;
+                }
+            };
+            self.note_call(call, channel, note, out);
+        }
+    }
+}

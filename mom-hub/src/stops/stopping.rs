@@ -1,0 +1,119 @@
+//! A stop takes hold.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use mom_proto::event::{self, Reason};
+use mom_proto::{ContextNumber, Fence, Parcel, Value};
+
+use super::read;
+use crate::tree::latch::Stop;
+use crate::world::World;
+use crate::world::stops::Storing;
+use crate::{Audit, Effect, PeerId};
+
+/// The longest reason that is remembered, in characters.
+const REASON: usize = 256;
+
+/// A stop of one channel.
+pub(crate) struct Stopping<'a> {
+    pub(crate) channel: ContextNumber,
+    pub(crate) peer: PeerId,
+    /// For these devices; none = for all.
+    pub(crate) only: Option<&'a [Arc<str>]>,
+    pub(crate) reason: Option<Arc<str>>,
+    /// Whom the message itself reaches.
+    pub(crate) heard: BTreeSet<PeerId>,
+}
+
+impl World {
+    /// The number of the next stop of a channel.
+    pub(crate) fn next_stop(&self, channel: ContextNumber) -> Fence {
+        let path = self.tree.get(channel).map(|context| &context.path);
+        path.map(|path| self.stops.next(path, self.settings.epoch))
+            .unwrap_or_default()
+    }
+
+    /// Remembers a stop that goes out with this number, and tells of it; `storing` waits until it is kept.
+    pub(crate) fn take_hold(
+        &mut self,
+        stopping: &Stopping<'_>,
+        number: Fence,
+        storing: Option<Storing>,
+        out: &mut Vec<Effect>,
+    ) {
+        let Stopping {
+            channel, peer, only, ..
+        } = *stopping;
+        let facts = self.peers.get(peer).map(|peer| Arc::clone(&peer.facts));
+        let context = self.tree.get(channel);
+        let (Some(path), Some(facts)) = (context.map(|context| context.path.clone()), facts) else {
+            return self.fault("a stop is taken that nobody says, or nowhere");
+        };
+        let stop = Stop {
+            number,
+            by: Arc::clone(&facts.name),
+            user: Arc::clone(&facts.user),
+            since: self.wall(),
+            reason: stopping.reason.clone(),
+        };
+        let latch = self.stops.latch_mut(&path);
+        let new = latch.stop(stop, only);
+        let told = latch.describe();
+        self.keep(channel, storing, out);
+        if new {
+            let to = self.told_of_stops(channel, &stopping.heard);
+            self.push_event(event::STOPPED, &path, to, told, out);
+        }
+        if self.stops.is_noteworthy(&path, new, self.now) {
+            let fact = Audit {
+                context: Some(path),
+                stop: Some(number.into()),
+                text: stopping.reason.as_deref().map(str::to_owned),
+                ..self.fact("stopped", peer)
+            };
+            self.audit(fact, out);
+        }
+        self.end_stopped_grant(channel, peer, out);
+        self.bound_stops(out);
+    }
+
+    /// Takes the token of a stopped channel from its owner, if the token says so.
+    fn end_stopped_grant(&mut self, channel: ContextNumber, by: PeerId, out: &mut Vec<Effect>) {
+        let context = self.tree.get(channel);
+        let guard = context.and_then(|context| context.channel()?.guard.as_ref());
+        let token = guard.and_then(|guard| self.tree.token_at(&guard.token));
+        let ends = token.filter(|(_, token)| token.stop_ends_grant);
+        if let Some(number) = ends.map(|(number, _)| number) {
+            self.lose(number, Reason::Stopped, Some(by), out);
+        }
+    }
+
+    fn bound_stops(&mut self, out: &mut Vec<Effect>) {
+        let tree = &self.tree;
+        let forgotten = self.stops.bound(tree.len(), |path| tree.find(path).is_some());
+        for path in forgotten {
+            let record = crate::StopRecord {
+                path,
+                latch: crate::Latch::default(),
+            };
+            self.keep_record(record, None, out);
+        }
+    }
+}
+
+/// Why somebody stops, as the content of a `stop` says it: a string, or a map with `reason`.
+pub(crate) fn reason_of(parcel: &Parcel) -> Option<Arc<str>> {
+    let content = read(parcel)?;
+    let reason = match &content {
+        Value::String(reason) => Some(&**reason),
+        other => other.get("reason").and_then(Value::as_str),
+    };
+    reason.and_then(shortened)
+}
+
+/// A reason that is not too long to be remembered.
+pub(crate) fn shortened(reason: &str) -> Option<Arc<str>> {
+    let reason: String = reason.chars().take(REASON).collect();
+    (!reason.is_empty()).then(|| reason.into())
+}

@@ -1,0 +1,240 @@
+//! What the hub knows of stops: the latch of each channel, what waits to be kept, and who waits for devices.
+//!
+//! Latches stand by path, not in the tree: deleting a channel and making it anew frees no device.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use mom_proto::{ContextNumber, Fence, HUB, Micros, Parcel, Path, Time, Verb};
+
+use crate::tree::latch::{Latch, Newer, Stop, StopRecord};
+use crate::{PeerId, Ticket};
+
+/// Latches of channels that are no more, beyond which the oldest are forgotten.
+const ORPHANS: usize = 4096;
+
+/// All stops.
+#[derive(Debug, Default)]
+pub(crate) struct Stops {
+    known: BTreeMap<Path, Known>,
+    /// The highest number of what was forgotten.
+    floor: Fence,
+    /// What holds where nothing is known, because what was kept could not be read.
+    unread: Option<Arc<Stop>>,
+    /// What waits until it is kept.
+    pub(crate) storing: BTreeMap<Ticket, Storing>,
+    /// Who waits for devices.
+    pub(crate) calls: BTreeMap<u64, Call>,
+    pub(crate) last_call: u64,
+}
+
+#[derive(Debug, Default)]
+struct Known {
+    latch: Latch,
+    /// When the audit log was last told.
+    noted: Option<Micros>,
+}
+
+/// What waits for its record.
+#[derive(Debug)]
+pub(crate) enum Storing {
+    /// An unstop: no device may move before a restart would know of it.
+    Unstop(Box<Unstop>),
+    /// A stop of a call, which was handed out already.
+    Stop { call: u64, channel: ContextNumber },
+}
+
+/// An unstop that is being kept.
+#[derive(Debug)]
+pub(crate) struct Unstop {
+    pub(crate) peer: PeerId,
+    pub(crate) channel: ContextNumber,
+    /// The newest stop that its user has seen.
+    pub(crate) up_to: Fence,
+    /// The message, stamped.
+    pub(crate) parcel: Parcel,
+    /// The call that it is part of; none = the peer's own message.
+    pub(crate) call: Option<u64>,
+}
+
+/// A request to stop or unstop a channel or all of a session, whose user waits for the devices' word.
+#[derive(Debug)]
+pub(crate) struct Call {
+    pub(crate) peer: PeerId,
+    pub(crate) id: Option<u64>,
+    pub(crate) path: Path,
+    pub(crate) verb: Verb,
+    pub(crate) until: Micros,
+    /// Not all channels are told yet.
+    pub(crate) walks: bool,
+    /// Channels with a guard or devices.
+    pub(crate) channels: BTreeMap<ContextNumber, Called>,
+    /// How many others were told.
+    pub(crate) others: usize,
+    /// Channels that the peer may see and not stop.
+    pub(crate) denied: Vec<Path>,
+}
+
+/// What a call says to each channel.
+#[derive(Clone, Debug)]
+pub(crate) struct Order {
+    pub(crate) call: u64,
+    pub(crate) peer: PeerId,
+    pub(crate) verb: Verb,
+    pub(crate) reason: Option<Arc<str>>,
+    pub(crate) only: Option<Arc<[Arc<str>]>>,
+    /// What an unstop lifts, by channel.
+    pub(crate) stops: Arc<BTreeMap<Path, Fence>>,
+}
+
+/// One channel of a call.
+#[derive(Debug)]
+pub(crate) struct Called {
+    pub(crate) path: Path,
+    /// The stop, or the newest one that the unstop lifts.
+    pub(crate) number: Fence,
+    pub(crate) guarded: bool,
+    pub(crate) devices: BTreeMap<Arc<str>, Word>,
+    pub(crate) kept: Kept,
+    pub(crate) newer: Vec<Newer>,
+    /// The unstop could not be kept, so it was not handed out.
+    pub(crate) failed: bool,
+}
+
+/// What a device has said to a call.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Word {
+    /// Nothing yet.
+    Silent,
+    /// That it obeys.
+    Obeys,
+    /// Its connection was lost before.
+    Lost,
+}
+
+/// Whether a restart of the hub would know.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Kept {
+    Waits,
+    Yes,
+    No,
+}
+
+impl Stops {
+    /// From what was kept; `unread` says why it could not be read.
+    pub(crate) fn new(records: Vec<StopRecord>, unread: bool, epoch: u64, since: Time) -> Stops {
+        let number = Fence::floor(epoch).next();
+        let unread = unread.then(|| {
+            Arc::new(Stop {
+                number,
+                by: HUB.into(),
+                user: HUB.into(),
+                since,
+                reason: Some("what was stopped before the hub's start could not be read".into()),
+            })
+        });
+        let known = records.into_iter().map(|record| {
+            let known = Known {
+                latch: record.latch,
+                noted: None,
+            };
+            (record.path, known)
+        });
+        Stops {
+            known: known.collect(),
+            unread,
+            ..Stops::default()
+        }
+    }
+
+    /// The latch of a channel.
+    pub(crate) fn latch(&self, path: &Path) -> Latch {
+        match self.known.get(path) {
+            Some(known) => known.latch.clone(),
+            None => self.unknown(),
+        }
+    }
+
+    pub(crate) fn latch_mut(&mut self, path: &Path) -> &mut Latch {
+        &mut self.known_mut(path).latch
+    }
+
+    fn known_mut(&mut self, path: &Path) -> &mut Known {
+        let latch = self.unknown();
+        let known = || Known { latch, noted: None };
+        self.known.entry(path.clone()).or_insert_with(known)
+    }
+
+    fn unknown(&self) -> Latch {
+        let newest = self.unread.as_ref().map(|stop| stop.number).unwrap_or_default();
+        Latch {
+            newest,
+            all: self.unread.clone(),
+            ..Latch::default()
+        }
+    }
+
+    /// What is to be kept of a channel.
+    pub(crate) fn record(&self, path: &Path) -> StopRecord {
+        StopRecord {
+            path: path.clone(),
+            latch: self.latch(path),
+        }
+    }
+
+    /// The number of the next stop of a channel.
+    pub(crate) fn next(&self, path: &Path, epoch: u64) -> Fence {
+        let newest = self.latch(path).newest;
+        newest.max(self.floor).max(Fence::floor(epoch)).next()
+    }
+
+    /// Whether the audit log is to be told of a stop that stops nobody new: once a second at most.
+    pub(crate) fn is_noteworthy(&mut self, path: &Path, new: bool, now: Micros) -> bool {
+        let known = self.known_mut(path);
+        let due = known
+            .noted
+            .is_none_or(|noted| now.saturating_sub(noted) >= 1_000_000);
+        if new || due {
+            known.noted = Some(now);
+        }
+        new || due
+    }
+
+    /// Forgets the oldest latches of channels that are no more, if there are too many of them.
+    pub(crate) fn bound(&mut self, contexts: usize, exists: impl Fn(&Path) -> bool) -> Vec<Path> {
+        if self.known.len() <= contexts + ORPHANS {
+            return Vec::new();
+        }
+        let orphans = self.known.iter().filter(|(path, _)| !exists(path));
+        let mut orphans: Vec<(Fence, Path)> = orphans
+            .map(|(path, known)| (known.latch.newest, path.clone()))
+            .collect();
+        orphans.sort();
+        orphans.truncate(ORPHANS / 2);
+        for (number, path) in &orphans {
+            self.floor = self.floor.max(*number);
+            self.known.remove(path);
+        }
+        orphans.into_iter().map(|(_, path)| path).collect()
+    }
+
+    /// Whether somebody waits for the word of this channel's devices.
+    pub(crate) fn is_awaited(&self, channel: ContextNumber) -> bool {
+        let awaits = |call: &Call| call.channels.get(&channel).is_some_and(Called::awaits_devices);
+        self.calls.values().any(awaits)
+    }
+}
+
+impl Call {
+    /// Whether all that can be known is known.
+    pub(crate) fn is_complete(&self) -> bool {
+        let complete = |called: &Called| !called.awaits_devices() && called.kept != Kept::Waits;
+        !self.walks && self.channels.values().all(complete)
+    }
+}
+
+impl Called {
+    fn awaits_devices(&self) -> bool {
+        self.devices.values().any(|word| *word == Word::Silent)
+    }
+}
