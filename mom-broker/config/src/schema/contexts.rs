@@ -47,6 +47,7 @@ pub(super) fn context() -> Value {
             "Tokens: the owner loses it if it does not renew for so long, in ms; absent = as the manager says."
         ),
         "safe-on-give": with_default(flag("Tokens: whether the safe state is sent also when the owner gives it away."), true),
+        "stop-ends-grant": with_default(flag("Tokens: whether a stop of a channel that it guards ends its owner's grant."), false),
     });
     table("A permanent context.", &properties, &["path", "kind"])
 }
