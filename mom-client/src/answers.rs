@@ -75,9 +75,13 @@ impl Shared {
             Ok(info) => {
                 place.gate.joined(info);
                 place.phase = JoinPhase::Joined(Arc::clone(info));
-                match again {
-                    true => state.subscribers.deliver_only(path, &Event::Rejoined),
-                    false => state.subscribers.keep_early(path),
+                let word = state.places.first_word(path, info);
+                if !again {
+                    state.subscribers.keep_early(path);
+                }
+                // A device moves nothing before it has heard how it stands.
+                for event in word.iter().chain(again.then_some(&Event::Rejoined)) {
+                    state.subscribers.deliver_only(path, event);
                 }
             }
             Err(error) => {

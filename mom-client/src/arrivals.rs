@@ -22,9 +22,13 @@ impl Shared {
             _ => {
                 trace::received(&parcel);
                 let paths: Vec<Path> = parcel.context.iter().cloned().collect();
-                self.lock()
-                    .subscribers
-                    .deliver(&paths, Event::from_parcel(parcel));
+                let is_stop = [names::STOP, names::UNSTOP].contains(&parcel.name());
+                let event = Event::from_parcel(parcel);
+                let mut state = self.lock();
+                if let Some(path) = paths.first().filter(|_| is_stop) {
+                    state.places.note_stops(path, &event);
+                }
+                state.subscribers.deliver(&paths, event);
             }
         }
     }
@@ -135,6 +139,11 @@ impl Shared {
                 state.subscribers.deliver(paths, Event::from_parcel(parcel));
                 state.places.remove_within(&path);
                 state.subscribers.close_within(&path);
+            }
+            names::STOPPED | names::UNSTOPPED => {
+                let event = Event::from_parcel(parcel);
+                state.places.note_stops(&path, &event);
+                state.subscribers.deliver(&[path], event);
             }
             name => {
                 match name {

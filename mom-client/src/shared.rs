@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use mom_net::{DropReason, Lane, Ledger, Outgoing};
 use mom_proto::codec::Form;
-use mom_proto::{Code, Family, Parcel, Path, Thinning, Verb, WireError};
+use mom_proto::{Code, Family, Map, Parcel, Path, Thinning, Verb, WireError};
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::{AcquireError, Notify, Semaphore, SemaphorePermit, oneshot, watch};
 use tokio::time::timeout;
@@ -15,6 +15,7 @@ use tokio::time::timeout;
 use crate::clock::HubClock;
 use crate::guards::Guards;
 use crate::handover::Handovers;
+use crate::info::map_of;
 use crate::login::Welcome;
 use crate::outbox::{Capacity, Dropped, Entry, Message, Outbox};
 use crate::pending::{AnswerTo, OpenRequests};
@@ -342,7 +343,8 @@ impl Shared {
                 if let Some(place) = state.places.get(path, serial) {
                     place.terms = terms;
                 }
-                asked = self.ask_in(&mut state, join(path, terms), &mut waiter);
+                let content = terms.content(&state.places.latch(path));
+                asked = self.ask_in(&mut state, join(path, content), &mut waiter);
             }
             wants.push(want);
             if asked.is_err() {
@@ -387,9 +389,14 @@ impl Shared {
     /// Joins a channel again, on other terms.
     pub(crate) async fn set_terms(&self, path: &Path, terms: Terms) -> Result<(), ClientError> {
         // An empty map too: without content the hub leaves everything as it was.
-        let parcel = verb(Family::Context, "join", path).content(terms.map());
-        self.request(parcel).await?;
-        self.lock().places.set_terms(path, terms);
+        let content = terms.map(&self.lock().places.latch(path));
+        let parcel = verb(Family::Context, "join", path).content(content);
+        let reply = self.request(parcel).await?;
+        let mut state = self.lock();
+        state.places.set_terms(path, terms);
+        if let Some(word) = state.places.first_word(path, &map_of(&reply)) {
+            state.subscribers.deliver_only(path, &word);
+        }
         Ok(())
     }
 
@@ -493,9 +500,9 @@ pub(crate) fn verb(family: Family, name: &str, path: &Path) -> Parcel {
 }
 
 /// The request to join a context on these terms.
-pub(crate) fn join(path: &Path, terms: Terms) -> Parcel {
+pub(crate) fn join(path: &Path, terms: Option<Map>) -> Parcel {
     let parcel = verb(Family::Context, "join", path);
-    match terms.content() {
+    match terms {
         Some(content) => parcel.content(content),
         None => parcel,
     }

@@ -3,6 +3,7 @@
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
+use mom_proto::event as names;
 use mom_proto::{Content, Path, Value};
 use parking_lot::Mutex;
 use tokio::sync::Notify;
@@ -19,7 +20,8 @@ const EARLY: usize = 1024;
 /// The events of one context, or all that no other subscription takes.
 ///
 /// Events wait in a bounded queue. When it is full the oldest are dropped, and the next event is [`Event::Lagged`]
-/// with their number. A message that has expired by the hub's clock is not delivered, only counted
+/// with their number. What stops a device or lets it go is never dropped: `stop`, `unstop`, `halt`, [`Event::Stops`] and
+/// [`Event::LinkDown`]; of many only the newest of each sender waits. A message that has expired by the hub's clock is not delivered, only counted
 /// ([`HubClock::expired`](crate::HubClock::expired)). A context's events keep its membership and the connection
 /// alive.
 ///
@@ -153,12 +155,14 @@ impl EventQueue {
             return;
         }
         let weight = weight(&event);
-        while waiting.events.len() >= waiting.most
-            || (waiting.bytes + weight > MOST_BYTES && !waiting.events.is_empty())
-        {
-            waiting.drop_oldest();
-        }
+        while (waiting.events.len() >= waiting.most
+            || (waiting.bytes + weight > MOST_BYTES && !waiting.events.is_empty()))
+            && waiting.drop_oldest()
+        {}
         waiting.bytes += weight;
+        if is_safety(&event) {
+            waiting.replace_safety(&event);
+        }
         waiting.events.push_back((weight, event));
         drop(waiting);
         self.wake.notify_one();
@@ -204,22 +208,60 @@ impl EventQueue {
     fn widen(&self, most: usize) {
         let mut waiting = self.waiting.lock();
         waiting.most = most.max(1);
-        while waiting.events.len() > waiting.most {
-            waiting.drop_oldest();
-        }
+        while waiting.events.len() > waiting.most && waiting.drop_oldest() {}
     }
 }
 
 impl QueuedEvents {
-    fn drop_oldest(&mut self) {
-        let Some((weight, event)) = self.events.pop_front() else {
-            return;
+    /// Drops the oldest event that does not concern safety; false if there is none.
+    fn drop_oldest(&mut self) -> bool {
+        let oldest = self.events.iter().position(|(_, event)| !is_safety(event));
+        // Of those that do, one of each kind and sender waits: a bound of its own, however small the queue is.
+        let oldest = oldest.or((self.events.len() >= SAFETY).then_some(0));
+        let Some((weight, event)) = oldest.and_then(|at| self.events.remove(at)) else {
+            return false;
         };
         self.bytes -= weight;
         self.lost += match event {
             Event::Lagged(lost) => lost,
             _ => 1,
         };
+        true
+    }
+
+    /// Drops what a newer event that concerns safety says as well: the same of the same sender. It keeps no place: what
+    /// was said between the two is between them no more, and the newer one counts.
+    fn replace_safety(&mut self, event: &Event) {
+        let same = self.events.iter().position(|(_, older)| says_same(older, event));
+        if let Some((weight, _)) = same.and_then(|at| self.events.remove(at)) {
+            self.bytes -= weight;
+        }
+    }
+}
+
+/// Events that concern safety and wait at once, at most.
+const SAFETY: usize = 4096;
+
+/// Whether an event stops a device, or lets it go.
+fn is_safety(event: &Event) -> bool {
+    match event {
+        Event::Message(parcel) => SAFETY_WORDS.contains(&parcel.name()),
+        Event::Stops(_) | Event::LinkDown => true,
+        _ => false,
+    }
+}
+
+const SAFETY_WORDS: [&str; 3] = [names::STOP, names::UNSTOP, names::HALT];
+
+/// Whether a newer event makes an older one needless: a stop makes an older stop of the same sender so, nothing else does, because
+/// what frees a device depends on the order.
+fn says_same(older: &Event, newer: &Event) -> bool {
+    match (older, newer) {
+        (Event::Message(older), Event::Message(newer)) => {
+            newer.name() == names::STOP && older.name() == names::STOP && older.sender == newer.sender
+        }
+        (Event::LinkDown, Event::LinkDown) => true,
+        _ => false,
     }
 }
 
@@ -446,6 +488,41 @@ mod tests {
             subscribers.deliver_only(&path, &Event::Rejoined);
             assert_eq!(taken(&others), [], "a context's own news is nobody else's");
         }
+    }
+
+    fn said(name: &str, sender: &str) -> Event {
+        let mut parcel = mom_proto::Parcel::new(mom_proto::Family::Message, name);
+        parcel.sender = Some(sender.into());
+        Event::Message(parcel)
+    }
+
+    #[test]
+    fn what_stops_a_device_is_never_dropped() {
+        let queue = EventQueue::new(2);
+        let safety = [said("stop", "bob"), said("halt", "hub"), said("unstop", "bob"), Event::LinkDown];
+        safety.iter().for_each(|event| queue.push(event.clone()));
+        (0..2000).for_each(|number| queue.push(said("note", &number.to_string())));
+        let taken = taken(&queue);
+        assert!(matches!(taken[0], Event::Lagged(1999)), "{:?}", taken[0]);
+        assert_eq!(taken[1..5], safety, "in their order");
+        assert_eq!(taken[5..], [said("note", "1999")]);
+        assert_eq!(queue.waiting.lock().bytes, 0);
+    }
+
+    #[test]
+    fn a_flood_of_stops_takes_no_room() {
+        let queue = EventQueue::new(8);
+        for _ in 0..10_000 {
+            queue.push(said("stop", "bob"));
+            queue.push(said("stop", "eve"));
+        }
+        assert_eq!(taken(&queue), [said("stop", "bob"), said("stop", "eve")]);
+        // Not even where each is answered by an unstop.
+        for _ in 0..10_000 {
+            queue.push(said("stop", "bob"));
+            queue.push(said("unstop", "bob"));
+        }
+        assert!(queue.waiting.lock().events.len() <= SAFETY + 1);
     }
 
     #[test]

@@ -7,7 +7,7 @@ use mom_proto::{ContextNumber, Map, Path, Thinning};
 use tokio::sync::oneshot;
 
 use crate::info::number;
-use crate::{ClientError, FenceGate};
+use crate::{ClientError, Event, FenceGate, Latch, StopState};
 
 pub(crate) type Joined = Result<Arc<Map>, ClientError>;
 
@@ -25,6 +25,8 @@ pub(crate) struct WantedContext {
     pub(crate) serial: u64,
     pub(crate) phase: JoinPhase,
     pub(crate) gate: FenceGate,
+    /// What a device has heard of stops, for when it joins again.
+    pub(crate) latch: Latch,
     /// What it asked for there, restored after a lost link.
     pub(crate) terms: Terms,
     wanted: usize,
@@ -39,17 +41,17 @@ pub(crate) struct Terms {
 }
 
 impl Terms {
-    /// For the hub; none where there is nothing to say.
-    pub(crate) fn content(self) -> Option<Map> {
-        (self.thinning.thins() || self.device).then(|| self.map())
+    /// For the hub; none where there is nothing to say. A device says what it has heard of stops.
+    pub(crate) fn content(self, latch: &Latch) -> Option<Map> {
+        (self.thinning.thins() || self.device).then(|| self.map(latch))
     }
 
     /// The same, also where there is nothing to say any more.
-    pub(crate) fn map(self) -> Map {
+    pub(crate) fn map(self, latch: &Latch) -> Map {
         let mut map = Map::new();
         self.thinning.describe(&mut map);
         if self.device {
-            map.set("device", true);
+            map.set("device", latch.word());
         }
         map
     }
@@ -89,6 +91,7 @@ impl WantedContexts {
                 serial: *serial,
                 phase: JoinPhase::Away,
                 gate: FenceGate::new(),
+                latch: Latch::default(),
                 terms: Terms::default(),
                 wanted: 0,
             }
@@ -160,6 +163,27 @@ impl WantedContexts {
             .unwrap_or_default()
     }
 
+    /// What this client has heard of stops in a channel.
+    pub(crate) fn latch(&self, path: &Path) -> Latch {
+        let place = self.places.get(path);
+        place.map(|place| place.latch.clone()).unwrap_or_default()
+    }
+
+    /// Notes what a channel has told of stops.
+    pub(crate) fn note_stops(&mut self, path: &Path, event: &Event) {
+        if let Some(place) = self.places.get_mut(path).filter(|place| place.terms.device) {
+            place.latch.observe(event);
+        }
+    }
+
+    /// What a device hears first when it has joined: how it stands.
+    pub(crate) fn first_word(&mut self, path: &Path, reply: &Map) -> Option<Event> {
+        let place = self.places.get_mut(path).filter(|place| place.terms.device)?;
+        let event = Event::Stops(StopState::from_reply(reply));
+        place.latch.observe(&event);
+        Some(event)
+    }
+
     /// Whether the answer to a join is awaited.
     pub(crate) fn is_joining(&self, path: &Path) -> bool {
         let phase = self.places.get(path).map(|place| &place.phase);
@@ -201,13 +225,13 @@ impl WantedContexts {
     }
 
     /// The link is back: returns all contexts, parents first, to be joined again.
-    pub(crate) fn rejoin(&mut self) -> Vec<(Path, u64, Terms)> {
+    pub(crate) fn rejoin(&mut self) -> Vec<(Path, u64, Option<Map>)> {
         let again = |(path, place): (&Path, &mut WantedContext)| {
             place.phase = JoinPhase::Joining {
                 again: true,
                 waiters: Vec::new(),
             };
-            (path.clone(), place.serial, place.terms)
+            (path.clone(), place.serial, place.terms.content(&place.latch))
         };
         self.places.iter_mut().map(again).collect()
     }

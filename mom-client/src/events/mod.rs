@@ -6,7 +6,7 @@ use mom_proto::event as names;
 use mom_proto::{ContextKind, Family, Map, Parcel, Path, WireError};
 
 use crate::info::{level, map_of, millis_of, name_list, number, owned, text};
-use crate::{ContextInfo, Member};
+use crate::{ContextInfo, Member, StopState};
 
 #[cfg(test)]
 mod tests;
@@ -158,6 +158,9 @@ pub enum Event {
         /// The context.
         path: Path,
     },
+    /// How the devices of this channel stand by the hub's books: when this peer joins as a device or has come back, before anything
+    /// else, and where a stop began or ended without a message to this peer.
+    Stops(StopState),
     /// Parcels of this peer were dropped on their way.
     Dropped {
         /// Why.
@@ -219,6 +222,7 @@ fn known(parcel: &Parcel) -> Option<Event> {
             text: owned(&map, "text"),
             path: path?,
         },
+        names::STOPPED | names::UNSTOPPED => Event::Stops(StopState::from_map(&map)),
         names::DROPPED => Event::Dropped {
             reason: owned(&map, "reason").unwrap_or_default(),
             count: number(&map, "count")?,

@@ -108,6 +108,7 @@ pub async fn run_arm(
     };
     let clock = ArmClock::start(options.pace);
     let mut server = RobotServer::new(arm, channel.path().clone()).starting_at(time_of_day());
+    server.set_name(client.name());
     if let Some(max_age) = options.max_age {
         server = server.with_max_age(max_age);
     }

@@ -32,6 +32,7 @@ impl<M: Machine> DevicePeer<M> {
     #[must_use]
     pub fn start(client: &Client, channel: &Channel, machine: M, begin: Instant) -> Self {
         let mut server = DeviceServer::new(machine, channel.path().clone(), time_of_day());
+        server.set_name(client.name());
         let mut out = Vec::new();
         server.report(&mut out);
         Self {

@@ -1,8 +1,8 @@
 //! The device's server: reacts to the events of its channel (M36).
 
 use mom_client::{
-    Age, BASED_ON, Code, Delivery, Event, Family, FenceGate, HUB, Map, Parcel, Path, Stale, StateGate, Time,
-    Value, WireError, event, to_value,
+    Age, BASED_ON, Code, Delivery, Event, Family, FenceGate, HUB, Latch, Map, Parcel, Path, Stale, StateGate,
+    Time, Turn, Value, WireError, event, to_value,
 };
 
 use crate::pull::{NEXT, Pull};
@@ -13,6 +13,8 @@ use crate::{Attachments, DeviceError, DeviceTime, ErrorName, Machine, Script};
 const COMMAND: &str = "command";
 /// The message that tells how far a command has come (M42).
 const STATUS: &str = "status";
+/// The number of the newest stop that it has heard of, in its state.
+const STOP: &str = "stop";
 /// The message that tells the mount's state.
 pub(crate) const STATE: &str = "state";
 /// Why commands end at the hub's safe state.
@@ -29,13 +31,18 @@ const SAFE: &str = "the hub ordered the safe state, because the token's owner lo
 ///   change, a `status` is broadcast (M42).
 /// - Whenever the owner changes, for whatever reason, the hub sends `halt`, or the link is lost, all commands end and the device
 ///   stands at once: nothing of an old owner is ever under way when a command of the new one begins.
-/// - Anybody's `stop` ends all commands too, and latches until `unstop`. So does a gap in the events, because it may have
-///   contained a `stop`. After each of both it says how it stands, changed or not.
+/// - Anybody's `stop` ends all commands too, and holds until an `unstop` that names it or a newer one ([`Latch`]). A gap in the events
+///   is a stop of its own, of which it tells the hub, because it may have contained a `stop`. After each of both it says how it
+///   stands, changed or not. It moves nothing before it has heard on this connection how it stands.
 /// - A peer that joins the channel gets the state; after a lost link it is sent again.
 #[derive(Debug)]
 pub struct DeviceServer<M: Machine> {
     queue: CommandQueue<M>,
     channel: Path,
+    /// Its own name at the hub, once it is known.
+    name: Option<String>,
+    /// Whether it may move.
+    latch: Latch,
     states: StateGate,
     /// Where the device was in the last state that was told.
     told: Option<Map>,
@@ -65,12 +72,19 @@ impl<M: Machine> DeviceServer<M> {
         Self {
             queue: CommandQueue::new(machine),
             channel,
+            name: None,
+            latch: Latch::default(),
             states: StateGate::new(start),
             told: None,
             fence: 0,
             commanded: 0,
             pull: None,
         }
+    }
+
+    /// Says what it is called at the hub, so that it can stop itself there.
+    pub fn set_name(&mut self, name: String) {
+        self.name = Some(name);
     }
 
     /// Has it ask for its commands, each time for so many µs, and take none that is not an answer or may be too old (W22).
@@ -120,6 +134,9 @@ impl<M: Machine> DeviceServer<M> {
         out: &mut Vec<Parcel>,
     ) {
         self.advance(now, out);
+        if let Some(turn) = self.latch.observe(event) {
+            self.take_turn(event, turn, now, out);
+        }
         match event {
             Event::Message(parcel) => self.handle_message(parcel, gate, age, now, out),
             Event::Joined(member) => {
@@ -128,14 +145,13 @@ impl<M: Machine> DeviceServer<M> {
                 out.push(state);
             }
             // Without names of who joined, all are told.
-            Event::Count(_) | Event::Rejoined | Event::Resumed => self.report(out),
+            Event::Count(_) => self.report(out),
+            Event::Rejoined | Event::Resumed => {
+                self.report(out);
+                self.tell_own_stop(out);
+            }
             Event::Grabbed { fence, .. } => self.take_owner(*fence, now, out),
             Event::Released { fence, .. } => self.end_older(fence.saturating_add(1), now, out),
-            Event::LinkDown => self.halt("the link to the hub was lost", now, out),
-            Event::Lagged(count) => {
-                let reason = format!("{count} events of the hub were lost, and a stop may be among them");
-                self.act(out, |queue, events| queue.stop(now, &reason, events));
-            }
             _ => {}
         }
     }
@@ -212,15 +228,42 @@ impl<M: Machine> DeviceServer<M> {
                     out.push(self.status_message(&refused, "error", refusal.content()));
                 }
             }
-            event::STOP => {
-                let reason = format!("{sender} sent stop");
-                self.obey_stop(out, |queue, events| queue.stop(now, &reason, events));
-            }
-            event::UNSTOP => self.obey_stop(out, |queue, events| queue.unstop(now, events)),
             // Only the hub may send it; a peer that wants the device to stop has `stop`.
             event::HALT if sender == HUB => self.halt(SAFE, now, out),
             _ => {}
         }
+    }
+
+    /// Does what an event about stops means.
+    fn take_turn(&mut self, event: &Event, turn: Turn, now: DeviceTime, out: &mut Vec<Parcel>) {
+        match turn {
+            Turn::Stop(reason) => self.obey_stop(out, |queue, events| queue.stop(now, &reason, events)),
+            Turn::Free => self.obey_stop(out, |queue, events| queue.unstop(now, events)),
+            Turn::Halt if matches!(event, Event::LinkDown) => {
+                self.halt("the link to the hub was lost", now, out);
+            }
+            Turn::Halt => self.obey_stop(out, |queue, events| {
+                queue.halt(now, "a stop has come that was lifted before", events);
+            }),
+            Turn::Same => self.report(out),
+        }
+        if matches!(event, Event::Lagged(_)) {
+            self.tell_own_stop(out);
+        }
+    }
+
+    /// Tells the hub that it has stopped itself, if the hub does not know: from then on it is a stop like any other.
+    fn tell_own_stop(&self, out: &mut Vec<Parcel>) {
+        let Some(name) = self.name.as_deref().filter(|_| self.latch.is_own()) else {
+            return;
+        };
+        let reason = self.latch.may_move().err().map(|held| held.to_string());
+        let content = Map::new().with("reason", reason.unwrap_or_default());
+        let mut stop = Parcel::new(Family::Message, event::STOP)
+            .context(self.channel.clone())
+            .content(content);
+        stop.address = Some(vec![name.into()]);
+        out.push(stop);
     }
 
     /// Stops, or does so no more, and says how the device stands, changed or not.
@@ -266,6 +309,9 @@ impl<M: Machine> DeviceServer<M> {
             return Err(DeviceError::new(ErrorName::DuplicateId, text).into());
         }
         self.queue.check_free()?;
+        if let Err(held) = self.latch.may_move() {
+            return Err(DeviceError::new(ErrorName::Stopped, format!("{} may not move: {held}", M::NAME)).into());
+        }
         let script = Script::read_with::<M>(script, &attachments)?;
         if script.is_relative::<M>() && parcel.extra.get(BASED_ON).is_none() {
             let text = "a relative command is right in one place only: it has to name the state that it is based on, by that state's id in the slot `based-on`";
@@ -350,7 +396,7 @@ impl<M: Machine> DeviceServer<M> {
         parcel
     }
 
-    /// `{seq, …position, …report, moving, stopped, executing {id?, peer, statement, of}?, waiting, fence?}`.
+    /// `{seq, …position, …report, moving, stopped, stop, executing {id?, peer, statement, of}?, waiting, fence?}`.
     fn state_message(&mut self, state: &State) -> Parcel {
         let mut content = Map::new().with("seq", state.seq as i64);
         for (key, value) in state.position.iter().chain(state.report.iter()) {
@@ -358,6 +404,7 @@ impl<M: Machine> DeviceServer<M> {
         }
         content.set("moving", state.moving);
         content.set("stopped", state.stopped);
+        content.set(STOP, i64::try_from(self.latch.number()).unwrap_or(i64::MAX));
         if let Some(Progress { order, statement, of }) = &state.executing {
             let executing = id_map(order).with("peer", &*order.peer);
             content.set(

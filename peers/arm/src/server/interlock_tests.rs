@@ -168,6 +168,7 @@ fn play(steps: &[Step]) -> Result<(), TestCaseError> {
                     if let Some((_, same)) = drop.filter(|(at, _)| *at == place) {
                         stage.act("down");
                         stage.act(if same { "resumed" } else { "rejoined" });
+                        stage.act("told 0");
                     }
                     if line.starts_with("grabbed") {
                         // The client's gate knows before the device hears.

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use mom_client::event::Reason;
 use mom_client::{
-    Age, BASED_ON, Delivery, Event, Family, FenceGate, HUB, Map, Parcel, Path, StateGate, Time, Value,
+    Age, BASED_ON, Delivery, Event, Family, FenceGate, HUB, Latch, Map, Parcel, Path, StateGate, Time, Value,
     WireError, event, to_value,
 };
 
@@ -25,6 +25,7 @@ mod interlock_tests;
 mod reach_tests;
 #[cfg(test)]
 mod tests;
+mod stops;
 #[cfg(test)]
 mod zone_tests;
 mod zones;
@@ -54,8 +55,9 @@ const SAFE: &str = "the hub ordered the safe state, because the token's owner lo
 /// - Then the arm stands, and says so by a state with the new `fence`. A command of the new owner that comes before is refused as
 ///   `changing-hands`, and may be sent again.
 /// - The hub's `halt` ends all commands, as does its command, the safe state of a token that declares one; anybody's
-///   `stop` does, and latches until `unstop`. A gap in the events
-///   latches too, because it may have contained a `stop`.
+///   `stop` does, and holds until an `unstop` that names it or a newer one ([`Latch`]). A gap in the events is a stop of its own, of
+///   which it tells the hub, because it may have contained a `stop`. The arm moves nothing before it has heard on this connection
+///   how it stands.
 /// - After each `stop` and `unstop` it says how it stands, changed or not, for whoever waits for that word.
 /// - No leg leads through a zone that the commander does not own (M40), and one under way ends when that zone is lost.
 /// - A lost link ends all commands; after it, the state is sent again.
@@ -64,6 +66,10 @@ const SAFE: &str = "the hub ordered the safe state, because the token's owner lo
 pub struct RobotServer {
     arm: Arm,
     channel: Path,
+    /// Its own name at the hub, once it is known.
+    name: Option<String>,
+    /// Whether it may move.
+    latch: Latch,
     /// Commands that the arm has accepted and not ended, by the arm's own ids, because senders' ids may coincide.
     orders: BTreeMap<u64, Order>,
     last_id: u64,
@@ -109,6 +115,8 @@ impl RobotServer {
         Self {
             arm,
             channel,
+            name: None,
+            latch: Latch::default(),
             orders: BTreeMap::new(),
             last_id: 0,
             states: StateGate::new(Time::default()),
@@ -155,6 +163,9 @@ impl RobotServer {
         out: &mut Vec<Parcel>,
     ) {
         self.advance(now, out);
+        if let Some(turn) = self.latch.observe(event) {
+            self.take_turn(event, turn, now, out);
+        }
         match event {
             Event::Message(parcel) => self.handle_message(parcel, gate, age, now, out),
             Event::Joined(member) => out.extend(self.state_message().map(|mut state| {
@@ -175,17 +186,11 @@ impl RobotServer {
                     self.set_commander(None, now, out);
                 }
             }
-            Event::LinkDown => {
-                self.halt("the link to the hub was lost", now, out);
-                self.set_commander(None, now, out);
-            }
+            Event::LinkDown => self.set_commander(None, now, out),
             Event::Rejoined | Event::Resumed => {
                 self.learn_commander(gate, now, out);
                 self.report(out);
-            }
-            Event::Lagged(count) => {
-                let reason = format!("{count} events of the hub were lost, and a stop may be among them");
-                self.act(out, |arm, events| arm.stop(now, &reason, events));
+                self.tell_own_stop(out);
             }
             _ => {}
         }
@@ -241,11 +246,6 @@ impl RobotServer {
                     out.extend(self.status_message(&status));
                 }
             }
-            event::STOP => {
-                let reason = format!("{sender} sent stop");
-                self.obey_stop(out, |arm, events| arm.stop(now, &reason, events));
-            }
-            event::UNSTOP => self.obey_stop(out, |arm, events| arm.unstop(now, events)),
             // Only the hub may send it; a peer that wants the arm to stop has `stop`.
             event::HALT if sender == HUB => {
                 self.halt(SAFE, now, out);
@@ -284,6 +284,10 @@ impl RobotServer {
                 self.fence
             );
             return Err(ArmError::new(ErrorName::ChangingHands, text).into());
+        }
+        if let Err(held) = self.latch.may_move() {
+            let text = format!("the arm may not move: {held}");
+            return Err(ArmError::new(ErrorName::Stopped, text).into());
         }
         self.states.set_moving(self.arm.is_busy());
         self.states.check(command)?;
@@ -443,6 +447,9 @@ impl RobotServer {
         let content = to_value(state).map(|mut content| {
             if let (Value::Map(map), Some(executing)) = (&mut content, state.executing) {
                 map.set("executing", self.executing(&executing));
+            }
+            if let Value::Map(map) = &mut content {
+                map.set("stop", i64::try_from(self.latch.number()).unwrap_or(i64::MAX));
             }
             if let (Value::Map(map), Ok(fence @ 1..)) = (&mut content, i64::try_from(self.stood)) {
                 map.set("fence", fence);

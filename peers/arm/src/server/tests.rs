@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use mom_client::{Member, from_value};
+use mom_client::{Member, StopState, from_value};
 
 use super::*;
 use crate::state::ArmState;
@@ -39,6 +39,8 @@ impl Stage {
             states: Vec::new(),
             fence: None,
         };
+        stage.act("told 0");
+        assert_eq!(stage.heard(), ["state free"]);
         stage.act("grabbed 5");
         assert_eq!(stage.heard(), ["state free, fence 5"]);
         stage
@@ -66,6 +68,15 @@ impl Stage {
         self.gate.joined(&Map::new().with("guard", guard));
     }
 
+    /// The hub's word about stops.
+    fn told(&mut self, number: &str, stopped: bool) {
+        self.tell(&Event::Stops(StopState {
+            number: number.parse().unwrap(),
+            stopped,
+            ..StopState::default()
+        }));
+    }
+
     /// Lets ms pass as a punctual driver does.
     pub(super) fn pass(&mut self, ms: ArmTime) {
         let until = self.now + ms * 1000;
@@ -84,6 +95,8 @@ impl Stage {
             ["after", ms] => self.pass(ms.parse().unwrap()),
             ["gate", owner, fence] => self.guard(owner, fence),
             ["down"] => self.tell(&Event::LinkDown),
+            ["told", number] => self.told(number, false),
+            ["told", number, "stopped"] => self.told(number, true),
             ["rejoined"] => self.tell(&Event::Rejoined),
             ["resumed"] => self.tell(&Event::Resumed),
             ["lagged"] => self.tell(&Event::Lagged(3)),
@@ -127,6 +140,11 @@ impl Stage {
                 self.command(sender, id, fence, script, Some(state));
             }
             [sender, name] => self.tell(&Event::Message(said(sender, name))),
+            [sender, name, number] => {
+                let mut parcel = said(sender, name);
+                parcel.extra.set("stop", number.parse::<i64>().unwrap());
+                self.tell(&Event::Message(parcel));
+            }
             _ => panic!("no such line: {line}"),
         }
     }
@@ -330,8 +348,11 @@ fn commands_end_when_control_is_lost() {
         ("bob stop", true),
         ("lagged", true),
     ] {
+        let refused = "error 0/0 stopped 5102";
         let (word, code, next) = match stopped {
-            true => ("stopped", "stopped 5102", "error 0/0 stopped 5102"),
+            true => ("stopped", "stopped 5102", refused),
+            // It has not heard on the new connection whether it is stopped.
+            false if line == "down" => ("free", "halted 5101", refused),
             false => ("free", "halted 5101", "waiting 0/1\n> status bob/3 executing 1/1"),
         };
         let fence = if line == "grabbed 6" { ", fence 6" } else { "" };
@@ -564,4 +585,45 @@ fn states_come_at_20_hz_and_name_the_command_as_its_sender_does() {
         let read: ArmState = from_value(state.clone()).unwrap();
         assert!(read.moving && read.pose.z < 300.0);
     }
+}
+
+#[test]
+fn it_is_freed_by_the_number_of_its_newest_stop_only() {
+    let mut stage = Stage::new();
+    for (line, state) in [
+        ("bob stop 7", "stopped"),
+        ("alice stop 8", "stopped"),
+        ("bob unstop 7", "stopped"),
+        ("alice unstop 8", "free"),
+        // One that was lifted before it came holds nobody.
+        ("bob stop 6", "free"),
+        ("told 9 stopped", "stopped"),
+        ("told 9", "free"),
+    ] {
+        stage.act(line);
+        let heard = stage.heard();
+        assert!(heard.iter().any(|line| line.contains(state)), "{line}: {heard:?}");
+    }
+}
+
+#[test]
+fn a_gap_is_a_stop_of_which_it_tells_the_hub() {
+    let mut stage = Stage::new();
+    stage.server.set_name("robot".to_owned());
+    for line in ["lagged", "rejoined"] {
+        stage.act(line);
+        let stop = stage.out.iter().find(|parcel| parcel.name() == "stop");
+        let address = stop.and_then(|stop| stop.address.clone());
+        assert_eq!(address, Some(vec!["robot".into()]), "{line}");
+        stage.out.clear();
+    }
+    // The hub gives it a number; from then on it is a stop like any other.
+    stage.act("robot stop 3");
+    stage.out.clear();
+    stage.act("rejoined");
+    assert!(stage.out.iter().all(|parcel| parcel.name() != "stop"));
+    stage.act("bob unstop 3");
+    let state = stage.out.last().expect("a state").value();
+    assert_eq!(state.get("stopped"), Some(&Value::Bool(false)));
+    assert_eq!(state.get("stop"), Some(&Value::Int(3)));
 }

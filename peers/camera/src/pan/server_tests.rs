@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use mom_client::{BASED_ON, Delivery, Event, Family, FenceGate, Map, Member, Parcel, Path, Time, Value};
+use mom_client::{BASED_ON, Delivery, Event, Family, FenceGate, Map, Member, Parcel, Path, StopState, Time, Value};
 use mom_device::{DeviceServer, DeviceTime};
 
 use super::Mount;
@@ -35,6 +35,8 @@ impl Stage {
             states: Vec::new(),
             fence: None,
         };
+        stage.act("told 0");
+        assert_eq!(stage.heard(), ["state 0 -20 free"]);
         stage.act("grabbed 5");
         assert_eq!(stage.heard(), ["state 0 -20 free, fence 5"]);
         stage
@@ -58,6 +60,15 @@ impl Stage {
         self.gate.joined(&Map::new().with("guard", guard));
     }
 
+    /// The hub's word about stops.
+    fn told(&mut self, number: &str, stopped: bool) {
+        self.tell(&Event::Stops(StopState {
+            number: number.parse().unwrap(),
+            stopped,
+            ..StopState::default()
+        }));
+    }
+
     /// Lets ms pass as a punctual driver does.
     fn pass(&mut self, ms: DeviceTime) {
         let until = self.now + ms * MS;
@@ -76,6 +87,8 @@ impl Stage {
             ["after", ms] => self.pass(ms.parse().unwrap()),
             ["gate", owner, fence] => self.guard(owner, fence),
             ["down"] => self.tell(&Event::LinkDown),
+            ["told", number] => self.told(number, false),
+            ["told", number, "stopped"] => self.told(number, true),
             ["rejoined"] => self.tell(&Event::Rejoined),
             ["lagged"] => self.tell(&Event::Lagged(3)),
             ["joined", peer] => self.tell(&Event::Joined(Member {
@@ -110,6 +123,11 @@ impl Stage {
                 });
             }
             [sender, name] => self.tell(&Event::Message(said(sender, name))),
+            [sender, name, number] => {
+                let mut parcel = said(sender, name);
+                parcel.extra.set("stop", number.parse::<i64>().unwrap());
+                self.tell(&Event::Message(parcel));
+            }
             _ => panic!("no such line: {line}"),
         }
     }
@@ -321,8 +339,11 @@ fn commands_end_when_control_is_lost() {
         ("bob stop", true),
         ("lagged", true),
     ] {
+        let refused = "error 0/0 stopped 5102";
         let (word, code, next) = match stopped {
-            true => ("stopped", "stopped 5102", "error 0/0 stopped 5102"),
+            true => ("stopped", "stopped 5102", refused),
+            // It has not heard on the new connection whether it is stopped.
+            false if line == "down" => ("free", "halted 5101", refused),
             false => ("free", "halted 5101", "waiting 0/1\n> status bob/3 executing 1/1"),
         };
         let fence = if line == "grabbed 6" { ", fence 6" } else { "" };
@@ -478,4 +499,45 @@ fn a_queue_that_is_full_says_so() {
     let error = stage.out[0].value().get("error").cloned().unwrap();
     assert_eq!(error.get("retry"), Some(&Value::Bool(true)));
     assert_eq!(stage.heard(), ["status alice/65 error 0/0 queue-full 5103"]);
+}
+
+#[test]
+fn it_is_freed_by_the_number_of_its_newest_stop_only() {
+    let mut stage = Stage::new();
+    for (line, state) in [
+        ("bob stop 7", "stopped"),
+        ("alice stop 8", "stopped"),
+        ("bob unstop 7", "stopped"),
+        ("alice unstop 8", "free"),
+        // One that was lifted before it came holds nobody.
+        ("bob stop 6", "free"),
+        ("told 9 stopped", "stopped"),
+        ("told 9", "free"),
+    ] {
+        stage.act(line);
+        let heard = stage.heard();
+        assert!(heard.iter().any(|line| line.contains(state)), "{line}: {heard:?}");
+    }
+}
+
+#[test]
+fn a_gap_is_a_stop_of_which_it_tells_the_hub() {
+    let mut stage = Stage::new();
+    stage.server.set_name("robot".to_owned());
+    for line in ["lagged", "rejoined"] {
+        stage.act(line);
+        let stop = stage.out.iter().find(|parcel| parcel.name() == "stop");
+        let address = stop.and_then(|stop| stop.address.clone());
+        assert_eq!(address, Some(vec!["robot".into()]), "{line}");
+        stage.out.clear();
+    }
+    // The hub gives it a number; from then on it is a stop like any other.
+    stage.act("robot stop 3");
+    stage.out.clear();
+    stage.act("rejoined");
+    assert!(stage.out.iter().all(|parcel| parcel.name() != "stop"));
+    stage.act("bob unstop 3");
+    let state = stage.out.last().expect("a state").value();
+    assert_eq!(state.get("stopped"), Some(&Value::Bool(false)));
+    assert_eq!(state.get("stop"), Some(&Value::Int(3)));
 }

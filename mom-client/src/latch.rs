@@ -1,0 +1,313 @@
+//! The device's side of stops: what holds, by the order of causes, and what it waits for (M43).
+
+use mom_proto::event as names;
+use mom_proto::{Map, Parcel, STOP, Time, Value};
+
+use crate::Event;
+use crate::info::{map_of, name_list, number, owned};
+
+/// How the devices of a channel stand by the hub's books, or how one of them does.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct StopState {
+    /// The number of the newest stop; 0 before the first. An unstop names it.
+    pub number: u64,
+    /// Whether a stop holds.
+    pub stopped: bool,
+    /// The peer that said it.
+    pub by: Option<String>,
+    /// That peer's user.
+    pub user: Option<String>,
+    /// Since when.
+    pub since: Option<Time>,
+    /// Why, in that peer's words.
+    pub reason: Option<String>,
+    /// The devices that are stopped, if it is not all of the channel.
+    pub only: Vec<String>,
+}
+
+impl StopState {
+    /// From the map that the hub tells of stops.
+    pub(crate) fn from_map(map: &Map) -> StopState {
+        StopState {
+            number: number(map, "number").unwrap_or_default(),
+            stopped: map.get("stopped").and_then(Value::as_bool) == Some(true),
+            by: owned(map, "by"),
+            user: owned(map, "user"),
+            since: match map.get("since") {
+                Some(Value::Time(since)) => Some(*since),
+                _ => None,
+            },
+            reason: owned(map, "reason"),
+            only: name_list(map, "only"),
+        }
+    }
+
+    /// From a reply to `join` or `info`; where that says nothing, nothing was ever stopped.
+    pub(crate) fn from_reply(reply: &Map) -> StopState {
+        let stop = reply.get(STOP).and_then(Value::as_map);
+        stop.map(StopState::from_map).unwrap_or_default()
+    }
+}
+
+/// What a device does about an event.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Turn {
+    /// It halts, and moves no more until it is told so; why, for people.
+    Stop(String),
+    /// It may move again.
+    Free,
+    /// It halts; the next command moves it again, as soon as it [may move](Latch::may_move).
+    Halt,
+    /// It was told of stops, and nothing changes: it says how it stands.
+    Same,
+}
+
+/// Whether a device may move, by what it has heard: fed with the events of its channel in their order.
+///
+/// Every stop has a number that only rises. An unstop below the newest stop frees nobody, whichever way it came. A device moves
+/// nothing before it has heard on this connection how it stands, and a gap in its events counts as a stop of its own, because it
+/// may have contained one.
+///
+/// ```
+/// use mom_client::{Event, Family, Latch, Parcel, Turn};
+///
+/// let stop = |name: &str, number: i64| {
+///     let mut parcel = Parcel::new(Family::Message, name);
+///     parcel.extra.set("stop", number);
+///     Event::Message(parcel)
+/// };
+/// let mut latch = Latch::default();
+/// assert!(latch.may_move().is_err(), "it has heard nothing");
+/// latch.observe(&Event::Stops(Default::default()));
+/// assert!(latch.may_move().is_ok());
+/// assert!(matches!(latch.observe(&stop("stop", 7)), Some(Turn::Stop(_))));
+/// assert_eq!(latch.observe(&stop("unstop", 6)), Some(Turn::Same), "there is a newer stop");
+/// assert_eq!(latch.observe(&stop("unstop", 7)), Some(Turn::Free));
+/// ```
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Latch {
+    /// The newest stop that it has heard of.
+    number: u64,
+    /// What an unstop has lifted.
+    lifted: u64,
+    held: Option<Held>,
+    /// It has heard on this connection how it stands.
+    known: bool,
+}
+
+/// Why a device may not move.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Held {
+    /// Somebody has stopped it.
+    #[error("stopped by {by}{}", .reason.as_ref().map(|reason| format!(": {reason}")).unwrap_or_default())]
+    Stopped {
+        /// Who.
+        by: String,
+        /// Why, in that one's words.
+        reason: Option<String>,
+        /// The number of the stop.
+        number: u64,
+    },
+    /// It has stopped itself, and the hub has not given that a number yet.
+    #[error("stopped by itself: {0}")]
+    Own(String),
+    /// It has not heard on this connection how it stands.
+    #[error("the hub has not said yet whether it is stopped")]
+    Unknown,
+}
+
+impl Latch {
+    /// Takes in an event of the device's channel; gives what it means for the device.
+    pub fn observe(&mut self, event: &Event) -> Option<Turn> {
+        match event {
+            Event::Message(parcel) if parcel.name() == names::STOP => Some(self.stop(parcel)),
+            Event::Message(parcel) if parcel.name() == names::UNSTOP => Some(self.unstop(slot(parcel))),
+            Event::Stops(state) => self.learn(state),
+            Event::Lagged(lost) => Some(self.stop_itself(&format!("it has missed {lost} events"))),
+            Event::LinkDown => {
+                self.known = false;
+                Some(Turn::Halt)
+            }
+            _ => None,
+        }
+    }
+
+    /// Whether the device may move.
+    ///
+    /// # Errors
+    /// [`Held`]: why not.
+    pub fn may_move(&self) -> Result<(), Held> {
+        match &self.held {
+            Some(held) => Err(held.clone()),
+            None if !self.known => Err(Held::Unknown),
+            None => Ok(()),
+        }
+    }
+
+    /// The newest stop that it has heard of: the key `stop` of its states.
+    pub fn number(&self) -> u64 {
+        self.number
+    }
+
+    /// Whether it is stopped.
+    pub fn is_stopped(&self) -> bool {
+        self.held.is_some()
+    }
+
+    /// Whether it has stopped itself and the hub does not know: it says `stop` with itself as the only address.
+    pub fn is_own(&self) -> bool {
+        matches!(self.held, Some(Held::Own(_)))
+    }
+
+    /// Stops by itself, until somebody lifts that.
+    pub fn stop_itself(&mut self, why: &str) -> Turn {
+        if self.held.is_none() {
+            self.held = Some(Held::Own(why.to_owned()));
+        }
+        Turn::Stop(why.to_owned())
+    }
+
+    /// What it says of itself when it joins: `{stop, stopped}`.
+    pub(crate) fn word(&self) -> Map {
+        let number = i64::try_from(self.number).unwrap_or(i64::MAX);
+        let stopped = matches!(self.held, Some(Held::Stopped { .. }));
+        Map::new().with(STOP, number).with("stopped", stopped)
+    }
+
+    fn stop(&mut self, parcel: &Parcel) -> Turn {
+        let number = slot(parcel).unwrap_or(self.number);
+        let content = map_of(parcel);
+        let by = owned(&content, "by");
+        let by = by.or_else(|| parcel.sender.as_deref().map(str::to_owned));
+        let reason = owned(&content, "reason").or_else(|| parcel.value().as_str().map(str::to_owned));
+        self.take(number, by, reason)
+    }
+
+    fn take(&mut self, number: u64, by: Option<String>, reason: Option<String>) -> Turn {
+        self.number = self.number.max(number);
+        if number > 0 && number <= self.lifted {
+            // It was lifted before it came: the cause is an old one. To halt is never wrong.
+            return Turn::Halt;
+        }
+        let held = Held::Stopped {
+            by: by.unwrap_or_else(|| "somebody".to_owned()),
+            reason,
+            number: self.number,
+        };
+        let why = held.to_string();
+        self.held = Some(held);
+        Turn::Stop(why)
+    }
+
+    /// `up_to` is none from hubs that give stops no numbers.
+    fn unstop(&mut self, up_to: Option<u64>) -> Turn {
+        let lifts = match (&self.held, up_to) {
+            (_, None) => true,
+            // What it has stopped for itself has a higher number, which has not come yet.
+            (Some(Held::Own(_)), Some(_)) => false,
+            (_, Some(up_to)) => up_to >= self.number,
+        };
+        self.lifted = self.lifted.max(up_to.unwrap_or_default());
+        match lifts && self.held.take().is_some() {
+            true => Turn::Free,
+            false => Turn::Same,
+        }
+    }
+
+    fn learn(&mut self, state: &StopState) -> Option<Turn> {
+        // Of others: what concerns this device comes by a message.
+        if state.stopped && !state.only.is_empty() {
+            return None;
+        }
+        self.known = true;
+        if state.stopped {
+            return Some(self.take(state.number, state.by.clone(), state.reason.clone()));
+        }
+        Some(self.unstop(Some(state.number)))
+    }
+}
+
+/// The number that a stop has, or that an unstop names.
+fn slot(parcel: &Parcel) -> Option<u64> {
+    match parcel.extra.get(STOP) {
+        Some(Value::Int(number)) => u64::try_from(*number).ok(),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use mom_proto::Family;
+    use serde::Deserialize;
+
+    use super::*;
+
+    /// One case of `tests/cases/latch.json`.
+    #[derive(Deserialize)]
+    struct Case {
+        name: String,
+        steps: Vec<Step>,
+    }
+
+    /// An event, and how the device stands after it.
+    #[derive(Deserialize)]
+    struct Step {
+        event: String,
+        #[serde(default)]
+        number: Option<u64>,
+        #[serde(default)]
+        stopped: bool,
+        #[serde(default)]
+        only: Vec<String>,
+        turn: Option<String>,
+        moves: bool,
+        says: u64,
+    }
+
+    impl Step {
+        fn event(&self) -> Event {
+            let message = |name: &str| {
+                let mut parcel = Parcel::new(Family::Message, name);
+                if let Some(number) = self.number {
+                    parcel.extra.set(STOP, i64::try_from(number).expect("small"));
+                }
+                Event::Message(parcel)
+            };
+            match self.event.as_str() {
+                "stop" | "unstop" => message(&self.event),
+                "state" => Event::Stops(StopState {
+                    number: self.number.unwrap_or_default(),
+                    stopped: self.stopped,
+                    only: self.only.clone(),
+                    ..StopState::default()
+                }),
+                "gap" => Event::Lagged(3),
+                "link-down" => Event::LinkDown,
+                "resumed" => Event::Resumed,
+                other => panic!("there is no event {other}"),
+            }
+        }
+    }
+
+    #[test]
+    fn the_cases_of_all_clients() {
+        let text = include_str!("../../tests/cases/latch.json");
+        let cases: Vec<Case> = serde_json::from_str(text).expect("cases");
+        assert!(cases.len() >= 15);
+        for case in cases {
+            let mut latch = Latch::default();
+            for (at, step) in case.steps.iter().enumerate() {
+                let turn = latch.observe(&step.event()).map(|turn| match turn {
+                    Turn::Stop(_) => "stop",
+                    Turn::Free => "free",
+                    Turn::Halt => "halt",
+                    Turn::Same => "same",
+                });
+                let place = format!("{}: step {at}", case.name);
+                assert_eq!(turn, step.turn.as_deref(), "{place}");
+                assert_eq!(latch.may_move().is_ok(), step.moves, "{place}");
+                assert_eq!(latch.number(), step.says, "{place}");
+            }
+        }
+    }
+}
