@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
-use mom_proto::{ContextKind, MAX_ID, Map, Parcel, Path, Value};
+use mom_proto::{ContextKind, MAX_ID, Map, Parcel, Path, STOP, Value};
 
-use crate::ClientError;
 use crate::error::bad_reply;
+use crate::{ClientError, StopState};
 
 /// A context as lists and lookups show it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -18,6 +18,8 @@ pub struct ContextInfo {
     pub number: u64,
     /// The number of its members, if the hub says so.
     pub members: Option<u64>,
+    /// Of a channel in a list: the stop that holds there.
+    pub stop: Option<StopState>,
 }
 
 /// A peer as events and member lists show it.
@@ -42,6 +44,7 @@ impl ContextInfo {
             kind: ContextKind::from_word(text(map, "kind")?)?,
             number: number(map, "number")?,
             members: number(map, "members"),
+            stop: map.get(STOP).and_then(Value::as_map).map(StopState::from_map),
         })
     }
 

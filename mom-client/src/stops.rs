@@ -199,7 +199,10 @@ impl ToldChannel {
 
     /// Whether every device has obeyed; a guarded channel has one at least.
     pub fn is_obeyed(&self) -> bool {
-        let obeys = self.devices.iter().all(|(_, answer)| *answer == DeviceAnswer::Obeys);
+        let obeys = self
+            .devices
+            .iter()
+            .all(|(_, answer)| *answer == DeviceAnswer::Obeys);
         obeys && !(self.guarded && self.devices.is_empty()) && self.newer.is_empty() && self.error.is_none()
     }
 }

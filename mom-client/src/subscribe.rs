@@ -499,7 +499,12 @@ mod tests {
     #[test]
     fn what_stops_a_device_is_never_dropped() {
         let queue = EventQueue::new(2);
-        let safety = [said("stop", "bob"), said("halt", "hub"), said("unstop", "bob"), Event::LinkDown];
+        let safety = [
+            said("stop", "bob"),
+            said("halt", "hub"),
+            said("unstop", "bob"),
+            Event::LinkDown,
+        ];
         safety.iter().for_each(|event| queue.push(event.clone()));
         (0..2000).for_each(|number| queue.push(said("note", &number.to_string())));
         let taken = taken(&queue);

@@ -37,6 +37,7 @@ fn events_are_read() {
             kind: ContextKind::Channel,
             number: 7,
             members: None,
+            stop: None,
         })
     });
     let grabbed = Map::new()

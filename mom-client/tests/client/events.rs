@@ -215,6 +215,7 @@ async fn a_session_hears_of_what_is_made_and_deleted_in_it() {
         kind: ContextKind::Channel,
         number: 8,
         members: None,
+        stop: None,
     };
     assert_eq!(next(&mut on_robot).await, Event::Created(tool));
     peer.event(

@@ -104,7 +104,7 @@ pub(crate) enum Command {
     Stop(StopArgs),
     /// Let stopped devices move again
     #[command(after_help = UNSTOP)]
-    Unstop(StopArgs),
+    Unstop(UnstopArgs),
     /// Run a hub with a robot arm and five cameras in one process, to try
     #[command(after_help = LAB)]
     Lab(LabArgs),
@@ -355,7 +355,7 @@ pub(crate) use control::{
     ManageArgs, RequestArgs, TokenArgs, WaitArg,
 };
 pub(crate) use look::{LogsArgs, TopArgs};
-pub(crate) use stop::StopArgs;
+pub(crate) use stop::{StopArgs, UnstopArgs};
 
 /// `mom chat`
 #[derive(Args, Debug)]

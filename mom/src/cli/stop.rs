@@ -2,25 +2,42 @@
 
 use clap::Args;
 
-/// `mom stop` and `mom unstop`
+/// `mom stop`
 #[derive(Args, Debug)]
 pub(crate) struct StopArgs {
+    /// A channel, or a session with all that is below it
+    #[arg(default_value = "/")]
+    pub(crate) path: String,
+    /// Why, for whoever finds the devices stopped
+    #[arg(long, short, value_name = "TEXT")]
+    pub(crate) reason: Option<String>,
+    /// Connect now, and stop at each key press, until Ctrl-C
+    #[arg(long)]
+    pub(crate) ready: bool,
+}
+
+/// `mom unstop`
+#[derive(Args, Debug)]
+pub(crate) struct UnstopArgs {
     /// A channel, or a session with all that is below it
     #[arg(default_value = "/")]
     pub(crate) path: String,
 }
 
 pub(crate) const STOP: &str = "\
-Needs no token, and overtakes everything. A device stays stopped, whoever owns it, until somebody lets it go. Exit code 0
-says that every device there stands; those that say nothing within a second are named.
+Needs no token, and overtakes everything. What is stopped stays so, whoever owns it, also over a restart of the hub, until
+somebody lets it go; a device that is away finds it so when it comes. Exit code 0 says that every device there stands, and
+that each channel with a token has one; those that say nothing within a second are named.
 
 Examples:
   mom stop                                 all that you may stop
-  mom stop /robot/arm                      one robot
+  mom stop /robot/arm --reason 'smoke'     one robot, and why
   mom stop /robot                          all of a session
+  mom stop --ready                         logs in now; the next key press stops at once
   mom unstop /robot/arm                    lets it move again";
 
 pub(crate) const UNSTOP: &str = "\
+Lifts the stops that hold now, and none that somebody says meanwhile: such a one is named, and the device stays stopped.
 Nothing moves by itself: old commands are gone. Exit code 0 says that every device there is free to move; those that say
 nothing within a second are named.
 

@@ -48,8 +48,8 @@ pub(crate) use self::run::{drive, error_words};
 pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     let (global, output) = (&cli.global, *output);
     match &cli.command {
-        Command::Stop(args) => stop::run(stop::Order::Stop, args, global, output).await,
-        Command::Unstop(args) => stop::run(stop::Order::Unstop, args, global, output).await,
+        Command::Stop(args) => stop::stop(args, global, output).await,
+        Command::Unstop(args) => stop::unstop(args, global, output).await,
         Command::Lab(args) => lab::run(args, output).await,
         Command::Tree(args) => tree::run(args, global, output).await,
         Command::Stats(args) => stats::run(args, global, output).await,

@@ -1,12 +1,16 @@
 //! `mom stop` and `mom unstop`: all devices of a place, and what each of them says to it.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
+use std::io::{IsTerminal as _, Read as _};
 use std::time::Duration;
 
-use mom_client::{Client, ClientError, Code, ContextInfo, ContextKind, Event, Events, Parcel, Value, event};
+use mom_client::{
+    Client, ClientError, Code, ContextKind, DeviceAnswer, Path, StopReport, StopState, Stopping, ToldChannel,
+    event,
+};
+use ratatui::crossterm::terminal::{disable_raw_mode, enable_raw_mode};
 use serde_json::{Value as Json, json};
-use tokio::task::JoinSet;
-use tokio::time::{Instant, timeout_at};
+use tokio::sync::mpsc;
 
 use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
@@ -19,62 +23,143 @@ const PATIENCE: Duration = Duration::from_secs(1);
 
 /// What devices are told.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Order {
+enum Order {
     Stop,
     Unstop,
 }
 
-/// What came of it in one place.
-#[derive(Debug)]
-struct Outcome {
-    path: String,
-    result: Result<Heard, ClientError>,
+pub(crate) async fn stop(args: &cli::StopArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
+    let stay = if args.ready {
+        Stay::Reconnecting
+    } else {
+        Stay::Once
+    };
+    let client = connect(global, stay).await?;
+    let result = match args.ready {
+        true => ready(&client, args, output).await,
+        false => stop_once(&client, args, output).await,
+    };
+    client.close().await;
+    result
 }
 
-/// Who said what.
-#[derive(Debug, Default)]
-struct Heard {
-    /// Members whose queue took it.
-    delivered: u64,
-    /// Devices that have obeyed.
-    obeyed: BTreeSet<String>,
-    /// Devices that have not said so.
-    silent: BTreeSet<String>,
-    /// The hub does not tell this user who is there.
-    unseen: bool,
+async fn stop_once(client: &Client, args: &cli::StopArgs, output: Output) -> Result<(), Failure> {
+    let mut stopping = client.stop(&args.path);
+    if let Some(reason) = &args.reason {
+        stopping = stopping.reason(reason);
+    }
+    let report = send(stopping, Order::Stop, &args.path).await?;
+    tell(Order::Stop, &report, &BTreeMap::new(), output)
 }
 
-pub(crate) async fn run(
-    order: Order,
-    args: &cli::StopArgs,
+/// Stops at each key press, over the connection that is there.
+async fn ready(client: &Client, args: &cli::StopArgs, output: Output) -> Result<(), Failure> {
+    // A key is heard at once, not with the end of its line; without a terminal each byte is one.
+    let raw = std::io::stdin().is_terminal() && enable_raw_mode().is_ok();
+    let result = stop_at_keys(client, args, output).await;
+    if raw {
+        // What fails here leaves the terminal as it is; `reset` mends it.
+        let _ = disable_raw_mode();
+    }
+    result
+}
+
+async fn stop_at_keys(client: &Client, args: &cli::StopArgs, output: Output) -> Result<(), Failure> {
+    output.remark(format_args!("ready: any key stops {}; Ctrl-C ends\r", args.path));
+    let (mut keys, mut link) = (bytes(), client.state());
+    loop {
+        let key = tokio::select! {
+            key = keys.recv() => key,
+            changed = link.changed() => {
+                if changed.is_err() {
+                    return Ok(());
+                }
+                let state = format!("{:?}", *link.borrow_and_update());
+                output.remark(format_args!("the link: {state}\r"));
+                continue;
+            }
+        };
+        match key {
+            // The end of the input, Ctrl-C, Ctrl-D.
+            None | Some(0x03 | 0x04) => return Ok(()),
+            // Without a terminal a line's end belongs to the key before it.
+            Some(b'\n') if !std::io::stdin().is_terminal() => continue,
+            Some(_) => {}
+        }
+        match stop_once(client, args, output).await {
+            Ok(()) | Err(Failure::Told) => {}
+            Err(failure) => output.remark(format_args!("{failure}\r")),
+        }
+    }
+}
+
+/// What is typed, byte by byte; a thread waits for it, which ends with the program.
+fn bytes() -> mpsc::UnboundedReceiver<u8> {
+    let (sender, receiver) = mpsc::unbounded_channel();
+    std::thread::spawn(move || {
+        let typed = std::io::stdin().lock().bytes().map_while(Result::ok);
+        typed.map_while(|byte| sender.send(byte).ok()).for_each(drop);
+    });
+    receiver
+}
+
+pub(crate) async fn unstop(
+    args: &cli::UnstopArgs,
     global: &GlobalArgs,
     output: Output,
 ) -> Result<(), Failure> {
     let client = connect(global, Stay::Once).await?;
-    let what = format!("{} {}", order.word(), args.path);
-    let top = client.lookup(&args.path).await.doing(what)?;
-    if top.kind == ContextKind::Token {
-        let text = format!("{} is a token; devices are in channels", top.path);
-        return Err(Failure::usage(text, "see which channel it guards with: mom tree"));
-    }
-    let named = top.path.clone();
-    let mut all = JoinSet::new();
-    begin(&client, order, top, &mut all).await;
-    let mut outcomes = Vec::new();
-    while let Some(outcome) = all.join_next().await {
-        let outcome = outcome.map_err(|error| Failure::plain(error.to_string()))?;
-        // What this user may not stop is no device of theirs, unless they name it.
-        let denied = outcome
-            .result
-            .as_ref()
-            .is_err_and(|error| error.wire().is_some_and(|error| error.code == Code::DENIED));
-        if !denied || outcome.path == named.as_str() {
-            outcomes.push(outcome);
+    // What holds now is what its user lifts; whatever is said from here on holds on.
+    let stops = holding(&client, &args.path).await?;
+    let numbers = stops.iter().map(|(path, stop)| (path, stop.number));
+    let report = send(client.unstop(&args.path, numbers), Order::Unstop, &args.path).await?;
+    client.close().await;
+    tell(Order::Unstop, &report, &stops, output)
+}
+
+async fn send(stopping: Stopping, order: Order, path: &str) -> Result<StopReport, Failure> {
+    let sent = stopping.within(PATIENCE).send().await;
+    sent.map_err(|error| {
+        let is_token = error.wire().is_some_and(|error| error.code == Code::WRONG_KIND);
+        match is_token {
+            true => Failure::usage(
+                format!("{path} is a token; devices are in channels"),
+                "see which channel it guards with: mom tree",
+            ),
+            false => Failure::of_client(format!("{} {path}", order.word()), error),
+        }
+    })
+}
+
+/// The stops that hold in a channel, or in those below a session; of a channel also the one that holds no more, as its device may
+/// not know.
+async fn holding(client: &Client, path: &str) -> Result<BTreeMap<Path, StopState>, Failure> {
+    let what = format!("unstop {path}");
+    let top = client.lookup(path).await.doing(&what)?;
+    let mut stops = BTreeMap::new();
+    let mut sessions = match top.kind {
+        ContextKind::Channel => {
+            let state = client.stops(path).await.doing(&what)?;
+            return Ok(BTreeMap::from([(top.path, state)]));
+        }
+        ContextKind::Session => vec![top.path],
+        ContextKind::Token => Vec::new(),
+    };
+    while let Some(session) = sessions.pop() {
+        let children = match client.list(session.as_str()).await {
+            Ok(children) => children,
+            Err(ClientError::Refused(_)) => continue,
+            Err(error) => return Err(Failure::of_client(what, error)),
+        };
+        for child in children {
+            match (child.kind, child.stop) {
+                (ContextKind::Session, _) => sessions.push(child.path),
+                (ContextKind::Channel, Some(stop)) => drop(stops.insert(child.path, stop)),
+                _ => {}
+            }
         }
     }
-    client.close().await;
-    outcomes.sort_by(|one, other| one.path.cmp(&other.path));
-    tell(order, &outcomes, output)
+    Ok(stops)
 }
 
 impl Order {
@@ -92,178 +177,178 @@ impl Order {
             Order::Unstop => "may move",
         }
     }
-
-    /// Whether a device says by this that it has obeyed.
-    fn is_answered_by(self, parcel: &Parcel) -> bool {
-        let stopped = match parcel.value() {
-            Value::Map(map) => map.get("stopped").cloned(),
-            _ => None,
-        };
-        parcel.name() == "state" && stopped == Some(Value::Bool(self == Order::Stop))
-    }
-}
-
-/// Begins with each channel as soon as it is known.
-async fn begin(client: &Client, order: Order, top: ContextInfo, all: &mut JoinSet<Outcome>) {
-    let mut contexts = vec![top];
-    while let Some(context) = contexts.pop() {
-        let path = context.path.to_string();
-        match context.kind {
-            ContextKind::Token => {}
-            ContextKind::Channel => {
-                let client = client.clone();
-                all.spawn(async move {
-                    let result = tell_channel(&client, order, &path).await;
-                    Outcome { path, result }
-                });
-            }
-            ContextKind::Session => match client.list(&path).await {
-                Ok(children) => contexts.extend(children),
-                Err(error) => {
-                    let result = Err(error);
-                    all.spawn(std::future::ready(Outcome { path, result }));
-                }
-            },
-        }
-    }
-}
-
-async fn tell_channel(client: &Client, order: Order, path: &str) -> Result<Heard, ClientError> {
-    let channel = client.channel(path).await?;
-    let mut events = channel.events();
-    // The order first: who is there can be asked meanwhile.
-    let (receipt, members) = tokio::join!(
-        channel.message(order.word()).no_echo().send_acknowledged(),
-        client.members(path)
-    );
-    let end = Instant::now() + PATIENCE;
-    let mut heard = Heard {
-        delivered: receipt?.delivered,
-        unseen: members.is_err(),
-        ..Heard::default()
-    };
-    let devices = members.unwrap_or_default().into_iter();
-    heard.silent = devices
-        .filter(|member| member.device)
-        .map(|member| member.peer)
-        .collect();
-    listen(&mut events, order, end, &mut heard).await;
-    Ok(heard)
-}
-
-/// Hears until all devices have said so, or the time is over.
-async fn listen(events: &mut Events, order: Order, end: Instant, heard: &mut Heard) {
-    while !heard.silent.is_empty() || (heard.unseen && heard.delivered > 0) {
-        let Ok(Some(event)) = timeout_at(end, events.next()).await else {
-            return;
-        };
-        let Event::Message(parcel) = event else { continue };
-        if let Some(sender) = parcel.sender.as_deref()
-            && order.is_answered_by(&parcel)
-        {
-            heard.silent.remove(sender);
-            heard.obeyed.insert(sender.to_owned());
-        }
-    }
 }
 
 /// Tells what came of it; fails unless every device has obeyed.
-fn tell(order: Order, outcomes: &[Outcome], output: Output) -> Result<(), Failure> {
-    for outcome in outcomes {
-        output.tell(|| outcome.json(), || outcome.line(order))?;
+fn tell(
+    order: Order,
+    report: &StopReport,
+    lifted: &BTreeMap<Path, StopState>,
+    output: Output,
+) -> Result<(), Failure> {
+    for channel in &report.channels {
+        output.tell(
+            || json_of(channel),
+            || line(order, channel, lifted.get(&channel.path)),
+        )?;
     }
-    if outcomes.is_empty() {
-        return Err(Failure::new(
-            format!("there is nothing here that you may {}", order.word()),
-            "see what there is with: mom tree",
-        ));
+    if !report.denied.is_empty() && !output.is_json() {
+        let paths: Vec<&str> = report.denied.iter().map(Path::as_str).collect();
+        let text = format!("you may not {} {}", order.word(), paths.join(", "));
+        output.human(ink(text, Tone::Notice))?;
     }
-    match outcomes.iter().all(Outcome::is_good) {
+    if report.channels.is_empty() && report.others == 0 {
+        return match order {
+            Order::Unstop if lifted.is_empty() => Err(Failure::new(
+                "nothing is stopped there",
+                "see what there is with: mom tree",
+            )),
+            _ => Err(Failure::new(
+                format!("there is nothing here that you may {}", order.word()),
+                "see what there is with: mom tree",
+            )),
+        };
+    }
+    if report.others > 0 && !output.is_json() {
+        let others = words::count(report.others, "channel");
+        output.human(ink(format!("and {others} without a device"), Tone::Faint))?;
+    }
+    match report.channels.iter().all(ToldChannel::is_obeyed) {
         true => Ok(()),
         false => Err(Failure::Told),
     }
 }
 
-impl Outcome {
-    /// Whether nobody is known, or suspected, that may not have obeyed.
-    fn is_good(&self) -> bool {
-        let is_good = |heard: &Heard| {
-            let unknown = heard.unseen && heard.delivered > 0 && heard.obeyed.is_empty();
-            heard.silent.is_empty() && !unknown
-        };
-        self.result.as_ref().is_ok_and(is_good)
-    }
+fn json_of(channel: &ToldChannel) -> Json {
+    let named = |answer: DeviceAnswer| -> Vec<&str> {
+        let devices = channel.devices.iter().filter(|(_, said)| *said == answer);
+        devices.map(|(name, _)| name.as_str()).collect()
+    };
+    let newer = channel
+        .newer
+        .iter()
+        .map(|stop| json!({"by": stop.by, "number": stop.number, "reason": stop.reason}));
+    json!({
+        "path": channel.path.as_str(),
+        "number": channel.number,
+        "obeyed": named(DeviceAnswer::Obeys),
+        "silent": named(DeviceAnswer::Silent),
+        "lost": named(DeviceAnswer::Lost),
+        "kept": channel.kept,
+        "newer": newer.collect::<Vec<_>>(),
+        "error": channel.error,
+    })
+}
 
-    fn json(&self) -> Json {
-        match &self.result {
-            Ok(heard) => json!({
-                "path": self.path,
-                "delivered": heard.delivered,
-                "obeyed": heard.obeyed,
-                "silent": heard.silent,
-            }),
-            Err(error) => json!({
-                "path": self.path,
-                "code": error.wire().map(|error| error.code.word()),
-                "error": error.to_string(),
-            }),
-        }
+fn line(order: Order, channel: &ToldChannel, lifted: Option<&StopState>) -> String {
+    let named = |answer: DeviceAnswer| {
+        let devices = channel.devices.iter().filter(|(_, said)| *said == answer);
+        let names: Vec<String> = devices.map(|(name, _)| words::visible(name)).collect();
+        (!names.is_empty()).then(|| names.join(", "))
+    };
+    let mut parts = Vec::new();
+    if let Some(error) = &channel.error {
+        parts.push(ink(format!("stays stopped: {error}"), Tone::Bad));
     }
+    for stop in &channel.newer {
+        let text = format!("stays stopped: {} again meanwhile", words::stopped_by(stop));
+        parts.push(ink(text, Tone::Bad));
+    }
+    if let Some(names) = named(DeviceAnswer::Silent) {
+        parts.push(ink(
+            format!("{names} said nothing within {PATIENCE:?}"),
+            Tone::Bad,
+        ));
+    }
+    if let Some(names) = named(DeviceAnswer::Lost) {
+        let text = format!(
+            "the connection of {names} is lost; {}",
+            finds(order, channel.kept)
+        );
+        parts.push(ink(text, Tone::Bad));
+    }
+    if let Some(names) = named(DeviceAnswer::Obeys) {
+        parts.push(ink(format!("{names} {}", order.obeyed()), Tone::Good));
+    }
+    if parts.is_empty() {
+        parts.push(ink(
+            format!("no device is there; {}", finds(order, channel.kept)),
+            Tone::Bad,
+        ));
+    }
+    if let Some(stop) = lifted.filter(|stop| stop.stopped && channel.newer.is_empty()) {
+        parts.push(ink(format!("was {}", words::stopped_by(stop)), Tone::Faint));
+    }
+    format!("{}: {}", ink(&channel.path, Tone::Place), parts.join("; "))
+}
 
-    fn line(&self, order: Order) -> String {
-        let path = ink(&self.path, Tone::Place);
-        let heard = match &self.result {
-            Ok(heard) => heard,
-            Err(error) => return format!("{path}: {}", ink(error, Tone::Bad)),
-        };
-        let named = |names: &BTreeSet<String>| {
-            let names: Vec<String> = names.iter().map(|name| words::visible(name)).collect();
-            names.join(", ")
-        };
-        let mut parts = Vec::new();
-        if !heard.silent.is_empty() {
-            let text = format!("{} said nothing within {PATIENCE:?}", named(&heard.silent));
-            parts.push(ink(text, Tone::Bad));
-        }
-        if !heard.obeyed.is_empty() {
-            let text = format!("{} {}", named(&heard.obeyed), order.obeyed());
-            parts.push(ink(text, Tone::Good));
-        }
-        if parts.is_empty() {
-            let told = words::count(heard.delivered, "member");
-            let (text, tone) = match heard.unseen {
-                true => (
-                    format!("sent to {told}; you may not see who they are, and none answered"),
-                    Tone::Notice,
-                ),
-                false => (format!("no device; sent to {told}"), Tone::Faint),
-            };
-            parts.push(ink(text, tone));
-        }
-        format!("{path}: {}", parts.join("; "))
+/// What who is not there will find.
+fn finds(order: Order, kept: bool) -> &'static str {
+    match (order, kept) {
+        (Order::Stop, true) => "it will find it stopped",
+        (Order::Stop, false) => "it will find it stopped, unless the hub restarts before",
+        (Order::Unstop, _) => "it will find it free",
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use mom_client::{Family, Map};
-
     use super::*;
 
-    #[test]
-    fn only_a_state_that_says_so_is_an_answer() {
-        let state = |stopped: Value| {
-            Parcel::new(Family::Message, "state").content(Map::new().with("stopped", stopped))
-        };
-        let (stands, moves) = (state(true.into()), state(false.into()));
-        assert!(Order::Stop.is_answered_by(&stands) && !Order::Stop.is_answered_by(&moves));
-        assert!(Order::Unstop.is_answered_by(&moves) && !Order::Unstop.is_answered_by(&stands));
-        for other in [
-            state("yes".into()),
-            Parcel::new(Family::Message, "state"),
-            Parcel::new(Family::Message, "status").content(Map::new().with("stopped", true)),
-        ] {
-            assert!(!Order::Stop.is_answered_by(&other) && !Order::Unstop.is_answered_by(&other));
+    fn told(devices: &[(&str, DeviceAnswer)]) -> ToldChannel {
+        ToldChannel {
+            path: Path::parse("/robot/arm").expect("a path"),
+            number: 7,
+            guarded: true,
+            kept: true,
+            devices: devices
+                .iter()
+                .map(|(name, answer)| ((*name).to_owned(), *answer))
+                .collect(),
+            newer: Vec::new(),
+            error: None,
         }
+    }
+
+    #[test]
+    fn a_line_says_what_is_known() {
+        let bob = StopState {
+            stopped: true,
+            by: Some("bob".to_owned()),
+            reason: Some("smoke".to_owned()),
+            ..StopState::default()
+        };
+        let obeys = told(&[("arm", DeviceAnswer::Obeys)]);
+        assert_eq!(line(Order::Stop, &obeys, None), "/robot/arm: arm stands");
+        assert_eq!(
+            line(Order::Unstop, &obeys, Some(&bob)),
+            "/robot/arm: arm may move; was stopped by bob (smoke)"
+        );
+        let some = told(&[("arm", DeviceAnswer::Obeys), ("mute", DeviceAnswer::Silent)]);
+        assert_eq!(
+            line(Order::Stop, &some, None),
+            "/robot/arm: mute said nothing within 1s; arm stands"
+        );
+        let lost = told(&[("arm", DeviceAnswer::Lost)]);
+        assert_eq!(
+            line(Order::Stop, &lost, None),
+            "/robot/arm: the connection of arm is lost; it will find it stopped"
+        );
+        let mut nobody = told(&[]);
+        assert_eq!(
+            line(Order::Stop, &nobody, None),
+            "/robot/arm: no device is there; it will find it stopped"
+        );
+        nobody.kept = false;
+        assert_eq!(
+            line(Order::Stop, &nobody, None),
+            "/robot/arm: no device is there; it will find it stopped, unless the hub restarts before"
+        );
+        nobody.newer = vec![bob.clone()];
+        assert_eq!(
+            line(Order::Unstop, &nobody, Some(&bob)),
+            "/robot/arm: stays stopped: stopped by bob (smoke) again meanwhile"
+        );
+        assert!(!nobody.is_obeyed() && !some.is_obeyed() && !lost.is_obeyed() && obeys.is_obeyed());
     }
 }

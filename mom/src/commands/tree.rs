@@ -3,7 +3,7 @@
 use std::future::Future;
 use std::pin::Pin;
 
-use mom_client::{Client, ContextInfo, ContextKind, Map, Member, Value};
+use mom_client::{Client, ContextInfo, ContextKind, Map, Member, StopState, Value};
 use serde_json::{Value as Json, json};
 
 use crate::cli::{self, GlobalArgs};
@@ -146,7 +146,17 @@ impl TreeNode {
         }
     }
 
-    /// Who owns a token, what guards a channel.
+    /// The stop of a channel that concerns devices: it has some, or is meant to.
+    fn stop(&self) -> Option<StopState> {
+        let guarded = self
+            .facts
+            .as_ref()
+            .is_some_and(|facts| facts.get("guard").is_some());
+        let devices = self.members.iter().flatten().any(|member| member.device);
+        self.info.stop.clone().filter(|_| guarded || devices)
+    }
+
+    /// Who owns a token, what guards a channel, who has stopped it.
     fn note(&self) -> String {
         let Some(facts) = &self.facts else {
             return String::new();
@@ -156,7 +166,10 @@ impl TreeNode {
             ContextKind::Token => owner(facts),
             ContextKind::Channel => {
                 let guard = facts.get("guard").and_then(Value::as_map);
-                guard.and_then(guarded).unwrap_or_default()
+                let guard = guard.and_then(guarded);
+                let stop = self.stop().map(|stop| ink(words::stopped_by(&stop), Tone::Bad));
+                let notes: Vec<String> = stop.into_iter().chain(guard).collect();
+                notes.join("  ")
             }
         }
     }
@@ -223,6 +236,7 @@ mod tests {
                 kind,
                 number: 1,
                 members: None,
+                stop: None,
             },
             facts: Some(facts),
             members: Some(members.iter().map(member).collect()),

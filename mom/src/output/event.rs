@@ -3,7 +3,9 @@
 use std::fmt::Display;
 use std::time::Duration;
 
-use mom_client::{ContextInfo, ContextKind, Event, Lost, Map, Member, Parcel, Path, Value, WireError};
+use mom_client::{
+    ContextInfo, ContextKind, Event, Lost, Map, Member, Parcel, Path, StopState, Value, WireError,
+};
 
 use super::handover::{self, number, optional};
 use super::{error_map, words};
@@ -47,6 +49,19 @@ pub(crate) fn event_words(event: &Event) -> String {
         | Event::Inhibited { .. }
         | Event::Uninhibited { .. } => handover::words_of(event),
         Event::Invited { .. } | Event::Expelled { .. } => door_words(event),
+        Event::Stops(stop) if stop.stopped => {
+            let devices = match stop.only.is_empty() {
+                true => "all devices".to_owned(),
+                false => stop
+                    .only
+                    .iter()
+                    .map(|device| name(device))
+                    .collect::<Vec<_>>()
+                    .join(", "),
+            };
+            format!("{devices} {}", words::stopped_by(stop))
+        }
+        Event::Stops(_) => "no device is stopped".to_owned(),
         Event::Dropped {
             reason,
             count,
@@ -191,6 +206,7 @@ pub(super) fn event_slots(event: &Event) -> (&'static str, Map) {
                 .with("delivery", optional(class_of(parcel).as_deref())),
         ),
         Event::Refused(error, reference) => ("refused", refused(error, *reference)),
+        Event::Stops(stop) => ("stops", stop_map(stop)),
         Event::Lagged(count) => ("lagged", Map::new().with("count", number(*count))),
         Event::LinkDown => ("link-down", Map::new()),
         Event::Rejoined => ("rejoined", Map::new()),
@@ -236,6 +252,16 @@ fn ownership(event: &Event) -> Map {
             .with("by", by.as_deref().map_or(Value::Null, Value::from)),
         _ => Map::new(),
     }
+}
+
+fn stop_map(stop: &StopState) -> Map {
+    let only: Vec<Value> = stop.only.iter().map(|device| device.as_str().into()).collect();
+    Map::new()
+        .with("stopped", stop.stopped)
+        .with("number", number(stop.number))
+        .with("by", optional(stop.by.as_deref()))
+        .with("reason", optional(stop.reason.as_deref()))
+        .with("only", only)
 }
 
 fn refused(error: &WireError, reference: Option<u64>) -> Map {

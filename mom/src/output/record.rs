@@ -241,6 +241,7 @@ mod tests {
                 kind: ContextKind::Channel,
                 number: 9,
                 members: None,
+                stop: None,
             }),
             "/robot * channel /robot/x was created",
             "created",

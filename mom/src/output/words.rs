@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use mom_client::{Content, HISTORY, Map, Parcel, Value};
+use mom_client::{Content, HISTORY, Map, Parcel, StopState, Value};
 
 /// Beyond this a line is cut where a person reads it; JSON is never cut.
 const LONGEST: usize = 200;
@@ -21,6 +21,15 @@ pub(crate) fn measured(time: Duration) -> String {
         0..10_000 => format!("{}.{:02} ms", micros / 1000, micros % 1000 / 10),
         10_000..1_000_000 => format!("{} ms", micros / 1000),
         _ => format!("{}.{} s", micros / 1_000_000, micros % 1_000_000 / 100_000),
+    }
+}
+
+/// `stopped by bob (smoke)`
+pub(crate) fn stopped_by(stop: &StopState) -> String {
+    let by = visible(stop.by.as_deref().unwrap_or("somebody"));
+    match &stop.reason {
+        Some(reason) => format!("stopped by {by} ({})", visible(reason)),
+        None => format!("stopped by {by}"),
     }
 }
 
