@@ -208,6 +208,7 @@ fn refusal(question: &Question<'_>) -> String {
     } = question;
     match message {
         Some(message) => format!("{} may not send {message} to {context}", peer.user),
+        None if *verb == Verb::Device => format!("{} may not be a device in {context}", peer.user),
         None => format!("{} may not {verb} {context}", peer.user),
     }
 }

@@ -266,6 +266,17 @@ impl Raw {
         self.ask(parcel).await.map(|reply| reply.value())
     }
 
+    /// The number of a channel's newest stop, which an unstop names.
+    ///
+    /// # Panics
+    /// If the broker does not say.
+    pub async fn newest_stop(&mut self, path: &str) -> Value {
+        let info = self.ask_about(Family::Context, "info", path).await;
+        let info = info.unwrap_or_else(|error| panic!("info {path}: {error}"));
+        let number = info.get("stop").and_then(|stop| stop.get("number"));
+        number.cloned().expect("a number")
+    }
+
     /// Joins contexts, parents first.
     ///
     /// # Panics

@@ -131,10 +131,10 @@ impl Field {
                 true => Ok(()),
                 false => Err(format!("its {key} does not contain {part:?}")),
             },
-            (Value::Int(fence), Value::Int(number)) if key == "fence" => {
+            (Value::Int(fence), Value::Int(number)) if show::HAS_EPOCH.contains(&key.as_str()) => {
                 match show::number_of(*fence) == *number {
                     true => Ok(()),
-                    false => Err(format!("its fence is {}, not {number}", show::number_of(*fence))),
+                    false => Err(format!("its {key} is {}, not {number}", show::number_of(*fence))),
                 }
             }
             _ => is_like(&self.value, found, key),

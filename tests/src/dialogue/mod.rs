@@ -37,7 +37,7 @@
 //! ```
 //!
 //! What one peer hears is matched in order, and only what is written is compared: in maps the members that are
-//! written, of strings after `*=` a part. A `fence` is its number without the epoch. Whatever a peer hears
+//! written, of strings after `*=` a part. A `fence`, and a `stop`, is its number without the epoch. Whatever a peer hears
 //! that no line expects fails the dialogue, up to its end. An answer has to refer to a request that was
 //! open, and at the end none may be.
 //!

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use mom_net::Transceiver;
 use mom_proto::codec::Frame;
-use mom_proto::{Family, Fence, Parcel};
+use mom_proto::{Family, Fence, Parcel, STOP, Value};
 use tokio::time::timeout;
 
 use super::say::Request;
@@ -44,6 +44,10 @@ impl Peer {
         let mut parcel = request.parcel.clone();
         parcel.id = Some(self.last_id);
         parcel.fence = parcel.fence.map(|number| u64::from(Fence::new(epoch, number)));
+        if let Some(Value::Int(number)) = parcel.extra.get(STOP) {
+            let number = u64::try_from(*number).unwrap_or_default();
+            parcel.extra.set(STOP, Fence::new(epoch, number));
+        }
         self.open.insert(self.last_id, request.answered);
         self.link
             .writer

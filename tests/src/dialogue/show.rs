@@ -73,12 +73,15 @@ fn members(map: &Map) -> String {
     let members: Vec<String> = map
         .iter()
         .map(|(key, member)| match (key, member) {
-            ("fence", Value::Int(fence)) => format!("fence={}", number_of(*fence)),
+            (key, Value::Int(fence)) if HAS_EPOCH.contains(&key) => format!("{key}={}", number_of(*fence)),
             _ => format!("{key}={}", value(member)),
         })
         .collect();
     members.join(" ")
 }
+
+/// Fences, and the numbers of stops.
+pub(crate) const HAS_EPOCH: [&str; 2] = ["fence", "stop"];
 
 /// What people see of a fence.
 pub(crate) fn number_of(fence: i64) -> i64 {

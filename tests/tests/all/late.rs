@@ -33,6 +33,9 @@ async fn say(peer: &mut Raw, name: &str, text: &str) {
     parcel.receipt = Some(true);
     // What a peer says of history is not what the hub says.
     parcel.extra.set(HISTORY, true);
+    if name == "unstop" {
+        parcel.extra.set("stop", peer.newest_stop(PLACE).await);
+    }
     peer.ask(parcel).await.expect("all may");
 }
 

@@ -200,11 +200,9 @@ async fn who_waits_holds_up_nobody_else() {
     stop.receipt = Some(true);
     let receipt = carol.ask(stop).await.expect("stops never wait").value();
     assert_eq!(receipt.get("delivered"), Some(&Value::Int(3)), "{receipt:?}");
-    let unstop = message("unstop", BULK, Value::Null);
-    let unstop = Parcel {
-        receipt: Some(true),
-        ..unstop
-    };
+    let mut unstop = message("unstop", BULK, Value::Null);
+    unstop.extra.set("stop", carol.newest_stop(BULK).await);
+    unstop.receipt = Some(true);
     carol.ask(unstop).await.expect("nor what takes it back");
     carol.join(&["/robot"]).await;
     for verb in ["grab", "renew", "release"] {

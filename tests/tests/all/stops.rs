@@ -1,11 +1,13 @@
 //! `mom stop` and `mom unstop`: the real program, broker and arm.
 
 use std::process::Output;
+use std::time::Duration;
 
 use mom_proto::codec::Form;
-use mom_proto::{Family, Map, Parcel};
-use mom_tests::programs::{self, text};
+use mom_proto::{Family, Map, Parcel, Value};
+use mom_tests::programs::{self, Running, text};
 use mom_tests::raw::{Raw, at, message};
+use mom_tests::service::{Home, Service};
 use serde_json::{Value as Json, json};
 use tokio::task::spawn_blocking;
 
@@ -35,10 +37,10 @@ fn join(terms: Map) -> Parcel {
 
 /// A device that hears all and says nothing.
 async fn mute(lab: &Lab) -> Raw {
-    let mut mute = Raw::login(lab.broker.local_addr(), Form::Binary, "bob").await;
+    let mut mute = Raw::login(lab.broker.local_addr(), Form::Binary, "arm").await;
     mute.join(&["/robot"]).await;
     let terms = Map::new().with("device", true);
-    let joined = mute.ask(join(terms)).await.expect("people may");
+    let joined = mute.ask(join(terms)).await.expect("it is one");
     assert_eq!(joined.value().get("device"), Some(&true.into()));
     mute
 }
@@ -52,22 +54,21 @@ async fn every_device_says_that_it_stands_and_that_it_may_move() {
         assert_eq!(told(&output), (Some(0), "/robot/arm: arm stands\n".to_owned()));
     }
     let all = mom(&lab, "bob", &["unstop"]).await;
-    assert_eq!(
-        told(&all),
-        (
-            Some(0),
-            "/calibrate: no device; sent to 0 members\n/camera/pan: no device; sent to 0 members\n\
-             /camera/top: no device; sent to 0 members\n/camera/wrist: no device; sent to 0 members\n\
-             /camera/x: no device; sent to 0 members\n/camera/y: no device; sent to 0 members\n\
-             /chat: no device; sent to 0 members\n/model/objects: no device; sent to 0 members\n\
-             /robot/arm: arm may move\n/servo: no device; sent to 0 members\n"
-                .to_owned()
-        )
-    );
-    let session = mom(&lab, "carol", &["stop", "--json", "/robot"]).await;
+    let free = "/robot/arm: arm may move; was stopped by alice\n";
+    assert_eq!(told(&all), (Some(0), free.to_owned()));
+    let nothing = mom(&lab, "bob", &["unstop"]).await;
+    assert_eq!(nothing.status.code(), Some(1), "{nothing:?}");
+    let session = mom(&lab, "carol", &["stop", "--json", "--reason", "smoke", "/robot"]).await;
     let line: Json = serde_json::from_slice(&session.stdout).expect("one line of JSON");
-    let arm = json!({"path": ARM, "delivered": 1, "obeyed": ["arm"], "silent": []});
-    assert_eq!((session.status.code(), line), (Some(0), arm));
+    assert_eq!(
+        (session.status.code(), &line["path"], &line["obeyed"]),
+        (Some(0), &json!(ARM), &json!(["arm"]))
+    );
+    let tree = mom(&lab, "alice", &["tree", "/robot"]).await;
+    assert!(
+        text(&tree.stdout).contains("stopped by carol (smoke)"),
+        "{tree:?}"
+    );
     lab.end().await;
 }
 
@@ -76,7 +77,7 @@ async fn who_says_nothing_is_named() {
     let lab = Lab::start().await;
     let mut mute = mute(&lab).await;
     let output = mom(&lab, "alice", &["stop", ARM]).await;
-    let expected = "/robot/arm: bob said nothing within 1s; arm stands\n";
+    let expected = "/robot/arm: arm~2 said nothing within 1s; arm stands\n";
     assert_eq!(told(&output), (Some(1), expected.to_owned()));
     // Its word is what counts, not that it took the message.
     mute.next_of(Family::Message, "stop").await;
@@ -95,7 +96,7 @@ async fn what_cannot_be_stopped_is_told() {
     // Devices look around, and stop nobody.
     let denied = mom(&lab, "camera", &["stop", ARM]).await;
     assert_eq!(denied.status.code(), Some(1), "{denied:?}");
-    assert!(text(&denied.stdout).contains("denied"), "{denied:?}");
+    assert!(text(&denied.stderr).contains("denied"), "{denied:?}");
     let nothing = mom(&lab, "camera", &["stop"]).await;
     assert_eq!(nothing.status.code(), Some(1), "{nothing:?}");
     let words = "there is nothing here that you may stop";
@@ -105,4 +106,154 @@ async fn what_cannot_be_stopped_is_told() {
     let unknown = mom(&lab, "alice", &["stop", "/robot/leg"]).await;
     assert_eq!(unknown.status.code(), Some(1), "{unknown:?}");
     lab.end().await;
+}
+
+/// The lab's broker as a process of its own, with an arm that can be killed.
+struct Away {
+    home: Home,
+    broker: Service,
+}
+
+impl Away {
+    async fn start() -> Away {
+        Away::start_with("").await
+    }
+
+    async fn start_with(more: &str) -> Away {
+        let home = Home::new(more);
+        let broker = home.start().await;
+        Away { home, broker }
+    }
+
+    fn hub(&self) -> String {
+        format!("bin://{}", self.broker.address())
+    }
+
+    /// The arm's program; returns when it is a member.
+    async fn arm(&self) -> Running {
+        let hub = self.hub();
+        let start = move || {
+            let args = ["--hub", &hub, "--user", "arm"];
+            Running::start("mom-arm", &args, &[("MOM_PASSWORD", "arm")])
+        };
+        let arm = spawn_blocking(start).await.expect("it starts");
+        let mut alice = Raw::login(self.broker.address(), Form::Binary, "alice").await;
+        alice.join(&["/robot", ARM]).await;
+        loop {
+            let members = alice
+                .ask_about(Family::Context, "members", ARM)
+                .await
+                .expect("a list");
+            let members = members
+                .get("members")
+                .and_then(Value::as_list)
+                .expect("members")
+                .to_vec();
+            if members.iter().any(|member| member.get("device").is_some()) {
+                return arm;
+            }
+            // The next event, who joins among them, is a reason to look again.
+            alice.next_within(Duration::from_millis(100)).await;
+        }
+    }
+
+    async fn mom(&self, user: &'static str, arguments: &'static [&'static str]) -> Output {
+        let hub = self.hub();
+        let run = move || {
+            let environment = [("MOM_HUB", &*hub), ("MOM_USER", user), ("MOM_PASSWORD", user)];
+            programs::run("mom", arguments, &environment)
+        };
+        spawn_blocking(run).await.expect("it runs")
+    }
+
+    /// Whether the arm takes a command of alice.
+    async fn obeys(&self) -> bool {
+        let mut alice = Raw::login(self.broker.address(), Form::Binary, "alice").await;
+        alice.join(&["/robot", ARM]).await;
+        alice
+            .ask_about(Family::Token, "grab", "/robot/token")
+            .await
+            .expect("it is free");
+        loop {
+            alice.post(message("command", ARM, "wait 1")).await;
+            let status = alice.next_of(Family::Message, "status").await.value();
+            let error = status.get("error").and_then(|error| error.get("name")).cloned();
+            match error.as_ref().and_then(Value::as_str) {
+                None => return true,
+                Some("stopped") => return false,
+                // It has not said yet that it stands for its new owner.
+                Some(_) => {}
+            }
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_arm_that_was_away_finds_the_stop() {
+    let lab = Away::start().await;
+    let arm = lab.arm().await;
+    drop(arm);
+    // Nobody is there who could stand: that is said, and is no success.
+    let output = lab.mom("alice", &["stop", ARM, "--reason", "smoke"]).await;
+    let expected = "/robot/arm: no device is there; it will find it stopped\n";
+    let told_so = |output: &Output| {
+        told(output)
+            .1
+            .starts_with("/robot/arm: the connection of arm is lost")
+    };
+    assert!(
+        told(&output) == (Some(1), expected.to_owned()) || told_so(&output),
+        "{output:?}"
+    );
+    let _arm = lab.arm().await;
+    assert!(!lab.obeys().await, "it finds the stop");
+    let free = lab.mom("bob", &["unstop", ARM]).await;
+    assert!(
+        text(&free.stdout).contains("was stopped by alice (smoke)"),
+        "{free:?}"
+    );
+    assert!(lab.obeys().await);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stop_outlives_the_hub_and_the_arm() {
+    for keeps in ["", "[store]\npath = \"store\""] {
+        let mut lab = Away::start_with(keeps).await;
+        let arm = lab.arm().await;
+        let stopped = lab.mom("bob", &["stop", ARM]).await;
+        assert_eq!(stopped.status.code(), Some(0), "{stopped:?}");
+        drop(arm);
+        lab.broker.kill().await;
+        lab.broker = lab.home.start().await;
+        let _arm = lab.arm().await;
+        assert!(!lab.obeys().await, "as it was: {keeps:?}");
+        let tree = lab.mom("alice", &["tree", "/robot"]).await;
+        assert!(text(&tree.stdout).contains("stopped by bob"), "{tree:?}");
+        lab.broker.kill().await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn where_what_was_kept_is_damaged_all_is_stopped() {
+    let mut lab = Away::start().await;
+    let stopped = lab.mom("bob", &["stop", ARM]).await;
+    assert_eq!(stopped.status.code(), Some(1), "no arm is there: {stopped:?}");
+    let unstopped = lab.mom("bob", &["unstop", ARM]).await;
+    assert_eq!(unstopped.status.code(), Some(1), "{unstopped:?}");
+    lab.broker.kill().await;
+    let folder = lab.home.file("state-home").join("mom");
+    let files = std::fs::read_dir(folder)
+        .expect("a folder")
+        .map(|file| file.expect("a file").path());
+    let mut kept = files.filter(|file| file.extension().is_some_and(|end| end == "json"));
+    let kept = kept.next().expect("what is kept");
+    std::fs::write(&kept, "mom-stops-1 00000000\n[]").expect("written");
+    lab.broker = lab.home.start().await;
+    assert!(lab.home.log().contains("cannot be read"), "it says so");
+    let _arm = lab.arm().await;
+    assert!(!lab.obeys().await, "stopped wins");
+    let free = lab.mom("bob", &["unstop", ARM]).await;
+    assert_eq!(free.status.code(), Some(0), "{free:?}");
+    assert!(lab.obeys().await);
+    lab.broker.kill().await;
 }

@@ -70,6 +70,9 @@ impl Scene {
     async fn say(&mut self, path: &str, name: &str, words: &str) -> i64 {
         let mut parcel = message(name, path, words);
         parcel.receipt = Some(true);
+        if name == "unstop" {
+            parcel.extra.set("stop", self.alice.newest_stop(path).await);
+        }
         let receipt = self.alice.ask(parcel).await.expect("taken").value();
         let heard = self.carol.next_of(Family::Message, name).await;
         assert_eq!(heard.value(), words.into(), "others hear all");
