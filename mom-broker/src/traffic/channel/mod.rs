@@ -23,7 +23,9 @@ use crate::traffic::memory::Account;
 use crate::traffic::outbox::{Charged, Dropped, Gate, Origin, Outbox, Packet};
 use crate::traffic::statistics::Statistics;
 
-pub(crate) use send::{LARGEST_STOP, Message, Outcome, Sender, Sent, Unsent, Why, run_ahead};
+pub(crate) use send::{
+    LARGEST_STOP, Message, Outcome, Sender, Sent, Unsent, Why, run_ahead, said_before_the_loss,
+};
 pub(crate) use snapshot::{MemberSnapshot, Snapshot};
 
 /// A channel. Its lock is its critical section: who holds it decides the one order for all receivers (M27). Messages
