@@ -2,10 +2,12 @@
 
 use std::sync::Arc;
 
+use mom_proto::{Family, Parcel, Path};
 use tokio::sync::watch;
 
 use crate::guards::Hold;
 use crate::membership::Membership;
+use crate::shared::verb;
 use crate::{ClientError, Lost};
 
 /// How a token is held.
@@ -18,12 +20,15 @@ pub(crate) enum HoldingKind {
 }
 
 impl HoldingKind {
-    /// The verb that ends it.
-    pub(crate) fn end(self) -> &'static str {
-        match self {
+    /// The request that ends it, for the ownership with this fence if it is known: then it cannot end a later one.
+    pub(crate) fn end(self, path: &Path, fence: Option<u64>) -> Parcel {
+        let name = match self {
             HoldingKind::Ownership => "release",
             HoldingKind::Shared => "uninhibit",
-        }
+        };
+        let mut parcel = verb(Family::Token, name, path);
+        parcel.fence = fence;
+        parcel
     }
 }
 

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use mom_proto::event as names;
-use mom_proto::{Family, Map, Parcel, Path};
+use mom_proto::{Map, Parcel, Path};
 use tokio::sync::{oneshot, watch};
 use tokio::time::{Instant, timeout};
 
@@ -16,7 +16,7 @@ use crate::holding::HoldingKind;
 use crate::info::{map_of, millis_of, number, text};
 use crate::membership::Membership;
 use crate::pending::{AnswerTo, Answering};
-use crate::shared::{Shared, State, verb};
+use crate::shared::{Shared, State};
 use crate::{ClientError, Given, InhibitGuard, Lost, Place, TokenGuard};
 
 impl Shared {
@@ -92,7 +92,7 @@ impl Shared {
     pub(crate) fn give_up(&self, path: &Path, id: u64) {
         let mut state = self.lock();
         if state.waits.give_up(path, id) {
-            self.end_in(&mut state, HoldingKind::Ownership, path);
+            self.end_in(&mut state, HoldingKind::Ownership, path, None);
         }
         drop(state);
         self.outgoing.notify_one();
@@ -104,10 +104,7 @@ impl Shared {
         self.lock().holds(kind).let_go(hold);
         match lost {
             true => Ok(()),
-            false => self
-                .request(verb(Family::Token, kind.end(), &hold.path))
-                .await
-                .map(drop),
+            false => self.request(kind.end(&hold.path, hold.fence())).await.map(drop),
         }
     }
 
@@ -115,7 +112,7 @@ impl Shared {
     pub(crate) fn let_go(&self, hold: &Arc<Hold>, kind: HoldingKind) {
         let mut state = self.lock();
         if state.holds(kind).let_go(hold) {
-            self.end_in(&mut state, kind, &hold.path);
+            self.end_in(&mut state, kind, &hold.path, hold.fence());
         }
         drop(state);
         self.outgoing.notify_one();
@@ -129,10 +126,17 @@ impl Shared {
         }
     }
 
-    fn end_in(&self, state: &mut State, kind: HoldingKind, path: &Path) {
+    /// Ends a hold without waiting, the one with this fence if it is known.
+    pub(crate) fn end_in(&self, state: &mut State, kind: HoldingKind, path: &Path, fence: Option<u64>) {
         // Without a link the token is lost anyway.
-        let end = verb(Family::Token, kind.end(), path);
-        let _ = self.ask_in(state, end, &mut Some(AnswerTo::Nobody));
+        let _ = self.ask_in(state, kind.end(path, fence), &mut Some(AnswerTo::Nobody));
+    }
+
+    /// After a loss, says again that grabs are withdrawn: without a fence that was not sent again.
+    pub(crate) fn withdraw_again(&self, state: &mut State) {
+        for path in state.waits.withdrawn() {
+            self.end_in(state, HoldingKind::Ownership, &path, None);
+        }
     }
 
     /// Applies an event about a token's owner.
@@ -165,7 +169,7 @@ impl Shared {
         if wanted {
             handover.back(hold);
         } else if state.guards.let_go(&hold) {
-            self.end_in(state, HoldingKind::Ownership, &handover.path);
+            self.end_in(state, HoldingKind::Ownership, &handover.path, hold.fence());
         }
         self.outgoing.notify_one();
         self.keeping.notify_one();
@@ -182,7 +186,7 @@ impl Shared {
             expected: millis_of(&map, "expected"),
         };
         if state.waits.queued(path, place) {
-            self.end_in(state, HoldingKind::Ownership, path);
+            self.end_in(state, HoldingKind::Ownership, path, None);
             self.outgoing.notify_one();
         }
     }
@@ -244,8 +248,8 @@ impl Shared {
     }
 
     fn answered(&self, mut state: parking_lot::MutexGuard<'_, State>, kind: HoldingKind, path: &Path) {
-        if state.holds(kind).answered(path) {
-            self.end_in(&mut state, kind, path);
+        if let Some(hold) = state.holds(kind).answered(path) {
+            self.end_in(&mut state, kind, path, hold.fence());
         }
         drop(state);
         self.outgoing.notify_one();

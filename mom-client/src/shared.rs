@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use mom_net::{DropReason, Lane, Ledger, Outgoing};
 use mom_proto::codec::Form;
-use mom_proto::{Code, Family, Parcel, Path, Thinning, Verb, WireError};
+use mom_proto::{Code, Family, Parcel, Path, Thinning, WireError, event, outlives_loss};
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::{AcquireError, Notify, Semaphore, SemaphorePermit, oneshot, watch};
 use tokio::time::timeout;
@@ -16,7 +16,7 @@ use crate::clock::HubClock;
 use crate::guards::Guards;
 use crate::handover::Handovers;
 use crate::login::Welcome;
-use crate::outbox::{Capacity, Dropped, Entry, Message, Outbox};
+use crate::outbox::{Capacity, Dropped, Entry, Follows, Message, Outbox};
 use crate::pending::{AnswerTo, OpenRequests};
 use crate::proof::Credentials;
 use crate::subscribe::{EventQueue, Subscribers};
@@ -155,6 +155,12 @@ impl Shared {
         self.urgent_capacity.add_permits(capacity.urgent);
     }
 
+    /// What is left of the usual capacity.
+    #[cfg(test)]
+    pub(crate) fn capacity_left(&self) -> usize {
+        self.capacity.available_permits()
+    }
+
     /// Nobody need wait for capacity any more.
     pub(crate) fn close_capacity(&self) {
         self.capacity.close();
@@ -203,21 +209,26 @@ impl Shared {
         waiter: &mut Option<AnswerTo>,
     ) -> Result<(), ClientError> {
         state.check_up()?;
+        if state.is_resuming() && !outlives_loss(&parcel, false) {
+            return Err(too_late());
+        }
         let id = *parcel.id.get_or_insert_with(|| self.next_id());
         let outgoing = self.prepare(&mut parcel, &state.me)?;
         if let Some(waiter) = waiter.take() {
             state.pending.insert(id, waiter);
         }
-        state.outbox.push_control(&parcel, outgoing);
+        let follows = Follows::of(&parcel);
+        state.outbox.push_control(&parcel, outgoing, follows);
         Ok(())
     }
 
     /// Queues a message, waiting for capacity.
     pub(crate) async fn post(&self, mut parcel: Parcel, waiter: Option<AnswerTo>) -> Result<(), ClientError> {
-        let me = {
+        let (me, link) = {
             let state = self.lock();
-            state.check_up()?;
-            Arc::clone(&state.me)
+            let link = state.outbox.mark().link;
+            state.check_message(&parcel, link)?;
+            (Arc::clone(&state.me), link)
         };
         let id = *parcel.id.get_or_insert_with(|| self.next_id());
         // Outside the lock: content may be large.
@@ -226,24 +237,18 @@ impl Shared {
             return Err(self.lock().check_up().err().unwrap_or(ClientError::Closed(None)));
         };
         let mut state = self.lock();
-        state.check_up()?;
-        let guarded = state.is_guarded(&parcel);
-        if guarded && matches!(state.status, Status::Resuming) {
-            let text = "the connection is lost: what needs a token is not sent late";
-            return Err(ClientError::Connection(text.to_owned()));
-        }
+        let guard = state.check_message(&parcel, link)?;
         permit.into_iter().for_each(SemaphorePermit::forget);
-        // The context is for those who are told of a loss; one that waits is told by its answer.
-        let path = parcel.context.clone().filter(|_| waiter.is_none());
+        let awaited = waiter.is_some();
         if let Some(waiter) = waiter {
             state.pending.insert(id, waiter);
-        } else if let Some(path) = &path {
+        } else if let Some(path) = &parcel.context {
             state.pending.note(id, path.clone());
         }
         let message = Message {
             capacity,
-            path,
-            guarded,
+            awaited,
+            guard,
             outgoing,
         };
         let dropped = state.outbox.push_message(&parcel, message);
@@ -253,14 +258,14 @@ impl Shared {
         Ok(())
     }
 
-    /// Waits for capacity for a message; a stop needs none.
+    /// Waits for capacity for a message; a stop and an `unstop` need none.
     async fn acquire(
         &self,
         parcel: &Parcel,
         size: usize,
     ) -> Result<(Option<SemaphorePermit<'_>>, Capacity), AcquireError> {
         let units = |most: u32| u32::try_from(1 + size / CAPACITY_UNIT).map_or(most, |units| units.min(most));
-        if Verb::of(parcel.family, parcel.name()) == Ok(Verb::Stop) {
+        if parcel.family == Family::Message && matches!(parcel.name(), event::STOP | event::UNSTOP) {
             return Ok((None, Capacity::default()));
         }
         let urgent = Lane::Data(parcel.priority.unwrap_or_default()).is_urgent();
@@ -278,7 +283,7 @@ impl Shared {
         Ok((Some(permit), taken))
     }
 
-    /// Tells of messages that will not be sent: whoever waits for an answer by that, all others where the context is heard.
+    /// Tells of what will not be sent, or not again: whoever waits for an answer by that, all others where the context is heard.
     pub(crate) fn tell_dropped(&self, dropped: &Dropped) {
         if dropped.is_empty() {
             return;
@@ -294,12 +299,12 @@ impl Shared {
         drop(state);
         self.give_capacity(capacity);
         for (waiter, error) in failed {
-            self.fail(waiter, &ClientError::Local(error));
+            self.fail(waiter, &error);
         }
     }
 
     /// Stamps and encodes a parcel.
-    fn prepare(&self, parcel: &mut Parcel, me: &Welcome) -> Result<Outgoing, ClientError> {
+    pub(crate) fn prepare(&self, parcel: &mut Parcel, me: &Welcome) -> Result<Outgoing, ClientError> {
         parcel.timestamp = parcel.timestamp.or_else(|| self.clock.wall());
         let Some(form) = self.form else {
             return Ok(Outgoing::Parcel(Arc::new(parcel.clone())));
@@ -457,11 +462,27 @@ impl Shared {
 }
 
 impl State {
-    /// Whether a message needs a token, as far as this peer knows.
-    fn is_guarded(&self, parcel: &Parcel) -> bool {
-        let path = parcel.context.as_ref();
-        let guard = path.and_then(|path| self.places.gate(path).guard());
-        guard.is_some_and(|guard| guard.covers(parcel.name()))
+    /// The token that a message needs, as far as this peer knows.
+    fn guard_of(&self, parcel: &Parcel) -> Option<Path> {
+        self.places
+            .gate(parcel.context.as_ref()?)
+            .token_for(parcel.name())
+    }
+
+    /// Whether a message that was said while the outbox wrote to this link can be sent now; the token that it needs.
+    fn check_message(&self, parcel: &Parcel, link: u64) -> Result<Option<Path>, ClientError> {
+        self.check_up()?;
+        let guard = self.guard_of(parcel);
+        let lost = self.is_resuming() || self.outbox.mark().link != link;
+        match lost && !outlives_loss(parcel, guard.is_some()) {
+            true => Err(too_late()),
+            false => Ok(guard),
+        }
+    }
+
+    /// Whether the connection is lost, and another one is to go on.
+    pub(crate) fn is_resuming(&self) -> bool {
+        matches!(self.status, Status::Resuming)
     }
 
     /// Whether anything can be sent now.
@@ -510,10 +531,16 @@ fn describe(parcel: &Parcel) -> String {
     format!("{} {}{path}", parcel.family, parcel.name())
 }
 
-/// What who waits for the answer to a message hears that will not be sent; none where a lost link tells it.
-fn unsent(reason: DropReason) -> Option<WireError> {
+/// What moves a device, lets it move or changes who drives it is of its moment.
+fn too_late() -> ClientError {
+    let text = "the connection is lost, and what is said now would come too late: it is not sent";
+    ClientError::Connection(text.to_owned())
+}
+
+/// What who waits for an answer hears of a parcel that will not be sent, or not again; none where a lost link tells it.
+fn unsent(reason: DropReason) -> Option<ClientError> {
     let (code, text) = match reason {
-        DropReason::Overruled => (
+        DropReason::Withdrawn => (
             Code::WITHDRAWN,
             "a stop came after this unstop, before it was sent",
         ),
@@ -521,9 +548,13 @@ fn unsent(reason: DropReason) -> Option<WireError> {
         DropReason::Expired => (Code::EXPIRED, "its time was over before it was sent"),
         DropReason::Lost => (
             Code::DISCONNECTED,
-            "the connection was lost before the hub had read it, and it needs a token: it is not sent late",
+            "the connection was lost before it was sent, and it is not sent late",
         ),
+        DropReason::Unknown => {
+            let text = "the connection was lost after it had left: whether the hub has read it cannot be known, and it is not sent again";
+            return Some(ClientError::Unknown(WireError::new(Code::DISCONNECTED, text)));
+        }
         _ => return None,
     };
-    Some(WireError::new(code, text))
+    Some(ClientError::Local(WireError::new(code, text)))
 }

@@ -274,7 +274,8 @@ fn all_binary(outboxes: &[Option<Arc<Outbox>>]) -> bool {
         .all(|outbox| outbox.form().is_some_and(Form::is_binary))
 }
 
-fn lane_of(parcel: &Parcel) -> Lane {
+/// The lane of a message.
+pub(crate) fn lane_of(parcel: &Parcel) -> Lane {
     match Verb::of(parcel.family, &parcel.name) {
         Ok(Verb::Stop) => Lane::Stop,
         Ok(Verb::Unstop) => Lane::Control,
@@ -355,6 +356,7 @@ pub(crate) fn control(
         gate: None,
         count: 1,
         counts: family != Family::Time,
+        outlives_loss: true,
     })
 }
 

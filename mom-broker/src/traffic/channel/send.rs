@@ -234,6 +234,7 @@ impl State {
         let delivery = parcel.delivery.unwrap_or(self.route.delivery);
         let waiting = self.waits(lane, delivery).then(|| Box::new(parcel.clone()));
         let origin = self.origin(sender, &parcel.name);
+        let outlives_loss = outlives_loss(&parcel, parcel.fence.is_some());
         // A device must halt also if its operator's clock is wrong.
         let expires_at = expires_at(&parcel, now).filter(|_| lane != Lane::Stop);
         let gate = parcel.fence.map(|fence| (Arc::clone(&self.gate), fence));
@@ -254,6 +255,7 @@ impl State {
             gate,
             count: 1,
             counts: true,
+            outlives_loss,
         });
         let claimed = waiting.map(|parcel| self.claim(&packet, &positions, parcel, when_full));
         // Given up when all is put in, so that the next one sees it.
@@ -336,6 +338,7 @@ impl State {
             gate: first.fence.map(|fence| (Arc::clone(&self.gate), fence)),
             count,
             counts: true,
+            outlives_loss: outlives_loss(&first, first.fence.is_some()),
         });
         let delivered = self.put(&packet, &self.positions(&receivers), ingress.now);
         self.sent(delivered, count, None)
