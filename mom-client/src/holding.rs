@@ -1,6 +1,7 @@
 //! A guard's part in a hold on a token, ended on drop.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use mom_proto::{Family, Parcel, Path};
 use tokio::sync::watch;
@@ -74,6 +75,13 @@ impl Holding {
     pub(crate) async fn release(mut self) -> Result<(), ClientError> {
         self.held = false;
         self.member.shared().release(&self.hold, self.kind).await
+    }
+
+    /// The same, after the hub has answered for what was said under it or this time is over.
+    pub(crate) async fn release_after(self, most: Duration) -> Result<(), ClientError> {
+        let answered = self.member.shared().answer_of_all(&self.hold, most).await;
+        self.release().await?;
+        answered
     }
 }
 

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use mom_proto::event as names;
-use mom_proto::{Map, Parcel, Path};
+use mom_proto::{Family, Map, Parcel, Path};
 use tokio::sync::{oneshot, watch};
 use tokio::time::{Instant, timeout};
 
@@ -15,8 +15,9 @@ use crate::handover::{Handover, HandoverPhase};
 use crate::holding::HoldingKind;
 use crate::info::{map_of, millis_of, number, text};
 use crate::membership::Membership;
+use crate::outbox::Follows;
 use crate::pending::{AnswerTo, Answering};
-use crate::shared::{Shared, State};
+use crate::shared::{Shared, State, verb};
 use crate::{ClientError, Given, InhibitGuard, Lost, Place, TokenGuard};
 
 impl Shared {
@@ -105,6 +106,31 @@ impl Shared {
         match lost {
             true => Ok(()),
             false => self.request(kind.end(&hold.path, hold.fence())).await.map(drop),
+        }
+    }
+
+    /// Waits until the hub has taken or refused all messages that were said under an ownership, as it takes what a peer says in
+    /// order.
+    ///
+    /// # Errors
+    /// `TimedOut` if that takes longer; a lost link.
+    pub(crate) async fn answer_of_all(&self, hold: &Hold, most: Duration) -> Result<(), ClientError> {
+        if hold.is_lost() {
+            return Ok(());
+        }
+        let (sender, receiver) = oneshot::channel();
+        let mut waiter = Some(AnswerTo::Caller(sender));
+        let renew = verb(Family::Token, "renew", &hold.path);
+        let asked = self.ask_behind(&mut self.lock(), renew, &mut waiter, Follows::Token);
+        self.outgoing.notify_one();
+        asked?;
+        match timeout(most, receiver).await {
+            Err(_) => Err(ClientError::TimedOut {
+                what: format!("what was said under {}", hold.path),
+                after: most,
+            }),
+            // Why nobody answers, or that the token is lost, is what the release says, too.
+            Ok(_) => Ok(()),
         }
     }
 

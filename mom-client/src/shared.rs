@@ -205,8 +205,20 @@ impl Shared {
     pub(crate) fn ask_in(
         &self,
         state: &mut State,
+        parcel: Parcel,
+        waiter: &mut Option<AnswerTo>,
+    ) -> Result<(), ClientError> {
+        let follows = Follows::of(&parcel);
+        self.ask_behind(state, parcel, waiter, follows)
+    }
+
+    /// The same, behind these of the messages that wait.
+    pub(crate) fn ask_behind(
+        &self,
+        state: &mut State,
         mut parcel: Parcel,
         waiter: &mut Option<AnswerTo>,
+        follows: Follows,
     ) -> Result<(), ClientError> {
         state.check_up()?;
         if state.is_resuming() && !outlives_loss(&parcel, false) {
@@ -217,7 +229,6 @@ impl Shared {
         if let Some(waiter) = waiter.take() {
             state.pending.insert(id, waiter);
         }
-        let follows = Follows::of(&parcel);
         state.outbox.push_control(&parcel, outgoing, follows);
         Ok(())
     }
