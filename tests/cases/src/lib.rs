@@ -25,7 +25,7 @@ pub struct Case {
 #[serde(rename_all = "lowercase")]
 pub enum Step {
     /// An item is put in.
-    Put(Item),
+    Put(Box<Item>),
     /// The queue is filled.
     Fill(String),
     /// The link takes these parcels, one by one.
@@ -120,7 +120,7 @@ impl Case {
     /// All items that are put in.
     pub fn items(&self) -> impl Iterator<Item = &Item> {
         self.steps.iter().filter_map(|step| match step {
-            Step::Put(item) => Some(item),
+            Step::Put(item) => Some(&**item),
             _ => None,
         })
     }
@@ -184,14 +184,16 @@ fn go(queue: &mut impl Replay, step: &Step, dialect: Dialect) -> Result<(), Stri
     match step {
         Step::Put(item) => queue.put(item),
         Step::Fill(label) => queue.fill(label),
-        Step::Begins(label) => return equal("begins", queue.begin().as_ref(), Some(label)),
+        Step::Begins(label) => return equal("begins", &queue.begin(), &Some(label.clone())),
         Step::Takes(labels) => {
-            let taken: Vec<String> = labels.iter().filter(known).map_while(|_| queue.take()).collect();
-            return equal("takes", &taken, &labels.iter().filter(known).cloned().collect());
+            let labels: Vec<String> = labels.iter().filter(known).cloned().collect();
+            let taken: Vec<String> = labels.iter().map_while(|_| queue.take()).collect();
+            return equal("takes", &taken, &labels);
         }
         Step::Hears(labels) => {
+            let labels: Vec<String> = labels.iter().filter(known).cloned().collect();
             let heard: Vec<String> = std::iter::from_fn(|| queue.take()).collect();
-            return equal("hears", &heard, &labels.iter().filter(known).cloned().collect());
+            return equal("hears", &heard, &labels);
         }
         Step::Lose(_) => queue.lose(),
         Step::Resume(read) => queue.resume(*read),
@@ -200,18 +202,16 @@ fn go(queue: &mut impl Replay, step: &Step, dialect: Dialect) -> Result<(), Stri
                 "unknown" if !dialect.says_unknown => "lost".to_owned(),
                 other => other.to_owned(),
             };
-            let words = words
-                .iter()
-                .map(|(label, told)| (label.clone(), word(told)))
-                .collect();
-            return equal("told", &queue.told(), &words);
+            let words = words.iter();
+            let words = words.map(|(label, told)| (label.clone(), word(told)));
+            return equal("told", &queue.told(), &words.collect());
         }
         Step::Clock(millis) => queue.pass(*millis),
     }
     Ok(())
 }
 
-fn equal<T: PartialEq + std::fmt::Debug>(what: &str, found: T, expected: T) -> Result<(), String> {
+fn equal<T: PartialEq + std::fmt::Debug>(what: &str, found: &T, expected: &T) -> Result<(), String> {
     match found == expected {
         true => Ok(()),
         false => Err(format!("{what} {found:?}, expected {expected:?}")),
