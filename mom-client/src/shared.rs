@@ -544,28 +544,28 @@ fn describe(parcel: &Parcel) -> String {
 
 /// What moves a device, lets it move or changes who drives it is of its moment.
 fn too_late() -> ClientError {
-    let text = "the connection is lost, and what is said now would come too late: it is not sent";
+    let text = "it is lost, and what is said now would come too late: it is not sent";
     ClientError::Connection(text.to_owned())
 }
 
 /// What who waits for an answer hears of a parcel that will not be sent, or not again; none where a lost link tells it.
 fn unsent(reason: DropReason) -> Option<ClientError> {
-    let (code, text) = match reason {
-        DropReason::Withdrawn => (
+    let local = |code, text: &str| Some(ClientError::Local(WireError::new(code, text)));
+    match reason {
+        DropReason::Withdrawn => local(
             Code::WITHDRAWN,
             "a stop came after this unstop, before it was sent",
         ),
-        DropReason::Replaced => (Code::WITHDRAWN, "a newer one came after it, before it was sent"),
-        DropReason::Expired => (Code::EXPIRED, "its time was over before it was sent"),
-        DropReason::Lost => (
-            Code::DISCONNECTED,
-            "the connection was lost before it was sent, and it is not sent late",
-        ),
-        DropReason::Unknown => {
-            let text = "the connection was lost after it had left: whether the hub has read it cannot be known, and it is not sent again";
-            return Some(ClientError::Unknown(WireError::new(Code::DISCONNECTED, text)));
+        DropReason::Replaced => local(Code::WITHDRAWN, "a newer one came after it, before it was sent"),
+        DropReason::Expired => local(Code::EXPIRED, "its time was over before it was sent"),
+        DropReason::Lost => {
+            let text = "it was lost before this was sent, and it would come too late: it is not sent";
+            Some(ClientError::Connection(text.to_owned()))
         }
-        _ => return None,
-    };
-    Some(ClientError::Local(WireError::new(code, text)))
+        DropReason::Unknown => {
+            let text = "the connection was lost after it had left, whether the hub has read it cannot be known, and it is not sent again";
+            Some(ClientError::Unknown(WireError::new(Code::DISCONNECTED, text)))
+        }
+        _ => None,
+    }
 }

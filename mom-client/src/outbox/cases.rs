@@ -369,13 +369,13 @@ fn word(error: &ClientError) -> String {
     let code = error.code();
     let word = if error.kind() == ErrorKind::Unknown {
         assert!(
-            text.contains("cannot be known") && !text.contains("not sent late"),
+            text.contains("cannot be known") && !text.contains("before"),
             "{text}"
         );
         "unknown"
     } else if code == Some(&Code::EXPIRED) {
         "expired"
-    } else if code == Some(&Code::DISCONNECTED) {
+    } else if error.kind() == ErrorKind::Connection {
         "lost"
     } else if code == Some(&Code::WITHDRAWN) && text.contains("stop") {
         "withdrawn"

@@ -97,9 +97,10 @@ async fn a_client_says_no_command_again_after_a_cut() {
             .await
             .expect("no panic")
             .expect_err("nobody has it");
-        let told = (error.kind(), error.code());
-        assert_eq!(told.1, Some(&Code::DISCONNECTED), "{error}");
-        assert!(matches!(told.0, ErrorKind::Unknown | ErrorKind::Local), "{error}");
+        assert!(
+            matches!(error.kind(), ErrorKind::Unknown | ErrorKind::Connection),
+            "{error}"
+        );
     }
     arm.send("command", "after").await.expect("hers still");
     talk.send("command", "after").await.expect("anybody may");
