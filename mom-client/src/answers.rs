@@ -7,9 +7,10 @@ use mom_proto::{Code, Family, Parcel, Path, WireError};
 use tokio::time::Instant;
 
 use crate::guards::RenewalTerms;
+use crate::holding::HoldingKind;
 use crate::info::map_of;
 use crate::pending::AnswerTo;
-use crate::shared::{Shared, verb};
+use crate::shared::Shared;
 use crate::wanted::JoinPhase;
 use crate::{ClientError, Event, Lost};
 
@@ -27,6 +28,23 @@ impl Shared {
             _ => Ok(parcel),
         };
         match waiter {
+            AnswerTo::Join(path, serial) => self.complete_join(&path, serial, answer),
+            AnswerTo::Renewal(path, fence) => self.complete_renewal(&path, fence, answer),
+            waiter => self.settle(waiter, id, answer),
+        }
+    }
+
+    /// Tells the receiver that no answer comes. Called without the lock, too.
+    pub(crate) fn fail(&self, waiter: AnswerTo, error: &ClientError) {
+        match waiter {
+            // The places and guards know already.
+            AnswerTo::Join(..) | AnswerTo::Renewal(..) => {}
+            waiter => self.settle(waiter, None, Err(error.clone())),
+        }
+    }
+
+    fn settle(&self, waiter: AnswerTo, id: Option<u64>, answer: RequestResult) {
+        match waiter {
             // A caller that went away needs no answer.
             AnswerTo::Caller(sender) => drop(sender.send(answer)),
             AnswerTo::Obtain {
@@ -42,20 +60,6 @@ impl Shared {
                 handover,
                 answer: sender,
             } => self.complete_give(member, handover, sender, answer),
-            AnswerTo::Join(path, serial) => self.complete_join(&path, serial, answer),
-            AnswerTo::Renewal(path, fence) => self.complete_renewal(&path, fence, answer),
-            AnswerTo::Nobody => {}
-        }
-    }
-
-    /// Tells the receiver that the link is gone.
-    pub(crate) fn fail(&self, waiter: AnswerTo, error: &ClientError) {
-        match waiter {
-            AnswerTo::Caller(sender) => drop(sender.send(Err(error.clone()))),
-            AnswerTo::Obtain { answer, .. } => drop(answer.send(Err(error.clone()))),
-            AnswerTo::Inhibit { answer, .. } => drop(answer.send(Err(error.clone()))),
-            AnswerTo::Give { answer, .. } => drop(answer.send(Err(error.clone()))),
-            // The places and guards know already.
             AnswerTo::Join(..) | AnswerTo::Renewal(..) | AnswerTo::Nobody => {}
         }
     }
@@ -124,8 +128,7 @@ impl Shared {
                         .lose(path, fence, Lost::new(error.code.word(), owner));
                     // When a guard is told that ownership is over, the hub must not still count this peer as owner.
                     if was_held && error.code != Code::NOT_OWNER {
-                        let release = verb(Family::Token, "release", path);
-                        let _ = self.ask_in(&mut state, release, &mut Some(AnswerTo::Nobody));
+                        self.end_in(&mut state, HoldingKind::Ownership, path, Some(fence));
                     }
                 }
             }

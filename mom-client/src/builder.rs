@@ -193,7 +193,9 @@ impl Builder {
     /// Asks for a link that survives the loss of its connection for so long: this peer keeps its memberships, its tokens while
     /// their leases run, and what was under way. A hub gives one over TLS and on its own machine, since the link has a secret.
     ///
-    /// What needs a token is never sent late: the hub has halted the devices, and says so by [`Event::Dropped`](crate::Event::Dropped).
+    /// What moves a device, lets it move or changes who drives it (messages that need a token, `command`, `unstop`, offers) is never sent
+    /// late, because the hub has halted the devices: [`Event::Dropped`](crate::Event::Dropped) says `lost` if it was not sent and
+    /// `unknown` if it had left, and who waits for its answer hears [`ClientError::Unknown`] then.
     pub fn link(mut self, grace: Duration) -> Builder {
         self.credentials.link = Some(grace);
         self

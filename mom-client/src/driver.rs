@@ -230,7 +230,7 @@ impl State {
         let mut counts: BTreeMap<(&Path, &str), u64> = BTreeMap::new();
         let mut capacity = Capacity::default();
         for (message, reason) in messages {
-            capacity += message.capacity();
+            capacity += message.take_capacity();
             let word = match reason {
                 DropReason::Closed => names::Reason::Disconnected.word(),
                 reason => reason.word(),

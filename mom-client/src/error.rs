@@ -32,6 +32,10 @@ pub enum ClientError {
         /// The time waited.
         after: Duration,
     },
+    /// The connection was lost after it had left, and it is not sent again: it moves a device, lets it move or changes who
+    /// drives it. It is unknown whether it was carried out.
+    #[error("unknown whether it was carried out: {0}")]
+    Unknown(WireError),
     /// The client is closed for good: it logged out, or the hub closed with a code of 400–499 or gave it up.
     #[error("closed{}", .0.as_ref().map(|error| format!(": {error}")).unwrap_or_default())]
     Closed(Option<WireError>),
@@ -53,6 +57,8 @@ pub enum ErrorKind {
     Connection,
     /// No answer in time.
     TimedOut,
+    /// The answer is lost with the connection, and it may have been carried out.
+    Unknown,
     /// No link ever again.
     Closed,
     /// Wrong on this side.
@@ -66,6 +72,7 @@ impl ClientError {
             ClientError::Refused(_) => ErrorKind::Refused,
             ClientError::Connection(_) => ErrorKind::Connection,
             ClientError::TimedOut { .. } => ErrorKind::TimedOut,
+            ClientError::Unknown(_) => ErrorKind::Unknown,
             ClientError::Closed(_) => ErrorKind::Closed,
             ClientError::Local(_) | ClientError::Address(_) => ErrorKind::Local,
         }
@@ -74,7 +81,9 @@ impl ClientError {
     /// The error in the words of the wire, if there is one.
     pub fn wire(&self) -> Option<&WireError> {
         match self {
-            ClientError::Refused(error) | ClientError::Local(error) => Some(error),
+            ClientError::Refused(error) | ClientError::Local(error) | ClientError::Unknown(error) => {
+                Some(error)
+            }
             ClientError::Closed(error) => error.as_ref(),
             ClientError::Connection(_) | ClientError::TimedOut { .. } | ClientError::Address(_) => None,
         }
@@ -141,6 +150,12 @@ mod tests {
                 ErrorKind::Local,
                 Some(Code::HELD),
                 "held: alice drives",
+            ),
+            (
+                ClientError::Unknown(WireError::new(Code::DISCONNECTED, "it had left")),
+                ErrorKind::Unknown,
+                Some(Code::DISCONNECTED),
+                "unknown whether it was carried out: disconnected: it had left",
             ),
             (
                 ClientError::Closed(Some(wire())),

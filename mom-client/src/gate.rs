@@ -151,6 +151,13 @@ impl FenceGate {
         }
     }
 
+    /// The token that messages of this name need.
+    pub(crate) fn token_for(&self, name: &str) -> Option<Path> {
+        let state = self.state.lock();
+        let guard = state.as_ref().filter(|guard| guard.covers(name))?;
+        Some(guard.token.clone())
+    }
+
     /// The token whose events this gate follows.
     pub(crate) fn token(&self) -> Option<Path> {
         self.state.lock().as_ref().map(|guard| guard.token.clone())

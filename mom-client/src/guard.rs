@@ -108,6 +108,17 @@ impl TokenGuard {
     pub async fn release(self) -> Result<(), ClientError> {
         self.holding.release().await
     }
+
+    /// Releases the token once the hub has answered for all messages sent before that need it: it has put them into the queues
+    /// of their receivers, or refused them ([`Event::Refused`](crate::Event::Refused)). What a manager has to be asked about may
+    /// be answered later. After `most` it releases the token anyhow. A release halts the device, so that
+    /// [`TokenGuard::release`] may leave it no time for the last command.
+    ///
+    /// # Errors
+    /// As [`TokenGuard::release`]; `TimedOut` if the hub did not answer in time, though the token is released then.
+    pub async fn release_after(self, most: Duration) -> Result<(), ClientError> {
+        self.holding.release_after(most).await
+    }
 }
 
 impl fmt::Debug for TokenGuard {

@@ -85,6 +85,11 @@ impl GrantTerms {
 }
 
 impl Hold {
+    /// The fence of an ownership; none of a part in a shared hold.
+    pub(crate) fn fence(&self) -> Option<u64> {
+        Some(self.fence).filter(|fence| *fence > 0)
+    }
+
     pub(crate) fn terms(&self) -> RenewalTerms {
         *self.terms.lock()
     }
@@ -169,8 +174,8 @@ impl Guards {
         *self.asked.entry(path.clone()).or_default() += 1;
     }
 
-    /// A grab was answered; whether the ownership that it was to share is to be given back now.
-    pub(crate) fn answered(&mut self, path: &Path) -> bool {
+    /// A grab was answered; the ownership that it was to share, if that is to be given back now.
+    pub(crate) fn answered(&mut self, path: &Path) -> Option<Arc<Hold>> {
         if let Some(asked) = self.asked.get_mut(path) {
             *asked -= 1;
             if *asked == 0 {
@@ -190,12 +195,15 @@ impl Guards {
             return false;
         };
         entry.guards -= 1;
-        self.remove_unguarded(&hold.path)
+        self.remove_unguarded(&hold.path).is_some()
     }
 
-    fn remove_unguarded(&mut self, path: &Path) -> bool {
-        let unguarded = self.entries.get(path).is_some_and(|entry| entry.guards == 0);
-        unguarded && !self.asked.contains_key(path) && self.entries.remove(path).is_some()
+    fn remove_unguarded(&mut self, path: &Path) -> Option<Arc<Hold>> {
+        let entry = self.entries.get(path)?;
+        if entry.guards > 0 || self.asked.contains_key(path) {
+            return None;
+        }
+        self.entries.remove(path).map(|entry| entry.hold)
     }
 
     /// The ownership with this fence is over.

@@ -1,11 +1,14 @@
 //! A guard's part in a hold on a token, ended on drop.
 
 use std::sync::Arc;
+use std::time::Duration;
 
+use mom_proto::{Family, Parcel, Path};
 use tokio::sync::watch;
 
 use crate::guards::Hold;
 use crate::membership::Membership;
+use crate::shared::verb;
 use crate::{ClientError, Lost};
 
 /// How a token is held.
@@ -18,12 +21,15 @@ pub(crate) enum HoldingKind {
 }
 
 impl HoldingKind {
-    /// The verb that ends it.
-    pub(crate) fn end(self) -> &'static str {
-        match self {
+    /// The request that ends it, for the ownership with this fence if it is known: then it cannot end a later one.
+    pub(crate) fn end(self, path: &Path, fence: Option<u64>) -> Parcel {
+        let name = match self {
             HoldingKind::Ownership => "release",
             HoldingKind::Shared => "uninhibit",
-        }
+        };
+        let mut parcel = verb(Family::Token, name, path);
+        parcel.fence = fence;
+        parcel
     }
 }
 
@@ -69,6 +75,13 @@ impl Holding {
     pub(crate) async fn release(mut self) -> Result<(), ClientError> {
         self.held = false;
         self.member.shared().release(&self.hold, self.kind).await
+    }
+
+    /// The same, after the hub has answered for what was said under it or this time is over.
+    pub(crate) async fn release_after(self, most: Duration) -> Result<(), ClientError> {
+        let answered = self.member.shared().answer_of_all(&self.hold, most).await;
+        self.release().await?;
+        answered
     }
 }
 

@@ -15,6 +15,7 @@ use crate::handover::{Handover, HandoverPhase};
 use crate::holding::HoldingKind;
 use crate::info::{map_of, millis_of, number, text};
 use crate::membership::Membership;
+use crate::outbox::Follows;
 use crate::pending::{AnswerTo, Answering};
 use crate::shared::{Shared, State, verb};
 use crate::{ClientError, Given, InhibitGuard, Lost, Place, TokenGuard};
@@ -92,7 +93,7 @@ impl Shared {
     pub(crate) fn give_up(&self, path: &Path, id: u64) {
         let mut state = self.lock();
         if state.waits.give_up(path, id) {
-            self.end_in(&mut state, HoldingKind::Ownership, path);
+            self.end_in(&mut state, HoldingKind::Ownership, path, None);
         }
         drop(state);
         self.outgoing.notify_one();
@@ -104,10 +105,32 @@ impl Shared {
         self.lock().holds(kind).let_go(hold);
         match lost {
             true => Ok(()),
-            false => self
-                .request(verb(Family::Token, kind.end(), &hold.path))
-                .await
-                .map(drop),
+            false => self.request(kind.end(&hold.path, hold.fence())).await.map(drop),
+        }
+    }
+
+    /// Waits until the hub has taken or refused all messages that were said under an ownership, as it takes what a peer says in
+    /// order.
+    ///
+    /// # Errors
+    /// `TimedOut` if that takes longer; a lost link.
+    pub(crate) async fn answer_of_all(&self, hold: &Hold, most: Duration) -> Result<(), ClientError> {
+        if hold.is_lost() {
+            return Ok(());
+        }
+        let (sender, receiver) = oneshot::channel();
+        let mut waiter = Some(AnswerTo::Caller(sender));
+        let renew = verb(Family::Token, "renew", &hold.path);
+        let asked = self.ask_behind(&mut self.lock(), renew, &mut waiter, Follows::Token);
+        self.outgoing.notify_one();
+        asked?;
+        match timeout(most, receiver).await {
+            Err(_) => Err(ClientError::TimedOut {
+                what: format!("what was said under {}", hold.path),
+                after: most,
+            }),
+            // Why nobody answers, or that the token is lost, is what the release says, too.
+            Ok(_) => Ok(()),
         }
     }
 
@@ -115,7 +138,7 @@ impl Shared {
     pub(crate) fn let_go(&self, hold: &Arc<Hold>, kind: HoldingKind) {
         let mut state = self.lock();
         if state.holds(kind).let_go(hold) {
-            self.end_in(&mut state, kind, &hold.path);
+            self.end_in(&mut state, kind, &hold.path, hold.fence());
         }
         drop(state);
         self.outgoing.notify_one();
@@ -129,10 +152,17 @@ impl Shared {
         }
     }
 
-    fn end_in(&self, state: &mut State, kind: HoldingKind, path: &Path) {
+    /// Ends a hold without waiting, the one with this fence if it is known.
+    pub(crate) fn end_in(&self, state: &mut State, kind: HoldingKind, path: &Path, fence: Option<u64>) {
         // Without a link the token is lost anyway.
-        let end = verb(Family::Token, kind.end(), path);
-        let _ = self.ask_in(state, end, &mut Some(AnswerTo::Nobody));
+        let _ = self.ask_in(state, kind.end(path, fence), &mut Some(AnswerTo::Nobody));
+    }
+
+    /// After a loss, says again that grabs are withdrawn: without a fence that was not sent again.
+    pub(crate) fn withdraw_again(&self, state: &mut State) {
+        for path in state.waits.withdrawn() {
+            self.end_in(state, HoldingKind::Ownership, &path, None);
+        }
     }
 
     /// Applies an event about a token's owner.
@@ -165,7 +195,7 @@ impl Shared {
         if wanted {
             handover.back(hold);
         } else if state.guards.let_go(&hold) {
-            self.end_in(state, HoldingKind::Ownership, &handover.path);
+            self.end_in(state, HoldingKind::Ownership, &handover.path, hold.fence());
         }
         self.outgoing.notify_one();
         self.keeping.notify_one();
@@ -182,7 +212,7 @@ impl Shared {
             expected: millis_of(&map, "expected"),
         };
         if state.waits.queued(path, place) {
-            self.end_in(state, HoldingKind::Ownership, path);
+            self.end_in(state, HoldingKind::Ownership, path, None);
             self.outgoing.notify_one();
         }
     }
@@ -244,8 +274,8 @@ impl Shared {
     }
 
     fn answered(&self, mut state: parking_lot::MutexGuard<'_, State>, kind: HoldingKind, path: &Path) {
-        if state.holds(kind).answered(path) {
-            self.end_in(&mut state, kind, path);
+        if let Some(hold) = state.holds(kind).answered(path) {
+            self.end_in(&mut state, kind, path, hold.fence());
         }
         drop(state);
         self.outgoing.notify_one();

@@ -87,7 +87,7 @@ impl LinkWriter {
             let mut ledger = counts.then(|| self.shared.ledger.lock());
             write_batch(&self.writer, form, &mut self.flow, &mut self.batch, |piece| {
                 let entry = piece.item().filter(|_| piece.is_last());
-                capacity += entry.map(|entry| entry.capacity()).unwrap_or_default();
+                capacity += entry.map(|entry| entry.take_capacity()).unwrap_or_default();
                 if let Some(ledger) = ledger.as_mut().and_then(|ledger| ledger.as_mut()) {
                     ledger.note(piece, form);
                 }

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use mom_net::{DropReason, Lane, Ledger, Outgoing};
 use mom_proto::codec::Form;
-use mom_proto::{Code, Family, Map, Parcel, Path, Thinning, Verb, WireError};
+use mom_proto::{Code, Family, Map, Parcel, Path, Thinning, WireError, event, outlives_loss};
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::{AcquireError, Notify, Semaphore, SemaphorePermit, oneshot, watch};
 use tokio::time::timeout;
@@ -17,7 +17,7 @@ use crate::guards::Guards;
 use crate::handover::Handovers;
 use crate::info::map_of;
 use crate::login::Welcome;
-use crate::outbox::{Capacity, Dropped, Entry, Message, Outbox};
+use crate::outbox::{Capacity, Dropped, Entry, Follows, Message, Outbox};
 use crate::pending::{AnswerTo, OpenRequests};
 use crate::proof::Credentials;
 use crate::subscribe::{EventQueue, Subscribers};
@@ -156,6 +156,12 @@ impl Shared {
         self.urgent_capacity.add_permits(capacity.urgent);
     }
 
+    /// What is left of the usual capacity.
+    #[cfg(test)]
+    pub(crate) fn capacity_left(&self) -> usize {
+        self.capacity.available_permits()
+    }
+
     /// Nobody need wait for capacity any more.
     pub(crate) fn close_capacity(&self) {
         self.capacity.close();
@@ -200,25 +206,41 @@ impl Shared {
     pub(crate) fn ask_in(
         &self,
         state: &mut State,
-        mut parcel: Parcel,
+        parcel: Parcel,
         waiter: &mut Option<AnswerTo>,
     ) -> Result<(), ClientError> {
+        let follows = Follows::of(&parcel);
+        self.ask_behind(state, parcel, waiter, follows)
+    }
+
+    /// The same, behind these of the messages that wait.
+    pub(crate) fn ask_behind(
+        &self,
+        state: &mut State,
+        mut parcel: Parcel,
+        waiter: &mut Option<AnswerTo>,
+        follows: Follows,
+    ) -> Result<(), ClientError> {
         state.check_up()?;
+        if state.is_resuming() && !outlives_loss(&parcel, false) {
+            return Err(too_late());
+        }
         let id = *parcel.id.get_or_insert_with(|| self.next_id());
         let outgoing = self.prepare(&mut parcel, &state.me)?;
         if let Some(waiter) = waiter.take() {
             state.pending.insert(id, waiter);
         }
-        state.outbox.push_control(&parcel, outgoing);
+        state.outbox.push_control(&parcel, outgoing, follows);
         Ok(())
     }
 
     /// Queues a message, waiting for capacity.
     pub(crate) async fn post(&self, mut parcel: Parcel, waiter: Option<AnswerTo>) -> Result<(), ClientError> {
-        let me = {
+        let (me, link) = {
             let state = self.lock();
-            state.check_up()?;
-            Arc::clone(&state.me)
+            let link = state.outbox.mark().link;
+            state.check_message(&parcel, link)?;
+            (Arc::clone(&state.me), link)
         };
         let id = *parcel.id.get_or_insert_with(|| self.next_id());
         // Outside the lock: content may be large.
@@ -227,24 +249,18 @@ impl Shared {
             return Err(self.lock().check_up().err().unwrap_or(ClientError::Closed(None)));
         };
         let mut state = self.lock();
-        state.check_up()?;
-        let guarded = state.is_guarded(&parcel);
-        if guarded && matches!(state.status, Status::Resuming) {
-            let text = "the connection is lost: what needs a token is not sent late";
-            return Err(ClientError::Connection(text.to_owned()));
-        }
+        let guard = state.check_message(&parcel, link)?;
         permit.into_iter().for_each(SemaphorePermit::forget);
-        // The context is for those who are told of a loss; one that waits is told by its answer.
-        let path = parcel.context.clone().filter(|_| waiter.is_none());
+        let awaited = waiter.is_some();
         if let Some(waiter) = waiter {
             state.pending.insert(id, waiter);
-        } else if let Some(path) = &path {
+        } else if let Some(path) = &parcel.context {
             state.pending.note(id, path.clone());
         }
         let message = Message {
             capacity,
-            path,
-            guarded,
+            awaited,
+            guard,
             outgoing,
         };
         let dropped = state.outbox.push_message(&parcel, message);
@@ -254,14 +270,14 @@ impl Shared {
         Ok(())
     }
 
-    /// Waits for capacity for a message; a stop needs none.
+    /// Waits for capacity for a message; a stop and an `unstop` need none.
     async fn acquire(
         &self,
         parcel: &Parcel,
         size: usize,
     ) -> Result<(Option<SemaphorePermit<'_>>, Capacity), AcquireError> {
         let units = |most: u32| u32::try_from(1 + size / CAPACITY_UNIT).map_or(most, |units| units.min(most));
-        if Verb::of(parcel.family, parcel.name()) == Ok(Verb::Stop) {
+        if parcel.family == Family::Message && matches!(parcel.name(), event::STOP | event::UNSTOP) {
             return Ok((None, Capacity::default()));
         }
         let urgent = Lane::Data(parcel.priority.unwrap_or_default()).is_urgent();
@@ -279,7 +295,7 @@ impl Shared {
         Ok((Some(permit), taken))
     }
 
-    /// Tells of messages that will not be sent: whoever waits for an answer by that, all others where the context is heard.
+    /// Tells of what will not be sent, or not again: whoever waits for an answer by that, all others where the context is heard.
     pub(crate) fn tell_dropped(&self, dropped: &Dropped) {
         if dropped.is_empty() {
             return;
@@ -295,12 +311,12 @@ impl Shared {
         drop(state);
         self.give_capacity(capacity);
         for (waiter, error) in failed {
-            self.fail(waiter, &ClientError::Local(error));
+            self.fail(waiter, &error);
         }
     }
 
     /// Stamps and encodes a parcel.
-    fn prepare(&self, parcel: &mut Parcel, me: &Welcome) -> Result<Outgoing, ClientError> {
+    pub(crate) fn prepare(&self, parcel: &mut Parcel, me: &Welcome) -> Result<Outgoing, ClientError> {
         parcel.timestamp = parcel.timestamp.or_else(|| self.clock.wall());
         let Some(form) = self.form else {
             return Ok(Outgoing::Parcel(Arc::new(parcel.clone())));
@@ -464,11 +480,27 @@ impl Shared {
 }
 
 impl State {
-    /// Whether a message needs a token, as far as this peer knows.
-    fn is_guarded(&self, parcel: &Parcel) -> bool {
-        let path = parcel.context.as_ref();
-        let guard = path.and_then(|path| self.places.gate(path).guard());
-        guard.is_some_and(|guard| guard.covers(parcel.name()))
+    /// The token that a message needs, as far as this peer knows.
+    fn guard_of(&self, parcel: &Parcel) -> Option<Path> {
+        self.places
+            .gate(parcel.context.as_ref()?)
+            .token_for(parcel.name())
+    }
+
+    /// Whether a message that was said while the outbox wrote to this link can be sent now; the token that it needs.
+    fn check_message(&self, parcel: &Parcel, link: u64) -> Result<Option<Path>, ClientError> {
+        self.check_up()?;
+        let guard = self.guard_of(parcel);
+        let lost = self.is_resuming() || self.outbox.mark().link != link;
+        match lost && !outlives_loss(parcel, guard.is_some()) {
+            true => Err(too_late()),
+            false => Ok(guard),
+        }
+    }
+
+    /// Whether the connection is lost, and another one is to go on.
+    pub(crate) fn is_resuming(&self) -> bool {
+        matches!(self.status, Status::Resuming)
     }
 
     /// Whether anything can be sent now.
@@ -517,20 +549,30 @@ fn describe(parcel: &Parcel) -> String {
     format!("{} {}{path}", parcel.family, parcel.name())
 }
 
-/// What who waits for the answer to a message hears that will not be sent; none where a lost link tells it.
-fn unsent(reason: DropReason) -> Option<WireError> {
-    let (code, text) = match reason {
-        DropReason::Overruled => (
+/// What moves a device, lets it move or changes who drives it is of its moment.
+fn too_late() -> ClientError {
+    let text = "it is lost, and what is said now would come too late: it is not sent";
+    ClientError::Connection(text.to_owned())
+}
+
+/// What who waits for an answer hears of a parcel that will not be sent, or not again; none where a lost link tells it.
+fn unsent(reason: DropReason) -> Option<ClientError> {
+    let local = |code, text: &str| Some(ClientError::Local(WireError::new(code, text)));
+    match reason {
+        DropReason::Withdrawn => local(
             Code::WITHDRAWN,
             "a stop came after this unstop, before it was sent",
         ),
-        DropReason::Replaced => (Code::WITHDRAWN, "a newer one came after it, before it was sent"),
-        DropReason::Expired => (Code::EXPIRED, "its time was over before it was sent"),
-        DropReason::Lost => (
-            Code::DISCONNECTED,
-            "the connection was lost before the hub had read it, and it needs a token: it is not sent late",
-        ),
-        _ => return None,
-    };
-    Some(WireError::new(code, text))
+        DropReason::Replaced => local(Code::WITHDRAWN, "a newer one came after it, before it was sent"),
+        DropReason::Expired => local(Code::EXPIRED, "its time was over before it was sent"),
+        DropReason::Lost => {
+            let text = "it was lost before this was sent, and it would come too late: it is not sent";
+            Some(ClientError::Connection(text.to_owned()))
+        }
+        DropReason::Unknown => {
+            let text = "the connection was lost after it had left, whether the hub has read it cannot be known, and it is not sent again";
+            Some(ClientError::Unknown(WireError::new(Code::DISCONNECTED, text)))
+        }
+        _ => None,
+    }
 }

@@ -5,8 +5,7 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use hmac::{Hmac, Mac};
-use mom_net::{Ledger, Rewound};
-use mom_proto::event as names;
+use mom_net::{DropReason, Ledger, Rewound};
 use mom_proto::{
     ContextNumber, Family, LINK_CONTEXT, Map, NONCE_BYTES, Parcel, Path, SECRET_BYTES, Value, link_challenge,
 };
@@ -232,7 +231,12 @@ impl Shared {
         let mut state = self.lock();
         let mut ledger = self.ledger.lock();
         let Some(kept) = ledger.as_mut() else { return false };
-        let (unread, late) = match state.outbox.resend(kept, resumption.read) {
+        let mut resent = Parcel::new(Family::Time, "resent").id(self.next_id());
+        let Ok(outgoing) = self.prepare(&mut resent, &state.me) else {
+            return false;
+        };
+        let resent = (&resent, outgoing);
+        let (unread, late) = match state.outbox.resend(kept, resumption.read, resent) {
             Ok((Rewound::Dropped(unread), late)) => (unread, late),
             Ok((Rewound::Lost(lost), _)) => {
                 tracing::warn!(lost, "more was under way than is kept");
@@ -248,18 +252,18 @@ impl Shared {
         if let Some(counted) = &mut state.counted {
             (counted.told, counted.told_at) = (counted.read, 0);
         }
-        // Nothing of before that needs a token is left: all that follows is of now.
-        let resent = Parcel::new(Family::Time, "resent");
-        let _ = self.ask_in(&mut state, resent, &mut None);
-        // Those are told one by one.
-        let dropped_here = unread.saturating_sub(late.len() as u64);
-        for count in [dropped_here, resumption.dropped]
-            .into_iter()
-            .filter(|count| *count > 0)
-        {
-            let event = dropped(&Path::root(), names::LOST, count);
-            state.subscribers.deliver_unaddressed(event);
+        // The others are told one by one.
+        let unknown = unread.saturating_sub(late.len() as u64);
+        for (reason, count) in [
+            (DropReason::Unknown, unknown),
+            (DropReason::Lost, resumption.dropped),
+        ] {
+            if count > 0 {
+                let event = dropped(&Path::root(), reason.word(), count);
+                state.subscribers.deliver_unaddressed(event);
+            }
         }
+        self.withdraw_again(&mut state);
         state.subscribers.deliver_all(&Event::Resumed);
         drop(state);
         self.tell_dropped(&late);

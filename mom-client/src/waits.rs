@@ -81,6 +81,16 @@ impl Waits {
         wait.is_some_and(|wait| wait.stage == WaitStage::Withdrawn)
     }
 
+    /// The tokens for which a grab is withdrawn and not answered.
+    pub(crate) fn withdrawn(&self) -> Vec<Path> {
+        let withdrawn = |wait: &WaitingGrab| wait.stage == WaitStage::Withdrawn;
+        let tokens = self
+            .tokens
+            .iter()
+            .filter(|(_, waits)| waits.iter().any(withdrawn));
+        tokens.map(|(path, _)| path.clone()).collect()
+    }
+
     /// The link is gone, and with it the queue.
     pub(crate) fn clear(&mut self) {
         self.tokens.clear();
@@ -133,7 +143,9 @@ mod tests {
 
         let _two = waits.add(&path(), 2);
         assert!(!waits.queued(&path(), place(2)));
+        assert!(waits.withdrawn().is_empty());
         assert!(waits.give_up(&path(), 2));
+        assert_eq!(waits.withdrawn(), [path()]);
         assert!(waits.answered(&path(), 2));
         assert!(!waits.give_up(&path(), 2), "answered");
     }

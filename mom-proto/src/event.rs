@@ -50,6 +50,8 @@ pub const HALT: &str = "halt";
 pub const STOP: &str = "stop";
 /// The reserved message that lets a stopped device move again.
 pub const UNSTOP: &str = "unstop";
+/// The message that moves a device.
+pub const COMMAND: &str = "command";
 
 /// Why an owner lost its token.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

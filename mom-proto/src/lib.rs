@@ -31,6 +31,7 @@ mod fingerprint;
 mod gcra;
 pub mod json;
 mod limits;
+mod loss;
 mod map;
 pub mod msgpack;
 mod names;
@@ -64,6 +65,7 @@ pub use fence::Fence;
 pub use fingerprint::{BadFingerprint, Fingerprint};
 pub use gcra::{Gcra, Pace, Wait};
 pub use limits::{HARD_DEPTH, Limit, Limits, PROTOCOL_VERSION};
+pub use loss::{answers_request, outlives_loss};
 pub use map::Map;
 pub use names::{
     HUB, check_message_name, check_name, check_text, folds_of, is_xml_char, looks_of, numbered_name,

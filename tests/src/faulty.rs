@@ -45,6 +45,8 @@ pub struct FaultyNetwork {
     came: Arc<AtomicU64>,
     /// All connections through it end when it changes.
     severed: watch::Sender<u64>,
+    /// Nothing passes through those that are there when it changes.
+    frozen: watch::Sender<u64>,
     accepting: JoinHandle<()>,
 }
 
@@ -58,7 +60,8 @@ impl FaultyNetwork {
         let address = listener.local_addr().expect("it has one");
         let cut = Arc::new(AtomicU64::new(0));
         let severed = watch::Sender::new(0);
-        let (count, sever) = (Arc::clone(&cut), severed.clone());
+        let frozen = watch::Sender::new(0);
+        let (count, sever, freeze) = (Arc::clone(&cut), severed.clone(), frozen.clone());
         let came = Arc::<AtomicU64>::default();
         let all = Arc::clone(&came);
         let accepting = tokio::spawn(async move {
@@ -68,12 +71,19 @@ impl FaultyNetwork {
                 };
                 all.fetch_add(1, Ordering::Relaxed);
                 let (fault, count, mut severed) = (fault(number), Arc::clone(&count), sever.subscribe());
+                let mut frozen = freeze.subscribe();
                 tokio::spawn(async move {
                     let Ok(far) = TcpStream::connect(hub).await else {
                         return;
                     };
+                    let carried = async {
+                        tokio::select! {
+                            ended = carry(&near, &far, fault) => ended,
+                            _ = frozen.changed() => std::future::pending().await,
+                        }
+                    };
                     let ended = tokio::select! {
-                        ended = carry(&near, &far, fault) => ended,
+                        ended = carried => ended,
                         _ = severed.changed() => Ok(true),
                     };
                     if !matches!(ended, Ok(false)) {
@@ -90,6 +100,7 @@ impl FaultyNetwork {
             cut,
             came,
             severed,
+            frozen,
             accepting,
         }
     }
@@ -102,6 +113,11 @@ impl FaultyNetwork {
     /// How many connections have come.
     pub fn came(&self) -> u64 {
         self.came.load(Ordering::Relaxed)
+    }
+
+    /// Lets nothing pass any more through the connections that are there now, and neither end hears why.
+    pub fn freeze(&self) {
+        self.frozen.send_modify(|times| *times += 1);
     }
 
     /// Ends all connections that go through it now.

@@ -23,12 +23,12 @@ use mom_hub::{Input, PeerClock, PeerId};
 use mom_login::{Challenge, LoginLink, ResumeChallenge};
 use mom_net::{NetError, Privacy, Reader};
 use mom_proto::codec::Frame;
-use mom_proto::{Code, Content, Family, Limits, Micros, Parcel, Verb, WireError};
+use mom_proto::{Code, Content, Family, Limits, Micros, Parcel, Verb, WireError, outlives_loss};
 use mom_system::Expiry;
 use tokio::time::{Instant, timeout_at};
 
 use crate::traffic::capacity::WaitingMessage;
-use crate::traffic::channel::Sender;
+use crate::traffic::channel::{Sender, said_before_the_loss};
 use crate::traffic::memory::{Charge, Gate, over_memory};
 use crate::traffic::outbox::Outbox;
 use crate::traffic::switchboard::{Handled, Touched, flush};
@@ -361,6 +361,11 @@ impl Connection {
                     let text = format!("the content of a parcel that is no message has at most {most} bytes");
                     let error = WireError::new(Code::TOO_LONG, text).slot("content");
                     self.refuse(&error, parcel.id, touched);
+                    return Next::Frame;
+                }
+                let resent = self.link.as_ref().is_some_and(|served| served.resending);
+                if resent && !outlives_loss(&parcel, false) {
+                    self.refuse(&said_before_the_loss(), parcel.id, touched);
                     return Next::Frame;
                 }
                 let now = self.services.board.clock.now();

@@ -65,6 +65,7 @@ impl Replay {
             gate: None,
             count,
             counts: true,
+            outlives_loss: true,
             encodings,
         })
     }
@@ -135,6 +136,7 @@ impl Replay {
             gate: None,
             count: 1,
             counts: true,
+            outlives_loss: true,
         }))
     }
 }

@@ -36,6 +36,7 @@ fn packet(sender: u64, name: &str, id: u64) -> Packet {
         gate: None,
         count: 1,
         counts: true,
+        outlives_loss: true,
     }
 }
 

@@ -2,10 +2,11 @@
 
 use std::ops::AddAssign;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use mom_net::{Item, Lane, Outgoing};
 use mom_proto::codec::{Encoded, Form};
-use mom_proto::{Delivery, Parcel, Path};
+use mom_proto::{Delivery, Family, Parcel, Path, answers_request, event, outlives_loss};
 
 /// Capacity for messages, in units of 1 KiB.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -27,11 +28,26 @@ impl AddAssign for Capacity {
 #[derive(Debug)]
 pub(crate) struct Message {
     pub(crate) capacity: Capacity,
-    /// Its context, if a loss of it is told there; one that is awaited is told by its answer.
-    pub(crate) path: Option<Path>,
-    /// It needs a token.
-    pub(crate) guarded: bool,
+    /// Somebody waits for its answer; the loss of any other is told in its context.
+    pub(crate) awaited: bool,
+    /// The token that it needs.
+    pub(crate) guard: Option<Path>,
     pub(crate) outgoing: Outgoing,
+}
+
+/// Behind which messages that were said before it a request or an `unstop` waits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Follows {
+    /// Behind none: it overtakes them.
+    Nothing,
+    /// Those of its context.
+    Context,
+    /// Those of its context and of all below it.
+    Within,
+    /// Those that need the token that it is about.
+    Token,
+    /// All.
+    All,
 }
 
 /// Where a message goes and under which name: a newer one of class `latest` replaces an older one that goes there too.
@@ -39,6 +55,7 @@ pub(crate) struct Message {
 pub(crate) struct Destination {
     context: Option<Path>,
     name: Arc<str>,
+    /// In order, each once; none = all members.
     address: Option<Vec<Arc<str>>>,
 }
 
@@ -49,70 +66,109 @@ pub(crate) struct Entry {
     delivery: Delivery,
     outgoing: Outgoing,
     pub(crate) id: Option<u64>,
-    /// Kept of what may replace or overrule another message.
+    context: Option<Path>,
+    /// Kept of what may replace or withdraw another message.
     destination: Option<Box<Destination>>,
     /// When its time is over, in µs of the wall clock.
     pub(super) expires_at: Option<u64>,
     /// None of what is no message.
     capacity: Option<Capacity>,
-    path: Option<Path>,
-    /// It needs a token.
-    pub(super) guarded: bool,
+    /// Whether its capacity was given back.
+    given: AtomicBool,
+    awaited: bool,
+    /// The token that it needs.
+    guard: Option<Path>,
+    follows: Follows,
+    /// Whether both ends of a link count it.
+    counts: bool,
+    outlives_loss: bool,
+}
+
+impl Follows {
+    pub(crate) fn of(parcel: &Parcel) -> Follows {
+        match (parcel.family, parcel.name()) {
+            // Nothing that was said to a device at rest may reach it when it moves again.
+            (Family::Message, event::UNSTOP) => Follows::Context,
+            // Who gives up a context or a token has said all that before.
+            (Family::Context, "leave" | "delete") => Follows::Within,
+            (Family::Token, "release" | "give" | "inhibit") => Follows::Token,
+            // An owner's answer to who asked; that to an offer gives nothing up.
+            (Family::Token, "accept") if answers_request(parcel) => Follows::Token,
+            (Family::Login, "logout") => Follows::All,
+            _ => Follows::Nothing,
+        }
+    }
+}
+
+impl Destination {
+    fn of(parcel: &Parcel) -> Destination {
+        let sorted = |mut names: Vec<Arc<str>>| {
+            names.sort_unstable();
+            names.dedup();
+            names
+        };
+        Destination {
+            context: parcel.context.clone(),
+            name: Arc::clone(&parcel.name),
+            address: parcel.address.clone().map(sorted),
+        }
+    }
+
+    /// Whether both go to some peer.
+    fn overlaps(&self, other: &Destination) -> bool {
+        let shared = |(own, others): (&Vec<Arc<str>>, &Vec<_>)| own.iter().any(|name| others.contains(name));
+        self.context == other.context
+            && self
+                .address
+                .as_ref()
+                .zip(other.address.as_ref())
+                .is_none_or(shared)
+    }
 }
 
 impl Entry {
-    /// A request or a sign of life.
-    pub(super) fn control(parcel: &Parcel, lane: Lane, outgoing: Outgoing) -> Entry {
+    /// A request or a sign of life, behind these messages.
+    pub(super) fn control(parcel: &Parcel, outgoing: Outgoing, follows: Follows) -> Entry {
+        let counts = parcel.family != Family::Time;
         Entry {
-            lane,
+            lane: if counts { Lane::Control } else { Lane::Sign },
             delivery: Delivery::Reliable,
             outgoing,
             id: parcel.id,
+            context: parcel.context.clone(),
             destination: None,
             expires_at: None,
             capacity: None,
-            path: None,
-            guarded: false,
+            given: AtomicBool::new(false),
+            awaited: false,
+            guard: None,
+            follows,
+            counts,
+            outlives_loss: outlives_loss(parcel, false),
         }
     }
 
     pub(super) fn message(parcel: &Parcel, lane: Lane, message: Message) -> Entry {
         // What its channel makes of a message without a class is known to the hub alone.
-        let delivery = parcel.delivery.unwrap_or(Delivery::Reliable);
+        let class = parcel.delivery.filter(|_| matches!(lane, Lane::Data(_)));
+        let delivery = class.unwrap_or(Delivery::Reliable);
         let named = !matches!(lane, Lane::Data(_)) || delivery == Delivery::Latest;
-        let destination = || {
-            Box::new(Destination {
-                context: parcel.context.clone(),
-                name: Arc::clone(&parcel.name),
-                address: parcel.address.clone(),
-            })
-        };
         Entry {
             lane,
             delivery,
             outgoing: message.outgoing,
             id: parcel.id,
-            destination: named.then(destination),
+            context: parcel.context.clone(),
+            destination: named.then(|| Box::new(Destination::of(parcel))),
             // A device must halt also if its operator's clock is wrong.
             expires_at: expires_at(parcel).filter(|_| lane != Lane::Stop),
             capacity: Some(message.capacity),
-            path: message.path,
-            guarded: message.guarded,
-        }
-    }
-
-    /// The same once it has left: its capacity was given back then.
-    pub(super) fn without_capacity(&self) -> Entry {
-        Entry {
-            lane: self.lane,
-            delivery: self.delivery,
-            outgoing: self.outgoing.clone(),
-            id: self.id,
-            destination: self.destination.clone(),
-            expires_at: self.expires_at,
-            capacity: Some(Capacity::default()),
-            path: self.path.clone(),
-            guarded: self.guarded,
+            given: AtomicBool::new(false),
+            awaited: message.awaited,
+            outlives_loss: outlives_loss(parcel, message.guard.is_some()),
+            guard: message.guard,
+            follows: Follows::of(parcel),
+            counts: true,
         }
     }
 
@@ -121,18 +177,18 @@ impl Entry {
         self.capacity.is_some()
     }
 
-    /// The capacity that is free again when it has left.
-    pub(crate) fn capacity(&self) -> Capacity {
-        self.capacity.unwrap_or_default()
+    /// The capacity that is free now that it has left or is lost: given once, also of what is sent again.
+    pub(crate) fn take_capacity(&self) -> Capacity {
+        match self.given.swap(true, Ordering::Relaxed) {
+            true => Capacity::default(),
+            false => self.capacity.unwrap_or_default(),
+        }
     }
 
-    /// Where its loss is told; none if somebody waits for its answer.
+    /// Where its loss is told; none of a request, and if somebody waits for its answer.
     pub(crate) fn path(&self) -> Option<&Path> {
-        self.path.as_ref()
-    }
-
-    fn context(&self) -> Option<&Path> {
-        self.destination.as_ref()?.context.as_ref()
+        let told = self.is_message() && !self.awaited;
+        self.context.as_ref().filter(|_| told)
     }
 }
 
@@ -165,23 +221,43 @@ impl Item for Entry {
         }
     }
 
-    // Signs of life do not count.
     fn counts(&self) -> bool {
-        self.lane != Lane::Sign
+        self.counts
     }
 
     fn charge(&self, _: Option<Form>) -> usize {
         self.outgoing.len()
     }
 
-    // A second stop of a context says nothing that the first does not, unless somebody waits for its answer.
+    // A second stop of a context says nothing that the first does not. One whose answer somebody waits for stays: it would not
+    // come.
     fn repeats(&self, older: &Entry) -> bool {
-        // Not one whose answer somebody waits for: it would not come.
-        self.lane == Lane::Stop && older.path.is_some() && self.destination == older.destination
+        let answered = older.lane == Lane::Stop && older.awaited;
+        self.destination.is_some() && self.destination == older.destination && !answered
     }
 
-    fn overrules(&self, waiting: &Entry) -> bool {
-        self.lane == Lane::Stop && waiting.is_message() && self.context() == waiting.context()
+    fn withdraws(&self, waiting: &Entry) -> bool {
+        let both = self.destination.as_ref().zip(waiting.destination.as_ref());
+        self.lane == Lane::Stop && both.is_some_and(|(stop, unstop)| stop.overlaps(unstop))
+    }
+
+    fn waits_behind_data(&self) -> bool {
+        self.follows != Follows::Nothing
+    }
+
+    fn follows(&self, earlier: &Entry) -> bool {
+        let (here, there) = (self.context.as_ref(), earlier.context.as_ref());
+        match self.follows {
+            Follows::Nothing => false,
+            Follows::Context => here == there,
+            Follows::Within => here.zip(there).is_some_and(|(here, there)| there.is_within(here)),
+            Follows::Token => here.is_some() && here == earlier.guard.as_ref(),
+            Follows::All => true,
+        }
+    }
+
+    fn outlives_loss(&self) -> bool {
+        self.outlives_loss
     }
 }
 

@@ -7,12 +7,13 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use mom_net::{
-    Allowance, BadCount, DropPolicy, DropReason, Lane, Ledger, Outgoing, Piece, Rest, Rewound, SendQueue,
+    Allowance, BadCount, DropPolicy, DropReason, Item, Lane, Ledger, Outgoing, Piece, Rest, Rewound,
+    SendQueue,
 };
 use mom_proto::codec::Form;
-use mom_proto::{Family, Limit, Parcel, Verb};
+use mom_proto::{Limit, Parcel, Verb};
 
-pub(crate) use entry::{Capacity, Entry, Message};
+pub(crate) use entry::{Capacity, Entry, Follows, Message};
 
 /// The queue of one client, over all of its links. Control is bounded by what a peer asks at a time; for messages their
 /// senders wait for capacity, but for stops, of which one waits for each context.
@@ -45,7 +46,10 @@ impl DropPolicy<Entry> for Drops {
     }
 
     fn dropped(&mut self, entry: &Arc<Entry>, _: u64, reason: DropReason) {
-        self.0.push((Arc::clone(entry), reason));
+        // The newer stop says the same.
+        if entry.lane() != Lane::Stop || reason != DropReason::Replaced {
+            self.0.push((Arc::clone(entry), reason));
+        }
     }
 }
 
@@ -59,36 +63,21 @@ impl Outbox {
         }
     }
 
-    pub(crate) fn push_control(&mut self, parcel: &Parcel, outgoing: Outgoing) {
-        let lane = match parcel.family {
-            Family::Time => Lane::Sign,
-            _ => Lane::Control,
-        };
-        let entry = Arc::new(Entry::control(parcel, lane, outgoing));
-        // Control overtakes messages; but who gives up a token or a channel has sent these before.
-        match gives_up(parcel) {
-            true => self.queue.push_after_data(entry),
-            false => self.queue.push(entry),
-        };
+    /// Takes in a request or a sign of life, behind these of the messages that wait.
+    pub(crate) fn push_control(&mut self, parcel: &Parcel, outgoing: Outgoing, follows: Follows) {
+        let entry = Entry::control(parcel, outgoing, follows);
+        self.queue.push(Arc::new(entry));
     }
 
-    /// Takes in a message; gives what it replaces or overrules.
+    /// Takes in a message; gives what it replaces or withdraws.
     pub(crate) fn push_message(&mut self, parcel: &Parcel, message: Message) -> Dropped {
-        match Verb::of(parcel.family, parcel.name()) {
-            Ok(Verb::Stop) => {
-                let entry = Entry::message(parcel, Lane::Stop, message);
-                self.queue.push(Arc::new(entry));
-            }
-            // Nothing that was said to a device at rest may reach it when it moves again.
-            Ok(Verb::Unstop) => {
-                let entry = Entry::message(parcel, Lane::Control, message);
-                self.queue.push_after_data(Arc::new(entry));
-            }
-            _ => {
-                let lane = Lane::Data(parcel.priority.unwrap_or_default());
-                self.queue.push(Arc::new(Entry::message(parcel, lane, message)));
-            }
-        }
+        let lane = match Verb::of(parcel.family, parcel.name()) {
+            Ok(Verb::Stop) => Lane::Stop,
+            Ok(Verb::Unstop) => Lane::Control,
+            _ => Lane::Data(parcel.priority.unwrap_or_default()),
+        };
+        let entry = Entry::message(parcel, lane, message);
+        self.queue.push(Arc::new(entry));
         self.take_dropped()
     }
 
@@ -155,25 +144,21 @@ impl Outbox {
     /// The connection is lost and may be resumed. Gives what must not be sent late.
     pub(crate) fn suspend(&mut self, ledger: &mut Ledger<Entry>) -> Dropped {
         self.now.link += 1;
-        self.queue.restart(ledger);
-        // The policy notes what was dropped.
-        drop(self.queue.drop_data_of(DropReason::Lost, |entry| entry.guarded));
+        drop(self.queue.restart(ledger));
         self.take_dropped()
     }
 
-    /// Puts what the hub has not read in front of what waits; gives how much of it is not sent again, and what of that must not
-    /// be sent late.
+    /// Puts what the hub has not read in front of what waits, and behind it the parcel that tells the hub so; gives how much of it
+    /// is not sent again, and what of that must not be sent late.
     pub(crate) fn resend(
         &mut self,
         ledger: &mut Ledger<Entry>,
         read: u64,
+        (end, outgoing): (&Parcel, Outgoing),
     ) -> Result<(Rewound, Dropped), BadCount> {
-        self.queue.acknowledge(ledger, read)?;
-        let late = ledger.drop_kept(|entry| entry.guarded).into_iter();
-        let late = late.map(|(entry, _)| (Arc::new(entry.without_capacity()), DropReason::Lost));
-        let late: Dropped = late.collect();
-        let rewound = self.queue.resend(ledger, read)?;
-        Ok((rewound, late))
+        let end = Entry::control(end, outgoing, Follows::Nothing);
+        let rewound = self.queue.resend(ledger, read, Some(Arc::new(end)))?;
+        Ok((rewound, self.take_dropped()))
     }
 
     /// Forgets everything, as the peer is another one from now on, on this link or, if that is gone, the next; gives
@@ -187,15 +172,7 @@ impl Outbox {
     }
 }
 
-fn gives_up(parcel: &Parcel) -> bool {
-    match (parcel.family, parcel.name()) {
-        (Family::Context, "leave" | "delete") | (Family::Login, "logout") => true,
-        (Family::Token, "release" | "give") => true,
-        // An owner's answer to who asked; that to an offer gives nothing up.
-        (Family::Token, "accept") => parcel.value().get("peer").is_some(),
-        _ => false,
-    }
-}
-
+#[cfg(test)]
+mod cases;
 #[cfg(test)]
 mod tests;

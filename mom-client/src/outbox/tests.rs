@@ -3,7 +3,7 @@
 use bytes::{Bytes, BytesMut};
 use mom_proto::binary::{BinaryDecoder, PREFACE, STREAMS};
 use mom_proto::codec::Frame;
-use mom_proto::{Delivery, Limits, Path, Time, Value};
+use mom_proto::{Delivery, Family, Limits, Path, Time, Value};
 
 use super::*;
 
@@ -72,16 +72,20 @@ fn say(outbox: &mut Outbox, name: &str, size: usize, priority: i32) -> Dropped {
     parcel.priority = Some(priority);
     let message = Message {
         capacity: Capacity { usual: 1, urgent: 0 },
-        path: Some(path()),
-        guarded: false,
+        awaited: false,
+        guard: (name == "command").then(|| Path::parse("/robot/token").unwrap()),
         outgoing: frame(&parcel),
     };
     outbox.push_message(&parcel, message)
 }
 
 fn ask(outbox: &mut Outbox, family: Family, name: &str) {
-    let parcel = Parcel::new(family, name);
-    outbox.push_control(&parcel, frame(&parcel));
+    let about = match family {
+        Family::Token => "/robot/token",
+        _ => "/robot",
+    };
+    let parcel = Parcel::new(family, name).context(Path::parse(about).unwrap());
+    outbox.push_control(&parcel, frame(&parcel), Follows::of(&parcel));
 }
 
 #[test]
@@ -91,9 +95,10 @@ fn control_overtakes_messages_but_gives_up_after_them() {
         (vec![(Message, "a"), (Time, "pong")], "pong a"),
         (vec![(Message, "a"), (Token, "grab"), (Message, "b")], "grab a b"),
         (
-            vec![(Message, "a"), (Token, "release"), (Message, "b")],
-            "a release b",
+            vec![(Message, "command"), (Token, "release"), (Message, "b")],
+            "command release b",
         ),
+        (vec![(Message, "a"), (Token, "release")], "release a"),
         (
             vec![(Message, "a"), (Context, "leave"), (Context, "join")],
             "a leave join",
@@ -103,14 +108,14 @@ fn control_overtakes_messages_but_gives_up_after_them() {
             "join a logout",
         ),
         (
-            vec![(Message, "a"), (Token, "decline"), (Token, "give")],
-            "decline a give",
+            vec![(Message, "command"), (Token, "decline"), (Token, "give")],
+            "decline command give",
         ),
         (
-            vec![(Message, "a"), (Token, "release"), (Time, "ping")],
-            "ping a release",
+            vec![(Message, "command"), (Token, "release"), (Time, "ping")],
+            "ping command release",
         ),
-        (vec![(Message, "a"), (Token, "accept")], "accept a"),
+        (vec![(Message, "command"), (Token, "accept")], "accept command"),
         (vec![(Context, "delete")], "delete"),
         (
             vec![(Message, "a"), (Message, "unstop"), (Message, "b")],
@@ -136,9 +141,9 @@ fn what_gives_up_waits_for_what_was_sent_before_only() {
     let mut outbox = new();
     say(&mut outbox, "low", 5000, -5);
     say(&mut outbox, "usual", 10, 0);
-    ask(&mut outbox, Family::Token, "release");
+    ask(&mut outbox, Family::Context, "leave");
     say(&mut outbox, "urgent", 10, 50);
-    assert_eq!(Hub::new().take_all(&mut outbox), "usual low release urgent");
+    assert_eq!(Hub::new().take_all(&mut outbox), "usual low leave urgent");
 }
 
 #[test]
@@ -198,14 +203,14 @@ fn pieces_that_are_put_back_come_again() {
     }
 }
 
-/// A stop overrules an unstop that has not left, wherever that is.
+/// A stop withdraws an unstop that has not left, wherever that is.
 #[test]
 fn a_stop_is_the_last_word() {
     let (mut outbox, mut hub) = (new(), Hub::new());
     say(&mut outbox, "unstop", 10, 0);
-    let overruled = say(&mut outbox, "stop", 10, 0);
-    let [(unstop, DropReason::Overruled)] = &overruled[..] else {
-        panic!("{overruled:?}")
+    let withdrawn = say(&mut outbox, "stop", 10, 0);
+    let [(unstop, DropReason::Withdrawn)] = &withdrawn[..] else {
+        panic!("{withdrawn:?}")
     };
     assert_eq!(unstop.path(), Some(&path()));
     assert_eq!(hub.take_all(&mut outbox), "stop");
@@ -215,9 +220,11 @@ fn a_stop_is_the_last_word() {
     assert!(say(&mut outbox, "stop", 10, 0).is_empty(), "the link has it");
     outbox.put_back(&mut [taken].into(), outbox.mark());
     let dropped = outbox.take_dropped();
-    assert!(matches!(dropped[..], [(_, DropReason::Overruled)]), "it had not");
-    let older = say(&mut outbox, "stop", 10, 0);
-    assert!(matches!(older[..], [(_, DropReason::Replaced)]), "{older:?}");
+    assert!(matches!(dropped[..], [(_, DropReason::Withdrawn)]), "it had not");
+    assert!(
+        say(&mut outbox, "stop", 10, 0).is_empty(),
+        "the newer one says the same"
+    );
     say(&mut outbox, "unstop", 10, 0);
     assert_eq!(hub.take_all(&mut outbox), "stop unstop", "one is enough");
 }
@@ -234,7 +241,7 @@ fn what_is_cleared_holds_nothing_back() {
     assert_eq!(lost.len(), 3, "also what was half sent");
     assert!(
         lost.iter()
-            .all(|(entry, _)| entry.capacity().usual == 1 && entry.path() == Some(&path()))
+            .all(|(entry, _)| entry.take_capacity().usual == 1 && entry.path() == Some(&path()))
     );
     assert!(outbox.queue.is_empty());
     ask(&mut outbox, Family::Token, "release");
@@ -351,8 +358,8 @@ fn the_newest_state_replaces_older_ones() {
         parcel.address = to.map(|to| vec![to.into()]);
         let message = Message {
             capacity: Capacity { usual: 1, urgent: 0 },
-            path: None,
-            guarded: false,
+            awaited: true,
+            guard: None,
             outgoing: frame(&parcel),
         };
         outbox.push_message(&parcel, message)
@@ -365,7 +372,7 @@ fn the_newest_state_replaces_older_ones() {
     let [(older, DropReason::Replaced)] = &dropped[..] else {
         panic!("{dropped:?}")
     };
-    assert_eq!(older.capacity().usual, 1, "its capacity is free again");
+    assert_eq!(older.take_capacity().usual, 1, "its capacity is free again");
     assert_eq!(hub.take_all(&mut outbox), "pose pose image");
 }
 
@@ -378,8 +385,8 @@ fn what_is_over_does_not_leave() {
         (parcel.timestamp, parcel.expires) = (Time::from_micros(1_000_000), Some(500));
         let message = Message {
             capacity: Capacity { usual: 1, urgent: 0 },
-            path: Some(path()),
-            guarded: false,
+            awaited: false,
+            guard: None,
             outgoing: frame(&parcel),
         };
         outbox.push_message(&parcel, message);

@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
-use mom_client::{Code, Event, Given, Lapsed, Lost, Map, Parcel, TokenGuard, WireError};
+use mom_client::{Code, Event, Given, Lapsed, Lost, Map, TokenGuard, WireError};
 
 use crate::common::{Peer, next};
-use crate::tokens::{TOKEN, grab, released, settled, token};
+use crate::tokens::{TOKEN, grab, guarded_arm, released, settled, token};
 
 fn grabbed(owner: &str, fence: i64) -> Map {
     Map::new()
@@ -285,6 +285,7 @@ async fn an_owner_is_asked_and_has_the_time_that_it_was_given() {
 #[tokio::test]
 async fn an_owner_answers_who_asks() {
     let (client, token, mut peer) = token().await;
+    let arm = guarded_arm(&client, &mut peer).await;
     let mut guard = grab(&token, &mut peer, 7, 180_000).await;
     let mut events = token.events();
     let asks = |name: &str| {
@@ -308,10 +309,9 @@ async fn an_owner_answers_who_asks() {
     });
     declined.unwrap();
     // What was sent before goes before.
-    let command = Parcel::new(mom_client::Family::Message, "command").context(token.path().clone());
-    client.send(command).await.unwrap();
+    arm.send("command", "grip open").await.unwrap();
     let (accepted, ()) = tokio::join!(token.accept_request("carol"), async {
-        peer.expect("message command /robot/token").await;
+        peer.expect("message command /robot/arm").await;
         let request = peer.expect("token accept /robot/token").await;
         assert_eq!(request.value(), Map::new().with("peer", "carol").into());
         peer.event("released", TOKEN, released("given", "carol", 7)).await;

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use mom_client::{Client, ClientError, Code, Lost, Map, Token, TokenGuard, WireError};
+use mom_client::{Channel, Client, ClientError, Code, ErrorKind, Lost, Map, Token, TokenGuard, WireError};
 use tokio::time::Instant;
 
 use crate::common::{Peer, local, logged_in_with};
@@ -23,6 +23,18 @@ pub(crate) async fn token() -> (Client, Token, Peer) {
 pub(crate) async fn grab(token: &Token, peer: &mut Peer, fence: i64, lease: i64) -> TokenGuard {
     let (guard, ()) = tokio::join!(token.grab(), peer.granted(TOKEN, fence, lease));
     guard.unwrap()
+}
+
+/// The channel whose commands need that token.
+pub(crate) async fn guarded_arm(client: &Client, peer: &mut Peer) -> Channel {
+    let guard = Map::new()
+        .with("token", TOKEN)
+        .with("names", vec!["command".into()]);
+    let (arm, ()) = tokio::join!(
+        client.channel("/robot/arm"),
+        peer.join_one("/robot/arm", "channel", Map::new().with("guard", guard))
+    );
+    arm.unwrap()
 }
 
 /// Waits until the client has handled all that the hub said.
@@ -52,6 +64,7 @@ async fn a_grab_gives_fence_and_lease_or_says_who_drives() {
     );
     let (freed, ()) = tokio::join!(guard.release(), async {
         let request = peer.expect("token release /robot/token").await;
+        assert_eq!(request.fence, Some(7), "no later ownership");
         peer.ok(&request, Map::new()).await;
     });
     freed.unwrap();
@@ -79,14 +92,52 @@ async fn a_grab_gives_fence_and_lease_or_says_who_drives() {
 #[tokio::test]
 async fn a_dropped_guard_gives_back_without_a_runtime() {
     let (client, token, mut peer) = token().await;
+    let arm = guarded_arm(&client, &mut peer).await;
     let guard = grab(&token, &mut peer, 7, 180_000).await;
-    let arm = mom_client::Parcel::new(mom_client::Family::Message, "command").context(token.path().clone());
-    client.send(arm).await.unwrap();
+    arm.send("command", "grip open").await.unwrap();
     std::thread::spawn(move || drop(guard)).join().unwrap();
-    peer.expect("message command /robot/token").await;
-    peer.expect("token release /robot/token").await;
+    peer.expect("message command /robot/arm").await;
+    let release = peer.expect("token release /robot/token").await;
+    assert_eq!(release.fence, Some(7));
     // Its answer is nobody's, and the token is still joined.
     settled(&client, &mut peer).await;
+}
+
+/// The hub answers in order: what was said under the token is taken or refused when it answers for the renewal.
+#[tokio::test]
+async fn a_release_may_wait_for_the_hub() {
+    let (client, token, mut peer) = token().await;
+    let arm = guarded_arm(&client, &mut peer).await;
+    let guard = grab(&token, &mut peer, 7, 180_000).await;
+    arm.message("command").priority(-9).send().await.unwrap();
+    let (freed, ()) = tokio::join!(guard.release_after(Duration::from_secs(9)), async {
+        peer.expect("message command /robot/arm").await;
+        let renew = peer.expect("token renew /robot/token").await;
+        settled(&client, &mut peer).await;
+        peer.ok(&renew, Map::new()).await;
+        let request = peer.expect("token release /robot/token").await;
+        peer.ok(&request, Map::new()).await;
+    });
+    freed.unwrap();
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_release_waits_for_the_hub_no_longer_than_it_may() {
+    let (_client, token, mut peer) = token().await;
+    let guard = grab(&token, &mut peer, 7, 180_000).await;
+    let begin = Instant::now();
+    let (late, ()) = tokio::join!(guard.release_after(Duration::from_secs(2)), async {
+        peer.expect("token renew /robot/token").await;
+        let request = peer.expect("token release /robot/token").await;
+        assert_eq!(begin.elapsed().as_secs(), 2);
+        peer.ok(&request, Map::new()).await;
+    });
+    assert_eq!(late.unwrap_err().kind(), ErrorKind::TimedOut);
+    let mut guard = grab(&token, &mut peer, 8, 180_000).await;
+    peer.event("released", TOKEN, released("preempted", "bob", 8))
+        .await;
+    guard.lost().await;
+    guard.release_after(Duration::from_secs(2)).await.unwrap();
 }
 
 #[tokio::test]

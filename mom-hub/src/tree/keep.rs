@@ -66,7 +66,7 @@ impl KeepArgs {
 impl Keep {
     /// Whether unguarded messages of this name are kept: a message that moves a device is never delivered later.
     pub fn covers(name: &str) -> bool {
-        !matches!(name, "command" | event::STOP | event::UNSTOP | event::HALT)
+        !matches!(name, event::COMMAND | event::STOP | event::UNSTOP | event::HALT)
     }
 
     /// For replies.

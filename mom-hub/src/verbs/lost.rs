@@ -1,7 +1,7 @@
 //! A peer loses its connection and may come back: its devices are made safe at once, its places are kept for a while.
 
 use mom_proto::Path;
-use mom_proto::{Code, Micros, WireError};
+use mom_proto::{Code, Micros, WireError, outlives_loss};
 
 use super::logout::depart;
 use crate::asking::questions::{Due, Questions};
@@ -34,7 +34,7 @@ pub(crate) fn lose(
     refuse_commands(world, questions, peer, out)
 }
 
-/// What a peer has said under a token and what still waits for an answer would move a device after its safe state.
+/// What a peer has said under a token, or to move a device, and what still waits for an answer would come after the safe state.
 fn refuse_commands(
     world: &mut World,
     questions: &mut Questions,
@@ -42,14 +42,19 @@ fn refuse_commands(
     out: &mut Vec<Effect>,
 ) -> Vec<Due> {
     let text = "the connection was lost after this was sent, and the safe state has gone out since";
-    let error = WireError::new(Code::OLDER_FENCE, text);
+    let older = WireError::new(Code::OLDER_FENCE, text);
+    let late = WireError::new(Code::TOO_LATE, "the connection was lost after this was sent");
     let mut due = Vec::new();
     for question in questions.sends_of(peer) {
         let waiting = questions.withdraw_send(world, question);
         for request in waiting {
-            match world.is_guarded(&request.parcel) {
-                true => world.push_refusal(peer, &request.parcel, &error, out),
-                false => due.push(request),
+            let guarded = world.is_guarded(&request.parcel);
+            match outlives_loss(&request.parcel, guarded) {
+                true => due.push(request),
+                false => {
+                    let error = if guarded { &older } else { &late };
+                    world.push_refusal(peer, &request.parcel, error, out);
+                }
             }
         }
     }

@@ -162,6 +162,60 @@ fn a_command_that_waits_for_a_verdict_is_refused_at_the_loss() {
     assert_eq!(of(&heard, &["bob"])[0], "bob< chat of alice", "{heard:?}");
 }
 
+/// What moves a device is of its moment, whether a token guards it or not.
+#[test]
+fn what_moves_a_device_and_waits_for_a_verdict_is_refused_at_the_loss() {
+    let contexts = vec![context("/lab", "session").with("presence", "none")];
+    let mut stage = Stage::new(contexts);
+    for name in ["alice", "bob"] {
+        stage.enter(name, 1);
+    }
+    stage.say(
+        "bob",
+        "context create /lab/arm kind=channel manager=self presence=none",
+    );
+    stage.say("bob", "context join /lab/arm");
+    stage.say("alice", "context join /lab/arm");
+    stage.say("bob", "manager verdict / consult=1 allow=true");
+    for name in ["command", "unstop", "chat"] {
+        stage.say("alice", &format!("message {name} /lab/arm"));
+    }
+    let heard = of(&stage.lost("alice", GRACE), &["alice"]);
+    let refused = heard.iter().filter(|line| *line == "alice< too-late");
+    assert_eq!(refused.count(), 2, "{heard:?}");
+    let heard = stage.say("bob", "manager verdict / consult=4 allow=true");
+    assert_eq!(of(&heard, &["bob"])[0], "bob< chat of alice", "{heard:?}");
+}
+
+/// A release may have been under way for long: it ends the ownership that it names, and no later one.
+#[test]
+fn a_release_ends_the_ownership_that_it_names() {
+    let mut stage = driven(180_000, "lazy");
+    let heard = stage.say("alice", "token release /lab/key @fence=1");
+    assert_eq!(
+        of(&heard, &["alice"]).last().map(String::as_str),
+        Some("alice< ok")
+    );
+    stage.say("alice", "token grab /lab/key");
+    let heard = stage.say("alice", "token release /lab/key @fence=1");
+    assert_eq!(heard, ["alice< older-fence fence=2"]);
+    let heard = stage.say("alice", "token release /lab/key @fence=3");
+    assert_eq!(heard, ["alice< bad-fence fence=2"]);
+    let heard = stage.say("bob", "token release /lab/key @fence=2");
+    assert_eq!(heard, ["bob< not-owner rule=one owner at most"]);
+    let heard = stage.say("alice", "message command /lab/arm");
+    assert_eq!(
+        of(&heard, &["arm"]),
+        ["arm< command of alice fence=2"],
+        "still hers"
+    );
+    let heard = stage.say("alice", "token release /lab/key");
+    assert_eq!(
+        of(&heard, &["alice"]).last().map(String::as_str),
+        Some("alice< ok")
+    );
+}
+
 #[test]
 fn a_list_says_who_is_lost() {
     let mut stage = driven(180_000, "lazy");

@@ -1,6 +1,7 @@
 //! What waits at one priority.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 use mom_proto::Delivery;
 
@@ -84,6 +85,12 @@ impl<I: Item> DataLane<I> {
         self.front()?;
         self.first += 1;
         self.entries.pop_front().flatten()
+    }
+
+    /// Takes out the entry in front if it is this item.
+    pub(super) fn pop_if(&mut self, item: &Arc<I>) -> Option<Entry<I>> {
+        let is_front = self.front().is_some_and(|front| Arc::ptr_eq(&front.item, item));
+        if is_front { self.pop() } else { None }
     }
 
     pub(super) fn place(&mut self, number: u64) -> Option<&mut Option<Entry<I>>> {

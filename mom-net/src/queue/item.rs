@@ -71,14 +71,32 @@ pub trait Item: Debug {
         true
     }
 
-    /// Whether, as a stop, it takes the place of this older one.
+    /// Whether it takes the place of this older one, which waits in the same lane: a stop that of a stop, an `unstop` that of
+    /// an `unstop`.
     fn repeats(&self, _older: &Self) -> bool {
         false
     }
 
-    /// Whether, as a stop, it overrules this waiting item of the control lane.
-    fn overrules(&self, _waiting: &Self) -> bool {
+    /// Whether, as a stop, it withdraws this waiting item of the control lane.
+    fn withdraws(&self, _waiting: &Self) -> bool {
         false
+    }
+
+    /// Whether, in the control lane, it waits behind some of the data that was put in before it, and what is put in after it
+    /// leaves after it. It waits for no room.
+    fn waits_behind_data(&self) -> bool {
+        false
+    }
+
+    /// Whether, as one that waits behind data, it waits behind this.
+    fn follows(&self, _earlier: &Self) -> bool {
+        false
+    }
+
+    /// Whether it may leave over another connection than the one that it was put in for
+    /// ([`outlives_loss`](mom_proto::outlives_loss)).
+    fn outlives_loss(&self) -> bool {
+        true
     }
 }
 
@@ -111,17 +129,19 @@ pub enum DropReason {
     /// The hub had no memory for it.
     Memory,
     /// A stop came after this `unstop`, before it had left.
-    Overruled,
-    /// It needs a token, and the receiver has lost its connection since: what comes so late would move a device.
+    Withdrawn,
+    /// The connection was lost before it had left, or is lost: what comes so late would move a device.
     Lost,
+    /// The connection was lost after it had left, and nobody can say whether it was read.
+    Unknown,
 }
 
 impl DropReason {
     /// The word for it on the wire.
     pub fn word(self) -> &'static str {
         match self {
-            // A later word took its place.
-            DropReason::Replaced | DropReason::Overruled => "replaced",
+            DropReason::Replaced => "replaced",
+            DropReason::Withdrawn => "withdrawn",
             DropReason::Full => "queue-full",
             DropReason::Closed => "receiver-gone",
             DropReason::Expired => "expired",
@@ -130,6 +150,7 @@ impl DropReason {
             DropReason::BadContent => "bad-content",
             DropReason::Memory => "memory",
             DropReason::Lost => "lost",
+            DropReason::Unknown => "unknown",
         }
     }
 }

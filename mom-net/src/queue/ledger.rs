@@ -8,7 +8,7 @@ use mom_proto::binary;
 use mom_proto::codec::Form;
 
 use super::piece::{Entry, Progress};
-use super::{Item, Piece};
+use super::{Item, Lane, Piece};
 
 /// What has left over a link and was not acknowledged.
 #[derive(Debug)]
@@ -34,7 +34,6 @@ pub struct Ledger<I> {
 #[derive(Debug)]
 pub(super) struct Kept<I> {
     pub(super) item: Arc<I>,
-    pub(super) number: u64,
     /// Where they begin in the item's frames.
     pub(super) offset: usize,
     count: u64,
@@ -102,18 +101,18 @@ impl<I: Item> Ledger<I> {
             return;
         };
         if item.count() == 1 {
-            return self.count(item, piece.number, 0, u64::from(piece.last), form);
+            return self.count(item, 0, u64::from(piece.last), form);
         }
         let (counted, bytes) = (std::mem::take(&mut self.part), piece.part.bytes());
         if piece.last && piece.before.sent == 0 && counted == 0 {
-            return self.count(item, piece.number, 0, u64::from(item.count()), form);
+            return self.count(item, 0, u64::from(item.count()), form);
         }
         let run = item
             .frames(form)
             .map_or(&[][..], |frames| &frames.head[bytes.clone()]);
         let count = u64::from(binary::cut(run, run.len()).1);
         let offset = bytes.start + binary::first(run, counted);
-        self.count(item, piece.number, offset, count - counted, form);
+        self.count(item, offset, count - counted, form);
     }
 
     /// Notes how much the link has taken of a run; gives the length of the parcels that it has whole.
@@ -128,13 +127,13 @@ impl<I: Item> Ledger<I> {
         let counted = std::mem::replace(&mut self.part, u64::from(count));
         if item.counts() {
             let offset = from + binary::first(run, counted);
-            self.count(item, piece.number, offset, u64::from(count) - counted, form);
+            self.count(item, offset, u64::from(count) - counted, form);
         }
         length
     }
 
     /// Counts parcels of an item that have left, from this byte of its frames on.
-    fn count(&mut self, item: &Arc<I>, number: u64, offset: usize, count: u64, form: Option<Form>) {
+    fn count(&mut self, item: &Arc<I>, offset: usize, count: u64, form: Option<Form>) {
         if count == 0 {
             return;
         }
@@ -142,7 +141,8 @@ impl<I: Item> Ledger<I> {
             return;
         }
         self.sent += count;
-        if item.delivery() != Delivery::Reliable {
+        // Only messages may be dropped, and no stop.
+        if matches!(item.lane(), Lane::Data(_)) && item.delivery() != Delivery::Reliable {
             return;
         }
         if let Some(before) = self.kept.back_mut()
@@ -157,7 +157,6 @@ impl<I: Item> Ledger<I> {
         self.bytes += size;
         self.kept.push_back(Kept {
             item: Arc::clone(item),
-            number,
             offset,
             count,
             last: self.sent,
@@ -242,10 +241,10 @@ impl<I: Item> Ledger<I> {
 }
 
 impl<I> Kept<I> {
-    pub(super) fn into_entry(self) -> Entry<I> {
+    pub(super) fn into_entry(self, number: u64) -> Entry<I> {
         Entry {
             item: self.item,
-            number: self.number,
+            number,
             progress: Progress {
                 sent: self.offset,
                 stream: 0,

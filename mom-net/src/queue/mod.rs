@@ -7,6 +7,8 @@
 //! A writer asks [`Flow`](crate::Flow) how much the network has room for, [takes](SendQueue::take) a batch of that size,
 //! [writes](write_batch) it, and [puts back](SendQueue::put_back) the rest.
 
+mod again;
+mod control_lane;
 mod data_lane;
 mod item;
 mod ledger;
@@ -29,6 +31,8 @@ pub use ledger::{BadCount, Ledger, Rewound};
 pub use piece::Piece;
 pub use write::write_batch;
 
+use again::Again;
+use control_lane::{ControlLane, DataPlace};
 use data_lane::DataLane;
 use piece::Entry;
 
@@ -63,7 +67,7 @@ pub struct SendQueue<I: Item, P> {
     parcel: Limit,
     /// Stops, then signs of life.
     unpaced: VecDeque<Entry<I>>,
-    control: VecDeque<Entry<I>>,
+    control: ControlLane<I>,
     control_bytes: usize,
     data: BTreeMap<Reverse<i32>, DataLane<I>>,
     data_bytes: usize,
@@ -80,10 +84,10 @@ pub struct SendQueue<I: Item, P> {
     /// The last word.
     last: Option<Arc<I>>,
     last_stream: u64,
+    /// What is sent again after a loss, in its order, before all that waits.
+    again: Again<I>,
     /// Data items that were ever put in.
     put: u64,
-    /// The highest number for which an item in `control` waits.
-    barrier: u64,
     policy: P,
 }
 
@@ -95,7 +99,7 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
             limit,
             parcel: Limit::Unlimited,
             unpaced: VecDeque::new(),
-            control: VecDeque::new(),
+            control: ControlLane::default(),
             control_bytes: 0,
             data: BTreeMap::new(),
             data_bytes: 0,
@@ -106,8 +110,8 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
             begun: None,
             last: None,
             last_stream: 0,
+            again: Again::default(),
             put: 0,
-            barrier: 0,
             policy,
         }
     }
@@ -120,12 +124,6 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
     /// As [`SendQueue::push`], where data that may not be dropped may take so many bytes, more than the bound for all else.
     pub fn push_up_to(&mut self, item: Arc<I>, most: usize) -> Taken {
         self.push_entry(Entry::new(item, 0), most)
-    }
-
-    /// Puts an item of the control lane in that must not overtake the data that waits now.
-    pub fn push_after_data(&mut self, item: Arc<I>) -> Taken {
-        self.barrier = self.put;
-        self.push_entry(Entry::new(item, self.put), self.limit)
     }
 
     /// Takes in the last word to a connection, however much waits: it leaves after all else.
@@ -151,6 +149,7 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
             && self.control_bytes == 0
             && self.data_bytes == 0
             && self.control.is_empty()
+            && self.again.is_empty()
             && self.last.is_none()
             && self.begun.is_none()
     }
@@ -207,8 +206,9 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         let data = std::mem::take(&mut self.data);
         let open = std::mem::take(&mut self.open);
         let waiting = data.into_values().flat_map(DataLane::into_entries);
+        let again = self.again.take_all(|item| matches!(item.lane(), Lane::Data(_)));
         let mut dropped = Vec::new();
-        for entry in waiting.chain(open) {
+        for entry in waiting.chain(open).chain(again) {
             match entry.item.lane() {
                 Lane::Data(_) => self.note(&entry, DropReason::Closed),
                 _ => self.control_bytes = self.control_bytes.saturating_sub(self.charge(&entry.item)),
@@ -224,6 +224,15 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
     #[must_use = "freeing it takes its time, which is better done where nobody waits"]
     pub fn drop_data_of(&mut self, reason: DropReason, goes: impl Fn(&I) -> bool) -> (Vec<Arc<I>>, usize) {
         let (mut dropped, mut freed) = (Vec::new(), 0);
+        for entry in self
+            .again
+            .take_all(|item| matches!(item.lane(), Lane::Data(_)) && goes(item))
+        {
+            freed += self.charge(&entry.item);
+            self.leave(&entry.item);
+            self.note(&entry, reason);
+            dropped.push(entry.item);
+        }
         let priorities: Vec<Reverse<i32>> = self.data.keys().copied().collect();
         for priority in priorities {
             let Some(lane) = self.data.get_mut(&priority) else {
@@ -249,7 +258,8 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
     /// told to forget what it has a part of, or on the next one.
     pub fn clear(&mut self, link_is_gone: bool) -> Vec<Arc<I>> {
         let data = std::mem::take(&mut self.data);
-        let waiting = self.unpaced.drain(..).chain(self.control.drain(..));
+        let (again, control) = (self.again.take_all(|_| true), self.control.take_all(|_| true));
+        let waiting = self.unpaced.drain(..).chain(again).chain(control);
         let waiting = waiting.chain(data.into_values().flat_map(DataLane::into_entries));
         let mut items: Vec<Arc<I>> = waiting.map(|entry| entry.item).collect();
         for entry in self.open.drain(..) {
@@ -276,18 +286,11 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         }
     }
 
-    // One stop is enough, and what the newest says of it is what counts. It overrules an unstop that still waits: stops leave first,
+    // One stop is enough, and what the newest says of it is what counts. It withdraws an unstop that still waits: stops leave first,
     // so the later word would be undone by the earlier one.
     fn push_unpaced(&mut self, entry: Entry<I>, lane: Lane) -> Taken {
-        while let Some(at) = self
-            .control
-            .iter()
-            .position(|waiting| entry.item.overrules(&waiting.item))
-        {
-            if let Some(overruled) = self.control.remove(at) {
-                self.control_bytes -= self.charge(&overruled.item);
-                self.note(&overruled, DropReason::Overruled);
-            }
+        if lane == Lane::Stop {
+            self.drop_control(DropReason::Withdrawn, |waiting| entry.item.withdraws(waiting));
         }
         let older = self
             .unpaced
@@ -303,15 +306,43 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         Taken::Yes
     }
 
-    // Control is never dropped, and has a bound of its own so that data cannot crowd it out.
-    fn push_control(&mut self, entry: Entry<I>) -> Taken {
+    // Control is never dropped for room, and has a bound of its own so that data cannot crowd it out.
+    fn push_control(&mut self, mut entry: Entry<I>) -> Taken {
         let size = self.charge(&entry.item);
-        if self.control_bytes.saturating_add(size) > self.limit && !self.control.is_empty() {
+        let mut behind = None;
+        if entry.item.waits_behind_data() {
+            self.drop_control(DropReason::Replaced, |waiting| entry.item.repeats(waiting));
+            entry.number = self.put;
+            behind = self.last_before(&entry.item);
+        } else if self.control_bytes.saturating_add(size) > self.limit && !self.control.is_empty() {
             return Taken::Overflow;
         }
         self.control_bytes += size;
-        self.control.push_back(entry);
+        self.control.push(entry, behind);
         Taken::Yes
+    }
+
+    /// The last to leave of the data that an item of control follows.
+    fn last_before(&self, item: &I) -> Option<DataPlace> {
+        let lanes = self.data.iter();
+        let waiting = lanes.flat_map(|(priority, lane)| lane.iter().map(move |entry| (*priority, entry)));
+        let open = self.open.iter().filter_map(|entry| match entry.item.lane() {
+            Lane::Data(priority) => Some((Reverse(priority), entry)),
+            _ => None,
+        });
+        waiting
+            .chain(open)
+            .filter(|(_, entry)| item.follows(&entry.item))
+            .map(|(priority, entry)| (priority, entry.number))
+            .max()
+    }
+
+    /// Drops all waiting control of which `goes` says so.
+    fn drop_control(&mut self, reason: DropReason, goes: impl Fn(&I) -> bool) {
+        for entry in self.control.take_all(goes) {
+            self.control_bytes -= self.charge(&entry.item);
+            self.note(&entry, reason);
+        }
     }
 
     fn push_data(&mut self, mut entry: Entry<I>, priority: Reverse<i32>, most: usize) -> Taken {
@@ -354,8 +385,8 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
             return false;
         };
         let (old_size, new_size) = (old.item.charge(self.form), entry.item.charge(self.form));
-        // What was put in before a barrier leaves before it, and nothing that came later does.
-        if waits_at != priority || old.number <= self.barrier {
+        // Not in front of what follows the older one.
+        if waits_at != priority || self.control.holds_back_after(old.number) {
             let replaced = place.take();
             self.data_bytes -= old_size;
             self.latest.remove(&key);

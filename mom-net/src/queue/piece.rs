@@ -13,7 +13,7 @@ use crate::Part;
 #[derive(Debug)]
 pub(super) struct Entry<I> {
     pub(super) item: Arc<I>,
-    /// Data: its place in the order in which data was put in. Control: the last data that leaves before it.
+    /// Data: its place in the order in which data was put in. Control that waits behind data: the last data put in before it.
     pub(super) number: u64,
     pub(super) progress: Progress,
 }

@@ -5,14 +5,17 @@ use std::sync::Arc;
 
 use mom_proto::codec::Form;
 
-use super::ledger::{BadCount, Kept, Ledger, Rewound};
+use super::again::AGAIN;
+use super::data_lane::DataLane;
+use super::ledger::{BadCount, Ledger, Rewound};
 use super::piece::{Entry, Piece, Progress};
 use super::{DropPolicy, DropReason, Item, Lane, SendQueue, reliable};
 
 impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
-    /// The connection is lost: what it has taken a part of begins anew on the next one. Parcels of a run that it has taken
-    /// whole are counted.
-    pub fn restart(&mut self, ledger: &mut Ledger<I>) {
+    /// The connection is lost: what it has taken a part of begins anew on the next one, but what does not outlive it is dropped,
+    /// and given. Parcels of a run that it has taken whole are counted.
+    #[must_use = "freeing it takes its time, which is better done where nobody waits"]
+    pub fn restart(&mut self, ledger: &mut Ledger<I>) -> Vec<Arc<I>> {
         if let Some(begun) = self.begun.take() {
             self.put_back_begun(*begun, ledger);
         }
@@ -26,13 +29,15 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         }
         // Signs of life are of the connection that they were said on.
         self.unpaced.retain(|entry| entry.item.counts());
-        self.control.retain(|entry| {
-            let counts = entry.item.counts();
-            if !counts {
-                self.control_bytes -= entry.item.charge(self.form);
-            }
-            counts
-        });
+        for entry in self.again.take_all(|item| !item.counts()) {
+            self.leave(&entry.item);
+        }
+        for entry in self.control.take_all(|item| !item.counts()) {
+            self.leave(&entry.item);
+        }
+        self.drop_control(DropReason::Lost, |item| !item.outlives_loss());
+        self.drop_data_of(DropReason::Lost, |item| !item.outlives_loss())
+            .0
     }
 
     /// Takes in how many parcels the other side has read: as many as it acknowledges are kept no longer.
@@ -55,44 +60,65 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         self.put_back(piece);
     }
 
-    /// Puts what has to be sent again in front of what waits.
+    /// Puts what has to be sent again in front of what waits, and `end` behind it: it tells the other side that all that follows
+    /// was not sent before. What does not outlive the loss is dropped.
     ///
     /// # Errors
     /// A count that cannot be.
-    pub fn resend(&mut self, ledger: &mut Ledger<I>, read: u64) -> Result<Rewound, BadCount> {
+    pub fn resend(
+        &mut self,
+        ledger: &mut Ledger<I>,
+        read: u64,
+        end: Option<Arc<I>>,
+    ) -> Result<Rewound, BadCount> {
+        self.acknowledge(ledger, read)?;
+        for (item, parcels) in ledger.drop_kept(|item| !item.outlives_loss()) {
+            self.policy.dropped(&item, parcels, DropReason::Unknown);
+        }
         let (rewound, kept) = ledger.rewind(read, self.form)?;
         for kept in kept.into_iter().rev() {
-            self.send_again(kept);
+            self.send_again(kept.into_entry(AGAIN));
+        }
+        if let Some(end) = end {
+            self.enter(&end);
+            self.again.push(Entry::new(end, AGAIN));
         }
         Ok(rewound)
     }
 
-    fn send_again(&mut self, kept: Kept<I>) {
-        let entry = kept.into_entry();
-        // The rest of a run that has not left yet goes with it.
-        if let Lane::Data(priority) = entry.item.lane()
-            && let Some(lane) = self.data.get_mut(&Reverse(priority))
-            && let Some(front) = lane.front_mut()
-            && Arc::ptr_eq(&front.item, &entry.item)
-        {
-            front.progress = entry.progress;
-            return;
+    fn send_again(&mut self, entry: Entry<I>) {
+        if entry.item.lane() == Lane::Stop {
+            return self.put_back_unpaced(entry);
         }
-        let size = self.charge(&entry.item);
-        match entry.item.lane() {
-            Lane::Control => self.control_bytes += size,
-            Lane::Data(_) => {
-                self.data_bytes += size;
-                self.reliable_bytes += reliable(&*entry.item, size);
+        self.enter(&entry.item);
+        // The rest of a run goes with its beginning.
+        if entry.item.count() > 1 {
+            self.take_rest(&entry.item);
+        }
+        self.again.push_front(entry);
+    }
+
+    /// Takes out what waits of a run of which more is sent again.
+    fn take_rest(&mut self, run: &Arc<I>) {
+        let rest = match (self.again.remove(run), run.lane()) {
+            (None, Lane::Data(priority)) => {
+                let lane = self.data.get_mut(&Reverse(priority));
+                lane.and_then(|lane| lane.pop_if(run))
             }
-            Lane::Stop | Lane::Sign => {}
+            (rest, _) => rest,
+        };
+        if let Some(rest) = rest {
+            self.leave(&rest.item);
         }
-        self.put_in_front(entry);
     }
 
     fn put_in_front(&mut self, entry: Entry<I>) {
         match entry.item.lane() {
-            Lane::Data(priority) => self.put_back_data(entry, Reverse(priority)),
+            _ if entry.number == AGAIN => self.again.push_front(entry),
+            Lane::Data(priority) => {
+                self.control.note_back(&entry, Reverse(priority));
+                self.put_back_data(entry, Reverse(priority));
+            }
             Lane::Control => self.put_back_control(entry),
             Lane::Stop | Lane::Sign => self.put_back_unpaced(entry),
         }
@@ -106,11 +132,13 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
     /// Puts what is left of a run, as `rest` makes it of the run and the bytes that have left, in the place of the run: what
     /// has left of it has no meaning in another form. For a queue that was restarted.
     pub fn split_begun(&mut self, rest: impl Fn(&Arc<I>, usize) -> Arc<I>) {
-        for lane in self.data.values_mut() {
-            if let Some(front) = lane.front_mut().filter(|front| front.is_begun()) {
-                front.item = rest(&front.item, front.progress.sent);
-                front.progress = Progress::default();
-            }
+        let fronts = self.data.values_mut().filter_map(DataLane::front_mut);
+        for begun in fronts
+            .chain(self.again.iter_mut())
+            .filter(|entry| entry.is_begun())
+        {
+            begun.item = rest(&begun.item, begun.progress.sent);
+            begun.progress = Progress::default();
         }
     }
 
@@ -124,14 +152,15 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         self.control_bytes = control.sum();
         (self.data_bytes, self.reliable_bytes) = (0, 0);
         let data = self.data.values().flat_map(|lane| lane.iter());
-        for entry in data.chain(&self.open) {
+        for entry in data.chain(&self.open).chain(self.again.iter()) {
             let size = entry.item.charge(form);
             match entry.item.lane() {
                 Lane::Data(_) => {
                     self.data_bytes += size;
                     self.reliable_bytes += reliable(&*entry.item, size);
                 }
-                _ => self.control_bytes += size,
+                Lane::Control => self.control_bytes += size,
+                Lane::Stop | Lane::Sign => {}
             }
         }
     }

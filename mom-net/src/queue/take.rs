@@ -8,7 +8,8 @@ use mom_proto::Delivery;
 use mom_proto::binary::{self, STREAMS};
 use mom_proto::codec::Form;
 
-use super::data_lane::DataLane;
+use super::again::AGAIN;
+use super::control_lane::DataPlace;
 use super::piece::{Entry, Piece, Progress};
 use super::{DropPolicy, DropReason, Item, Lane, Rest, SendQueue, reliable};
 use crate::{Allowance, Part};
@@ -67,6 +68,10 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
     /// Puts others into the place of an item that is not ready and goes next of its lane; false if it is not there any
     /// more.
     pub fn replace_front(&mut self, item: &Arc<I>, others: Vec<Arc<I>>) -> bool {
+        let again = self.again.front();
+        if again.is_some_and(|front| Arc::ptr_eq(&front.item, item)) {
+            return self.replace_again(others);
+        }
         let Lane::Data(priority) = item.lane() else {
             return self.replace_control(item, others);
         };
@@ -82,9 +87,7 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         self.forget_latest(&entry.item);
         self.leave(&entry.item);
         for other in others.into_iter().rev() {
-            let size = self.charge(&other);
-            self.data_bytes += size;
-            self.reliable_bytes += reliable(&*other, size);
+            self.enter(&other);
             let lane = other.lane();
             if let Lane::Data(priority) = lane {
                 self.put_back_data(Entry::new(other, entry.number), Reverse(priority));
@@ -93,15 +96,30 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         true
     }
 
-    fn replace_control(&mut self, item: &Arc<I>, others: Vec<Arc<I>>) -> bool {
-        let lane = match item.lane() {
-            Lane::Control => &mut self.control,
-            _ => &mut self.unpaced,
-        };
-        if lane.front().is_none_or(|front| !Arc::ptr_eq(&front.item, item)) {
+    fn replace_again(&mut self, others: Vec<Arc<I>>) -> bool {
+        let Some(entry) = self.again.pop() else {
             return false;
+        };
+        self.leave(&entry.item);
+        for other in others.into_iter().rev() {
+            self.enter(&other);
+            self.again.push_front(Entry::new(other, AGAIN));
         }
-        let Some(entry) = lane.pop_front() else {
+        true
+    }
+
+    fn replace_control(&mut self, item: &Arc<I>, others: Vec<Arc<I>>) -> bool {
+        let entry = match item.lane() {
+            Lane::Control => self.control.pop_if(item),
+            _ => {
+                let is_front = |front: &Entry<I>| Arc::ptr_eq(&front.item, item);
+                match self.unpaced.front().is_some_and(is_front) {
+                    true => self.unpaced.pop_front(),
+                    false => None,
+                }
+            }
+        };
+        let Some(entry) = entry else {
             return false;
         };
         self.leave(&entry.item);
@@ -197,16 +215,16 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
             number: piece.number,
             progress: piece.before,
         };
-        let (lane, size) = (entry.item.lane(), self.charge(&entry.item));
-        match lane {
-            Lane::Control if last => self.control_bytes += size,
-            Lane::Data(_) if last => {
-                self.data_bytes += size;
-                self.reliable_bytes += reliable(&*entry.item, size);
-            }
-            _ => {}
+        let lane = entry.item.lane();
+        if last {
+            self.enter(&entry.item);
+        }
+        if let Lane::Data(priority) = lane {
+            self.control.note_back(&entry, Reverse(priority));
         }
         match lane {
+            _ if entry.progress.stream > 0 => self.open.push(entry),
+            _ if entry.number == AGAIN => self.again.push_front(entry),
             _ if entry.is_begun() => self.open.push(entry),
             Lane::Data(priority) => self.put_back_data(entry, Reverse(priority)),
             Lane::Control => self.put_back_control(entry),
@@ -251,9 +269,17 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
     }
 
     pub(super) fn put_back_control(&mut self, entry: Entry<I>) {
-        if self.unpaced.iter().any(|stop| stop.item.overrules(&entry.item)) {
+        let is_repeated = || self.control.iter().any(|newer| newer.item.repeats(&entry.item));
+        let reason = if self.unpaced.iter().any(|stop| stop.item.withdraws(&entry.item)) {
+            Some(DropReason::Withdrawn)
+        } else if entry.item.waits_behind_data() && is_repeated() {
+            Some(DropReason::Replaced)
+        } else {
+            None
+        };
+        if let Some(reason) = reason {
             self.leave(&entry.item);
-            return self.note(&entry, DropReason::Overruled);
+            return self.note(&entry, reason);
         }
         self.control.push_front(entry);
     }
@@ -270,8 +296,30 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         }
     }
 
+    /// What is sent again and goes next, taken out if it is ready; none where something else goes next. Only what says that it has
+    /// ended holds back control, which waits behind no data else.
+    fn next_again(&mut self) -> Option<Next<Entry<I>, I>> {
+        let begun = self.open.iter().position(|open| open.number == AGAIN);
+        let overtakes = |control: &Entry<I>| !control.item.waits_behind_data();
+        if !self.again.has_end() && self.control.front().is_some_and(overtakes) {
+            return None;
+        }
+        match (begun, self.again.front()) {
+            (Some(begun), _) => Some(Next::Ready(self.open.remove(begun))),
+            (None, Some(front)) if !front.item.is_ready(self.form) => {
+                Some(Next::Unready(Arc::clone(&front.item)))
+            }
+            (None, _) => self.again.pop().map(Next::Ready),
+        }
+    }
+
     /// The most urgent entry, taken out of its lane if it is ready.
     fn next(&mut self, now: u64, most: usize) -> Next<Entry<I>, I> {
+        if (!self.again.is_empty() || self.open.iter().any(|open| open.number == AGAIN))
+            && let Some(next) = self.next_again()
+        {
+            return next;
+        }
         let open = (0..self.open.len()).max_by_key(|at| self.open[*at].item.lane());
         let waiting = self.front();
         match (open, waiting) {
@@ -285,7 +333,7 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
             (_, Some(Lane::Data(priority))) => self.next_data(Reverse(priority), now),
             (_, Some(_)) => match self.control.front() {
                 Some(front) if !front.item.is_ready(self.form) => Next::Unready(Arc::clone(&front.item)),
-                _ => self.pop_control().map_or(Next::None, Next::Ready),
+                _ => self.control.pop().map_or(Next::None, Next::Ready),
             },
             (_, None) => Next::None,
         }
@@ -293,25 +341,27 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
 
     /// The lane of what goes next of all that has not begun.
     fn front(&mut self) -> Option<Lane> {
-        let up_to = match self.control.front().map(|control| control.number) {
-            Some(number) if !self.has_data_up_to(number) => return Some(Lane::Control),
-            // Nothing that was put in after it goes before it.
-            Some(number) => number,
+        let up_to = match self.control.front_place() {
             None => u64::MAX,
+            // Nothing that was put in after it goes before it.
+            Some((number, Some(behind))) if self.has_data_before(number, behind) => number,
+            Some(_) => return Some(Lane::Control),
         };
         self.first_priority(up_to).map(|priority| Lane::Data(priority.0))
     }
 
-    /// Whether data that was put in so early has not left.
-    fn has_data_up_to(&mut self, number: u64) -> bool {
-        let is_early = |entry: &Entry<I>| entry.number <= number;
-        let fronts = |lane: &mut DataLane<I>| lane.front().is_some_and(is_early);
-        number > 0
-            && (self.data.values_mut().any(fronts)
-                || self
-                    .open
-                    .iter()
-                    .any(|open| matches!(open.item.lane(), Lane::Data(_)) && is_early(open)))
+    /// Whether data that was put in no later than this number, and leaves no later than what has this place, is still here.
+    fn has_data_before(&mut self, number: u64, last: DataPlace) -> bool {
+        let is_before = |priority: Reverse<i32>, entry: &Entry<I>| {
+            entry.number <= number && (priority, entry.number) <= last
+        };
+        let mut lanes = self.data.range_mut(..=last.0);
+        let open = |open: &Entry<I>| match open.item.lane() {
+            Lane::Data(priority) => is_before(Reverse(priority), open),
+            _ => false,
+        };
+        lanes.any(|(priority, lane)| lane.front().is_some_and(|front| is_before(*priority, front)))
+            || self.open.iter().any(open)
     }
 
     /// What is in front of a lane, taken out if it is ready. What may not leave any more need not be.
@@ -334,15 +384,6 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         }
         self.forget_latest(&entry.item);
         Next::Ready(entry)
-    }
-
-    fn pop_control(&mut self) -> Option<Entry<I>> {
-        let entry = self.control.pop_front();
-        // Most peers hear what they are told at login and no more for a long time.
-        if self.control.is_empty() {
-            self.control = VecDeque::new();
-        }
-        entry
     }
 
     /// The highest priority at which something waits that was put in so early. The lane of the default priority stays, to
@@ -436,8 +477,21 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         }
     }
 
+    /// An item is the queue's again.
+    pub(super) fn enter(&mut self, item: &I) {
+        let size = self.charge(item);
+        match item.lane() {
+            Lane::Stop | Lane::Sign => {}
+            Lane::Control => self.control_bytes += size,
+            Lane::Data(_) => {
+                self.data_bytes += size;
+                self.reliable_bytes += reliable(item, size);
+            }
+        }
+    }
+
     /// An item is the queue's no more.
-    fn leave(&mut self, item: &I) {
+    pub(super) fn leave(&mut self, item: &I) {
         let size = self.charge(item);
         match item.lane() {
             Lane::Stop | Lane::Sign => {}

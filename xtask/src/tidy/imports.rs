@@ -166,6 +166,7 @@ const ARROWS: &[(&str, May)] = &[
     ("mom-pages", May::Use(&[])),
     ("mom-program", May::Use(&["mom-client", "mom-pages"])),
     ("mom-tests", May::UseAll),
+    ("mom-cases", May::Use(&[])),
     ("mom-benches", May::UseAll),
     ("mom-experiments", May::UseAll),
     (

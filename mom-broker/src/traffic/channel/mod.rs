@@ -23,7 +23,9 @@ use crate::traffic::memory::Account;
 use crate::traffic::outbox::{Charged, Dropped, Gate, Origin, Outbox, Packet};
 use crate::traffic::statistics::Statistics;
 
-pub(crate) use send::{LARGEST_STOP, Message, Outcome, Sender, Sent, Unsent, Why, run_ahead};
+pub(crate) use send::{
+    LARGEST_STOP, Message, Outcome, Sender, Sent, Unsent, Why, run_ahead, said_before_the_loss,
+};
 pub(crate) use snapshot::{MemberSnapshot, Snapshot};
 
 /// A channel. Its lock is its critical section: who holds it decides the one order for all receivers (M27). Messages
@@ -272,7 +274,8 @@ fn all_binary(outboxes: &[Option<Arc<Outbox>>]) -> bool {
         .all(|outbox| outbox.form().is_some_and(Form::is_binary))
 }
 
-fn lane_of(parcel: &Parcel) -> Lane {
+/// The lane of a message.
+pub(crate) fn lane_of(parcel: &Parcel) -> Lane {
     match Verb::of(parcel.family, &parcel.name) {
         Ok(Verb::Stop) => Lane::Stop,
         Ok(Verb::Unstop) => Lane::Control,
@@ -362,6 +365,7 @@ pub(crate) fn control(
         gate: None,
         count: 1,
         counts: family != Family::Time,
+        outlives_loss: true,
     })
 }
 

@@ -9,7 +9,9 @@ use mom_managers::Rate;
 use mom_net::Lane;
 use mom_net::Reader;
 use mom_proto::binary::{ParcelRun, Plain};
-use mom_proto::{Code, Content, ContextNumber, Delivery, Fence, Map, Micros, Overflow, Parcel, WireError};
+use mom_proto::{
+    Code, Content, ContextNumber, Delivery, Fence, Map, Micros, Overflow, Parcel, WireError, outlives_loss,
+};
 use mom_system::Clock;
 
 use super::{Channel, Delivered, State, expires_at, lane_of};
@@ -163,7 +165,7 @@ impl State {
         // Inside the critical section, so that hub time never runs against the channel's order.
         let ingress = ingress(sender, since, clock);
         let (message, reference) = (Arc::clone(&parcel.name), parcel.id);
-        if let Some(error) = self.too_late(sender, &message) {
+        if let Some(error) = self.too_late(sender, &parcel) {
             return self.unsent(Why::Refused(error), message, reference);
         }
         match admit(&self.route, sender.peer, &mut parcel, &ingress) {
@@ -187,15 +189,20 @@ impl State {
         }
     }
 
-    /// Why a message may not follow the safe state that its sender's loss has caused.
-    fn too_late(&self, sender: &Sender<'_>, name: &str) -> Option<WireError> {
+    /// Why a message may not come after its sender's loss, and the safe state that this has caused.
+    fn too_late(&self, sender: &Sender<'_>, parcel: &Parcel) -> Option<WireError> {
+        if !sender.late {
+            return None;
+        }
         let guard = self.route.guard.as_ref();
-        let guard = guard.filter(|guard| sender.late && guard.covers(name))?;
-        let text = format!(
-            "it was sent before the connection was lost, and the safe state of {} has gone out since",
-            guard.token
-        );
-        Some(WireError::new(Code::OLDER_FENCE, text).detail("fence", Fence::from(guard.fence)))
+        if let Some(guard) = guard.filter(|guard| guard.covers(&parcel.name)) {
+            let text = format!(
+                "it was sent before the connection was lost, and the safe state of {} has gone out since",
+                guard.token
+            );
+            return Some(WireError::new(Code::OLDER_FENCE, text).detail("fence", Fence::from(guard.fence)));
+        }
+        (!outlives_loss(parcel, false)).then(said_before_the_loss)
     }
 
     fn deliver(&mut self, sender: PeerId, admitted: Admitted) -> Outcome {
@@ -227,6 +234,7 @@ impl State {
         let delivery = parcel.delivery.unwrap_or(self.route.delivery);
         let waiting = self.waits(lane, delivery).then(|| Box::new(parcel.clone()));
         let origin = self.origin(sender, &parcel.name);
+        let outlives_loss = outlives_loss(&parcel, parcel.fence.is_some());
         // A device must halt also if its operator's clock is wrong.
         let expires_at = expires_at(&parcel, now).filter(|_| lane != Lane::Stop);
         let gate = parcel.fence.map(|fence| (Arc::clone(&self.gate), fence));
@@ -247,6 +255,7 @@ impl State {
             gate,
             count: 1,
             counts: true,
+            outlives_loss,
         });
         let claimed = waiting.map(|parcel| self.claim(&packet, &positions, parcel, when_full));
         // Given up when all is put in, so that the next one sees it.
@@ -329,6 +338,7 @@ impl State {
             gate: first.fence.map(|fence| (Arc::clone(&self.gate), fence)),
             count,
             counts: true,
+            outlives_loss: outlives_loss(&first, first.fence.is_some()),
         });
         let delivered = self.put(&packet, &self.positions(&receivers), ingress.now);
         self.sent(delivered, count, None)
@@ -388,6 +398,13 @@ impl From<WireError> for Why {
     fn from(error: WireError) -> Why {
         Why::Refused(error)
     }
+}
+
+/// Why nothing comes of what moves a device, lets it move or changes who drives it, and was said before its sender's loss.
+pub(crate) fn said_before_the_loss() -> WireError {
+    let text =
+        "it was sent before the connection was lost, and comes too late: say it again if it is still meant";
+    WireError::new(Code::TOO_LATE, text)
 }
 
 /// For a message that is here now, and has been since then if it had to wait.

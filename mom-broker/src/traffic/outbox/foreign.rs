@@ -29,6 +29,7 @@ impl Outbox {
                 gate: packet.gate.clone(),
                 count: 1,
                 counts: packet.counts,
+                outlives_loss: packet.outlives_loss,
                 charged: Charged::With(Arc::clone(packet)),
             }))
         };

@@ -35,6 +35,8 @@ pub(crate) struct Packet {
     pub(crate) count: u32,
     /// Whether the two ends of a link count it: all but signs of life.
     pub(crate) counts: bool,
+    /// Whether it may go to a receiver that has lost its connection since.
+    pub(crate) outlives_loss: bool,
     pub(crate) charged: Charged,
 }
 
@@ -92,6 +94,10 @@ impl Packet {
         matches!(self.lane, Lane::Data(_)) && self.gate.is_none()
     }
 
+    fn is_unstop(&self) -> bool {
+        self.lane == Lane::Control && &*self.origin.name == event::UNSTOP
+    }
+
     /// The same for receivers that want the newest only, whatever its class is.
     pub(crate) fn as_latest(self: &Arc<Packet>) -> Packet {
         Packet {
@@ -103,6 +109,7 @@ impl Packet {
             gate: self.gate.clone(),
             count: self.count,
             counts: self.counts,
+            outlives_loss: self.outlives_loss,
             charged: Charged::With(Arc::clone(self)),
         }
     }
@@ -119,6 +126,7 @@ impl Packet {
             gate: self.gate.clone(),
             count,
             counts: self.counts,
+            outlives_loss: self.outlives_loss,
             charged: Charged::With(Arc::clone(self)),
         }
     }
@@ -190,12 +198,26 @@ impl Item for Packet {
         self.counts
     }
 
-    // One pending per context: a second stop says nothing that the first does not.
+    // One pending per context: a second stop says nothing that the first does not, nor does a second unstop.
     fn repeats(&self, older: &Packet) -> bool {
-        self.origin.context == older.origin.context && self.origin.name == older.origin.name
+        let latched = self.lane == Lane::Stop || self.is_unstop();
+        latched && self.origin.context == older.origin.context && self.origin.name == older.origin.name
     }
 
-    fn overrules(&self, waiting: &Packet) -> bool {
-        self.origin.context == waiting.origin.context && &*waiting.origin.name == event::UNSTOP
+    fn withdraws(&self, waiting: &Packet) -> bool {
+        waiting.is_unstop() && self.origin.context == waiting.origin.context
+    }
+
+    // Nothing that was said to a device at rest may reach it when it moves again.
+    fn waits_behind_data(&self) -> bool {
+        self.is_unstop()
+    }
+
+    fn follows(&self, earlier: &Packet) -> bool {
+        self.origin.context == earlier.origin.context
+    }
+
+    fn outlives_loss(&self) -> bool {
+        self.outlives_loss
     }
 }

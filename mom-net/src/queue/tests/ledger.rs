@@ -10,7 +10,7 @@ use mom_proto::{Delivery, Family, Limits, Parcel, Value};
 use proptest::prelude::*;
 
 use super::super::{BadCount, DropReason, Lane, Ledger, Rewound};
-use super::{Packet, Queue, frame, queue};
+use super::{Origin, Packet, Queue, frame, queue};
 use crate::Allowance;
 
 /// The link as it is at one end, with what the other end has made of it.
@@ -103,13 +103,22 @@ impl Link {
             .expect("a count that can be");
     }
 
+    /// The connection is lost, and resumed by a peer that has read so many parcels.
+    fn resume_at(&mut self, read: u64, end: Option<Arc<Packet>>) {
+        (self.read, self.arrived) = (read, Vec::new());
+        drop(self.queue.restart(&mut self.ledger));
+        (self.decoder, self.bytes) = decoder();
+        let rewound = self.queue.resend(&mut self.ledger, read, end);
+        assert_eq!(rewound, Ok(Rewound::Dropped(0)));
+    }
+
     /// The connection is lost, and resumed.
     fn lose(&mut self) -> Rewound {
-        self.queue.restart(&mut self.ledger);
+        drop(self.queue.restart(&mut self.ledger));
         (self.decoder, self.bytes) = decoder();
         let rewound = self
             .queue
-            .resend(&mut self.ledger, self.read)
+            .resend(&mut self.ledger, self.read, None)
             .expect("a count that can be");
         assert_eq!(self.ledger.sent(), self.read);
         rewound
@@ -246,10 +255,10 @@ fn what_must_be_kept_and_was_not_is_told() {
     let read = link.read;
     link.write(usize::MAX, 4096);
     link.read = read;
-    link.queue.restart(&mut link.ledger);
+    drop(link.queue.restart(&mut link.ledger));
     let rewound = link
         .queue
-        .resend(&mut link.ledger, read)
+        .resend(&mut link.ledger, read, None)
         .expect("a count that can be");
     assert_eq!(rewound, Rewound::Lost(6), "six of ten do not fit");
 }
@@ -269,30 +278,106 @@ fn counts_that_cannot_be_are_refused() {
     };
     for read in [9, 11] {
         assert_eq!(link.queue.acknowledge(&mut link.ledger, read), Err(bad(read)));
-        let resent = link.queue.resend(&mut link.ledger, read);
+        let resent = link.queue.resend(&mut link.ledger, read, None);
         assert_eq!(resent, Err(bad(read)));
     }
 }
 
 #[test]
-fn what_is_dropped_while_lost_is_not_sent_again() {
+fn what_does_not_outlive_the_loss_is_not_sent_again() {
     let mut link = Link::new(usize::MAX);
+    let commands = |first| {
+        let run = run(first, 5, 10);
+        Packet {
+            origin: Origin {
+                name: "command".into(),
+                ..run.origin.clone()
+            },
+            ..run
+        }
+    };
     link.push(message(1, 0, 10, Delivery::Reliable));
-    link.push(run(2, 5, 10));
+    link.push(commands(2));
     link.write(usize::MAX, 4096);
     link.read = 0;
     link.arrived.clear();
-    let dropped = link.ledger.drop_kept(|packet| packet.count > 1);
-    let counts: Vec<u64> = dropped.iter().map(|(_, count)| *count).collect();
-    assert_eq!(counts, [5]);
-    for (item, count) in &dropped {
-        link.queue.note_unread(item, *count, DropReason::Lost);
-    }
+    link.push(commands(7));
+    link.push(message(12, 0, 10, Delivery::Reliable));
     assert_eq!(link.lose(), Rewound::Dropped(5));
     link.write(usize::MAX, 4096);
-    assert_eq!(link.arrived, [1]);
+    assert_eq!(link.arrived, [1, 12]);
     assert_eq!(
         link.queue.take_drops().into_iter().collect::<Vec<_>>(),
-        [((DropReason::Lost, Delivery::Reliable), 5)]
+        [
+            ((DropReason::Lost, Delivery::Reliable), 5),
+            ((DropReason::Unknown, Delivery::Reliable), 5)
+        ]
     );
+}
+
+/// What says that all is sent again leaves behind that, whatever waits and however urgent it is.
+#[test]
+fn the_end_of_what_is_sent_again_goes_before_all_that_waits() {
+    let end = || {
+        let mut end = control(99, 10);
+        end.origin.name = "resent".into();
+        Some(Arc::new(end))
+    };
+    let mut link = Link::new(usize::MAX);
+    link.push(message(1, -9, 10, Delivery::Reliable));
+    link.push(message(2, -9, 50_000, Delivery::Reliable));
+    link.write(100, 1000);
+    // More urgent, and so said after and sent before the second.
+    link.push(message(3, 5, 10, Delivery::Reliable));
+    link.push(control(4, 10));
+    link.write(1000, 1000);
+    assert_eq!(link.arrived, [1, 4, 3]);
+    link.push(message(5, 9, 10, Delivery::Reliable));
+    link.push(control(6, 10));
+    // The second time nothing waits.
+    for (read, again) in [(0, [1, 4, 3, 99, 6, 5, 2]), (0, [1, 4, 3, 6, 5, 2, 99])] {
+        link.resume_at(read, end());
+        link.write(usize::MAX, 4096);
+        assert_eq!(link.arrived, again);
+    }
+    assert_eq!(link.queue.bytes(), 0);
+}
+
+/// Where nothing ends it, control overtakes what is sent again, as it does all data; what follows data does not.
+#[test]
+fn what_is_sent_again_keeps_its_order_before_other_data() {
+    let named = |number, name: &str| {
+        let mut control = control(number, 10);
+        control.origin = Origin {
+            context: 1,
+            name: name.into(),
+        };
+        control
+    };
+    let mut link = Link::new(usize::MAX);
+    link.push(message(1, -9, 5000, Delivery::Reliable));
+    link.write(usize::MAX, 4096);
+    link.push(message(2, 0, 5000, Delivery::Reliable));
+    link.push(Packet {
+        lane: Lane::Stop,
+        ..named(3, "stop")
+    });
+    link.write(usize::MAX, 4096);
+    link.push(message(4, 7, 10, Delivery::Reliable));
+    link.resume_at(0, None);
+    // A part of the first has gone.
+    link.write(1000, 500);
+    link.push(named(5, "halt"));
+    link.push(named(6, "unstop"));
+    link.write(usize::MAX, 500);
+    assert_eq!(link.arrived, [3, 5, 1, 2, 4, 6]);
+    // What the second connection has not taken is still to be sent again, before what is new.
+    link.resume_at(0, None);
+    link.write(6000, 500);
+    link.resume_at(2, None);
+    link.push(message(7, 9, 10, Delivery::Reliable));
+    link.write(usize::MAX, 500);
+    assert_eq!(link.arrived, [1, 2, 4, 6, 7]);
+    link.acknowledge();
+    assert_eq!((link.ledger.bytes(), link.queue.bytes()), (0, 0));
 }

@@ -69,12 +69,28 @@ impl Item for Packet {
         self.count
     }
 
-    fn repeats(&self, older: &Packet) -> bool {
-        self.origin == older.origin
+    fn counts(&self) -> bool {
+        &*self.origin.name != "resent"
     }
 
-    fn overrules(&self, waiting: &Packet) -> bool {
+    fn repeats(&self, older: &Packet) -> bool {
+        matches!(&*self.origin.name, "stop" | "unstop") && self.origin == older.origin
+    }
+
+    fn withdraws(&self, waiting: &Packet) -> bool {
         self.origin.context == waiting.origin.context && &*waiting.origin.name == "unstop"
+    }
+
+    fn waits_behind_data(&self) -> bool {
+        matches!(&*self.origin.name, "unstop" | "release")
+    }
+
+    fn follows(&self, earlier: &Packet) -> bool {
+        self.origin.context == earlier.origin.context
+    }
+
+    fn outlives_loss(&self) -> bool {
+        &*self.origin.name != "command"
     }
 }
 
@@ -325,7 +341,7 @@ fn the_newest_stop_leaves() {
 
 /// Whatever waits in which order, a device that was stopped last stays stopped.
 #[test]
-fn a_stop_overrules_an_unstop_that_waits() {
+fn a_stop_withdraws_an_unstop_that_waits() {
     let mut queue = queue(100_000);
     let stop = entry("stop", Lane::Stop, Delivery::Reliable);
     let unstop = entry("unstop", Lane::Control, Delivery::Reliable);
@@ -334,7 +350,7 @@ fn a_stop_overrules_an_unstop_that_waits() {
     }
     assert_eq!(names(&mut queue), ["stop"]);
     let reasons: Vec<_> = queue.take_drops().into_keys().map(|(reason, _)| reason).collect();
-    assert!(reasons.contains(&DropReason::Overruled), "the unstop is told");
+    assert!(reasons.contains(&DropReason::Withdrawn), "the unstop is told");
     queue.push(stop.clone());
     queue.push(unstop.clone());
     assert_eq!(names(&mut queue), ["stop", "unstop"]);
@@ -428,15 +444,26 @@ fn the_last_word_leaves_last_however_full_the_queue_is() {
     assert_eq!(names(&mut queue), ["reply", "chat", "shutdown"]);
 }
 
-/// A client's `release` leaves after what was sent before it, and nothing that is newer leaves in front of it, not even in
-/// the place of an older value.
+/// A client's `release` leaves after what was sent before it under its token, and nothing that is newer leaves in front of it, not
+/// even in the place of an older value.
 #[test]
-fn nothing_crosses_a_barrier() {
+fn what_waits_behind_data_is_crossed_by_nothing_newer() {
+    let elsewhere = |name: &str, priority| {
+        Arc::new(Packet {
+            origin: Origin {
+                context: 2,
+                name: name.into(),
+            },
+            ..packet(name, Lane::Data(priority), Delivery::Reliable)
+        })
+    };
     let mut queue = queue(100_000);
     queue.push(data("pose", Delivery::Latest));
     queue.push(entry("low", Lane::Data(-5), Delivery::Reliable));
+    queue.push(elsewhere("chat", 0));
+    queue.push(elsewhere("map", -9));
     assert_eq!(
-        queue.push_after_data(entry("release", Lane::Control, Delivery::Reliable)),
+        queue.push(entry("release", Lane::Control, Delivery::Reliable)),
         Taken::Yes
     );
     queue.push(data("pose", Delivery::Latest));
@@ -445,10 +472,43 @@ fn nothing_crosses_a_barrier() {
     queue.push(entry("stop", Lane::Stop, Delivery::Reliable));
     assert_eq!(
         names(&mut queue),
-        ["stop", "ping", "low", "release", "high", "pose"]
+        ["stop", "ping", "chat", "low", "release", "high", "pose", "map"]
     );
     assert_eq!(queue.take_drops().values().sum::<u64>(), 1, "the older pose");
     queue.push(data("pose", Delivery::Latest));
     queue.push(data("pose", Delivery::Latest));
-    assert_eq!(names(&mut queue), ["pose"], "the barrier has left");
+    assert_eq!(names(&mut queue), ["pose"], "nothing waits behind data any more");
+}
+
+/// What a link has taken and gives back was said before, too.
+#[test]
+fn what_comes_back_is_waited_for() {
+    let mut queue = queue(100_000);
+    queue.push(data("note", Delivery::Reliable));
+    let note = pop(&mut queue, 0).expect("it waits");
+    queue.push(entry("release", Lane::Control, Delivery::Reliable));
+    queue.put_back(note);
+    queue.push(entry("newer", Lane::Data(9), Delivery::Reliable));
+    let taken: Vec<Piece> = std::iter::from_fn(|| pop(&mut queue, 0)).collect();
+    let order: Vec<String> = taken.iter().map(name).collect();
+    assert_eq!(order, ["note", "release", "newer"]);
+    taken.into_iter().rev().for_each(|piece| queue.put_back(piece));
+    assert_eq!(names(&mut queue), ["note", "release", "newer"]);
+}
+
+/// One `unstop` is enough, as one stop is: the newest, behind what was said before it.
+#[test]
+fn the_newest_unstop_leaves_in_its_own_place() {
+    let mut queue = queue(100_000);
+    let unstop = || entry("unstop", Lane::Control, Delivery::Reliable);
+    queue.push(unstop());
+    let older = pop(&mut queue, 0).expect("it waits");
+    queue.push(data("note", Delivery::Reliable));
+    queue.push(unstop());
+    queue.push(data("more", Delivery::Reliable));
+    queue.push(unstop());
+    queue.put_back(older);
+    assert_eq!(names(&mut queue), ["note", "more", "unstop"]);
+    let drops: Vec<_> = queue.take_drops().into_iter().collect();
+    assert_eq!(drops, [((DropReason::Replaced, Delivery::Reliable), 2)]);
 }

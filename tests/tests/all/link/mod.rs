@@ -1,6 +1,7 @@
 //! Links, as any program with a socket has them: lost connections that come back, and what may not.
 
 mod doors;
+mod late;
 mod survive;
 
 use std::net::{IpAddr, SocketAddr};

@@ -57,6 +57,11 @@ impl DropPolicy<Packet> for Drops {
         if packet.lane == Lane::Stop && reason == DropReason::Replaced {
             return;
         }
+        // Its sender has a connection of its own: for it the receiver is what was lost.
+        let reason = match reason {
+            DropReason::Unknown => DropReason::Lost,
+            reason => reason,
+        };
         let key = Dropped {
             context: packet.origin.context,
             sender: packet.origin.sender,
@@ -103,14 +108,22 @@ impl PeerQueue {
         taken
     }
 
-    /// The same for a peer that has lost its connection. What needs a token would move a device when it comes back, long
+    /// The same for a peer that has lost its connection. What does not outlive that would move a device when it comes back, long
     /// after it was said.
     fn push_lost(&mut self, packet: Arc<Packet>) -> Taken {
-        if packet.gate.is_some() {
-            self.queue.note_dropped(&packet, DropReason::Lost);
-            return Taken::Dropped;
+        match self.is_too_late(&packet) {
+            true => Taken::Dropped,
+            false => self.queue.push(packet),
         }
-        self.queue.push(packet)
+    }
+
+    /// Drops what must not wait for a peer that has lost its connection.
+    fn is_too_late(&mut self, packet: &Arc<Packet>) -> bool {
+        let late = self.lost && !packet.outlives_loss;
+        if late {
+            self.queue.note_dropped(packet, DropReason::Lost);
+        }
+        late
     }
 
     /// The connection is lost; says whether it has taken whole parcels only, and gives what was dropped for that.
@@ -118,9 +131,12 @@ impl PeerQueue {
     pub(crate) fn lose(&mut self, ledger: &mut Ledger<Packet>) -> (bool, Vec<Arc<Packet>>) {
         let is_whole = !self.queue.has_begun();
         self.lost = true;
-        self.queue.restart(ledger);
-        let guarded = |packet: &Packet| packet.gate.is_some();
-        let (dropped, _) = self.queue.drop_data_of(DropReason::Lost, guarded);
+        let mut dropped = self.queue.restart(ledger);
+        let held = self.thinner.as_mut().map(|thinner| thinner.take_late());
+        for packet in held.into_iter().flatten() {
+            self.queue.note_dropped(&packet, DropReason::Lost);
+            dropped.push(packet);
+        }
         (is_whole, dropped)
     }
 
@@ -130,13 +146,9 @@ impl PeerQueue {
         self.behind_since = 0;
     }
 
-    /// Puts what the peer has not read in front, but what needs a token: it would move a device long after it was said.
+    /// Puts what the peer has not read in front of what waits, but what does not outlive the loss.
     pub(crate) fn resend(&mut self, ledger: &mut Ledger<Packet>, read: u64) -> Result<Rewound, BadCount> {
-        self.queue.acknowledge(ledger, read)?;
-        for (packet, count) in ledger.drop_kept(|packet| packet.gate.is_some()) {
-            self.note_unread(&packet, count, DropReason::Lost);
-        }
-        self.queue.resend(ledger, read)
+        self.queue.resend(ledger, read, None)
     }
 
     /// Takes in how many parcels the peer has read.
@@ -227,6 +239,9 @@ impl PeerQueue {
         self.queue.bytes()
     }
 }
+
+#[cfg(test)]
+mod cases;
 
 #[cfg(test)]
 mod tests;

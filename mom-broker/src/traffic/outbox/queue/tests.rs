@@ -1,4 +1,4 @@
-//! Packets in a queue: when they are stale, and what a stop overrules. The queue itself is tested in `mom-net`.
+//! Packets in a queue: when they are stale, and what a stop withdraws. The queue itself is tested in `mom-net`.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -44,6 +44,7 @@ fn frame(name: &str, lane: Lane, delivery: Delivery, frame: Vec<u8>) -> Packet {
         gate: None,
         count: 1,
         counts: true,
+        outlives_loss: true,
     }
 }
 
@@ -108,7 +109,7 @@ fn stale_parcels_do_not_leave() {
 
 /// Whatever waits in which order, a device that was stopped last stays stopped.
 #[test]
-fn a_stop_overrules_an_unstop_that_waits() {
+fn a_stop_withdraws_an_unstop_that_waits() {
     let mut queue = queue(100_000);
     let stop = entry("stop", Lane::Stop, Delivery::Reliable);
     let unstop = entry("unstop", Lane::Control, Delivery::Reliable);

@@ -119,6 +119,15 @@ impl Thinner {
         released
     }
 
+    /// Takes out what waits and does not outlive a loss of the connection.
+    pub(super) fn take_late(&mut self) -> Vec<Arc<Packet>> {
+        let states = self.senders.values_mut().flat_map(|states| states.values_mut());
+        let late = states.filter_map(|state| state.held.take_if(|(packet, _)| !packet.outlives_loss));
+        let late: Vec<(Arc<Packet>, usize)> = late.collect();
+        self.bytes -= late.iter().map(|(_, size)| size).sum::<usize>();
+        late.into_iter().map(|(packet, _)| packet).collect()
+    }
+
     /// Forgets a channel, all channels if none is named; gives what waited.
     pub(super) fn forget(&mut self, channel: Option<ContextNumber>) -> Vec<Arc<Packet>> {
         let concerned = |sender: &ThinnedSender| channel.is_none_or(|channel| sender.0 == channel);

@@ -18,6 +18,9 @@ impl PeerQueue {
         interval: Micros,
         now: Micros,
     ) -> Option<Taken> {
+        if self.is_too_late(&packet) {
+            return Some(Taken::Dropped);
+        }
         if interval == 0 {
             return Some(self.queue.push(packet));
         }
