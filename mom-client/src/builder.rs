@@ -201,8 +201,9 @@ impl Builder {
         self
     }
 
-    /// How often both sides say that they are there, from 100 ms up; by default as the hub says. A connection is lost after three
-    /// times that without a word: whoever drives a device over a link that may fail wants it short.
+    /// How often both sides say that they are there, from 100 ms to 10 s; by default as the hub says, and never more seldom. A connection
+    /// is lost after three times that without a byte: whoever moves a device, or is one, wants it short. Out of that range
+    /// [`connect`](Builder::connect) refuses.
     pub fn heartbeat(mut self, every: Duration) -> Builder {
         self.credentials.heartbeat = Some(every);
         self
@@ -266,13 +267,14 @@ impl Builder {
     /// Connects and logs in, without retrying unless [`wait_for_hub`](Builder::wait_for_hub) says so. Needs a tokio runtime, in which the client's tasks then run.
     ///
     /// # Errors
-    /// `Address` for a wrong address, `Local` for a bad key and, with the code `insecure`, for a password or token that others
-    /// could read on the way, `Connection` and `TimedOut` for an unreachable hub, `Refused` with
+    /// `Address` for a wrong address, `Local` for a bad key, a heartbeat out of range and, with the code `insecure`, for a password or
+    /// token that others could read on the way, `Connection` and `TimedOut` for an unreachable hub, `Refused` with
     /// `bad-login` and other refusals of the hub.
     pub async fn connect(mut self) -> Result<Client, ClientError> {
         if let Some(error) = self.fault {
             return Err(error);
         }
+        self.credentials.check_heartbeat()?;
         let connector = match self.hub? {
             HubPlace::Address(address) => {
                 let doors = doors(&address, &mut self.credentials, self.trust)?;

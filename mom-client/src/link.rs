@@ -68,32 +68,39 @@ fn words(ended: Result<(), NetError>) -> String {
 }
 
 async fn read(shared: Arc<Shared>, heard: Arc<Moment>, mut reader: Reader) -> Result<(), NetError> {
-    while let Some(frame) = reader.next().await? {
+    loop {
+        while let Some(frame) = reader.try_next()? {
+            let counts = !matches!(&frame, Frame::Parcel(parcel) if parcel.family == Family::Time);
+            match frame {
+                Frame::Parcel(parcel) => shared.receive(*parcel),
+                Frame::Malformed { error, .. } => shared.receive_malformed(error),
+            }
+            if counts {
+                shared.count_read(reader.received());
+            }
+        }
+        if !reader.arrive().await? {
+            return Ok(());
+        }
+        // Bytes are a sign of life, whatever they are of: a large parcel may be long on its way.
         heard.note();
-        let counts = !matches!(&frame, Frame::Parcel(parcel) if parcel.family == Family::Time);
-        match frame {
-            Frame::Parcel(parcel) => shared.receive(*parcel),
-            Frame::Malformed { error, .. } => shared.receive_malformed(error),
-        }
-        if counts {
-            shared.count_read(reader.received());
-        }
     }
-    Ok(())
 }
 
 /// Says `time ping` at once and each heartbeat, renews leases, and ends when the hub has been silent for too long.
 async fn keep(shared: &Shared, heard: &Moment) {
     let limits = shared.lock().me.limits.clone();
     let mut pinged = Instant::now();
+    let mut heard_at = pinged;
     shared.clock.forget();
     shared.measure();
     loop {
         let now = Instant::now();
-        if now >= heard.at() + limits.gone {
+        heard_at = heard_at.max(heard.at());
+        if now >= heard_at + limits.gone {
             return;
         }
-        shared.note_stale(heard.at(), now >= heard.at() + limits.heartbeat * 3 / 2);
+        shared.note_stale(heard_at, now >= heard_at + limits.heartbeat * 3 / 2);
         // Also on a busy link: a peer that only sends would not learn that the hub is alive, a peer that only
         // receives would seem dead to it, and the estimate of the hub's clock would grow old.
         if now >= pinged + limits.heartbeat {
@@ -103,13 +110,14 @@ async fn keep(shared: &Shared, heard: &Moment) {
         }
         renew(shared, now);
         let renewal = shared.lock().guards.next_renewal();
-        let wake = (pinged + limits.heartbeat).min(heard.at() + limits.gone);
+        let wake = (pinged + limits.heartbeat).min(heard_at + limits.gone);
         let wake = renewal.map_or(wake, |renewal| wake.min(renewal));
         // A pong that does not come is noticed before the connection is given up.
-        let stale = heard.at() + limits.heartbeat * 3 / 2;
+        let stale = heard_at + limits.heartbeat * 3 / 2;
         let wake = if stale > now { wake.min(stale) } else { wake };
         tokio::select! {
-            () = sleep_until(wake) => {}
+            // While this task was late nobody was heard.
+            () = sleep_until(wake) => heard_at += wake.elapsed(),
             () = shared.keeping.notified() => {}
         }
     }

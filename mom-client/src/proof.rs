@@ -1,6 +1,7 @@
 //! A peer's proof of identity (M12) and its login parcels.
 
 use std::fmt;
+use std::ops::RangeInclusive;
 use std::time::Duration;
 
 use mom_net::{Address, Identity};
@@ -12,6 +13,9 @@ use crate::clock::system;
 use crate::error::bad_reply;
 use crate::info::{map_of, text};
 use crate::{ClientError, Key};
+
+/// How often a peer may ask for signs of life: a hub refuses more, and fewer than it gives by default are probably a time in another unit.
+const HEARTBEATS: RangeInclusive<Duration> = Duration::from_millis(100)..=Duration::from_secs(10);
 
 /// How a peer proves who it is.
 #[derive(Clone)]
@@ -87,6 +91,19 @@ impl Credentials {
              log in with a key; nothing was sent"
         );
         Err(ClientError::Local(WireError::new(Code::INSECURE, text)))
+    }
+
+    /// Refuses signs of life that a hub would refuse, or that are so seldom that milliseconds were probably taken for seconds.
+    ///
+    /// # Errors
+    /// `Local`, with the range.
+    pub(crate) fn check_heartbeat(&self) -> Result<(), ClientError> {
+        let wrong = self.heartbeat.filter(|beat| !HEARTBEATS.contains(beat));
+        let Some(beat) = wrong else { return Ok(()) };
+        let (least, most) = HEARTBEATS.into_inner();
+        let text = format!("a heartbeat is from {least:?} to {most:?}, not {beat:?}");
+        let error = WireError::new(Code::BAD_CONTENT, text).slot("content/heartbeat");
+        Err(ClientError::Local(error))
     }
 
     /// `login login`

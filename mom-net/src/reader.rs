@@ -193,14 +193,23 @@ impl Reader {
     /// The bytes that are here of parcels whose end has not come.
     pub fn held(&self) -> usize {
         match &self.source {
-            Source::Stream { buffer, decoder, .. } => {
-                let chunks = match decoder {
-                    Decoder::Binary(decoder) => decoder.held(),
-                    Decoder::Xml(_) | Decoder::Json(_) => 0,
-                };
-                buffer.bytes.len() + chunks
-            }
+            Source::Stream { buffer, .. } => buffer.bytes.len() + self.chunks(),
             Source::Local { .. } => 0,
+        }
+    }
+
+    /// Whether parcels are here that come in chunks, between which others may come whole.
+    pub fn assembles(&self) -> bool {
+        self.chunks() > 0
+    }
+
+    fn chunks(&self) -> usize {
+        match &self.source {
+            Source::Stream {
+                decoder: Decoder::Binary(decoder),
+                ..
+            } => decoder.held(),
+            _ => 0,
         }
     }
 

@@ -17,6 +17,7 @@ pub fn outlives_loss(parcel: &Parcel, guarded: bool) -> bool {
         (Family::Message, event::STOP | event::HALT) => true,
         (Family::Message, event::UNSTOP | event::COMMAND) => false,
         (Family::Message, _) => !guarded,
+        (Family::Context, event::UNSTOP) => false,
         (Family::Token, "give" | "inhibit") => false,
         (Family::Token, "accept") => !answers_request(parcel),
         // Without a fence it would end an ownership that began after it was said.
@@ -52,6 +53,8 @@ mod tests {
             (Token, "renew", true),
             (Token, "break", true),
             (Context, "leave", true),
+            (Context, "stop", true),
+            (Context, "unstop", false),
             (Login, "logout", true),
             (Event, "command", true),
             (Reply, "ok", true),

@@ -1,5 +1,6 @@
 //! Connects to the hub as the chosen user.
 
+use std::time::Duration;
 use std::{env, fmt, fs};
 
 use mom_client::{Address, Builder, Client, ClientError, Code, Identity, Key, Proof, WireError};
@@ -8,11 +9,16 @@ use crate::cli::GlobalArgs;
 use crate::failure::Failure;
 use crate::output::Output;
 
+/// How often whatever moves says that it is there: a silent link is lost after three times that.
+pub(crate) const HEARTBEAT: Duration = Duration::from_millis(500);
+
 /// Whether a command outlives a lost connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Stay {
     /// It ends with the connection.
     Once,
+    /// The same, and both sides know soon of a loss: a device moves as it says.
+    Driving,
     /// It waits for a hub that is not there yet, connects again and goes on.
     Reconnecting,
 }
@@ -22,14 +28,20 @@ pub(crate) async fn connect(global: &GlobalArgs, stay: Stay) -> Result<Client, F
     // Nobody is asked for a password for nothing.
     global.hub.parse::<Address>().map_err(wrong_address)?;
     let who = UserLogin::of(global)?;
-    let builder = || who.prove(Client::builder(&global.hub)).compress(global.compress);
+    let builder = || {
+        let builder = who.prove(Client::builder(&global.hub)).compress(global.compress);
+        match stay {
+            Stay::Driving => builder.heartbeat(HEARTBEAT),
+            Stay::Once | Stay::Reconnecting => builder,
+        }
+    };
     // The hub hears once of what fails.
     let first = || match global.report {
         true => builder().report_failures("mom", env!("CARGO_PKG_VERSION")),
         false => builder(),
     };
     let connected = match stay {
-        Stay::Once => first().no_reconnect().connect().await,
+        Stay::Once | Stay::Driving => first().no_reconnect().connect().await,
         Stay::Reconnecting => match first().connect().await {
             Err(error @ (ClientError::Connection(_) | ClientError::TimedOut { .. })) => {
                 let absent = explain(&global.hub, &who, error);

@@ -28,7 +28,7 @@ macro_rules! devices {
         impl DeviceCommand {
             /// Runs it as a peer of its own.
             pub(crate) async fn run(&self, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
-                let client = connect(global, Stay::Once).await?;
+                let client = connect(global, Stay::Driving).await?;
                 let ran = self.run_as(&client, output).await;
                 client.close().await;
                 ran

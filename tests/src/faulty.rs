@@ -46,7 +46,9 @@ pub struct FaultyNetwork {
     /// All connections through it end when it changes.
     severed: watch::Sender<u64>,
     /// Nothing passes through those that are there when it changes.
-    frozen: watch::Sender<u64>,
+    stalled: watch::Sender<u64>,
+    /// Nothing passes while it is set.
+    frozen: watch::Sender<bool>,
     accepting: JoinHandle<()>,
 }
 
@@ -59,9 +61,10 @@ impl FaultyNetwork {
         let listener = TcpListener::bind(("127.0.0.1", 0)).await.expect("a port");
         let address = listener.local_addr().expect("it has one");
         let cut = Arc::new(AtomicU64::new(0));
-        let severed = watch::Sender::new(0);
-        let frozen = watch::Sender::new(0);
-        let (count, sever, freeze) = (Arc::clone(&cut), severed.clone(), frozen.clone());
+        let (severed, stalled) = (watch::Sender::new(0), watch::Sender::new(0));
+        let frozen = watch::Sender::new(false);
+        let (count, sever) = (Arc::clone(&cut), severed.clone());
+        let (stall, freeze) = (stalled.clone(), frozen.clone());
         let came = Arc::<AtomicU64>::default();
         let all = Arc::clone(&came);
         let accepting = tokio::spawn(async move {
@@ -71,15 +74,15 @@ impl FaultyNetwork {
                 };
                 all.fetch_add(1, Ordering::Relaxed);
                 let (fault, count, mut severed) = (fault(number), Arc::clone(&count), sever.subscribe());
-                let mut frozen = freeze.subscribe();
+                let (mut stalled, frozen) = (stall.subscribe(), freeze.subscribe());
                 tokio::spawn(async move {
                     let Ok(far) = TcpStream::connect(hub).await else {
                         return;
                     };
                     let carried = async {
                         tokio::select! {
-                            ended = carry(&near, &far, fault) => ended,
-                            _ = frozen.changed() => std::future::pending().await,
+                            ended = carry(&near, &far, fault, &frozen) => ended,
+                            _ = stalled.changed() => std::future::pending().await,
                         }
                     };
                     let ended = tokio::select! {
@@ -100,6 +103,7 @@ impl FaultyNetwork {
             cut,
             came,
             severed,
+            stalled,
             frozen,
             accepting,
         }
@@ -116,8 +120,13 @@ impl FaultyNetwork {
     }
 
     /// Lets nothing pass any more through the connections that are there now, and neither end hears why.
-    pub fn freeze(&self) {
-        self.frozen.send_modify(|times| *times += 1);
+    pub fn stall(&self) {
+        self.stalled.send_modify(|times| *times += 1);
+    }
+
+    /// From now on nothing passes, through connections that come too, and neither end hears why; or all passes again.
+    pub fn freeze(&self, frozen: bool) {
+        self.frozen.send_replace(frozen);
     }
 
     /// Ends all connections that go through it now.
@@ -133,7 +142,12 @@ impl Drop for FaultyNetwork {
 }
 
 /// Carries bytes until the fault comes (true) or an end closes.
-async fn carry(near: &TcpStream, far: &TcpStream, fault: Fault) -> io::Result<bool> {
+async fn carry(
+    near: &TcpStream,
+    far: &TcpStream,
+    fault: Fault,
+    frozen: &watch::Receiver<bool>,
+) -> io::Result<bool> {
     near.set_nodelay(true)?;
     far.set_nodelay(true)?;
     let passed = AtomicU64::new(0);
@@ -142,8 +156,8 @@ async fn carry(near: &TcpStream, far: &TcpStream, fault: Fault) -> io::Result<bo
         End::Reset(most) | End::Closed(most) | End::Frozen(most) => most,
     };
     let cut = tokio::select! {
-        cut = pass(near, far, &passed, most, fault) => cut?,
-        cut = pass(far, near, &passed, most, fault) => cut?,
+        cut = pass(near, far, &passed, most, fault, frozen.clone()) => cut?,
+        cut = pass(far, near, &passed, most, fault, frozen.clone()) => cut?,
     };
     if cut && matches!(fault.end, End::Frozen(_)) {
         std::future::pending::<()>().await;
@@ -157,6 +171,7 @@ async fn pass(
     passed: &AtomicU64,
     most: u64,
     fault: Fault,
+    mut frozen: watch::Receiver<bool>,
 ) -> io::Result<bool> {
     let mut bytes = [0; 16 * 1024];
     let slice = if fault.slice == 0 {
@@ -172,6 +187,8 @@ async fn pass(
         }
         let wanted = bytes.len().min(slice).min(left);
         from.readable().await?;
+        // A network that is gone thaws no more.
+        let _ = frozen.wait_for(|frozen| !frozen).await;
         // The other direction may have come to the end of what passes meanwhile.
         let read = match from.try_read(&mut bytes[..wanted]) {
             Ok(0) => return Ok(false),

@@ -1,5 +1,6 @@
 //! `cargo xtask long`: what takes too long for each change: random logs by the thousand, minutes of random load, a thousand lost
-//! connections on each door, minutes of a thousand robots, and a million packets of a mirrored one.
+//! connections on each door, minutes of large messages that wait between short heartbeats, minutes of a thousand robots, and a million
+//! packets of a mirrored one.
 
 use std::path::Path;
 use std::process::Command;
@@ -11,6 +12,9 @@ use crate::command::{cargo, line, shows};
 /// Packets of each direction: a million of both.
 const MILLION_OF_BOTH: &str = "500000";
 
+/// ms between signs of life: the least that a login may ask for.
+const SHORTEST_BEAT: &str = "100";
+
 /// Builds and runs them one after the other; whether all went well.
 pub(crate) fn run(root: &Path, minutes: u64) -> Result<bool> {
     let mut ok = true;
@@ -21,7 +25,7 @@ pub(crate) fn run(root: &Path, minutes: u64) -> Result<bool> {
     Ok(ok)
 }
 
-fn steps(root: &Path, minutes: u64) -> [Command; 5] {
+fn steps(root: &Path, minutes: u64) -> [Command; 6] {
     let test = |package: &str, name: &str| {
         let mut test = cargo(root);
         test.args([
@@ -46,6 +50,11 @@ fn steps(root: &Path, minutes: u64) -> [Command; 5] {
         .env("MOM_LOSSES", "1000")
         .env("MOM_PATIENCE_SECONDS", "3600");
     losses.args(["link::survive", "--", "--nocapture"]);
+    let mut beats = test("mom-tests", "all");
+    beats
+        .env("MOM_HEARTBEAT_MS", SHORTEST_BEAT)
+        .env("MOM_HEARTBEAT_SECONDS", (minutes * 60).to_string());
+    beats.args(["heartbeat::large_messages", "--", "--nocapture"]);
     let mut swarm = test("mom-tests", "all");
     swarm
         .env("MOM_ROBOTS", "1000")
@@ -54,7 +63,7 @@ fn steps(root: &Path, minutes: u64) -> [Command; 5] {
     let mut packets = test("mom-tests", "all");
     packets.env("MOM_PACKETS", MILLION_OF_BOTH);
     packets.args(["endurance", "--", "--nocapture"]);
-    [logs, load, losses, swarm, packets]
+    [logs, load, losses, beats, swarm, packets]
 }
 
 #[cfg(test)]
@@ -63,9 +72,10 @@ mod tests {
 
     #[test]
     fn the_load_lasts_as_long_as_is_said() {
-        let [_, load, _, swarm, _] = steps(Path::new("."), 10);
+        let [_, load, _, beats, swarm, _] = steps(Path::new("."), 10);
         for (step, key, name) in [
             (load, "MOM_LOAD_SECONDS", "random_load"),
+            (beats, "MOM_HEARTBEAT_SECONDS", "heartbeat"),
             (swarm, "MOM_FLEET_SECONDS", "swarm"),
         ] {
             let seconds = step.get_envs().find(|(found, _)| *found == key);

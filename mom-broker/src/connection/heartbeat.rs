@@ -4,30 +4,117 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use mom_hub::PeerClock;
-use mom_proto::{Micros, Parcel, Verb, WireError};
+use mom_net::Reader;
+use mom_proto::{Code, Micros, Parcel, Verb, WireError};
 use tokio::time::Instant;
 
-use super::Connection;
+use super::login::login_timeout;
 use super::measure::Measure;
+use super::{Connection, End};
 use crate::traffic::switchboard::{Touched, flush};
+
+/// Bytes in a second that come at least while a parcel is not whole: as many as a link has that is of any use, and so many that what is
+/// held of half a parcel has to be paid for.
+const LEAST_RATE: u64 = 1024;
+
+/// What is here of parcels that are not whole.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Unfinished {
+    /// When one of them has to be whole: later by each byte of theirs that comes.
+    until: Instant,
+    /// Their bytes that were counted in.
+    counted: usize,
+}
 
 impl Connection {
     /// For how long a peer may say nothing.
-    pub(super) fn gone(&self) -> Duration {
+    fn gone(&self) -> Duration {
         Duration::from_millis(self.services.limits.gone)
     }
 
     /// When the connection ends if nothing is heard.
-    pub(super) fn deadline(&self) -> Instant {
-        match self.logged_in {
-            true => self.heard_at + self.gone(),
-            false => self.arrival.login_by,
+    fn deadline(&self) -> Instant {
+        if !self.logged_in {
+            return self.arrival.login_by;
         }
+        let silent = self.heard_at + self.gone();
+        let unfinished = self.arrival.unfinished.as_ref();
+        unfinished.map_or(silent, |unfinished| silent.min(unfinished.until))
+    }
+
+    /// Notes that bytes have come: signs of life, whatever they are of.
+    pub(super) fn note_arrived(&mut self, reader: &Reader) {
+        self.outbox.note_heard(reader.received());
+        self.outbox.heard.lately.store(true, Ordering::Relaxed);
+        self.heard_at = Instant::now();
+    }
+
+    /// Notes how many bytes are here of parcels that are not whole, and whether another has come whole since: no ping, where parcels
+    /// come in chunks, for pings keep no half parcel alive (threat 37).
+    pub(super) fn watch_unfinished(&mut self, held: usize, whole: bool) {
+        if held == 0 || whole {
+            self.arrival.unfinished = None;
+        }
+        if held > 0 {
+            let until = Instant::now() + self.gone();
+            let unfinished = self.arrival.unfinished.get_or_insert_with(|| {
+                let counted = held;
+                Unfinished { until, counted }
+            });
+            let come = held.saturating_sub(unfinished.counted) as u64;
+            unfinished.until += Duration::from_micros(come.saturating_mul(1_000_000) / LEAST_RATE);
+            unfinished.counted = held;
+        }
+    }
+
+    /// For so long nobody could be heard.
+    pub(super) fn excuse(&mut self, time: Duration) {
+        self.heard_at = (self.heard_at + time).min(Instant::now());
+        if let Some(unfinished) = &mut self.arrival.unfinished {
+            unfinished.until += time;
+        }
+    }
+
+    /// When to look whether the peer is there, while it is read.
+    pub(super) fn look_at(&self) -> Instant {
+        self.deadline().min(self.beat_at)
+    }
+
+    /// Looks whether the peer is there, as was to be done at `at`.
+    ///
+    /// # Errors
+    /// It is not: the connection ends.
+    pub(super) fn look(&mut self, at: Instant, reader: &Reader) -> Result<(), End> {
+        let now = Instant::now();
+        // While this thread was late it heard nobody.
+        self.excuse(now.saturating_duration_since(at));
+        if now < self.deadline() {
+            self.beat(reader.received());
+            return Ok(());
+        }
+        let error = match self.logged_in {
+            true => self.silent(now),
+            false => login_timeout(self.services.limits.login_time),
+        };
+        Err(Some(error).into())
+    }
+
+    fn silent(&self, now: Instant) -> WireError {
+        let text = match &self.arrival.unfinished {
+            Some(unfinished) if unfinished.until <= now => {
+                format!("a parcel was not whole in time; bring {LEAST_RATE} bytes a second at least")
+            }
+            _ => {
+                let gone = self.gone().as_secs_f64();
+                format!("nothing was heard for {gone} s; say time ping before that")
+            }
+        };
+        WireError::new(Code::SILENT, text)
     }
 
     /// Asks a peer that says or hears nothing else whether it is there, and one that stamps its answers for its
     /// clock.
-    pub(super) fn beat(&mut self, received: u64) {
+    fn beat(&mut self, received: u64) {
         let (now, beat) = (
             Instant::now(),
             Duration::from_millis(self.services.limits.heartbeat),

@@ -1,5 +1,6 @@
 //! One connection, from its first byte to its end.
 
+mod behind;
 mod doors;
 mod heartbeat;
 mod links;
@@ -22,7 +23,7 @@ use std::time::Duration;
 use mom_hub::{Input, PeerClock, PeerId};
 use mom_login::{Challenge, LoginLink, ResumeChallenge};
 use mom_net::{NetError, Privacy, Reader};
-use mom_proto::codec::Frame;
+use mom_proto::codec::{Deferred, Frame};
 use mom_proto::{Code, Content, Family, Limits, Micros, Parcel, Verb, WireError, outlives_loss};
 use mom_system::Expiry;
 use tokio::time::{Instant, timeout_at};
@@ -33,6 +34,8 @@ use crate::traffic::memory::{Charge, Gate, over_memory};
 use crate::traffic::outbox::Outbox;
 use crate::traffic::switchboard::{Handled, Touched, flush};
 
+use behind::Behind;
+use heartbeat::Unfinished;
 use links::Served;
 use measure::{Measure, Pings};
 
@@ -62,7 +65,7 @@ struct Connection {
     logged_in: bool,
     /// Logins that failed.
     failures: u32,
-    /// When the last whole frame was here.
+    /// When bytes came last. The time in which nothing is read does not count: it is moved by that.
     heard_at: Instant,
     /// When to look next whether the peer is there.
     beat_at: Instant,
@@ -76,7 +79,7 @@ struct Connection {
     /// When the proof of who it is will be over, none if it lasts.
     proven_until: Option<Box<Expiry>>,
     requests: requests::Requests,
-    /// What is here of parcels that are not whole, charged to the user; none before login.
+    /// What is here of parcels that are not whole or wait for their turn, charged to the user; none before login.
     charge: Option<Charge>,
     ended: bool,
 }
@@ -107,6 +110,10 @@ struct Arrival {
     seat: Option<doors::Seat>,
     /// When it is too late to log in.
     login_by: Instant,
+    /// What was read behind a message that waits.
+    behind: Option<Box<Behind>>,
+    /// What is here of parcels that are not whole.
+    unfinished: Option<Unfinished>,
 }
 
 impl Arrival {
@@ -146,6 +153,15 @@ impl From<Option<WireError>> for End {
     fn from(error: Option<WireError>) -> End {
         End::Over(error)
     }
+}
+
+/// What a reader takes.
+enum Came {
+    Whole(Frame),
+    /// A whole frame that is large, and not decoded.
+    Large(Deferred),
+    /// Something that has passed what waited before it.
+    Passed,
 }
 
 /// What a reader does after a frame.
@@ -191,14 +207,13 @@ impl Connection {
             let outbox = Arc::clone(&self.outbox);
             loop {
                 if self.charge.as_ref().is_some_and(Charge::is_held)
-                    && let Err(end) = Box::pin(self.wait_for_memory(&mut Touched::new())).await
+                    && let Err(end) = Box::pin(self.wait_for_memory(reader, false, &mut Touched::new())).await
                 {
-                    return end.into();
+                    return end;
                 }
                 if self.is_late() {
                     tokio::task::yield_now().await;
                 }
-                let wake = self.deadline().min(self.beat_at);
                 let arrived = tokio::select! {
                     biased;
                     () = outbox.end.notified() => match self.is_called() {
@@ -207,20 +222,22 @@ impl Connection {
                         false => continue,
                     },
                     () = self.proof_over() => return Some(login::proof_over()).into(),
-                    arrived = timeout_at(wake, reader.arrive()) => arrived,
+                    arrived = timeout_at(self.look_at(), reader.arrive()) => arrived,
                 };
                 match arrived {
                     Ok(Ok(true)) => {
-                        outbox.note_heard(reader.received());
+                        self.note_arrived(reader);
                         if !self.logged_in {
                             Box::pin(self.services.turn()).await;
                         }
                     }
                     Ok(Ok(false)) => return End::Over(None),
                     Ok(Err(error)) => return self.failed(error).into(),
-                    Err(_) if Instant::now() < self.deadline() => self.beat(reader.received()),
-                    Err(_) if self.logged_in => return Some(silent(self.gone())).into(),
-                    Err(_) => return Some(login_timeout(self.services.limits.login_time)).into(),
+                    Err(_) => {
+                        if let Err(end) = self.look(self.look_at(), reader) {
+                            return end;
+                        }
+                    }
                 }
                 if let Err(end) = self.handle_arrived(reader).await {
                     return end;
@@ -239,6 +256,8 @@ impl Connection {
     async fn handle_arrived(&mut self, reader: &mut Reader) -> Result<(), End> {
         let mut touched = Touched::new();
         let mut handled = 0;
+        // One that is no mere sign of life was.
+        let mut whole = false;
         let result = loop {
             let goes_on = !self.outbox.is_closed() && !self.is_proof_over();
             if !goes_on {
@@ -248,19 +267,26 @@ impl Connection {
             let mut counts = self.link.is_some();
             if let Some(count) = run {
                 self.count_read(u64::from(count));
+                whole = true;
             } else {
-                let frame = match reader.try_next() {
-                    Ok(None) => match reader.take_deferred() {
-                        None => break Ok(()),
-                        Some(frame) => match Box::pin(self.open(frame, &mut touched)).await {
+                let frame = match self.next(reader) {
+                    Ok(None) => break Ok(()),
+                    // It is handled, and was only to be counted in its turn.
+                    Ok(Some(Came::Passed)) => {
+                        self.count_read(1);
+                        continue;
+                    }
+                    Ok(Some(Came::Whole(frame))) => frame,
+                    Ok(Some(Came::Large(frame))) => {
+                        match Box::pin(self.open(frame, reader, &mut touched)).await {
                             Ok(frame) => frame,
-                            Err(end) => break Err(end.into()),
-                        },
-                    },
-                    Ok(Some(frame)) => frame,
-                    Err(error) => break Err(self.failed(error).into()),
+                            Err(end) => break Err(end),
+                        }
+                    }
+                    Err(end) => break Err(end),
                 };
-                counts &= !matches!(&frame, Frame::Parcel(parcel) if parcel.family == Family::Time);
+                let says = !is_sign_of_life(&frame);
+                (counts, whole) = (counts && says, whole || says);
                 let next = self.handle(frame, &mut touched);
                 // Apart, for it is rare and needs more memory than all the rest of a connection.
                 if !matches!(next, Next::Frame)
@@ -285,19 +311,31 @@ impl Connection {
             self.tell_read(reader.received(), &mut touched);
         }
         flush(&mut touched);
-        self.count_held(reader);
-        if handled > 0 {
-            self.outbox.heard.lately.store(true, Ordering::Relaxed);
-            self.heard_at = Instant::now();
-        }
+        self.count_held(reader, whole || (handled > 0 && !reader.assembles()));
         result
+    }
+
+    /// What comes next: first what has come behind a message that waited.
+    fn next(&mut self, reader: &mut Reader) -> Result<Option<Came>, End> {
+        if let Some(next) = self.arrival.behind.as_mut().and_then(|behind| behind.pop()) {
+            return Ok(Some(next.map_or(Came::Passed, Came::Whole)));
+        }
+        if let Some(fault) = self.arrival.behind.take().and_then(|behind| behind.fault()) {
+            return Err(self.failed(fault).into());
+        }
+        match reader.try_next() {
+            Ok(Some(frame)) => Ok(Some(Came::Whole(frame))),
+            Ok(None) => Ok(reader.take_deferred().map(Came::Large)),
+            Err(error) => Err(self.failed(error).into()),
+        }
     }
 
     /// Passes on plain messages that are alike; gives how many.
     fn run(&self, reader: &mut Reader, touched: &mut Touched) -> Option<u32> {
         let clock = |now| self.peer_clock(now);
         let sender = self.sender(&clock);
-        let runs = self.gate() == Gate::Open && self.logged_in && !sender.late;
+        let runs =
+            self.gate() == Gate::Open && self.logged_in && !sender.late && self.arrival.behind.is_none();
         runs.then(|| self.services.board.run(&sender, reader, touched))
             .flatten()
     }
@@ -421,10 +459,12 @@ impl Connection {
             .map_or(Gate::Open, |charge| charge.account().gate())
     }
 
-    /// Charges what is here of parcels that are not whole, and is not small.
-    fn count_held(&mut self, reader: &Reader) {
+    /// Charges what is here of parcels that are not whole or wait for their turn, and is not small. `whole`: another one was.
+    fn count_held(&mut self, reader: &Reader, whole: bool) {
+        let held = reader.held();
+        self.watch_unfinished(held, whole);
         if let Some(charge) = &mut self.charge {
-            let held = reader.held();
+            let held = held + self.arrival.behind.as_ref().map_or(0, |behind| behind.bytes());
             charge.set(if held > SMALL { held } else { 0 });
         }
     }
@@ -499,12 +539,9 @@ fn closed(frame: Frame) -> Frame {
     Frame::Parcel(parcel)
 }
 
-fn silent(gone: Duration) -> WireError {
-    let text = format!(
-        "nothing was heard for {} s; say time ping before that",
-        gone.as_secs()
-    );
-    WireError::new(Code::SILENT, text)
+/// Whether a frame says only that its sender is there.
+fn is_sign_of_life(frame: &Frame) -> bool {
+    matches!(frame, Frame::Parcel(parcel) if parcel.family == Family::Time)
 }
 
 /// The time that a peer has to log in.

@@ -129,6 +129,7 @@ impl Connection {
         (self.proven_until, self.requests, self.charge) = (proven_until, requests, charge);
         (self.pings, self.measure, self.link) = (pings, measure, Some(served));
         self.heard_at = Instant::now();
+        self.arrival.unfinished = None;
         self.beat_at = self.heard_at + Duration::from_millis(self.services.limits.heartbeat);
         reader.set_limits(&self.services.limits);
         if self.outbox.packs() {

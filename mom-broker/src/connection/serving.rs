@@ -66,6 +66,8 @@ impl Serving {
                 privacy,
                 seat,
                 login_by,
+                behind: None,
+                unfinished: None,
             }),
             logged_in: false,
             failures: 0,

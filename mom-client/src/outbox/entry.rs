@@ -130,8 +130,14 @@ impl Entry {
     /// A request or a sign of life, behind these messages.
     pub(super) fn control(parcel: &Parcel, outgoing: Outgoing, follows: Follows) -> Entry {
         let counts = parcel.family != Family::Time;
+        let lane = match (parcel.family, parcel.name()) {
+            (Family::Time, _) => Lane::Sign,
+            // A stop of a whole session is as urgent as one of a channel.
+            (Family::Context, event::STOP) => Lane::Stop,
+            _ => Lane::Control,
+        };
         Entry {
-            lane: if counts { Lane::Control } else { Lane::Sign },
+            lane,
             delivery: Delivery::Reliable,
             outgoing,
             id: parcel.id,

@@ -219,3 +219,25 @@ async fn a_key_authenticates_again() {
     );
     outcome.unwrap();
 }
+
+/// A time in the wrong unit is found before a hub is even connected to.
+#[tokio::test]
+async fn a_heartbeat_out_of_range_is_refused_here() {
+    for millis in [0, 99, 10_001, 500_000] {
+        let (hub, builder) = local();
+        let error = builder
+            .heartbeat(Duration::from_millis(millis))
+            .connect()
+            .await
+            .expect_err("out of range");
+        assert_eq!(error.kind(), ErrorKind::Local, "{error}");
+        assert!(
+            error.to_string().contains("a heartbeat is from 100ms to 10s"),
+            "{error}"
+        );
+        let Hub::Local(mut came) = hub else {
+            unreachable!("a local one")
+        };
+        assert!(came.try_recv().is_err(), "{millis}: nobody was connected to");
+    }
+}

@@ -45,7 +45,7 @@ pub(crate) async fn run(args: &cli::JogArgs, global: &GlobalArgs, output: Output
             "tell a velocity and a time instead: mom jog --for 500ms 50 0 0 0 0",
         ));
     }
-    let client = connect(global, Stay::Once).await?;
+    let client = connect(global, Stay::Driving).await?;
     let mut interrupt = Interrupt::install()?;
     let (channel, _, guard) = drive(&client, &args.channel, &args.token).await?;
     let mut drive = Drive {

@@ -310,7 +310,9 @@ impl<M: Machine> DeviceServer<M> {
         }
         self.queue.check_free()?;
         if let Err(held) = self.latch.may_move() {
-            return Err(DeviceError::new(ErrorName::Stopped, format!("{} may not move: {held}", M::NAME)).into());
+            return Err(
+                DeviceError::new(ErrorName::Stopped, format!("{} may not move: {held}", M::NAME)).into(),
+            );
         }
         let script = Script::read_with::<M>(script, &attachments)?;
         if script.is_relative::<M>() && parcel.extra.get(BASED_ON).is_none() {

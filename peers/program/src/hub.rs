@@ -31,6 +31,10 @@ pub struct HubArgs {
     /// A certificate of the user (PEM), whose private key --key names, for a hub over TLS
     #[arg(long, value_name = "FILE", requires = "key")]
     certificate: Option<PathBuf>,
+    /// How often hub and program say that they are there, in ms, from 100 to 10000: a link that is silent for three times as long is
+    /// lost, and whatever moves halts
+    #[arg(long, value_name = "MS", default_value = "500", value_parser = clap::value_parser!(u64).range(100..=10_000))]
+    heartbeat: u64,
 }
 
 impl HubArgs {
@@ -54,6 +58,7 @@ impl HubArgs {
         let builder = Client::builder(&self.hub)
             .user(self.user())
             .proof(self.proof()?)
+            .heartbeat(Duration::from_millis(self.heartbeat))
             .wait_for_hub();
         Ok(match self.report {
             true => builder.report_failures(program, version),
@@ -126,6 +131,16 @@ mod tests {
         let mut named = read(&["--user", "alice"]);
         named.or_user("rover");
         assert_eq!(named.user(), "alice");
+    }
+
+    #[test]
+    fn a_lost_link_is_noticed_soon_unless_the_options_say_otherwise() {
+        assert_eq!(read(&[]).heartbeat, 500);
+        assert_eq!(read(&["--heartbeat", "100"]).heartbeat, 100);
+        for wrong in ["99", "10001", "500ms"] {
+            let args = ["program", "--heartbeat", wrong];
+            assert!(Program::try_parse_from(args).is_err(), "{wrong}");
+        }
     }
 
     #[test]

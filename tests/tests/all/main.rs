@@ -21,6 +21,7 @@ mod faults;
 mod first_hour;
 mod fleet;
 mod fleet_web;
+mod heartbeat;
 
 mod lab_page;
 mod late;

@@ -241,13 +241,16 @@ impl Switchboard {
     }
 
     fn channel_of(&self, parcel: &Parcel) -> Option<Arc<Channel>> {
+        self.number_of(parcel).and_then(|number| self.channel(number))
+    }
+
+    /// The number of the channel that a message is for.
+    pub(crate) fn number_of(&self, parcel: &Parcel) -> Option<ContextNumber> {
         // The path first, as the hub does.
-        let number = match (&parcel.context, parcel.number) {
-            (Some(path), _) => *self.by_path.get(path)?,
-            (None, Some(number)) => number,
-            (None, None) => return None,
-        };
-        self.channel(number)
+        match (&parcel.context, parcel.number) {
+            (Some(path), _) => self.by_path.get(path).map(|number| *number),
+            (None, number) => number,
+        }
     }
 
     pub(crate) fn channel(&self, number: ContextNumber) -> Option<Arc<Channel>> {

@@ -22,6 +22,7 @@ use tokio::time::{Instant, sleep};
 use tracing_subscriber::EnvFilter;
 
 use crate::cli;
+use crate::connect::HEARTBEAT;
 use crate::failure::{Doing as _, Failure};
 use crate::interrupt::Interrupt;
 use crate::output::Output;
@@ -283,6 +284,7 @@ async fn log_in(broker: &Arc<Broker>, name: &str, nickname: String) -> Result<Cl
         .user(name)
         .password(name)
         .nickname(nickname)
+        .heartbeat(HEARTBEAT)
         .no_reconnect();
     builder.connect().await.doing(format!("log in as {name}"))
 }

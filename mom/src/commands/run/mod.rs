@@ -70,7 +70,7 @@ impl Errand<'_> {
         output: Output,
     ) -> Result<(), Failure> {
         let device = self.device;
-        let client = connect(global, Stay::Once).await?;
+        let client = connect(global, Stay::Driving).await?;
         let mut interrupt = Interrupt::install()?;
         let (channel, token, mut guard) = drive(&client, self.channel, self.token).await?;
         let events = channel.events();

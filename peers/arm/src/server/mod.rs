@@ -23,9 +23,9 @@ use crate::zones::Zones;
 mod interlock_tests;
 #[cfg(test)]
 mod reach_tests;
+mod stops;
 #[cfg(test)]
 mod tests;
-mod stops;
 #[cfg(test)]
 mod zone_tests;
 mod zones;

@@ -2,7 +2,9 @@
 
 use std::fmt::Write as _;
 
-use mom_client::{BASED_ON, Delivery, Event, Family, FenceGate, Map, Member, Parcel, Path, StopState, Time, Value};
+use mom_client::{
+    BASED_ON, Delivery, Event, Family, FenceGate, Map, Member, Parcel, Path, StopState, Time, Value,
+};
 use mom_device::{DeviceServer, DeviceTime};
 
 use super::Mount;

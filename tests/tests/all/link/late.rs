@@ -79,7 +79,7 @@ async fn a_client_says_no_command_again_after_a_cut() {
     let token = alice.token(TOKEN).await.expect("anybody may look");
     let guard = token.grab().await.expect("it is free");
     let mut events = talk.events();
-    network.freeze();
+    network.stall();
     let mut awaited = Vec::new();
     for channel in [&arm, &talk] {
         channel.send("command", "before").await.expect("it waits");
@@ -315,7 +315,7 @@ async fn who_waits_for_the_hub_before_a_release_waits_no_longer_than_it_wants() 
     let arm = alice.channel(ARM).await.expect("anybody may");
     let token = alice.token(TOKEN).await.expect("anybody may look");
     let guard = token.grab().await.expect("it is free");
-    network.freeze();
+    network.stall();
     arm.send("command", "grip open").await.expect("it waits");
     let releasing = tokio::spawn(guard.release_after(Duration::from_millis(50)));
     let mut events = arm.events();

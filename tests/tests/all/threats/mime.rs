@@ -1,10 +1,12 @@
-//! Threats 7, 8 and 9: parcels in several parts.
+//! Threats 7, 8, 9 and 37: parcels in several parts.
+
+use std::time::Duration;
 
 use mom_proto::codec::Form;
-use mom_proto::{Family, Value};
+use mom_proto::{Family, Parcel, Value, WireError};
 use mom_tests::raw::Raw;
 
-use super::{After, World, chat_xml, entity};
+use super::{After, World, chat_xml, entity, frame};
 
 const IMAGE: &str = "<content type=\"binary\"><cid>one</cid></content>";
 
@@ -179,7 +181,8 @@ async fn threat_9_too_much() {
     world.end().await;
 }
 
-/// Threat 9: uploads that never end are closed when nothing whole came for too long.
+/// Threats 9 and 37: parcels that come too slowly are closed, however the attacker passes the time. Between chunks it can ping, as
+/// much as it likes.
 #[tokio::test]
 async fn threat_9_slow_uploads() {
     let mut world = World::start_with(|config| {
@@ -188,33 +191,39 @@ async fn threat_9_slow_uploads() {
     })
     .await;
     let head = "Content-Type: application/xml\r\nContent-Length: 8388608\r\n\r\n<parcel>";
+    // The first chunk of 1 MiB.
+    let chunk = frame(&[&[1, 1, 1, 0x80, 0x80, 0x40][..], &[0; 1000]].concat());
+    let ways = [
+        (Form::Xml, head.as_bytes(), false),
+        (Form::Binary, &[0, 0x80, 0, 0, 0, 0], false),
+        (Form::Binary, &chunk, true),
+    ];
     let mut slow = Vec::new();
-    for number in 0..8 {
-        let form = if number % 2 == 0 { Form::Xml } else { Form::Binary };
-        let mut upload = Raw::login(world.address(), form, "bob").await;
-        upload
-            .send(if form == Form::Xml {
-                head.as_bytes()
-            } else {
-                &[0, 0x80, 0, 0, 0, 0]
-            })
-            .await;
-        slow.push(upload);
+    for (form, begin, pings) in ways.iter().cycle().take(9) {
+        let mut upload = Raw::login(world.address(), *form, "bob").await;
+        upload.send(begin).await;
+        slow.push((upload, *pings));
     }
-    let mut silent = 0;
-    while silent < slow.len() {
-        for upload in &mut slow {
-            upload.send(&[b' '; 1024]).await;
-        }
+    let ping = Parcel::new(Family::Time, "ping").content("x".repeat(1000));
+    let mut closed = Vec::new();
+    while closed.len() < 9 {
         // The witness says something as it goes, or it would be the one that is gone.
         world.check_nothing_arrived("slow uploads").await;
-        silent = 0;
-        for upload in &mut slow {
-            silent += usize::from(upload.has_ended().await);
+        for (mut upload, pings) in std::mem::take(&mut slow) {
+            match pings {
+                true => upload.send_parcel(&ping).await,
+                false => upload.send(b" ").await,
+            }
+            // Far below a KiB in a second, in a loop of nine.
+            match upload.next_within(Duration::from_millis(5)).await {
+                Some(Some(heard)) if heard.family == Family::Error => {
+                    closed.push(WireError::from_parcel(&heard).code);
+                }
+                Some(None) => panic!("an error before the end"),
+                _ => slow.push((upload, pings)),
+            }
         }
     }
-    for mut upload in slow {
-        assert_eq!(upload.last_error().await.expect("a reason").word(), "silent");
-    }
+    assert!(closed.iter().all(|code| code.word() == "silent"), "{closed:?}");
     world.end().await;
 }
