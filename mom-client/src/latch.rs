@@ -238,6 +238,8 @@ fn slot(parcel: &Parcel) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use mom_proto::Family;
+    use proptest::collection::vec;
+    use proptest::prelude::*;
     use serde::Deserialize;
 
     use super::*;
@@ -287,6 +289,63 @@ mod tests {
                 other => panic!("there is no event {other}"),
             }
         }
+    }
+
+    /// What operators do, each behind a link of its own: they stop, or lift the newest stop that they have seen.
+    #[derive(Clone, Copy, Debug)]
+    enum Act {
+        Stop,
+        /// With what was seen so many stops ago.
+        Unstop(u64),
+    }
+
+    fn acts() -> impl Strategy<Value = Vec<(Act, u64)>> {
+        let act = prop_oneof![Just(Act::Stop), (0..3_u64).prop_map(Act::Unstop)];
+        // With the time that what comes of it takes to the device, over whichever link.
+        vec((act, 0..20_u64), 0..40)
+    }
+
+    proptest! {
+        /// The hub numbers in the order of causes; on its way to the device anything may overtake anything.
+        #[test]
+        fn the_last_in_the_order_of_causes_is_what_a_device_obeys(acts in acts()) {
+            let (mut newest, mut lifted) = (0, 0);
+            let mut under_way = Vec::new();
+            for (at, (act, delay)) in acts.into_iter().enumerate() {
+                let arrives = at as u64 + delay;
+                match act {
+                    Act::Stop => {
+                        newest += 1;
+                        under_way.push((arrives, at, message("stop", newest)));
+                    }
+                    // The hub hands out no unstop that names an older stop than the one that holds.
+                    Act::Unstop(behind) if behind == 0 && newest > 0 => {
+                        lifted = newest;
+                        under_way.push((arrives, at, message("unstop", newest)));
+                    }
+                    // An old hub, or another one, might: it frees nobody from what came since.
+                    Act::Unstop(behind) if newest > behind => {
+                        under_way.push((arrives, at, message("unstop", newest - behind)));
+                        lifted = lifted.max(newest - behind);
+                    }
+                    Act::Unstop(_) => {}
+                }
+            }
+            under_way.sort_by_key(|(arrives, at, _)| (*arrives, *at));
+            let mut latch = Latch::default();
+            latch.observe(&Event::Stops(StopState::default()));
+            for (_, _, event) in &under_way {
+                latch.observe(event);
+            }
+            prop_assert_eq!(latch.is_stopped(), newest > lifted, "{:?}", under_way);
+            prop_assert_eq!(latch.number(), newest);
+        }
+    }
+
+    fn message(name: &str, number: u64) -> Event {
+        let mut parcel = Parcel::new(Family::Message, name);
+        parcel.extra.set(STOP, i64::try_from(number).expect("small"));
+        Event::Message(parcel)
     }
 
     #[test]
