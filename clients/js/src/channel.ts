@@ -22,6 +22,8 @@ export interface MessageOptions {
   reference?: number;
   /** The id of the device's state that this is based on: if it has moved since, it refuses. */
   basedOn?: number;
+  /** Of an `unstop`: the newest stop that its user has seen. */
+  stop?: number;
   /** The trace that it is part of, as W3C's `traceparent`. */
   trace?: string;
   /** Any other slots. */
@@ -41,7 +43,7 @@ export class Channel extends Joined {
   /**
    * Sends a message to all members, or to some, and does not wait for an answer. A refusal comes as an event `refused`.
    *
-   * @throws MomError `connection` while there is no link, and with `older-fence` for a guarded message while one is resumed.
+   * @throws MomError `connection` while there is no link, and with `lost` for a guarded message, a `command` or an `unstop` while one is resumed.
    */
   send(name: string, content?: Value, options: MessageOptions = {}): Promise<void> {
     return this.client.peer.post(this.#message(name, content, options));
@@ -55,10 +57,11 @@ export class Channel extends Joined {
   }
 
   #message(name: string, content: Value | undefined, options: MessageOptions): Parcel {
-    const { to, basedOn, trace, extra, ...slots } = options;
+    const { to, basedOn, stop, trace, extra, ...slots } = options;
     const parcel: Parcel = { family: "message", name, context: this.path, ...slots };
     const others: { [key: string]: Value } = { ...extra };
     if (basedOn !== undefined) others["based-on"] = basedOn;
+    if (stop !== undefined) others["stop"] = stop;
     if (trace !== undefined) others["trace"] = trace;
     if (Object.keys(others).length) parcel.extra = others;
     if (to) parcel.address = to;
@@ -68,7 +71,8 @@ export class Channel extends Joined {
 
   /** Asks the hub for fewer messages of others from now on, also after a new login; `{}` ends it. */
   async thin(thinning: Thinning): Promise<void> {
-    const terms: Fields = { ...thinning };
+    const { device } = this.client.peer.places.get(this.path)?.terms ?? {};
+    const terms: Fields = { ...thinning, device };
     await this.client.peer.enter(this.path, "channel", terms);
   }
 
@@ -83,7 +87,7 @@ export class Channel extends Joined {
    */
   permits(parcel: Parcel): boolean {
     const guard = this.guard;
-    if (!guard || parcel.sender === "hub" || !this.client.peer.places.isGuarded(this.path, parcel.name)) return true;
+    if (!guard || parcel.sender === "hub" || !this.client.peer.places.tokenOf(this.path, parcel.name)) return true;
     return guard.owner !== undefined && parcel.fence === guard.fence;
   }
 }

@@ -4,12 +4,15 @@ import type { HubClock } from "./clock.js";
 import { Consult } from "./consult.js";
 import { asyncDispose } from "./disposal.js";
 import { type ContextInfo, type Events, type Member, contextOf, memberOf } from "./events.js";
+import { type StopState, stopStateOf } from "./latch.js";
 import { welcome } from "./login.js";
+import { Device, type Machine } from "./obey.js";
 import type { ConnectOptions, LinkState, Proof } from "./options.js";
 import { Peer } from "./peer.js";
 import type { Parcel } from "./parcel.js";
 import { Queue } from "./queue.js";
 import { Session } from "./session.js";
+import { type StopOptions, type StopReport, reportOf } from "./stops.js";
 import { Token } from "./token.js";
 import { type Fields, fieldsOf, list } from "./value.js";
 
@@ -118,6 +121,43 @@ export class Client {
   async channel(path: string, terms?: Thinning & { device?: boolean }): Promise<Channel> {
     await this.peer.enter(path, "channel", terms && { ...terms });
     return new Channel(this, path);
+  }
+
+  /** Joins a channel as a device that moves this machine, and stops it when it is told to. */
+  async obey(path: string, machine: Machine): Promise<Device> {
+    // From here on, since the answer to the join says how it stands.
+    const events = this.peer.events(path);
+    try {
+      return new Device(await this.channel(path, { device: true }), machine, events);
+    } catch (error) {
+      void events.return();
+      throw error;
+    }
+  }
+
+  /**
+   * Stops all devices of a channel, or of all channels below a session in which this peer has the right `stop`. It joins nothing, goes before
+   * everything else, and is answered when each device has said that it obeys, or after a second.
+   */
+  async stop(path: string, options: StopOptions = {}): Promise<StopReport> {
+    return this.#stopping("stop", path, { ...options });
+  }
+
+  /**
+   * Lifts the stops of a channel up to this number, or of channels by their paths up to theirs. They are the newest that its user has seen, those of
+   * {@link StopState}, and never taken from a refusal. A newer one holds on, and is named in the report.
+   */
+  async unstop(path: string, stops: number | { [path: string]: number }, options: Omit<StopOptions, "reason"> = {}): Promise<StopReport> {
+    return this.#stopping("unstop", path, typeof stops === "number" ? { ...options, stop: stops } : { ...options, stops });
+  }
+
+  /** How the devices of a channel stand by the hub's books. */
+  async stops(channel: string): Promise<StopState> {
+    return stopStateOf((await this.info(channel))["stop"]);
+  }
+
+  async #stopping(name: "stop" | "unstop", path: string, content: Fields): Promise<StopReport> {
+    return reportOf(await this.ask("context", name, path, content));
   }
 
   /** Joins a token, parents first; this gives its events, not ownership. */

@@ -2,7 +2,8 @@ import { type Fields, fieldsOf, int, text } from "./value.js";
 import type { Parcel } from "./parcel.js";
 
 /**
- * What kind of failure it is: `refused` by the hub, no `connection` now, no answer in time (`timed-out`; it is unknown whether the request
+ * What kind of failure it is: `refused` by the hub, no `connection` now (with the code `lost` if what was said never left, and `unknown` if
+ * nobody can say whether the hub has read it), no answer in time (`timed-out`; it is unknown whether the request
  * was carried out), `closed` for good, or wrong on this side (`local`).
  */
 export type ErrorKind = "refused" | "connection" | "timed-out" | "closed" | "local";
@@ -90,6 +91,24 @@ export class MomError extends Error {
 /** @internal */
 export function local(code: string, text: string): MomError {
   return new MomError("local", code, text);
+}
+
+/** What is said of a parcel that was dropped; after a loss, what had left is never said to be unsent. */
+const DROPPED: Record<string, string> = {
+  lost: "the connection was lost before it had left, and it is not sent any more",
+  unknown: "the connection was lost when it had left, and it is unknown whether the hub has read it",
+  withdrawn: "a later stop withdrew it before it had left",
+};
+
+/** @internal */
+export function dropped(parcel: Parcel, reason: string, cause?: MomError): MomError {
+  const why = DROPPED[reason] ?? "it was dropped before it had left";
+  return new MomError("connection", reason, `${nameOf(parcel)}: ${why}${cause ? ` (${cause.text})` : ""}`, 305);
+}
+
+/** @internal A parcel, as people are told of it. */
+export function nameOf({ family, name, context }: Parcel): string {
+  return `${family} ${name}${context === undefined ? "" : ` ${context}`}`;
 }
 
 /** @internal */

@@ -1,5 +1,6 @@
 import type { MomError } from "./error.js";
 import type { Parcel } from "./parcel.js";
+import { type StopState, stopSlot, stopStateOf } from "./latch.js";
 import { Queue } from "./queue.js";
 import { type Fields, type Value, fieldsOf, int, list, text } from "./value.js";
 
@@ -24,6 +25,8 @@ export interface ContextInfo {
   name?: string;
   /** How many members it has, in lists. */
   members?: number;
+  /** Who has stopped its devices, in lists and of stopped channels only. */
+  stop?: StopState;
 }
 
 /** A message, as the hub forwarded it. */
@@ -34,6 +37,8 @@ export interface MessageEvent {
   content: Value | undefined;
   /** Whether it was said before this peer joined. */
   history: boolean;
+  /** The number of a `stop`, or the newest that an `unstop` lifts. */
+  stop?: number;
   /** All slots. */
   parcel: Parcel;
 }
@@ -84,8 +89,16 @@ export type Event =
   | { type: "lost"; path: string; member: Member; within: number }
   /** A member that had lost its connection is back. */
   | { type: "resumed"; path: string; member: Member }
-  /** Messages were dropped on their way: at the hub, or here with `count` and `reason`. */
+  /**
+   * Messages were dropped on their way: at the hub, or here with `count`, `parcel` and `reason`. After a loss of the connection that is `lost`
+   * for what had not left, and `unknown` where nobody can say whether the hub has read it.
+   */
   | { type: "dropped"; path: string; reason: string; count: number; delivery?: string; parcel?: Parcel }
+  /**
+   * How the devices of this channel stand by the hub's books: when this peer joins as a device or has come back, when it joins a channel where
+   * something was stopped, and where a stop began or ended without a message to this peer.
+   */
+  | { type: "stops"; path: string; state: StopState; unstoppedBy?: string }
   /** Something that this peer sent without awaiting an answer was refused. */
   | { type: "refused"; path: string | undefined; error: MomError; id: number | undefined }
   /** So many events were dropped here, because nobody took them in time. */
@@ -112,6 +125,7 @@ export function contextOf(fields: Fields): ContextInfo {
   const [name, members] = [text(fields, "name"), int(fields, "members")];
   if (name !== undefined) info.name = name;
   if (members !== undefined) info.members = members;
+  if (fields["stop"] !== undefined) info.stop = stopStateOf(fields["stop"]);
   return info;
 }
 
@@ -120,7 +134,8 @@ export function eventOf(parcel: Parcel): Event {
   const path = parcel.context ?? "/";
   if (parcel.family === "message") {
     const extra = parcel.extra instanceof Map ? parcel.extra.get("history") : parcel.extra?.["history"];
-    return { type: "message", name: parcel.name, sender: parcel.sender ?? "", content: parcel.content, history: extra === true, parcel };
+    const stop = stopSlot(parcel);
+    return { type: "message", name: parcel.name, sender: parcel.sender ?? "", content: parcel.content, history: extra === true, ...(stop === undefined ? {} : { stop }), parcel };
   }
   const fields = fieldsOf(parcel.content);
   if (parcel.family !== "event") return { type: "other", parcel };
@@ -130,6 +145,10 @@ export function eventOf(parcel: Parcel): Event {
     const member = memberOf(fields);
     if (parcel.name === "lost") return { type: "lost", path, member, within: int(fields, "within") ?? 0 };
     return { type: parcel.name as "joined", path, member };
+  }
+  if (parcel.name === "stopped" || parcel.name === "unstopped") {
+    const by = text(fields, "unstopped-by");
+    return { type: "stops", path, state: stopStateOf(fields), ...(by === undefined ? {} : { unstoppedBy: by }) };
   }
   if (!PLAIN.has(parcel.name)) return { type: "other", parcel };
   const event = { path, ...fields, type: parcel.name } as unknown as Event;
@@ -144,6 +163,15 @@ export type Events = Queue<Event>;
 /** Kept from a join on for who has not asked yet. */
 const EARLY = 4096;
 
+/** What stops and frees devices is never dropped here, unless its sender has said the same again. */
+function ofStops(event: Event): string | undefined {
+  // Of states only the newest matters; a loss of the connection counts in its place among them.
+  if (event.type === "stops") return `stops ${event.path} ${event.state.stopped}`;
+  if (event.type === "link-down") return event.type;
+  if (event.type !== "message" || !/^(stop|unstop|halt)$/.test(event.name)) return undefined;
+  return `${event.name} ${event.sender} ${event.parcel.context}`;
+}
+
 /** @internal Who hears what. */
 export class Subscribers {
   readonly #paths = new Map<string, Set<Events>>();
@@ -156,13 +184,15 @@ export class Subscribers {
   ) {}
 
   #queue(most: number, ends: (queue: Events) => void): Events {
-    return new Queue<Event>(most, (count) => ({ type: "lagged", count }), ends, this.skips);
+    return new Queue<Event>(most, (count) => ({ type: "lagged", count }), ends, this.skips, ofStops);
   }
 
   /** Keeps what comes from now on for the first subscriber, unless there is one. */
   keepEarly(path: string): void {
-    if (this.#paths.has(path) || this.#early.has(path)) return;
-    this.#early.set(path, this.#queue(EARLY, () => undefined));
+    if (this.#paths.has(path)) return;
+    const early = this.#early.get(path) ?? this.#queue(EARLY, () => undefined);
+    early.most = EARLY;
+    this.#early.set(path, early);
   }
 
   subscribe(path: string): Events {
@@ -193,8 +223,10 @@ export class Subscribers {
     for (const path of paths) {
       for (const queue of this.#paths.get(path) ?? []) queues.add(queue);
       const early = this.#early.get(path);
-      if (early && early.length < EARLY) queues.add(early);
-      else this.#early.delete(path);
+      // Whom nobody asks for so long has the newest stops only.
+      if (early && early.length >= EARLY) early.most = 0;
+      if (early?.most) queues.add(early);
+      else early?.push(event);
     }
     for (const queue of queues.size ? queues : this.#rest) queue.push(event);
   }

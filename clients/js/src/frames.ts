@@ -108,16 +108,25 @@ export class Frames {
   }
 }
 
+/** The end of a stream that will not be whole. */
+export function abort(stream: number): Uint8Array {
+  return cut(stream, ABORTED, EMPTY, 0, 0);
+}
+
 /** One chunk, with its length. */
 export function chunk(stream: number, bytes: Uint8Array, from: number, to: number): Uint8Array {
+  return cut(stream, (from === 0 ? FIRST : 0) | (to === bytes.length ? LAST : 0), bytes, from, to);
+}
+
+function cut(stream: number, flags: number, bytes: Uint8Array, from: number, to: number): Uint8Array {
   const head: number[] = [CHUNK];
   const varint = (number: number): void => {
     for (; number > 127; number = Math.floor(number / 128)) head.push((number % 128) + 128);
     head.push(number);
   };
   varint(stream);
-  head.push((from === 0 ? FIRST : 0) | (to === bytes.length ? LAST : 0));
-  if (from === 0) varint(bytes.length);
+  head.push(flags);
+  if (flags & FIRST) varint(bytes.length);
   const frame = new Uint8Array(4 + head.length + to - from);
   new DataView(frame.buffer).setUint32(0, frame.length - 4);
   frame.set(head, 4);

@@ -1,4 +1,5 @@
 // The tokens that this peer owns: their leases, and why they ended.
+import { isWithin } from "./places.js";
 import { type Fields, int, text } from "./value.js";
 
 /** Why an ownership ended. */
@@ -107,7 +108,7 @@ export class Guards {
   loseWithin(top: string, lost: Lost): void {
     for (const map of [this.#owned, this.#shared]) {
       for (const [path, hold] of map) {
-        if (top !== "/" && path !== top && !path.startsWith(`${top}/`)) continue;
+        if (!isWithin(path, top)) continue;
         map.delete(path);
         hold.lose(lost);
       }

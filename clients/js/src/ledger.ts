@@ -18,6 +18,11 @@ export class Ledger {
   /** What follows parcel number `sent - kept.length`; of what is not reliable only the place. */
   #kept: Entry[] = [];
 
+  /** What the hub has not acknowledged, in its order. */
+  get kept(): readonly Entry[] {
+    return this.#kept;
+  }
+
   /** Counts what was sent whole. */
   wrote(entry: Entry): void {
     this.sent += 1;

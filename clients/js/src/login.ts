@@ -42,6 +42,12 @@ async function ask(wire: Wire, nextId: NextId, name: string, content: Fields): P
   }
 }
 
+/** Refuses options that no hub takes, before anybody is asked. */
+export function check({ heartbeat }: ConnectOptions): void {
+  if (heartbeat === undefined || (Number.isInteger(heartbeat) && heartbeat >= 100 && heartbeat <= 10_000)) return;
+  throw local("bad-content", `heartbeat is a whole number of ms from 100 to 10000, not ${heartbeat}`);
+}
+
 /** Logs in. A hub that does not know links yet is asked again without. */
 export async function logIn(wire: Wire, options: ConnectOptions, nextId: NextId): Promise<Welcome> {
   const plain = await credentials(options);

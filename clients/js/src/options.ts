@@ -26,7 +26,7 @@ export interface ConnectOptions extends Proof {
   webSocket?: WebSocketClass;
   /** Whether a lost connection is resumed without losing anything (`true`), and for how many ms the hub keeps this peer meanwhile. */
   link?: boolean | { grace: number };
-  /** ms between signs of life; the hub's 10 s unless another is asked for, from 100 on. */
+  /** ms between signs of life, from 100 to 10 000; the hub's own, mostly 10 s, unless another is asked for. */
   heartbeat?: number;
   /** ms for a reply; 40 s, because a manager may have to ask somebody. */
   requestTimeout?: number;

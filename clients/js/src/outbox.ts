@@ -1,9 +1,11 @@
 // What waits to be sent.
 import { encode } from "./binary.js";
-import { local } from "./error.js";
-import { chunk } from "./frames.js";
+import { dropped, local } from "./error.js";
+import { abort, chunk } from "./frames.js";
 import type { Parcel } from "./parcel.js";
 import type { Pipe } from "./pipe.js";
+import { AGAIN, type Marks, STOP, isPerishable, keyOf, laneOf, waitsBehind, withdraws } from "./precedence.js";
+import { wallMicros } from "./value.js";
 
 /** So much is given to a pipe ahead of time; the rest waits here, where what is urgent can overtake it. */
 const AHEAD = 64 * 1024;
@@ -12,14 +14,6 @@ const AHEAD_HIDDEN = 1024 * 1024;
 const PIECE = 16 * 1024;
 /** Streams of chunks that are open at once; a hub takes eight. */
 const STREAMS = 4;
-/** Above it are lanes of what is no data. */
-export const MOST_PRIORITY = 100;
-/** Before what is sent again, and before all else. */
-const STOP = 3e9;
-const AGAIN = 2e9;
-const CONTROL = 1e9;
-/** Behind everything else. */
-const LAST = -1e9;
 
 /** One parcel on its way. */
 export interface Entry {
@@ -27,22 +21,41 @@ export interface Entry {
   readonly frame: Uint8Array;
   /** Whether it is kept until the hub has read it. */
   readonly reliable: boolean;
-  /** Whether a token guards it: it must not be sent after its owner lost the connection. */
-  readonly guarded: boolean;
+  readonly fleeting: boolean;
+  readonly token: string | undefined;
+  readonly awaited: boolean;
+  /** Whether it must not be sent after a loss of the connection. */
+  readonly perishable: boolean;
+  /** What a newer one that takes its place has in common with it. */
+  readonly key: string | undefined;
+  /** When it is worthless, in ms by the clock of the outbox. */
+  readonly until: number;
+  /** Counts what is said. */
+  readonly number: number;
   lane: number;
   /** How much of it has been sent in chunks. */
   at: number;
   stream: number;
 }
 
-/** A message that will not be sent, and why. */
-export type Loss = (parcel: Parcel, reason: string) => void;
+/** Something will not be sent, or nobody can say whether it was read, and why. */
+export type Loss = (entry: Entry, reason: string) => void;
 
 /** Lanes by urgency; a large parcel goes in chunks, and what is more urgent between them. */
 export class Outbox {
-  #lanes = new Map<number, Entry[]>();
-  #open = new Set<Entry>();
+  readonly #lanes = new Map<number, Entry[]>();
+  /** What waits behind messages, these messages, and what was said after it. */
+  #barrier: Entry | undefined;
+  readonly #ahead = new Set<Entry>();
+  #behind: Entry[] = [];
+  /** By their keys, what a newer one may take the place of. */
+  readonly #named = new Map<string | undefined, Entry>();
+  readonly #open = new Set<Entry>();
+  #aborted: number[] = [];
   #streams = 0;
+  #numbers = 0;
+  /** Between a loss of the connection and its end. */
+  #away = false;
   #full: (() => void)[] = [];
   /** Bytes that wait. */
   bytes = 0;
@@ -52,60 +65,117 @@ export class Outbox {
   /** Whether more may be sent at this moment. */
   permits: (entry: Entry) => boolean = () => true;
   wrote: (entry: Entry) => void = () => undefined;
+  /** The clock of timestamps, in ms. */
+  now = (): number => wallMicros() / 1000;
 
   constructor(readonly lost: Loss) {}
 
-  /** Puts a parcel where it belongs, or behind all others. */
-  put(parcel: Parcel, marks: { reliable: boolean; guarded: boolean }, last = false): Entry {
-    const message = parcel.family === "message";
-    const lane = last ? LAST : !message ? CONTROL : parcel.name === "stop" ? STOP : Math.max(-MOST_PRIORITY, Math.min(MOST_PRIORITY, parcel.priority ?? 0));
-    const entry: Entry = { parcel, frame: encode(parcel), ...marks, lane, at: 0, stream: 0 };
-    if (entry.frame.length - 4 > this.parcelLimit) {
-      throw local("too-large", `the parcel has ${entry.frame.length - 4} bytes, and the hub takes ${this.parcelLimit}`);
+  /**
+   * Puts a parcel where it belongs.
+   *
+   * @throws MomError `too-large`, or `lost` for what must not wait until a lost connection is resumed.
+   */
+  put(parcel: Parcel, marks: Marks = {}): void {
+    const entry = this.#entry(parcel, marks);
+    const size = entry.frame.length - 4;
+    if (size > this.parcelLimit) throw local("too-large", `the parcel has ${size} bytes, and the hub takes ${this.parcelLimit}`);
+    if (this.#away && entry.perishable) throw dropped(parcel, "lost");
+    if (entry.lane === STOP) for (const unstop of this.take((waiting) => withdraws(parcel, waiting.parcel))) this.lost(unstop, "withdrawn");
+    this.#add(entry);
+    while (this.bytes > this.most && this.#dropFleeting());
+  }
+
+  #entry(parcel: Parcel, { delivery = "reliable", token, awaited = false }: Marks): Entry {
+    const [lane, message] = [laneOf(parcel), parcel.family === "message"];
+    const { timestamp, expires } = parcel;
+    const created = timestamp ? Number(timestamp.micros) / 1000 : this.now();
+    return {
+      parcel,
+      frame: encode(parcel),
+      // A stop is kept whatever its channel does with other messages, and never too old.
+      reliable: !message || lane === STOP || delivery === "reliable",
+      fleeting: message && lane !== STOP && delivery === "fleeting",
+      token,
+      awaited,
+      perishable: isPerishable(parcel, token),
+      key: keyOf(parcel, delivery),
+      until: !message || lane === STOP || expires === undefined ? Infinity : created + expires,
+      number: ++this.#numbers,
+      lane,
+      at: 0,
+      stream: 0,
+    };
+  }
+
+  /** Queues it up, or puts it in the place of an older one. */
+  #add(entry: Entry): void {
+    const stop = entry.lane === STOP;
+    let old = this.#named.get(entry.key);
+    // Its own answer is what somebody waits for.
+    if (old && (this.#open.has(old) || (stop && old.awaited))) old = undefined;
+    const list = this.#barrier && !stop ? this.#behind : (this.#lanes.get(entry.lane) ?? []);
+    const place = old && old.lane === entry.lane ? list.indexOf(old) : -1;
+    const stays = (later: Entry): boolean => waitsBehind(later.parcel) !== undefined;
+    if (old && place >= 0 && !stays(entry) && !(list === this.#behind && list.slice(place).some(stays))) {
+      list[place] = entry;
+      this.#gone(old);
+      this.#came(entry);
+    } else {
+      // What was said after something that waits behind messages must not overtake it.
+      if (old) this.take((waiting) => waiting === old);
+      this.#came(entry);
+      this.#queue(entry);
     }
-    if (message && parcel.delivery === "latest" && this.#replace(entry)) return entry;
-    this.#push(entry);
-    while (message && this.bytes > this.most && this.#dropFleeting());
-    return entry;
+    if (old && !stop) this.lost(old, "replaced");
   }
 
-  /** Something new of `latest` takes the place of what waits. */
-  #replace(entry: Entry): boolean {
-    const key = ({ context, name, address }: Parcel): string => JSON.stringify([context, name, address]);
-    const lane = this.#lanes.get(entry.lane) ?? [];
-    const wanted = key(entry.parcel);
-    const place = lane.findIndex((old) => old.at === 0 && old.parcel.delivery === "latest" && key(old.parcel) === wanted);
-    const old = lane[place];
-    if (!old) return false;
-    lane[place] = entry;
-    this.bytes += entry.frame.length - old.frame.length;
-    this.lost(old.parcel, "replaced");
-    return true;
+  #came(entry: Entry): void {
+    this.bytes += entry.frame.length;
+    if (entry.key !== undefined) this.#named.set(entry.key, entry);
   }
 
-  #dropFleeting(): boolean {
-    for (const lane of this.#lanes.values()) {
-      const place = lane.findIndex((entry) => entry.at === 0 && entry.parcel.delivery === "fleeting");
-      const [entry] = place < 0 ? [] : lane.splice(place, 1);
-      if (!entry) continue;
-      this.bytes -= entry.frame.length;
-      this.lost(entry.parcel, "queue-full");
-      return true;
+  #gone(entry: Entry): void {
+    this.bytes -= entry.frame.length;
+    if (this.#named.get(entry.key) === entry) this.#named.delete(entry.key);
+    this.#ahead.delete(entry);
+    if (this.#open.delete(entry)) this.#aborted.push(entry.stream);
+  }
+
+  /** Puts it into its lane, or behind what waits for messages. */
+  #queue(entry: Entry): void {
+    if (this.#barrier && entry.lane < AGAIN) {
+      this.#behind.push(entry);
+      return;
     }
-    return false;
+    const fits = waitsBehind(entry.parcel);
+    if (fits) for (const list of this.#lanes.values()) for (const waiting of list) if (fits(waiting)) this.#ahead.add(waiting);
+    if (this.#ahead.size && fits) this.#barrier = entry;
+    else this.#line(entry);
   }
 
-  #push(entry: Entry): void {
+  #line(entry: Entry): void {
     const lane = this.#lanes.get(entry.lane);
     if (lane) lane.push(entry);
     else this.#lanes.set(entry.lane, [entry]);
-    this.bytes += entry.frame.length;
   }
 
-  /** What was sent on an earlier connection and goes again, before anything new; `mark` follows it. */
-  again(entries: Entry[], mark: Parcel): void {
-    for (const entry of entries) this.#push({ ...entry, lane: AGAIN, at: 0 });
-    this.#push({ parcel: mark, frame: encode(mark), reliable: false, guarded: false, lane: AGAIN, at: 0, stream: 0 });
+  /** Lets go what waited behind messages that are gone. */
+  #settle(): void {
+    if (this.#ahead.size) return;
+    const [barrier, behind] = [this.#barrier, this.#behind];
+    [this.#barrier, this.#behind] = [undefined, []];
+    if (barrier) this.#line(barrier);
+    for (const entry of behind) this.#queue(entry);
+  }
+
+  #dropFleeting(): boolean {
+    let oldest: Entry | undefined;
+    for (const list of [...this.#lanes.values(), this.#behind]) {
+      const first = list.find((entry) => entry.fleeting && !this.#open.has(entry));
+      if (first && (!oldest || first.number < oldest.number)) oldest = first;
+    }
+    for (const entry of this.take((waiting) => waiting === oldest)) this.lost(entry, "queue-full");
+    return oldest !== undefined;
   }
 
   /** Waits until there may be capacity. */
@@ -120,10 +190,15 @@ export class Outbox {
   /** Sends what the pipe takes. */
   pump(pipe: Pipe): void {
     const ahead = globalThis.document?.hidden ? AHEAD_HIDDEN : AHEAD;
-    while (pipe.waiting < ahead) {
-      const entry = this.#next();
-      if (!entry || !this.permits(entry)) break;
-      this.#write(pipe, entry);
+    for (;;) {
+      for (const stream of this.#aborted.splice(0)) pipe.send(abort(stream));
+      const entry = pipe.waiting < ahead ? this.#next() : undefined;
+      if (!entry) break;
+      if (entry.until <= this.now()) {
+        this.#shift(entry);
+        this.lost(entry, "expired");
+      } else if (this.permits(entry)) this.#write(pipe, entry);
+      else break;
     }
     this.#wake();
   }
@@ -135,20 +210,19 @@ export class Outbox {
       for (const entry of entries) if (!best || entry.lane > best.lane) best = entry;
       return best;
     };
-    const heads = [...this.#lanes.values()].flatMap((lane) => lane.slice(0, 1));
-    const best = urgent(heads);
-    if (!best || best.at > 0 || best.frame.length <= 2 * PIECE) return best;
+    const best = urgent([...this.#lanes.values()].map((lane) => lane[0]!));
+    if (!best || this.#open.has(best) || best.frame.length <= 2 * PIECE) return best;
     const open = [...this.#open].reduce((sum, entry) => sum + entry.frame.length, best.frame.length);
     return this.#open.size < STREAMS && (open <= this.parcelLimit || !this.#open.size) ? best : urgent(this.#open);
   }
 
   #write(pipe: Pipe, entry: Entry): void {
     const whole = entry.frame.length - 4;
-    if (entry.at === 0 && (entry.lane === STOP || entry.frame.length <= 2 * PIECE)) {
+    if (!this.#open.has(entry) && (entry.lane === STOP || entry.frame.length <= 2 * PIECE)) {
       pipe.send(entry.frame);
       return this.#done(entry);
     }
-    if (entry.at === 0) {
+    if (!this.#open.has(entry)) {
       entry.stream = ++this.#streams;
       this.#open.add(entry);
     }
@@ -159,37 +233,66 @@ export class Outbox {
   }
 
   #done(entry: Entry): void {
-    const lane = this.#lanes.get(entry.lane)!;
-    // Only the first of a lane is ever sent.
-    lane.shift();
-    if (!lane.length) this.#lanes.delete(entry.lane);
     this.#open.delete(entry);
-    this.bytes -= entry.frame.length;
+    this.#shift(entry);
     if (entry.parcel.family !== "time") this.wrote(entry);
   }
 
-  /** The connection is lost: what was half sent begins anew. */
-  detach(): void {
+  /** Takes out the first of a lane; only that is ever sent. */
+  #shift(entry: Entry): void {
+    const lane = this.#lanes.get(entry.lane)!;
+    lane.shift();
+    if (!lane.length) this.#lanes.delete(entry.lane);
+    this.#gone(entry);
+    this.#settle();
+  }
+
+  /** The connection is lost: what was half sent begins anew, and what must not be sent late is dropped. */
+  lose(): void {
+    this.#away = true;
     for (const entry of this.#open) entry.at = 0;
     this.#open.clear();
-    this.#streams = 0;
+    [this.#streams, this.#aborted] = [0, []];
+    for (const entry of this.take((waiting) => waiting.perishable)) if (entry.parcel.family !== "time") this.lost(entry, "lost");
   }
 
-  /** Takes out what was to go again, and did not yet. */
-  takeAgain(): Entry[] {
-    return this.take((entry) => entry.lane === AGAIN).filter((entry) => entry.parcel.family !== "time");
+  /** There is a connection again: what had left and was not read goes again, before all that waits, and `mark` behind it. */
+  back(unread: readonly Entry[], mark?: Parcel): void {
+    this.#away = false;
+    // What goes again has left before what waits, so a newer stop takes the place of an older one here, too.
+    for (const entry of [...unread, ...this.take(({ lane }) => lane === STOP || lane === AGAIN)]) {
+      entry.at = 0;
+      if (entry.perishable || !entry.reliable) this.lost(entry, "unknown");
+      else if (entry.lane === STOP) this.#add(entry);
+      else this.#again(entry);
+    }
+    if (mark) this.#again(this.#entry(mark, {}));
   }
 
-  /** Takes out what is not to be sent any more, in its order. */
+  #again(entry: Entry): void {
+    entry.lane = AGAIN;
+    this.#came(entry);
+    this.#line(entry);
+  }
+
+  /** Takes out what is not to be sent any more, lane by lane. */
   take(which: (entry: Entry) => boolean): Entry[] {
     const taken: Entry[] = [];
+    const left = (list: readonly Entry[]): Entry[] => {
+      const kept: Entry[] = [];
+      for (const entry of list) (which(entry) ? taken : kept).push(entry);
+      return kept;
+    };
     for (const [number, lane] of this.#lanes) {
-      const kept = lane.filter((entry) => !which(entry));
-      taken.push(...lane.filter(which));
+      const kept = left(lane);
       if (kept.length) this.#lanes.set(number, kept);
       else this.#lanes.delete(number);
     }
-    for (const entry of taken) this.bytes -= entry.frame.length;
+    if (this.#barrier) [this.#barrier] = left([this.#barrier]);
+    if (!this.#barrier) this.#ahead.clear();
+    this.#behind = left(this.#behind);
+    for (const entry of taken) this.#gone(entry);
+    this.#settle();
     this.#wake();
     return taken;
   }

@@ -2,16 +2,18 @@
 import { shown } from "./address.js";
 import { HubClock } from "./clock.js";
 import { Connector } from "./connector.js";
-import { MomError, disconnected } from "./error.js";
+import { MomError, disconnected, dropped } from "./error.js";
 import { type Event, type Events, Subscribers, eventOf } from "./events.js";
 import { Guards, type Hold } from "./guards.js";
+import { stopStateOf } from "./latch.js";
 import { Ledger } from "./ledger.js";
-import type { Link, Welcome } from "./login.js";
+import { type Link, type Welcome, check } from "./login.js";
 import type { ConnectOptions, LinkState } from "./options.js";
-import { type Entry, MOST_PRIORITY, Outbox } from "./outbox.js";
+import { type Entry, Outbox } from "./outbox.js";
 import type { Parcel } from "./parcel.js";
 import { Pending } from "./pending.js";
 import { type Place, Places, wayTo } from "./places.js";
+import { MOST_PRIORITY } from "./precedence.js";
 import { Queue } from "./queue.js";
 import { type Fields, Time, fieldsOf, int, wallMicros } from "./value.js";
 import type { Wire } from "./wire.js";
@@ -32,9 +34,11 @@ export class Peer {
   readonly pending = new Pending();
   readonly subscribers: Subscribers;
   readonly consults = new Set<ConsultListener>();
+  /** Hear of each state of the link: nothing must move without one. */
+  readonly devices = new Set<{ link(state: LinkState): void }>();
   readonly onQueued = new Map<string, (place: number, expected: number | undefined) => void>();
   readonly onGrabbed = new Map<string, (grant: Fields) => boolean>();
-  readonly outbox = new Outbox((parcel, reason) => this.#lostMessage(parcel, reason));
+  readonly outbox = new Outbox((entry, reason) => this.#dropped(entry, reason));
   readonly connector: Connector;
   readonly #states = new Set<Queue<LinkState>>();
   #link: Link | null = null;
@@ -46,9 +50,6 @@ export class Peer {
   #lastId = 0;
   #heard = 0;
   #pinged = 0;
-  /** Messages that wait for the outbox, one after the other. */
-  #turns = 0;
-  #turn: Promise<void> = Promise.resolve();
   #sentTo = new Map<number, string>();
   #graceOver: ReturnType<typeof setTimeout> | undefined;
   #endServing: (why: string) => void = () => undefined;
@@ -57,6 +58,7 @@ export class Peer {
   readonly closed = new Promise<void>((resolve) => (this.#noteClosed = resolve));
 
   constructor(address: string, readonly options: ConnectOptions) {
+    check(options);
     this.subscribers = new Subscribers(options.eventBuffer ?? 4096, (event) => this.#isOver(event));
     this.connector = new Connector(address, options, () => ++this.#lastId);
     this.outbox.wrote = (entry) => this.#link && this.#ledger.wrote(entry);
@@ -82,7 +84,7 @@ export class Peer {
       const why = await serve();
       const closing = this.#closing;
       this.#wire = null;
-      this.outbox.detach();
+      this.outbox.lose();
       if (this.#ending || (closing && !closing.mayReconnect)) return this.#close(this.#ending ? null : closing);
       const lost = closing ?? disconnected(why);
       if (closing || !this.#link) this.#lose(lost);
@@ -138,12 +140,7 @@ export class Peer {
       wire.drop();
       throw new MomError("refused", "bad-count", `the hub has read ${read} parcels, more than were sent`, 408);
     }
-    const all = [...unread, ...this.outbox.takeAgain()];
-    const goes = (entry: Entry): boolean => entry.reliable && !entry.guarded;
-    // Sent before the safe state, guarded messages must not move anything after it.
-    const dropped = [...all.filter((entry) => !goes(entry)), ...this.outbox.take((entry) => entry.guarded)];
-    this.outbox.again(all.filter(goes), { family: "time", name: "resent" });
-    for (const entry of dropped) this.#lostMessage(entry.parcel, entry.guarded ? "older-fence" : "disconnected");
+    this.outbox.back(unread, { family: "time", name: "resent" });
     const count = int(content, "dropped") ?? 0;
     if (count) this.subscribers.deliver([], { type: "dropped", path: "/", reason: "disconnected", count });
     return this.#up(wire, true);
@@ -153,6 +150,7 @@ export class Peer {
   #welcomed(wire: Wire, welcome: Welcome, again: boolean): () => Promise<string> {
     [this.me, this.#link, this.#ledger] = [welcome, welcome.link, new Ledger()];
     [this.outbox.most, this.outbox.parcelLimit] = [welcome.limits.outbox, welcome.limits.parcel];
+    this.outbox.back([]);
     const places = this.places.all();
     if (again && !places.length) this.subscribers.deliver([], { type: "rejoined" });
     const serve = this.#up(wire, false);
@@ -228,12 +226,14 @@ export class Peer {
   /** Everything that belonged to the old link is lost. */
   #lose(error: MomError): void {
     clearTimeout(this.#graceOver);
+    const left = this.#ledger.kept;
     [this.#link, this.#ledger] = [null, new Ledger()];
     this.connector.numbers.clear();
     this.guards.loseWithin("/", { reason: "disconnected" });
-    const unsent = this.outbox.take(() => true);
-    this.pending.failAll(error);
-    for (const entry of unsent) this.#lostMessage(entry.parcel, "disconnected");
+    for (const entry of this.outbox.take(() => true)) this.#dropped(entry, "lost", error);
+    for (const entry of left) this.#dropped(entry, "unknown", error);
+    // What the hub has read may still be without its answer.
+    this.pending.failAll((parcel) => dropped(parcel, "unknown", error));
     this.subscribers.deliverAll({ type: "link-down" });
     if (this.state.state === "resuming") this.#state({ ...this.state, state: "trying" });
   }
@@ -245,7 +245,7 @@ export class Peer {
     this.#link = null;
     this.outbox.take(() => true);
     this.guards.loseWithin("/", { reason: "disconnected" });
-    this.pending.failAll(closed);
+    this.pending.failAll(() => closed);
     this.subscribers.closeAll();
     this.#state(error ? { state: "closed", error } : { state: "closed" });
     for (const queue of this.#states) queue.close();
@@ -265,7 +265,7 @@ export class Peer {
     if (!this.#wire) return this.closed;
     const id = ++this.#lastId;
     const answered = this.pending.wait({ family: "login", name: "logout" }, id, LAST_WORDS).catch(() => undefined);
-    this.outbox.put({ family: "login", name: "logout", id }, { reliable: true, guarded: false }, true);
+    this.outbox.put({ family: "login", name: "logout", id }, { awaited: true });
     this.pump();
     await answered;
     this.#endServing("logged out");
@@ -274,6 +274,7 @@ export class Peer {
 
   #state(state: LinkState): void {
     this.state = state;
+    for (const device of this.devices) device.link(state);
     for (const queue of this.#states) queue.push(state);
     this.options.onState?.(state);
   }
@@ -326,6 +327,7 @@ export class Peer {
   #event(parcel: Parcel): void {
     const event = eventOf(parcel);
     const path = parcel.context ?? "/";
+    this.places.get(path)?.latch.observe(event);
     switch (event.type) {
       case "grabbed":
       case "released":
@@ -386,36 +388,11 @@ export class Peer {
     if (!this.#wire && !this.#link) throw disconnected("there is no connection to the hub at this moment");
   }
 
-  /** Puts a message into the outbox in its turn, where it is full as soon as it is not; a stop waits for nothing. */
-  async #putInTurn(parcel: Parcel): Promise<void> {
-    const free = !this.#turns && this.outbox.bytes < this.outbox.most;
-    if (free || parcel.name === "stop") return this.#put(parcel);
-    this.#turns += 1;
-    const before = this.#turn;
-    this.#turn = (async () => {
-      await before.catch(() => undefined);
-      try {
-        while (this.outbox.bytes >= this.outbox.most) {
-          await this.outbox.room();
-          this.#check();
-        }
-        this.#put(parcel);
-      } finally {
-        this.#turns -= 1;
-      }
-    })();
-    return this.#turn;
-  }
-
-  #put(parcel: Parcel): void {
-    const place = this.places.get(parcel.context ?? "");
-    const message = parcel.family === "message";
-    const reliable = !message || (parcel.delivery ?? place?.delivery ?? "reliable") === "reliable";
-    const guarded = message && this.places.isGuarded(parcel.context, parcel.name);
-    if (guarded && !this.#wire) {
-      throw new MomError("connection", "older-fence", `${parcel.name} was not sent: the connection is lost, and what ${parcel.context} moves was made safe meanwhile`, 205);
-    }
-    this.outbox.put(parcel, { reliable, guarded });
+  /** Queues a parcel up at once, also in a full outbox: what is said later must not get in before it. */
+  #put(parcel: Parcel, awaited: boolean): void {
+    const { context, name } = parcel;
+    const token = parcel.family === "message" ? this.places.tokenOf(context, name) : undefined;
+    this.outbox.put(parcel, { delivery: parcel.delivery ?? this.places.get(context ?? "")?.delivery ?? "reliable", token, awaited });
     this.pump();
   }
 
@@ -423,51 +400,59 @@ export class Peer {
   async request(parcel: Parcel, timeout = this.options.requestTimeout ?? 40_000, late?: (reply: Parcel) => void): Promise<Parcel> {
     this.#check();
     const id = parcel.id ?? ++this.#lastId;
-    const sent = { ...parcel, id, timestamp: parcel.timestamp ?? Time.now() };
+    const sent: Parcel = { ...parcel, id, timestamp: parcel.timestamp ?? Time.now() };
+    if (parcel.family === "token" && parcel.name === "release") {
+      // By its fence it can be said again after a loss: it gives up this ownership, and no later one.
+      const fence = parcel.fence ?? this.guards.owned(parcel.context ?? "")?.fence;
+      if (fence !== undefined) sent.fence = fence;
+    }
     const answer = this.pending.wait(sent, id, timeout, late);
     // It may fail while the message still waits.
     answer.catch(() => undefined);
     try {
-      if (parcel.family === "message") await this.#putInTurn(sent);
-      else this.#put(sent);
+      this.#put(sent, true);
     } catch (error) {
       this.pending.fail(id, error as MomError);
     }
     return answer;
   }
 
-  /** Sends a parcel without waiting for an answer. */
+  /** Sends a parcel without waiting for an answer; where the outbox is full, waits until it is not, but for what stops and frees devices. */
   async post(parcel: Parcel): Promise<void> {
     this.#check();
     const id = parcel.id ?? ++this.#lastId;
-    await this.#putInTurn({ ...parcel, id, timestamp: parcel.timestamp ?? Time.now() });
-    if (parcel.context === undefined) return;
-    this.#sentTo.set(id, parcel.context);
+    this.#put({ ...parcel, id, timestamp: parcel.timestamp ?? Time.now() }, false);
+    if (parcel.context !== undefined) this.#sentTo.set(id, parcel.context);
     for (const old of this.#sentTo.keys()) {
       if (this.#sentTo.size <= REMEMBERED) break;
       this.#sentTo.delete(old);
     }
+    if (this.outbox.bytes < this.outbox.most || parcel.name === "stop" || parcel.name === "unstop") return;
+    await this.outbox.room();
+    if (this.state.state === "closed") this.#check();
   }
 
-  /** A message will not be sent. */
-  #lostMessage(parcel: Parcel, reason: string): void {
+  /** A parcel will not be sent, or nobody can say whether it was read: whoever said it hears so. */
+  #dropped({ parcel, awaited }: Entry, reason: string, cause?: MomError): void {
     const { id, context: path = "/", delivery } = parcel;
-    if (id !== undefined && this.pending.has(id)) {
-      this.pending.fail(id, new MomError("connection", reason, `${parcel.name} was dropped before it was sent`, 305));
-    } else if (parcel.family === "message") {
-      this.subscribers.deliver([path], { type: "dropped", path, reason, count: 1, parcel, ...(delivery ? { delivery } : {}) });
-    }
+    if (awaited) this.pending.fail(id ?? -1, dropped(parcel, reason, cause));
+    else this.subscribers.deliver([path], { type: "dropped", path, reason, count: 1, parcel, ...(delivery ? { delivery } : {}) });
   }
 
   // Contexts.
 
   async #join(place: Place): Promise<Fields> {
     const parcel: Parcel = { family: "context", name: "join", context: place.path };
-    if (place.terms) parcel.content = place.terms;
+    if (place.terms) parcel.content = place.terms["device"] === true ? { ...place.terms, device: place.latch.word() } : place.terms;
     // From here on, since what comes right behind the answer is its first subscriber's.
     this.subscribers.keepEarly(place.path);
     const reply = fieldsOf((await this.request(parcel)).content);
     this.places.joined(place, reply);
+    if (place.terms?.["device"] === true || reply["stop"] !== undefined) {
+      const stops: Event = { type: "stops", path: place.path, state: stopStateOf(reply["stop"]) };
+      place.latch.observe(stops);
+      this.subscribers.deliver([place.path], stops);
+    }
     return reply;
   }
 
@@ -520,6 +505,8 @@ export class Peer {
   renewed(welcome: Welcome): void {
     if (this.me && welcome.user !== this.me.user) {
       // Another user is another peer, and nothing of the old one belongs to it.
+      // The hub has read what was said before this login.
+      this.#ledger = new Ledger();
       this.#lose(disconnected("logged in as another user"));
       this.places.removeWithin("/");
     }

@@ -1,4 +1,4 @@
-import { MomError } from "./error.js";
+import { MomError, nameOf } from "./error.js";
 import type { Parcel } from "./parcel.js";
 
 interface Waiting {
@@ -19,9 +19,8 @@ export class Pending {
   wait(parcel: Parcel, id: number, timeout: number, late?: (reply: Parcel) => void): Promise<Parcel> {
     return new Promise((resolve, reject) => {
       const waiting: Waiting = { parcel, resolve, reject, timer: undefined, late, over: false };
-      const what = `${parcel.family} ${parcel.name}${parcel.context === undefined ? "" : ` ${parcel.context}`}`;
       const overdue = (): void => {
-        this.#fail(id, new MomError("timed-out", "timed-out", `no answer to ${what} within ${timeout} ms; it is unknown whether it was carried out`));
+        this.#fail(id, new MomError("timed-out", "timed-out", `no answer to ${nameOf(parcel)} within ${timeout} ms; it is unknown whether it was carried out`));
       };
       if (timeout < Infinity) waiting.timer = setTimeout(overdue, timeout);
       this.#open.set(id, waiting);
@@ -60,7 +59,7 @@ export class Pending {
     this.#open.delete(id);
   }
 
-  failAll(error: MomError): void {
-    for (const id of [...this.#open.keys()]) this.fail(id, error);
+  failAll(why: (parcel: Parcel) => MomError): void {
+    for (const [id, { parcel }] of [...this.#open]) this.fail(id, why(parcel));
   }
 }

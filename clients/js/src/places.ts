@@ -1,4 +1,5 @@
 // The contexts that this peer wants to be in.
+import { Latch } from "./latch.js";
 import { type Fields, fieldsOf, int, isFields, list, text } from "./value.js";
 import type { Delivery } from "./parcel.js";
 
@@ -22,6 +23,13 @@ export interface Place {
   kind: string;
   delivery: Delivery;
   guard: GuardState | null;
+  /** What a device has heard of stops, for when it joins again. */
+  readonly latch: Latch;
+}
+
+/** Whether a path is this context or below it. */
+export function isWithin(path: string, top: string): boolean {
+  return top === "/" || path === top || path.startsWith(`${top}/`);
 }
 
 /** The path and those above it, the uppermost first, without the root. */
@@ -43,7 +51,7 @@ export class Places {
   }
 
   add(path: string, terms: Fields | undefined): Place {
-    const place: Place = { path, terms, joined: Promise.resolve({}), kind: "", delivery: "reliable", guard: null };
+    const place: Place = { path, terms, joined: Promise.resolve({}), kind: "", delivery: "reliable", guard: null, latch: new Latch() };
     this.#all.set(path, place);
     return place;
   }
@@ -64,7 +72,7 @@ export class Places {
   }
 
   removeWithin(top: string): void {
-    for (const path of [...this.#all.keys()]) if (top === "/" || path === top || path.startsWith(`${top}/`)) this.#all.delete(path);
+    for (const path of [...this.#all.keys()]) if (isWithin(path, top)) this.#all.delete(path);
   }
 
   /** The channels that a token guards. */
@@ -72,9 +80,9 @@ export class Places {
     return this.all().filter((place) => place.guard?.token === token);
   }
 
-  /** Whether a token guards messages of this name there. */
-  isGuarded(path: string | undefined, name: string): boolean {
-    const names = this.#all.get(path ?? "")?.guard?.names;
-    return names !== undefined && (names.includes("*") || names.includes(name));
+  /** The token that guards messages of this name there; to stop and to free a device needs none. */
+  tokenOf(path: string | undefined, name: string): string | undefined {
+    const { names, token } = this.#all.get(path ?? "")?.guard ?? {};
+    return name !== "stop" && name !== "unstop" && (names?.includes("*") || names?.includes(name)) ? token : undefined;
   }
 }

@@ -1,4 +1,4 @@
-/** Things in their order, for one who takes them; beyond the most the oldest are dropped and counted. */
+/** Things in their order, for one who takes them; beyond the most the oldest are dropped and counted, but for those that are kept. */
 export class Queue<T> implements AsyncIterableIterator<T> {
   #waiting: T[] = [];
   #takers: ((result: IteratorResult<T>) => void)[] = [];
@@ -13,6 +13,8 @@ export class Queue<T> implements AsyncIterableIterator<T> {
     readonly ends: (queue: Queue<T>) => void,
     /** Which are not given out. */
     readonly skips: (item: T) => boolean = () => false,
+    /** What is kept even beyond the most, as the newest of those that give the same word. */
+    readonly keeps: (item: T) => string | undefined = () => undefined,
   ) {}
 
   get length(): number {
@@ -29,10 +31,19 @@ export class Queue<T> implements AsyncIterableIterator<T> {
       return;
     }
     this.#waiting.push(item);
-    if (this.#waiting.length > this.most) {
-      this.#waiting.shift();
-      this.#lost += 1;
+    while (this.#waiting.length > this.most && this.#drop()) this.#lost += 1;
+  }
+
+  /** Drops the oldest that need not be kept, or else the oldest of which there is a newer one. */
+  #drop(): boolean {
+    let place = this.#waiting.findIndex((item) => this.keeps(item) === undefined);
+    if (place < 0) {
+      const words = this.#waiting.map(this.keeps);
+      place = words.findIndex((word, at) => words.indexOf(word, at + 1) > 0);
     }
+    if (place < 0) return false;
+    this.#waiting.splice(place, 1);
+    return true;
   }
 
   /** @internal What waits can still be taken. */

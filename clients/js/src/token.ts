@@ -1,9 +1,10 @@
 import type { Client } from "./client.js";
 import { asyncDispose } from "./disposal.js";
+import { MomError } from "./error.js";
 import type { Hold, Loan, Lost } from "./guards.js";
 import type { Parcel } from "./parcel.js";
 import { Joined } from "./session.js";
-import { type Fields, fieldsOf, list } from "./value.js";
+import { type Fields, fieldsOf, int, list } from "./value.js";
 
 /** How to grab a token. */
 export interface GrabOptions {
@@ -36,13 +37,15 @@ export class Token extends Joined {
     const { wait, onPlace, signal } = options;
     const { peer } = this.client;
     const most = wait === "unlimited" ? Infinity : (peer.options.requestTimeout ?? 40_000) + (wait ?? 0);
-    const withdraw = (): void => void this.#ask("release").catch(() => undefined);
+    let waits = true;
+    const withdraw = (): void => void this.#withdraw(() => waits);
     signal?.throwIfAborted();
     signal?.addEventListener("abort", withdraw, { once: true });
     if (onPlace) peer.onQueued.set(this.path, onPlace);
     try {
       return await this.#obtain("grab", wait === undefined ? {} : { wait }, most);
     } finally {
+      waits = false;
       signal?.removeEventListener("abort", withdraw);
       peer.onQueued.delete(this.path);
     }
@@ -85,6 +88,16 @@ export class Token extends Joined {
     return new InhibitGuard(this.client, this.client.peer.guards.shares(this.path));
   }
 
+  /** Leaves the queue. There is no fence yet, so a lost connection drops that, and it is said again as long as the grab waits. */
+  async #withdraw(waits: () => boolean): Promise<void> {
+    for await (const { state } of this.client.peer.states()) {
+      if (!waits()) return;
+      if (state !== "connected" && state !== "stale") continue;
+      const error: unknown = await this.#ask("release").catch((error: unknown) => error);
+      if (!(error instanceof MomError) || (error.code !== "lost" && error.code !== "unknown")) return;
+    }
+  }
+
   #ask(name: string, content?: Fields): Promise<Fields> {
     return this.client.ask("token", name, this.path, content);
   }
@@ -94,7 +107,10 @@ export class Token extends Joined {
     const parcel: Parcel = { family: "token", name, context: this.path };
     if (Object.keys(content).length) parcel.content = content;
     // What is granted when nobody waits for it any more is not kept.
-    const late = (): void => void this.#ask("release").catch(() => undefined);
+    const late = (reply: Parcel): void => {
+      const fence = int(fieldsOf(reply.content), "fence");
+      void peer.request({ family: "token", name: "release", context: this.path, ...(fence === undefined ? {} : { fence }) }).catch(() => undefined);
+    };
     const reply = await peer.request(parcel, timeout, late);
     return new TokenGuard(this.client, peer.guards.granted(this.path, fieldsOf(reply.content)));
   }
@@ -168,13 +184,22 @@ export class TokenGuard extends Guard {
     if (options.for !== undefined || options.commands !== undefined) {
       peer.onGrabbed.set(this.path, (grant) => given.back(grant, this.hold));
     }
-    await this.client.ask("token", "give", this.path, { to, ...options });
+    try {
+      await this.client.ask("token", "give", this.path, { to, ...options });
+    } catch (error) {
+      // A later grant to this peer is none that returns.
+      peer.onGrabbed.delete(this.path);
+      throw error;
+    }
     return given;
   }
 
   async release(): Promise<void> {
     if (this.hold.is) return;
-    await this.client.ask("token", "release", this.path);
+    await this.client.ask("token", "release", this.path).catch((error: MomError) => {
+      // It has another owner by now, or none.
+      if (error.code !== "older-fence") throw error;
+    });
     this.client.peer.guards.released(this.path, this.fence, { reason: "released" });
   }
 }

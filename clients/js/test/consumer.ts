@@ -1,5 +1,5 @@
 // What a program in TypeScript may rely on; `tsc` reads it against the types that are packed.
-import { Key, MomError, Time, connect, type Event, type LinkState } from "../dist/types/index.js";
+import { Key, MomError, Time, connect, isObeyed, type Device, type Event, type LinkState, type StopState } from "../dist/types/index.js";
 
 export async function drive(pem: string): Promise<number> {
   await using client = await connect("mom://127.0.0.1", { user: "arm", key: await Key.fromPem(pem), onState: (state: LinkState) => console.log(state.state) });
@@ -10,8 +10,19 @@ export async function drive(pem: string): Promise<number> {
   return delivered;
 }
 
+export async function stop(user: string): Promise<Device> {
+  const client = await connect("mom://127.0.0.1", { user });
+  const { channels, others, denied } = await client.stop("/", { reason: "smoke", within: 500 });
+  const state: StopState = await client.stops("/robot/arm");
+  await client.unstop("/robot", Object.fromEntries(channels.filter(isObeyed).map(({ path, number }) => [path, number])), { within: 0 });
+  await client.unstop("/robot/arm", state.number);
+  console.log(others, denied.length, state.since?.toDate(), channels[0]?.devices[0]?.word === "lost");
+  return client.obey("/robot/arm", { halt: (why) => console.log(why), move: async (command) => console.log(command), state: () => ({ pose: 1 }) });
+}
+
 function show(event: Event): void {
   if (event.type === "message") console.log(event.sender, event.content, event.parcel.received instanceof Time);
   else if (event.type === "grabbed") console.log(event.owner, event.fence + 1, event.lease ?? Infinity);
+  else if (event.type === "stops") console.log(event.state.by, event.unstoppedBy);
   else if (event.type === "refused") console.log(event.error instanceof MomError && event.error.retryAfter);
 }

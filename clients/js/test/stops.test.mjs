@@ -1,0 +1,139 @@
+// Stopping a session and a channel, and letting go, against a real broker; what waits and what is dropped, at a hub of the test's.
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import test, { after, before } from "node:test";
+import { setTimeout as sleep } from "node:timers/promises";
+import { WebSocket } from "ws";
+import { Time, connect, isObeyed } from "../dist/mom-client.js";
+import { FakeHub } from "./fakehub.mjs";
+import { as, startLab, until } from "./lab.mjs";
+
+let lab;
+before(async () => (lab = await startLab()));
+after(() => lab.stop());
+
+async function open(t, user, options) {
+  const client = await connect(`ws://127.0.0.1:${lab.port}`, as(user, options));
+  t.after(() => client.close());
+  return client;
+}
+
+const eventually = async (holds) => {
+  for (const end = Date.now() + 5000; !(await holds()); await sleep(5)) assert.ok(Date.now() < end, `waited for ${holds}`);
+};
+
+/** A robot at the lab, and what its machine was told. */
+async function robot(t) {
+  const told = [];
+  const client = await open(t, "arm");
+  const device = await client.obey("/robot/arm", { halt: (why) => told.push(why), move: (command) => told.push(command) });
+  return { client, device, told };
+}
+
+test("one request stops what is below a session, without joining it, and an unstop that names the numbers lets go", async (t) => {
+  const { client: arm, device, told } = await robot(t);
+  const [alice, bob] = [await open(t, "alice"), await open(t, "bob")];
+  const seen = (await bob.channel("/robot/arm")).events();
+  const report = await alice.stop("/", { reason: "smoke" });
+  const { path, number, guarded, devices } = report.channels.find((told) => told.path === "/robot/arm");
+  assert.deepEqual([guarded, devices], [true, [{ peer: arm.name, word: "stopped" }]]);
+  assert.ok(report.others > 0 && device.isStopped);
+  assert.match(told.at(-1), /^stopped by .*: smoke$/);
+  const stop = await until(seen, (event) => event.type === "message" && event.name === "stop");
+  assert.deepEqual([stop.stop, stop.parcel.context], [number, path]);
+  // Whoever asks or comes later finds out who did it and why.
+  const state = await bob.stops("/robot/arm");
+  assert.deepEqual([state.number, state.stopped, state.by, state.user, state.reason, state.since instanceof Time], [number, true, alice.name, "alice", "smoke", true]);
+  const listed = (await bob.list("/robot")).find((each) => each.path === "/robot/arm");
+  assert.deepEqual([listed.stop.number, listed.stop.by], [number, alice.name]);
+  const late = (await (await open(t, "bob")).channel("/robot/arm")).events();
+  const told1 = await until(late, (event) => event.type === "stops");
+  assert.deepEqual([told1.path, told1.state.number, told1.state.reason], ["/robot/arm", number, "smoke"]);
+
+  const freed = await bob.unstop("/", { "/robot/arm": number });
+  const one = freed.channels.find((channel) => channel.path === path);
+  assert.ok(isObeyed(one), JSON.stringify(one));
+  assert.deepEqual([one.devices, device.mayMove()], [[{ peer: arm.name, word: "unstopped" }], null]);
+  assert.equal((await until(late, (event) => event.type === "message" && event.name === "unstop")).stop, number);
+  assert.equal((await bob.stops("/robot/arm")).stopped, false);
+});
+
+test("an unstop of an older stop lifts nothing, and says who has stopped since, and why", async (t) => {
+  const { device } = await robot(t);
+  const [alice, bob] = [await open(t, "alice"), await open(t, "bob")];
+  const first = (await alice.stop("/robot/arm")).channels[0].number;
+  const second = (await bob.stop("/robot/arm", { reason: "a hand is in it", within: 500 })).channels[0].number;
+  assert.ok(second > first);
+  const [refused] = (await alice.unstop("/robot/arm", first)).channels;
+  assert.deepEqual(refused.newer.map(({ number, by, reason, stopped }) => [number, by, reason, stopped]), [[second, bob.name, "a hand is in it", true]]);
+  assert.ok(!isObeyed(refused) && device.isStopped);
+  // By a message, too, where the number stands in a slot.
+  const channel = await alice.channel("/robot/arm");
+  await assert.rejects(channel.sendAcknowledged("unstop", undefined, { stop: first }), { code: "newer-stop" });
+  await assert.rejects(channel.sendAcknowledged("unstop"), { code: "bad-slot" });
+  await channel.sendAcknowledged("unstop", undefined, { stop: second });
+  await eventually(() => !device.isStopped);
+});
+
+test("a device that is thinned stays one, and its own stop is stopped in the hub's books", async (t) => {
+  const { client, device } = await robot(t);
+  await device.channel.thin({ newest: true });
+  const bob = await open(t, "bob");
+  assert.deepEqual((await bob.members("/robot/arm")).map(({ peer, device }) => [peer, device]), [[client.name, true]]);
+  device.stopItself("bumper");
+  await eventually(async () => (await bob.stops("/robot/arm")).stopped);
+  const { only, reason, number } = await bob.stops("/robot/arm");
+  assert.deepEqual([only, reason], [[client.name], "stopped by itself: bumper"]);
+  await eventually(() => device.mayMove()?.held === "stopped");
+  await bob.unstop("/robot/arm", number);
+  assert.equal(device.isStopped, false);
+});
+
+test("the robot of the README fits 25 lines, and obeys", async (t) => {
+  const [, example] = /## A robot\n[\s\S]*?```js\n([\s\S]*?)```/.exec(readFileSync(new URL("../README.md", import.meta.url), "utf8"));
+  assert.ok(example.trimEnd().split("\n").length <= 25);
+  const lines = example.replace(/^import .*$/m, "").replace("mom://lab.example.org", `ws://127.0.0.1:${lab.port}`).replace('"secret"', '"arm"');
+  const AsyncFunction = (async () => undefined).constructor;
+  const told = [];
+  const motors = { brake: (why) => told.push(why), drive: (command) => told.push(command), position: () => 7 };
+  const mine = async (address, options) => {
+    const client = await connect(address, { ...options, webSocket: WebSocket });
+    t.after(() => client.close());
+    return client;
+  };
+  await new AsyncFunction("connect", "motors", "setInterval", lines)(mine, motors, () => undefined);
+  const alice = await open(t, "alice");
+  const events = (await alice.channel("/robot/arm")).events();
+  const guard = await (await alice.token("/robot/token")).grab();
+  await (await alice.channel("/robot/arm")).sendAcknowledged("command", "home", { fence: guard.fence });
+  await eventually(() => told.includes("home"));
+  const { channels } = await alice.stop("/robot");
+  assert.equal(channels.find(({ path }) => path === "/robot/arm").devices[0].word, "stopped");
+  const { content } = await until(events, (event) => event.type === "message" && event.name === "state" && event.content.stopped);
+  assert.equal(content.position, 7);
+  await alice.unstop("/robot/arm", content.stop);
+  await guard.release();
+});
+
+test("a request to stop is sent again after a loss, and what lets go is dropped then", async (t) => {
+  const hub = await FakeHub.start();
+  t.after(() => hub.stop());
+  hub.onParcel = (connection, parcel) => {
+    if (parcel.name === "stop" && hub.silent) return;
+    if (parcel.name === "stop" || parcel.name === "unstop") connection.reply(parcel, { channels: [], others: 0, denied: [] });
+    else hub.answer(connection, parcel);
+  };
+  const alice = await connect(hub.url, { guest: true, webSocket: WebSocket, link: true });
+  t.after(() => alice.close());
+  hub.silent = true;
+  const again = alice.stop("/robot", { reason: "smoke" });
+  await eventually(() => hub.heard.filter(({ name }) => name === "stop").length === 1);
+  // The hub has not acknowledged it.
+  hub.link.read -= 1;
+  hub.silent = false;
+  hub.cut();
+  await eventually(() => alice.state.state === "resuming");
+  await assert.rejects(alice.unstop("/robot/arm", 3), { code: "lost" });
+  await again;
+  assert.deepEqual(hub.heard.filter(({ name }) => name === "stop").map(({ content }) => content?.reason), ["smoke", "smoke"]);
+});
