@@ -164,7 +164,7 @@ export async function start({ config, origins = [], relay: relayed = false, file
       const options = ["--config", join(folder, "lab.toml"), "--listen", "127.0.0.1:0", ...args.map((arg) => arg.replace("FOLDER", folder))];
       program = await startProgram(broker, options, { XDG_STATE_HOME: folder, STATE_DIRECTORY: "", ...env });
     } else {
-      program = await startProgram(mom, ["lab", ...lab, "--listen", "127.0.0.1:0"], env);
+      program = await startProgram(mom, ["lab", ...lab, "--listen", "127.0.0.1:0"], { XDG_STATE_HOME: folder, STATE_DIRECTORY: "", ...env });
     }
     const { child, port } = program;
     ends.push(async () => {

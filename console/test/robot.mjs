@@ -1,10 +1,10 @@
 // A mirrored robot that is none: a peer that says what the middle of one says in its channels, and obeys what is sent to it.
 import { load } from "./bundle.mjs";
 
-const { connect } = await load("../../clients/js/src/index.ts");
+const { Latch, connect } = await load("../../clients/js/src/index.ts");
 
 /** The contexts of a mirrored robot. */
-export const contextsOf = (path) => `
+const contextsOf = (path) => `
 [[contexts]]
 path = "${path}"
 kind = "session"
@@ -22,6 +22,14 @@ kind = "channel"
 delivery = "latest"
 keep = { latest = true }
 `;
+
+/** The lab's configuration with such robots in it, which carol's peers may be. */
+export const withRobots = (...paths) => (lab) => {
+  const before = '[[managers.lab.rules]]\nname = "only those are devices';
+  if (!lab.includes(before)) throw new Error("the lab has no such rule any more");
+  const rule = `[[managers.lab.rules]]\nname = "mirrored robots"\nusers = ["carol"]\nwhere = ${JSON.stringify(paths.map((path) => `${path}/robot`))}\nallow = ["device"]\n\n`;
+  return lab.replace(before, rule + before) + paths.map(contextsOf).join("");
+};
 
 /** CUBO's elements, in the order of the device map. */
 export const CUBO = [
@@ -66,7 +74,7 @@ export class FakeRobot {
   sealed = false;
   /** Whether it does what it is told. */
   obeys = true;
-  #state = { moving: false, stopped: false, linked: true, fence: 0 };
+  #state = { moving: false, stopped: false, stop: 0, linked: true, fence: 0 };
   #sequence = 0;
 
   static async start(host, path, user = "carol", elements = CUBO) {
@@ -111,13 +119,14 @@ export class FakeRobot {
   }
 
   async #obey() {
+    const latch = new Latch();
     for await (const event of this.channel.events()) {
-      if (event.type !== "message") continue;
-      const { name, sender, content, parcel } = event;
-      if (name === "stop" || name === "unstop") {
-        this.#state.stopped = name === "stop";
+      if (latch.observe(event)) {
+        [this.#state.stopped, this.#state.stop] = [latch.isStopped, latch.number];
         await this.#tellState();
       }
+      if (event.type !== "message") continue;
+      const { name, sender, content, parcel } = event;
       if (name !== "command") continue;
       this.heard.push({ content, fence: parcel.fence, permitted: this.channel.permits(parcel) });
       const status = (state, error) => this.channel.sendAcknowledged("status", { peer: sender, id: parcel.id, state, statement: 1, of: 1, ...(error ? { error } : {}) }, { echo: false });

@@ -92,6 +92,25 @@ test("Escape stops from anywhere and Space outside of fields, and each device sa
   await status.getByText("at rest").waitFor();
 });
 
+test("who has stopped it and why is in the frame, and only what it shows is let go", async (t) => {
+  const said = async (reason) => assert.equal((await lab.mom("bob", "stop", "/camera/pan", "--reason", reason)).code, 0);
+  await said("a hand is near");
+  const page = await lab.page("alice", { t, path: "/#/contexts" });
+  const standing = page.locator("mom-stop .standing");
+  await standing.getByText(/Stopped by bob.*: a hand is near/).waitFor();
+  await standing.getByText("/camera/pan", { exact: true }).waitFor();
+  // This page is not in that channel, and has not seen this one yet.
+  await said("smoke");
+  const free = page.getByRole("button", { name: "Let go" });
+  await free.click();
+  await report(page).getByText(/\/camera\/pan stays stopped: bob.* has stopped it again since: smoke/).waitFor();
+  await standing.getByText(/Stopped by bob.*: smoke/).waitFor();
+  await free.click();
+  await report(page).getByText(/camera-pan\s*may move, after/).waitFor();
+  await standing.waitFor({ state: "detached" });
+  assert.equal(await free.isDisabled(), true);
+});
+
 test("with the link down STOP tries every door and says that nobody has confirmed it; then the link goes on", async (t) => {
   const page = await lab.page("alice", { t, allow: NETWORK });
   await token(page).getByRole("button", { name: "Grab" }).click();

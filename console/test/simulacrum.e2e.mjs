@@ -4,14 +4,14 @@ import { readFileSync } from "node:fs";
 import { after, before, test } from "node:test";
 import { busiest, findings, start, until } from "./lab.mjs";
 import { RawPeer } from "./rawpeer.mjs";
-import { CUBO, FakeRobot, contextsOf } from "./robot.mjs";
+import { CUBO, FakeRobot, withRobots } from "./robot.mjs";
 
 let hub;
 let robot;
 let other;
 
 before(async () => {
-  hub = await start({ config: ["/cubo", "/many", "/zoe"].map(contextsOf).join("") });
+  hub = await start({ config: withRobots("/cubo", "/many", "/zoe") });
   robot = (await FakeRobot.start(hub.host, "/cubo")).run();
   other = (await FakeRobot.start(hub.host, "/zoe", "carol", CUBO.slice(0, 2))).run();
 });

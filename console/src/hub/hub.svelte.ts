@@ -1,5 +1,5 @@
 // The hub as panels see it: who is logged in, how the link is, what is owned, and what is watched.
-import type { CallName, Calls, Failure, HubEvent, Link, Login, Me, Order, Owned, Picture, PlainFields, Previous, StopReport, Watch, Word } from "../worker/protocol.js";
+import type { CallName, Calls, Failure, HubEvent, Link, Login, Me, Order, Owned, Picture, PlainFields, Previous, StandingStop, StopReport, Watch, Word } from "../worker/protocol.js";
 import { HubError, failureOf } from "./failure.js";
 import { HeardPeers } from "./heard.js";
 import { type Port, open } from "./port.js";
@@ -36,6 +36,8 @@ export class Hub {
   owned = $state.raw<ReadonlyMap<string, Owned>>(new Map());
   /** The newest order to stop or to let go, and what became of it. */
   order = $state.raw<StopReport | null>(null);
+  /** The stops that hold, as far as they are known; only these are let go. */
+  stops = $state.raw<readonly StandingStop[]>([]);
   /** The newest first. */
   notices = $state.raw<readonly Notice[]>([]);
   /** Why a login failed. */
@@ -143,9 +145,15 @@ export class Hub {
     });
   }
 
-  /** Stops all devices of a place, or lets them go. */
-  command(order: Order, top = "/"): void {
-    this.call("stop", order, top).catch((error: unknown) => this.note("error", failureOf(error).text, failureOf(error)));
+  /** The stops that hold in a place. */
+  stopsIn(top: string): StandingStop[] {
+    return this.stops.filter(({ path }) => top === "/" || path === top || path.startsWith(`${top}/`));
+  }
+
+  /** Stops all devices of a place, or lets go of what this page shows as stopped there. */
+  command(order: Order, top = "/", reason?: string): void {
+    const stops = Object.fromEntries(this.stopsIn(top).map(({ path, number }) => [path, number]));
+    this.call("stop", order, top, order === "stop" ? { reason } : { stops }).catch((error: unknown) => this.note("error", failureOf(error).text, failureOf(error)));
   }
 
   onJogEnd(ends: (path: string, failure: Failure) => void): () => void {
@@ -179,6 +187,9 @@ export class Hub {
         return this.#own(word.path, word.owned, word.reason, word.by);
       case "stop":
         this.order = word.report;
+        return;
+      case "stops":
+        this.stops = word.stops;
         return;
       case "jog-ended":
         for (const ends of this.#jogEnds) ends(word.path, word.failure);

@@ -181,6 +181,7 @@ export const watch = {
   content: "Content",
   format: "Content as",
   receipt: (delivered: number, dropped: string) => `Taken by ${delivered === 1 ? "1 receiver" : `${delivered} receivers`}${dropped ? `, dropped for ${dropped}` : ""}.`,
+  notStopped: "Nothing is stopped here, as far as this page knows.",
   guarded: (name: string, token: string) => `${name} needs ${token}, which this page does not own.`,
   sending: "Sending…",
 };

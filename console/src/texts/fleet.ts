@@ -43,6 +43,7 @@ export const fleet = {
   selectFirst: "Select robots first: in the table, or on the map.",
   nobody: "None of the selected robots is yours: grab their tokens first.",
   noLink: "The link to the hub is not up.",
+  stopReason: "Stop these, in the fleet of the console",
   actions: { grab: "Grab", release: "Give back", send: "Send…", stop: "Stop these", unstop: "Let these go" },
   titles: {
     grab: "Grab the tokens of the selected robots",

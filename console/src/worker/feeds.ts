@@ -138,7 +138,7 @@ class Feed {
     readonly client: Client,
     readonly path: string,
     readonly kind: Watch["kind"],
-    readonly hears: (path: string, message: Message) => void,
+    readonly hears: (path: string, event: Event) => void,
   ) {}
 
   /** The least thinning with which everybody gets what they want; undefined is none. */
@@ -158,8 +158,6 @@ class Feed {
   async add(watcher: Watcher): Promise<void> {
     this.watchers.set(watcher.id, watcher);
     await this.#enter();
-    // Nobody sees what is attended.
-    if (watcher.id < 0) return;
     const info = await this.client.info(this.path).catch((error: unknown) => {
       // Of a token nothing is known then; a channel is heard nevertheless.
       if (this.kind === "token") throw error;
@@ -198,6 +196,7 @@ class Feed {
 
   async #read(): Promise<void> {
     for await (const event of this.client.peer.events(this.path)) {
+      this.hears(this.path, event);
       if (event.type === "message") this.#message(event);
       else this.#give(happeningOf(event, this.path));
       if (!this.watchers.size) break;
@@ -213,7 +212,6 @@ class Feed {
   #message(event: MessageEvent): void {
     const answer = this.#isAnswer(event.name);
     const message = messageOf(this.client, event, answer);
-    this.hears(this.path, message);
     const key = keyOf(message);
     if (message.size <= KEPT_SIZE && !message.cut && !answer) {
       this.#last.delete(key);
@@ -243,15 +241,12 @@ class Feed {
 export class Feeds {
   readonly #feeds = new Map<string, Feed>();
   readonly #paths = new Map<number, string>();
-  /** Ids below 0 are those of channels that are attended. */
-  readonly #attended = new Map<string, number>();
-  #lastAttended = 0;
   #client: Client | null = null;
 
   constructor(
     readonly say: Say,
-    /** Hears each message of what is watched. */
-    readonly hears: (path: string, message: Message) => void,
+    /** Hears each event of what is watched. */
+    readonly hears: (path: string, event: Event) => void,
   ) {}
 
   /** There is a new peer: nobody watches anything. */
@@ -259,30 +254,17 @@ export class Feeds {
     for (const feed of this.#feeds.values()) for (const id of [...feed.watchers.keys()]) feed.remove(id);
     this.#feeds.clear();
     this.#paths.clear();
-    this.#attended.clear();
     this.#client = client;
   }
 
-  /** Stays in a channel though the page does not watch it; without a rate all is heard. */
-  async attend(path: string, rate: string | undefined): Promise<void> {
-    const known = this.#attended.get(path);
-    const id = known ?? --this.#lastAttended;
-    this.#attended.set(path, id);
-    await this.#watch(id, { path, kind: "channel", names: [], rate }, () => undefined);
-  }
-
-  watch(id: number, watch: Watch): Promise<void> {
-    return this.#watch(id, watch, this.say);
-  }
-
-  async #watch(id: number, watch: Watch, say: Say): Promise<void> {
+  async watch(id: number, watch: Watch): Promise<void> {
     const client = this.#client;
     if (!client) throw new MomError("local", "not-logged-in", "log in first");
     let feed = this.#feeds.get(watch.path);
     if (!feed) this.#feeds.set(watch.path, (feed = new Feed(client, watch.path, watch.kind, this.hears)));
     this.#paths.set(id, watch.path);
     try {
-      await feed.add(new Watcher(id, watch, say));
+      await feed.add(new Watcher(id, watch, this.say));
     } catch (error) {
       this.unwatch(id);
       throw error;

@@ -127,8 +127,31 @@ export interface Watch {
 export interface StopAnswer {
   path: string;
   device: string;
-  /** ms from the order to its word; undefined as long as it has said nothing. */
+  /** What is known of it: it says that it obeys, it has not said so in time, or its connection is lost. */
+  word?: "obeys" | "silent" | "lost" | undefined;
+  /** ms from the order until this page knew that it obeys. */
   after?: number | undefined;
+}
+
+/** A stop that holds in a channel: who said it, when (ms since 1970), why, and for which devices if not for all. */
+export interface StandingStop {
+  path: string;
+  number: number;
+  by?: string | undefined;
+  user?: string | undefined;
+  since?: number | undefined;
+  reason?: string | undefined;
+  only: string[];
+}
+
+/** What an order says beside its place. */
+export interface StopTerms {
+  /** Why, of a stop. */
+  reason?: string | undefined;
+  /** Of an unstop: the newest stops that the page has shown, by channel. */
+  stops?: { [path: string]: number } | undefined;
+  /** For how many ms the hub waits for the devices' word. */
+  within?: number | undefined;
 }
 
 export type Order = "stop" | "unstop";
@@ -142,6 +165,12 @@ export interface StopReport {
   devices: StopAnswer[];
   /** Places to which it could not be said. */
   refused: { path: string; failure: Failure }[];
+  /** Stops that the page had not seen when it let go, and that hold on. */
+  newer: StandingStop[];
+  /** Channels that a token guards, and that have no device. */
+  empty: string[];
+  /** Channels that this user may not stop. */
+  denied: string[];
   /** Whether nothing more is to be expected. */
   over: boolean;
   /** Whether a hub has taken it. */
@@ -158,6 +187,8 @@ export interface SendOptions {
   echo?: boolean;
   fence?: number;
   basedOn?: number;
+  /** Of an `unstop`: the newest stop that the page has shown. */
+  stop?: number;
 }
 
 /** A token that this peer owns. Times are ms since 1970 by this machine's clock. */
@@ -191,7 +222,9 @@ export interface Calls {
   send(path: string, name: string, content: Plain | undefined, options?: SendOptions): { id: number; delivered: number; dropped: string[] };
   /** Moves a hand at this velocity until told otherwise, or until the page has not said so again for 250 ms; null lets it rest. */
   jog(jog: Jog | null): void;
-  stop(order: Order, top: string): void;
+  stop(order: Order, top: string, terms: StopTerms): void;
+  /** The same for one channel, without a report. */
+  stopOne(order: Order, path: string, terms: StopTerms): void;
   /** Any other request of docs/PROTOCOL.md; gives the content of its answer. */
   ask(family: "context" | "token", name: string, path: string, content?: PlainFields): PlainFields;
   /** Makes a context; joins its parent. */
@@ -235,5 +268,7 @@ export type Word =
   | { word: "failed"; watch: number; failure: Failure }
   | { word: "owned"; path: string; owned: Owned | null; reason?: string | undefined; by?: string | undefined }
   | { word: "stop"; report: StopReport }
+  /** All stops that hold, as far as they are known. */
+  | { word: "stops"; stops: StandingStop[] }
   /** What a jog came to that did not end by the page's word. */
   | { word: "jog-ended"; path: string; failure: Failure };

@@ -1,11 +1,12 @@
 // The worker: the hub's client, away from the page's thread.
-import { type Client, type Parcel, MomError, type TokenGuard } from "mom-client";
+import { type Client, type Parcel, MomError, type TokenGuard, fieldsOf } from "mom-client";
 import { Feeds } from "./feeds.js";
 import { Jogging } from "./jogging.js";
 import { answerFields, failure, plainFields } from "./plain.js";
 import type { Say } from "./port.js";
 import type { CallName, Calls, Owned, Question } from "./protocol.js";
 import { Session } from "./session.js";
+import { Standing } from "./standing.js";
 import { Stopping } from "./stopping.js";
 
 /** What answers each call; the answer may take its time. */
@@ -25,11 +26,13 @@ export function serve(port: { postMessage: (word: unknown, transfer: Transferabl
     feeds.reset(client);
     stopping.reset(client);
   });
-  const stopping: Stopping = new Stopping(say, () => session.login, () => session.isUp, (path, rate) => feeds.attend(path, rate));
-  const feeds: Feeds = new Feeds(say, (path, message) => {
-    if (message.name !== "state") return;
-    const stopped = (message.content as { stopped?: unknown } | undefined)?.stopped;
-    if (typeof stopped === "boolean") stopping.heard(path, message.sender, stopped);
+  const standing = new Standing(say, () => session.isUp);
+  const stopping: Stopping = new Stopping(say, () => session.login, () => session.isUp, standing);
+  const feeds: Feeds = new Feeds(say, (path, event) => {
+    standing.heard(path, event);
+    if (event.type !== "message" || event.name !== "state" || event.history) return;
+    const { stopped } = fieldsOf(event.content);
+    if (typeof stopped === "boolean") stopping.heard(path, event.sender, stopped);
   });
   const jogging = new Jogging(() => session.client, say);
 
@@ -45,22 +48,25 @@ export function serve(port: { postMessage: (word: unknown, transfer: Transferabl
     shown: (id) => feeds.shown(id),
     pictureFile: (id) => feeds.pictureFile(id),
     send: async (path, name, content, options = {}) => {
-      const { to, basedOn, ...slots } = options;
+      const { to, basedOn, stop, ...slots } = options;
+      if (name === "unstop" && stop === undefined) throw new MomError("local", "bad-slot", "an unstop names the newest stop that you have seen: there is none here");
       await session.client.channel(path);
       const id = ++nextId;
       const parcel: Parcel = { family: "message", name, context: path, id, receipt: true, ...slots };
       if (content !== undefined) parcel.content = content;
       if (to) parcel.address = to;
       if (basedOn !== undefined) parcel.extra = { "based-on": basedOn };
+      if (stop !== undefined) parcel.extra = { ...parcel.extra, stop };
       const receipt = plainFields((await session.client.request(parcel)).content);
       const dropped = receipt["dropped"];
       return { id, delivered: Number(receipt["delivered"] ?? 0), dropped: Array.isArray(dropped) ? dropped.map(String) : [] };
     },
     jog: (jog) => jogging.set(jog),
-    stop: (order, top) => {
+    stop: (order, top, terms) => {
       jogging.set(null);
-      return stopping.order(order, top);
+      return stopping.order(order, top, terms);
     },
+    stopOne: (order, path, terms) => stopping.one(order, path, terms),
     ask: async (family, name, path, content) => {
       const parcel: Parcel = { family, name, context: path, ...(content ? { content } : {}) };
       return answerFields((await session.client.request(parcel)).content);

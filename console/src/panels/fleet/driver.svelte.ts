@@ -187,7 +187,14 @@ export class FleetDriver {
 
   /** Stops robots, or lets them go; needs no token. */
   order(order: "stop" | "unstop", units: readonly number[]): Promise<boolean> {
-    return this.#all(order, units, async (unit) => void (await this.hub.call("send", this.channel(unit), order, undefined, { echo: false })));
+    return this.#all(order, units, (unit) => (order === "stop" ? this.hub.call("stopOne", "stop", this.channel(unit), { reason: t.stopReason }) : this.#free(unit)));
+  }
+
+  /** Only what this page has shown as stopped is let go. */
+  async #free(unit: number): Promise<void> {
+    const path = this.channel(unit);
+    const stop = this.hub.stops.find((each) => each.path === path);
+    await this.hub.call("stopOne", "unstop", path, { stops: stop ? { [path]: stop.number } : {} });
   }
 
   /** Sends each of them its statement; gives the lines of the log, and what was refused at once. */
