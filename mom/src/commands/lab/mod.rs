@@ -22,7 +22,6 @@ use tokio::time::{Instant, sleep};
 use tracing_subscriber::EnvFilter;
 
 use crate::cli;
-use crate::connect::HEARTBEAT;
 use crate::failure::{Doing as _, Failure};
 use crate::interrupt::Interrupt;
 use crate::output::Output;
@@ -284,7 +283,7 @@ async fn log_in(broker: &Arc<Broker>, name: &str, nickname: String) -> Result<Cl
         .user(name)
         .password(name)
         .nickname(nickname)
-        .heartbeat(HEARTBEAT)
+        // Of one process: there is no link to fall silent, and a machine that is busy for a moment is no loss.
         .no_reconnect();
     builder.connect().await.doing(format!("log in as {name}"))
 }

@@ -158,13 +158,16 @@ async fn a_device_hears_no_command_and_no_unstop_of_before() {
     for path in ["/robot", ARM, "/chat"] {
         arm.about(Family::Context, "join", path).await;
     }
-    for parcel in [say("stop", ARM), say("unstop", ARM), say("command", "/chat")] {
+    alice.send_parcel(&say("stop", ARM)).await;
+    let mut unstop = say("unstop", ARM);
+    unstop.extra.set("stop", alice.newest_stop(ARM).await);
+    for parcel in [unstop.clone(), say("command", "/chat")] {
         alice.send_parcel(&parcel).await;
     }
     alice.check_alive().await;
     let link = lose(arm);
     alice.next_of(Family::Event, "lost").await;
-    for parcel in [say("unstop", ARM), say("command", "/chat"), say("say", "/chat")] {
+    for parcel in [unstop, say("command", "/chat"), say("say", "/chat")] {
         alice.send_parcel(&parcel).await;
     }
     let mut dropped = 0;
@@ -237,6 +240,7 @@ async fn the_hub_refuses_what_is_said_again() {
     let error = carol.ask(older).await.expect_err("of an earlier one");
     assert_eq!(error.code, Code::OLDER_FENCE, "{error}");
     let mut unstop = Parcel::new(Family::Message, "unstop").context(at(ARM));
+    unstop.extra.set("stop", carol.raw.newest_stop(ARM).await);
     unstop.receipt = Some(true);
     carol.ask(unstop).await.expect("it is new");
     carol.ask(token("release")).await.expect("hers all the time");
