@@ -166,10 +166,10 @@ async fn what_waits_comes_again_after_a_loss_and_once() {
     let address = scene.broker.local_addr();
     let mut dora = Linked::login(address, Form::Binary, "alice", 60_000).await;
     dora.about(Family::Context, "join", BULK).await;
-    let said = |name: &str, number: u64| {
-        let mut parcel = block(number);
-        parcel.name = name.into();
-        parcel.receipt = Some(name == "stop");
+    // Small, so that all of it is read behind the first; alice was there before, and so it waits.
+    let said = |name: &str, number: i64| {
+        let mut parcel = message(name, BULK, number);
+        (parcel.receipt, parcel.echo) = (Some(name == "stop"), Some(false));
         parcel
     };
     let waits = [said("mine", 1), said("mine", 2)];
@@ -201,7 +201,7 @@ async fn what_waits_comes_again_after_a_loss_and_once() {
     while heard.last() != Some(&4) {
         let next = scene.hear_while_bob_reads().await;
         if matches!(next.name(), "mine" | "end") {
-            heard.push(number_of(&next));
+            heard.push(next.value().as_int().expect("a number"));
         }
     }
     assert_eq!(heard, [1, 2, 4]);

@@ -203,11 +203,12 @@ async fn threat_9_slow_uploads() {
         let mut upload = Raw::login(world.address(), *form, "bob").await;
         upload.send(begin).await;
         slow.push((upload, *pings));
+        // The witness says something as it goes, or it would be the one that is gone.
+        world.check_nothing_arrived("slow uploads").await;
     }
     let ping = Parcel::new(Family::Time, "ping").content("x".repeat(1000));
     let mut closed = Vec::new();
     while closed.len() < 9 {
-        // The witness says something as it goes, or it would be the one that is gone.
         world.check_nothing_arrived("slow uploads").await;
         for (mut upload, pings) in std::mem::take(&mut slow) {
             match pings {
