@@ -55,6 +55,8 @@ struct Talker {
     decoder: BinaryDecoder,
     /// What the hub has read and no step has asked for yet.
     read: VecDeque<String>,
+    /// Of a queue in which nothing waits.
+    capacity: usize,
 }
 
 /// What was put in.
@@ -110,6 +112,7 @@ impl Talker {
         shared.begin_link(&mut shared.lock(), secret);
         let (decoder, bytes) = decoder();
         let talker = Talker {
+            capacity: shared.capacity_left(),
             shared,
             wall,
             said: BTreeMap::new(),
@@ -329,6 +332,15 @@ impl Replay for Talker {
             }
         }
         std::mem::take(&mut self.told)
+    }
+
+    fn left_over(&mut self) -> Option<String> {
+        let state = self.shared.lock();
+        let (bytes, empty) = (state.outbox.queue.bytes(), state.outbox.queue.is_empty());
+        drop(state);
+        let capacity = self.shared.capacity_left();
+        let right = bytes == 0 && empty && capacity == self.capacity;
+        (!right).then(|| format!("{bytes} bytes, {capacity} of {}", self.capacity))
     }
 
     fn pass(&mut self, millis: u64) {
