@@ -15,7 +15,7 @@ use mom_proto::codec::{Form, Frame};
 use mom_proto::{Code, Delivery, Family, Limits, Map, Parcel, Path, Time, Value};
 use tokio::sync::oneshot;
 
-use super::Entry;
+use super::{Capacity, Entry};
 use crate::clock::HubClock;
 use crate::login::Welcome;
 use crate::pending::AnswerTo;
@@ -39,6 +39,35 @@ const TOKEN: &str = "/robot/token";
 #[test]
 fn a_client_keeps_to_the_table() {
     replay(DIALECT, Talker::new);
+}
+
+/// Who waits for room with a command waits in vain when the connection is lost meanwhile; what may be late goes on.
+#[test]
+fn no_command_waits_for_room_over_a_loss() {
+    for (name, expected) in [("command", Some(ErrorKind::Connection)), ("note", None)] {
+        let mut talker = Talker::new(&Case::default());
+        talker.fill("f");
+        let parcel = Parcel::new(Family::Message, name).context(path("/chat"));
+        let mut said = pin!(talker.shared.post(parcel, None));
+        let mut look = Context::from_waker(Waker::noop());
+        assert!(said.as_mut().poll(&mut look).is_pending(), "it is full");
+        assert!(talker.shared.suspend(), "it has a link");
+        assert!(said.as_mut().poll(&mut look).is_pending(), "it still is");
+        let resumption = Resumption {
+            read: 0,
+            dropped: 0,
+            content: Map::new(),
+        };
+        assert!(talker.shared.go_on(&resumption), "a count that can be");
+        talker.shared.give_capacity(Capacity {
+            usual: talker.capacity,
+            urgent: 0,
+        });
+        let Poll::Ready(put) = said.as_mut().poll(&mut look) else {
+            panic!("there is room")
+        };
+        assert_eq!(put.err().map(|error| error.kind()), expected, "{name}");
+    }
 }
 
 /// A client that is told what to say, and its link.
@@ -286,11 +315,11 @@ impl Replay for Talker {
 
     fn fill(&mut self, label: &str) {
         let item = Item {
-            bytes: self.shared.capacity_left().saturating_sub(2) * 1024,
+            bytes: (self.shared.capacity_left() - 1) * 1024,
             ..Item::reliable(label)
         };
         self.put(&item);
-        assert!(self.shared.capacity_left() <= 2, "it is full");
+        assert_eq!(self.shared.capacity_left(), 0, "it is full");
     }
 
     fn begin(&mut self) -> Option<String> {

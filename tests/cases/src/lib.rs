@@ -9,7 +9,7 @@ use serde::Deserialize;
 const SEND_QUEUE: &str = include_str!("../send-queue.json");
 
 /// One case.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Case {
     /// What it shows.
