@@ -401,16 +401,16 @@ impl Connection {
                     self.refuse(&error, parcel.id, touched);
                     return Next::Frame;
                 }
-                let resent = self.link.as_ref().is_some_and(|served| served.resending);
-                if resent && !outlives_loss(&parcel, false) {
-                    self.refuse(&said_before_the_loss(), parcel.id, touched);
-                    return Next::Frame;
-                }
                 let now = self.services.board.clock.now();
                 if let Err(error) = self.requests.take(&parcel, self.services.limits.requests, now) {
                     self.refuse(&error, parcel.id, touched);
                     let pause = self.requests.refused(self.services.limits.requests, now);
                     return pause.map_or(Next::Frame, Next::Pause);
+                }
+                let resent = self.link.as_ref().is_some_and(|served| served.resending);
+                if resent && !outlives_loss(&parcel, false) {
+                    self.refuse(&said_before_the_loss(), parcel.id, touched);
+                    return Next::Frame;
                 }
                 let counts = requests::counts(&parcel);
                 let request = Input::Request {

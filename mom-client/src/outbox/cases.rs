@@ -15,7 +15,7 @@ use mom_proto::codec::{Form, Frame};
 use mom_proto::{Code, Delivery, Family, Limits, Map, Parcel, Path, Time, Value};
 use tokio::sync::oneshot;
 
-use super::Entry;
+use super::{Capacity, Entry};
 use crate::clock::HubClock;
 use crate::login::Welcome;
 use crate::pending::AnswerTo;
@@ -41,6 +41,35 @@ fn a_client_keeps_to_the_table() {
     replay(DIALECT, Talker::new);
 }
 
+/// Who waits for room with a command waits in vain when the connection is lost meanwhile; what may be late goes on.
+#[test]
+fn no_command_waits_for_room_over_a_loss() {
+    for (name, expected) in [("command", Some(ErrorKind::Connection)), ("note", None)] {
+        let mut talker = Talker::new(&Case::default());
+        talker.fill("f");
+        let parcel = Parcel::new(Family::Message, name).context(path("/chat"));
+        let mut said = pin!(talker.shared.post(parcel, None));
+        let mut look = Context::from_waker(Waker::noop());
+        assert!(said.as_mut().poll(&mut look).is_pending(), "it is full");
+        assert!(talker.shared.suspend(), "it has a link");
+        assert!(said.as_mut().poll(&mut look).is_pending(), "it still is");
+        let resumption = Resumption {
+            read: 0,
+            dropped: 0,
+            content: Map::new(),
+        };
+        assert!(talker.shared.go_on(&resumption), "a count that can be");
+        talker.shared.give_capacity(Capacity {
+            usual: talker.capacity,
+            urgent: 0,
+        });
+        let Poll::Ready(put) = said.as_mut().poll(&mut look) else {
+            panic!("there is room")
+        };
+        assert_eq!(put.err().map(|error| error.kind()), expected, "{name}");
+    }
+}
+
 /// A client that is told what to say, and its link.
 struct Talker {
     shared: Shared,
@@ -55,6 +84,8 @@ struct Talker {
     decoder: BinaryDecoder,
     /// What the hub has read and no step has asked for yet.
     read: VecDeque<String>,
+    /// Of a queue in which nothing waits.
+    capacity: usize,
 }
 
 /// What was put in.
@@ -110,6 +141,7 @@ impl Talker {
         shared.begin_link(&mut shared.lock(), secret);
         let (decoder, bytes) = decoder();
         let talker = Talker {
+            capacity: shared.capacity_left(),
             shared,
             wall,
             said: BTreeMap::new(),
@@ -283,11 +315,11 @@ impl Replay for Talker {
 
     fn fill(&mut self, label: &str) {
         let item = Item {
-            bytes: self.shared.capacity_left().saturating_sub(2) * 1024,
+            bytes: (self.shared.capacity_left() - 1) * 1024,
             ..Item::reliable(label)
         };
         self.put(&item);
-        assert!(self.shared.capacity_left() <= 2, "it is full");
+        assert_eq!(self.shared.capacity_left(), 0, "it is full");
     }
 
     fn begin(&mut self) -> Option<String> {
@@ -329,6 +361,15 @@ impl Replay for Talker {
             }
         }
         std::mem::take(&mut self.told)
+    }
+
+    fn left_over(&mut self) -> Option<String> {
+        let state = self.shared.lock();
+        let (bytes, empty) = (state.outbox.queue.bytes(), state.outbox.queue.is_empty());
+        drop(state);
+        let capacity = self.shared.capacity_left();
+        let right = bytes == 0 && empty && capacity == self.capacity;
+        (!right).then(|| format!("{bytes} bytes, {capacity} of {}", self.capacity))
     }
 
     fn pass(&mut self, millis: u64) {

@@ -9,7 +9,7 @@ use serde::Deserialize;
 const SEND_QUEUE: &str = include_str!("../send-queue.json");
 
 /// One case.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Case {
     /// What it shows.
@@ -144,6 +144,8 @@ pub trait Replay {
     fn told(&mut self) -> BTreeMap<String, String>;
     /// So many ms pass.
     fn pass(&mut self, millis: u64);
+    /// What the queue still counts as waiting, where nothing waits: none if it counts right.
+    fn left_over(&mut self) -> Option<String>;
 }
 
 /// How one queue's words differ from those of the cases.
@@ -193,7 +195,8 @@ fn go(queue: &mut impl Replay, step: &Step, dialect: Dialect) -> Result<(), Stri
         Step::Hears(labels) => {
             let labels: Vec<String> = labels.iter().filter(known).cloned().collect();
             let heard: Vec<String> = std::iter::from_fn(|| queue.take()).collect();
-            return equal("hears", &heard, &labels);
+            equal("hears", &heard, &labels)?;
+            return equal("leaves over", &queue.left_over(), &None);
         }
         Step::Lose(_) => queue.lose(),
         Step::Resume(read) => queue.resume(*read),

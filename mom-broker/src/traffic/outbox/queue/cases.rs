@@ -218,6 +218,13 @@ impl Replay for Receiver {
         told
     }
 
+    fn left_over(&mut self) -> Option<String> {
+        let queue = &self.queue.queue;
+        let counts = (queue.bytes(), queue.data_bytes(), queue.reliable_bytes());
+        let right = counts == (0, 0, 0) && queue.is_empty();
+        (!right).then(|| format!("{counts:?} bytes"))
+    }
+
     fn pass(&mut self, millis: u64) {
         self.clock.advance(Duration::from_millis(millis));
     }

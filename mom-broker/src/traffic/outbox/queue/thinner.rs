@@ -110,8 +110,9 @@ impl Thinner {
                 .get_mut(&sender)
                 .and_then(|states| states.get_mut(&name));
             let Some(state) = state else { continue };
-            state.next = now.saturating_add(state.interval);
+            // What waited may have been taken out.
             if let Some((packet, size)) = state.held.take() {
+                state.next = now.saturating_add(state.interval);
                 self.bytes -= size;
                 released.push(packet);
             }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use mom_hub::PeerId;
-use mom_net::Lane;
+use mom_net::{Lane, Ledger};
 use mom_proto::{ContextNumber, Delivery, Micros};
 
 use super::tests::{data, name, pop, queue};
@@ -188,4 +188,32 @@ fn turns_are_bounded_too() {
     }
     let kept = queue.thinner.as_ref().map_or(0, |thinner| thinner.senders());
     assert!(kept <= 64, "{kept}");
+}
+
+/// What moves a device does not wait for its turn over a loss.
+#[test]
+fn a_turn_does_not_bring_a_command_over_a_loss() {
+    let command = |number| {
+        let mut packet = message("command", number);
+        packet.outlives_loss = false;
+        Arc::new(packet)
+    };
+    let (mut queue, mut ledger) = (queue(100_000), Ledger::new(100_000));
+    offer(&mut queue, "pose", 1, 0);
+    queue.push_thinned(command(2), EVERY, 0);
+    assert_eq!(leaves(&mut queue, 0).len(), 2);
+    offer(&mut queue, "pose", 3, 1);
+    assert_eq!(queue.push_thinned(command(4), EVERY, 1), None);
+    drop(queue.lose(&mut ledger));
+    assert_eq!(
+        queue.push_thinned(command(5), EVERY, 2),
+        Some(Taken::Dropped),
+        "nor is it taken"
+    );
+    assert_eq!(queue.push_thinned(command(6), 0, 3), Some(Taken::Dropped));
+    assert_eq!(drops(&mut queue), [(DropReason::Lost, 3)]);
+    queue.find();
+    assert_eq!(leaves(&mut queue, EVERY), [("pose".to_owned(), 3)]);
+    assert_eq!(queue.push_thinned(command(7), EVERY, EVERY), Some(Taken::Yes));
+    assert_eq!(leaves(&mut queue, EVERY), [("command".to_owned(), 7)]);
 }
