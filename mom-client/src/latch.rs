@@ -51,7 +51,7 @@ impl StopState {
 
 /// What a device does about an event.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Turn {
+pub enum Reaction {
     /// It halts, and moves no more until it is told so; why, for people.
     Stop(String),
     /// It may move again.
@@ -69,7 +69,7 @@ pub enum Turn {
 /// may have contained one.
 ///
 /// ```
-/// use mom_client::{Event, Family, Latch, Parcel, Turn};
+/// use mom_client::{Event, Family, Latch, Parcel, Reaction};
 ///
 /// let stop = |name: &str, number: i64| {
 ///     let mut parcel = Parcel::new(Family::Message, name);
@@ -80,9 +80,9 @@ pub enum Turn {
 /// assert!(latch.may_move().is_err(), "it has heard nothing");
 /// latch.observe(&Event::Stops(Default::default()));
 /// assert!(latch.may_move().is_ok());
-/// assert!(matches!(latch.observe(&stop("stop", 7)), Some(Turn::Stop(_))));
-/// assert_eq!(latch.observe(&stop("unstop", 6)), Some(Turn::Same), "there is a newer stop");
-/// assert_eq!(latch.observe(&stop("unstop", 7)), Some(Turn::Free));
+/// assert!(matches!(latch.observe(&stop("stop", 7)), Some(Reaction::Stop(_))));
+/// assert_eq!(latch.observe(&stop("unstop", 6)), Some(Reaction::Same), "there is a newer stop");
+/// assert_eq!(latch.observe(&stop("unstop", 7)), Some(Reaction::Free));
 /// ```
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Latch {
@@ -118,7 +118,7 @@ pub enum Held {
 
 impl Latch {
     /// Takes in an event of the device's channel; gives what it means for the device.
-    pub fn observe(&mut self, event: &Event) -> Option<Turn> {
+    pub fn observe(&mut self, event: &Event) -> Option<Reaction> {
         match event {
             Event::Message(parcel) if parcel.name() == names::STOP => Some(self.stop(parcel)),
             Event::Message(parcel) if parcel.name() == names::UNSTOP => Some(self.unstop(slot(parcel))),
@@ -126,7 +126,7 @@ impl Latch {
             Event::Lagged(lost) => Some(self.stop_itself(&format!("it has missed {lost} events"))),
             Event::LinkDown => {
                 self.known = false;
-                Some(Turn::Halt)
+                Some(Reaction::Halt)
             }
             _ => None,
         }
@@ -160,11 +160,11 @@ impl Latch {
     }
 
     /// Stops by itself, until somebody lifts that.
-    pub fn stop_itself(&mut self, why: &str) -> Turn {
+    pub fn stop_itself(&mut self, why: &str) -> Reaction {
         if self.held.is_none() {
             self.held = Some(Held::Own(why.to_owned()));
         }
-        Turn::Stop(why.to_owned())
+        Reaction::Stop(why.to_owned())
     }
 
     /// What it says of itself when it joins: `{stop, stopped}`.
@@ -174,7 +174,7 @@ impl Latch {
         Map::new().with(STOP, number).with("stopped", stopped)
     }
 
-    fn stop(&mut self, parcel: &Parcel) -> Turn {
+    fn stop(&mut self, parcel: &Parcel) -> Reaction {
         let number = slot(parcel).unwrap_or(self.number);
         let content = map_of(parcel);
         let by = owned(&content, "by");
@@ -183,11 +183,11 @@ impl Latch {
         self.take(number, by, reason)
     }
 
-    fn take(&mut self, number: u64, by: Option<String>, reason: Option<String>) -> Turn {
+    fn take(&mut self, number: u64, by: Option<String>, reason: Option<String>) -> Reaction {
         self.number = self.number.max(number);
         if number > 0 && number <= self.lifted {
             // It was lifted before it came: the cause is an old one. To halt is never wrong.
-            return Turn::Halt;
+            return Reaction::Halt;
         }
         let held = Held::Stopped {
             by: by.unwrap_or_else(|| "somebody".to_owned()),
@@ -196,11 +196,11 @@ impl Latch {
         };
         let why = held.to_string();
         self.held = Some(held);
-        Turn::Stop(why)
+        Reaction::Stop(why)
     }
 
     /// `up_to` is none from hubs that give stops no numbers.
-    fn unstop(&mut self, up_to: Option<u64>) -> Turn {
+    fn unstop(&mut self, up_to: Option<u64>) -> Reaction {
         let lifts = match (&self.held, up_to) {
             (_, None) => true,
             // What it has stopped for itself has a higher number, which has not come yet.
@@ -209,12 +209,12 @@ impl Latch {
         };
         self.lifted = self.lifted.max(up_to.unwrap_or_default());
         match lifts && self.held.take().is_some() {
-            true => Turn::Free,
-            false => Turn::Same,
+            true => Reaction::Free,
+            false => Reaction::Same,
         }
     }
 
-    fn learn(&mut self, state: &StopState) -> Option<Turn> {
+    fn learn(&mut self, state: &StopState) -> Option<Reaction> {
         // Of others: what concerns this device comes by a message.
         if state.stopped && !state.only.is_empty() {
             return None;
@@ -357,10 +357,10 @@ mod tests {
             let mut latch = Latch::default();
             for (at, step) in case.steps.iter().enumerate() {
                 let turn = latch.observe(&step.event()).map(|turn| match turn {
-                    Turn::Stop(_) => "stop",
-                    Turn::Free => "free",
-                    Turn::Halt => "halt",
-                    Turn::Same => "same",
+                    Reaction::Stop(_) => "stop",
+                    Reaction::Free => "free",
+                    Reaction::Halt => "halt",
+                    Reaction::Same => "same",
                 });
                 let place = format!("{}: step {at}", case.name);
                 assert_eq!(turn, step.turn.as_deref(), "{place}");

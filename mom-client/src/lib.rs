@@ -92,7 +92,7 @@ pub use guards::Loan;
 pub use info::{ContextInfo, Member};
 pub use inhibit::InhibitGuard;
 pub use key::Key;
-pub use latch::{Held, Latch, StopState, Turn};
+pub use latch::{Held, Latch, Reaction, StopState};
 pub use message::{Message, Receipt};
 pub use mom_net::{Address, DEFAULT_PORT, Identity, NetError, Trust};
 pub use mom_proto::{

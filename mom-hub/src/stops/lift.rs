@@ -60,14 +60,14 @@ pub(super) fn keep_or_finish(world: &mut World, unstop: Unstop, out: &mut Vec<Ef
             record.latch.lift(unstop.up_to, unstop.parcel.address.as_deref());
             world.keep_record(record, Some(Storing::Unstop(Box::new(unstop))), out);
         }
-        None => finish(world, unstop, true, out),
+        None => finish(world, &unstop, true, out),
     }
 }
 
 /// Hands an unstop out that is kept. What was stopped meanwhile stays so.
-pub(super) fn finish(world: &mut World, unstop: Unstop, kept: bool, out: &mut Vec<Effect>) {
+pub(super) fn finish(world: &mut World, unstop: &Unstop, kept: bool, out: &mut Vec<Effect>) {
     let channel = unstop.channel;
-    let ended = lift(world, &unstop, kept, out);
+    let ended = lift(world, unstop, kept, out);
     // What was kept may say more than what holds: a stop has come meanwhile, or it was called off.
     if world.keeps_stops() {
         world.keep(channel, None, out);
@@ -90,12 +90,12 @@ pub(super) fn finish(world: &mut World, unstop: Unstop, kept: bool, out: &mut Ve
             };
             world.note_call(call, channel, note, out);
         }
-        (None, Err(error)) => refuse(world, &unstop, &error, out),
+        (None, Err(error)) => refuse(world, unstop, &error, out),
         (None, Ok(newer)) if !newer.is_empty() => {
             let path = world.tree.get(channel).map(|context| context.path.clone());
             if let Some(path) = path {
                 let newest = world.stops.latch(&path).newest;
-                refuse(world, &unstop, &newer_stop(&path, newest, &newer), out);
+                refuse(world, unstop, &newer_stop(&path, newest, &newer), out);
             }
         }
         (None, Ok(_)) => {}

@@ -30,7 +30,7 @@ impl World {
     /// A stop that was handed out, or an unstop that is to be, is kept now, or will never be.
     pub(crate) fn take_kept(&mut self, storing: Storing, ok: bool, out: &mut Vec<Effect>) {
         match storing {
-            Storing::Unstop(unstop) => lift::finish(self, *unstop, ok, out),
+            Storing::Unstop(unstop) => lift::finish(self, &unstop, ok, out),
             Storing::Stop { call, channel } => {
                 let kept = if ok { Kept::Yes } else { Kept::No };
                 self.note_call(call, channel, |called| called.kept = kept, out);

@@ -16,6 +16,7 @@ mod made;
 mod presence;
 mod review;
 mod safe_first;
+mod sessions;
 mod stage;
 mod stats;
 mod stops;

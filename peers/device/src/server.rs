@@ -1,8 +1,8 @@
 //! The device's server: reacts to the events of its channel (M36).
 
 use mom_client::{
-    Age, BASED_ON, Code, Delivery, Event, Family, FenceGate, HUB, Latch, Map, Parcel, Path, Stale, StateGate,
-    Time, Turn, Value, WireError, event, to_value,
+    Age, BASED_ON, Code, Delivery, Event, Family, FenceGate, HUB, Latch, Map, Parcel, Path, Reaction, Stale,
+    StateGate, Time, Value, WireError, event, to_value,
 };
 
 use crate::pull::{NEXT, Pull};
@@ -134,8 +134,8 @@ impl<M: Machine> DeviceServer<M> {
         out: &mut Vec<Parcel>,
     ) {
         self.advance(now, out);
-        if let Some(turn) = self.latch.observe(event) {
-            self.take_turn(event, turn, now, out);
+        if let Some(reaction) = self.latch.observe(event) {
+            self.react(event, reaction, now, out);
         }
         match event {
             Event::Message(parcel) => self.handle_message(parcel, gate, age, now, out),
@@ -235,17 +235,17 @@ impl<M: Machine> DeviceServer<M> {
     }
 
     /// Does what an event about stops means.
-    fn take_turn(&mut self, event: &Event, turn: Turn, now: DeviceTime, out: &mut Vec<Parcel>) {
-        match turn {
-            Turn::Stop(reason) => self.obey_stop(out, |queue, events| queue.stop(now, &reason, events)),
-            Turn::Free => self.obey_stop(out, |queue, events| queue.unstop(now, events)),
-            Turn::Halt if matches!(event, Event::LinkDown) => {
+    fn react(&mut self, event: &Event, reaction: Reaction, now: DeviceTime, out: &mut Vec<Parcel>) {
+        match reaction {
+            Reaction::Stop(reason) => self.obey_stop(out, |queue, events| queue.stop(now, &reason, events)),
+            Reaction::Free => self.obey_stop(out, |queue, events| queue.unstop(now, events)),
+            Reaction::Halt if matches!(event, Event::LinkDown) => {
                 self.halt("the link to the hub was lost", now, out);
             }
-            Turn::Halt => self.obey_stop(out, |queue, events| {
+            Reaction::Halt => self.obey_stop(out, |queue, events| {
                 queue.halt(now, "a stop has come that was lifted before", events);
             }),
-            Turn::Same => self.report(out),
+            Reaction::Same => self.report(out),
         }
         if matches!(event, Event::Lagged(_)) {
             self.tell_own_stop(out);

@@ -23,6 +23,8 @@ use crate::zones::Zones;
 mod interlock_tests;
 #[cfg(test)]
 mod reach_tests;
+#[cfg(test)]
+mod stop_tests;
 mod stops;
 #[cfg(test)]
 mod tests;
@@ -163,8 +165,8 @@ impl RobotServer {
         out: &mut Vec<Parcel>,
     ) {
         self.advance(now, out);
-        if let Some(turn) = self.latch.observe(event) {
-            self.take_turn(event, turn, now, out);
+        if let Some(reaction) = self.latch.observe(event) {
+            self.react(event, reaction, now, out);
         }
         match event {
             Event::Message(parcel) => self.handle_message(parcel, gate, age, now, out),

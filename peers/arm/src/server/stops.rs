@@ -1,6 +1,6 @@
 //! What stops mean for the arm.
 
-use mom_client::{Event, Family, Map, Parcel, Turn, event};
+use mom_client::{Event, Family, Map, Parcel, Reaction, event};
 
 use super::RobotServer;
 use crate::ArmTime;
@@ -12,17 +12,17 @@ impl RobotServer {
     }
 
     /// Does what an event about stops means.
-    pub(super) fn take_turn(&mut self, event: &Event, turn: Turn, now: ArmTime, out: &mut Vec<Parcel>) {
-        match turn {
-            Turn::Stop(reason) => self.obey_stop(out, |arm, events| arm.stop(now, &reason, events)),
-            Turn::Free => self.obey_stop(out, |arm, events| arm.unstop(now, events)),
-            Turn::Halt if matches!(event, Event::LinkDown) => {
+    pub(super) fn react(&mut self, event: &Event, reaction: Reaction, now: ArmTime, out: &mut Vec<Parcel>) {
+        match reaction {
+            Reaction::Stop(reason) => self.obey_stop(out, |arm, events| arm.stop(now, &reason, events)),
+            Reaction::Free => self.obey_stop(out, |arm, events| arm.unstop(now, events)),
+            Reaction::Halt if matches!(event, Event::LinkDown) => {
                 self.halt("the link to the hub was lost", now, out);
             }
-            Turn::Halt => self.obey_stop(out, |arm, events| {
+            Reaction::Halt => self.obey_stop(out, |arm, events| {
                 arm.halt(now, "a stop has come that was lifted before", events);
             }),
-            Turn::Same => self.report(out),
+            Reaction::Same => self.report(out),
         }
         if matches!(event, Event::Lagged(_)) {
             self.tell_own_stop(out);

@@ -9,7 +9,7 @@ use crate::state::ArmState;
 
 /// The server with a clock and a gate that a dialogue moves.
 pub(super) struct Stage {
-    server: RobotServer,
+    pub(super) server: RobotServer,
     now: ArmTime,
     gate: FenceGate,
     /// ms that the next commands are old, with an error of 10 ms.
@@ -585,45 +585,4 @@ fn states_come_at_20_hz_and_name_the_command_as_its_sender_does() {
         let read: ArmState = from_value(state.clone()).unwrap();
         assert!(read.moving && read.pose.z < 300.0);
     }
-}
-
-#[test]
-fn it_is_freed_by_the_number_of_its_newest_stop_only() {
-    let mut stage = Stage::new();
-    for (line, state) in [
-        ("bob stop 7", "stopped"),
-        ("alice stop 8", "stopped"),
-        ("bob unstop 7", "stopped"),
-        ("alice unstop 8", "free"),
-        // One that was lifted before it came holds nobody.
-        ("bob stop 6", "free"),
-        ("told 9 stopped", "stopped"),
-        ("told 9", "free"),
-    ] {
-        stage.act(line);
-        let heard = stage.heard();
-        assert!(heard.iter().any(|line| line.contains(state)), "{line}: {heard:?}");
-    }
-}
-
-#[test]
-fn a_gap_is_a_stop_of_which_it_tells_the_hub() {
-    let mut stage = Stage::new();
-    stage.server.set_name("robot".to_owned());
-    for line in ["lagged", "rejoined"] {
-        stage.act(line);
-        let stop = stage.out.iter().find(|parcel| parcel.name() == "stop");
-        let address = stop.and_then(|stop| stop.address.clone());
-        assert_eq!(address, Some(vec!["robot".into()]), "{line}");
-        stage.out.clear();
-    }
-    // The hub gives it a number; from then on it is a stop like any other.
-    stage.act("robot stop 3");
-    stage.out.clear();
-    stage.act("rejoined");
-    assert!(stage.out.iter().all(|parcel| parcel.name() != "stop"));
-    stage.act("bob unstop 3");
-    let state = stage.out.last().expect("a state").value();
-    assert_eq!(state.get("stopped"), Some(&Value::Bool(false)));
-    assert_eq!(state.get("stop"), Some(&Value::Int(3)));
 }

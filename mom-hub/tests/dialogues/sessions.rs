@@ -1,0 +1,253 @@
+//! Stops of whole sessions: one request, where its user may, and the word of each device (M43).
+
+use mom_hub::{Effect, Input, Route};
+use mom_proto::{Map, Value};
+
+use crate::stage::{EPOCH, MS, Stage, context, lab, of};
+use crate::stops::{at, keeping, stage, stands, told};
+
+/// A managed hub: alice may stop in the lab but not in its cell, which carol does not even see.
+pub(crate) fn managed() -> Stage {
+    let rule = |verb: &str, users: &[&str], places: &[&str]| {
+        let list = |words: &[&str]| words.iter().map(|word| Value::from(*word)).collect::<Vec<_>>();
+        let map = Map::new().with(verb, list(&["*"])).with("where", list(places));
+        Value::Map(if users.is_empty() {
+            map
+        } else {
+            map.with("users", list(users))
+        })
+    };
+    let deny = |verb: &str, users: &[&str], places: &[&str]| {
+        let list = |words: &[&str]| words.iter().map(|word| Value::from(*word)).collect::<Vec<_>>();
+        Value::Map(
+            Map::new()
+                .with("deny", list(&[verb]))
+                .with("where", list(places))
+                .with("users", list(users)),
+        )
+    };
+    let mut rules = vec![
+        deny("stop", &["alice"], &["/lab/cell"]),
+        deny("device", &["alice"], &["/**"]),
+    ];
+    for verb in ["stop", "lookup", "info", "join"] {
+        rules.push(deny(verb, &["carol"], &["/lab/cell"]));
+    }
+    rules.push(rule("allow", &[], &["/**"]));
+    let manager = Map::new().with("kind", "roles").with("rules", rules);
+    let mut contexts = lab(Map::new());
+    contexts[0].set("manager", manager);
+    contexts.push(context("/lab/cell", "channel").with("guard", guard()));
+    contexts.push(context("/lab/chat", "channel"));
+    at(Stage::new(contexts))
+}
+
+fn guard() -> Map {
+    Map::new()
+        .with("token", "/lab/key")
+        .with("names", vec!["command".into()])
+}
+
+/// The channels of the last reply: path, and device with its word.
+pub(crate) fn answers(stage: &Stage) -> Vec<String> {
+    let reply = told(stage);
+    let channels = reply.get("channels").and_then(Value::as_list).expect("channels");
+    let mut lines: Vec<String> = channels
+        .iter()
+        .map(|channel| {
+            let text = |key: &str| {
+                channel
+                    .get(key)
+                    .and_then(Value::as_str)
+                    .unwrap_or_default()
+                    .to_owned()
+            };
+            let devices = channel.get("devices").and_then(Value::as_list).expect("devices");
+            let words = devices.iter().map(|device| {
+                let text = |key: &str| {
+                    device
+                        .get(key)
+                        .and_then(Value::as_str)
+                        .unwrap_or_default()
+                        .to_owned()
+                };
+                format!(" {}={}", text("peer"), text("word"))
+            });
+            format!("{}{}", text("path"), words.collect::<String>())
+        })
+        .collect();
+    let denied = reply.get("denied").and_then(Value::as_list).expect("denied");
+    lines.extend(
+        denied
+            .iter()
+            .map(|path| format!("denied {}", path.as_str().unwrap_or_default())),
+    );
+    lines
+}
+
+#[test]
+fn one_request_stops_a_session_where_its_user_may() {
+    let mut stage = managed();
+    let heard = stage.say("alice", "context stop /lab reason=smoke");
+    assert_eq!(of(&heard, &["arm"]), ["arm< stop of alice stop=1 reason=smoke"]);
+    assert!(
+        !heard.iter().any(|line| line.starts_with("alice< ok")),
+        "the arm has not said so"
+    );
+    let heard = stage.say("arm", "message state /lab/arm stopped=true number=1");
+    assert_eq!(of(&heard, &["alice"]), ["alice< ok", "alice< state of arm"]);
+    stage.say("arm", "message state /lab/arm stopped=true number=1");
+    // What its user may see and not stop is named.
+    stage.say("alice", "context stop /lab");
+    stage.say("arm", "message state /lab/arm stopped=true number=2");
+    assert_eq!(answers(&stage), ["/lab/arm arm=stopped", "denied /lab/cell"]);
+    assert_eq!(stands(&mut stage, "/lab/chat"), (2, true));
+    assert_eq!(stands(&mut stage, "/lab/cell"), (0, false));
+    // And what it may not see is not.
+    stage.arrive("carol", 1);
+    stage.say("carol", "context stop /lab within=1");
+    stage.at(2);
+    assert_eq!(answers(&stage), ["/lab/arm arm=silent"]);
+}
+
+#[test]
+fn a_device_that_says_nothing_is_waited_for_so_long() {
+    let mut stage = stage();
+    stage.say("bob", "context stop /lab/arm within=200");
+    // What it says of an older stop, or that it moves, is no answer.
+    stage.say("arm", "message state /lab/arm stopped=true number=0");
+    stage.say("arm", "message state /lab/arm stopped=false");
+    stage.say("alice", "message state /lab/arm stopped=true");
+    assert_eq!(stage.at(199), [""; 0]);
+    assert_eq!(stage.at(200), ["bob< ok"]);
+    assert_eq!(answers(&stage), ["/lab/arm arm=silent"]);
+    // A device of protocol 1.1 names no number.
+    stage.say("bob", "context stop /lab/arm");
+    stage.say("arm", "message state /lab/arm stopped=true");
+    assert_eq!(answers(&stage), ["/lab/arm arm=stopped"]);
+    stage.lost("arm", 60_000);
+    stage.say("bob", "context stop /lab/arm");
+    assert_eq!(answers(&stage), ["/lab/arm arm=lost"]);
+    stage.say("bob", "context stop /lab/key");
+    assert_eq!(told(&stage).get("code"), Some(&Value::Int(215)));
+}
+
+#[test]
+fn an_answer_waits_until_the_stop_is_kept() {
+    let mut stage = keeping();
+    stage.say("bob", "context stop /lab/arm");
+    let heard = stage.say("arm", "message state /lab/arm stopped=true number=1");
+    assert_eq!(of(&heard, &["bob"]), ["bob< state of arm"]);
+    assert_eq!(stage.answer_kept(true), ["bob< ok"]);
+    let kept = |stage: &Stage| {
+        let reply = told(stage);
+        let channels = reply
+            .get("channels")
+            .and_then(Value::as_list)
+            .unwrap_or_default()
+            .to_vec();
+        channels[0].get("kept").cloned()
+    };
+    assert_eq!(kept(&stage), Some(true.into()));
+    stage.say("bob", "context stop /lab/arm");
+    stage.say("arm", "message state /lab/arm stopped=true number=2");
+    assert_eq!(stage.answer_kept(false), ["bob< ok"]);
+    assert_eq!(kept(&stage), Some(false.into()));
+}
+
+#[test]
+fn unstop_of_a_session_names_what_it_lifts() {
+    let mut contexts = lab(Map::new());
+    contexts.push(context("/lab/belt", "channel"));
+    let mut stage = at(Stage::new(contexts));
+    stage.say("bob", "context stop /lab within=1");
+    stage.at(5);
+    let number = |number: i64| Value::from((EPOCH.cast_signed() << 20) + number);
+    stage.say("bob", "context unstop /lab");
+    assert_eq!(told(&stage).get("slot"), Some(&"content/stops".into()));
+    let stops = Map::new().with("/lab/arm", number(1));
+    let heard = stage.say_with("alice", "context unstop /lab", "stops", stops.into());
+    assert_eq!(of(&heard, &["arm"]), ["arm< unstop of alice stop=1"]);
+    stage.say("arm", "message state /lab/arm stopped=false number=1");
+    assert_eq!(answers(&stage), ["/lab/arm arm=unstopped"]);
+    assert_eq!(stands(&mut stage, "/lab/arm"), (1, false));
+    assert_eq!(stands(&mut stage, "/lab/belt"), (1, true));
+    // An older number lifts nothing, and says what holds.
+    stage.say("bob", "message stop /lab/arm");
+    let heard = stage.say("alice", "context unstop /lab/arm number=1");
+    assert_eq!(heard, ["alice< ok"]);
+    let reply = told(&stage);
+    let channels = reply.get("channels").and_then(Value::as_list).expect("channels");
+    let newer = channels[0].get("newer").and_then(Value::as_list).expect("newer");
+    assert_eq!(newer[0].get("by"), Some(&"bob".into()));
+    assert_eq!(stands(&mut stage, "/lab/arm"), (2, true));
+}
+
+#[test]
+fn channels_made_while_a_session_is_stopped_are_stopped_too() {
+    let mut contexts = vec![context("/hall", "session").with("presence", "none")];
+    contexts.extend((0..100).map(|at| context(&format!("/hall/robot-{at}"), "channel")));
+    let mut stage = Stage::new(contexts);
+    stage.arrive("alice", 1);
+    stage.say("alice", "context join /hall");
+    stage.say("alice", "context stop /hall within=1");
+    // Before and behind where the walk is.
+    stage.say("alice", "context create /hall/aaa kind=channel");
+    stage.say("alice", "context create /hall/zzz kind=channel");
+    let mut now = 0;
+    while !stage.at(now).contains(&"alice< ok".to_owned()) {
+        now += 1;
+        assert!(now < 1000, "it comes to an end");
+    }
+    for channel in ["aaa", "robot-0", "robot-99", "zzz"] {
+        assert!(stands(&mut stage, &format!("/hall/{channel}")).1, "{channel}");
+    }
+}
+
+#[test]
+fn who_stops_much_at_once_is_told_to_wait_and_holds_nobody_up() {
+    let mut contexts = vec![context("/hall", "session").with("presence", "none")];
+    contexts.extend((0..200).map(|at| context(&format!("/hall/robot-{at}"), "channel")));
+    let mut stage = Stage::new(contexts);
+    for name in ["alice", "bob"] {
+        stage.arrive(name, 1);
+    }
+    for _ in 0..2 {
+        assert_eq!(stage.say("alice", "context stop /hall"), [""; 0]);
+    }
+    assert_eq!(stage.say("alice", "context stop /hall"), ["alice< try-later"]);
+    assert_eq!(stage.say("bob", "context stop /hall"), [""; 0]);
+    for now in 0..100 {
+        stage.at(now);
+    }
+    assert_eq!(stage.say("alice", "context stop /hall"), [""; 0]);
+}
+
+#[test]
+fn routes_are_awaited_only_while_somebody_waits() {
+    let mut stage = stage();
+    let awaited = |stage: &Stage| {
+        stage.effects.iter().find_map(|effect| match effect {
+            Effect::Route(route) => {
+                let Route { path, awaited, .. } = &**route;
+                (path.as_str() == "/lab/arm").then_some(*awaited)
+            }
+            _ => None,
+        })
+    };
+    stage.say("bob", "context stop /lab/arm");
+    assert_eq!(awaited(&stage), Some(true), "before the stop goes out");
+    assert!(matches!(stage.effects.first(), Some(Effect::Route(_))));
+    stage.say("arm", "message state /lab/arm stopped=true");
+    assert_eq!(awaited(&stage), Some(false));
+    // Also when nobody says anything, or who waits has gone.
+    stage.say("bob", "context stop /lab/arm within=10");
+    stage.now += 10 * MS;
+    stage.give(Input::Tick);
+    assert_eq!(awaited(&stage), Some(false));
+    stage.say("bob", "context stop /lab/arm within=10");
+    stage.gone("bob");
+    stage.now += 10 * MS;
+    assert_eq!(stage.give(Input::Tick), [""; 0]);
+    assert_eq!(awaited(&stage), Some(false));
+}
