@@ -38,6 +38,25 @@ async def until(condition: Callable[[], Any]) -> None:
     await asyncio.wait_for(wait(), PATIENCE)
 
 
+async def away(hub: FakeHub, client: mom.Client) -> int:
+    """Ends the connection, and takes no other; gives the port for `back`."""
+    port = hub.port
+    assert hub._server
+    hub._server.close()
+    hub.cut()
+    await state(client, "resuming")
+    hub.marks = []
+    return port
+
+
+async def back(hub: FakeHub, client: mom.Client, port: int) -> None:
+    hub.port, hub.silent = port, False
+    await hub.start()
+    await state(client, "connected")
+    assert client._core.is_up
+    hub.lag = 0
+
+
 def contents(parcels: List[Parcel]) -> List[Any]:
     return [parcel.content for parcel in parcels if parcel.family == "message"]
 
@@ -136,35 +155,176 @@ async def test_what_was_not_read_is_sent_again_before_all_that_is_new(hub: FakeH
             await channel.send(name, name, **options)
         await until(lambda: contents(hub.heard)[-1:] == ["two"])
         hub.lag = 5
-        hub.resumable, port = True, hub.port
-        hub._server.close()
-        hub.cut()
-        await state(client, "resuming")
-        # Said while the connection is lost: what is for the moment is dropped, too.
+        port = await away(hub, client)
+        # Said while the connection is lost: what is for the moment is dropped.
         await channel.send("command", "late")
-        await channel.send("late", "latest", delivery="latest")
-        with pytest.raises(mom.RefusedError) as caught:
+        with pytest.raises(mom.LostError) as caught:
             await channel.send_acknowledged("command", "late")
-        assert caught.value.code == "older-fence"
+        assert caught.value.code == "lost"
+        await channel.send("late", "older", delivery="latest")
+        await channel.send("late", "late", delivery="latest")
         await channel.send("three", "three")
-        hub.port, hub.marks = port, []
-        await hub.start()
+        await back(hub, client, port)
         await until(lambda: contents(hub.heard)[-1:] == ["three"])
-        assert contents(hub.heard) == ["one", "two", "three"]
-        said = [name for name in hub.marks if name in ("one", "two", "resent", "three")]
-        assert said == ["one", "two", "resent", "three"]
-        hub.lag = 0
+        assert contents(hub.heard) == ["one", "two", "late", "three"]
+        said = [name for name in hub.marks if name in ("one", "two", "resent", "late", "three")]
+        assert said == ["one", "two", "resent", "late", "three"]
         told = []
         while len(told) < 5:
             told.append(await heard(events, mom.Dropped))
         assert sorted((event.parcel.name, event.reason) for event in told) == [
-            ("command", "older-fence"),
-            ("command", "older-fence"),
-            ("gone", "disconnected"),
-            ("late", "disconnected"),
-            ("seen", "disconnected"),
+            ("command", "lost"),
+            ("command", "unknown"),
+            ("gone", "unknown"),
+            ("late", "replaced"),
+            ("seen", "unknown"),
         ]
         assert client._core.link.sent == hub.read
+
+
+async def test_what_is_meant_for_the_moment_is_not_said_after_a_loss(hub: FakeHub) -> None:
+    """What had left may have been heard, and what had not is lost; whoever waits for an answer hears so."""
+    async with connect(hub) as client:
+        channel = await client.channel("/c")
+        hub.replies["join"] = {"kind": "token"}
+        token = await client.token("/t")
+        guard, events = await token.grab(), channel.events()
+
+        def said() -> "List[asyncio.Future[Any]]":
+            requests = [guard.give("bob"), token.inhibit(), token.accept_request("bob")]
+            messages = [channel.send_acknowledged(name, name) for name in ("unstop", "command")]
+            return [asyncio.ensure_future(one) for one in requests + messages]
+
+        hub.silent, before = True, len(hub.heard)
+        await channel.send("unstop", "nobody waits", to=["bob"])
+        unread = said()
+        await until(lambda: len(hub.heard) == before + 6)
+        hub.lag = 6
+        port = await away(hub, client)
+        for one in said():
+            with pytest.raises(mom.LostError, match="had not left") as caught:
+                await asyncio.wait_for(one, PATIENCE)
+            assert caught.value.code == "lost"
+        await channel.send("unstop", "said meanwhile", to=["bob"])
+        assert not [one for one in unread if one.done()], "nobody knows yet"
+        await back(hub, client, port)
+        for one in unread:
+            with pytest.raises(mom.LostError, match="had left .* unknown") as caught:
+                await asyncio.wait_for(one, PATIENCE)
+            assert caught.value.code == "unknown" and "not sent" not in str(caught.value)
+        told = [await heard(events, mom.Dropped) for _ in range(2)]
+        assert [(event.reason, event.count, event.parcel.content) for event in told] == [
+            ("lost", 1, "said meanwhile"),
+            ("unknown", 1, "nobody waits"),
+        ]
+        await channel.send_acknowledged("say")
+        assert [parcel.name for parcel in hub.heard[before:]] == ["say"]
+
+
+async def test_a_stop_is_the_last_word_over_a_loss(hub: FakeHub) -> None:
+    async with connect(hub) as client:
+        channel, before = await client.channel("/c"), len(hub.heard)
+        await channel.send("note", 1)
+        await channel.send("unstop")
+        await until(lambda: len(hub.heard) == before + 2)
+        hub.lag = 2
+        port = await away(hub, client)
+        await channel.send("stop", "mine")
+        await channel.send("stop", "bob's", to=["bob"])
+        await back(hub, client, port)
+        await channel.send_acknowledged("say")
+        said = [name for name in hub.marks if name in ("note", "stop", "unstop", "resent", "say")]
+        assert said == ["stop", "stop", "note", "resent", "say"]
+        assert contents(hub.heard)[:2] == ["mine", "bob's"]
+
+
+async def test_a_release_names_its_fence_and_so_outlives_a_loss(hub: FakeHub) -> None:
+    async with connect(hub) as client:
+        hub.replies["join"] = {"kind": "token"}
+        token = await client.token("/t")
+        guard = await token.grab()
+        hub.silent, hub.lag = True, 1
+        releasing = asyncio.ensure_future(guard.release())
+        await until(lambda: hub.heard[-1].name == "release")
+        assert hub.heard[-1].fence == 7
+        port = await away(hub, client)
+        await back(hub, client, port)
+        await asyncio.wait_for(releasing, PATIENCE)
+        assert (hub.heard[-1].name, hub.heard[-1].fence) == ("release", 7)
+        guard = await token.grab()
+        port = await away(hub, client)
+        releasing = asyncio.ensure_future(guard.release())
+        await asyncio.sleep(0)  # tidy: lets it be said
+        await back(hub, client, port)
+        await asyncio.wait_for(releasing, PATIENCE)
+        said = [name for name in hub.marks if name in ("resent", "release")]
+        assert said == ["resent", "release"]
+
+
+async def test_a_grab_that_is_taken_back_during_a_loss_is_given_back(hub: FakeHub) -> None:
+    """Its release without a fence is lost. The grab is not, and may be granted later."""
+    async with connect(hub) as client:
+        hub.replies["join"] = {"kind": "token"}
+        token = await client.token("/t")
+        hub.silent = True
+        waiting = asyncio.ensure_future(token.grab(wait=60)._run())
+        await until(lambda: hub.heard[-1].name == "grab")
+        grab, port = hub.heard[-1], await away(hub, client)
+        waiting.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await waiting
+        await back(hub, client, port)
+        hub.say(Parcel("reply", "ok", "/t", {"fence": 9, "lease": 60_000}, reference=grab.id))
+        await until(lambda: hub.heard[-1].name == "release")
+        assert hub.heard[-1].fence == 9 and hub.heard[-1].context == "/t"
+        assert [parcel.name for parcel in hub.heard].count("release") == 1
+
+
+async def test_what_waits_for_room_at_a_loss_is_not_said_after_it(hub: FakeHub, monkeypatch: pytest.MonkeyPatch) -> None:
+    async with connect(hub) as client:
+        channel = await client.channel("/c")
+
+        async def stuck(data: bytes) -> None:
+            await asyncio.Event().wait()
+
+        monkeypatch.setattr(client._driver._connection, "write", stuck)
+        client._core.outbox.most = 1
+        for number in range(2):
+            await channel.send("note", number)
+            await asyncio.sleep(0)  # tidy: lets the first of them leave
+        commanding = asyncio.ensure_future(channel.send_acknowledged("command"))
+        noting = asyncio.ensure_future(channel.send_acknowledged("note", 2))
+        await asyncio.sleep(0)  # tidy: lets both begin
+        assert client._core.outbox._bytes and not commanding.done()
+        for name in ("stop", "unstop"):
+            await asyncio.wait_for(channel.send(name), PATIENCE)
+        hub.cut()
+        with pytest.raises(mom.LostError) as caught:
+            await asyncio.wait_for(commanding, PATIENCE)
+        assert caught.value.code == "lost"
+        assert await asyncio.wait_for(noting, PATIENCE) == mom.Receipt(1, [])
+        assert [parcel.name for parcel in hub.heard if parcel.family == "message"][0] == "stop"
+        assert contents(hub.heard)[1:] == [0, 1, 2]
+
+
+async def test_what_was_not_acknowledged_is_unknown_when_the_link_ends(hub: FakeHub) -> None:
+    async with connect(hub) as client:
+        channel = await client.channel("/c")
+        events = channel.events()
+        await channel.send_acknowledged("answered")
+        hub.silent = True
+        await channel.send("say", "under way")
+        asking = asyncio.ensure_future(channel.send_acknowledged("ask"))
+        await until(lambda: hub.heard[-1].name == "ask")
+        hub.resumable, port = False, await away(hub, client)
+        await channel.send("say", "waits")
+        await back(hub, client, port)
+        told = [await heard(events, (mom.Dropped, mom.LinkDown)) for _ in range(3)]
+        assert [(event.reason, event.parcel.content) for event in told[:2]] == [("lost", "waits"), ("unknown", "under way")]
+        assert told[2] == mom.LinkDown()
+        with pytest.raises(mom.LostError) as caught:
+            await asking
+        assert caught.value.code == "unknown"
 
 
 async def test_tokens_and_waiting_requests_outlive_a_connection(hub: FakeHub) -> None:
@@ -249,10 +409,10 @@ async def test_counts_that_cannot_be_end_the_link(hub: FakeHub) -> None:
 
 async def test_signs_of_life_and_a_silent_hub(hub: FakeHub) -> None:
     """A half-open connection is noticed: stale first, then lost, then resumed."""
-    hub.limits = {"heartbeat": 100, "gone": 300}
+    hub.limits = {"heartbeat": 300, "gone": 900}
     words: List[str] = []
-    async with connect(hub, heartbeat=0.1, on_state=lambda state: words.append(state.word)) as client:
-        assert hub.logins[0]["heartbeat"] == 100
+    async with connect(hub, heartbeat=0.3, on_state=lambda state: words.append(state.word)) as client:
+        assert hub.logins[0]["heartbeat"] == 300
         await until(lambda: hub.marks.count("ping") >= 8)
         assert words == ["trying", "connected"]
         hub.silent = True

@@ -11,9 +11,11 @@ import mom
 from mom.address import Address
 from mom.clock import OffsetEstimator
 from mom.connection import Connection
-from mom.events import of_parcel
+from mom.entry import Entry
+from mom.events import Subscribers, of_parcel
+from mom.link import Link
 from mom.login import Credentials
-from mom.outbox import Entry, Outbox
+from mom.outbox import Outbox
 from mom.parcel import Parcel
 
 PIN = "4355a46b19d348dc2f57c046f8ef63d4538ebb936000f3c9ee954a27460dd865"
@@ -196,7 +198,6 @@ async def test_what_is_urgent_goes_between_the_pieces() -> None:
     await wire.frames.get()
     for parcel in [
         Parcel("message", "later", "/c"),
-        Parcel("login", "logout", "/"),
         Parcel("message", "urgent", "/c", priority=9),
         Parcel("context", "list", "/"),
         Parcel("message", "state", "/c", 1, delivery="latest"),
@@ -204,13 +205,15 @@ async def test_what_is_urgent_goes_between_the_pieces() -> None:
         Parcel("time", "ping"),
         Parcel("message", "stop", "/c"),
         Parcel("message", "stop", "/c"),
+        Parcel("login", "logout", "/"),
+        Parcel("message", "never heard", "/c", priority=9),
     ]:
         outbox.put(Entry(parcel, parcel.delivery or "reliable"))
     for _ in range(13):
         await asyncio.wait_for(wire.frames.get(), 5)
     sending.cancel()
-    assert sent[:7] == ["stop", "ping", "list", "urgent", "image", "later", "state"]
-    assert dropped == ["state replaced", "stop replaced"]
+    assert sent[:8] == ["stop", "ping", "list", "urgent", "image", "later", "state", "logout"]
+    assert dropped == ["state replaced"]
 
 
 @pytest.mark.parametrize("pieces, kept", [(1, True), (7, False)])
@@ -225,7 +228,7 @@ async def test_what_was_passed_on_whole_counts_though_nobody_says_that_it_was_ta
     sending.cancel()
     await asyncio.wait([sending])
     assert sent == ([] if kept else [image]) and (outbox._bytes > 0) is kept
-    outbox.lose(lambda entry: False, "")
+    outbox.lose()
     assert not kept or image.pieces is None, "it begins anew"
 
 
@@ -240,7 +243,7 @@ async def test_the_queue_is_bounded() -> None:
     waiting = asyncio.ensure_future(outbox.capacity(Entry(Parcel("message", "a", "/c"))))
     await asyncio.sleep(0)  # tidy: lets the other begin
     assert not waiting.done()
-    outbox.lose(lambda entry: True, "disconnected")
+    outbox.lose(everything=True)
     await asyncio.wait_for(waiting, 5)
     dropped.clear()
     for number in range(4):
@@ -248,6 +251,217 @@ async def test_the_queue_is_bounded() -> None:
         await outbox.capacity(entry)
         outbox.put(entry)
     assert dropped == [(b"\0", "queue-full")], "the oldest fleeting one makes room"
+
+
+def large(name: str, priority: int, size: int = 100_000) -> Entry:
+    return Entry(Parcel("message", name, "/c", bytes(size), priority=priority))
+
+
+async def test_a_hub_is_sent_no_more_streams_than_it_takes_and_stops_beside_them() -> None:
+    """It closes a connection on which more are open, or announce more together than one parcel may have."""
+    for most, count in ((8 << 20, 6), (350_000, 3)):
+        outbox, wire, sent = Outbox(lambda entry, reason: None), Wire(), []
+        outbox.most_open = most
+        sending = asyncio.ensure_future(outbox.send_all(wire, lambda entry: sent.append(entry.parcel.name)))  # type: ignore
+        for number in range(count):
+            outbox.put(large(f"image {number}", number))
+            while wire.streams <= number:
+                await asyncio.wait_for(wire.frames.get(), 5)
+                await asyncio.sleep(0)  # tidy: lets the queue go on by one frame
+        # There is no room for these as streams; what is small or never cut needs none.
+        for number in range(2):
+            outbox.put(large(f"late {number}", 50 + number))
+        outbox.put(Entry(Parcel("message", "note", "/c", priority=90)))
+        outbox.put(Entry(Parcel("message", "stop", "/c", bytes(200_000))))
+        assert wire.streams == count
+        while not outbox.is_empty:
+            await asyncio.wait_for(wire.frames.get(), 5)
+            await asyncio.sleep(0)  # tidy: lets the queue go on by one frame
+            assert len(outbox._streams) <= count
+        sending.cancel()
+        # The first that ends makes room for what is most urgent.
+        assert sent[:5] == ["stop", "note", f"image {count - 1}", "late 1", "late 0"] and sent[-1] == "image 0"
+
+
+async def test_a_parcel_that_is_larger_than_all_streams_may_be_goes_alone() -> None:
+    outbox, sent = Outbox(lambda entry, reason: None), []  # type: ignore[var-annotated]
+    outbox.most_open, wire = 1000, Wire()
+    outbox.put(large("image", 0))
+    sending = asyncio.ensure_future(outbox.send_all(wire, sent.append))  # type: ignore[arg-type]
+    while not sent:
+        await asyncio.wait_for(wire.frames.get(), 5)
+    sending.cancel()
+
+
+async def test_what_has_begun_to_leave_leaves_whole_though_it_expires() -> None:
+    seconds, dropped, sent = [0.0], [], []  # type: ignore[var-annotated]
+    outbox = Outbox(lambda entry, reason: dropped.append(reason), lambda: seconds[0])
+    image, wire = Entry(Parcel("message", "image", "/c", bytes(100_000), expires=5), now=0.0), Wire()
+    outbox.put(image)
+    sending = asyncio.ensure_future(outbox.send_all(wire, sent.append))  # type: ignore[arg-type]
+    await asyncio.wait_for(wire.frames.get(), 5)
+    seconds[0] = 1.0
+    while not sent and not dropped:
+        await asyncio.wait_for(wire.frames.get(), 5)
+    sending.cancel()
+    assert sent == [image] and not dropped
+
+
+async def test_a_stop_is_replaced_once_nobody_waits_for_its_answer_any_more() -> None:
+    outbox = Outbox(lambda entry, reason: None)
+    answer: "asyncio.Future[Any]" = asyncio.get_running_loop().create_future()
+    stops = [Entry(Parcel("message", "stop", "/c", number), answer=answer if number == 0 else None) for number in range(3)]
+    outbox.put(stops[0])
+    outbox.put(stops[1])
+    assert list(outbox._queue) == stops[:2]
+    answer.cancel()
+    outbox.put(stops[2])
+    assert list(outbox._queue) == stops[2:]
+
+
+async def test_stops_and_unstops_are_never_cut() -> None:
+    for name in ("stop", "unstop"):
+        outbox, wire = Outbox(lambda entry, reason: None), Wire()
+        outbox.put(Entry(Parcel("message", name, "/c", bytes(100_000))))
+        sending = asyncio.ensure_future(outbox.send_all(wire, lambda entry: None))  # type: ignore[arg-type]
+        frame = await asyncio.wait_for(wire.frames.get(), 5)
+        sending.cancel()
+        assert len(frame) > 100_000 and outbox.is_empty and wire.streams == 0
+
+
+@pytest.mark.parametrize("name", ["command", "note"])
+async def test_only_what_is_fleeting_makes_fleeting_messages_leave_their_place(name: str) -> None:
+    dropped: List[str] = []
+    outbox = Outbox(lambda entry, reason: dropped.append(reason))
+    outbox.most = 1000
+    outbox.put(Entry(Parcel("message", "frame", "/c", bytes(700)), "fleeting"))
+    waiting = asyncio.ensure_future(outbox.capacity(Entry(Parcel("message", name, "/c", bytes(700)))))
+    await asyncio.sleep(0)  # tidy: lets it begin
+    assert not waiting.done() and not dropped
+    outbox.lose()
+    await asyncio.sleep(0)  # tidy: lets it look again
+    await asyncio.sleep(0)  # tidy: and end, if it does
+    assert waiting.done() is (name == "command"), "while the connection is lost a command is dropped at once"
+    outbox.resume([])
+    sending = asyncio.ensure_future(outbox.send_all(Wire(), lambda entry: None))  # type: ignore[arg-type]
+    await asyncio.wait_for(waiting, 5)
+    sending.cancel()
+    assert outbox.is_empty and not dropped
+
+
+def test_a_link_keeps_what_outlives_a_loss_up_to_a_bound() -> None:
+    """Beyond it something would be missing after a resume. One parcel of any size may be under way."""
+    note = Entry(Parcel("message", "note", "/c", bytes(400)))
+    link = Link("link", b"", 30.0, 2 * note.size)
+    for entry in [note, note, Entry(Parcel("message", "frame", "/c", bytes(4000)), "fleeting"), Entry(Parcel("time", "ping"))]:
+        link.wrote(entry)
+        assert link.is_whole
+    assert link.sent == 3 and len(link.unread) == 3
+    assert not link.acknowledged(4) and not link.acknowledged(-1) and not link.acknowledged("1") and len(link.unread) == 3
+    assert link.acknowledged(1) and not link.acknowledged(0) and len(link.unread) == 2
+    link.wrote(note)
+    assert link.is_whole
+    assert link.acknowledged(4)
+    link.wrote(Entry(Parcel("message", "map", "/c", bytes(4000))))
+    assert link.is_whole and link.acknowledged(5)
+    link.wrote(note)
+    both = link.resumed(5)
+    assert both == ([note], []) and link.sent == 5 and not link.unread
+    for _ in range(2):
+        link.wrote(note)
+    assert link.is_whole
+    link.wrote(note)
+    assert not link.is_whole and link.acknowledged(8)
+    link.wrote(note)
+    assert not link.is_whole, "what was not kept is missing for good"
+
+
+@pytest.mark.parametrize("heartbeat", [0.0999, 10.001, 0, -1, float("nan"), float("inf")])
+def test_a_heartbeat_that_no_hub_takes_is_refused_here(heartbeat: float) -> None:
+    with pytest.raises(mom.LocalError, match=r"a heartbeat is from 0\.1 s to 10 s, not ") as caught:
+        mom.connect("bin://127.0.0.1:1", guest=True, heartbeat=heartbeat)
+    assert caught.value.code == "bad-content"
+
+
+def test_heartbeats_within_the_range_are_taken() -> None:
+    for heartbeat in (None, 0.1, 0.5, 10):
+        mom.connect("bin://127.0.0.1:1", guest=True, heartbeat=heartbeat)
+
+
+def said(name: str, content: Any, sender: str = "alice", path: str = "/c") -> mom.Message:
+    return mom.Message(Parcel("message", name, path, content, sender=sender))
+
+
+def taken(events: mom.Events) -> List[Any]:
+    found: List[Any] = []
+    while (event := events.try_next()) is not None:
+        found.append(event.content if isinstance(event, mom.Message) else event)
+    return found
+
+
+def subscribers(most: int = 4) -> Subscribers:
+    return Subscribers(most, lambda parcel: False)
+
+
+async def test_a_full_queue_of_events_drops_the_oldest_and_says_so() -> None:
+    events = subscribers().unaddressed()
+    for number in range(7):
+        events._push(said("note", number))
+    assert taken(events) == [mom.Lagged(3), 3, 4, 5, 6]
+
+
+@pytest.mark.parametrize("name, sender", [("stop", "bob"), ("unstop", "bob"), ("halt", "hub"), ("park", "hub")])
+async def test_a_full_queue_of_events_keeps_what_a_device_must_not_miss(name: str, sender: str) -> None:
+    events = subscribers().unaddressed()
+    events._push(said("note", 0))
+    events._push(said(name, "kept", sender))
+    for number in range(1, 9):
+        events._push(said("note", number))
+    assert taken(events) == [mom.Lagged(6), "kept", 6, 7, 8]
+    # In its order among the others, and also where it comes last.
+    for number in range(4):
+        events._push(said("note", number))
+    events._push(said(name, "kept", sender))
+    assert taken(events) == [mom.Lagged(1), 1, 2, 3, "kept"]
+
+
+async def test_other_messages_are_kept_no_longer_than_others() -> None:
+    events = subscribers(2).unaddressed()
+    for name, sender in [("log", "hub"), ("halted", "bob"), ("command", "bob"), ("joined", "alice")]:
+        events._push(said(name, name, sender))
+    assert taken(events) == [mom.Lagged(2), "command", "joined"]
+
+
+async def test_of_stops_a_full_queue_keeps_the_newest_of_each_sender_and_context() -> None:
+    events = subscribers().unaddressed()
+    for number in range(100):
+        for sender in ("alice", "bob"):
+            for path in ("/a", "/b"):
+                events._push(said("stop", f"{sender} {path} {number}", sender, path))
+                events._push(said("unstop", f"not {sender} {path} {number}", sender, path))
+                events._push(said("note", "in between"))
+    newest = [f"{word}{sender} {path} 99" for sender in ("alice", "bob") for path in ("/a", "/b") for word in ("", "not ")]
+    found = taken(events)
+    assert found[1:] == newest and isinstance(found[0], mom.Lagged) and found[0].lost == 1200 - 8
+    assert events._bytes == 0 and taken(events) == []
+
+
+async def test_a_stop_is_kept_for_whoever_comes_late_for_the_events_of_a_context() -> None:
+    """Of the rest nobody waits for, others hear."""
+    all_ = subscribers()
+    others = all_.unaddressed()
+    all_.keep_early("/c")
+    all_.deliver(["/c"], said("stop", "first"))
+    for number in range(9):
+        all_.deliver(["/c"], said("note", number))
+    all_.deliver(["/c"], said("stop", "second"))
+    all_.deliver(["/c"], said("stop", "bob's", "bob"))
+    assert taken(others) == [mom.Lagged(4), 7, 8, "second", "bob's"]
+    events = all_.subscribe("/c")
+    assert taken(events) == [mom.Lagged(10), "second", "bob's"]
+    for number in range(5):
+        all_.deliver(["/c"], said("note", number))
+    assert taken(events) == [mom.Lagged(1), 1, 2, 3, 4] and taken(others) == []
 
 
 @pytest.mark.parametrize(

@@ -117,10 +117,25 @@ async def test_what_was_commanded_before_is_not_done_after(broker: Broker, cutte
         assert obeyed == ["first", "halt", "anew"]
         dropped = [await heard(told, mom.Dropped) for _ in range(2)]
         assert [(event.reason, event.parcel.content) for event in dropped] == [
-            ("older-fence", "said meanwhile"),
-            ("older-fence", "under way"),
+            ("lost", "said meanwhile"),
+            ("unknown", "under way"),
         ]
         await guard.release()
+
+
+async def test_a_token_that_is_released_during_a_loss_is_free_after_it(broker: Broker, cutter: Cutter, alice: mom.Client) -> None:
+    guard = await (await alice.token(TOKEN)).grab()
+    cutter.refuses = True
+    cutter.cut()
+    await state(alice, "resuming")
+    releasing = asyncio.ensure_future(guard.release())
+    await asyncio.sleep(0)  # tidy: lets it be said
+    assert not releasing.done()
+    cutter.refuses = False
+    await asyncio.wait_for(releasing, PATIENCE)
+    async with broker.connect("bob") as bob:
+        async with (await bob.token(TOKEN)).grab() as theirs:
+            assert theirs.fence > guard.fence
 
 
 async def test_through_another_door(broker: Broker, cutter: Cutter, alice: mom.Client) -> None:

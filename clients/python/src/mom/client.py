@@ -85,7 +85,7 @@ def connect(
     - `nickname`: the requested name at the hub; `hub_name`: the only hub for which the key signs.
     - `trust`: which hub is the right one over TLS (`mom.Trust`).
     - `link`, `grace`: whether a lost connection is resumed, and for how many seconds the hub is to wait for that.
-    - `heartbeat`: the signs of life of this connection, in seconds; a lost one is noticed after three of them.
+    - `heartbeat`: the signs of life of this connection, from 0.1 to 10 seconds; a lost one is noticed after three of them.
     - `reconnect`: the delays between attempts, at first and after a loss; `None`: a lost connection closes the client.
     - `request_timeout`, `connect_timeout`: how long to wait for a reply, and for a connection with its login.
     - `event_buffer`: the most events that wait for one subscription.
@@ -223,7 +223,7 @@ class Client:
         return await self._core.request(parcel, timeout)
 
     async def send(self, parcel: Parcel) -> int:
-        """Sends a message; waits only for room in this client's own queue. Gives its id."""
+        """Sends a message; waits only for room in this client's own queue, stops not even for that. Gives its id."""
         return await self._core.send(parcel)
 
     def unaddressed(self) -> Events:

@@ -120,8 +120,9 @@ class Connection:
 class Pieces:
     """The frames of one parcel: one, or chunks."""
 
-    def __init__(self, body: bytes, stream: Callable[[], int]) -> None:
+    def __init__(self, body: bytes, stream: Callable[[], int], whole: bool = False) -> None:
         self._body, self._at, self._next_stream = body, 0, stream
+        self._whole = whole or len(body) <= 2 * PIECE
         self._stream: Optional[int] = None
         self.done = False
         """Whether all of it was given."""
@@ -129,7 +130,7 @@ class Pieces:
     def next(self) -> bytes:
         """The next frame."""
         body = self._body
-        if self._at == 0 and len(body) <= 2 * PIECE:
+        if self._whole:
             self.done = True
             return binary.frame(body)
         if self._stream is None:

@@ -8,12 +8,22 @@ from datetime import datetime
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from .clock import HubClock
-from .errors import ClosedError, ConnectionDownError, MomError, RefusedError, TimedOutError, WireError
+from .entry import Entry
+from .errors import (
+    ClosedError,
+    ConnectionDownError,
+    DroppedError,
+    LostError,
+    MomError,
+    RefusedError,
+    TimedOutError,
+    WireError,
+)
 from .events import Dropped, LinkDown, Other, Refused, Rejoined, StateChanged, Subscribers, is_within, of_parcel
 from .gate import FenceGate
 from .holds import Holds
 from .link import Link
-from .outbox import AGAIN, Entry, Outbox
+from .outbox import Outbox
 from .parcel import Parcel
 from .states import LinkState
 
@@ -55,7 +65,7 @@ class Core:
         """With what error the hub ends the connection."""
         self.state = LinkState("trying")
         self.on_state: List[Callable[[LinkState], None]] = []
-        self._pending: Dict[int, Tuple[asyncio.Future[Parcel], Optional[str]]] = {}
+        self._pending: Dict[int, Tuple[asyncio.Future[Parcel], str]] = {}
         self._sent: OrderedDict[int, Optional[str]] = OrderedDict()
         self._ids = 0
 
@@ -103,55 +113,57 @@ class Core:
             parcel.timestamp = self.wall()
         place = self.places.get(parcel.context or "")
         guard = place.gate.guard if place else None
+        token = guard.token if guard is not None and guard.covers(parcel.name) else None
         delivery = parcel.delivery or (place.info.get("delivery") if place else None) or "reliable"
-        entry = Entry(parcel, str(delivery), guard is not None and guard.covers(parcel.name))
+        answer, _ = self._pending.get(parcel.id, (None, None))
+        entry = Entry(parcel, str(delivery), token, answer, self.outbox.clock())
         most = self.limit("parcel", 8 << 20)
         if entry.size > most:
             raise RefusedError(WireError("too-long", f"{entry.size} bytes; the hub takes {most}"))
-        if parcel.expires is not None and parcel.name != "stop":
-            entry.deadline = asyncio.get_running_loop().time() + parcel.expires / 1000
         await self.outbox.capacity(entry)
         self.check_up()
         self._sent[parcel.id] = parcel.context
         if len(self._sent) > _REMEMBERED:
             self._sent.popitem(last=False)
-        if not self.is_up and (entry.guarded or entry.delivery != "reliable"):
-            # What was meant for the moment must not happen later.
-            self.dropped(entry, "older-fence" if entry.guarded else "disconnected")
-        else:
-            self.outbox.put(entry)
+        self.outbox.put(entry)
         return parcel.id
 
-    def post(self, parcel: Parcel, again: bool = False) -> None:
+    def post(self, parcel: Parcel, answer: Optional[asyncio.Future[Parcel]] = None) -> None:
         """Lets a parcel wait without asking for room: requests, signs of life."""
-        entry = Entry(parcel)
-        if again:
-            entry.lane, entry.priority = AGAIN, 0
-        self.outbox.put(entry)
+        self.outbox.put(Entry(parcel, answer=answer))
 
     def begin(self, parcel: Parcel) -> asyncio.Future[Parcel]:
         """Lets a request wait to be sent; gives its answer to come."""
         parcel.id = self.next_id() if parcel.id is None else parcel.id
         number, future = parcel.id, asyncio.get_running_loop().create_future()
-        self._pending[number] = (future, parcel.context)
+        self._pending[number] = (future, _what(parcel))
         future.add_done_callback(lambda _: self._pending.pop(number, None))
         if parcel.family != "message":
-            self.post(parcel)
+            self.post(parcel, future)
         return future
 
     async def request(self, parcel: Parcel, timeout: Optional[float] = None, wait: bool = True) -> Parcel:
         """Sends a request and waits for its answer; `wait` = `False`: as long as it takes."""
         self.check_up()
-        future, after = self.begin(parcel), timeout or self.request_timeout
+        future = self.begin(parcel)
         try:
             if parcel.family == "message":
                 await self.send(parcel)
+            return await self.answer(parcel, future, timeout, wait)
+        finally:
+            if not future.cancel() and not future.cancelled():
+                # An error that is told here already, if nobody has taken it.
+                future.exception()
+
+    async def answer(
+        self, parcel: Parcel, future: asyncio.Future[Parcel], timeout: Optional[float] = None, wait: bool = True
+    ) -> Parcel:
+        """Waits for the answer to a request that was begun."""
+        after = timeout or self.request_timeout
+        try:
             return await asyncio.wait_for(future, after if wait else None)
         except asyncio.TimeoutError:
-            what = f"{parcel.family} {parcel.name} {parcel.context or ''}".strip()
-            raise TimedOutError(what, after) from None
-        finally:
-            future.cancel()
+            raise TimedOutError(_what(parcel), after) from None
 
     async def ask(self, family: str, name: str, path: str, content: Any = None, **options: Any) -> Parcel:
         """A request about a context."""
@@ -308,47 +320,68 @@ class Core:
     # Losses.
 
     def dropped(self, entry: Entry, reason: str) -> None:
-        """Tells of a parcel that will not be sent."""
+        """Tells of a parcel that will not be sent, or not again."""
         parcel = entry.parcel
-        future, _ = self._pending.get(parcel.id or 0, (None, None))
-        if future is not None and not future.done():
-            if entry.guarded and reason == "older-fence":
-                text = f"{parcel.name} was said before the connection was lost, and the device was made safe"
-                future.set_exception(RefusedError(WireError("older-fence", text)))
-            else:
-                future.set_exception(ConnectionDownError(f"{parcel.name} was not sent: {reason}"))
-        elif parcel.family == "message":
+        if entry.answer is not None:
+            # Who has got its answer, or waits no more, has heard all that there is to hear.
+            if not entry.answer.done():
+                kind = LostError if reason in ("lost", "unknown") else DroppedError
+                entry.answer.set_exception(kind(_what(parcel), reason))
+        else:
             self.subscribers.deliver(_paths(parcel), Dropped(reason, 1, parcel))
 
     def suspend(self) -> None:
         """The connection is lost, and the link is not: what was meant for the moment is not said later."""
         self.is_up = False
-        self.outbox.lose(lambda entry: entry.guarded, "older-fence")
-        self.outbox.lose(lambda entry: not entry.is_reliable, "disconnected")
+        self.outbox.lose()
+
+    def resume(self, read: Any) -> bool:
+        """The link goes on over another connection; the hub has read so many parcels. Whether that can be."""
+        both = self.link.resumed(read) if self.link is not None else None
+        if both is None:
+            return False
+        self.is_up = True
+        self.outbox.resume(both[0])
+        for entry in both[1]:
+            self.dropped(entry, "unknown")
+        return True
+
+    def begin_anew(self) -> None:
+        """Logged in, as another peer than before."""
+        self.is_up = True
+        self.outbox.open()
 
     def lose_all(self, why: str) -> None:
         """The link is gone: open requests get no answer, and tokens are lost."""
-        self.link, self.is_up = None, False
+        self._lose_link()
         self.clock._forget()
         self.numbers.clear()
-        self.outbox.lose(lambda entry: True, "disconnected")
         self.holds.lose_within("/", "disconnected")
         for place in self.places.values():
             place.gate.forget_owner()
-        for future, _ in list(self._pending.values()):
+        for future, what in list(self._pending.values()):
             if not future.done():
-                future.set_exception(ConnectionDownError(why))
+                # The hub has read it, or may have.
+                future.set_exception(LostError(what, "unknown", why))
         self.subscribers.deliver_all(LinkDown())
+
+    def _lose_link(self) -> None:
+        link, self.link, self.is_up = self.link, None, False
+        self.outbox.lose(everything=True)
+        for entry in link.unread if link is not None else ():
+            self.dropped(entry, "unknown")
 
     def close(self, error: Optional[WireError]) -> None:
         """Nothing will come any more."""
-        self.link, self.is_up = None, False
         self.enter(LinkState("closed", error=error))
         self.holds.lose_within("/", "disconnected")
         for future, _ in list(self._pending.values()):
             if not future.done():
                 future.set_exception(ClosedError(error))
-        self.outbox.lose(lambda entry: True, "disconnected")
+        if error is None:
+            # The answer to the logout says that all was read.
+            self.link = None
+        self._lose_link()
         self.subscribers.close_all()
 
     def _is_over(self, parcel: Parcel) -> bool:
@@ -359,3 +392,7 @@ class Core:
 
 def _paths(parcel: Parcel) -> List[str]:
     return [parcel.context] if parcel.context else []
+
+
+def _what(parcel: Parcel) -> str:
+    return f"{parcel.family} {parcel.name} {parcel.context or ''}".strip()

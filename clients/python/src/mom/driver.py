@@ -10,11 +10,11 @@ from typing import Dict, List, Optional, Set, Tuple
 from .address import WEBSOCKET, Address
 from .connection import Connection
 from .core import Core
+from .entry import Entry
 from .errors import ConnectionDownError, LocalError, MomError, RefusedError, WireError
 from .events import Dropped
 from .link import Link
 from .login import Credentials
-from .outbox import Entry
 from .parcel import Parcel
 from .states import LinkState, Reconnect
 from .transport import Trust, has_websockets
@@ -23,6 +23,8 @@ LOG = logging.getLogger("mom")
 
 _NEXT_DOOR = 0.25
 _LAST_WORDS = 2.0
+_HEARTBEAT = (0.1, 10.0)
+"""What may be asked for, in seconds; the hub's own may be less than the most of it."""
 _FINAL = ("insecure", "bad-login", "bad-content", "not-encodable")
 
 _worked: Dict[Tuple[str, int], Address] = {}
@@ -44,6 +46,12 @@ class Options:
     connect_timeout: float
     reconnect: Optional[Reconnect]
 
+    def __post_init__(self) -> None:
+        # A hub refuses it as it refuses what it does not know: then there would be no link either.
+        if self.heartbeat is not None and not _HEARTBEAT[0] <= self.heartbeat <= _HEARTBEAT[1]:
+            least, most = _HEARTBEAT
+            raise LocalError("bad-content", f"a heartbeat is from {least:g} s to {most:g} s, not {self.heartbeat:g} s")
+
 
 class Driver:
     """Connects, logs in, resumes, and drives each connection."""
@@ -55,7 +63,7 @@ class Driver:
         self._door = ""
         self._written = 0.0
         self._connection: Optional[Connection] = None
-        self._logins, self._fresh = 0, False
+        self._logins = 0
         self._rejoining: List[asyncio.Task[None]] = []
 
     async def first(self) -> Connection:
@@ -136,7 +144,12 @@ class Driver:
         connection, door = await self._open()
         self._connection = connection
         try:
-            await asyncio.wait_for(self._enter(connection), self.options.connect_timeout)
+            reply, is_resumed = await asyncio.wait_for(self._enter(connection), self.options.connect_timeout)
+            # From here on nothing waits, so that nobody can say anything in between.
+            if is_resumed:
+                self._resumed(reply)
+            else:
+                self._logged_in(reply)
         except asyncio.TimeoutError:
             connection.abort()
             raise ConnectionDownError(f"{door}: no answer to the login") from None
@@ -144,10 +157,6 @@ class Driver:
             connection.abort()
             raise
         self._door = str(door)
-        self.core.is_up = True
-        if self._logins > 1 and self._fresh:
-            # Before anything that others may say from here on. Kept, as the loop itself does not.
-            self._rejoining = self.core.rejoin_all()
         self.core.enter(LinkState("connected", door=self._door))
         return connection
 
@@ -198,12 +207,12 @@ class Driver:
 
     # Entering.
 
-    async def _enter(self, connection: Connection) -> None:
-        """Resumes the link, or logs in."""
+    async def _enter(self, connection: Connection) -> Tuple[Parcel, bool]:
+        """Resumes the link, or logs in; the hub's reply, and whether the link goes on."""
         if self.core.link is not None:
-            if await self._resume(connection, self.core.link):
-                self._fresh = False
-                return
+            resumed = await self._resume(connection, self.core.link)
+            if resumed is not None:
+                return resumed, True
             self.core.lose_all("the link could not be resumed")
         try:
             parcel = await self._ask(connection, Parcel("login", "login", "/", self._login()))
@@ -217,14 +226,21 @@ class Driver:
             parcel = await self._ask(
                 connection, Parcel("login", "answer", "/", self.credentials.answer(parcel))
             )
-        self.welcomed(parcel)
-        self._logins, self._fresh = self._logins + 1, True
-        self.core.link = Link.of_reply(parcel.map(), self.core.outbox.most) if self.options.link else None
+        return parcel, False
+
+    def _logged_in(self, reply: Parcel) -> None:
+        self.welcomed(reply)
+        self._logins += 1
+        self.core.link = Link.of_reply(reply.map(), self.core.outbox.most) if self.options.link else None
+        self.core.begin_anew()
+        if self._logins > 1:
+            # Before anything that others may say from here on. Kept, as the loop itself does not.
+            self._rejoining = self.core.rejoin_all()
 
     def begin_anew(self, why: str) -> None:
         """This is another peer from now on: nothing of the old one belongs to it."""
         self.core.lose_all(why)
-        self.core.is_up = True
+        self.core.begin_anew()
         self._rejoining = self.core.rejoin_all()
 
     def _login(self) -> Dict[str, object]:
@@ -235,7 +251,7 @@ class Driver:
             grace = self.options.grace
             content["link"] = True if grace is None else {"grace": int(grace * 1000)}
         if self.options.heartbeat is not None:
-            content["heartbeat"] = int(self.options.heartbeat * 1000)
+            content["heartbeat"] = round(self.options.heartbeat * 1000)
         return content
 
     def welcomed(self, reply: Parcel) -> None:
@@ -245,6 +261,7 @@ class Driver:
             raise ConnectionDownError("the hub's reply to the login names no peer")
         self.core.welcome = {key: value for key, value in content.items() if key not in ("link", "resumed", "read", "dropped")}
         self.core.outbox.most = self.core.limit("outbox", 4 << 20)
+        self.core.outbox.most_open = self.core.limit("parcel", 8 << 20)
         if self._connection is not None:
             self._connection.decoder.most = self.core.limit("parcel", 8 << 20)
 
@@ -269,31 +286,25 @@ class Driver:
             elif heard.family == "reply" and heard.reference == parcel.id:
                 return heard
 
-    async def _resume(self, connection: Connection, link: Link) -> bool:
-        """Whether the link goes on over this connection; if not, a login may follow on it."""
+    async def _resume(self, connection: Connection, link: Link) -> Optional[Parcel]:
+        """The hub's reply if the link goes on over this connection; if not, a login may follow on it."""
         try:
             challenge = await self._ask(connection, Parcel("login", "resume", "/", {"link": link.name}))
-            answer = Parcel("login", "answer", "/", link.answer(challenge))
-            reply = await self._ask(connection, answer)
+            return await self._ask(connection, Parcel("login", "answer", "/", link.answer(challenge)))
         except RefusedError as error:
             if error.wire.closes:
                 raise
             LOG.info("the link is not resumed: %s", error)
-            return False
+            return None
+
+    def _resumed(self, reply: Parcel) -> None:
         content = reply.map()
-        both = link.resumed(content.get("read")) if content.get("resumed") is True else None
-        if both is None:
+        if content.get("resumed") is not True or not self.core.resume(content.get("read")):
             raise ConnectionDownError("the hub resumed a link by counts that cannot be")
         self.welcomed(reply)
-        self.core.outbox.put_again(both[0])
-        for entry in both[1]:
-            if entry.parcel.family == "message":
-                self.core.dropped(entry, "older-fence" if entry.guarded else "disconnected")
-        self.core.post(Parcel("time", "resent"), again=True)
         dropped = content.get("dropped")
         if isinstance(dropped, int) and dropped > 0:
             self.core.subscribers.deliver_others(Dropped("lost", dropped, reply))
-        return True
 
     # One connection.
 

@@ -158,6 +158,37 @@ class ConnectionDownError(MomError):
         super().__init__(f"no connection: {text}")
 
 
+class LostError(ConnectionDownError):
+    """What was said went with the connection: meant for the moment, or the link could not be resumed.
+
+    `code` is `lost` if it had not left, and `unknown` if it had: nobody knows whether the hub has read it.
+    """
+
+    def __init__(self, what: str, code: str, why: str = "") -> None:
+        lost = f"{what} is lost: it had not left when the connection was lost"
+        unknown = f"{what} had left when the connection was lost: it is unknown whether it was carried out"
+        super().__init__((lost if code == "lost" else unknown) + (f" ({why})" if why else ""))
+        self._code = code
+
+    @property
+    def code(self) -> str:
+        """`lost` or `unknown`."""
+        return self._code
+
+
+class DroppedError(MomError):
+    """What was said was not sent: `code` is `replaced`, `withdrawn` (an `unstop`, by a stop), `expired` or `queue-full`."""
+
+    def __init__(self, what: str, code: str) -> None:
+        super().__init__(f"{what} was not sent: {code}")
+        self._code = code
+
+    @property
+    def code(self) -> str:
+        """Why, as in the event `Dropped`."""
+        return self._code
+
+
 class TimedOutError(MomError):
     """No answer came in time. Nobody knows whether the request was carried out."""
 

@@ -248,7 +248,11 @@ class Expelled(Event):
 
 @dataclass(frozen=True)
 class Dropped(Event):
-    """Parcels were dropped on their way, by the hub or before they left."""
+    """Parcels were dropped on their way, by the hub or before they left.
+
+    Of what this client said the reason is `replaced`, `withdrawn` (an `unstop`, by a stop), `expired` or `queue-full`; where
+    the connection was lost `lost`, if it had not left, or `unknown`: nobody knows whether the hub has read it.
+    """
 
     reason: str
     count: int
@@ -351,15 +355,17 @@ def seconds(content: Dict[str, Any], key: str) -> Optional[float]:
 class Events:
     """A subscription: events wait in a bounded queue, and are taken by `async for`.
 
-    When the queue is full the oldest are dropped, and the next event is `Lagged` with their number. It ends when the
-    context is left or deleted or the client closed; `close` ends it sooner.
+    When the queue is full the oldest are dropped, and the next event is `Lagged` with their number. Of `stop`, `unstop`,
+    `halt` and what else the hub says to make a device safe, only those are dropped that a newer one of the same name, sender
+    and context follows. It ends when the context is left or deleted or the client closed; `close` ends it sooner.
     """
 
     _MOST_BYTES = 64 << 20
 
     def __init__(self, most: int, is_over: Callable[[Parcel], bool], close: Callable[[Events], None]) -> None:
-        self._events: Deque[Tuple[int, Event]] = deque()
-        self._most, self._bytes, self._lost = max(most, 1), 0, 0
+        self._events: Deque[Tuple[int, int, Event]] = deque()
+        self._safety: Deque[Tuple[int, int, Event]] = deque()
+        self._most, self._bytes, self._lost, self._numbers = most, 0, 0, 0
         self._is_over, self._unsubscribe = is_over, close
         self._closed = False
         self._wake = asyncio.Event()
@@ -389,9 +395,9 @@ class Events:
         if self._lost:
             lost, self._lost = self._lost, 0
             return Lagged(lost)
-        while self._events:
-            weight, event = self._events.popleft()
-            self._bytes -= weight
+        while self._events or self._safety:
+            is_first = not self._events or bool(self._safety) and self._safety[0][0] < self._events[0][0]
+            event = self._take(self._safety if is_first else self._events)
             if not (isinstance(event, Message) and self._is_over(event.parcel)):
                 return event
         return None
@@ -406,21 +412,62 @@ class Events:
         self._closed = True
         self._wake.set()
 
+    def _take(self, events: Deque[Tuple[int, int, Event]]) -> Event:
+        _, weight, event = events.popleft()
+        self._bytes -= weight
+        return event
+
+    @property
+    def _is_full(self) -> bool:
+        return len(self._events) + len(self._safety) >= self._most
+
     def _push(self, event: Event) -> None:
         weight = event.parcel.size if isinstance(event, (Message, Other)) else 0
-        while self._events and (len(self._events) >= self._most or self._bytes + weight > self._MOST_BYTES):
-            self._bytes -= self._events.popleft()[0]
+        key = _safety_key(event)
+        if key is not None and self._is_full:
+            self._drop_older(key)
+        while self._events and (self._is_full or self._bytes + weight > self._MOST_BYTES):
+            self._take(self._events)
             self._lost += 1
-        self._events.append((weight, event))
-        self._bytes += weight
+        if key is None and self._is_full:
+            self._lost += 1
+        else:
+            self._numbers += 1
+            (self._events if key is None else self._safety).append((self._numbers, weight, event))
+            self._bytes += weight
         self._wake.set()
+
+    def _drop_older(self, key: Tuple[object, ...]) -> None:
+        """Drops what a newer one of this key is about to follow."""
+        kept = [waiting for waiting in self._safety if _safety_key(waiting[2]) != key]
+        self._lost += len(self._safety) - len(kept)
+        self._bytes -= sum(waiting[1] for waiting in self._safety) - sum(waiting[1] for waiting in kept)
+        self._safety = deque(kept)
+
+    def _keep_safety(self) -> None:
+        """Drops all but what makes a device safe, and takes nothing else from now on."""
+        while self._events:
+            self._take(self._events)
+            self._lost += 1
+        self._most = 0
+
+
+def _safety_key(event: Event) -> Optional[Tuple[object, ...]]:
+    """Of what a device must not miss: what it has in common with those that it may take the place of."""
+    if not isinstance(event, Message):
+        return None
+    parcel = event.parcel
+    # Other names of the hub's are those of safe states; its log is not.
+    if parcel.name not in ("stop", "unstop", "halt") and (parcel.sender != "hub" or parcel.name == "log"):
+        return None
+    return parcel.context, parcel.sender, parcel.name
 
 
 class Subscribers:
     """The subscriptions by context."""
 
     def __init__(self, most: int, is_over: Callable[[Parcel], bool]) -> None:
-        self._most, self._is_over = most, is_over
+        self._most, self._is_over = max(most, 1), is_over
         self._by_path: Dict[str, List[Events]] = {}
         self._early: Dict[str, Events] = {}
         self._others: List[Events] = []
@@ -437,6 +484,7 @@ class Subscribers:
     def subscribe(self, path: str) -> Events:
         """The events of a context from now on; the first subscriber's from the join on."""
         events = self._early.pop(path, None) or self._events()
+        events._most = self._most
         self._by_path.setdefault(path, []).append(events)
         return events
 
@@ -456,13 +504,13 @@ class Subscribers:
 
     def deliver(self, paths: List[str], event: Event) -> None:
         """Gives an event to the subscribers of these contexts, or else to the unaddressed."""
-        found = [events for path in paths for events in self._of(path)]
+        found = [events for path in paths for events in self._of(path, event)]
         for events in found or self._others:
             events._push(event)
 
     def deliver_only(self, path: str, event: Event) -> None:
         """Gives an event to the subscribers of this context, or else to nobody."""
-        for events in self._of(path):
+        for events in self._of(path, event):
             events._push(event)
 
     def deliver_others(self, event: Event) -> None:
@@ -495,11 +543,12 @@ class Subscribers:
         for events in [*self._others, *self._consults]:
             events._end()
 
-    def _of(self, path: str) -> List[Events]:
+    def _of(self, path: str, event: Event) -> List[Events]:
         early = self._early.get(path)
-        if early is not None and len(early._events) >= self._most:
-            # Nobody has come for it.
-            del self._early[path]
+        if early is not None and early._is_full:
+            # Nobody has come for it: others get what comes from now on, and this only what a device must not miss.
+            early._keep_safety()
+            early._push(event)
             early = None
         return self._by_path.get(path, []) + ([early] if early else [])
 

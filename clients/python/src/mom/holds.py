@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Dict, List, Optional
+from typing import TYPE_CHECKING, Any, Dict, List, Optional, Set
 
-from .errors import MomError, RefusedError
+from .errors import LostError, MomError, RefusedError
 from .events import is_within, seconds
 from .parcel import Parcel
 
@@ -94,6 +94,7 @@ class Holds:
         self._owned: Dict[str, Hold] = {}
         self._shared: Dict[str, Hold] = {}
         self._handovers: List[Handover] = []
+        self._withdrawing: Set[asyncio.Task[None]] = set()
 
     def of(self, path: str, shared: bool = False) -> Optional[Hold]:
         """The ownership of a token, if there is one."""
@@ -156,7 +157,31 @@ class Holds:
         if hold.guards > 0 or hold.lost.done():
             return
         self.lose(hold, "released", self._core.peer)
-        await self._core.ask("token", "uninhibit" if hold.shared else "release", hold.path)
+        name = "uninhibit" if hold.shared else "release"
+        await self._core.request(Parcel("token", name, hold.path, fence=hold.fence or None))
+
+    def withdraw(self, path: str, grab: asyncio.Future[Parcel]) -> None:
+        """Nobody waits for a grab any more: it leaves the queue, or the token is given back if it was granted meanwhile."""
+        # Said at once, so that it does not withdraw a later grab.
+        released = self._core.begin(Parcel("token", "release", path))
+        task = asyncio.ensure_future(self._withdraw(path, grab, released))
+        self._withdrawing.add(task)
+        task.add_done_callback(self._withdrawing.discard)
+
+    async def _withdraw(self, path: str, grab: asyncio.Future[Parcel], released: asyncio.Future[Parcel]) -> None:
+        try:
+            try:
+                await released
+            except LostError:
+                # Without a fence it does not outlive a lost connection, as the grab does.
+                fence, hold = (await grab).map().get("fence"), self._owned.get(path)
+                if isinstance(fence, int) and (hold is None or hold.fence != fence):
+                    await self._core.request(Parcel("token", "release", path, fence=fence))
+        except MomError:
+            # Then there is nothing to give back, or it is not this peer's any more.
+            pass
+        finally:
+            grab.cancel()
 
     def offered(self, handover: Handover) -> None:
         """An offer was confirmed by the hub."""

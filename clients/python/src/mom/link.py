@@ -7,8 +7,8 @@ import hmac
 from collections import deque
 from typing import Any, Deque, Dict, List, Optional, Tuple
 
+from .entry import Entry
 from .login import _LINK, read_challenge
-from .outbox import Entry
 from .parcel import Parcel
 
 _ACK_PARCELS, _ACK_BYTES = 256, 64 * 1024
@@ -17,8 +17,8 @@ _ACK_PARCELS, _ACK_BYTES = 256, 64 * 1024
 class Link:
     """The counts of one link, which outlives its connections.
 
-    Each side counts the parcels of each direction, without a number on the wire. What is reliable is kept until the hub
-    has said that it has read it; of the rest only the place in the count.
+    Each side counts the parcels of each direction, without a number on the wire. What outlives a loss is kept until the hub
+    has said that it has read it; of the rest the place in the count, and whom to tell.
     """
 
     def __init__(self, name: str, secret: bytes, grace: float, most: int) -> None:
@@ -30,7 +30,7 @@ class Link:
         self._kept_bytes = 0
         self._said, self._bytes = 0, 0
         self.is_whole = True
-        """Whether all that is reliable and not acknowledged is kept."""
+        """Whether all that outlives a loss and is not acknowledged is kept."""
 
     @staticmethod
     def of_reply(content: Dict[str, Any], most: int) -> Optional[Link]:
@@ -49,7 +49,7 @@ class Link:
             return
         self.sent += 1
         self._kept.append(entry)
-        if entry.is_reliable:
+        if entry.outlives:
             self._kept_bytes += entry.size
             # One parcel of any size may be under way.
             self.is_whole = self.is_whole and (self._kept_bytes <= self._most or self._kept_bytes == entry.size)
@@ -60,7 +60,7 @@ class Link:
             return False
         while self.sent - len(self._kept) < read:
             entry = self._kept.popleft()
-            self._kept_bytes -= entry.size if entry.is_reliable else 0
+            self._kept_bytes -= entry.size if entry.outlives else 0
         return True
 
     def count(self, parcel: Parcel) -> bool:
@@ -84,10 +84,15 @@ class Link:
         self._said, self._bytes = self.read, 0
         return {"proof": hmac.new(self._secret, signed, hashlib.sha256).digest(), "read": self.read}
 
+    @property
+    def unread(self) -> List[Entry]:
+        """What was sent, and may not have been read."""
+        return list(self._kept)
+
     def resumed(self, read: Any) -> Optional[Tuple[List[Entry], List[Entry]]]:
         """After a resume: what is to be sent again, in the old order, and what is not; `None` for a count that cannot be."""
         if not self.acknowledged(read):
             return None
         left, self._kept, self._kept_bytes = list(self._kept), deque(), 0
         self.sent = read
-        return [entry for entry in left if entry.is_reliable], [entry for entry in left if not entry.is_reliable]
+        return [entry for entry in left if entry.outlives], [entry for entry in left if not entry.outlives]

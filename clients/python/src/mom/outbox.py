@@ -3,193 +3,231 @@
 from __future__ import annotations
 
 import asyncio
-import heapq
-from typing import Callable, Dict, List, Optional, Tuple
+import time
+from bisect import bisect_left, insort
+from itertools import takewhile
+from typing import Callable, Dict, List, Optional, Set
 
-from . import binary
-from .connection import Connection, Pieces
+from .connection import PIECE, Connection, Pieces
+from .entry import AGAIN, CONTROL, DATA, STOP, Entry
 from .parcel import Parcel
 
-STOP, CONTROL, AGAIN, DATA = range(4)
-"""The lanes, in the order in which they leave."""
-
-_FIRST, _LAST = 1000, -1000
 _OPEN_STREAMS = 6
 
 
-class Entry:
-    """A parcel that waits, or that was sent and is not acknowledged."""
-
-    def __init__(self, parcel: Parcel, delivery: str = "reliable", guarded: bool = False) -> None:
-        self.parcel = parcel
-        self.body = binary.encode(parcel)
-        self.size = len(self.body)
-        self.delivery = delivery
-        """The class, that of the channel where the parcel names none."""
-        self.guarded = guarded
-        """Whether it is valid only under the ownership under which it was said."""
-        self.counted = parcel.family != "time"
-        """Whether it counts for the link."""
-        self.lane, self.priority = _place(parcel)
-        self.number = 0
-        """Its place among those of equal urgency."""
-        self.deadline: Optional[float] = None
-        """When it is worthless, by the loop's clock."""
-        self.pieces: Optional[Pieces] = None
-        """What is left of it, once some of it is sent."""
-        self.replaced = False
-        """Whether a newer one has taken its place."""
-
-    @property
-    def is_reliable(self) -> bool:
-        """Whether it is sent again after a lost connection."""
-        return self.delivery == "reliable" and not self.guarded
-
-    @property
-    def rank(self) -> Tuple[int, int]:
-        """Lower leaves sooner."""
-        return self.lane, -self.priority
-
-    def __lt__(self, other: Entry) -> bool:
-        return (self.rank, self.number) < (other.rank, other.number)
-
-
-def _place(parcel: Parcel) -> Tuple[int, int]:
-    if parcel.family == "message":
-        return (STOP, 0) if parcel.name == "stop" else (DATA, parcel.priority or 0)
-    if parcel.family == "time" or parcel.is_("token", "renew"):
-        return CONTROL, 0
-    # What gives something up leaves after all that was said before.
-    return DATA, _LAST if parcel.name in ("release", "leave", "logout", "uninhibit") else _FIRST
-
-
 class Outbox:
-    """The queue of one client, over its connections."""
+    """The queue of one client, over its connections.
 
-    def __init__(self, dropped: Callable[[Entry, str], None]) -> None:
+    It keeps to the table "What overtakes, replaces, outlives" in docs/PROTOCOL.md; tests/cases/send-queue.json are its cases.
+
+    What may leave waits in `_queue`, the most urgent first. What must wait behind messages that were said before is kept
+    out of it, at the head of `_behind`, until the last of those (`_ahead`) is gone; and behind it, in the order in which it
+    was said, all else that was said since, as that must not overtake it. Stops, signs of life and what is sent again are
+    never kept there.
+    """
+
+    def __init__(self, dropped: Callable[[Entry, str], None], clock: Callable[[], float] = time.monotonic) -> None:
         self.most = 4 << 20
         """What may wait, in bytes; one parcel always may."""
+        self.most_open = 8 << 20
+        """What streams of chunks that are open together may announce, in bytes."""
+        self.clock = clock
         self._dropped = dropped
-        self._heap: List[Entry] = []
+        self._queue: List[Entry] = []
+        self._ahead: Set[Entry] = set()
+        self._behind: Dict[Entry, None] = {}
+        self._latest: Dict[object, Entry] = {}
+        self._streams: Set[Entry] = set()
         self._bytes, self._numbers = 0, 0
-        self._partial: List[Entry] = []
-        self._newest: Dict[Tuple[Optional[str], str, int], Entry] = {}
+        self._is_lost = False
         self._wake, self._room = asyncio.Event(), asyncio.Event()
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing waits."""
+        return not self._queue and not self._behind
 
     def has_capacity(self, entry: Entry) -> bool:
         """Whether an entry may wait, too."""
-        return self._bytes == 0 or self._bytes + entry.size <= self.most
+        return not entry.needs_room or self._bytes == 0 or self._bytes + entry.size <= self.most
 
     async def capacity(self, entry: Entry) -> None:
-        """Waits until an entry may wait, too; of those that may be dropped the oldest make room."""
+        """Waits until an entry may wait, too, or will be dropped at once; of those that may be dropped the oldest make room."""
         if entry.delivery == "fleeting":
-            for older in sorted(self._heap):
+            for older in self._as_said():
                 if self.has_capacity(entry):
                     break
-                if older.delivery == "fleeting" and older.pieces is None:
-                    self._remove(older, "queue-full")
-        while not self.has_capacity(entry):
+                if older.lane == DATA and older.delivery == "fleeting" and older.pieces is None:
+                    self._drop(older, "queue-full")
+        while not self.has_capacity(entry) and not (self._is_lost and entry.perishes):
             self._room.clear()
             await self._room.wait()
 
+    # Putting in.
+
     def put(self, entry: Entry) -> None:
-        """Lets an entry wait. A newer one of class `latest` takes the place of the older, a `stop` that of the stop."""
+        """Lets an entry wait, in the place of what it replaces; while the connection is lost, only what outlives that."""
+        if self._is_lost and entry.perishes:
+            self._dropped(entry, "lost")
+            return
         self._numbers += 1
         entry.number = self._numbers
-        if entry.parcel.family == "message" and (entry.lane == STOP or entry.delivery == "latest"):
-            key = (entry.parcel.context, entry.parcel.name, entry.priority)
-            older = self._newest.get(key)
-            if older is not None and older.pieces is None:
-                entry.number = older.number
-                self._remove(older, "replaced")
-            self._newest[key] = entry
-        self._push(entry)
+        self._insert(entry)
 
-    def put_again(self, entries: List[Entry]) -> None:
-        """Lets entries wait that were sent and not read: before all that was not sent, in their old order."""
-        # What an earlier resume has begun to send again comes behind what it had sent.
-        left = sorted(entry for entry in self._heap if entry.lane == AGAIN)
-        self._heap = [entry for entry in self._heap if entry.lane != AGAIN]
-        heapq.heapify(self._heap)
-        self._bytes -= sum(entry.size for entry in left)
-        for entry in entries + left:
-            self._numbers += 1
-            entry.number, entry.pieces, entry.deadline = self._numbers, None, None
-            entry.lane, entry.priority = AGAIN, 0
-            self._push(entry)
-
-    def _push(self, entry: Entry) -> None:
-        heapq.heappush(self._heap, entry)
+    def _insert(self, entry: Entry) -> None:
+        place = self._supersede(entry)
+        if place is not None:
+            entry.number = place
         self._bytes += entry.size
+        self._admit(entry)
+
+    def _supersede(self, entry: Entry) -> Optional[int]:
+        """Takes out what an entry replaces and withdraws; gives the place that it takes, if it takes one."""
+        if entry.is_stop:
+            return self._stop(entry)
+        if entry.is_unstop:
+            for older in self._urgent():
+                if older.key == entry.key:
+                    # It does not take its place, as it waits behind what was said meanwhile.
+                    self._drop(older, "replaced")
+        elif entry.delivery == "latest":
+            return self._replace_latest(entry)
+        return None
+
+    def _stop(self, stop: Entry) -> Optional[int]:
+        place = None
+        for older in self._urgent():
+            if older.is_unstop and older.overlaps(stop):
+                self._drop(older, "withdrawn")
+            elif older.key == stop.key and not older.is_awaited:
+                # Nobody is told: the newer one says the same.
+                self._take_out(older)
+                place = older.number
+        return place
+
+    def _replace_latest(self, entry: Entry) -> Optional[int]:
+        older, self._latest[entry.key] = self._latest.get(entry.key), entry
+        if older is None or older.pieces is not None:
+            return None
+        self._drop(older, "replaced")
+        return older.number if older.priority == entry.priority else None
+
+    def _admit(self, entry: Entry) -> None:
+        """Lets an entry leave when its turn comes, or keeps it behind what it must not overtake."""
+        if entry.lane >= CONTROL:
+            if entry.follows is not None and not self._behind:
+                # Nothing of another lane could be overtaken.
+                self._ahead = {other for other in self._queue if other.lane == DATA and entry.follows(other)}
+            if self._ahead:
+                self._behind[entry] = None
+                return
+        insort(self._queue, entry)
         self._wake.set()
 
-    def _pop(self) -> Entry:
-        entry = heapq.heappop(self._heap)
-        self._bytes -= entry.size
-        key = (entry.parcel.context, entry.parcel.name, entry.priority)
-        if self._newest.get(key) is entry:
-            del self._newest[key]
-        self._room.set()
-        return entry
+    # Taking out.
 
-    def _remove(self, entry: Entry, reason: str) -> None:
-        self._heap = [other for other in self._heap if other is not entry]
-        heapq.heapify(self._heap)
+    def _urgent(self) -> List[Entry]:
+        """All among which there may be stops and unstops."""
+        return [*takewhile(lambda entry: entry.lane < DATA, self._queue), *self._behind]
+
+    def _as_said(self) -> List[Entry]:
+        # What is behind was said later, also where it has the number of what it has replaced.
+        return [*sorted(self._queue, key=lambda entry: entry.number), *self._behind]
+
+    def _take_out(self, entry: Entry) -> None:
+        """Takes an entry out, wherever it waits."""
+        first = next(iter(self._behind), None)
+        if entry in self._behind:
+            del self._behind[entry]
+        else:
+            del self._queue[bisect_left(self._queue, entry)]
+        if self._latest.get(entry.key) is entry:
+            del self._latest[entry.key]
         self._bytes -= entry.size
-        entry.replaced = True
+        self._streams.discard(entry)
         self._room.set()
+        self._ahead.discard(entry)
+        if not self._ahead or first is entry:
+            # What was to leave behind those messages need not wait any more, or is gone itself.
+            again, self._behind, self._ahead = self._behind, {}, set()
+            for other in again:
+                self._admit(other)
+
+    def _drop(self, entry: Entry, reason: str) -> None:
+        self._take_out(entry)
         self._dropped(entry, reason)
+
+    # Sending.
 
     async def send_all(self, connection: Connection, wrote: Callable[[Entry], None]) -> None:
         """Sends what waits and what comes, until the connection breaks or this is cancelled."""
-        loop = asyncio.get_running_loop()
-        self._partial = []
         while True:
-            while not self._heap:
+            while not self._queue:
                 self._wake.clear()
                 await self._wake.wait()
-            entry = self._pop()
-            if entry.deadline is not None and entry.pieces is None and entry.deadline <= loop.time():
-                self._dropped(entry, "expired")
-                continue
-            await self._send(connection, entry, wrote)
+            entry = self._next()
+            if entry.deadline is not None and entry.pieces is None and entry.deadline <= self.clock():
+                self._drop(entry, "expired")
+            else:
+                await self._send(connection, entry, wrote)
+
+    def _next(self) -> Entry:
+        """The most urgent of those that can go on, or begin."""
+        return next(entry for entry in self._queue if entry in self._streams or self._may_begin(entry))
+
+    def _may_begin(self, entry: Entry) -> bool:
+        announced = sum(other.size for other in self._streams)
+        fits = len(self._streams) < _OPEN_STREAMS and announced + entry.size <= self.most_open
+        return fits or not self._streams or not _is_cut(entry)
 
     async def _send(self, connection: Connection, entry: Entry, wrote: Callable[[Entry], None]) -> None:
-        """Sends an entry, or as much of it as nothing more urgent waits for."""
+        """Sends an entry whole, or a piece of it: then something more urgent may go before the next."""
         if entry.pieces is None:
-            entry.pieces = Pieces(entry.body, connection.next_stream)
-        else:
-            self._partial.remove(entry)
-        while not entry.pieces.done:
-            piece = entry.pieces.next()
-            if entry.pieces.done:
-                # From here on the hub may read all of it, even if this side never hears that it was taken.
-                wrote(entry)
-            try:
-                await connection.write(piece)
-            except BaseException:
-                if not entry.pieces.done:
-                    # It is sent as a whole when there is another connection.
-                    self._push(entry)
-                raise
-            urgent = bool(self._heap) and self._heap[0].rank < entry.rank
-            if urgent and not entry.pieces.done and len(self._partial) < _OPEN_STREAMS:
-                self._partial.append(entry)
-                self._push(entry)
-                return
+            entry.pieces = Pieces(entry.body, connection.next_stream, not _is_cut(entry))
+            self._streams.add(entry)
+        piece = entry.pieces.next()
+        if entry.pieces.done:
+            # From here on the hub may read all of it, even if this side never hears that it was taken.
+            self._take_out(entry)
+            wrote(entry)
+        await connection.write(piece)
 
-    def lose(self, which: Callable[[Entry], bool], reason: str) -> None:
-        """Drops what waits and is so; what is left begins anew on the next connection."""
-        entries, self._heap = sorted(self._heap), []
-        self._partial, self._bytes = [], 0
-        for entry in entries:
-            entry.pieces = None
+    # Losing the connection, and what becomes of it.
+
+    def lose(self, everything: bool = False) -> None:
+        """The connection is lost: drops what is for the moment, or `everything`; what is left begins anew on the next one."""
+        waiting, self._is_lost = self._as_said(), True
+        self._queue, self._behind, self._ahead, self._bytes = [], {}, set(), 0
+        self._latest, self._streams = {}, set()
+        for entry in waiting:
+            entry.begin_anew()
             if entry.parcel.family == "time":
                 continue
-            if which(entry):
-                self._dropped(entry, reason)
-            else:
-                self._push(entry)
-        kept = set(map(id, self._heap))
-        self._newest = {key: entry for key, entry in self._newest.items() if id(entry) in kept}
+            if everything or entry.perishes:
+                self._dropped(entry, "lost")
+                continue
+            # What was half sent waits again as a whole: a newer one may replace it now.
+            self._insert(entry)
         self._room.set()
+
+    def open(self) -> None:
+        """There is a connection again, of another link."""
+        self._is_lost = False
+
+    def resume(self, entries: List[Entry]) -> None:
+        """The link goes on over another connection: what was sent and not read leaves first, in its old order."""
+        self._is_lost = False
+        # Stops that were sent give way to newer ones. What an earlier resume has begun to send again comes behind what it had sent.
+        waiting = [entry for entry in self._queue if entry.lane in (STOP, AGAIN)]
+        for entry in waiting:
+            self._take_out(entry)
+        for entry in [*entries, *waiting]:
+            entry.leave_again()
+            self.put(entry)
+        resent = Entry(Parcel("time", "resent"))
+        resent.lane = AGAIN
+        self.put(resent)
+
+
+def _is_cut(entry: Entry) -> bool:
+    return not entry.is_whole and entry.size > 2 * PIECE

@@ -295,12 +295,19 @@ class Grab:
 
     async def _run(self) -> TokenGuard:
         core, path = self._token._core, self._token.path
+        core.check_up()
+        parcel = Parcel("token", self._name, path, self._content or None)
+        answer = core.begin(parcel)
         try:
-            reply = await core.ask("token", self._name, path, self._content, wait=not self._wait)
+            reply = await core.answer(parcel, asyncio.shield(answer), wait=not self._wait)
         except asyncio.CancelledError:
             if self._name == "grab" and core.holds.of(path) is None and core.state.word != "closed":
-                # It leaves the queue, or is given back if it was granted meanwhile.
-                core.begin(Parcel("token", "release", path)).add_done_callback(_ignore)
+                core.holds.withdraw(path, answer)
+            else:
+                answer.cancel()
+            raise
+        except MomError:
+            answer.cancel()
             raise
         return TokenGuard(core, core.holds.granted(path, reply.map()))
 
@@ -313,11 +320,6 @@ class Grab:
     ) -> None:
         if self._guard is not None:
             await self._guard.__aexit__(kind, error, trace)
-
-
-def _ignore(answer: "asyncio.Future[Parcel]") -> None:
-    if not answer.cancelled():
-        answer.exception()
 
 
 class Token(Proxy):
