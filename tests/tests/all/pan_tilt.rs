@@ -318,7 +318,7 @@ async fn a_stop_halts_it_and_so_does_the_loss_of_its_owner() {
     let said = lab.mom("alice", &["unstop", "/camera/pan"]).await;
     assert_eq!(
         said.out.trim_end(),
-        "/camera/pan: camera-pan may move",
+        "/camera/pan: camera-pan may move; was stopped by alice",
         "{}",
         said.words
     );
