@@ -407,6 +407,21 @@ async def test_counts_that_cannot_be_end_the_link(hub: FakeHub) -> None:
         assert not hub.resumes
 
 
+async def test_a_resume_by_counts_that_cannot_be_is_tried_again(hub: FakeHub, monkeypatch: pytest.MonkeyPatch) -> None:
+    async with connect(hub) as client:
+        channel, right = await client.channel("/c"), hub._resume
+
+        def wrong(answer: Parcel, read: int) -> None:
+            monkeypatch.setattr(hub, "_resume", right)
+            answer.content = {"resumed": True, "read": 10_000, "peer": "alice", "limits": hub.limits}
+            hub.raw(answer)
+
+        monkeypatch.setattr(hub, "_resume", wrong)
+        hub.cut()
+        assert await asyncio.wait_for(channel.send_acknowledged("say"), PATIENCE) == mom.Receipt(1, [])
+        assert len(hub.resumes) == 2 and len(hub.logins) == 1
+
+
 async def test_signs_of_life_and_a_silent_hub(hub: FakeHub) -> None:
     """A half-open connection is noticed: stale first, then lost, then resumed."""
     hub.limits = {"heartbeat": 300, "gone": 900}

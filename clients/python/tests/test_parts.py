@@ -235,6 +235,7 @@ async def test_what_was_passed_on_whole_counts_though_nobody_says_that_it_was_ta
 async def test_the_queue_is_bounded() -> None:
     dropped: List[Any] = []
     outbox = Outbox(lambda entry, reason: dropped.append((entry.parcel.content[:1], reason)))
+    assert (outbox.most, outbox.most_open) == (4 << 20, 8 << 20), "as docs/PROTOCOL.md has it, until the hub says its own"
     outbox.most = 1000
     large = Entry(Parcel("message", "image", "/c", bytes(5000)))
     await outbox.capacity(large)
@@ -305,6 +306,14 @@ async def test_what_has_begun_to_leave_leaves_whole_though_it_expires() -> None:
         await asyncio.wait_for(wire.frames.get(), 5)
     sending.cancel()
     assert sent == [image] and not dropped
+    seconds[0] = 2.0
+    for expires in (1000, 1001):
+        outbox.put(Entry(Parcel("message", "note", "/c", expires, expires=expires), now=1.0))
+    sending = asyncio.ensure_future(outbox.send_all(Wire(), sent.append))  # type: ignore[arg-type]
+    while not outbox.is_empty:
+        await asyncio.sleep(0)  # tidy: lets the queue go on by one frame
+    sending.cancel()
+    assert [entry.parcel.content for entry in sent[1:]] == [1001] and dropped == ["expired"]
 
 
 async def test_a_stop_is_replaced_once_nobody_waits_for_its_answer_any_more() -> None:
@@ -374,6 +383,12 @@ def test_a_link_keeps_what_outlives_a_loss_up_to_a_bound() -> None:
     assert not link.is_whole and link.acknowledged(8)
     link.wrote(note)
     assert not link.is_whole, "what was not kept is missing for good"
+    link = Link("link", b"", 30.0, 2 * note.size)
+    link.wrote(Entry(Parcel("message", "frame", "/c", bytes(4000)), "fleeting"))
+    assert link.acknowledged(1)
+    for _ in range(3):
+        link.wrote(note)
+    assert not link.is_whole, "what was never kept makes no room"
 
 
 @pytest.mark.parametrize("heartbeat", [0.0999, 10.001, 0, -1, float("nan"), float("inf")])

@@ -135,13 +135,7 @@ impl Broker {
         {
             settings.epoch = epoch;
         }
-        let mut kept = mom_store::open_stops(&config.store, config.stops_name()).await?;
-        if let Some(kept) = &mut kept {
-            settings.keeps_stops = true;
-            settings.stops = std::mem::take(&mut kept.records);
-            settings.stops_unread = kept.unread.is_some();
-        }
-        let (stops, stop_answers) = kept.map(|kept| (kept.file, kept.answers)).unzip();
+        let (stops, stop_answers) = open_stops(&config, &mut settings).await?.unzip();
         let hub = config.make_hub(settings.clone())?;
         let journal = (&config.audit, &config.record);
         let tap = Tap::start(journal, config.file(), &settings, &clock)?;
@@ -287,6 +281,20 @@ impl Broker {
         self.services.board.tap.stop().await;
         tracing::info!("broker stopped");
     }
+}
+
+/// Opens what keeps stops, if anything does, and tells the hub's settings what was kept.
+async fn open_stops(
+    config: &Config,
+    settings: &mut Settings,
+) -> Result<Option<(StopFile, mpsc::UnboundedReceiver<StoreAnswer>)>, BrokerError> {
+    let Some(kept) = mom_store::open_stops(&config.store, config.stops_name()).await? else {
+        return Ok(None);
+    };
+    settings.keeps_stops = true;
+    settings.stops = kept.records;
+    settings.stops_unread = kept.unread.is_some();
+    Ok(Some((kept.file, kept.answers)))
 }
 
 fn bounds(config: &Config) -> Bounds {

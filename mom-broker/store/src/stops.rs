@@ -103,7 +103,7 @@ impl StopFile {
             shared: Arc::clone(&shared),
         };
         let writer = thread::Builder::new().name("stops".to_owned());
-        writer.spawn(move || run(&shared, &path, lock)).map_err(failed)?;
+        writer.spawn(move || run(&shared, &path, &lock)).map_err(failed)?;
         Ok(KeptStops {
             file,
             records,
@@ -161,7 +161,7 @@ impl Shared {
 }
 
 /// Writes whenever something has changed, until the end.
-fn run(shared: &Shared, path: &FilePath, lock: File) {
+fn run(shared: &Shared, path: &FilePath, lock: &File) {
     loop {
         let mut inner = shared.inner.lock();
         while !inner.changed && inner.tickets.is_empty() && !inner.closing {
