@@ -137,8 +137,7 @@ impl Broker {
         }
         let (stops, stop_answers) = open_stops(&config, &mut settings).await?.unzip();
         let hub = config.make_hub(settings.clone())?;
-        let journal = (&config.audit, &config.record);
-        let tap = Tap::start(journal, config.file(), &settings, &clock)?;
+        let tap = Tap::start((&config.audit, &config.record), config.file(), &settings, &clock)?;
         let mut logins = Logins::new(config.users.clone(), config.login.clone(), clock.clone())
             .map_err(ConfigError::from)?;
         remember_places(&mut logins, config.store.path.as_deref());

@@ -49,19 +49,7 @@ pub(crate) fn event_words(event: &Event) -> String {
         | Event::Inhibited { .. }
         | Event::Uninhibited { .. } => handover::words_of(event),
         Event::Invited { .. } | Event::Expelled { .. } => door_words(event),
-        Event::Stops(stop) if stop.stopped => {
-            let devices = match stop.only.is_empty() {
-                true => "all devices".to_owned(),
-                false => stop
-                    .only
-                    .iter()
-                    .map(|device| name(device))
-                    .collect::<Vec<_>>()
-                    .join(", "),
-            };
-            format!("{devices} {}", words::stopped_by(stop))
-        }
-        Event::Stops(_) => "no device is stopped".to_owned(),
+        Event::Stops(stop) => stop_words(stop),
         Event::Dropped {
             reason,
             count,
@@ -252,6 +240,18 @@ fn ownership(event: &Event) -> Map {
             .with("by", by.as_deref().map_or(Value::Null, Value::from)),
         _ => Map::new(),
     }
+}
+
+fn stop_words(stop: &StopState) -> String {
+    if !stop.stopped {
+        return "no device is stopped".to_owned();
+    }
+    let names: Vec<String> = stop.only.iter().map(|device| words::visible(device)).collect();
+    let devices = match names.is_empty() {
+        true => "all devices".to_owned(),
+        false => names.join(", "),
+    };
+    format!("{devices} {}", words::stopped_by(stop))
 }
 
 fn stop_map(stop: &StopState) -> Map {
