@@ -13,7 +13,7 @@ use super::{clock, explore, hear, heard, link, on, said};
 use crate::traffic::channel::Sender;
 use crate::traffic::encodings::Bounds;
 use crate::traffic::outbox::Outbox;
-use crate::traffic::switchboard::{Handled, Switchboard, Touched, flush};
+use crate::traffic::switchboard::{Handled, Keeping, Switchboard, Touched, flush};
 
 /// A switchboard, and who is at it.
 pub(super) struct Lab {
@@ -65,7 +65,7 @@ impl Lab {
         let journal = (&AuditConfig::default(), &RecordConfig::default());
         let tap = Tap::start(journal, ConfigFile::default(), &settings, &clock()).expect("it writes nothing");
         Lab {
-            board: Arc::new(Switchboard::new(hub, clock(), bounds, None, tap)),
+            board: Arc::new(Switchboard::new(hub, clock(), bounds, Keeping::default(), tap)),
             outboxes: Vec::new(),
         }
     }
