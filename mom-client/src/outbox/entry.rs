@@ -79,6 +79,9 @@ pub(crate) struct Entry {
     /// The token that it needs.
     guard: Option<Path>,
     follows: Follows,
+    family: Family,
+    /// An owner's sign of life, which what waits behind messages must not keep until its time is over.
+    renews: bool,
     /// Whether both ends of a link count it.
     counts: bool,
     outlives_loss: bool,
@@ -149,6 +152,8 @@ impl Entry {
             awaited: false,
             guard: None,
             follows,
+            family: parcel.family,
+            renews: parcel.is(Family::Token, "renew"),
             counts,
             outlives_loss: outlives_loss(parcel, false),
         }
@@ -174,6 +179,8 @@ impl Entry {
             outlives_loss: outlives_loss(parcel, message.guard.is_some()),
             guard: message.guard,
             follows: Follows::of(parcel),
+            family: parcel.family,
+            renews: false,
             counts: true,
         }
     }
@@ -245,6 +252,10 @@ impl Item for Entry {
     fn withdraws(&self, waiting: &Entry) -> bool {
         let both = self.destination.as_ref().zip(waiting.destination.as_ref());
         self.lane == Lane::Stop && both.is_some_and(|(stop, unstop)| stop.overlaps(unstop))
+    }
+
+    fn overtakes(&self, earlier: &Entry) -> bool {
+        self.renews && !matches!(earlier.family, Family::Token | Family::Login)
     }
 
     fn waits_behind_data(&self) -> bool {

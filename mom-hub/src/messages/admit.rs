@@ -10,7 +10,6 @@ use mom_proto::{Code, Family, Fence, HISTORY, Micros, Parcel, Time, WireError, e
 
 use super::age::{age_of, aged, check_age, check_life, is_ahead, is_within};
 use super::route::{Guard, GuardOwner, Route};
-use crate::tree::member::has_own_right;
 use crate::{Member, PeerClock, PeerId};
 
 /// The priorities that peers may use; others are brought into this range (M7).
@@ -83,8 +82,8 @@ pub fn admit(
     let Some(member) = route.member(peer) else {
         return Ok(Admission::Consult);
     };
-    // Stops have one order, which only the hub knows, and what a device says of itself may be awaited there.
-    if has_own_right(&parcel.name) || (route.awaited && member.device) {
+    // What a device says of itself may be awaited at the hub.
+    if route.awaited && member.device {
         return Ok(Admission::Consult);
     }
     let owner = route.guard.as_ref().and_then(|guard| guard.owner.as_ref());
@@ -100,7 +99,7 @@ pub fn admit(
     let young = |most: Micros| is_within(age_of(parcel, ingress.wall, ingress.clock.as_ref()), most);
     match member
         .standing(&parcel.name, now)
-        .filter(|_| !overdue && !counted)
+        .filter(|standing| !overdue && !counted && !standing.by_hub)
         .filter(|standing| standing.max_age.is_none_or(young))
     {
         None => Ok(Admission::Consult),

@@ -33,6 +33,7 @@ fn allowed() -> Answer {
 
 fn standing(name: Option<&str>) -> StandingVerdict {
     StandingVerdict {
+        by_hub: name == Some("stop"),
         name: name.map(Into::into),
         until: None,
         rate: None,

@@ -32,6 +32,8 @@ pub struct StandingVerdict {
     /// For messages of this name; none = of any name but `stop` and `unstop`, which have rights of their
     /// own.
     pub name: Option<Arc<str>>,
+    /// Whether the hub alone carries such messages out (`stop`, `unstop`): it knows their order.
+    pub by_hub: bool,
     /// Up to, but not at, this time.
     pub until: Option<Micros>,
     /// How much of them; none = without limit.

@@ -222,6 +222,7 @@ impl World {
             _ => Some(Arc::clone(&parcel.name)),
         };
         let standing = StandingVerdict {
+            by_hub: has_own_right(&parcel.name),
             name,
             until,
             rate,

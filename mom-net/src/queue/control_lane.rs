@@ -37,6 +37,18 @@ impl<I: Item> ControlLane<I> {
         self.entries.push_back(ControlEntry { entry, behind });
     }
 
+    /// Adds an entry that waits behind nothing before the first that waits behind data, if it overtakes that and all after it, else
+    /// at the end.
+    pub(super) fn push_ahead(&mut self, entry: Entry<I>) {
+        let waiting = self.entries.iter().position(|earlier| earlier.behind.is_some());
+        let overtakes = |at: &usize| {
+            let mut later = self.entries.range(*at..);
+            later.all(|earlier| entry.item.overtakes(&earlier.entry.item))
+        };
+        let at = waiting.filter(overtakes).unwrap_or(self.entries.len());
+        self.entries.insert(at, ControlEntry { entry, behind: None });
+    }
+
     /// Adds an entry in front, behind nothing.
     pub(super) fn push_front(&mut self, entry: Entry<I>) {
         self.entries.push_front(ControlEntry { entry, behind: None });

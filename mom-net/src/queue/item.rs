@@ -71,6 +71,11 @@ pub trait Item: Debug {
         true
     }
 
+    /// Whether an item of control may go before this earlier one, which waits behind data.
+    fn overtakes(&self, _earlier: &Self) -> bool {
+        false
+    }
+
     /// Whether it takes the place of this older one, which waits in the same lane: a stop that of a stop, an `unstop` that of
     /// an `unstop`.
     fn repeats(&self, _older: &Self) -> bool {

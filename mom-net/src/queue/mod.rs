@@ -309,16 +309,19 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
     // Control is never dropped for room, and has a bound of its own so that data cannot crowd it out.
     fn push_control(&mut self, mut entry: Entry<I>) -> Taken {
         let size = self.charge(&entry.item);
-        let mut behind = None;
         if entry.item.waits_behind_data() {
             self.drop_control(DropReason::Replaced, |waiting| entry.item.repeats(waiting));
             entry.number = self.put;
-            behind = self.last_before(&entry.item);
-        } else if self.control_bytes.saturating_add(size) > self.limit && !self.control.is_empty() {
+            let behind = self.last_before(&entry.item);
+            self.control_bytes += size;
+            self.control.push(entry, behind);
+            return Taken::Yes;
+        }
+        if self.control_bytes.saturating_add(size) > self.limit && !self.control.is_empty() {
             return Taken::Overflow;
         }
         self.control_bytes += size;
-        self.control.push(entry, behind);
+        self.control.push_ahead(entry);
         Taken::Yes
     }
 
@@ -349,8 +352,16 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         let (delivery, size) = (entry.item.delivery(), self.charge(&entry.item));
         self.put += 1;
         entry.number = self.put;
-        if delivery == Delivery::Latest && self.replace(&entry, priority) {
-            return Taken::Yes;
+        if delivery == Delivery::Latest {
+            if self.replace_in_place(&entry, priority) {
+                return Taken::Yes;
+            }
+            // It would push out what waits, the older value among it, and be dropped itself.
+            if !self.can_fit(size) {
+                self.note(&entry, DropReason::Full);
+                return Taken::Dropped;
+            }
+            self.drop_older(&entry);
         }
         if !self.fits(size) && !self.make_room(delivery, size) {
             match delivery {
@@ -372,44 +383,63 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         Taken::Yes
     }
 
-    /// Puts a newer value into the place of an older one that still waits at the same priority.
-    fn replace(&mut self, entry: &Entry<I>, priority: Reverse<i32>) -> bool {
-        let key = entry.item.key();
-        let Some(&(waits_at, number)) = self.latest.get(&key) else {
+    /// Whether so many bytes fit once all is dropped that may be.
+    fn can_fit(&self, need: usize) -> bool {
+        let stays = |open: &&Entry<I>| {
+            matches!(open.item.lane(), Lane::Data(_)) && open.item.delivery() != Delivery::Reliable
+        };
+        if self.fits(need) {
+            return true;
+        }
+        let begun = self.open.iter().filter(stays);
+        let stay = self.reliable_bytes + begun.map(|open| self.charge(&open.item)).sum::<usize>();
+        stay == 0 || stay.saturating_add(need) <= self.limit
+    }
+
+    /// Puts a newer value into the place of an older one that still waits at the same priority, if it fits there.
+    fn replace_in_place(&mut self, entry: &Entry<I>, priority: Reverse<i32>) -> bool {
+        let Some(&(waits_at, number)) = self.latest.get(&entry.item.key()) else {
             return false;
         };
-        let Some(place) = self.data.get_mut(&waits_at).and_then(|lane| lane.place(number)) else {
+        let place = self.data.get_mut(&waits_at).and_then(|lane| lane.place(number));
+        let Some((place, old)) = place.and_then(|place| {
+            let old = place.as_ref().map(|old| (old.number, old.item.charge(self.form)));
+            old.map(|old| (place, old))
+        }) else {
             return false;
         };
-        let Some(old) = place.as_ref() else {
-            return false;
-        };
-        let (old_size, new_size) = (old.item.charge(self.form), entry.item.charge(self.form));
+        let (old_number, old_size) = old;
+        let bytes = self.data_bytes - old_size + entry.item.charge(self.form);
         // Not in front of what follows the older one.
-        if waits_at != priority || self.control.holds_back_after(old.number) {
-            let replaced = place.take();
-            self.data_bytes -= old_size;
-            self.latest.remove(&key);
-            replaced
-                .iter()
-                .for_each(|entry| self.note(entry, DropReason::Replaced));
-            if let Some(lane) = self.data.get_mut(&waits_at) {
-                lane.holes += 1;
-            }
-            self.close_holes(waits_at);
+        if waits_at != priority
+            || self.control.holds_back_after(old_number)
+            || (bytes > self.data_bytes && bytes > self.limit)
+        {
             return false;
         }
-        let grown = new_size.saturating_sub(old_size);
-        if grown > 0 && self.data_bytes.saturating_add(grown) > self.limit {
-            return false;
-        }
-        let newer = Entry::new(Arc::clone(&entry.item), old.number);
+        let newer = Entry::new(Arc::clone(&entry.item), old_number);
         let replaced = place.replace(newer);
-        self.data_bytes = self.data_bytes - old_size + new_size;
+        self.data_bytes = bytes;
         replaced
             .iter()
             .for_each(|entry| self.note(entry, DropReason::Replaced));
         true
+    }
+
+    /// Drops the older value whose place a newer one does not take.
+    fn drop_older(&mut self, newer: &Entry<I>) {
+        let Some((waits_at, number)) = self.latest.remove(&newer.item.key()) else {
+            return;
+        };
+        let Some(lane) = self.data.get_mut(&waits_at) else {
+            return;
+        };
+        if let Some(replaced) = lane.place(number).and_then(Option::take) {
+            lane.holes += 1;
+            self.data_bytes -= self.charge(&replaced.item);
+            self.note(&replaced, DropReason::Replaced);
+        }
+        self.close_holes(waits_at);
     }
 
     /// Drops what may be dropped, the least urgent and oldest first, until there is room for an item of this class.

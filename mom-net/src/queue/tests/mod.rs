@@ -276,6 +276,39 @@ fn latest_replaces_in_place() {
     assert_eq!(drops, [((DropReason::Replaced, Delivery::Latest), 1000)]);
 }
 
+/// A newer value that can have no room pushes out nothing; one that has outgrown its place goes behind the others, once.
+#[test]
+fn a_larger_value_of_latest_never_costs_both() {
+    let pose = |size: usize| {
+        let frames = Encoded {
+            head: vec![b'x'; size - 64].into(),
+            body: Bytes::new(),
+        };
+        Arc::new(Packet {
+            frames,
+            ..packet("pose", Lane::Data(0), Delivery::Latest)
+        })
+    };
+    let mut queue = queue(3000);
+    queue.push(pose(500));
+    queue.push(data("f", Delivery::Fleeting));
+    queue.push(data("r", Delivery::Reliable));
+    assert_eq!(queue.push(pose(2500)), Taken::Dropped, "beside what may not be dropped");
+    assert_eq!(queue.data_bytes(), 2500, "the older one and the rest are kept");
+    assert_eq!(queue.push(pose(2000)), Taken::Yes);
+    assert_eq!(queue.data_bytes(), 3000);
+    assert_eq!(queue.push(pose(1000)), Taken::Yes, "it takes the place of the one before");
+    assert_eq!(names(&mut queue), ["r", "pose"]);
+    let reasons: Vec<_> = queue.take_drops().into_iter().collect();
+    let expected = [
+        ((DropReason::Replaced, Delivery::Latest), 2),
+        ((DropReason::Full, Delivery::Latest), 1),
+        ((DropReason::Full, Delivery::Fleeting), 1),
+    ];
+    assert_eq!(BTreeMap::from_iter(reasons), BTreeMap::from(expected));
+    assert!(queue.latest.is_empty());
+}
+
 #[test]
 fn stale_parcels_do_not_leave() {
     let mut queue = queue(10_000);
