@@ -5,7 +5,7 @@ use clap::Args;
 /// `mom top`
 #[derive(Args, Debug)]
 pub(crate) struct TopArgs {
-    /// Where to look for tokens and their owners
+    /// Where to look for tokens, their owners, and stops
     #[arg(default_value = "/", value_name = "PATH")]
     pub(crate) paths: Vec<String>,
     /// Print the table once, for scripts
@@ -19,13 +19,13 @@ pub(crate) struct TopArgs {
 pub(super) const TOP: &str = "\
 It needs the right to ask for the statistics of /, and shows the addresses of all peers. Silent is the time since
 anything was heard of a peer, round trip that of the hub's last ping, queue what waits for it, drops what was lost on
-the way to it.
+the way to it. What is stopped, and by whom, stands above the table.
 
 Keys: 1-9 or the arrows sort by a column, r reverses, q ends.
 
 Examples:
   mom top
-  mom top /robot                           of tokens only those of the robot
+  mom top /robot                           of tokens and stops only those of the robot
   mom top --once
   mom top --once --json | jq '.peers[] | {peer, door, queued}'";
 

@@ -11,7 +11,7 @@ use mom_client::{Client, ClientError, ContextInfo, LinkState};
 use tokio::sync::mpsc;
 use tokio::time::{MissedTickBehavior, interval, sleep};
 
-use self::sample::{Owned, Sample, TokenWalk};
+use self::sample::{Owned, Sample, TreeWalk};
 use self::view::{HubLink, View};
 use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
@@ -20,8 +20,8 @@ use crate::interrupt::Interrupt;
 use crate::output::Output;
 use crate::terminal::{Screen, keys};
 
-/// Owners of tokens are asked for so often.
-const TOKENS_EVERY: Duration = Duration::from_secs(3);
+/// Owners of tokens and stops are asked for so often.
+const HOLDS_EVERY: Duration = Duration::from_secs(3);
 
 /// What the request is called where it fails.
 const ASKING: &str = "ask for the statistics of / and its peers";
@@ -29,7 +29,7 @@ const ASKING: &str = "ask for the statistics of / and its peers";
 /// What comes from the hub.
 enum News {
     Sample(Result<Sample, ClientError>),
-    Owned(Owned),
+    Holds(Holds),
 }
 
 pub(crate) async fn run(args: &cli::TopArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
@@ -49,15 +49,15 @@ pub(crate) async fn run(args: &cli::TopArgs, global: &GlobalArgs, output: Output
     for path in &args.paths {
         tops.push(client.lookup(path).await.doing(format!("look up {path}"))?);
     }
-    let mut walk = TokenWalk::new(tops);
+    let mut walk = TreeWalk::new(tops);
     let first = Sample::ask(&client).await.doing(ASKING)?;
     let hub = &global.hub;
     if args.once {
-        let owned = walk.owned(&client).await;
+        let holds = walk.holds(&client).await;
         client.close().await;
         return Ok(output.tell(
-            || rows::to_json(hub, &first, &owned, None),
-            || rows::text(hub, &first, &owned),
+            || rows::to_json(hub, &first, &holds, None),
+            || rows::text(hub, &first, &holds),
         )?);
     }
     let mut interrupt = Interrupt::install()?;
@@ -70,10 +70,10 @@ pub(crate) async fn run(args: &cli::TopArgs, global: &GlobalArgs, output: Output
     Ok(())
 }
 
-/// Asks the hub again and again, apart for peers and for tokens: a large tree takes its time.
-fn follow(client: &Client, mut walk: TokenWalk, every: Duration) -> mpsc::Receiver<News> {
+/// Asks the hub again and again, apart for peers and for what the tree tells: a large one takes its time.
+fn follow(client: &Client, mut walk: TreeWalk, every: Duration) -> mpsc::Receiver<News> {
     let (sender, receiver) = mpsc::channel(4);
-    let (samples, owners) = (sender.clone(), sender);
+    let (samples, told) = (sender.clone(), sender);
     let asks = client.clone();
     tokio::spawn(async move {
         let mut ticks = interval(every);
@@ -91,11 +91,11 @@ fn follow(client: &Client, mut walk: TokenWalk, every: Duration) -> mpsc::Receiv
     let asks = client.clone();
     tokio::spawn(async move {
         loop {
-            let owned = walk.owned(&asks).await;
-            if owners.send(News::Owned(owned)).await.is_err() {
+            let holds = walk.holds(&asks).await;
+            if told.send(News::Holds(holds)).await.is_err() {
                 return;
             }
-            sleep(TOKENS_EVERY).await;
+            sleep(HOLDS_EVERY).await;
         }
     });
     receiver
@@ -120,7 +120,7 @@ async fn tell(
     interrupt: &mut Interrupt,
     output: Output,
 ) -> Result<(), Failure> {
-    let (mut owned, mut last) = (Owned::new(), first);
+    let (mut holds, mut last) = (Holds::default(), first);
     loop {
         let next = tokio::select! {
             () = interrupt.wait() => return Ok(()),
@@ -128,11 +128,11 @@ async fn tell(
         };
         match next {
             None => return Ok(()),
-            Some(News::Owned(now)) => owned = now,
+            Some(News::Holds(now)) => holds = now,
             Some(News::Sample(Err(error))) => refused(error)?,
             Some(News::Sample(Ok(sample))) => {
                 let rates = sample.rates_since(&last);
-                let json = || rows::to_json(hub, &sample, &owned, Some(rates));
+                let json = || rows::to_json(hub, &sample, &holds, Some(rates));
                 output.tell(json, String::new)?;
                 last = sample;
             }
@@ -162,7 +162,7 @@ async fn show(
                 }
             }
             Some(next) = news.recv() => match next {
-                News::Owned(owned) => view.owned = owned,
+                News::Holds(holds) => view.holds = holds,
                 News::Sample(Ok(sample)) => view.update(sample),
                 News::Sample(Err(error)) => refused(error)?,
             },

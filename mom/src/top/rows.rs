@@ -6,7 +6,7 @@ use std::time::Duration;
 use mom_client::ConnectedPeer;
 use serde_json::{Value as Json, json};
 
-use super::sample::{Owned, Rates, Sample};
+use super::sample::{Holds, Owned, Rates, Sample, Stopped};
 use crate::output::style::{Tone, ink};
 use crate::output::words;
 
@@ -167,6 +167,16 @@ pub(super) fn summary(sample: &Sample, rates: Option<Rates>) -> String {
     parts.join("   ")
 }
 
+/// What is stopped and by whom; none if nothing is.
+pub(super) fn stopped(stopped: &Stopped) -> Option<String> {
+    let (path, state) = stopped.first_key_value()?;
+    let first = format!("{}: {}", words::visible(path.as_str()), words::stopped_by(state));
+    Some(match stopped.len() {
+        1 => first,
+        more => format!("{first}, and {} more; mom tree shows all", more - 1),
+    })
+}
+
 /// How many peers are not listed.
 pub(super) fn more(sample: &Sample) -> Option<String> {
     let more = sample.stats.more_peers;
@@ -174,8 +184,8 @@ pub(super) fn more(sample: &Sample) -> Option<String> {
 }
 
 /// The table as text.
-pub(super) fn text(hub: &str, sample: &Sample, owned: &Owned) -> String {
-    let rows = rows(sample, owned, None, false);
+pub(super) fn text(hub: &str, sample: &Sample, holds: &Holds) -> String {
+    let rows = rows(sample, &holds.owned, None, false);
     let width = |column: Column| {
         let cells = rows.iter().map(|row| row.cell(column).chars().count());
         cells.max().unwrap_or_default().max(column.heading().len())
@@ -193,6 +203,7 @@ pub(super) fn text(hub: &str, sample: &Sample, owned: &Owned) -> String {
     };
     let head = format!("{}   {}", ink(words::visible(hub), Tone::Place), clock(sample));
     let mut lines = vec![head, summary(sample, None)];
+    lines.extend(stopped(&holds.stopped).map(|stopped| ink(stopped, Tone::Bad)));
     lines.push(ink(line(&|column| column.heading().to_owned()), Tone::Faint));
     lines.extend(rows.iter().map(|row| line(&|column| row.cell(column))));
     lines.extend(more(sample).map(|more| ink(more, Tone::Faint)));
@@ -207,9 +218,9 @@ pub(super) fn clock(sample: &Sample) -> String {
 }
 
 /// As on the wire, and with tokens and rates.
-pub(super) fn to_json(hub: &str, sample: &Sample, owned: &Owned, rates: Option<Rates>) -> Json {
+pub(super) fn to_json(hub: &str, sample: &Sample, holds: &Holds, rates: Option<Rates>) -> Json {
     let micros = |time: Duration| u64::try_from(time.as_micros()).unwrap_or(u64::MAX);
-    let peers = rows(sample, owned, None, false).into_iter().map(|row| {
+    let peers = rows(sample, &holds.owned, None, false).into_iter().map(|row| {
         let peer = row.peer;
         json!({
             "peer": peer.peer, "user": peer.user,
@@ -218,6 +229,12 @@ pub(super) fn to_json(hub: &str, sample: &Sample, owned: &Owned, rates: Option<R
             "round-trip": peer.round_trip.map(micros),
             "queued": peer.queued, "sent": peer.sent, "received": peer.received, "dropped": peer.dropped,
             "tokens": row.tokens.iter().map(|path| path.as_str()).collect::<Vec<_>>(),
+        })
+    });
+    let stopped = holds.stopped.iter().map(|(path, state)| {
+        json!({
+            "path": path.as_str(), "number": state.number, "by": state.by, "reason": state.reason,
+            "since": state.since.map(|since| since.to_string()), "only": state.only,
         })
     });
     let memory = sample.stats.memory.as_ref();
@@ -232,6 +249,7 @@ pub(super) fn to_json(hub: &str, sample: &Sample, owned: &Owned, rates: Option<R
         })),
         "peers": peers.collect::<Vec<_>>(),
         "more-peers": sample.stats.more_peers,
+        "stopped": stopped.collect::<Vec<_>>(),
     })
 }
 
@@ -239,7 +257,7 @@ pub(super) fn to_json(hub: &str, sample: &Sample, owned: &Owned, rates: Option<R
 mod tests {
     use std::time::Instant;
 
-    use mom_client::Path;
+    use mom_client::{Path, StopState};
 
     use super::super::tests::{peer, stats};
     use super::*;
@@ -258,19 +276,30 @@ mod tests {
         Sample::new(stats, Instant::now())
     }
 
-    fn owned() -> Owned {
-        let token = Path::parse("/robot/token").unwrap();
-        [("alice".to_owned(), vec![token])].into()
+    fn holds() -> Holds {
+        let path = |text| Path::parse(text).unwrap();
+        let stop = StopState {
+            number: 7,
+            stopped: true,
+            by: Some("bob".to_owned()),
+            reason: Some("smoke\u{7}".to_owned()),
+            ..StopState::default()
+        };
+        Holds {
+            owned: [("alice".to_owned(), vec![path("/robot/token")])].into(),
+            stopped: [(path("/robot/arm"), stop.clone()), (path("/robot/mount"), stop)].into(),
+        }
     }
 
     #[test]
     fn the_table() {
-        let shown = text("bin://lab", &sample(), &owned());
+        let shown = text("bin://lab", &sample(), &holds());
         assert_eq!(
             anstream::adapter::strip_str(&shown).to_string(),
             "\
 bin://lab   1970-01-01 00:00:00 UTC
 6 connections   memory 1.0 MiB of 2.0 MiB
+/robot/arm: stopped by bob (smoke\\u{7}), and 1 more; mom tree shows all
 peer          user          door            from           silent  round trip    queue  drops  tokens
 alice         alice         tcp binary      127.0.0.1  1 min 30 s     0.42 ms  2.0 KiB      3  /robot/token
 bad\\u{1b}[2J  bad\\u{1b}[2J  tcp tls binary                0.00 ms           -      0 B      0
@@ -280,7 +309,7 @@ and 4 more peers, which the hub does not list"
 
     #[test]
     fn the_order_of_a_column() {
-        let (sample, owned) = (sample(), owned());
+        let (sample, owned) = (sample(), holds().owned);
         let names = |by, reversed| -> Vec<String> {
             let rows = rows(&sample, &owned, Some(by), reversed);
             rows.iter().map(|row| row.cell(Column::Peer)).collect()
@@ -300,8 +329,13 @@ and 4 more peers, which the hub does not list"
 
     #[test]
     fn the_json_form() {
-        let json = to_json("bin://lab", &sample(), &owned(), None);
+        let json = to_json("bin://lab", &sample(), &holds(), None);
         assert_eq!(json["peers"][0]["tokens"], json!(["/robot/token"]));
+        let stop = &json["stopped"][1];
+        assert_eq!(
+            (&stop["path"], &stop["number"]),
+            (&json!("/robot/mount"), &json!(7))
+        );
         assert_eq!(
             (&json["peers"][0]["round-trip"], &json["connections"]),
             (&json!(420), &json!(6))

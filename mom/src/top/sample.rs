@@ -1,9 +1,11 @@
-//! What the hub tells of its peers, what follows from two such answers, and who owns which token.
+//! What the hub tells of its peers, what follows from two such answers, who owns which token, and what is stopped.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use mom_client::{Client, ClientError, ConnectedPeer, ContextInfo, ContextKind, Path, Stats, Value};
+use mom_client::{
+    Client, ClientError, ConnectedPeer, ContextInfo, ContextKind, Path, Stats, StopState, Value,
+};
 
 /// Contexts that one walk looks at, at most.
 const LOOKS: usize = 1000;
@@ -11,7 +13,10 @@ const LOOKS: usize = 1000;
 /// Tokens whose owners are asked for, at most.
 const TOKENS: usize = 256;
 
-/// Owners are asked for so many times before the tree is walked again for new tokens.
+/// Sessions whose channels are looked at for stops, at most.
+const SESSIONS: usize = 256;
+
+/// Owners and stops are asked for so many times before the tree is walked again for new contexts.
 const ROUNDS: u32 = 10;
 
 /// One answer of the hub.
@@ -85,30 +90,50 @@ fn key(peer: &ConnectedPeer) -> (&str, i64) {
 /// The tokens that each peer owns, by the peer's name.
 pub(super) type Owned = BTreeMap<String, Vec<Path>>;
 
-/// Looks for tokens and their owners, below some contexts.
+/// Channels in which a stop holds.
+pub(super) type Stopped = BTreeMap<Path, StopState>;
+
+/// What the contexts of the tree tell.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Holds {
+    pub(super) owned: Owned,
+    pub(super) stopped: Stopped,
+}
+
+/// Looks for tokens and their owners and for stops, below some contexts.
 #[derive(Debug)]
-pub(super) struct TokenWalk {
+pub(super) struct TreeWalk {
     tops: Vec<ContextInfo>,
     tokens: Vec<Path>,
+    /// Those that have channels.
+    sessions: Vec<Path>,
     rounds: u32,
 }
 
-impl TokenWalk {
-    pub(super) fn new(tops: Vec<ContextInfo>) -> TokenWalk {
-        TokenWalk {
+impl TreeWalk {
+    pub(super) fn new(tops: Vec<ContextInfo>) -> TreeWalk {
+        TreeWalk {
             tops,
             tokens: Vec::new(),
+            sessions: Vec::new(),
             rounds: 0,
         }
     }
 
-    /// Asks who owns what now. What this user may not know is left out.
-    pub(super) async fn owned(&mut self, client: &Client) -> Owned {
+    /// Asks who owns what and what is stopped now. What this user may not know is left out.
+    pub(super) async fn holds(&mut self, client: &Client) -> Holds {
         if self.rounds == 0 {
-            self.tokens = self.look(client).await;
+            self.look(client).await;
             self.rounds = ROUNDS;
         }
         self.rounds -= 1;
+        Holds {
+            owned: self.owned(client).await,
+            stopped: self.stopped(client).await,
+        }
+    }
+
+    async fn owned(&self, client: &Client) -> Owned {
         let mut owned = Owned::new();
         for path in &self.tokens {
             let Ok(facts) = client.info(path.as_str()).await else {
@@ -126,24 +151,43 @@ impl TokenWalk {
         owned
     }
 
-    async fn look(&self, client: &Client) -> Vec<Path> {
-        let (mut tokens, mut looks) = (Vec::new(), 0);
+    async fn stopped(&self, client: &Client) -> Stopped {
+        let mut stopped = Stopped::new();
+        for session in &self.sessions {
+            let below = client.list(session.as_str()).await.unwrap_or_default();
+            stopped.extend(below.into_iter().filter_map(|info| Some((info.path, info.stop?))));
+        }
+        for top in self.tops.iter().filter(|top| top.kind == ContextKind::Channel) {
+            let state = client.stops(top.path.as_str()).await;
+            stopped.extend(state.map(|state| (top.path.clone(), state)));
+        }
+        stopped.retain(|_, state| state.stopped);
+        stopped
+    }
+
+    async fn look(&mut self, client: &Client) {
+        self.tokens.clear();
+        self.sessions.clear();
+        let mut looks = 0;
         let mut next: Vec<ContextInfo> = self.tops.clone();
         while let Some(info) = next.pop() {
             looks += 1;
-            if looks > LOOKS || tokens.len() == TOKENS {
+            if looks > LOOKS || self.tokens.len() == TOKENS {
                 break;
             }
             match info.kind {
-                ContextKind::Token => tokens.push(info.path),
+                ContextKind::Token => self.tokens.push(info.path),
                 ContextKind::Session => {
-                    let below = client.list(info.path.as_str()).await;
-                    next.extend(below.unwrap_or_default().into_iter().rev());
+                    let below = client.list(info.path.as_str()).await.unwrap_or_default();
+                    let has_channels = below.iter().any(|info| info.kind == ContextKind::Channel);
+                    if has_channels && self.sessions.len() < SESSIONS {
+                        self.sessions.push(info.path);
+                    }
+                    next.extend(below.into_iter().rev());
                 }
                 ContextKind::Channel => {}
             }
         }
-        tokens
     }
 }
 

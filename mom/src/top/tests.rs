@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use mom_client::{ChannelStats, ConnectedPeer, Counts, MemoryStats, Path, Stats, Time};
+use mom_client::{ChannelStats, ConnectedPeer, Counts, MemoryStats, Path, Stats, StopState, Time};
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::crossterm::event::{Event, KeyCode, KeyEvent, KeyModifiers};
@@ -74,13 +74,19 @@ fn the_picture() {
             (peer.door, peer.form, peer.tls) = ("websocket".to_owned(), "json".to_owned(), true);
         }),
     ]);
-    view.owned = [("alice".to_owned(), vec![Path::parse("/robot/token").unwrap()])].into();
+    view.holds.owned = [("alice".to_owned(), vec![Path::parse("/robot/token").unwrap()])].into();
+    let stop = StopState {
+        stopped: true,
+        by: Some("bob".to_owned()),
+        ..StopState::default()
+    };
+    view.holds.stopped = [(Path::parse("/robot/arm").unwrap(), stop)].into();
     assert_eq!(
         lines(&mut view, 120, 8),
         [
             "mom top  bin://lab                                                                               1970-01-01 00:00:00 UTC",
             "2 connections   memory 1.0 MiB of 2.0 MiB",
-            "",
+            "/robot/arm: stopped by bob",
             "peer            user   door                from        silent  round trip    queue  drops  tokens",
             "alice           alice  tcp binary          127.0.0.1  0.00 ms     0.42 ms      0 B      0  /robot/token",
             "evil\\u{1b}]0;x  guest  websocket tls json  127.0.0.1  0.00 ms           -  2.0 KiB      0",

@@ -10,7 +10,7 @@ use ratatui::text::{Line, Span, Text};
 use ratatui::widgets::{Cell, Paragraph, Row as TableRow, Table, TableState};
 
 use super::rows::{self, COLUMNS, Column};
-use super::sample::{Owned, Rates, Sample};
+use super::sample::{Holds, Rates, Sample};
 use crate::output::words;
 
 const KEYS: &str = "1-9 ←→ sort   r reverse   ↑↓ scroll   q end";
@@ -35,7 +35,7 @@ pub(super) struct View {
     pub(super) link: HubLink,
     sample: Sample,
     rates: Option<Rates>,
-    pub(super) owned: Owned,
+    pub(super) holds: Holds,
     sort: Option<Column>,
     reversed: bool,
     table: TableState,
@@ -48,7 +48,7 @@ impl View {
             link: HubLink::Up,
             sample,
             rates: None,
-            owned: Owned::new(),
+            holds: Holds::default(),
             sort: None,
             reversed: false,
             table: TableState::default(),
@@ -140,6 +140,9 @@ impl View {
                 link,
             ]),
             Line::from(rows::summary(&self.sample, self.rates)),
+            Line::from(rows::stopped(&self.holds.stopped).unwrap_or_default())
+                .red()
+                .bold(),
         ];
         let clock = Paragraph::new(rows::clock(&self.sample)).alignment(Alignment::Right);
         // The second line may need all of the width.
@@ -158,7 +161,7 @@ impl View {
                 .filter(|column| *column != Column::From)
                 .collect(),
         };
-        let rows = rows::rows(&self.sample, &self.owned, self.sort, self.reversed);
+        let rows = rows::rows(&self.sample, &self.holds.owned, self.sort, self.reversed);
         let cells: Vec<Vec<String>> = rows
             .iter()
             .map(|row| columns.iter().map(|column| row.cell(*column)).collect())

@@ -34,7 +34,7 @@ async fn owner(broker: &Broker) -> (Client, TokenGuard) {
 async fn once_for_people_and_for_scripts() {
     let broker = lab::start().await;
     let hub = format!("tcp://{}", broker.local_addr());
-    let (_bob, _guard) = owner(&broker).await;
+    let (client, _guard) = owner(&broker).await;
     let shown = mom_top(&hub, "alice", &["--once"]).await;
     let shown = text(&shown.stdout);
     let row = |name: &str| -> Vec<&str> {
@@ -64,6 +64,18 @@ async fn once_for_people_and_for_scripts() {
         (&"websocket".into(), &"/robot/token".into()),
         "{json}"
     );
+    assert_eq!(json["stopped"], serde_json::json!([]), "{json}");
+    let stop = client.stop("/robot/arm").reason("smoke").send().await;
+    let stop = stop.expect("anybody may").channels[0].number;
+    let shown = mom_top(&hub, "alice", &["--once"]).await;
+    let shown = text(&shown.stdout);
+    assert!(
+        shown.contains("\n/robot/arm: stopped by bob (smoke)\n"),
+        "{shown}"
+    );
+    let channel = mom_top(&hub, "alice", &["--once", "--json", "/robot/arm"]).await;
+    let json: serde_json::Value = serde_json::from_slice(&channel.stdout).expect("one object");
+    assert_eq!(json["stopped"][0]["number"], stop, "{json}");
     let elsewhere = mom_top(&hub, "alice", &["--once", "--json", "/camera"]).await;
     let json: serde_json::Value = serde_json::from_slice(&elsewhere.stdout).expect("one object");
     assert_eq!(json["peers"][0]["tokens"], serde_json::json!([]), "{json}");
