@@ -11,6 +11,7 @@ use mom_proto::{
 
 use super::admit::{Admission, Alike, Ingress, Receivers, admit, admit_with, refusal};
 use super::route::{Guard, GuardOwner, Route};
+use crate::tree::member::has_own_right;
 use crate::{Member, PeerClock, PeerId, StandingVerdict};
 
 const ALICE: PeerId = PeerId(1);
@@ -33,7 +34,7 @@ fn allowed() -> Answer {
 
 fn standing(name: Option<&str>) -> StandingVerdict {
     StandingVerdict {
-        by_hub: name == Some("stop"),
+        by_hub: name.is_some_and(has_own_right),
         name: name.map(Into::into),
         until: None,
         rate: None,
@@ -136,10 +137,17 @@ fn a_guard_covers_the_names_that_it_lists_and_no_other() {
 
 #[test]
 fn stops_have_one_order_which_the_hub_knows() {
-    let route = route();
+    let mut route = route();
     for name in ["stop", "unstop"] {
-        let admitted = admit(&route, BOB, &mut message(name), &ingress(0));
-        assert_eq!(admitted, Ok(Admission::Consult), "{name}");
+        let asked = |route: &Route| admit(route, BOB, &mut message(name), &ingress(0));
+        assert_eq!(asked(&route), Ok(Admission::Consult), "{name}");
+        let kept = route.members[1].with(standing(Some(name)));
+        route.members[1] = Arc::new(kept.expect("room for one"));
+        assert_eq!(
+            asked(&route),
+            Ok(Admission::Consult),
+            "{name}, though its manager has answered"
+        );
     }
 }
 
