@@ -293,11 +293,19 @@ fn a_larger_value_of_latest_never_costs_both() {
     queue.push(pose(500));
     queue.push(data("f", Delivery::Fleeting));
     queue.push(data("r", Delivery::Reliable));
-    assert_eq!(queue.push(pose(2500)), Taken::Dropped, "beside what may not be dropped");
+    assert_eq!(
+        queue.push(pose(2500)),
+        Taken::Dropped,
+        "beside what may not be dropped"
+    );
     assert_eq!(queue.data_bytes(), 2500, "the older one and the rest are kept");
     assert_eq!(queue.push(pose(2000)), Taken::Yes);
     assert_eq!(queue.data_bytes(), 3000);
-    assert_eq!(queue.push(pose(1000)), Taken::Yes, "it takes the place of the one before");
+    assert_eq!(
+        queue.push(pose(1000)),
+        Taken::Yes,
+        "it takes the place of the one before"
+    );
     assert_eq!(names(&mut queue), ["r", "pose"]);
     let reasons: Vec<_> = queue.take_drops().into_iter().collect();
     let expected = [
