@@ -75,6 +75,32 @@ impl DeviceWord {
 }
 
 impl World {
+    /// Whether a peer is a member of a channel that obeys stops there.
+    pub(crate) fn is_device(&self, peer: PeerId, channel: ContextNumber) -> bool {
+        let context = self.tree.get(channel);
+        let member = context.and_then(|context| context.members.get(&peer));
+        member.is_some_and(|member| member.device)
+    }
+
+    /// Has a stop for one device by name hold for one that is new here and has its name but for what the hub added: it may be the
+    /// same one, started again while its old connection keeps the name.
+    pub(crate) fn stop_namesake(&mut self, channel: ContextNumber, peer: PeerId, out: &mut Vec<Effect>) {
+        let name = self.peers.get(peer).map(|peer| Arc::clone(&peer.facts.name));
+        let path = self.tree.get(channel).map(|context| context.path.clone());
+        let (Some(name), Some(path)) = (name, path) else {
+            return self.fault("a device is met that is not there");
+        };
+        let Some(stop) = self.stops.latch(&path).of_namesake(&name) else {
+            return;
+        };
+        let latch = self.stops.latch_mut(&path);
+        latch.stop(stop, Some(&[name]));
+        let told = latch.describe();
+        let to = self.told_of_stops(channel, &BTreeSet::from([peer]));
+        self.push_event(event::STOPPED, &path, to, told, out);
+        self.keep(channel, None, out);
+    }
+
     /// Takes in what a device says that joins: where it knows of a stop that this hub does not, the stop holds.
     pub(crate) fn meet_device(
         &mut self,

@@ -61,6 +61,20 @@ impl Latch {
         }
     }
 
+    /// The newest stop that holds for a device by name whose name is this one but for what the hub added to make it another
+    /// (`arm~2`); none if this one is stopped itself.
+    pub(crate) fn of_namesake(&self, device: &str) -> Option<Stop> {
+        let stem = |name: &str| name.split('~').next().unwrap_or_default().to_owned();
+        if self.holding(device).is_some() {
+            return None;
+        }
+        let namesakes = self.each.iter().filter(|(name, _)| stem(name) == stem(device));
+        let stop = namesakes
+            .filter_map(|(_, own)| own.as_ref())
+            .max_by_key(|stop| stop.number);
+        stop.map(|stop| Stop::clone(stop))
+    }
+
     /// Takes in a stop for these devices, or for all. Gives whether it stops one that no stop held.
     pub(crate) fn stop(&mut self, stop: Stop, only: Option<&[Arc<str>]>) -> bool {
         self.newest = self.newest.max(stop.number);

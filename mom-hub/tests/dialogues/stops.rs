@@ -141,6 +141,33 @@ fn stops_of_single_devices_are_their_own() {
     assert_eq!(stands(&mut stage, "/lab/arm"), (2, false));
 }
 
+/// It is started again while the hub still keeps its lost connection, and its name, for it.
+#[test]
+fn a_stop_of_one_device_holds_for_it_under_its_next_name() {
+    let mut stage = stage();
+    stage.say("bob", "message stop /lab/arm @to=arm");
+    stage.lost("arm", 30_000);
+    stage.enter("arm~2", 1);
+    let heard = stage.say("arm~2", "context join /lab/arm device=true");
+    assert_eq!(
+        of(&heard, &["arm~2", "alice"]),
+        [
+            "alice< stopped by=bob",
+            "arm~2< ok",
+            "arm~2< stop of hub stop=1 by=bob"
+        ]
+    );
+    // Each is let go by its name, and stays so.
+    stage.say("alice", "message unstop /lab/arm @stop=1 @to=arm~2");
+    let heard = stage.say("arm~2", "context join /lab/arm device=true");
+    assert_eq!(heard, ["arm~2< ok"]);
+    assert_eq!(stands(&mut stage, "/lab/arm"), (1, true), "the one that is away");
+    // Another name is another device.
+    stage.enter("armour", 1);
+    let heard = stage.say("armour", "context join /lab/arm device=true");
+    assert_eq!(of(&heard, &["armour"]), ["armour< ok"]);
+}
+
 #[test]
 fn who_does_not_hear_the_stop_is_told_of_it() {
     let mut stage = stage();

@@ -310,6 +310,12 @@ mod tests {
         }
     }
 
+    /// The line without its colours, which another test may have turned on.
+    fn line(order: Order, channel: &ToldChannel, lifted: Option<&StopState>) -> String {
+        let line = super::line(order, channel, lifted);
+        anstream::adapter::strip_str(&line).to_string()
+    }
+
     #[test]
     fn a_line_says_what_is_known() {
         let bob = StopState {

@@ -215,6 +215,21 @@ async fn an_arm_that_was_away_finds_the_stop() {
     assert!(lab.obeys().await);
 }
 
+/// It is killed and started again while the hub keeps its lost link, and with it its name.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stop_by_name_holds_for_an_arm_that_is_started_again() {
+    let lab = Away::start().await;
+    let arm = lab.arm().await;
+    let stop = lab.mom("bob", &["send", ARM, "stop", "--to", "arm"]).await;
+    assert_eq!(stop.status.code(), Some(0), "{stop:?}");
+    drop(arm);
+    let _arm = lab.arm().await;
+    assert!(!lab.obeys().await, "whatever its name is now");
+    let free = lab.mom("bob", &["unstop", ARM]).await;
+    assert_eq!(free.status.code(), Some(0), "{free:?}");
+    assert!(lab.obeys().await);
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_stop_outlives_the_hub_and_the_arm() {
     for keeps in ["", "[store]\npath = \"store\""] {
