@@ -1,7 +1,7 @@
 //! The device's side of stops: what holds, by the order of causes, and what it waits for (M43).
 
 use mom_proto::event as names;
-use mom_proto::{Map, Parcel, STOP, Time, Value};
+use mom_proto::{HUB, Map, Parcel, STOP, Time, Value};
 
 use crate::Event;
 use crate::info::{map_of, name_list, number, owned};
@@ -175,6 +175,8 @@ impl Latch {
     }
 
     fn stop(&mut self, parcel: &Parcel) -> Reaction {
+        // So it tells a device that has come back how it stands.
+        self.known |= parcel.sender.as_deref() == Some(HUB);
         let number = slot(parcel).unwrap_or(self.number);
         let content = map_of(parcel);
         let by = owned(&content, "by");
@@ -257,6 +259,9 @@ mod tests {
         event: String,
         #[serde(default)]
         number: Option<u64>,
+        /// Who says it.
+        #[serde(default)]
+        sender: Option<String>,
         #[serde(default)]
         stopped: bool,
         #[serde(default)]
@@ -270,6 +275,7 @@ mod tests {
         fn event(&self) -> Event {
             let message = |name: &str| {
                 let mut parcel = Parcel::new(Family::Message, name);
+                parcel.sender = Some(self.sender.as_deref().unwrap_or("bob").into());
                 if let Some(number) = self.number {
                     parcel.extra.set(STOP, i64::try_from(number).expect("small"));
                 }

@@ -124,6 +124,8 @@ export class Latch {
 
   #stop({ stop = this.#number, sender, content }: MessageEvent): Turn {
     const fields: Fields = fieldsOf(content);
+    // So it tells a device that has come back how it stands.
+    if (sender === "hub") this.#known = true;
     return this.#take(stop, text(fields, "by") ?? sender, text(fields, "reason") ?? (typeof content === "string" ? content : undefined));
   }
 

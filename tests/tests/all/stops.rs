@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use mom_proto::codec::Form;
 use mom_proto::{Family, Map, Parcel, Value};
+use mom_tests::faulty::{Fault, FaultyNetwork};
 use mom_tests::programs::{self, Running, text};
 use mom_tests::raw::{Raw, at, message};
 use mom_tests::service::{Home, Service};
@@ -131,7 +132,10 @@ impl Away {
 
     /// The arm's program; returns when it is a member.
     async fn arm(&self) -> Running {
-        let hub = self.hub();
+        self.arm_at(self.hub()).await
+    }
+
+    async fn arm_at(&self, hub: String) -> Running {
         let start = move || {
             let args = ["--hub", &hub, "--user", "arm"];
             Running::start("mom-arm", &args, &[("MOM_PASSWORD", "arm")])
@@ -213,6 +217,21 @@ async fn an_arm_that_was_away_finds_the_stop() {
         "{free:?}"
     );
     assert!(lab.obeys().await);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_arm_that_comes_back_while_it_is_stopped_can_be_let_go() {
+    let lab = Away::start().await;
+    let network = FaultyNetwork::to(lab.broker.address(), |_| Fault::default()).await;
+    let _arm = lab.arm_at(format!("bin://{}", network.local_addr())).await;
+    network.sever();
+    // It says so as soon as its connection is resumed.
+    while lab.mom("bob", &["stop", ARM]).await.status.code() != Some(0) {}
+    network.sever();
+    while lab.mom("bob", &["stop", ARM]).await.status.code() != Some(0) {}
+    let free = lab.mom("bob", &["unstop", ARM]).await;
+    assert_eq!(free.status.code(), Some(0), "{free:?}");
+    assert!(lab.obeys().await, "it has heard by the stop how it stands");
 }
 
 /// It is killed and started again while the hub keeps its lost link, and with it its name.
