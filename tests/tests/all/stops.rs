@@ -223,7 +223,7 @@ async fn an_arm_that_was_away_finds_the_stop() {
 async fn an_arm_that_comes_back_while_it_is_stopped_can_be_let_go() {
     let lab = Away::start().await;
     let network = FaultyNetwork::to(lab.broker.address(), |_| Fault::default()).await;
-    let _arm = lab.arm_at(format!("bin://{}", network.local_addr())).await;
+    let _arm = lab.arm_at(format!("bin://{}", network.address)).await;
     network.sever();
     // It says so as soon as its connection is resumed.
     while lab.mom("bob", &["stop", ARM]).await.status.code() != Some(0) {}
