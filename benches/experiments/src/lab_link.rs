@@ -302,7 +302,7 @@ async fn operate(address: &str, cameras: bool, observed: &Observed, settings: &S
     let mut seen = count(&mut heard, Duration::from_secs(seconds), observed).await?;
     let mut random = fastrand::Rng::with_seed(settings.seed);
     for _ in 0..stops {
-        let (stood, stop_heard) = stop(&arm, &mut heard, observed, &mut random).await?;
+        let (stood, stop_heard) = stop(&client, &arm, &mut heard, observed, &mut random).await?;
         seen.stood.push(stood);
         seen.heard.push(stop_heard);
     }
@@ -372,6 +372,7 @@ async fn count(
 
 /// One stop in a random moment of a motion, and the end of it: until the arm stands, and until that is heard.
 async fn stop(
+    client: &Client,
     arm: &Channel,
     heard: &mut mpsc::UnboundedReceiver<Heard>,
     observed: &Observed,
@@ -406,7 +407,9 @@ async fn stop(
         .await
         .context("nobody beside the arm sees it stand")??;
     let stands = motion.borrow().stands.unwrap_or(at);
-    arm.message(event::UNSTOP).no_echo().send().await?;
+    let newest = i64::try_from(client.stops(ARM).await?.number)?;
+    let unstop = arm.message(event::UNSTOP).slot("stop", newest);
+    unstop.no_echo().send().await?;
     timeout(PATIENCE, motion.wait_for(|motion| !motion.stopped))
         .await
         .context("the arm stays stopped")??;

@@ -129,17 +129,30 @@ fn measure(rate: f64, load: Load, rounds: usize, settings: &Settings) -> Result<
     Ok(times)
 }
 
+/// What has arrived at the robot.
+struct Arrival {
+    name: String,
+    at: Instant,
+    /// The number of a stop.
+    stop: Option<Value>,
+}
+
 /// The robot: says when what arrives, and how many parts of images it has.
 async fn receive(
     address: &str,
-    arrived: mpsc::UnboundedSender<(String, Instant)>,
+    arrived: mpsc::UnboundedSender<Arrival>,
     had: watch::Sender<usize>,
     mut end: oneshot::Receiver<()>,
 ) -> Result<()> {
     let client = guest(address).await?;
     let channel = client.channel(CHANNEL).await?;
     let mut events = channel.events();
-    arrived.send(("ready".to_owned(), Instant::now()))?;
+    let arrival = |name: &str, stop| Arrival {
+        name: name.to_owned(),
+        at: Instant::now(),
+        stop,
+    };
+    arrived.send(arrival("ready", None))?;
     loop {
         let event = tokio::select! {
             event = events.next() => event,
@@ -147,7 +160,9 @@ async fn receive(
         };
         match event.context("the link ended")? {
             Event::Message(parcel) if parcel.name() == "image" => had.send_modify(|had| *had += 1),
-            Event::Message(parcel) => arrived.send((parcel.name().to_owned(), Instant::now()))?,
+            Event::Message(parcel) => {
+                arrived.send(arrival(parcel.name(), parcel.extra.get("stop").cloned()))?;
+            }
             _ => {}
         }
     }
@@ -164,7 +179,7 @@ async fn send_all(
     load: Load,
     rounds: usize,
     seed: u64,
-    mut arrivals: mpsc::UnboundedReceiver<(String, Instant)>,
+    mut arrivals: mpsc::UnboundedReceiver<Arrival>,
     has: watch::Receiver<usize>,
 ) -> Result<Times> {
     heard(&mut arrivals, "ready").await?;
@@ -181,19 +196,21 @@ async fn send_all(
     let most = serialisation(chunk, rate).max(0.03);
     sleep(BEGUN + Duration::from_secs_f64(2.0 * serialisation(chunk, rate))).await;
     let mut times = Times::default();
+    let mut newest = None;
     for _ in 0..rounds {
         for (name, times) in URGENT.iter().zip(&mut times) {
             sleep(Duration::from_secs_f64(random.f64() * most)).await;
             let message = stops.message(name).no_echo();
-            let message = if *name == "urgent" {
-                message.priority(50)
-            } else {
-                message
+            let message = match *name {
+                "urgent" => message.priority(50),
+                event::UNSTOP => message.slot("stop", newest.clone().unwrap_or_default()),
+                _ => message,
             };
             let begin = Instant::now();
             message.send().await?;
-            let at = heard(&mut arrivals, name).await?;
-            times.push((at - begin).saturating_sub(DELAY).as_secs_f64());
+            let arrival = heard(&mut arrivals, name).await?;
+            newest = arrival.stop.or(newest);
+            times.push((arrival.at - begin).saturating_sub(DELAY).as_secs_f64());
         }
     }
     ensure!(
@@ -207,13 +224,13 @@ async fn send_all(
     Ok(times)
 }
 
-async fn heard(arrivals: &mut mpsc::UnboundedReceiver<(String, Instant)>, name: &str) -> Result<Instant> {
+async fn heard(arrivals: &mut mpsc::UnboundedReceiver<Arrival>, name: &str) -> Result<Arrival> {
     let arrival = timeout(PATIENCE, arrivals.recv()).await;
-    let (heard, at) = arrival
+    let arrival = arrival
         .with_context(|| format!("{name} is lost"))?
         .context("the receiver ended")?;
-    ensure!(heard == name, "{heard} instead of {name}");
-    Ok(at)
+    ensure!(arrival.name == name, "{} instead of {name}", arrival.name);
+    Ok(arrival)
 }
 
 /// How many parts of images are sent and not there yet, so that the link is always full and the broker's queue never.

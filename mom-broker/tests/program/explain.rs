@@ -128,7 +128,7 @@ fn explain_says_why_not() {
         "retry-after=180000 place=1",
         "owner=bob owner-level=1",
         "  rule       robot-token/level-or-lease\n",
-        "lab.toml:97, managers.robot-token.of[1]\n",
+        "lab.toml:101, managers.robot-token.of[1]\n",
     ] {
         assert!(held.contains(words), "{words:?} in {held}");
     }
@@ -164,7 +164,7 @@ fn explain_says_why() {
     );
     for words in [
         "  rule       lab/operators may all\n",
-        "lab.toml:74, managers.lab.rules[10]\n",
+        "lab.toml:78, managers.lab.rules[11]\n",
         "  takes it   from bob\n",
         "  needs      membership of /robot\n",
     ] {
