@@ -8,7 +8,7 @@ use anyhow::Result;
 use mom_broker::{Config, ConfigError, ConfigErrors};
 use mom_hub::ContextSpec;
 use mom_managers::{Expiry, Terms};
-use mom_proto::Path;
+use mom_proto::{ContextKind, Path, Verb};
 use serde_json::{Value, json};
 
 #[derive(clap::Args)]
@@ -54,6 +54,14 @@ struct TreeLine {
     managed_at: Path,
     guard: Option<(String, Vec<String>)>,
     terms: Option<Terms>,
+    /// Of a channel: who may be a device there.
+    devices: Devices,
+}
+
+/// Who may be a device, which obeys stops and is believed when it says so.
+enum Devices {
+    Anybody,
+    These(Vec<String>),
 }
 
 /// The contexts in the order of the tree, the root first.
@@ -63,8 +71,13 @@ fn tree(config: &Config) -> Result<Vec<TreeLine>, ConfigError> {
     let mut paths: Vec<Path> = std::iter::once(Path::root()).chain(paths).collect();
     // Children come before the next sibling, whatever characters their names contain.
     paths.sort_by(|one, other| one.segments().cmp(other.segments()));
-    let places = paths.iter().filter_map(|path| hub.place(path));
-    let line = |place: mom_hub::ContextOutline| {
+    let everybody = config.users.len() + usize::from(config.login.guests);
+    let devices = config.allowed(Verb::Device, &paths)?;
+    let places = paths
+        .iter()
+        .zip(devices)
+        .filter_map(|(path, devices)| Some((hub.place(path)?, devices)));
+    let line = |(place, devices): (mom_hub::ContextOutline, Vec<String>)| {
         let mut specs = config.contexts.iter();
         let spec = specs.find(|spec| path_of(spec).as_ref() == Some(&place.path));
         let guard = spec.and_then(|spec| spec.guard.as_ref());
@@ -74,6 +87,11 @@ fn tree(config: &Config) -> Result<Vec<TreeLine>, ConfigError> {
             managed_at: place.managed_at,
             guard: guard.map(|guard| (guard.token.clone(), guard.names.clone())),
             terms: place.terms,
+            devices: match place.kind {
+                ContextKind::Channel if devices.len() == everybody => Devices::Anybody,
+                ContextKind::Channel => Devices::These(devices),
+                _ => Devices::These(Vec::new()),
+            },
             path: place.path,
         }
     };
@@ -120,6 +138,15 @@ fn row(lines: &[TreeLine], at: usize) -> [String; 3] {
     if let Some((token, names)) = &line.guard {
         facts.push_str(&format!("; {} needs {token}", names.join(", ")));
     }
+    match &line.devices {
+        Devices::Anybody => facts.push_str("; device: anybody"),
+        Devices::These(names) if !names.is_empty() => {
+            facts.push_str(&format!("; device: {}", names.join(", ")));
+        }
+        // Somebody is meant to obey there.
+        Devices::These(_) if line.guard.is_some() => facts.push_str("; device: nobody"),
+        Devices::These(_) => {}
+    }
     if let Some(terms) = &line.terms {
         facts.push_str(&lease(terms));
     }
@@ -162,6 +189,12 @@ fn report(config: &Config, lines: &[TreeLine]) -> Value {
             });
             if let Some((token, names)) = &line.guard {
                 context["guard"] = json!({ "token": token, "names": names });
+            }
+            if line.kind == ContextKind::Channel.word() {
+                context["devices"] = match &line.devices {
+                    Devices::Anybody => "anybody".into(),
+                    Devices::These(names) => names.clone().into(),
+                };
             }
             if let Some(terms) = &line.terms {
                 context["lease"] = terms.lease.map(|lease| lease / 1000).into();

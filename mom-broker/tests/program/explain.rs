@@ -21,12 +21,12 @@ fn check_says_whether_a_file_is_right() {
     let expected = "  /                session  lab
   ├─ calibrate     channel  lab (of /)
   ├─ camera        session  lab (of /)
-  │  ├─ pan        channel  lab (of /); command needs /camera/pan-token
+  │  ├─ pan        channel  lab (of /); command needs /camera/pan-token; device: camera
   │  ├─ pan-token  token    robot-token; lease 180000 ms, lazy
-  │  ├─ top        channel  lab (of /)
-  │  ├─ wrist      channel  lab (of /)
-  │  ├─ x          channel  lab (of /)
-  │  └─ y          channel  lab (of /)
+  │  ├─ top        channel  lab (of /); device: camera
+  │  ├─ wrist      channel  lab (of /); device: camera
+  │  ├─ x          channel  lab (of /); device: camera
+  │  └─ y          channel  lab (of /); device: camera
   ├─ chat          channel  lab (of /)
   ├─ log           channel  log
   ├─ model         session  lab (of /)
@@ -35,14 +35,24 @@ fn check_says_whether_a_file_is_right() {
   │  ├─ objects    channel  lab (of /)
   │  └─ red        token    robot-token; lease 180000 ms, lazy
   ├─ robot         session  lab (of /)
-  │  ├─ arm        channel  lab (of /); command needs /robot/token
+  │  ├─ arm        channel  lab (of /); command needs /robot/token; device: arm
   │  └─ token      token    robot-token; lease 180000 ms, lazy
   └─ servo         channel  lab (of /)
 ";
     assert_eq!(tree, expected);
 
+    let right = run(program().arg("check").arg(lab()).arg("--json"));
+    let said: Value = serde_json::from_slice(&right.stdout).expect("JSON");
+    let contexts = said["contexts"].as_array().expect("a list").iter();
+    let arm = contexts.filter(|context| context["path"] == "/robot/arm");
+    let devices: Vec<&Value> = arm.map(|arm| &arm["devices"]).collect();
+    assert_eq!(devices, [&serde_json::json!(["arm"])]);
+
     let folder = TempDir::new().expect("a folder");
     let file = folder.path().join("mom.toml");
+    fs::write(&file, CONTEXT).expect("written");
+    let open = run(program().arg("check").arg(&file));
+    assert!(text(&open.stdout).contains("; device: anybody"), "{open:?}");
     fs::write(&file, CONTEXT.replace("channel", "chanel")).expect("written");
     let wrong = run(program().arg("check").arg(&file));
     assert_eq!(wrong.status.code(), Some(1));

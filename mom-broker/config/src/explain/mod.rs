@@ -4,7 +4,7 @@ mod askings;
 mod words;
 
 use mom_hub::{Case, Judgement, Settings, User};
-use mom_login::{GUEST, guest};
+use mom_login::{GUEST, UserEntry, guest};
 use mom_managers::{Answer, Ask, Defer};
 use mom_proto::nearest::nearest;
 use mom_proto::{ContextKind, Family, Map, Path, Time, Verb, WireError};
@@ -131,6 +131,34 @@ impl Config {
             self.judge(&there, asking.verb, asking.message.as_deref())
         });
         explained.collect()
+    }
+
+    /// The users of the users file, and a guest where guests may log in, whom a hub of this configuration allows a verb at each of
+    /// these contexts.
+    ///
+    /// # Errors
+    /// A configuration that is wrong.
+    pub fn allowed(&self, verb: Verb, paths: &[Path]) -> Result<Vec<Vec<String>>, ConfigError> {
+        let hub = self.hub()?;
+        let guests = self.login.guests.then(guest);
+        let users: Vec<User> = self.users.iter().map(UserEntry::to_user).chain(guests).collect();
+        let may = |user: &User, path: &Path| {
+            let judgement = hub.judge(&Case {
+                user,
+                verb,
+                path,
+                kind: None,
+                message: message_of(verb, None),
+                owners: &[],
+                invited: false,
+            });
+            judgement.refusal.is_none() && judgement.verdict.is_allow()
+        };
+        let allowed = |path| {
+            let users = users.iter().filter(|user| may(user, path));
+            users.map(|user| user.name.clone()).collect()
+        };
+        Ok(paths.iter().map(allowed).collect())
     }
 
     fn judge(
