@@ -88,7 +88,7 @@ fn tree(config: &Config) -> Result<Vec<TreeLine>, ConfigError> {
             guard: guard.map(|guard| (guard.token.clone(), guard.names.clone())),
             terms: place.terms,
             devices: match place.kind {
-                ContextKind::Channel if devices.len() == everybody => Devices::Anybody,
+                ContextKind::Channel if everybody > 0 && devices.len() == everybody => Devices::Anybody,
                 ContextKind::Channel => Devices::These(devices),
                 _ => Devices::These(Vec::new()),
             },

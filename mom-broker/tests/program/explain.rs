@@ -50,7 +50,11 @@ fn check_says_whether_a_file_is_right() {
 
     let folder = TempDir::new().expect("a folder");
     let file = folder.path().join("mom.toml");
-    fs::write(&file, CONTEXT).expect("written");
+    fs::write(
+        &file,
+        format!("root = \"open\"\n{CONTEXT}[login]\nguests = true\n"),
+    )
+    .expect("written");
     let open = run(program().arg("check").arg(&file));
     assert!(text(&open.stdout).contains("; device: anybody"), "{open:?}");
     fs::write(&file, CONTEXT.replace("channel", "chanel")).expect("written");
