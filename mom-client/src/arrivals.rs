@@ -1,13 +1,16 @@
 //! Dispatches arriving parcels: replies to their callers, events to their subscribers.
 
 use mom_proto::event as names;
-use mom_proto::{Family, Parcel, Path, WireError};
+use mom_proto::{Family, Map, Parcel, Path, WireError};
 
 use crate::Event;
-use crate::info::{map_of, text};
+use crate::info::{map_of, number, text};
 use crate::pending::AnswerTo;
 use crate::shared::{Shared, State};
 use crate::trace;
+
+/// The message by which a device says how a command goes: `peer` and `id` of the command, `state`.
+const STATUS: &str = "status";
 
 impl Shared {
     /// Takes one parcel of the hub.
@@ -23,11 +26,13 @@ impl Shared {
                 trace::received(&parcel);
                 let paths: Vec<Path> = parcel.context.iter().cloned().collect();
                 let is_stop = [names::STOP, names::UNSTOP].contains(&parcel.name());
+                let status = (parcel.name() == STATUS).then(|| map_of(&parcel));
                 let event = Event::from_parcel(parcel);
                 let mut state = self.lock();
                 if let Some(path) = paths.first().filter(|_| is_stop) {
                     state.places.note_stops(path, &event);
                 }
+                status.into_iter().for_each(|status| state.note_status(&status));
                 state.subscribers.deliver(&paths, event);
             }
         }
@@ -48,6 +53,7 @@ impl Shared {
             if error.code.closes() {
                 state.closing = Some(error);
             }
+            parcel.reference.into_iter().for_each(|id| state.guards.ended(id));
         }
         let waiter = parcel
             .reference
@@ -159,6 +165,15 @@ impl Shared {
 }
 
 impl State {
+    /// Takes in how a device says that a command of this peer ended.
+    fn note_status(&self, status: &Map) {
+        let ended = matches!(text(status, "state"), Some("finished" | "error"));
+        let own = text(status, "peer") == Some(self.me.peer.as_str());
+        if let Some(id) = number(status, "id").filter(|_| ended && own) {
+            self.guards.ended(id);
+        }
+    }
+
     /// An error about a parcel that nobody awaits, or about none in particular.
     fn deliver_refused(&mut self, parcel: &Parcel) {
         let known = parcel

@@ -7,7 +7,7 @@ use std::time::Duration;
 use mom_proto::Path;
 
 use crate::guards::Hold;
-use crate::holding::{Holding, HoldingKind};
+use crate::holding::{After, Holding, HoldingKind};
 use crate::membership::Membership;
 use crate::{ClientError, Give, Loan};
 
@@ -109,15 +109,13 @@ impl TokenGuard {
         self.holding.release().await
     }
 
-    /// Releases the token once the hub has answered for all messages sent before that need it: it has put them into the queues
-    /// of their receivers, or refused them ([`Event::Refused`](crate::Event::Refused)). What a manager has to be asked about may
-    /// be answered later. After `most` it releases the token anyhow. A release halts the device, so that
-    /// [`TokenGuard::release`] may leave it no time for the last command.
+    /// Releases the token once what was said under it has come so far, and after `most` anyhow. A release halts the device, and what
+    /// has not left the hub by then does not leave it any more; so [`TokenGuard::release`] may leave no time for the last command.
     ///
     /// # Errors
-    /// As [`TokenGuard::release`]; `TimedOut` if the hub did not answer in time, though the token is released then.
-    pub async fn release_after(self, most: Duration) -> Result<(), ClientError> {
-        self.holding.release_after(most).await
+    /// As [`TokenGuard::release`]; `TimedOut` if it had not come so far in time, though the token is released then.
+    pub async fn release_after(self, after: After, most: Duration) -> Result<(), ClientError> {
+        self.holding.release_after(after, most).await
     }
 }
 

@@ -52,6 +52,8 @@ pub(crate) struct Hold {
     pub(crate) delegation: Option<Loan>,
     terms: Mutex<RenewalTerms>,
     lost: watch::Sender<Option<Lost>>,
+    /// The last command that was said under it and of which no device has said how it ended, by its id.
+    command: watch::Sender<Option<u64>>,
 }
 
 impl RenewalTerms {
@@ -106,6 +108,13 @@ impl Hold {
         self.lost.subscribe()
     }
 
+    /// Waits until a device has said how the last command ended, or it was refused or lost. Safe to cancel.
+    pub(crate) async fn done(&self) {
+        let mut command = self.command.subscribe();
+        // The sender lives here.
+        drop(command.wait_for(Option::is_none).await);
+    }
+
     fn lose(&self, lost: Lost) {
         self.lost.send_if_modified(|known| {
             let first = known.is_none();
@@ -143,6 +152,7 @@ impl Guards {
             delegation: grant.delegation,
             terms: Mutex::new(grant.terms),
             lost: watch::Sender::new(None),
+            command: watch::Sender::new(None),
         });
         let mut entry = HeldToken {
             hold: Arc::clone(&hold),
@@ -167,6 +177,23 @@ impl Guards {
         self.entries
             .get_mut(path)
             .filter(|entry| entry.hold.fence == fence)
+    }
+
+    /// A command is said under an ownership.
+    pub(crate) fn said(&self, path: &Path, id: u64) {
+        if let Some(entry) = self.entries.get(path) {
+            entry.hold.command.send_replace(Some(id));
+        }
+    }
+
+    /// A command has ended, or will not be carried out.
+    pub(crate) fn ended(&self, id: u64) {
+        for entry in self.entries.values() {
+            entry
+                .hold
+                .command
+                .send_if_modified(|command| command.take_if(|last| *last == id).is_some());
+        }
     }
 
     /// A grab was sent.

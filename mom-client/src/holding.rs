@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use mom_proto::{Family, Parcel, Path};
 use tokio::sync::watch;
+use tokio::time::{Instant, timeout_at};
 
 use crate::guards::Hold;
 use crate::membership::Membership;
@@ -31,6 +32,17 @@ impl HoldingKind {
         parcel.fence = fence;
         parcel
     }
+}
+
+/// What a release waits for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum After {
+    /// The hub has answered for all messages that were said before and need the token: it has put them into the queues of their
+    /// receivers, or refused them. What a manager has to be asked about may be answered later.
+    Taken,
+    /// The device has said, too, how the last `command` ended: by a message `status` with its sender's name as `peer`, its `id`, and
+    /// `finished` or `error` as `state`.
+    Done,
 }
 
 /// A part in a hold. Dropping the last one ends the hold.
@@ -77,9 +89,23 @@ impl Holding {
         self.member.shared().release(&self.hold, self.kind).await
     }
 
-    /// The same, after the hub has answered for what was said under it or this time is over.
-    pub(crate) async fn release_after(self, most: Duration) -> Result<(), ClientError> {
-        let answered = self.member.shared().answer_of_all(&self.hold, most).await;
+    /// The same, after what was said under it has come so far or this time is over.
+    pub(crate) async fn release_after(self, after: After, most: Duration) -> Result<(), ClientError> {
+        let end = Instant::now() + most;
+        let mut answered = self.member.shared().answer_of_all(&self.hold, most).await;
+        if answered.is_ok() && after == After::Done && !self.hold.is_lost() {
+            let mut lost = self.hold.watch();
+            let waited = timeout_at(end, async {
+                tokio::select! {
+                    () = self.hold.done() => {}
+                    _ = lost.wait_for(Option::is_some) => {}
+                }
+            });
+            answered = waited.await.map_err(|_| ClientError::TimedOut {
+                what: format!("the last command under {}", self.hold.path),
+                after: most,
+            });
+        }
         self.release().await?;
         answered
     }

@@ -89,6 +89,7 @@ pub use give::{Give, Given, Lapsed};
 pub use grab::{Grab, Place};
 pub use guard::{Lost, TokenGuard};
 pub use guards::Loan;
+pub use holding::After;
 pub use info::{ContextInfo, Member};
 pub use inhibit::InhibitGuard;
 pub use key::Key;

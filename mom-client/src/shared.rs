@@ -263,6 +263,9 @@ impl Shared {
             guard,
             outgoing,
         };
+        if let Some(token) = message.guard.as_ref().filter(|_| parcel.name() == event::COMMAND) {
+            state.guards.said(token, id);
+        }
         let dropped = state.outbox.push_message(&parcel, message);
         drop(state);
         self.outgoing.notify_one();
@@ -305,6 +308,7 @@ impl Shared {
         let capacity = state.lose(dropped);
         for (entry, reason) in dropped {
             let Some(error) = unsent(*reason) else { continue };
+            entry.id.into_iter().for_each(|id| state.guards.ended(id));
             let waiter = entry.id.and_then(|id| state.pending.take(id));
             failed.extend(waiter.map(|waiter| (waiter, error)));
         }

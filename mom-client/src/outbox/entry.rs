@@ -234,6 +234,10 @@ impl Item for Entry {
         }
     }
 
+    fn is_awaited(&self) -> bool {
+        self.awaited
+    }
+
     fn counts(&self) -> bool {
         self.counts
     }

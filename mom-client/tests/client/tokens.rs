@@ -2,7 +2,9 @@
 
 use std::time::Duration;
 
-use mom_client::{Channel, Client, ClientError, Code, ErrorKind, Lost, Map, Token, TokenGuard, WireError};
+use mom_client::{
+    After, Channel, Client, ClientError, Code, ErrorKind, Lost, Map, Token, TokenGuard, WireError,
+};
 use tokio::time::Instant;
 
 use crate::common::{Peer, local, logged_in_with};
@@ -110,7 +112,7 @@ async fn a_release_may_wait_for_the_hub() {
     let arm = guarded_arm(&client, &mut peer).await;
     let guard = grab(&token, &mut peer, 7, 180_000).await;
     arm.message("command").priority(-9).send().await.unwrap();
-    let (freed, ()) = tokio::join!(guard.release_after(Duration::from_secs(9)), async {
+    let (freed, ()) = tokio::join!(guard.release_after(After::Taken, Duration::from_secs(9)), async {
         peer.expect("message command /robot/arm").await;
         let renew = peer.expect("token renew /robot/token").await;
         settled(&client, &mut peer).await;
@@ -121,12 +123,55 @@ async fn a_release_may_wait_for_the_hub() {
     freed.unwrap();
 }
 
+/// The device says how a command of this peer goes.
+async fn tell(device: &mut Peer, id: Option<u64>, peer: &str, state: &str) {
+    let id = i64::try_from(id.expect("every message has one")).expect("small");
+    let status = Map::new().with("peer", peer).with("id", id).with("state", state);
+    device.message("status", "/robot/arm", status).await;
+}
+
+/// The last of several commands decides; how the others end, and what other peers are told, does not.
+#[tokio::test]
+async fn a_release_may_wait_for_the_last_command() {
+    let (client, token, mut peer) = token().await;
+    let arm = guarded_arm(&client, &mut peer).await;
+    for end in ["finished", "error", "refused"] {
+        let guard = grab(&token, &mut peer, 7, 180_000).await;
+        arm.send("command", "grip open").await.unwrap();
+        arm.send("command", "grip close").await.unwrap();
+        let (freed, ()) = tokio::join!(guard.release_after(After::Done, Duration::from_secs(9)), async {
+            let first = peer.expect("message command /robot/arm").await;
+            let last = peer.expect("message command /robot/arm").await;
+            let renew = peer.expect("token renew /robot/token").await;
+            peer.ok(&renew, Map::new()).await;
+            for (id, name, state) in [
+                (first.id, "ally", "finished"),
+                (last.id, "ally", "executing"),
+                (last.id, "bob", "finished"),
+            ] {
+                tell(&mut peer, id, name, state).await;
+            }
+            settled(&client, &mut peer).await;
+            match end {
+                "refused" => {
+                    peer.refuse(&last, &WireError::new(Code::NOT_OWNER, "too late"))
+                        .await
+                }
+                state => tell(&mut peer, last.id, "ally", state).await,
+            }
+            let request = peer.expect("token release /robot/token").await;
+            peer.ok(&request, Map::new()).await;
+        });
+        freed.unwrap();
+    }
+}
+
 #[tokio::test(start_paused = true)]
 async fn a_release_waits_for_the_hub_no_longer_than_it_may() {
     let (_client, token, mut peer) = token().await;
     let guard = grab(&token, &mut peer, 7, 180_000).await;
     let begin = Instant::now();
-    let (late, ()) = tokio::join!(guard.release_after(Duration::from_secs(2)), async {
+    let (late, ()) = tokio::join!(guard.release_after(After::Taken, Duration::from_secs(2)), async {
         peer.expect("token renew /robot/token").await;
         let request = peer.expect("token release /robot/token").await;
         assert_eq!(begin.elapsed().as_secs(), 2);
@@ -137,7 +182,10 @@ async fn a_release_waits_for_the_hub_no_longer_than_it_may() {
     peer.event("released", TOKEN, released("preempted", "bob", 8))
         .await;
     guard.lost().await;
-    guard.release_after(Duration::from_secs(2)).await.unwrap();
+    guard
+        .release_after(After::Taken, Duration::from_secs(2))
+        .await
+        .unwrap();
 }
 
 #[tokio::test]

@@ -66,6 +66,11 @@ pub trait Item: Debug {
         1
     }
 
+    /// Whether its sender waits for the answer: its loss is told by itself, whatever its class.
+    fn is_awaited(&self) -> bool {
+        false
+    }
+
     /// Whether the two ends of a link count it.
     fn counts(&self) -> bool {
         true

@@ -141,8 +141,7 @@ impl<I: Item> Ledger<I> {
             return;
         }
         self.sent += count;
-        // Only messages may be dropped, and no stop.
-        if matches!(item.lane(), Lane::Data(_)) && item.delivery() != Delivery::Reliable {
+        if is_sent_once(&**item) && !item.is_awaited() {
             return;
         }
         if let Some(before) = self.kept.back_mut()
@@ -166,7 +165,9 @@ impl<I: Item> Ledger<I> {
             && let Some(kept) = self.kept.pop_front()
         {
             self.bytes -= kept.size;
-            self.forgotten = kept.last;
+            if !is_sent_once(&*kept.item) {
+                self.forgotten = kept.last;
+            }
         }
     }
 
@@ -238,6 +239,11 @@ impl<I: Item> Ledger<I> {
         self.bytes = 0;
         Ok((Rewound::Dropped(dropped), std::mem::take(&mut self.kept)))
     }
+}
+
+/// Whether it is not sent again: only messages may be dropped, and no stop.
+pub(super) fn is_sent_once<I: Item>(item: &I) -> bool {
+    matches!(item.lane(), Lane::Data(_)) && item.delivery() != Delivery::Reliable
 }
 
 impl<I> Kept<I> {

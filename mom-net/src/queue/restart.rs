@@ -7,7 +7,7 @@ use mom_proto::codec::Form;
 
 use super::again::AGAIN;
 use super::data_lane::DataLane;
-use super::ledger::{BadCount, Ledger, Rewound};
+use super::ledger::{BadCount, Ledger, Rewound, is_sent_once};
 use super::piece::{Entry, Piece, Progress};
 use super::{DropPolicy, DropReason, Item, Lane, SendQueue, reliable};
 
@@ -72,7 +72,7 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         end: Option<Arc<I>>,
     ) -> Result<Rewound, BadCount> {
         self.acknowledge(ledger, read)?;
-        for (item, parcels) in ledger.drop_kept(|item| !item.outlives_loss()) {
+        for (item, parcels) in ledger.drop_kept(|item| !item.outlives_loss() || is_sent_once(item)) {
             self.policy.dropped(&item, parcels, DropReason::Unknown);
         }
         let (rewound, kept) = ledger.rewind(read, self.form)?;

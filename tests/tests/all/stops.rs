@@ -3,6 +3,7 @@
 use std::process::Output;
 use std::time::Duration;
 
+use mom_client::{After, Client, Event};
 use mom_proto::codec::Form;
 use mom_proto::{Family, Map, Parcel, Value};
 use mom_tests::faulty::{Fault, FaultyNetwork};
@@ -217,6 +218,36 @@ async fn an_arm_that_was_away_finds_the_stop() {
         "{free:?}"
     );
     assert!(lab.obeys().await);
+}
+
+/// A release halts the arm: who wants its last command carried out waits for that.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_release_may_wait_until_the_arm_has_carried_out_the_last_command() {
+    let lab = Away::start().await;
+    let _arm = lab.arm().await;
+    let builder = Client::builder(lab.hub()).user("alice").password("alice");
+    let alice = builder.connect().await.expect("a user of the lab");
+    let arm = alice.channel(ARM).await.expect("anybody may");
+    let token = alice.token("/robot/token").await.expect("people may");
+    let guard = token.grab().await.expect("it is free");
+    let mut events = arm.events();
+    for _ in 0..3 {
+        arm.send("command", "wait 100").await.expect("it is hers");
+    }
+    let released = guard.release_after(After::Done, Duration::from_secs(30)).await;
+    released.expect("it was hers");
+    let mut finished = 0;
+    loop {
+        match events.next().await.expect("the channel stays") {
+            Event::Message(parcel) if parcel.name() == "status" => {
+                let status = parcel.value();
+                finished += usize::from(status.get("state") == Some(&"finished".into()));
+            }
+            Event::Released { .. } => break,
+            _ => {}
+        }
+    }
+    assert_eq!(finished, 3, "before the token was free");
 }
 
 #[tokio::test(flavor = "multi_thread")]

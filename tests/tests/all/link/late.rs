@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use mom_broker::Broker;
-use mom_client::{Client, ClientError, ErrorKind, Event, Events, Message, Reconnect};
+use mom_client::{After, Client, ClientError, ErrorKind, Event, Events, Message, Reconnect};
 use mom_proto::codec::Form;
 use mom_proto::{Code, Family, Map, Parcel, Value};
 use mom_tests::faulty::{Fault, FaultyNetwork};
@@ -270,7 +270,7 @@ async fn twenty(broker: &Broker, client: Client, after: Option<Duration>) {
     }
     let released = match after {
         None => guard.release().await,
-        Some(most) => guard.release_after(most).await,
+        Some(most) => guard.release_after(After::Taken, most).await,
     };
     released.expect("it was hers");
     let mut heard = 0;
@@ -321,7 +321,7 @@ async fn who_waits_for_the_hub_before_a_release_waits_no_longer_than_it_wants() 
     let guard = token.grab().await.expect("it is free");
     network.stall();
     arm.send("command", "grip open").await.expect("it waits");
-    let releasing = tokio::spawn(guard.release_after(Duration::from_millis(50)));
+    let releasing = tokio::spawn(guard.release_after(After::Taken, Duration::from_millis(50)));
     let mut events = arm.events();
     tokio::time::sleep(Duration::from_millis(100)).await; // tidy: the time that the caller gives is over
     network.sever();
