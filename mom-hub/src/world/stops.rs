@@ -10,7 +10,7 @@ use mom_proto::{ContextNumber, Fence, HUB, Micros, Parcel, Path, Time, Verb};
 use crate::tree::latch::{Latch, Newer, Stop, StopRecord};
 use crate::{PeerId, Ticket};
 
-/// Latches of channels that are no more, beyond which the oldest are forgotten.
+/// Latches of channels that are no more, beyond which some are forgotten.
 const ORPHANS: usize = 4096;
 
 /// All stops.
@@ -200,22 +200,41 @@ impl Stops {
         new || due
     }
 
-    /// Forgets the oldest latches of channels that are no more, if there are too many of them.
+    /// Forgets latches of channels that are no more, if there are too many of them: first those that hold nothing, then the oldest of
+    /// whoever has stopped most of them, so that nobody's stops push out another's.
     pub(crate) fn bound(&mut self, contexts: usize, exists: impl Fn(&Path) -> bool) -> Vec<Path> {
         if self.known.len() <= contexts + ORPHANS {
             return Vec::new();
         }
         let orphans = self.known.iter().filter(|(path, _)| !exists(path));
-        let mut orphans: Vec<(Fence, Path)> = orphans
-            .map(|(path, known)| (known.latch.newest, path.clone()))
+        let mut orphans: Vec<(Option<Arc<str>>, Fence, Path)> = orphans
+            .map(|(path, known)| {
+                let holding = known.latch.newest_holding();
+                let user = holding.map(|stop| Arc::clone(&stop.user));
+                (user, known.latch.newest, path.clone())
+            })
             .collect();
-        orphans.sort();
-        orphans.truncate(ORPHANS / 2);
-        for (number, path) in &orphans {
+        orphans.sort_by_key(|(_, number, _)| std::cmp::Reverse(*number));
+        // How many newer ones its user has.
+        let mut newer: BTreeMap<Arc<str>, usize> = BTreeMap::new();
+        let mut ranked: Vec<(usize, Fence, Path)> = orphans
+            .into_iter()
+            .map(|(user, number, path)| {
+                let rank = user.map_or(usize::MAX, |user| {
+                    let newer = newer.entry(user).or_default();
+                    *newer += 1;
+                    *newer
+                });
+                (rank, number, path)
+            })
+            .collect();
+        ranked.sort_by_key(|(rank, number, _)| (std::cmp::Reverse(*rank), *number));
+        ranked.truncate(ranked.len().saturating_sub(ORPHANS / 2));
+        for (_, number, path) in &ranked {
             self.floor = self.floor.max(*number);
             self.known.remove(path);
         }
-        orphans.into_iter().map(|(_, path)| path).collect()
+        ranked.into_iter().map(|(_, _, path)| path).collect()
     }
 
     /// Whether somebody waits for the word of this channel's devices.
@@ -236,5 +255,56 @@ impl Call {
 impl Called {
     fn awaits_devices(&self) -> bool {
         self.devices.values().any(|word| *word == Word::Silent)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn path(text: &str) -> Path {
+        Path::parse(text).expect("a path")
+    }
+
+    #[test]
+    fn nobodys_stops_push_out_another_ones() {
+        let mut stops = Stops::default();
+        let mut number = 0;
+        let mut stop = |stops: &mut Stops, user: &str, channel: &str| {
+            number += 1;
+            let stop = Stop {
+                number: number.into(),
+                by: user.into(),
+                user: user.into(),
+                since: Time::default(),
+                reason: None,
+            };
+            stops.latch_mut(&path(channel)).stop(stop, None);
+        };
+        stop(&mut stops, "carol", "/t/arm");
+        stop(&mut stops, "bob", "/free");
+        stops.latch_mut(&path("/free")).lift(Fence::from(2), None);
+        for made in 0..ORPHANS {
+            stop(&mut stops, "alice", &format!("/s/{made}"));
+        }
+        let nobody = |_: &Path| false;
+        assert_eq!(
+            stops.bound(2, nobody),
+            [],
+            "there may be more where there are contexts"
+        );
+        let forgotten = stops.bound(0, nobody);
+        assert_eq!(forgotten.len(), ORPHANS / 2 + 2);
+        assert_eq!(
+            forgotten[..2],
+            [path("/free"), path("/s/0")],
+            "what holds nothing, then the oldest"
+        );
+        assert!(stops.latch(&path("/t/arm")).is_stopped());
+        let newest = path(&format!("/s/{}", ORPHANS - 1));
+        assert!(stops.latch(&newest).is_stopped());
+        // A channel that was forgotten begins above the number that it had.
+        let next: u64 = stops.next(&path("/s/0"), 0).into();
+        assert!(next > 3 && !stops.latch(&path("/s/0")).is_stopped());
     }
 }
