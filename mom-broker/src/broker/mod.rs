@@ -137,6 +137,10 @@ impl Broker {
         }
         let (stops, stop_answers) = open_stops(&config, &mut settings).await?.unzip();
         let hub = config.make_hub(settings.clone())?;
+        if let Some(stops) = stops.as_ref().filter(|_| settings.stops_unread) {
+            let records = hub.stop_records();
+            records.iter().for_each(|record| stops.keep(record, None));
+        }
         let tap = Tap::start((&config.audit, &config.record), config.file(), &settings, &clock)?;
         let mut logins = Logins::new(config.users.clone(), config.login.clone(), clock.clone())
             .map_err(ConfigError::from)?;

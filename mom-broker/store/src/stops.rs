@@ -72,14 +72,14 @@ impl StopFile {
         };
         make_directory(directory).map_err(failed)?;
         let (path, lock) = own(directory, name).map_err(failed)?;
-        let (rows, unread) = match read(&path) {
+        let (rows, unread) = match read(&path, &lock) {
             Ok(rows) => (rows, None),
             Err(reason) => {
-                let damaged = path.with_extension("damaged");
                 // Kept for whoever looks for the cause; the next write makes a new one.
-                let _ = fs::copy(&path, &damaged);
+                let damaged = path.with_extension("damaged");
+                let copy = fs::copy(&path, &damaged).ok().map(|_| damaged.display());
                 tracing::error!(
-                    file = %path.display(), reason, copy = %damaged.display(),
+                    file = %path.display(), reason, copy = copy.map(tracing::field::display),
                     "what was stopped cannot be read: all devices are stopped until somebody unstops them"
                 );
                 (BTreeMap::new(), Some(reason))
@@ -90,6 +90,9 @@ impl StopFile {
             Ok(records) => (records, unread),
             Err(reason) => (Vec::new(), Some(reason)),
         };
+        if unread.is_none() {
+            begin(&path, &lock).map_err(failed)?;
+        }
         let (answers, received) = mpsc::unbounded_channel();
         let shared = Arc::new(Shared {
             inner: Mutex::new(Inner {
@@ -237,10 +240,29 @@ fn own(directory: &FilePath, name: &str) -> io::Result<(PathBuf, File)> {
     )))
 }
 
-fn read(path: &FilePath) -> Result<BTreeMap<Path, StopRow>, String> {
+/// Makes the file if it is not there, and marks in its lock that it is from now on.
+fn begin(path: &FilePath, mut lock: &File) -> io::Result<()> {
+    if !path.try_exists()? {
+        write(path, &[])?;
+    }
+    if lock.metadata()?.len() == 0 {
+        lock.write_all(b"kept\n")?;
+        lock.sync_all()?;
+    }
+    Ok(())
+}
+
+/// What the file keeps; the lock tells one that was deleted from one that never was.
+fn read(path: &FilePath, lock: &File) -> Result<BTreeMap<Path, StopRow>, String> {
     let text = match fs::read_to_string(path) {
         Ok(text) => text,
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(BTreeMap::new()),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            return match lock.metadata().map(|lock| lock.len()) {
+                Ok(0) => Ok(BTreeMap::new()),
+                Ok(_) => Err("it is gone".to_owned()),
+                Err(error) => Err(error.to_string()),
+            };
+        }
         Err(error) => return Err(error.to_string()),
     };
     let (head, body) = text.split_once('\n').ok_or("it is cut")?;

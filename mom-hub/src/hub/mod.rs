@@ -16,6 +16,8 @@ use mom_proto::{ContextNumber, Family, Micros, Path, Value};
 use crate::asking::questions::{Due, Questions};
 use crate::contexts::make::{SetupError, make_root, manager_word};
 use crate::stops::end_call;
+use crate::tree::context::Role;
+use crate::tree::latch::StopRecord;
 use crate::verbs;
 use crate::world::{Timer, World};
 use crate::{ContextSpec, Effect, Input, PeerId, Route, Settings};
@@ -54,6 +56,16 @@ impl Hub {
             world,
             questions: Questions::default(),
         })
+    }
+
+    /// How the devices of all channels stand. A broker that could not read what was kept keeps this instead, or a second restart would
+    /// take the channels that nobody has spoken of since for free.
+    pub fn stop_records(&self) -> Vec<StopRecord> {
+        let contexts = self.world.tree.iter();
+        let channels = contexts.filter(|context| matches!(context.role, Role::Channel(_)));
+        channels
+            .map(|channel| self.world.stops.record(&channel.path))
+            .collect()
     }
 
     /// The routes of all channels, for a broker that has just made the hub.
