@@ -68,6 +68,8 @@ fn words(ended: Result<(), NetError>) -> String {
 }
 
 async fn read(shared: Arc<Shared>, heard: Arc<Moment>, mut reader: Reader) -> Result<(), NetError> {
+    let gone = shared.lock().me.limits.gone;
+    let mut alive = uptime();
     loop {
         while let Some(frame) = reader.try_next()? {
             let counts = !matches!(&frame, Frame::Parcel(parcel) if parcel.family == Family::Time);
@@ -81,6 +83,12 @@ async fn read(shared: Arc<Shared>, heard: Arc<Moment>, mut reader: Reader) -> Re
         }
         if !reader.arrive().await? {
             return Ok(());
+        }
+        // What lies there after a halt of the whole program was said before, and the hub has given the link up: a device must not
+        // move by it.
+        let now = uptime();
+        if now.saturating_sub(std::mem::replace(&mut alive, now)) >= gone {
+            return Err(stood_still());
         }
         // Bytes are a sign of life, whatever they are of: a large parcel may be long on its way.
         heard.note();
@@ -116,8 +124,11 @@ async fn keep(shared: &Shared, heard: &Moment) {
         let stale = heard_at + limits.heartbeat * 3 / 2;
         let wake = if stale > now { wake.min(stale) } else { wake };
         tokio::select! {
-            // While this task was late nobody was heard.
-            () = sleep_until(wake) => heard_at += wake.elapsed(),
+            () = sleep_until(wake) => match wake.elapsed() {
+                late if late >= limits.gone => return,
+                // While this task was late nobody was heard.
+                late => heard_at += late,
+            },
             () = shared.keeping.notified() => {}
         }
     }
@@ -132,6 +143,26 @@ fn renew(shared: &Shared, now: Instant) {
     }
     drop(state);
     shared.outgoing.notify_one();
+}
+
+/// The time since the machine's start, with that in which it slept.
+fn uptime() -> Duration {
+    #[cfg(target_os = "linux")]
+    {
+        let time = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);
+        Duration::try_from(time).unwrap_or_default()
+    }
+    #[cfg(not(target_os = "linux"))]
+    {
+        static START: std::sync::LazyLock<std::time::Instant> =
+            std::sync::LazyLock::new(std::time::Instant::now);
+        START.elapsed()
+    }
+}
+
+fn stood_still() -> NetError {
+    let text = "this program stood still for longer than the link lives without a sign of life";
+    NetError::Io(std::io::Error::new(std::io::ErrorKind::TimedOut, text))
 }
 
 /// An instant that two tasks share, exact to a ms.

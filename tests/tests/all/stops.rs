@@ -220,6 +220,45 @@ async fn an_arm_that_was_away_finds_the_stop() {
     assert!(lab.obeys().await);
 }
 
+/// Its program does not run while a command reaches it; the hub gives its link up, and tells so.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_arm_that_stood_still_moves_by_nothing_said_before() {
+    let lab = Away::start().await;
+    let arm = lab.arm().await;
+    let mut alice = Raw::login(lab.broker.address(), Form::Binary, "alice").await;
+    alice.join(&["/robot", ARM]).await;
+    let grabbed = alice.ask_about(Family::Token, "grab", "/robot/token").await;
+    grabbed.expect("it is free");
+    let id = |id: u64| Value::from(i64::try_from(id).expect("small"));
+    let ends = async |alice: &mut Raw, command: u64, never: Option<u64>| loop {
+        let status = alice.next_of(Family::Message, "status").await.value();
+        let of = status.get("id").cloned();
+        assert!(never.is_none_or(|never| of != Some(id(never))), "{status:?}");
+        let state = status.get("state").and_then(Value::as_str);
+        if of == Some(id(command)) && matches!(state, Some("finished" | "error")) {
+            return state == Some("finished");
+        }
+    };
+    // It says first that it stands for its new owner.
+    loop {
+        let command = alice.post(message("command", ARM, "wait 1")).await;
+        if ends(&mut alice, command, None).await {
+            break;
+        }
+    }
+    arm.signal("STOP");
+    let late = alice.post(message("command", ARM, "move 250 0 300 0 0")).await;
+    alice.next_of(Family::Event, "lost").await;
+    arm.signal("CONT");
+    alice.next_of(Family::Event, "resumed").await;
+    loop {
+        let command = alice.post(message("command", ARM, "wait 1")).await;
+        if ends(&mut alice, command, Some(late)).await {
+            break;
+        }
+    }
+}
+
 /// A release halts the arm: who wants its last command carried out waits for that.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_release_may_wait_until_the_arm_has_carried_out_the_last_command() {
@@ -315,10 +354,31 @@ async fn where_what_was_kept_is_damaged_all_is_stopped() {
     std::fs::write(&kept, "mom-stops-1 00000000\n[]").expect("written");
     lab.broker = lab.home.start().await;
     assert!(lab.home.log().contains("cannot be read"), "it says so");
-    let _arm = lab.arm().await;
+    let arm = lab.arm().await;
     assert!(!lab.obeys().await, "stopped wins");
     let free = lab.mom("bob", &["unstop", ARM]).await;
     assert_eq!(free.status.code(), Some(0), "{free:?}");
     assert!(lab.obeys().await);
+    drop(arm);
+    // What nobody has let go since is stopped after the next start, too.
     lab.broker.kill().await;
+    lab.broker = lab.home.start().await;
+    let tree = lab.mom("alice", &["tree"]).await;
+    let tree = text(&tree.stdout);
+    assert!(line(&tree, "pan ").contains("stopped by hub"), "{tree}");
+    assert!(!line(&tree, "arm ").contains("stopped by hub"), "{tree}");
+    // And one that was deleted is not one that never was.
+    lab.broker.kill().await;
+    std::fs::remove_file(&kept).expect("it was there");
+    lab.broker = lab.home.start().await;
+    let tree = lab.mom("alice", &["tree", "/robot"]).await;
+    let tree = text(&tree.stdout);
+    assert!(line(&tree, "arm ").contains("stopped by hub"), "{tree}");
+    lab.broker.kill().await;
+}
+
+/// The line of a tree about a context.
+fn line<'a>(tree: &'a str, name: &str) -> &'a str {
+    let line = tree.lines().find(|line| line.contains(name));
+    line.unwrap_or_else(|| panic!("{name} in {tree}"))
 }
