@@ -72,7 +72,8 @@ impl StopFile {
         };
         make_directory(directory).map_err(failed)?;
         let (path, lock) = own(directory, name).map_err(failed)?;
-        let (rows, unread) = match read(&path, &lock) {
+        let read = read(&path, Some(&lock)).and_then(|rows| with_others(rows, directory, name, &path));
+        let (rows, unread) = match read {
             Ok(rows) => (rows, None),
             Err(reason) => {
                 // Kept for whoever looks for the cause; the next write makes a new one.
@@ -91,7 +92,9 @@ impl StopFile {
             Err(reason) => (Vec::new(), Some(reason)),
         };
         if unread.is_none() {
-            begin(&path, &lock).map_err(failed)?;
+            let all: Vec<StopRow> = rows.values().cloned().collect();
+            begin(&path, &lock, &all).map_err(failed)?;
+            forget_others(directory, name, &path).map_err(failed)?;
         }
         let (answers, received) = mpsc::unbounded_channel();
         let shared = Arc::new(Shared {
@@ -213,20 +216,71 @@ impl Shared {
     }
 }
 
+/// The files of a name, one for each broker that may run at once.
+fn all(directory: &FilePath, name: &str) -> impl Iterator<Item = PathBuf> {
+    (1..=BESIDE).map(move |number| match number {
+        1 => directory.join(format!("{name}.json")),
+        _ => directory.join(format!("{name}-{number}.json")),
+    })
+}
+
+/// What was kept, with what others of the name have kept: a broker that begins while the one before it still ends knows what was
+/// stopped there, and so does the next one of both. Of two that differ the newer counts, of two of one number what is stopped.
+fn with_others(
+    mut rows: BTreeMap<Path, StopRow>,
+    directory: &FilePath,
+    name: &str,
+    own: &FilePath,
+) -> Result<BTreeMap<Path, StopRow>, String> {
+    for other in all(directory, name).filter(|other| other != own) {
+        let theirs = read(&other, None).map_err(|reason| {
+            set_aside(&other);
+            format!("{}: {reason}", other.display())
+        })?;
+        for (path, row) in theirs {
+            let counts = |known: &StopRow| (known.newest(), known.is_stopped());
+            match rows.get(&path) {
+                Some(known) if counts(known) >= counts(&row) => {}
+                _ => drop(rows.insert(path, row)),
+            }
+        }
+    }
+    Ok(rows)
+}
+
+/// Keeps a damaged file that nobody uses for whoever looks for the cause.
+fn set_aside(path: &FilePath) {
+    let lock = options().open(path.with_extension("lock"));
+    if lock.is_ok_and(|lock| lock.try_lock().is_ok()) {
+        let _ = fs::rename(path, path.with_extension("damaged"));
+    }
+}
+
+/// Removes the files of brokers that have ended, once all that they keep is kept here.
+fn forget_others(directory: &FilePath, name: &str, own: &FilePath) -> io::Result<()> {
+    for other in all(directory, name).filter(|other| other != own) {
+        if !other.try_exists()? {
+            continue;
+        }
+        let lock = options().open(other.with_extension("lock"))?;
+        if lock.try_lock().is_ok() {
+            lock.set_len(0)?;
+            fs::remove_file(&other)?;
+        }
+    }
+    Ok(())
+}
+
 /// The first file of this name that no other broker uses.
 fn own(directory: &FilePath, name: &str) -> io::Result<(PathBuf, File)> {
-    for number in 1..=BESIDE {
-        let path = match number {
-            1 => directory.join(format!("{name}.json")),
-            _ => directory.join(format!("{name}-{number}.json")),
-        };
+    for (number, path) in (1..).zip(all(directory, name)) {
         let lock = options().open(path.with_extension("lock"))?;
         match lock.try_lock() {
             Ok(()) => {
                 if number > 1 {
                     tracing::warn!(
                         file = %path.display(),
-                        "another broker of this configuration runs here: what is stopped in this one is kept apart"
+                        "another broker of this configuration runs here: what is stopped from now on is kept apart"
                     );
                 }
                 return Ok((path, lock));
@@ -240,11 +294,9 @@ fn own(directory: &FilePath, name: &str) -> io::Result<(PathBuf, File)> {
     )))
 }
 
-/// Makes the file if it is not there, and marks in its lock that it is from now on.
-fn begin(path: &FilePath, mut lock: &File) -> io::Result<()> {
-    if !path.try_exists()? {
-        write(path, &[])?;
-    }
+/// Writes the file, and marks in its lock that it is there from now on.
+fn begin(path: &FilePath, mut lock: &File, rows: &[StopRow]) -> io::Result<()> {
+    write(path, rows)?;
     if lock.metadata()?.len() == 0 {
         lock.write_all(b"kept\n")?;
         lock.sync_all()?;
@@ -252,15 +304,15 @@ fn begin(path: &FilePath, mut lock: &File) -> io::Result<()> {
     Ok(())
 }
 
-/// What the file keeps; the lock tells one that was deleted from one that never was.
-fn read(path: &FilePath, lock: &File) -> Result<BTreeMap<Path, StopRow>, String> {
+/// What the file keeps; its lock tells one that was deleted from one that never was.
+fn read(path: &FilePath, lock: Option<&File>) -> Result<BTreeMap<Path, StopRow>, String> {
     let text = match fs::read_to_string(path) {
         Ok(text) => text,
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
-            return match lock.metadata().map(|lock| lock.len()) {
-                Ok(0) => Ok(BTreeMap::new()),
-                Ok(_) => Err("it is gone".to_owned()),
-                Err(error) => Err(error.to_string()),
+            return match lock.map(|lock| lock.metadata().map(|lock| lock.len())) {
+                None | Some(Ok(0)) => Ok(BTreeMap::new()),
+                Some(Ok(_)) => Err("it is gone".to_owned()),
+                Some(Err(error)) => Err(error.to_string()),
             };
         }
         Err(error) => return Err(error.to_string()),

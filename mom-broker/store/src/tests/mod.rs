@@ -7,6 +7,7 @@ mod interleaved;
 mod queue;
 mod random;
 mod row;
+mod stops;
 mod threads;
 
 use mom_hub::{Holder, Record};
