@@ -285,6 +285,7 @@ impl World {
         let (path, parent) = (parent.path.clone(), parent.number);
         let to = self.who_may_know(number, parent);
         self.push_event(event::CREATED, &path, to, content, out);
+        self.stop_made(number, out);
     }
 
     /// The members of a session who may look up a child. Of many none: each is a question to a manager, and they can list.

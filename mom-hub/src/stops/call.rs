@@ -29,7 +29,7 @@ const USUAL: u64 = 1_000;
 /// Requests of one peer that wait for devices; further ones are carried out and answered at once.
 const CALLS: usize = 8;
 
-/// Sessions that one user stops at once: each is a question to a manager for every channel.
+/// Sessions that one peer stops at once: each is a question to a manager for every channel.
 const SWEEPS: usize = 2;
 
 /// Channels and refused paths that one reply names.
@@ -87,6 +87,7 @@ pub(crate) fn begin(
         verb,
         until,
         walks: kind == ContextKind::Session,
+        order: (kind == ContextKind::Session && verb == Verb::Stop).then(|| order.clone()),
         channels: BTreeMap::new(),
         others: 0,
         denied: Vec::new(),
@@ -167,18 +168,14 @@ fn order(
 }
 
 impl World {
-    /// Checks that a user goes through no more sessions at once than others can bear.
+    /// Checks that a peer goes through no more sessions at once than others can bear.
     fn check_sweeps(&self, peer: PeerId) -> Result<(), WireError> {
-        let user = |peer: PeerId| self.peers.get(peer).map(|peer| &peer.facts.user);
-        let walking = self
-            .stops
-            .calls
-            .values()
-            .filter(|call| call.walks && user(call.peer) == user(peer));
+        let calls = self.stops.calls.values();
+        let walking = calls.filter(|call| call.walks && call.peer == peer);
         if walking.count() < SWEEPS {
             return Ok(());
         }
-        let text = "this user's earlier stops of whole sessions are still on their way";
+        let text = "this peer's earlier stops of whole sessions are still on their way";
         Err(WireError::new(Code::TRY_LATER, text).retry_after(Duration::from_micros(WALKS)))
     }
 
@@ -212,6 +209,19 @@ impl World {
             }
         }
         false
+    }
+
+    /// Stops a channel that was made below a session whose stop has passed its place and is not answered yet.
+    pub(crate) fn stop_made(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
+        let Some(path) = self.tree.get(number).map(|context| context.path.clone()) else {
+            return;
+        };
+        let calls = self.stops.calls.values();
+        let passed = calls.filter(|call| !call.walks && path.is_within(&call.path));
+        let orders: Vec<Order> = passed.filter_map(|call| call.order.clone()).collect();
+        for order in orders {
+            self.tell_below(&order, number, out);
+        }
     }
 
     fn end_sweep(&mut self, call: u64, out: &mut Vec<Effect>) {

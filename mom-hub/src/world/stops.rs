@@ -67,6 +67,8 @@ pub(crate) struct Call {
     pub(crate) until: Micros,
     /// Not all channels are told yet.
     pub(crate) walks: bool,
+    /// What it says to channels that are made below its session before it is answered; none = nothing.
+    pub(crate) order: Option<Order>,
     /// Channels with a guard or devices.
     pub(crate) channels: BTreeMap<ContextNumber, Called>,
     /// How many others were told.

@@ -204,6 +204,16 @@ fn channels_made_while_a_session_is_stopped_are_stopped_too() {
     }
 }
 
+/// The walk is over, and an arm's word is waited for.
+#[test]
+fn channels_made_before_the_answer_are_stopped_too() {
+    let mut stage = stage();
+    assert!(!stage.say("alice", "context stop /lab").contains(&"alice< ok".to_owned()));
+    stage.say("bob", "context create /lab/new kind=channel");
+    assert!(stands(&mut stage, "/lab/new").1);
+    assert!(stage.at(1000).contains(&"alice< ok".to_owned()));
+}
+
 #[test]
 fn who_stops_much_at_once_is_told_to_wait_and_holds_nobody_up() {
     let mut contexts = vec![context("/hall", "session").with("presence", "none")];
