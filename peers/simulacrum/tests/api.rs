@@ -5,7 +5,7 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::mpsc;
 use std::time::Duration;
 
-use mom_client::{Event, Family, FenceGate, Map, Parcel, Path, Time, Value};
+use mom_client::{Event, Family, FenceGate, Map, Parcel, Path, StopState, Time, Value};
 use mom_cubo::model::LAYOUT;
 use mom_cubo::model::robot::{Dispatch, PACKET};
 use mom_cubo::{Cubo, CuboHandle, End, Touch};
@@ -328,6 +328,8 @@ fn what_was_set_does_not_outlive_its_owner() {
             .with("owner", "alice");
         gate.joined(&Map::new().with("guard", guard));
         let mut out = Vec::new();
+        // It may move, as the hub says.
+        server.handle(&Event::Stops(StopState::default()), &gate, None, 0, &mut out);
         let mut command = Parcel::new(Family::Message, "command")
             .context(channel)
             .content("set joints 30 -20 10");
