@@ -291,7 +291,10 @@ export class Peer {
   // What comes.
 
   #receive(parcel: Parcel | null, size: number): void {
-    this.#heard = performance.now();
+    const now = performance.now();
+    // What lies there after a halt of the whole program was said before, and the hub has given the link up: a device must not move by it.
+    if (now - this.#heard > this.me!.limits.gone) return this.#endServing("this program stood still for longer than the link lives without a sign of life");
+    this.#heard = now;
     if (this.state.state === "stale") this.#state({ state: "connected", door: shown(this.#wire!.pipe.door), resumed: false });
     if (parcel?.family === "time") return this.#time(parcel);
     if (this.#link && this.#ledger.heard(size)) this.#tell();

@@ -161,3 +161,15 @@ test("what the hub says of stops is kept in a full queue, the newest of it", asy
   for (let event = events.tryNext(); event; event = events.tryNext()) if (event.type === "stops") got.push([event.state.number, event.state.stopped, event.state.by, event.unstoppedBy]);
   assert.deepEqual(got, [[1, false, "bob", "carol"], [2, true, "bob", "carol"]]);
 });
+
+test("a device whose program stood still moves by nothing that came meanwhile", async (t) => {
+  const { hub, arm, told, say, said } = await device(t);
+  await eventually(() => said("state").length === 1);
+  // As if it had not run for a while: what is there then is older than the link lives.
+  const { now } = performance;
+  t.after(() => delete performance.now);
+  performance.now = () => now.call(performance) + 4 * hub.heartbeat;
+  say("command", { content: "up" });
+  await eventually(() => arm.mayMove() && hub.logins.some(({ name }) => name === "answer"));
+  assert.ok(told.length > 0 && told.every((word) => word.startsWith("halt: ")), String(told));
+});
