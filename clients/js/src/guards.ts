@@ -28,6 +28,9 @@ export class Hold {
   readonly lost: Promise<Lost>;
   #lose!: (lost: Lost) => void;
   #timer: ReturnType<typeof setTimeout> | undefined;
+  /** The last command that was said under it and of which no device has said how it ended, by its id. */
+  #command: number | undefined;
+  readonly #waiting: (() => void)[] = [];
 
   constructor(
     readonly path: string,
@@ -49,6 +52,23 @@ export class Hold {
     clearTimeout(this.#timer);
     const shorter = Math.min(this.lease ?? Infinity, this.deadman ?? Infinity);
     if (!this.is && shorter < Infinity) this.#timer = setTimeout(() => this.renew(this), Math.min(shorter / 3, 2 ** 31 - 1));
+  }
+
+  /** A command is said under it. */
+  said(id: number): void {
+    this.#command = id;
+  }
+
+  /** A command has ended, or will not be carried out. */
+  ended(id: number): void {
+    if (this.#command !== id) return;
+    this.#command = undefined;
+    for (const done of this.#waiting.splice(0)) done();
+  }
+
+  /** Fulfilled when a device has said how the last command ended, or it was refused or lost. */
+  done(): Promise<void> {
+    return new Promise((resolve) => (this.#command === undefined ? resolve() : this.#waiting.push(resolve)));
   }
 
   lose(lost: Lost): void {
@@ -90,6 +110,11 @@ export class Guards {
 
   owned(path: string): Hold | undefined {
     return this.#owned.get(path);
+  }
+
+  /** A command has ended, or will not be carried out. */
+  ended(id: number | undefined): void {
+    if (id !== undefined) for (const hold of this.#owned.values()) hold.ended(id);
   }
 
   /** An ownership is over, whichever it is if no fence is named. */

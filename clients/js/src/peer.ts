@@ -3,7 +3,7 @@ import { shown } from "./address.js";
 import { HubClock } from "./clock.js";
 import { Connector } from "./connector.js";
 import { MomError, disconnected, dropped } from "./error.js";
-import { type Event, type Events, Subscribers, eventOf } from "./events.js";
+import { type Event, type Events, type MessageEvent, Subscribers, eventOf } from "./events.js";
 import { Guards, type Hold } from "./guards.js";
 import { stopStateOf } from "./latch.js";
 import { Ledger } from "./ledger.js";
@@ -317,6 +317,7 @@ export class Peer {
   }
 
   #answer(parcel: Parcel): void {
+    if (parcel.family === "error") this.guards.ended(parcel.reference);
     if (this.pending.answer(parcel) || parcel.family === "reply") return;
     const error = MomError.of(parcel);
     if (error.number >= 300 && error.number < 500) {
@@ -332,6 +333,9 @@ export class Peer {
     const path = parcel.context ?? "/";
     this.places.get(path)?.latch.observe(event);
     switch (event.type) {
+      case "message":
+        if (event.name === "status") this.#status(event);
+        break;
       case "grabbed":
       case "released":
       case "inhibited":
@@ -349,6 +353,13 @@ export class Peer {
         return;
     }
     this.subscribers.deliver([path], event);
+  }
+
+  /** How a device says that a command of this peer goes. */
+  #status({ content }: MessageEvent): void {
+    const fields = fieldsOf(content);
+    const ended = fields["state"] === "finished" || fields["state"] === "error";
+    if (ended && fields["peer"] === this.me?.peer) this.guards.ended(int(fields, "id"));
   }
 
   #tokenEvent(event: Event & { path: string }, parcel: Parcel): void {
@@ -395,6 +406,7 @@ export class Peer {
   #put(parcel: Parcel, awaited: boolean): void {
     const { context, name } = parcel;
     const token = parcel.family === "message" ? this.places.tokenOf(context, name) : undefined;
+    if (token !== undefined && name === "command" && parcel.id !== undefined) this.guards.owned(token)?.said(parcel.id);
     this.outbox.put(parcel, { delivery: parcel.delivery ?? this.places.get(context ?? "")?.delivery ?? "reliable", token, awaited });
     this.pump();
   }
@@ -438,6 +450,7 @@ export class Peer {
   /** A parcel will not be sent, or nobody can say whether it was read: whoever said it hears so. */
   #dropped({ parcel, awaited }: Entry, reason: string, cause?: MomError): void {
     const { id, context: path = "/", delivery } = parcel;
+    this.guards.ended(id);
     if (awaited) this.pending.fail(id ?? -1, dropped(parcel, reason, cause));
     else this.subscribers.deliver([path], { type: "dropped", path, reason, count: 1, parcel, ...(delivery ? { delivery } : {}) });
   }

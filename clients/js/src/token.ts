@@ -194,7 +194,28 @@ export class TokenGuard extends Guard {
     return given;
   }
 
-  async release(): Promise<void> {
+  /**
+   * Gives it up, after all messages that were sent before; does nothing if it is lost already. That halts the device, and what has not left
+   * the hub by then does not leave it any more: `after: "done"` waits until the device has said by `status` how the last command ended, for
+   * `within` ms at most.
+   */
+  async release({ after, within = 10_000 }: { after?: "done"; within?: number } = {}): Promise<void> {
+    const late = after === "done" && !(await this.#done(within));
+    await this.#release();
+    if (late) throw new MomError("timed-out", "timed-out", `nothing has said within ${within} ms how the last command ended; ${this.path} is released`);
+  }
+
+  /** Whether the last command has ended in time. */
+  async #done(within: number): Promise<boolean> {
+    let timer: ReturnType<typeof setTimeout> | undefined;
+    const over = new Promise<boolean>((resolve) => (timer = setTimeout(() => resolve(false), within)));
+    const done = Promise.race([this.hold.done(), this.lost]).then(() => true);
+    const result = await Promise.race([done, over]);
+    clearTimeout(timer);
+    return result;
+  }
+
+  async #release(): Promise<void> {
     if (this.hold.is) return;
     await this.client.ask("token", "release", this.path).catch((error: MomError) => {
       // It has another owner by now, or none.

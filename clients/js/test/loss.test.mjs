@@ -165,6 +165,28 @@ test("what must not be sent late, and waited, is told as lost", async () => {
   assert.deepEqual(names().slice(before), ["release", "image", "note"]);
 });
 
+test("a release may wait until the device has carried out the last command", async () => {
+  const { hub, client, guard, arm } = await driving();
+  hub.onParcel = (connection, parcel) => hub.answer(connection, parcel);
+  const heard = (name) => hub.heard.filter((parcel) => parcel.name === name);
+  const tell = (content) => hub.link.say({ family: "message", name: "status", context: "/robot/arm", sender: "arm", content });
+  void arm.send("command", "up");
+  void arm.send("command", "down");
+  const released = guard.release({ after: "done" });
+  await eventually(() => heard("command").length === 2);
+  const [first, last] = heard("command").map(({ id }) => id);
+  tell({ peer: client.name, id: first, state: "finished" });
+  tell({ peer: client.name, id: last, state: "executing" });
+  tell({ peer: "bob", id: last, state: "finished" });
+  await client.info("/robot/arm");
+  assert.equal(heard("release").length, 0);
+  tell({ peer: client.name, id: last, state: "error" });
+  await released;
+  assert.equal(heard("release").length, 1);
+  // Nothing is waited for where nothing was said.
+  await guard.release({ after: "done" });
+});
+
 test("a release that the hub has not read is said again, with its fence", async () => {
   const peer = await driving();
   const { hub, guard, heard } = peer;
