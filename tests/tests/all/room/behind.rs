@@ -36,7 +36,10 @@ async fn a_stop_passes_the_message_of_its_own_sender_that_waits() {
         assert_eq!(stop.value().get("delivered"), Some(&Value::Int(2)), "{form:?}");
         let error = alice.answer(unstop).await.expect_err("the stop came after it");
         assert_eq!(error.code.word(), "withdrawn", "{form:?}");
-        let again = alice.post(said("unstop", 4)).await;
+        let mut again = said("unstop", 4);
+        again.extra.set("stop", scene.carol.newest_stop(BULK).await);
+        let alice = &mut scene.alice;
+        let again = alice.post(again).await;
         let release = alice.post(about("release")).await;
         let renewed = alice.post(about("renew")).await;
         let silent = answer_within(alice, again, QUIET).await;
