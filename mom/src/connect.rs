@@ -21,6 +21,8 @@ pub(crate) enum Stay {
     Driving,
     /// It waits for a hub that is not there yet, connects again and goes on.
     Reconnecting,
+    /// The same, and it knows soon of a loss.
+    Ready,
 }
 
 /// Connects and logs in.
@@ -31,7 +33,7 @@ pub(crate) async fn connect(global: &GlobalArgs, stay: Stay) -> Result<Client, F
     let builder = || {
         let builder = who.prove(Client::builder(&global.hub)).compress(global.compress);
         match stay {
-            Stay::Driving => builder.heartbeat(HEARTBEAT),
+            Stay::Driving | Stay::Ready => builder.heartbeat(HEARTBEAT),
             Stay::Once | Stay::Reconnecting => builder,
         }
     };
@@ -42,7 +44,7 @@ pub(crate) async fn connect(global: &GlobalArgs, stay: Stay) -> Result<Client, F
     };
     let connected = match stay {
         Stay::Once | Stay::Driving => first().no_reconnect().connect().await,
-        Stay::Reconnecting => match first().connect().await {
+        Stay::Reconnecting | Stay::Ready => match first().connect().await {
             Err(error @ (ClientError::Connection(_) | ClientError::TimedOut { .. })) => {
                 let absent = explain(&global.hub, &who, error);
                 Output::new(global.json).remark(format_args!("{absent}; waiting for it, Ctrl-C ends"));

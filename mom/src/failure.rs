@@ -64,6 +64,17 @@ impl Failure {
         }
     }
 
+    /// The same with what follows from it.
+    pub(crate) fn with(self, more: &str) -> Failure {
+        match self {
+            Failure::Failed { text, hint } => Failure::Failed {
+                text: format!("{text}; {more}"),
+                hint,
+            },
+            other => other,
+        }
+    }
+
     /// The failure of `what` by a client's error.
     pub(crate) fn of_client(what: impl Into<String>, error: ClientError) -> Failure {
         match error {

@@ -208,7 +208,11 @@ fn channels_made_while_a_session_is_stopped_are_stopped_too() {
 #[test]
 fn channels_made_before_the_answer_are_stopped_too() {
     let mut stage = stage();
-    assert!(!stage.say("alice", "context stop /lab").contains(&"alice< ok".to_owned()));
+    assert!(
+        !stage
+            .say("alice", "context stop /lab")
+            .contains(&"alice< ok".to_owned())
+    );
     stage.say("bob", "context create /lab/new kind=channel");
     assert!(stands(&mut stage, "/lab/new").1);
     assert!(stage.at(1000).contains(&"alice< ok".to_owned()));

@@ -1,16 +1,15 @@
 //! `mom stop` and `mom unstop`: all devices of a place, and what each of them says to it.
 
+mod ready;
+
 use std::collections::BTreeMap;
-use std::io::{IsTerminal as _, Read as _};
 use std::time::Duration;
 
 use mom_client::{
-    Client, ClientError, Code, ContextKind, DeviceAnswer, Path, StopReport, StopState, Stopping, ToldChannel,
-    event,
+    Client, ClientError, Code, ContextKind, DeviceAnswer, ErrorKind, Path, StopReport, StopState, Stopping,
+    ToldChannel, event,
 };
-use ratatui::crossterm::terminal::{disable_raw_mode, enable_raw_mode};
 use serde_json::{Value as Json, json};
-use tokio::sync::mpsc;
 
 use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
@@ -29,78 +28,50 @@ enum Order {
 }
 
 pub(crate) async fn stop(args: &cli::StopArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
-    let stay = if args.ready {
-        Stay::Reconnecting
-    } else {
-        Stay::Once
-    };
-    let client = connect(global, stay).await?;
+    let stay = if args.ready { Stay::Ready } else { Stay::Once };
+    let client = connect(global, stay)
+        .await
+        .map_err(|failure| failure.with("nothing was stopped"))?;
     let result = match args.ready {
-        true => ready(&client, args, output).await,
-        false => stop_once(&client, args, output).await,
+        true => ready::run(&client, args, output).await,
+        false => match stopping(&client, args).send().await {
+            Ok(report) => stopped(&report, output),
+            Err(error) => Err(not_stopped(&args.path, error)),
+        },
     };
     client.close().await;
     result
 }
 
-async fn stop_once(client: &Client, args: &cli::StopArgs, output: Output) -> Result<(), Failure> {
-    let mut stopping = client.stop(&args.path);
-    if let Some(reason) = &args.reason {
-        stopping = stopping.reason(reason);
-    }
-    let report = send(stopping, Order::Stop, &args.path).await?;
-    tell(Order::Stop, &report, &BTreeMap::new(), output)
-}
-
-/// Stops at each key press, over the connection that is there.
-async fn ready(client: &Client, args: &cli::StopArgs, output: Output) -> Result<(), Failure> {
-    // A key is heard at once, not with the end of its line; without a terminal each byte is one.
-    let raw = std::io::stdin().is_terminal() && enable_raw_mode().is_ok();
-    let result = stop_at_keys(client, args, output).await;
-    if raw {
-        // What fails here leaves the terminal as it is; `reset` mends it.
-        let _ = disable_raw_mode();
-    }
-    result
-}
-
-async fn stop_at_keys(client: &Client, args: &cli::StopArgs, output: Output) -> Result<(), Failure> {
-    output.remark(format_args!("ready: any key stops {}; Ctrl-C ends\r", args.path));
-    let (mut keys, mut link) = (bytes(), client.state());
-    loop {
-        let key = tokio::select! {
-            key = keys.recv() => key,
-            changed = link.changed() => {
-                if changed.is_err() {
-                    return Ok(());
-                }
-                let state = format!("{:?}", *link.borrow_and_update());
-                output.remark(format_args!("the link: {state}\r"));
-                continue;
-            }
-        };
-        match key {
-            // The end of the input, Ctrl-C, Ctrl-D.
-            None | Some(0x03 | 0x04) => return Ok(()),
-            // Without a terminal a line's end belongs to the key before it.
-            Some(b'\n') if !std::io::stdin().is_terminal() => continue,
-            Some(_) => {}
-        }
-        match stop_once(client, args, output).await {
-            Ok(()) | Err(Failure::Told) => {}
-            Err(failure) => output.remark(format_args!("{failure}\r")),
-        }
+fn stopping(client: &Client, args: &cli::StopArgs) -> Stopping {
+    let stopping = client.stop(&args.path).within(PATIENCE);
+    match &args.reason {
+        Some(reason) => stopping.reason(reason),
+        None => stopping,
     }
 }
 
-/// What is typed, byte by byte; a thread waits for it, which ends with the program.
-fn bytes() -> mpsc::UnboundedReceiver<u8> {
-    let (sender, receiver) = mpsc::unbounded_channel();
-    std::thread::spawn(move || {
-        let typed = std::io::stdin().lock().bytes().map_while(Result::ok);
-        typed.map_while(|byte| sender.send(byte).ok()).for_each(drop);
-    });
-    receiver
+/// Tells what came of a stop.
+fn stopped(report: &StopReport, output: Output) -> Result<(), Failure> {
+    tell(Order::Stop, report, &BTreeMap::new(), output)
+}
+
+/// The words for a stop that was not answered.
+fn not_stopped(path: &str, error: ClientError) -> Failure {
+    let unknown = is_unknown(&error);
+    let failure = failed(Order::Stop, path, error);
+    match unknown {
+        true => failure.with("nobody knows whether anything has stopped"),
+        false => failure,
+    }
+}
+
+/// Whether the hub may have carried out what it did not answer, or has not heard of it.
+fn is_unknown(error: &ClientError) -> bool {
+    matches!(
+        error.kind(),
+        ErrorKind::Connection | ErrorKind::TimedOut | ErrorKind::Unknown
+    )
 }
 
 pub(crate) async fn unstop(
@@ -112,23 +83,20 @@ pub(crate) async fn unstop(
     // What holds now is what its user lifts; whatever is said from here on holds on.
     let stops = holding(&client, &args.path).await?;
     let numbers = stops.iter().map(|(path, stop)| (path, stop.number));
-    let report = send(client.unstop(&args.path, numbers), Order::Unstop, &args.path).await?;
+    let sent = client.unstop(&args.path, numbers).within(PATIENCE).send().await;
+    let report = sent.map_err(|error| failed(Order::Unstop, &args.path, error))?;
     client.close().await;
     tell(Order::Unstop, &report, &stops, output)
 }
 
-async fn send(stopping: Stopping, order: Order, path: &str) -> Result<StopReport, Failure> {
-    let sent = stopping.within(PATIENCE).send().await;
-    sent.map_err(|error| {
-        let is_token = error.wire().is_some_and(|error| error.code == Code::WRONG_KIND);
-        match is_token {
-            true => Failure::usage(
-                format!("{path} is a token; devices are in channels"),
-                "see which channel it guards with: mom tree",
-            ),
-            false => Failure::of_client(format!("{} {path}", order.word()), error),
-        }
-    })
+fn failed(order: Order, path: &str, error: ClientError) -> Failure {
+    match error.wire().is_some_and(|error| error.code == Code::WRONG_KIND) {
+        true => Failure::usage(
+            format!("{path} is a token; devices are in channels"),
+            "see which channel it guards with: mom tree",
+        ),
+        false => Failure::of_client(format!("{} {path}", order.word()), error),
+    }
 }
 
 /// The stops that hold in a channel, or in those below a session; of a channel also the one that holds no more, as its device may

@@ -1,17 +1,20 @@
 //! `mom stop` and `mom unstop`: the real program, broker and arm.
 
-use std::process::Output;
+use std::process::{Output, Stdio};
 use std::time::Duration;
 
 use mom_client::{After, Client, Event};
 use mom_proto::codec::Form;
 use mom_proto::{Family, Map, Parcel, Value};
 use mom_tests::faulty::{Fault, FaultyNetwork};
-use mom_tests::programs::{self, Running, text};
+use mom_tests::programs::{self, PATIENCE, Running, text};
 use mom_tests::raw::{Raw, at, message};
 use mom_tests::service::{Home, Service};
 use serde_json::{Value as Json, json};
+use tokio::io::{AsyncBufReadExt as _, AsyncWriteExt as _, BufReader, Lines};
+use tokio::process::{Child, ChildStderr, ChildStdin, ChildStdout, Command};
 use tokio::task::spawn_blocking;
+use tokio::time::timeout;
 
 use crate::losses::Lab;
 
@@ -257,6 +260,87 @@ async fn an_arm_that_stood_still_moves_by_nothing_said_before() {
             break;
         }
     }
+}
+
+/// `mom stop --ready`, and what it says and does.
+struct ReadyStop {
+    child: Child,
+    keys: ChildStdin,
+    told: Lines<BufReader<ChildStdout>>,
+    remarks: Lines<BufReader<ChildStderr>>,
+}
+
+impl ReadyStop {
+    async fn start(hub: &str) -> ReadyStop {
+        let built = spawn_blocking(|| programs::program("mom"));
+        let mut command = Command::new(built.await.expect("it is built"));
+        command.args(["stop", ARM, "--ready", "--reason", "smoke"]);
+        let environment = [("MOM_HUB", hub), ("MOM_USER", "bob"), ("MOM_PASSWORD", "bob")];
+        command.envs(environment).kill_on_drop(true);
+        command
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        let mut child = command.spawn().expect("it runs");
+        ReadyStop {
+            keys: child.stdin.take().expect("piped"),
+            told: BufReader::new(child.stdout.take().expect("piped")).lines(),
+            remarks: BufReader::new(child.stderr.take().expect("piped")).lines(),
+            child,
+        }
+    }
+
+    async fn press(&mut self) {
+        self.keys.write_all(b"x").await.expect("it listens");
+    }
+
+    /// Waits for a remark with these words.
+    async fn remarks(&mut self, words: &str) {
+        loop {
+            let line = timeout(PATIENCE, self.remarks.next_line())
+                .await
+                .expect("in time");
+            if line.expect("it is read").expect("it goes on").contains(words) {
+                return;
+            }
+        }
+    }
+
+    async fn tells(&mut self) -> String {
+        let line = timeout(PATIENCE, self.told.next_line()).await.expect("in time");
+        line.expect("it is read").expect("it goes on")
+    }
+}
+
+/// The key that was pressed is not lost on a link that is frozen, or gone.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_key_stops_also_over_a_connection_that_comes_back() {
+    let lab = Away::start().await;
+    let network = FaultyNetwork::to(lab.broker.address(), |_| Fault::default()).await;
+    let _arm = lab.arm().await;
+    let mut ready = ReadyStop::start(&format!("bin://{}", network.address)).await;
+    ready.remarks("ready: any key stops /robot/arm").await;
+    ready.press().await;
+    assert_eq!(ready.tells().await, "/robot/arm: arm stands");
+    let free = lab.mom("alice", &["unstop", ARM]).await;
+    assert!(
+        text(&free.stdout).contains("was stopped by bob (smoke)"),
+        "{free:?}"
+    );
+
+    network.freeze(true);
+    ready.press().await;
+    ready.remarks("nobody knows whether anything has stopped").await;
+    ready
+        .remarks("the connection is lost: a stop is said as soon as it is back")
+        .await;
+    network.freeze(false);
+    assert_eq!(ready.tells().await, "/robot/arm: arm stands");
+    let tree = lab.mom("alice", &["tree", "/robot"]).await;
+    assert!(text(&tree.stdout).contains("stopped by bob (smoke)"), "{tree:?}");
+    drop(ready.keys);
+    let ended = timeout(PATIENCE, ready.child.wait()).await.expect("in time");
+    assert!(ended.expect("it ran").success());
 }
 
 /// A release halts the arm: who wants its last command carried out waits for that.
