@@ -32,6 +32,8 @@ const WALL: f64 = 400.0;
 const TILE: f64 = 500.0;
 /// mm, the nearest at which a wall is seen.
 const NEAREST: f64 = 1.0;
+/// The longest side of a floor that is drawn, mm.
+const LARGEST: f64 = 1e9;
 /// mm at which things have half of their brightness.
 const DIM: f64 = 6000.0;
 /// Rows of the heading scale; marks of 45° and of 15° within it.
@@ -87,14 +89,11 @@ pub fn draw(floor: Floor, pose: Pose) -> Vec<u8> {
     pixels
 }
 
-/// A floor whose sides are numbers.
+/// A floor whose sides are numbers that a robot's distance to a wall makes a difference to.
 fn real_floor(floor: Floor) -> Floor {
-    let side = |side: f64| {
-        if side.is_finite() {
-            side.max(2.0 * NEAREST)
-        } else {
-            2.0 * NEAREST
-        }
+    let side = |side: f64| match side.is_finite() {
+        true => side.clamp(2.0 * NEAREST, LARGEST),
+        false => 2.0 * NEAREST,
     };
     Floor {
         width: side(floor.width),
