@@ -89,6 +89,7 @@ pub(crate) fn begin(
         walks: kind == ContextKind::Session,
         order: (kind == ContextKind::Session && verb == Verb::Stop).then(|| order.clone()),
         channels: BTreeMap::new(),
+        away: BTreeMap::new(),
         others: 0,
         denied: Vec::new(),
     };
@@ -107,6 +108,7 @@ pub(crate) fn begin(
         after: None,
         newest: world.tree.newest(),
         again: None,
+        away: None,
     };
     if !world.sweep_step(&mut sweep, out) {
         world.begin_job(Job::Stop(Box::new(sweep)));
@@ -190,6 +192,10 @@ impl World {
             let Some(next) = next else {
                 if sweep.again.is_none() {
                     sweep.again = Some(sweep.newest);
+                    continue;
+                }
+                if let Some(away) = self.next_away(sweep) {
+                    self.stop_away(&sweep.order, away, out);
                     continue;
                 }
                 self.end_sweep(sweep.order.call, out);
@@ -413,7 +419,7 @@ impl World {
         self.settle_call(call, out);
     }
 
-    fn settle_call(&mut self, call: u64, out: &mut Vec<Effect>) {
+    pub(super) fn settle_call(&mut self, call: u64, out: &mut Vec<Effect>) {
         if self.stops.calls.get(&call).is_some_and(Call::is_complete) {
             end_call(self, call, out);
         }
@@ -477,9 +483,18 @@ fn answer(call: &Call) -> Map {
         }
         Value::Map(map)
     });
+    let away = call.away.iter().map(|(path, (number, kept))| {
+        let map = Map::new()
+            .with("path", path.as_str())
+            .with("number", *number)
+            .with("guard", true)
+            .with("kept", *kept == Kept::Yes)
+            .with("devices", Vec::<Value>::new());
+        Value::Map(map)
+    });
     let denied = call.denied.iter().map(|path| Value::from(path.as_str()));
     Map::new()
-        .with("channels", channels.collect::<Vec<_>>())
+        .with("channels", channels.chain(away).collect::<Vec<_>>())
         .with("others", count(call.others))
         .with("denied", denied.collect::<Vec<_>>())
 }

@@ -82,14 +82,18 @@ impl World {
         member.is_some_and(|member| member.device)
     }
 
-    /// Has a stop for one device by name hold for one that is new here and has its name but for what the hub added: it may be the
+    /// Notes that a device is there, and has a stop for one device by name hold for one that is new here and has its name but for what the hub added: it may be the
     /// same one, started again while its old connection keeps the name.
-    pub(crate) fn stop_namesake(&mut self, channel: ContextNumber, peer: PeerId, out: &mut Vec<Effect>) {
+    pub(crate) fn welcome_device(&mut self, channel: ContextNumber, peer: PeerId, out: &mut Vec<Effect>) {
         let name = self.peers.get(peer).map(|peer| Arc::clone(&peer.facts.name));
         let path = self.tree.get(channel).map(|context| context.path.clone());
         let (Some(name), Some(path)) = (name, path) else {
             return self.fault("a device is met that is not there");
         };
+        if !self.stops.latch(&path).device {
+            self.stops.latch_mut(&path).device = true;
+            self.keep(channel, None, out);
+        }
         let Some(stop) = self.stops.latch(&path).of_namesake(&name) else {
             return;
         };

@@ -4,6 +4,7 @@
 //! A stop is handed out before it is kept, an unstop is kept before it is handed out: whatever is lost on the way, the
 //! device stands.
 
+mod away;
 mod call;
 mod device;
 mod lift;
@@ -34,6 +35,10 @@ impl World {
             Storing::Stop { call, channel } => {
                 let kept = if ok { Kept::Yes } else { Kept::No };
                 self.note_call(call, channel, |called| called.kept = kept, out);
+            }
+            Storing::Away { call, channel } => {
+                let kept = if ok { Kept::Yes } else { Kept::No };
+                self.note_away(call, &channel, kept, out);
             }
         }
     }

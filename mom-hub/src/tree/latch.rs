@@ -33,6 +33,8 @@ pub struct Latch {
     pub all: Option<Arc<Stop>>,
     /// Devices for which another one holds, newer than `all`; none = it was lifted for this one.
     pub each: BTreeMap<Arc<str>, Option<Arc<Stop>>>,
+    /// Whether a device has ever been there: a stop of the session is for it, too, while it is away and its channel with it.
+    pub device: bool,
 }
 
 /// A latch as it is kept: what a restart of the hub must not forget.

@@ -17,6 +17,8 @@ pub struct StopRow {
     all: Option<StopFacts>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     each: Vec<(String, Option<StopFacts>)>,
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    device: bool,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -48,6 +50,7 @@ impl From<&StopRecord> for StopRow {
             each: each
                 .map(|(name, own)| (name.to_string(), own.as_ref().map(facts)))
                 .collect(),
+            device: record.latch.device,
         }
     }
 }
@@ -91,6 +94,7 @@ impl StopRow {
                 newest: self.newest.into(),
                 all: self.all.map(stop).transpose()?,
                 each: each.collect::<Result<_, String>>()?,
+                device: self.device,
             },
         })
     }

@@ -60,7 +60,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         world.set_terms(number, request.peer, thinning, device.is_some());
     }
     if device.is_some() && !was_device {
-        world.stop_namesake(number, request.peer, out);
+        world.welcome_device(number, request.peer, out);
     }
     if let Some(word) = device {
         world.meet_device(number, request.peer, word, out);

@@ -62,6 +62,8 @@ pub(crate) struct Sweep {
     pub(crate) newest: ContextNumber,
     /// The last one of those that was looked at.
     pub(crate) again: Option<ContextNumber>,
+    /// Channels that had devices and are not there, which come last.
+    pub(crate) away: Option<Vec<Path>>,
 }
 
 /// A peer has lost its connection, or has come back.

@@ -42,6 +42,8 @@ pub(crate) enum Storing {
     Unstop(Box<Unstop>),
     /// A stop of a call, which was handed out already.
     Stop { call: u64, channel: ContextNumber },
+    /// One of a channel that is not there.
+    Away { call: u64, channel: Path },
 }
 
 /// An unstop that is being kept.
@@ -71,6 +73,8 @@ pub(crate) struct Call {
     pub(crate) order: Option<Order>,
     /// Channels with a guard or devices.
     pub(crate) channels: BTreeMap<ContextNumber, Called>,
+    /// Channels that had devices and are not there, with the numbers of their stops.
+    pub(crate) away: BTreeMap<Path, (Fence, Kept)>,
     /// How many others were told.
     pub(crate) others: usize,
     /// Channels that the peer may see and not stop.
@@ -239,6 +243,13 @@ impl Stops {
         ranked.into_iter().map(|(_, _, path)| path).collect()
     }
 
+    /// The channels below a session that had devices and are not there.
+    pub(crate) fn away_below(&self, top: &Path, exists: impl Fn(&Path) -> bool) -> Vec<Path> {
+        let known = self.known.iter().filter(|(_, known)| known.latch.device);
+        let away = known.filter(|(path, _)| path.is_within(top) && !exists(path));
+        away.map(|(path, _)| path.clone()).collect()
+    }
+
     /// Whether somebody waits for the word of this channel's devices.
     pub(crate) fn is_awaited(&self, channel: ContextNumber) -> bool {
         let awaits = |call: &Call| call.channels.get(&channel).is_some_and(Called::awaits_devices);
@@ -250,7 +261,9 @@ impl Call {
     /// Whether all that can be known is known.
     pub(crate) fn is_complete(&self) -> bool {
         let complete = |called: &Called| !called.awaits_devices() && called.kept != Kept::Waits;
-        !self.walks && self.channels.values().all(complete)
+        !self.walks
+            && self.channels.values().all(complete)
+            && self.away.values().all(|(_, kept)| *kept != Kept::Waits)
     }
 }
 

@@ -218,6 +218,45 @@ fn channels_made_before_the_answer_are_stopped_too() {
     assert!(stage.at(1000).contains(&"alice< ok".to_owned()));
 }
 
+/// What a gateway has made goes with it; that it comes back is no reason to move.
+#[test]
+fn a_stop_of_a_session_is_for_devices_that_are_away_with_their_channels() {
+    let mut stage = stage();
+    for name in ["rover", "chat"] {
+        stage.say("alice", &format!("context create /lab/{name} kind=channel"));
+    }
+    stage.say("arm", "context join /lab/rover device=true");
+    for name in ["rover", "chat"] {
+        stage.say("alice", &format!("context delete /lab/{name}"));
+    }
+    stage.say("bob", "context stop /lab within=0");
+    let channels = told(&stage)
+        .get("channels")
+        .and_then(Value::as_list)
+        .expect("channels")
+        .to_vec();
+    let paths: Vec<_> = channels
+        .iter()
+        .filter_map(|channel| channel.get("path"))
+        .collect();
+    assert_eq!(paths, [&Value::from("/lab/arm"), &"/lab/rover".into()]);
+    assert_eq!(
+        channels[1].get("guard"),
+        Some(&true.into()),
+        "somebody is meant to be there"
+    );
+    for name in ["rover", "chat"] {
+        stage.say("alice", &format!("context create /lab/{name} kind=channel"));
+    }
+    let heard = stage.say("arm", "context join /lab/rover device=true");
+    assert_eq!(
+        of(&heard, &["arm"]),
+        ["arm< ok", "arm< stop of hub stop=1 by=bob"]
+    );
+    let heard = stage.say("arm", "context join /lab/chat device=true");
+    assert_eq!(of(&heard, &["arm"]), ["arm< ok"], "no device was there");
+}
+
 #[test]
 fn who_stops_much_at_once_is_told_to_wait_and_holds_nobody_up() {
     let mut contexts = vec![context("/hall", "session").with("presence", "none")];

@@ -26,8 +26,8 @@ pub(crate) struct UnstopArgs {
 
 pub(crate) const STOP: &str = "\
 Needs no token, and overtakes everything. What is stopped stays so, whoever owns it, also over a restart of the hub, until
-somebody lets it go; a device that is away finds it so when it comes. Exit code 0 says that every device there stands, and
-that each channel with a token has one; those that say nothing within a second are named.
+somebody lets it go; a device that is away finds it so when it comes. Exit code 0 says that every device there stands, that
+there is one, and that each channel with a token has one; those that say nothing within a second are named.
 
 Examples:
   mom stop                                 all that you may stop

@@ -181,6 +181,12 @@ fn tell(
         let others = words::count(report.others, "channel");
         output.human(ink(format!("and {others} without a device"), Tone::Faint))?;
     }
+    if order == Order::Stop && report.channels.is_empty() {
+        return Err(Failure::new(
+            "no device is there, so nothing is known to stand",
+            "see what there is with: mom tree",
+        ));
+    }
     match report.channels.iter().all(ToldChannel::is_obeyed) {
         true => Ok(()),
         false => Err(Failure::Told),

@@ -343,6 +343,14 @@ async fn a_key_stops_also_over_a_connection_that_comes_back() {
     assert!(ended.expect("it ran").success());
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn where_no_device_is_nothing_is_known_to_stand() {
+    let lab = Away::start().await;
+    let output = lab.mom("alice", &["stop", "/chat"]).await;
+    assert_eq!(output.status.code(), Some(1), "{output:?}");
+    assert!(text(&output.stderr).contains("no device is there"), "{output:?}");
+}
+
 /// A release halts the arm: who wants its last command carried out waits for that.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_release_may_wait_until_the_arm_has_carried_out_the_last_command() {
