@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use mom_config::{Config, ConfigError, ConfigErrors};
-use mom_hub::{Input, Settings};
+use mom_hub::{Hub, Input, Settings};
 use mom_journal::{Tap, WriteError};
 use mom_login::{LoginStats, Logins};
 use mom_net::{SelfSigned, ServerTls, Takes, Transceiver};
@@ -136,11 +136,7 @@ impl Broker {
             settings.epoch = epoch;
         }
         let (stops, stop_answers) = open_stops(&config, &mut settings).await?.unzip();
-        let hub = config.make_hub(settings.clone())?;
-        if let Some(stops) = stops.as_ref().filter(|_| settings.stops_unread) {
-            let records = hub.stop_records();
-            records.iter().for_each(|record| stops.keep(record, None));
-        }
+        let hub = make_hub(&config, &settings, stops.as_ref())?;
         let tap = Tap::start((&config.audit, &config.record), config.file(), &settings, &clock)?;
         let mut logins = Logins::new(config.users.clone(), config.login.clone(), clock.clone())
             .map_err(ConfigError::from)?;
@@ -298,6 +294,16 @@ async fn open_stops(
     settings.stops = kept.records;
     settings.stops_unread = kept.unread.is_some();
     Ok(Some((kept.file, kept.answers)))
+}
+
+/// Makes the hub, and keeps as stopped what could not be read.
+fn make_hub(config: &Config, settings: &Settings, stops: Option<&StopFile>) -> Result<Hub, BrokerError> {
+    let hub = config.make_hub(settings.clone())?;
+    if let Some(stops) = stops.filter(|_| settings.stops_unread) {
+        let records = hub.stop_records();
+        records.iter().for_each(|record| stops.keep(record, None));
+    }
+    Ok(hub)
 }
 
 fn bounds(config: &Config) -> Bounds {

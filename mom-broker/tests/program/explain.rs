@@ -41,22 +41,8 @@ fn check_says_whether_a_file_is_right() {
 ";
     assert_eq!(tree, expected);
 
-    let right = run(program().arg("check").arg(lab()).arg("--json"));
-    let said: Value = serde_json::from_slice(&right.stdout).expect("JSON");
-    let contexts = said["contexts"].as_array().expect("a list").iter();
-    let arm = contexts.filter(|context| context["path"] == "/robot/arm");
-    let devices: Vec<&Value> = arm.map(|arm| &arm["devices"]).collect();
-    assert_eq!(devices, [&serde_json::json!(["arm"])]);
-
     let folder = TempDir::new().expect("a folder");
     let file = folder.path().join("mom.toml");
-    fs::write(
-        &file,
-        format!("root = \"open\"\n{CONTEXT}[login]\nguests = true\n"),
-    )
-    .expect("written");
-    let open = run(program().arg("check").arg(&file));
-    assert!(text(&open.stdout).contains("; device: anybody"), "{open:?}");
     fs::write(&file, CONTEXT.replace("channel", "chanel")).expect("written");
     let wrong = run(program().arg("check").arg(&file));
     assert_eq!(wrong.status.code(), Some(1));
@@ -88,6 +74,23 @@ fn check_says_whether_a_file_is_right() {
     assert_eq!(said["right"], false);
     assert_eq!(said["errors"][0]["line"], 4);
     assert_eq!(said["errors"][0]["key"], "contexts[0].kind");
+}
+
+#[test]
+fn check_shows_who_may_be_a_device() {
+    let right = run(program().arg("check").arg(lab()).arg("--json"));
+    let said: Value = serde_json::from_slice(&right.stdout).expect("JSON");
+    let contexts = said["contexts"].as_array().expect("a list").iter();
+    let arm = contexts.filter(|context| context["path"] == "/robot/arm");
+    let devices: Vec<&Value> = arm.map(|arm| &arm["devices"]).collect();
+    assert_eq!(devices, [&serde_json::json!(["arm"])]);
+
+    let folder = TempDir::new().expect("a folder");
+    let file = folder.path().join("mom.toml");
+    let open = format!("root = \"open\"\n{CONTEXT}[login]\nguests = true\n");
+    fs::write(&file, open).expect("written");
+    let open = run(program().arg("check").arg(&file));
+    assert!(text(&open.stdout).contains("; device: anybody"), "{open:?}");
 }
 
 #[test]

@@ -154,8 +154,8 @@ async fn a_release_may_wait_for_the_last_command() {
             settled(&client, &mut peer).await;
             match end {
                 "refused" => {
-                    peer.refuse(&last, &WireError::new(Code::NOT_OWNER, "too late"))
-                        .await
+                    let refusal = WireError::new(Code::NOT_OWNER, "too late");
+                    peer.refuse(&last, &refusal).await;
                 }
                 state => tell(&mut peer, last.id, "ally", state).await,
             }

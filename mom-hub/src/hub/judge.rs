@@ -92,6 +92,21 @@ impl Hub {
     /// case changes it: make one for each case.
     pub fn judge(mut self, case: &Case<'_>) -> Judgement {
         self.suppose(case);
+        self.judge_there(case)
+    }
+
+    /// The same for one user, whom it supposes by `case`, at each of these paths: nothing is owned, and nobody invited.
+    pub fn judge_at<'a>(
+        mut self,
+        case: &Case<'_>,
+        paths: impl IntoIterator<Item = &'a Path>,
+    ) -> Vec<Judgement> {
+        self.suppose(case);
+        let judge = |path: &Path| self.judge_there(&Case { path, ..*case });
+        paths.into_iter().map(judge).collect()
+    }
+
+    fn judge_there(&mut self, case: &Case<'_>) -> Judgement {
         // Where nothing is, the manager of the nearest context above decides.
         let at = self.world.tree.find_or_above(case.path);
         let at = at

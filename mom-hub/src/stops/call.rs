@@ -446,7 +446,7 @@ pub(crate) fn end_call(world: &mut World, number: u64, out: &mut Vec<Effect>) {
     let there: Vec<ContextNumber> = there.collect();
     world.changed.extend(there);
     if world.peers.get(call.peer).is_some() {
-        let content = answer(&call);
+        let content = answer(&call, world.settings.keeps_stops);
         world.push_ok(call.peer, call.id, &call.path, Some(content), out);
     }
 }
@@ -454,8 +454,10 @@ pub(crate) fn end_call(world: &mut World, number: u64, out: &mut Vec<Effect>) {
 /// A call whose walk is longer than its time is answered when that is over, looked at so often.
 const WALKS: Micros = 20_000;
 
-/// `{channels: [{path, number, guard, kept, devices: [{peer, word}], newer, failed}], others, denied}`
-fn answer(call: &Call) -> Map {
+/// `{channels: [{path, number, guard, kept, devices: [{peer, word}], newer, error}], others, denied}`; `keeps` says whether
+/// anything outlives the hub.
+fn answer(call: &Call, keeps: bool) -> Map {
+    let fails = |kept| keeps && call.verb == Verb::Stop && kept == Kept::No;
     let obeys = match call.verb {
         Verb::Stop => "stopped",
         _ => "unstopped",
@@ -478,7 +480,7 @@ fn answer(call: &Call) -> Map {
         if !called.newer.is_empty() {
             map.set("newer", newer_value(&called.newer));
         }
-        if called.failed {
+        if called.failed || fails(called.kept) {
             map.set("error", Code::STORAGE_FAILED.word());
         }
         Value::Map(map)
@@ -490,7 +492,10 @@ fn answer(call: &Call) -> Map {
             .with("guard", true)
             .with("kept", *kept == Kept::Yes)
             .with("devices", Vec::<Value>::new());
-        Value::Map(map)
+        Value::Map(match fails(*kept) {
+            true => map.with("error", Code::STORAGE_FAILED.word()),
+            false => map,
+        })
     });
     let denied = call.denied.iter().map(|path| Value::from(path.as_str()));
     Map::new()

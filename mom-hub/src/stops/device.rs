@@ -84,7 +84,7 @@ impl World {
 
     /// Notes that a device is there, and has a stop for one device by name hold for one that is new here and has its name but for what the hub added: it may be the
     /// same one, started again while its old connection keeps the name.
-    pub(crate) fn welcome_device(&mut self, channel: ContextNumber, peer: PeerId, out: &mut Vec<Effect>) {
+    fn welcome_device(&mut self, channel: ContextNumber, peer: PeerId, out: &mut Vec<Effect>) {
         let name = self.peers.get(peer).map(|peer| Arc::clone(&peer.facts.name));
         let path = self.tree.get(channel).map(|context| context.path.clone());
         let (Some(name), Some(path)) = (name, path) else {
@@ -110,9 +110,12 @@ impl World {
         &mut self,
         channel: ContextNumber,
         peer: PeerId,
-        word: DeviceWord,
+        (word, is_new): (DeviceWord, bool),
         out: &mut Vec<Effect>,
     ) {
+        if is_new {
+            self.welcome_device(channel, peer, out);
+        }
         let facts = self.peers.get(peer).map(|peer| Arc::clone(&peer.facts));
         let path = self.tree.get(channel).map(|context| context.path.clone());
         let (Some(facts), Some(path)) = (facts, path) else {

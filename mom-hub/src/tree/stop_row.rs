@@ -125,6 +125,7 @@ mod tests {
                     ("belt".into(), None),
                 ]
                 .into(),
+                device: true,
             },
         };
         let row = StopRow::from(&record);

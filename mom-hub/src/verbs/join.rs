@@ -55,15 +55,12 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         }
         world.add_member(number, request.peer, out);
     }
-    let was_device = world.is_device(request.peer, number);
+    let is_new = !world.is_device(request.peer, number);
     if let Some((thinning, device)) = terms {
         world.set_terms(number, request.peer, thinning, device.is_some());
     }
-    if device.is_some() && !was_device {
-        world.welcome_device(number, request.peer, out);
-    }
     if let Some(word) = device {
-        world.meet_device(number, request.peer, word, out);
+        world.meet_device(number, request.peer, (word, is_new), out);
     }
     let Some(context) = world.tree.get(number) else {
         return Err(world

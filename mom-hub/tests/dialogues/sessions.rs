@@ -146,13 +146,13 @@ fn an_answer_waits_until_the_stop_is_kept() {
             .and_then(Value::as_list)
             .unwrap_or_default()
             .to_vec();
-        channels[0].get("kept").cloned()
+        ["kept", "error"].map(|key| channels[0].get(key).cloned())
     };
-    assert_eq!(kept(&stage), Some(true.into()));
+    assert_eq!(kept(&stage), [Some(true.into()), None]);
     stage.say("bob", "context stop /lab/arm");
     stage.say("arm", "message state /lab/arm stopped=true number=2");
     assert_eq!(stage.answer_kept(false), ["bob< ok"]);
-    assert_eq!(kept(&stage), Some(false.into()));
+    assert_eq!(kept(&stage), [Some(false.into()), Some("storage-failed".into())]);
 }
 
 #[test]

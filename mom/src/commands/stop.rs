@@ -222,7 +222,11 @@ fn line(order: Order, channel: &ToldChannel, lifted: Option<&StopState>) -> Stri
     };
     let mut parts = Vec::new();
     if let Some(error) = &channel.error {
-        parts.push(ink(format!("stays stopped: {error}"), Tone::Bad));
+        let text = match order {
+            Order::Stop => format!("it cannot be kept ({error}): a restart of the hub forgets it"),
+            Order::Unstop => format!("stays stopped: {error}"),
+        };
+        parts.push(ink(text, Tone::Bad));
     }
     for stop in &channel.newer {
         let text = format!("stays stopped: {} again meanwhile", words::stopped_by(stop));

@@ -11,7 +11,7 @@ use mom_client::{Client, ClientError, ContextInfo, LinkState};
 use tokio::sync::mpsc;
 use tokio::time::{MissedTickBehavior, interval, sleep};
 
-use self::sample::{Owned, Sample, TreeWalk};
+use self::sample::{Holds, Sample, TreeWalk};
 use self::view::{HubLink, View};
 use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};

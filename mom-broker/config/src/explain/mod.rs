@@ -139,26 +139,29 @@ impl Config {
     /// # Errors
     /// A configuration that is wrong.
     pub fn allowed(&self, verb: Verb, paths: &[Path]) -> Result<Vec<Vec<String>>, ConfigError> {
-        let hub = self.hub()?;
         let guests = self.login.guests.then(guest);
-        let users: Vec<User> = self.users.iter().map(UserEntry::to_user).chain(guests).collect();
-        let may = |user: &User, path: &Path| {
-            let judgement = hub.judge(&Case {
-                user,
-                verb,
-                path,
-                kind: None,
-                message: message_of(verb, None),
-                owners: &[],
-                invited: false,
-            });
-            judgement.refusal.is_none() && judgement.verdict.is_allow()
-        };
-        let allowed = |path| {
-            let users = users.iter().filter(|user| may(user, path));
-            users.map(|user| user.name.clone()).collect()
-        };
-        Ok(paths.iter().map(allowed).collect())
+        let users = self.users.iter().map(UserEntry::to_user).chain(guests);
+        let mut allowed = vec![Vec::new(); paths.len()];
+        for user in users {
+            let judgements = self.hub()?.judge_at(
+                &Case {
+                    user: &user,
+                    verb,
+                    path: &Path::root(),
+                    kind: None,
+                    message: message_of(verb, None),
+                    owners: &[],
+                    invited: false,
+                },
+                paths,
+            );
+            for (allowed, judgement) in allowed.iter_mut().zip(judgements) {
+                if judgement.refusal.is_none() && judgement.verdict.is_allow() {
+                    allowed.push(user.name.clone());
+                }
+            }
+        }
+        Ok(allowed)
     }
 
     fn judge(

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path as FilePath;
 use std::sync::Arc;
 
-use mom_hub::{Latch, Stop, StopRecord};
+use mom_hub::{Latch, Stop, StopRecord, Ticket};
 use tempfile::TempDir;
 
 use super::*;
@@ -46,9 +46,9 @@ fn words(kept: &KeptStops) -> Vec<String> {
 fn a_broker_that_begins_before_the_older_one_has_ended_knows_its_stops() {
     let folder = TempDir::new().expect("a folder");
     let old = open(folder.path());
-    old.file.keep(&record("/arm", 5, true), Some(1));
+    old.file.keep(&record("/arm", 5, true), Some(Ticket(1)));
     let mut answers = old.answers;
-    assert_eq!(answers.blocking_recv(), Some((1, true)));
+    assert_eq!(answers.blocking_recv(), Some((Ticket(1), true)));
     let new = open(folder.path());
     assert_eq!(words(&new), ["/arm 5!"]);
     // Each goes on by itself; the next one knows the newer of both, and what is stopped if they know of the same.
@@ -58,7 +58,7 @@ fn a_broker_that_begins_before_the_older_one_has_ended_knows_its_stops() {
         (&new.file, 4, "/belt", 8, false),
         (&new.file, 5, "/crane", 9, true),
     ] {
-        file.keep(&record(channel, newest, stopped), Some(number));
+        file.keep(&record(channel, newest, stopped), Some(Ticket(number)));
     }
     old.file.close();
     new.file.close();
