@@ -12,11 +12,12 @@ from mom.address import Address
 from mom.clock import OffsetEstimator
 from mom.connection import Connection
 from mom.entry import Entry
-from mom.events import Subscribers, of_parcel
+from mom.events import of_parcel
 from mom.link import Link
 from mom.login import Credentials
 from mom.outbox import Outbox
 from mom.parcel import Parcel
+from mom.subscriptions import Subscribers
 
 PIN = "4355a46b19d348dc2f57c046f8ef63d4538ebb936000f3c9ee954a27460dd865"
 

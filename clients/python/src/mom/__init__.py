@@ -43,7 +43,6 @@ from .events import (
     Deleted,
     Dropped,
     Event,
-    Events,
     Expelled,
     Grabbed,
     Inhibited,
@@ -74,6 +73,7 @@ from .login import Key
 from .parcel import Parcel
 from .proxies import UNLIMITED, Channel, Given, Grab, Guard, InhibitGuard, Receipt, Session, Token, TokenGuard
 from .states import LinkState, Reconnect
+from .subscriptions import Events
 from .transport import Trust
 from .values import Value
 

@@ -13,11 +13,12 @@ from .clock import HubClock
 from .core import Core
 from .driver import Driver, Options
 from .errors import MomError
-from .events import ContextInfo, Events, Member, Other
+from .events import ContextInfo, Member, Other
 from .login import Credentials, Key
 from .parcel import Parcel
 from .proxies import Channel, Session, Token, pages, thinning
 from .states import LinkState, Reconnect
+from .subscriptions import Events
 from .transport import Trust
 from .values import now
 

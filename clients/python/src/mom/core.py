@@ -19,13 +19,14 @@ from .errors import (
     TimedOutError,
     WireError,
 )
-from .events import Dropped, LinkDown, Other, Refused, Rejoined, StateChanged, Subscribers, is_within, of_parcel
+from .events import Dropped, LinkDown, Other, Refused, Rejoined, StateChanged, is_within, of_parcel
 from .gate import FenceGate
 from .holds import Holds
 from .link import Link
 from .outbox import Outbox
 from .parcel import Parcel
 from .states import LinkState
+from .subscriptions import Subscribers
 
 _REMEMBERED = 1024
 """The sent messages whose channels are known when a refusal comes."""

@@ -9,10 +9,11 @@ from typing import Any, Dict, Generator, Iterable, List, Mapping, Optional, Type
 
 from .core import Core, Place
 from .errors import MomError
-from .events import ContextInfo, Events
+from .events import ContextInfo
 from .gate import FenceGate
 from .holds import Handover, Hold, Loan, Lost
 from .parcel import Parcel
+from .subscriptions import Events
 
 UNLIMITED = "unlimited"
 """For a grab that waits as long as it takes."""
