@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Callable, Dict, List, Optional
 
+from .content import names, number, seconds, text
 from .errors import WireError
 from .parcel import Parcel
 from .states import LinkState
+from .stops import StopState
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,7 @@ class Member:
         """Reads `{peer, user, level}`."""
         level = content.get("level")
         return Member(
-            _text(content, "peer"), _text(content, "user"), level if isinstance(level, int) else 0,
+            text(content, "peer"), text(content, "user"), level if isinstance(level, int) else 0,
             content.get("device") is True,
         )  # fmt: skip
 
@@ -45,13 +47,16 @@ class ContextInfo:
     """Its number at the hub."""
     members: Optional[int] = None
     """How many members it has, where the hub says so."""
+    stop: Optional[StopState] = None
+    """Who has stopped its devices, in lists and of stopped channels only."""
 
     @staticmethod
     def of(content: Dict[str, Any]) -> ContextInfo:
         """Reads a summary."""
         return ContextInfo(
-            _text(content, "path"), _text(content, "kind"), _int(content, "number") or 0, _int(content, "members")
-        )
+            text(content, "path"), text(content, "kind"), number(content, "number") or 0, number(content, "members"),
+            StopState.of(content["stop"]) if "stop" in content else None,
+        )  # fmt: skip
 
 
 class Event:
@@ -79,6 +84,12 @@ class Message(Event):
     def content(self) -> Any:
         """Its content."""
         return self.parcel.content
+
+    @property
+    def stop(self) -> Optional[int]:
+        """The number of a `stop`; of an `unstop` that of the newest stop that it lifts."""
+        found = number(self.parcel.extra, "stop")
+        return found if found is None or found >= 0 else None
 
 
 @dataclass(frozen=True)
@@ -245,6 +256,19 @@ class Expelled(Event):
 
 
 @dataclass(frozen=True)
+class Stops(Event):
+    """How the devices of this channel stand by the hub's books.
+
+    It comes when this peer has joined it as a device or has come back, when it joins it where something was ever stopped, and
+    where a stop began or ended without a message to this peer.
+    """
+
+    path: str
+    state: StopState
+    unstopped_by: Optional[str] = None
+
+
+@dataclass(frozen=True)
 class Dropped(Event):
     """Parcels were dropped on their way, by the hub or before they left.
 
@@ -313,41 +337,27 @@ _READERS: Dict[str, _Reader] = {
     "created": lambda p, c, at: Created(ContextInfo.of(c)),
     "deleted": lambda p, c, at: Deleted(at),
     "grabbed": lambda p, c, at: Grabbed(
-        at, _text(c, "owner"), _int(c, "level") or 0, _int(c, "fence") or 0, seconds(c, "lease")
+        at, text(c, "owner"), number(c, "level") or 0, number(c, "fence") or 0, seconds(c, "lease")
     ),
     "released": lambda p, c, at: Released(
-        at, _text(c, "owner"), _text(c, "reason"), _int(c, "fence") or 0, c.get("by")
+        at, text(c, "owner"), text(c, "reason"), number(c, "fence") or 0, c.get("by")
     ),
     "requested": lambda p, c, at: Requested(at, Member.of(c), seconds(c, "within") or 0.0, c.get("text")),
     "offer": lambda p, c, at: Offer(
-        at, _text(c, "by"), _text(c, "to"), _int(c, "level") or 0, seconds(c, "within") or 0.0, _int(c, "fence") or 0,
-        seconds(c, "for"), _int(c, "commands"),
+        at, text(c, "by"), text(c, "to"), number(c, "level") or 0, seconds(c, "within") or 0.0, number(c, "fence") or 0,
+        seconds(c, "for"), number(c, "commands"),
     ),
-    "lapsed": lambda p, c, at: Lapsed(at, _text(c, "what"), _text(c, "by"), _text(c, "to"), _text(c, "reason")),
-    "queued": lambda p, c, at: Queued(at, _int(c, "place") or 0, seconds(c, "expected")),
-    "notice": lambda p, c, at: Notice(at, seconds(c, "within") or 0.0, _int(c, "waiting") or 0),
-    "inhibited": lambda p, c, at: Inhibited(at, _text(c, "peer"), c.get("holders") or []),
-    "uninhibited": lambda p, c, at: Uninhibited(at, _text(c, "peer"), c.get("holders") or [], _text(c, "reason")),
-    "invited": lambda p, c, at: Invited(_text(c, "path") or at, _text(c, "by"), _text(c, "kind")),
-    "expelled": lambda p, c, at: Expelled(at, _text(c, "peer"), c.get("by"), c.get("text")),
-    "dropped": lambda p, c, at: Dropped(_text(c, "reason"), _int(c, "count") or 0, p),
+    "lapsed": lambda p, c, at: Lapsed(at, text(c, "what"), text(c, "by"), text(c, "to"), text(c, "reason")),
+    "queued": lambda p, c, at: Queued(at, number(c, "place") or 0, seconds(c, "expected")),
+    "notice": lambda p, c, at: Notice(at, seconds(c, "within") or 0.0, number(c, "waiting") or 0),
+    "inhibited": lambda p, c, at: Inhibited(at, text(c, "peer"), names(c, "holders")),
+    "uninhibited": lambda p, c, at: Uninhibited(at, text(c, "peer"), names(c, "holders"), text(c, "reason")),
+    "invited": lambda p, c, at: Invited(text(c, "path") or at, text(c, "by"), text(c, "kind")),
+    "expelled": lambda p, c, at: Expelled(at, text(c, "peer"), c.get("by"), c.get("text")),
+    "stopped": lambda p, c, at: Stops(at, StopState.of(c)),
+    "unstopped": lambda p, c, at: Stops(at, StopState.of(c), text(c, "unstopped-by") or None),
+    "dropped": lambda p, c, at: Dropped(text(c, "reason"), number(c, "count") or 0, p),
 }  # fmt: skip
-
-
-def _text(content: Dict[str, Any], key: str) -> str:
-    found = content.get(key)
-    return found if isinstance(found, str) else ""
-
-
-def _int(content: Dict[str, Any], key: str) -> Optional[int]:
-    found = content.get(key)
-    return found if isinstance(found, int) and not isinstance(found, bool) else None
-
-
-def seconds(content: Dict[str, Any], key: str) -> Optional[float]:
-    """A duration of the wire, which is in ms."""
-    found = _int(content, key)
-    return None if found is None else found / 1000
 
 
 def is_within(path: str, top: str) -> bool:

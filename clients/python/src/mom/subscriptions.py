@@ -6,7 +6,7 @@ import asyncio
 from collections import deque
 from typing import AsyncIterator, Callable, Deque, Dict, List, Optional, Tuple
 
-from .events import Event, Lagged, Message, Other, is_within
+from .events import Event, Lagged, LinkDown, Message, Other, StateChanged, Stops, is_within
 from .parcel import Parcel
 
 
@@ -15,7 +15,7 @@ class Events:
 
     When the queue is full the oldest are dropped, and the next event is `Lagged` with their number. Of `stop`, `unstop`,
     `halt` and what else the hub says to make a device safe, only those are dropped that a newer one of the same name, sender
-    and context follows. It ends when the context is left or deleted or the client closed; `close` ends it sooner.
+    and context follows; of `Stops`, `LinkDown` and `StateChanged` only those that a newer one of the same kind follows. It ends when the context is left or deleted or the client closed; `close` ends it sooner.
     """
 
     _MOST_BYTES = 64 << 20
@@ -112,6 +112,13 @@ class Events:
 
 def _safety_key(event: Event) -> Optional[Tuple[object, ...]]:
     """Of what a device must not miss: what it has in common with those that it may take the place of."""
+    if isinstance(event, Stops):
+        # Those of some devices say nothing of the others.
+        return "stops", event.path, event.state.stopped, bool(event.state.only)
+    if isinstance(event, LinkDown):
+        return ("link-down",)
+    if isinstance(event, StateChanged):
+        return "state", event.state.word
     if not isinstance(event, Message):
         return None
     parcel = event.parcel
