@@ -20,7 +20,7 @@ def said(name: str, content: Any = None, sender: str = "bob", **slots: Any) -> m
 def event_of(step: Dict[str, Any]) -> mom.Event:
     kind = step["event"]
     if kind in ("stop", "unstop"):
-        return said(kind, **({"stop": step["number"]} if "number" in step else {}))
+        return said(kind, None, step.get("sender", "bob"), **({"stop": step["number"]} if "number" in step else {}))
     if kind == "state":
         return mom.Stops("/robot/arm", mom.StopState.of({"stopped": False, "only": [], **step}))
     others: Dict[str, mom.Event] = {
@@ -56,6 +56,19 @@ def test_a_latch_says_who_stopped_the_device_and_why() -> None:
     assert latch.word() == {"stop": 4, "stopped": True}
     latch.observe(said("unstop", stop=4))
     assert latch.word() == {"stop": 4, "stopped": False}
+
+
+def test_the_stop_of_the_hub_after_a_loss_is_its_word_how_the_device_stands() -> None:
+    latch = mom.Latch()
+    latch.observe(mom.Stops("/robot/arm", mom.StopState()))
+    latch.observe(mom.LinkDown())
+    latch.observe(said("stop", "smoke", "bob", stop=7))
+    latch.observe(said("unstop", stop=7))
+    held = latch.may_move()
+    assert held is not None and held.word == "unknown", "a peer's is not"
+    latch.observe(said("stop", {"by": "bob"}, "hub", stop=8))
+    latch.observe(said("unstop", stop=8))
+    assert latch.may_move() is None
 
 
 def test_a_stop_of_its_own_is_not_yet_one_of_the_hub() -> None:

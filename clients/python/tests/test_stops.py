@@ -50,7 +50,7 @@ async def test_one_request_stops_what_is_below_a_session(broker: Broker, arm: mo
         seen = (await bob.channel(ARM)).events()
         report = await alice.stop("/", reason="smoke")
         (told,) = [channel for channel in report.channels if channel.path == ARM]
-        assert told.guarded and told.devices == [mom.DeviceAnswer("arm", "stopped")] and told.is_obeyed
+        assert told.guarded and told.devices == [mom.DeviceAnswer(arm._core.peer, "stopped")] and told.is_obeyed
         assert report.others > 0 and arm.is_stopped
         # The camera that turns has a token, and nobody there says that it stands.
         assert [channel.path for channel in report.unobeyed] == ["/camera/pan"] and not report.is_obeyed
@@ -75,7 +75,11 @@ async def test_one_request_stops_what_is_below_a_session(broker: Broker, arm: mo
             assert (known.path, known.state.number, known.state.reason) == (ARM, told.number, "smoke")
             freed = await bob.unstop("/", {channel.path: channel.number for channel in report.channels})
             (one,) = [channel for channel in freed.channels if channel.path == ARM]
-            assert one.is_obeyed and one.devices == [mom.DeviceAnswer("arm", "unstopped")] and arm.may_move() is None
+            assert (
+                one.is_obeyed
+                and one.devices == [mom.DeviceAnswer(arm._core.peer, "unstopped")]
+                and arm.may_move() is None
+            )
             while (unstop := await heard(events, mom.Message)).name != "unstop":
                 pass
             assert unstop.stop == told.number
@@ -104,7 +108,7 @@ async def test_an_unstop_of_an_older_stop_names_who_has_stopped_since(broker: Br
 async def test_a_stop_of_its_own_is_in_the_books_of_the_hub(broker: Broker, arm: mom.Device) -> None:
     async with broker.connect("bob") as bob:
         await arm.channel.thin(newest=True)
-        assert [(member.peer, member.device) for member in await bob.members(ARM)] == [("arm", True)]
+        assert [(member.peer, member.device) for member in await bob.members(ARM)] == [(arm._core.peer, True)]
         arm.stop_itself("bumper")
 
         async def stopped() -> mom.StopState:
@@ -113,9 +117,9 @@ async def test_a_stop_of_its_own_is_in_the_books_of_the_hub(broker: Broker, arm:
             return books
 
         books = await asyncio.wait_for(stopped(), PATIENCE)
-        assert (books.only, books.reason) == (["arm"], "stopped by itself: bumper")
+        assert (books.only, books.reason) == ([arm._core.peer], "stopped by itself: bumper")
         await eventually(lambda: (arm.may_move() or mom.Held("", "")).word == "stopped")
-        await bob.unstop(ARM, books.number, only=["arm"])
+        await bob.unstop(ARM, books.number, only=[arm._core.peer])
         assert not arm.is_stopped
 
 
@@ -128,7 +132,7 @@ async def test_who_is_stopped_while_away_comes_back_stopped(broker: Broker) -> N
         async with broker.connect("arm") as client:
             device = await client.obey(ARM, machine := Arm())
             await eventually(lambda: device.is_stopped)
-            assert set(machine.told) == {"stopped by alice: away"}
+            assert set(machine.told) == {f"stopped by {alice.name}: away"}
             await alice.unstop(ARM, told.number)
             assert device.may_move() is None
 

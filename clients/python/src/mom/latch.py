@@ -105,6 +105,8 @@ class Latch:
 
     def _stop(self, event: Message) -> Reaction:
         content: Dict[str, Any] = event.parcel.map()
+        # So it tells a device that has come back how it stands.
+        self._known = self._known or event.sender == "hub"
         reason = text(content, "reason") or (event.content if isinstance(event.content, str) else "")
         number = self._number if event.stop is None else event.stop
         return self._take(number, text(content, "by") or event.sender, reason)
