@@ -180,7 +180,10 @@ async def test_it_says_what_it_knew_when_it_joins_again(robot: Robot) -> None:
     robot.books(number=8, stopped=True, by="bob")
     robot.hub.resumable = False
     robot.hub.cut()
-    joins = lambda: [parcel.content for parcel in robot.hub.heard if parcel.name == "join" and parcel.context == ARM]  # noqa: E731
+
+    def joins() -> List[Any]:
+        return [parcel.content for parcel in robot.hub.heard if parcel.name == "join" and parcel.context == ARM]
+
     await robot.until(lambda: len(joins()) == 2)
     assert [content["device"] for content in joins()] == [True, {"stop": 8, "stopped": True}]
     # With the answer it knows how it stands, and says so.

@@ -208,9 +208,12 @@ async def test_stopped_while_its_connection_is_lost_it_comes_back_stopped(own_br
         await is_there(alice)
         guard = await (await alice.token(TOKEN)).grab()
         at = await drives(robot, alice, "home", guard)
+        events = (await bob.channel(ARM)).events()
         cutter.refuses = True
         cutter.cut()
         at = await robot.hears("brake", at)
+        # The hub has to notice it, too.
+        await heard(events, mom.PeerLost)
         report = await bob.stop(ARM, reason="while it was away", within=0.1)
         assert [(device.peer, device.word) for device in report.unobeyed[0].devices] == [("arm", "lost")]
         cutter.refuses = False
