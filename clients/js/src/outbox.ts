@@ -143,7 +143,7 @@ export class Outbox {
 
   /** Puts it into its lane, or behind what waits for messages. */
   #queue(entry: Entry): void {
-    if (this.#barrier && entry.lane < AGAIN && ![this.#barrier, ...this.#behind].every((waiting) => passes(entry.parcel, waiting.parcel))) {
+    if (this.#barrier && entry.lane < AGAIN && !this.#passes(entry, this.#barrier)) {
       this.#behind.push(entry);
       return;
     }
@@ -151,6 +151,10 @@ export class Outbox {
     if (fits) for (const list of this.#lanes.values()) for (const waiting of list) if (fits(waiting)) this.#ahead.add(waiting);
     if (this.#ahead.size && fits) this.#barrier = entry;
     else this.#line(entry);
+  }
+
+  #passes({ parcel }: Entry, barrier: Entry): boolean {
+    return passes(parcel, barrier.parcel) && this.#behind.every((waiting) => passes(parcel, waiting.parcel));
   }
 
   #line(entry: Entry): void {

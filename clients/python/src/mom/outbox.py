@@ -118,7 +118,8 @@ class Outbox:
             if entry.follows is not None and not self._behind:
                 # Nothing of another lane could be overtaken.
                 self._ahead = {other for other in self._queue if other.lane == DATA and entry.follows(other)}
-            if self._ahead and not (self._behind and all(entry.passes(other) for other in self._behind)):
+            passes = bool(self._behind) and all(entry.passes(other) for other in self._behind)
+            if self._ahead and not passes:
                 self._behind[entry] = None
                 return
         insort(self._queue, entry)
