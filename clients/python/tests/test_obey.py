@@ -190,10 +190,26 @@ async def test_it_says_what_it_knew_when_it_joins_again(robot: Robot) -> None:
     await robot.until(lambda: robot.hub.heard[-1].name == "state")
     held = robot.arm.may_move()
     assert held is not None and held.word == "stopped"
+    # By the answer to the join and by an event, too, it knows more than it did.
+    robot.tell("unstopped", number=9, stopped=False)
+    await robot.until(lambda: robot.arm.may_move() is None)
+    robot.books(number=11, stopped=True, by="bob")
+    for number, word in ((3, {"stop": 8, "stopped": False}), (4, {"stop": 11, "stopped": True})):
+        robot.hub.cut()
+        await robot.until(lambda: len(joins()) == number)
+        assert joins()[-1]["device"] == word
+        await robot.until(lambda: robot.arm.is_stopped)
+
+
+async def test_a_hub_that_tells_no_state_of_stops_has_none(robot: Robot) -> None:
+    robot.hub.replies["join"] = {"path": ARM, "kind": "channel", "number": 7}
+    robot.client = await mom.connect(robot.hub.address, guest=True)
+    robot.arm = await robot.client.obey(ARM, robot.machine)
+    await robot.until(lambda: robot.arm.may_move() is None)
 
 
 async def test_a_stop_behind_more_than_it_keeps_is_obeyed(robot: Robot) -> None:
-    await robot.start()
+    await robot.start(event_buffer=8)
     await robot.until(lambda: robot.said("state"))
     # All of it is there before the device takes the first.
     notes = [Parcel("message", "note", ARM, number, sender="bob") for number in range(1100)]
@@ -203,6 +219,8 @@ async def test_a_stop_behind_more_than_it_keeps_is_obeyed(robot: Robot) -> None:
     await robot.until(lambda: robot.arm.is_stopped and "halt: stopped by bob: smoke" in robot.told)
     await robot.settled()
     assert robot.said("state")[-1]["stop"] == 7
+    # It has missed some, and what it missed is no more than that stop.
+    assert robot.said("stop") == [] and any("it has missed" in str(word) for word in robot.told)
 
 
 async def test_a_gap_is_a_stop_of_its_own(robot: Robot) -> None:

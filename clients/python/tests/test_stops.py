@@ -156,7 +156,7 @@ def test_a_report_is_read_whatever_the_hub_says() -> None:
     assert [device.word for device in report.channels[0].devices] == ["lost", "silent"]
     assert report.channels[2].newer == [mom.StopState(6, True, "bob", only=["w"])]
     assert (report.others, report.denied, report.is_obeyed) == (0, ["/f"], False)
-    assert StopReport.of({}).is_obeyed
+    assert StopReport.of({}).is_obeyed and not StopReport.of({"denied": ["/f"]}).is_obeyed
     assert mom.StopState.of("nothing") == mom.StopState() == mom.StopState.of({"since": 3, "by": ""})
 
 
