@@ -165,8 +165,8 @@ const EARLY = 4096;
 
 /** What stops and frees devices is never dropped here, unless its sender has said the same again. */
 function ofStops(event: Event): string | undefined {
-  // Of states only the newest matters; a loss of the connection counts in its place among them.
-  if (event.type === "stops") return `stops ${event.path} ${event.state.stopped}`;
+  // Of states only the newest matters, but those of some devices say nothing of the others; a loss of the connection counts in its place among them.
+  if (event.type === "stops") return `stops ${event.path} ${event.state.stopped} ${event.state.only.length > 0}`;
   if (event.type === "link-down") return event.type;
   if (event.type !== "message" || !/^(stop|unstop|halt)$/.test(event.name)) return undefined;
   return `${event.name} ${event.sender} ${event.parcel.context}`;

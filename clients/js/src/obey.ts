@@ -71,8 +71,12 @@ export class Device {
   }
 
   async #obey(): Promise<void> {
-    for await (const event of this.#events) this.#heard(event);
-    this.machine.halt("it is no device of its channel any more");
+    try {
+      for await (const event of this.#events) this.#heard(event);
+    } finally {
+      // Also where its machine has failed.
+      this.machine.halt("it is no device of its channel any more");
+    }
   }
 
   #heard(event: Event): void {

@@ -4,7 +4,7 @@ import { dropped, local } from "./error.js";
 import { abort, chunk } from "./frames.js";
 import type { Parcel } from "./parcel.js";
 import type { Pipe } from "./pipe.js";
-import { AGAIN, type Marks, STOP, isPerishable, keyOf, laneOf, waitsBehind, withdraws } from "./precedence.js";
+import { AGAIN, type Marks, STOP, isPerishable, keyOf, laneOf, passes, waitsBehind, withdraws } from "./precedence.js";
 import { wallMicros } from "./value.js";
 
 /** So much is given to a pipe ahead of time; the rest waits here, where what is urgent can overtake it. */
@@ -143,7 +143,7 @@ export class Outbox {
 
   /** Puts it into its lane, or behind what waits for messages. */
   #queue(entry: Entry): void {
-    if (this.#barrier && entry.lane < AGAIN) {
+    if (this.#barrier && entry.lane < AGAIN && !this.#passes(entry, this.#barrier)) {
       this.#behind.push(entry);
       return;
     }
@@ -151,6 +151,10 @@ export class Outbox {
     if (fits) for (const list of this.#lanes.values()) for (const waiting of list) if (fits(waiting)) this.#ahead.add(waiting);
     if (this.#ahead.size && fits) this.#barrier = entry;
     else this.#line(entry);
+  }
+
+  #passes({ parcel }: Entry, barrier: Entry): boolean {
+    return passes(parcel, barrier.parcel) && this.#behind.every((waiting) => passes(parcel, waiting.parcel));
   }
 
   #line(entry: Entry): void {

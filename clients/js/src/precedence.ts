@@ -52,16 +52,20 @@ export function waitsBehind(parcel: Parcel): ((message: { parcel: Parcel; token:
   return verb === "login logout" ? () => true : undefined;
 }
 
+/** Whether a parcel passes another one that waits behind messages: an owner that lets go something else goes on owning its token. */
+export function passes({ family, name, context }: Parcel, waiting: Parcel): boolean {
+  if (family !== "token" || name !== "renew" || waiting.family === "login") return false;
+  return waiting.family !== "token" || waiting.context !== context;
+}
+
 /** What a newer message shares with the one whose place it takes; undefined if it takes no place. */
 export function keyOf({ family, name, context, address }: Parcel, delivery: Delivery): string | undefined {
   if (family !== "message" || (name !== "stop" && name !== "unstop" && delivery !== "latest")) return undefined;
   return JSON.stringify([context, name, address && [...new Set(address)].sort()]);
 }
 
-/** Whether this stop withdraws what waits: what frees a device that it stops. A request for an unstop is not withdrawn: it lifts nothing newer than it names. */
+/** Whether this stop withdraws what waits: what frees a device that it stops. With requests nothing is: an unstop lifts nothing newer than it names. */
 export function withdraws(stop: Parcel, { family, name, context, address }: Parcel): boolean {
-  if (family !== "message" || name !== "unstop") return false;
-  if (stop.family === "context") return isWithin(context ?? "/", stop.context ?? "/");
-  if (context !== stop.context) return false;
+  if (stop.family !== "message" || family !== "message" || name !== "unstop" || context !== stop.context) return false;
   return !address || !stop.address || address.some((peer) => stop.address?.includes(peer));
 }

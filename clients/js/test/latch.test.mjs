@@ -150,16 +150,29 @@ test("a device stops itself, and halts when the hub is silent or it leaves", asy
   assert.equal(told.at(-1), "halt: it is no device of its channel any more");
 });
 
+test("a device whose machine fails halts it", async (t) => {
+  const { arm, told, say } = await device(t);
+  arm.machine.free = () => {
+    throw new Error("no brake");
+  };
+  say("stop", { extra: { stop: 7 } });
+  say("unstop", { extra: { stop: 7 } });
+  await assert.rejects(arm.ended, /no brake/);
+  assert.equal(told.at(-1), "halt: it is no device of its channel any more");
+});
+
 test("what the hub says of stops is kept in a full queue, the newest of it", async (t) => {
   const { hub, client } = await device(t, { eventBuffer: 2 });
   const events = client.peer.events("/robot/arm");
-  const tell = (name, number) => hub.link.say({ family: "event", name, context: "/robot/arm", sender: "hub", content: { number, stopped: name === "stopped", by: "bob", "unstopped-by": "carol" } });
+  const tell = (name, number, only = []) => hub.link.say({ family: "event", name, context: "/robot/arm", sender: "hub", content: { number, stopped: name === "stopped", by: "bob", "unstopped-by": "carol", only } });
   for (const [name, number] of [["stopped", 1], ["unstopped", 1], ["stopped", 2]]) tell(name, number);
+  // Of one device only: what is said of all holds beside it.
+  tell("stopped", 3, ["belt"]);
   for (let at = 0; at < 9; at++) hub.link.say({ family: "message", name: "map", context: "/robot/arm", sender: "bob" });
   await client.lookup("/chat");
   const got = [];
   for (let event = events.tryNext(); event; event = events.tryNext()) if (event.type === "stops") got.push([event.state.number, event.state.stopped, event.state.by, event.unstoppedBy]);
-  assert.deepEqual(got, [[1, false, "bob", "carol"], [2, true, "bob", "carol"]]);
+  assert.deepEqual(got, [[1, false, "bob", "carol"], [2, true, "bob", "carol"], [3, true, "bob", "carol"]]);
 });
 
 test("a device whose program stood still moves by nothing that came meanwhile", async (t) => {

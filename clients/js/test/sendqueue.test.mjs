@@ -165,7 +165,6 @@ const MORE = {
   "a stop of the first loss goes again after the second": [stop("s"), { hears: ["s"] }, ...lost(0), ...lost(0), stop("n"), ...ends(["n", "resent"])],
   "a half sent unstop is not replaced": [unstop("a", { bytes: 300_000 }), { begins: "a" }, unstop("b"), ...ends(["a", "b"])],
   "a request to stop waits behind nothing": [note("m"), request("s", "context", "stop", "/robot/arm"), ...ends(["s", "m"])],
-  "a request to stop withdraws what frees below it": [unstop("u"), unstop("v", { context: "/chat" }), request("s", "context", "stop", "/robot"), ...ends(["s", "v"], { u: "withdrawn" })],
   "a request for an unstop leaves behind what was said below its context": [note("m"), request("u", "context", "unstop", "/robot"), ...ends(["m", "u"])],
   "a request to stop is sent again after a loss, one for an unstop is not": [request("u", "context", "unstop", "/robot"), { hears: ["u"] }, request("s", "context", "stop", "/robot"), { hears: ["s"] }, ...lost(0), ...ends(["s", "resent"], { u: "unknown" })],
   "an unstop may be too old": [unstop("u", { expires: 5 }), { clock: 5 }, ...ends([], { u: "expired" })],

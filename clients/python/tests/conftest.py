@@ -8,6 +8,7 @@ import hashlib
 import os
 import re
 import shutil
+import signal
 import ssl
 import subprocess
 from pathlib import Path
@@ -52,6 +53,7 @@ class Broker:
         user = f'[[users]]\nname = "robot"\n{proofs}\nlevel = 1\ngroups = ["operator"]\n'
         (folder / "users.toml").write_text(users + user)
         self.port = 0
+        self.program = os.environ.get("MOM_BROKER", str(ROOT / "target/debug/mom-broker"))
         self._process: Optional[subprocess.Popen[str]] = None
         self.start()
 
@@ -70,7 +72,7 @@ class Broker:
 
     def start(self) -> None:
         """Starts it; at the port that it had before, if it had one."""
-        program = os.environ.get("MOM_BROKER", str(ROOT / "target/debug/mom-broker"))
+        program = self.program
         if not shutil.which(program):
             pytest.exit(f"{program} is missing: cargo build -p mom-broker, or MOM_BROKER=…/mom-broker")
         self._process = subprocess.Popen(
@@ -88,10 +90,17 @@ class Broker:
                 return
         raise AssertionError((self.folder / "log").read_text())
 
+    def signal(self, number: signal.Signals) -> None:
+        """Sends it a signal."""
+        assert self._process
+        self._process.send_signal(number)
+
     def stop(self) -> None:
         """Ends it."""
         if self._process:
             self._process.terminate()
+            # One that a test has frozen hears of it only then.
+            self._process.send_signal(signal.SIGCONT)
             self._process.wait(PATIENCE)
             self._process.stdout.close()  # type: ignore[union-attr]
 

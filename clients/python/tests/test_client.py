@@ -235,7 +235,9 @@ async def test_events_are_bounded_and_losses_are_told(broker: Broker) -> None:
         taken: List[mom.Event] = []
         while not (taken and isinstance(taken[-1], mom.Message) and taken[-1].content == 19):
             taken.append(await asyncio.wait_for(events.__anext__(), PATIENCE))
-        assert isinstance(taken[0], mom.Lagged) and taken[0].lost == 20 - len(taken) + 1
+        # Beside them it may have been told of a stop that another test said there.
+        counts = [event for event in taken if isinstance(event, mom.Message)]
+        assert isinstance(taken[0], mom.Lagged) and taken[0].lost == 20 - len(counts)
         events.close()
         await chat.send_acknowledged("count", 20)
         assert [event async for event in events] == []

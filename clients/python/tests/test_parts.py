@@ -12,11 +12,12 @@ from mom.address import Address
 from mom.clock import OffsetEstimator
 from mom.connection import Connection
 from mom.entry import Entry
-from mom.events import Subscribers, of_parcel
+from mom.events import of_parcel
 from mom.link import Link
 from mom.login import Credentials
 from mom.outbox import Outbox
 from mom.parcel import Parcel
+from mom.subscriptions import Subscribers
 
 PIN = "4355a46b19d348dc2f57c046f8ef63d4538ebb936000f3c9ee954a27460dd865"
 
@@ -438,6 +439,20 @@ async def test_a_full_queue_of_events_keeps_what_a_device_must_not_miss(name: st
         events._push(said("note", number))
     events._push(said(name, "kept", sender))
     assert taken(events) == [mom.Lagged(1), 1, 2, 3, "kept"]
+
+
+async def test_a_full_queue_of_events_keeps_what_is_said_of_stops_and_of_the_link() -> None:
+    down = mom.StateChanged(mom.LinkState("resuming"))
+    kept = [mom.Stops("/c", mom.StopState(3, True)), mom.LinkDown(), down, mom.StateChanged(mom.LinkState("connected"))]
+    events = subscribers().unaddressed()
+    for event in kept:
+        events._push(event)
+        for number in range(9):
+            events._push(said("note", number))
+    assert taken(events) == [mom.Lagged(36), *kept]
+    for event in [*kept, mom.Stops("/c", newer := mom.StopState(5, True))]:
+        events._push(event)
+    assert taken(events) == [mom.Lagged(1), *kept[1:], mom.Stops("/c", newer)]
 
 
 async def test_other_messages_are_kept_no_longer_than_others() -> None:

@@ -43,7 +43,6 @@ from .events import (
     Deleted,
     Dropped,
     Event,
-    Events,
     Expelled,
     Grabbed,
     Inhibited,
@@ -66,14 +65,19 @@ from .events import (
     Released,
     Requested,
     StateChanged,
+    Stops,
     Uninhibited,
 )
 from .gate import FenceGate, GuardState, StaleError
 from .holds import Loan, Lost
+from .latch import Held, Latch, Reaction
 from .login import Key
+from .obey import Device, Machine
 from .parcel import Parcel
 from .proxies import UNLIMITED, Channel, Given, Grab, Guard, InhibitGuard, Receipt, Session, Token, TokenGuard
 from .states import LinkState, Reconnect
+from .stops import DeviceAnswer, StopReport, StopState, ToldChannel
+from .subscriptions import Events
 from .transport import Trust
 from .values import Value
 
@@ -97,6 +101,8 @@ __all__ = [
     "Created",
     "DEFAULT_PORT",
     "Deleted",
+    "Device",
+    "DeviceAnswer",
     "Dropped",
     "DroppedError",
     "Event",
@@ -108,6 +114,7 @@ __all__ = [
     "Grabbed",
     "Guard",
     "GuardState",
+    "Held",
     "HubClock",
     "InhibitGuard",
     "Inhibited",
@@ -116,6 +123,7 @@ __all__ = [
     "Key",
     "Lagged",
     "Lapsed",
+    "Latch",
     "Left",
     "LinkDown",
     "LinkState",
@@ -123,6 +131,7 @@ __all__ = [
     "LocalError",
     "Lost",
     "LostError",
+    "Machine",
     "Member",
     "Message",
     "MomError",
@@ -133,6 +142,7 @@ __all__ = [
     "PeerLost",
     "PeerResumed",
     "Queued",
+    "Reaction",
     "Receipt",
     "Reconnect",
     "Refused",
@@ -143,9 +153,13 @@ __all__ = [
     "Session",
     "StaleError",
     "StateChanged",
+    "StopReport",
+    "StopState",
+    "Stops",
     "TimedOutError",
     "Token",
     "TokenGuard",
+    "ToldChannel",
     "Trust",
     "UNLIMITED",
     "Uninhibited",

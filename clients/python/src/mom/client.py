@@ -6,18 +6,21 @@ import asyncio
 from dataclasses import replace
 from datetime import datetime
 from types import TracebackType
-from typing import Any, AsyncIterator, Callable, Dict, Generator, List, Mapping, Optional, Type, Union
+from typing import Any, AsyncIterator, Callable, Dict, Generator, Iterable, List, Mapping, Optional, Type, Union
 
 from .address import Address
 from .clock import HubClock
 from .core import Core
 from .driver import Driver, Options
 from .errors import MomError
-from .events import ContextInfo, Events, Member, Other
+from .events import ContextInfo, Member, Other
 from .login import Credentials, Key
+from .obey import Device, Machine
 from .parcel import Parcel
 from .proxies import Channel, Session, Token, pages, thinning
 from .states import LinkState, Reconnect
+from .stops import StopReport, StopState
+from .subscriptions import Events
 from .transport import Trust
 from .values import now
 
@@ -165,11 +168,63 @@ class Client:
     ) -> Channel:
         """Joins a channel, parents first.
 
-        With `newest` or a `rate` the messages of others are thinned (`Channel.thin`). A `device` halts at each `stop`, stays
-        halted until `unstop`, and says so after each by a message `state` with `stopped` in its content.
+        With `newest` or a `rate` the messages of others are thinned (`Channel.thin`). A `device` obeys stops there, and says so
+        after each: `obey` does all of that, `Latch` the part without a machine.
         """
         terms = {**thinning(newest, rate), **({"device": True} if device else {})}
         return Channel(self._core, await self._core.enter_all(path, "channel", terms or None))
+
+    async def obey(self, path: str, machine: Machine) -> Device:
+        """Joins a channel, parents first, as a device that moves this machine, and halts it when it has to stand.
+
+        A device that may move ought to be connected with `heartbeat=0.5`: then it halts within a second when its hub is silent.
+        """
+        # From here on, since the answer to the join says how it stands.
+        events = self._core.subscribers.subscribe(path)
+        try:
+            return Device(self._core, await self.channel(path, device=True), machine, events)
+        except BaseException:
+            events.close()
+            raise
+
+    # Stops.
+
+    async def stop(
+        self, path: str, *, reason: str = "", only: Optional[Iterable[str]] = None, within: Optional[float] = None
+    ) -> StopReport:
+        """Stops all devices of a channel, or of all channels below a session in which this peer has the right `stop`.
+
+        It joins nothing, goes before everything else, and is answered when each device has said that it obeys, or after a second
+        (`within`, at most 10). `reason` is for whoever finds the devices stopped; `only` names the devices of a channel.
+        """
+        return await self._stopping("stop", path, {"reason": reason} if reason else {}, only, within)
+
+    async def unstop(
+        self,
+        path: str,
+        stops: Union[int, Mapping[str, int]],
+        *,
+        only: Optional[Iterable[str]] = None,
+        within: Optional[float] = None,
+    ) -> StopReport:
+        """Lifts the stops of a channel up to this number, or of channels by their paths up to theirs.
+
+        They are the newest that its user has seen, as in `StopState`, and never taken from a refusal: a newer one holds on, and
+        is named in the report.
+        """
+        numbers: Dict[str, Any] = {"stop": stops} if isinstance(stops, int) else {"stops": dict(stops)}
+        return await self._stopping("unstop", path, numbers, only, within)
+
+    async def stops(self, channel: str) -> StopState:
+        """How the devices of a channel stand by the hub's books."""
+        return StopState.of((await self.info(channel)).get("stop"))
+
+    async def _stopping(
+        self, name: str, path: str, content: Dict[str, Any], only: Optional[Iterable[str]], within: Optional[float]
+    ) -> StopReport:
+        content.update({"only": list(only)} if only is not None else {})
+        content.update({"within": round(within * 1000)} if within is not None else {})
+        return StopReport.of((await self._core.ask("context", name, path, content)).map())
 
     async def token(self, path: str) -> Token:
         """Joins a token, parents first; this gives its events, not ownership."""

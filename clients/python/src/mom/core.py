@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 from collections import OrderedDict
+from dataclasses import dataclass
 from datetime import datetime
-from typing import Any, Callable, Dict, List, Optional, Tuple
+from typing import Any, Callable, Dict, List, Optional
 
 from .clock import HubClock
 from .entry import Entry
@@ -19,13 +20,16 @@ from .errors import (
     TimedOutError,
     WireError,
 )
-from .events import Dropped, LinkDown, Other, Refused, Rejoined, StateChanged, Subscribers, is_within, of_parcel
+from .events import Dropped, LinkDown, Other, Refused, Rejoined, StateChanged, Stops, is_within, of_parcel
 from .gate import FenceGate
 from .holds import Holds
+from .latch import Latch
 from .link import Link
 from .outbox import Outbox
 from .parcel import Parcel
 from .states import LinkState
+from .stops import StopState
+from .subscriptions import Subscribers
 
 _REMEMBERED = 1024
 """The sent messages whose channels are known when a refusal comes."""
@@ -39,9 +43,20 @@ class Place:
         self.terms: Dict[str, Any] = {}
         """What it asked for there: thinning, `device`."""
         self.gate = FenceGate()
+        self.latch = Latch()
+        """What has come of stops: a device says so when it joins again."""
         self.info: Dict[str, Any] = {}
         """What the hub said when it was joined."""
-        self.joining: Optional[asyncio.Future[Dict[str, Any]]] = None
+        self.joining: Optional[asyncio.Future[None]] = None
+
+
+@dataclass(frozen=True)
+class _Pending:
+    """A request without its answer."""
+
+    answer: asyncio.Future[Parcel]
+    what: str
+    taken: Optional[Callable[[Parcel], None]]
 
 
 class Core:
@@ -65,7 +80,7 @@ class Core:
         """With what error the hub ends the connection."""
         self.state = LinkState("trying")
         self.on_state: List[Callable[[LinkState], None]] = []
-        self._pending: Dict[int, Tuple[asyncio.Future[Parcel], str]] = {}
+        self._pending: Dict[int, _Pending] = {}
         self._sent: OrderedDict[int, Optional[str]] = OrderedDict()
         self._ids = 0
 
@@ -115,7 +130,7 @@ class Core:
         guard = place.gate.guard if place else None
         token = guard.token if guard is not None and guard.covers(parcel.name) else None
         delivery = parcel.delivery or (place.info.get("delivery") if place else None) or "reliable"
-        answer, _ = self._pending.get(parcel.id, (None, None))
+        answer = self._pending[parcel.id].answer if parcel.id in self._pending else None
         entry = Entry(parcel, str(delivery), token, answer, self.outbox.clock())
         most = self.limit("parcel", 8 << 20)
         if entry.size > most:
@@ -132,11 +147,11 @@ class Core:
         """Lets a parcel wait without asking for room: requests, signs of life."""
         self.outbox.put(Entry(parcel, answer=answer))
 
-    def begin(self, parcel: Parcel) -> asyncio.Future[Parcel]:
-        """Lets a request wait to be sent; gives its answer to come."""
+    def begin(self, parcel: Parcel, taken: Optional[Callable[[Parcel], None]] = None) -> asyncio.Future[Parcel]:
+        """Lets a request wait to be sent; gives its answer to come. `taken` hears the reply before what comes behind it is heard."""
         parcel.id = self.next_id() if parcel.id is None else parcel.id
         number, future = parcel.id, asyncio.get_running_loop().create_future()
-        self._pending[number] = (future, _what(parcel))
+        self._pending[number] = _Pending(future, _what(parcel), taken)
         future.add_done_callback(lambda _: self._pending.pop(number, None))
         if parcel.family != "message":
             self.post(parcel, future)
@@ -182,7 +197,10 @@ class Core:
         elif parcel.is_("manager", "consult") and self.subscribers.deliver_consult(Other(parcel)):
             pass
         else:
-            self.subscribers.deliver(_paths(parcel), of_parcel(parcel))
+            event, place = of_parcel(parcel), self.places.get(parcel.context or "")
+            if place is not None:
+                place.latch.observe(event)
+            self.subscribers.deliver(_paths(parcel), event)
 
     def _receive_faulty(self, parcel: Parcel) -> None:
         # The hub passes content on as it came; what cannot be read is as good as lost.
@@ -192,12 +210,14 @@ class Core:
         error = parcel.error() if parcel.family == "error" else None
         if error is not None and error.closes:
             self.closing = error
-        future, _ = self._pending.get(parcel.reference or 0, (None, None))
-        if future is not None and not future.done():
-            if error is None:
-                future.set_result(parcel)
-            else:
-                future.set_exception(RefusedError(error))
+        pending = self._pending.get(parcel.reference or 0)
+        if pending is not None and not pending.answer.done():
+            if error is not None:
+                pending.answer.set_exception(RefusedError(error))
+                return
+            if pending.taken is not None:
+                pending.taken(parcel)
+            pending.answer.set_result(parcel)
         elif error is not None:
             path = self._sent.get(parcel.reference or 0) or parcel.context
             self.subscribers.deliver([path] if path else [], Refused(error, parcel.reference))
@@ -206,6 +226,8 @@ class Core:
         path, name, event = parcel.context or "/", parcel.name, of_parcel(parcel)
         place = self.places.get(path)
         mine = parcel.map().get("peer") == self.peer
+        if place is not None:
+            place.latch.observe(event)
         if name == "joined" and mine and place is not None and place.joining is not None:
             # The reply to the join says so, too.
             return
@@ -245,7 +267,8 @@ class Core:
         if place is not None and place.joining is not None:
             await asyncio.shield(place.joining)
             place = self.places.get(path)
-        if place is not None and (terms is None or terms == place.terms):
+        # A device always hears how it stands.
+        if place is not None and (terms is None or (terms == place.terms and not terms.get("device"))):
             return place
         if place is not None:
             await self._join(place, terms)
@@ -260,29 +283,34 @@ class Core:
 
     async def _join(self, place: Place, terms: Optional[Dict[str, Any]]) -> None:
         self.check_up()
-        await self._joined(place, terms, self._begin_join(place, terms))
+        await self._joined(place, self._begin_join(place, terms))
 
     def _begin_join(self, place: Place, terms: Optional[Dict[str, Any]]) -> asyncio.Future[Parcel]:
         place.joining = asyncio.get_running_loop().create_future()
         self.subscribers.keep_early(place.path)
-        return self.begin(Parcel("context", "join", place.path, terms, has_content=terms is not None))
+        said = {**terms, "device": place.latch.word()} if terms and terms.get("device") else terms
+        parcel = Parcel("context", "join", place.path, said, has_content=terms is not None)
+        return self.begin(parcel, lambda reply: self._take_join(place, terms, reply.map()))
 
-    async def _joined(
-        self, place: Place, terms: Optional[Dict[str, Any]], answer: asyncio.Future[Parcel]
-    ) -> None:
-        joining, place_info = place.joining, {}
+    def _take_join(self, place: Place, terms: Optional[Dict[str, Any]], info: Dict[str, Any]) -> None:
+        place.terms = place.terms if terms is None else terms
+        place.info = info
+        place.gate.joined(info)
+        if place.terms.get("device") or "stop" in info:
+            stops = Stops(place.path, StopState.of(info.get("stop")))
+            place.latch.observe(stops)
+            self.subscribers.deliver([place.path], stops)
+
+    async def _joined(self, place: Place, answer: asyncio.Future[Parcel]) -> None:
+        joining = place.joining
         try:
-            place_info = (await asyncio.wait_for(answer, self.request_timeout)).map()
+            await asyncio.wait_for(answer, self.request_timeout)
         except asyncio.TimeoutError:
             raise TimedOutError(f"context join {place.path}", self.request_timeout) from None
         finally:
             place.joining = None
-            if place_info:
-                place.terms = place.terms if terms is None else terms
-                place.info = place_info
-                place.gate.joined(place_info)
             if joining is not None and not joining.done():
-                joining.set_result(place_info)
+                joining.set_result(None)
 
     def rejoin_all(self) -> List[asyncio.Task[None]]:
         """Asks to join all contexts again, parents first, after a login that began anew: before anything else is said."""
@@ -296,7 +324,7 @@ class Core:
 
     async def _rejoined(self, path: str, place: Place, answer: asyncio.Future[Parcel]) -> None:
         try:
-            await self._joined(place, None, answer)
+            await self._joined(place, answer)
             self.subscribers.deliver([path], Rejoined())
         except RefusedError as error:
             self.subscribers.deliver_only(path, Refused(error.wire))
@@ -359,10 +387,10 @@ class Core:
         self.holds.lose_within("/", "disconnected")
         for place in self.places.values():
             place.gate.forget_owner()
-        for future, what in list(self._pending.values()):
-            if not future.done():
+        for pending in list(self._pending.values()):
+            if not pending.answer.done():
                 # The hub has read it, or may have.
-                future.set_exception(LostError(what, "unknown", why))
+                pending.answer.set_exception(LostError(pending.what, "unknown", why))
         self.subscribers.deliver_all(LinkDown())
 
     def _lose_link(self) -> None:
@@ -375,9 +403,9 @@ class Core:
         """Nothing will come any more."""
         self.enter(LinkState("closed", error=error))
         self.holds.lose_within("/", "disconnected")
-        for future, _ in list(self._pending.values()):
-            if not future.done():
-                future.set_exception(ClosedError(error))
+        for pending in list(self._pending.values()):
+            if not pending.answer.done():
+                pending.answer.set_exception(ClosedError(error))
         if error is None:
             # The answer to the logout says that all was read.
             self.link = None

@@ -87,6 +87,15 @@ class Entry:
         mine, theirs = self.addressees, other.addressees
         return self.parcel.context == other.parcel.context and (mine is None or theirs is None or bool(mine & theirs))
 
+    def passes(self, other: Entry) -> bool:
+        """Whether it does not wait for another one that waits behind messages.
+
+        A renewal does not: an owner that lets go something else goes on owning its token.
+        """
+        if not self.parcel.is_("token", "renew") or other.parcel.family == "login":
+            return False
+        return other.parcel.family != "token" or other.parcel.context != self.parcel.context
+
     def begin_anew(self) -> None:
         """The connection that took some of it is lost."""
         self.pieces = None
@@ -128,7 +137,7 @@ def _follows(parcel: Parcel) -> Optional[Callable[[Entry], bool]]:
         return lambda other: other.parcel.context == path
     if parcel.is_("token", "release") or _hands_over(parcel):
         return lambda other: other.token == path
-    if parcel.family == "context" and parcel.name in ("leave", "delete"):
+    if parcel.family == "context" and parcel.name in ("leave", "delete", "unstop"):
         return lambda other: is_within(other.parcel.context or "/", path)
     if parcel.is_("login", "logout"):
         return lambda other: True

@@ -6,8 +6,9 @@ import asyncio
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Dict, List, Optional, Set
 
+from .content import seconds
 from .errors import LostError, MomError, RefusedError
-from .events import is_within, seconds
+from .events import is_within
 from .parcel import Parcel
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ class Outbox:
     What may leave waits in `_queue`, the most urgent first. What must wait behind messages that were said before is kept
     out of it, at the head of `_behind`, until the last of those (`_ahead`) is gone; and behind it, in the order in which it
     was said, all else that was said since, as that must not overtake it. Stops, signs of life and what is sent again are
-    never kept there.
+    never kept there, and renewals only behind what concerns their own token.
     """
 
     def __init__(self, dropped: Callable[[Entry, str], None], clock: Callable[[], float] = time.monotonic) -> None:
@@ -118,7 +118,8 @@ class Outbox:
             if entry.follows is not None and not self._behind:
                 # Nothing of another lane could be overtaken.
                 self._ahead = {other for other in self._queue if other.lane == DATA and entry.follows(other)}
-            if self._ahead:
+            passes = bool(self._behind) and all(entry.passes(other) for other in self._behind)
+            if self._ahead and not passes:
                 self._behind[entry] = None
                 return
         insort(self._queue, entry)

@@ -9,10 +9,11 @@ from typing import Any, Dict, Generator, Iterable, List, Mapping, Optional, Type
 
 from .core import Core, Place
 from .errors import MomError
-from .events import ContextInfo, Events
+from .events import ContextInfo
 from .gate import FenceGate
 from .holds import Handover, Hold, Loan, Lost
 from .parcel import Parcel
+from .subscriptions import Events
 
 UNLIMITED = "unlimited"
 """For a grab that waits as long as it takes."""
@@ -103,6 +104,7 @@ class Channel(Proxy):
         fence: Optional[int] = None,
         based_on: Optional[int] = None,
         reference: Optional[int] = None,
+        stop: Optional[int] = None,
         trace: Optional[str] = None,
         id: Optional[int] = None,
         slots: Optional[Mapping[str, Any]] = None,
@@ -117,6 +119,7 @@ class Channel(Proxy):
         - `fence`: valid only under this ownership of the guarding token.
         - `based_on`: valid only if the device has not moved since the state with this id.
         - `reference`: the id of the message that this one replies to.
+        - `stop`: of an `unstop`, the number of the newest stop that its user has seen.
         - `trace`: the `traceparent` of the trace that it is part of.
         - `slots`: any others.
         """
@@ -125,7 +128,7 @@ class Channel(Proxy):
         parcel.priority, parcel.delivery, parcel.echo = priority, delivery, echo
         parcel.expires = None if expires is None else max(0, -int(-expires * 1000 // 1))
         parcel.fence, parcel.reference, parcel.id = fence, reference, id
-        extra = {"based-on": based_on, "trace": trace, **(slots or {})}
+        extra = {"based-on": based_on, "stop": stop, "trace": trace, **(slots or {})}
         parcel.extra = {key: value for key, value in extra.items() if value is not None}
         return parcel
 
