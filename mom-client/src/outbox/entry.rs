@@ -93,7 +93,7 @@ impl Follows {
             // Nothing that was said to a device at rest may reach it when it moves again.
             (Family::Message, event::UNSTOP) => Follows::Context,
             // Who gives up a context or a token has said all that before.
-            (Family::Context, "leave" | "delete") => Follows::Within,
+            (Family::Context, "leave" | "delete" | event::UNSTOP) => Follows::Within,
             (Family::Token, "release" | "give" | "inhibit") => Follows::Token,
             // An owner's answer to who asked; that to an offer gives nothing up.
             (Family::Token, "accept") if answers_request(parcel) => Follows::Token,
@@ -259,7 +259,8 @@ impl Item for Entry {
     }
 
     fn overtakes(&self, earlier: &Entry) -> bool {
-        self.renews && !matches!(earlier.family, Family::Token | Family::Login)
+        let same = self.context == earlier.context && earlier.family == Family::Token;
+        self.renews && !same && earlier.family != Family::Login
     }
 
     fn waits_behind_data(&self) -> bool {

@@ -248,6 +248,8 @@ impl World {
             return;
         }
         let path = context.path.clone();
+        let guard = context.channel().and_then(|channel| channel.guard.as_ref());
+        let matters = guard.is_some() || context.members.values().any(|member| member.device);
         let wish = Wish {
             message: Some(order.verb.word()),
             ..Wish::new(order.verb, number)
@@ -255,7 +257,8 @@ impl World {
         if self.ask(order.peer, &wish, &[]).is_ok() {
             return self.tell_channel(order, number, out);
         }
-        if !self.is_hidden(order.peer, number)
+        if matters
+            && !self.is_hidden(order.peer, number)
             && let Some(call) = self.stops.calls.get_mut(&order.call)
             && call.denied.len() < DENIED
         {

@@ -122,8 +122,16 @@ fn lift(
             "the channel was deleted meanwhile",
         ));
     };
-    let all = receivers(&route, unstop.peer, &unstop.parcel)?;
     let only = unstop.parcel.address.as_deref();
+    let all = match only.filter(|_| unstop.call.is_some()) {
+        None => receivers(&route, unstop.peer, &unstop.parcel)?,
+        // A device that is away finds that it may move.
+        Some(only) => {
+            let members = route.members.iter().enumerate();
+            let meant = members.filter(|(_, member)| only.contains(&member.facts.name));
+            Receivers::These(meant.map(|(place, _)| place).collect())
+        }
+    };
     let latch = world.stops.latch_mut(&route.path);
     let was_stopped = latch.is_stopped();
     let newer = latch.lift(unstop.up_to, only);

@@ -141,15 +141,18 @@ impl Latch {
         each.chain(&self.all).max_by_key(|stop| stop.number)
     }
 
-    /// `{number, stopped, by, user, since, reason, only}` of the channel.
+    /// `{number, stopped, by, user, since, reason, only, except}` of the channel.
     pub(crate) fn describe(&self) -> Map {
         let mut map = self.head(self.newest_holding());
-        if self.all.is_none() {
-            let names = self.each.iter().filter(|(_, own)| own.is_some());
-            let names: Vec<Value> = names.map(|(name, _)| Value::from(&**name)).collect();
-            if !names.is_empty() {
-                map.set("only", names);
-            }
+        // Those that are stopped where not all are, and those that are not where all others are.
+        let (key, stopped) = match self.all {
+            None => ("only", true),
+            Some(_) => ("except", false),
+        };
+        let names = self.each.iter().filter(|(_, own)| own.is_some() == stopped);
+        let names: Vec<Value> = names.map(|(name, _)| Value::from(&**name)).collect();
+        if !names.is_empty() {
+            map.set(key, names);
         }
         map
     }

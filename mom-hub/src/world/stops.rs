@@ -77,7 +77,7 @@ pub(crate) struct Call {
     pub(crate) away: BTreeMap<Path, (Fence, Kept)>,
     /// How many others were told.
     pub(crate) others: usize,
-    /// Channels that the peer may see and not stop.
+    /// Channels with a guard or devices that the peer may see and not stop.
     pub(crate) denied: Vec<Path>,
 }
 

@@ -160,10 +160,11 @@ fn tell(
             || line(order, channel, lifted.get(&channel.path)),
         )?;
     }
-    if !report.denied.is_empty() && !output.is_json() {
-        let paths: Vec<&str> = report.denied.iter().map(Path::as_str).collect();
-        let text = format!("you may not {} {}", order.word(), paths.join(", "));
-        output.human(ink(text, Tone::Notice))?;
+    for path in &report.denied {
+        output.tell(
+            || json!({"path": path.as_str(), "denied": true}),
+            || ink(format!("you may not {} {path}", order.word()), Tone::Bad),
+        )?;
     }
     if report.channels.is_empty() && report.others == 0 {
         return match order {
@@ -181,13 +182,13 @@ fn tell(
         let others = words::count(report.others, "channel");
         output.human(ink(format!("and {others} without a device"), Tone::Faint))?;
     }
-    if order == Order::Stop && report.channels.is_empty() {
+    if order == Order::Stop && report.channels.is_empty() && report.denied.is_empty() {
         return Err(Failure::new(
             "no device is there, so nothing is known to stand",
             "see what there is with: mom tree",
         ));
     }
-    match report.channels.iter().all(ToldChannel::is_obeyed) {
+    match report.denied.is_empty() && report.channels.iter().all(ToldChannel::is_obeyed) {
         true => Ok(()),
         false => Err(Failure::Told),
     }

@@ -351,6 +351,25 @@ async fn where_no_device_is_nothing_is_known_to_stand() {
     assert!(text(&output.stderr).contains("no device is there"), "{output:?}");
 }
 
+/// What one may not stop may move: that is no success.
+#[tokio::test(flavor = "multi_thread")]
+async fn what_one_may_not_stop_is_named_and_is_no_success() {
+    let mut lab = Away::start().await;
+    let rule = "[[managers.lab.rules]]\nname = \"alice does not stop the arm\"\nusers = [\"alice\"]\n\
+                where = [\"/robot/arm\"]\ndeny = [\"stop\"]\n\n[[managers.lab.rules]]";
+    let config = lab.home.config();
+    let config = config.replacen("[[managers.lab.rules]]", rule, 1);
+    lab.broker.kill().await;
+    lab.home.write_config(&config);
+    lab.broker = lab.home.start().await;
+    let _arm = lab.arm().await;
+    let output = lab.mom("alice", &["stop"]).await;
+    assert_eq!(output.status.code(), Some(1), "{output:?}");
+    let said = text(&output.stdout);
+    assert!(said.contains("you may not stop /robot/arm\n"), "{said}");
+    assert!(!said.contains("/chat"), "nothing is there that moves: {said}");
+}
+
 /// A release halts the arm: who wants its last command carried out waits for that.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_release_may_wait_until_the_arm_has_carried_out_the_last_command() {
