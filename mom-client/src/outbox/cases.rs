@@ -283,7 +283,8 @@ impl Talker {
                     "lost" | "unknown" => said.guarded || ["command", "unstop"].contains(&said.name.as_str()),
                     _ => true,
                 };
-                let left = said.left == (reason == "unknown");
+                // What has expired may have left, and come back.
+                let left = reason == "expired" || said.left == (reason == "unknown");
                 said.context == path && said.answer.is_none() && !said.told && left && of_its_kind
             };
             for _ in 0..count {
