@@ -307,7 +307,7 @@ fn with_owner(error: WireError, guard: &Guard, now: Micros) -> WireError {
 #[inline]
 pub fn receivers(route: &Route, peer: PeerId, parcel: &Parcel) -> Result<Receivers, WireError> {
     match &parcel.address {
-        Some(address) => addressed(route, address),
+        Some(address) => addressed(route, address, &*parcel.name == event::STOP),
         None => Ok(match (parcel.echo, route.position(peer)) {
             (Some(false), Some(own)) => Receivers::AllBut(own),
             _ => Receivers::All,
@@ -329,8 +329,10 @@ fn places_by_name(route: &Route) -> HashMap<&str, usize> {
         .collect()
 }
 
-fn addressed(route: &Route, address: &[Arc<str>]) -> Result<Receivers, WireError> {
+/// The members of these names. A stop is for those that are there: who has left does not keep the others moving.
+fn addressed(route: &Route, address: &[Arc<str>], is_stop: bool) -> Result<Receivers, WireError> {
     let mut places = Vec::new();
+    let mut unknown = None;
     // A parcel may hold thousands of names, and this runs in the channel's critical section: each is looked up once,
     // and where there are many the members are walked over once.
     let mut seen = HashSet::new();
@@ -347,16 +349,25 @@ fn addressed(route: &Route, address: &[Arc<str>]) -> Result<Receivers, WireError
             true => one_by_one(),
             false => all.get(&**name).copied(),
         };
-        let place = place.ok_or_else(|| {
-            let names = route.members.iter().map(|member| &*member.facts.name);
-            WireError::new(
-                Code::UNKNOWN_PEER,
-                format!("there is no member {name:?} in {}", route.path),
-            )
-            .slot("address")
-            .nearest_opt(nearest(name, names))
-        })?;
-        places.push(place);
+        match place {
+            Some(place) => places.push(place),
+            None if is_stop && unknown.is_some() => {}
+            None => {
+                let names = route.members.iter().map(|member| &*member.facts.name);
+                let error = WireError::new(
+                    Code::UNKNOWN_PEER,
+                    format!("there is no member {name:?} in {}", route.path),
+                );
+                let error = error.slot("address").nearest_opt(nearest(name, names));
+                if !is_stop {
+                    return Err(error);
+                }
+                unknown = Some(error);
+            }
+        }
     }
-    Ok(Receivers::These(places))
+    match unknown.filter(|_| places.is_empty()) {
+        Some(error) => Err(error),
+        None => Ok(Receivers::These(places)),
+    }
 }

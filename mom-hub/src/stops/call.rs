@@ -312,7 +312,7 @@ impl World {
                 Kept::No
             },
             newer: Vec::new(),
-            failed: false,
+            failed: None,
         }
     }
 
@@ -344,6 +344,20 @@ impl World {
             .get(parcel.context.as_ref().unwrap_or(&Path::root()))
             .copied();
         let up_to = up_to.unwrap_or_default();
+        // A device that took such a number for one of a stop would hold none of the stops below it.
+        if up_to
+            > self
+                .stops
+                .latch(parcel.context.as_ref().unwrap_or(&Path::root()))
+                .newest
+        {
+            let note = |called: &mut Called| {
+                called.failed = Some(Code::BAD_SLOT);
+                called.devices.clear();
+                called.kept = Kept::No;
+            };
+            return self.note_call(order.call, channel, note, out);
+        }
         let mut parcel = parcel;
         parcel.extra.set(STOP, up_to);
         let unstop = Unstop {
@@ -483,8 +497,9 @@ fn answer(call: &Call, keeps: bool) -> Map {
         if !called.newer.is_empty() {
             map.set("newer", newer_value(&called.newer));
         }
-        if called.failed || fails(called.kept) {
-            map.set("error", Code::STORAGE_FAILED.word());
+        let unkept = fails(called.kept).then_some(Code::STORAGE_FAILED);
+        if let Some(code) = called.failed.clone().or(unkept) {
+            map.set("error", code.word());
         }
         Value::Map(map)
     });

@@ -69,7 +69,10 @@ impl DeviceWord {
         if self.number < Fence::floor(epoch.saturating_add(AHEAD)) {
             return Ok(());
         }
-        let text = format!("no hub has given out a stop of number {}", self.number);
+        let text = format!(
+            "no hub has given out a stop of number {}; see that this machine's clock is right, or start the device without what it remembers",
+            self.number
+        );
         Err(WireError::new(Code::BAD_CONTENT, text).slot("content/device/stop"))
     }
 }
@@ -232,15 +235,17 @@ impl World {
         };
         // A device of protocol 1.1 names no number: what it says now is what it does.
         let number = match map.get(STOP) {
-            Some(Value::Int(number)) => u64::try_from(*number).ok().map(Fence::from),
-            _ => None,
+            None => None,
+            Some(Value::Int(number)) => Some(Fence::from(u64::try_from(*number).unwrap_or_default())),
+            Some(_) => Some(Fence::default()),
         };
         let calls: Vec<u64> = self.stops.calls.keys().copied().collect();
         for call in calls {
             let wants = self.stops.calls.get(&call).map(|call| call.verb);
             let obeys = stopped == (wants == Some(mom_proto::Verb::Stop));
             let note = |called: &mut crate::world::stops::Called| {
-                let heard = number.is_none_or(|number| number >= called.number);
+                // Who may move need not have heard of the stop that was lifted.
+                let heard = !stopped || number.is_none_or(|number| number >= called.number);
                 if let Some(word) = called.devices.get_mut(&name).filter(|_| obeys && heard) {
                     *word = Word::Obeys;
                 }

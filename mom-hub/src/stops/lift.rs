@@ -75,15 +75,15 @@ pub(super) fn finish(world: &mut World, unstop: &Unstop, kept: bool, out: &mut V
     match (unstop.call, ended) {
         (Some(call), ended) => {
             let (newer, failed) = match ended {
-                Ok(newer) => (newer, false),
-                Err(_) => (Vec::new(), true),
+                Ok(newer) => (newer, None),
+                Err(error) => (Vec::new(), Some(error.code)),
             };
             let kept = if kept { Kept::Yes } else { Kept::No };
             let note = |called: &mut crate::world::stops::Called| {
-                (called.newer, called.kept, called.failed) = (newer, kept, failed);
-                if failed || lifts_nothing(&called.newer, None) {
+                if failed.is_some() || lifts_nothing(&newer, None) {
                     called.devices.clear();
                 }
+                (called.newer, called.kept, called.failed) = (newer, kept, failed);
                 for (name, _) in &called.newer {
                     name.as_ref().and_then(|name| called.devices.remove(name));
                 }

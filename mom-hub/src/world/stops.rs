@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use mom_proto::{ContextNumber, Fence, HUB, Micros, Parcel, Path, Time, Verb};
+use mom_proto::{Code, ContextNumber, Fence, HUB, Micros, Parcel, Path, Time, Verb};
 
 use crate::tree::latch::{Latch, Newer, Stop, StopRecord};
 use crate::{PeerId, Ticket};
@@ -103,8 +103,8 @@ pub(crate) struct Called {
     pub(crate) devices: BTreeMap<Arc<str>, Word>,
     pub(crate) kept: Kept,
     pub(crate) newer: Vec<Newer>,
-    /// The unstop could not be kept, so it was not handed out.
-    pub(crate) failed: bool,
+    /// Why the unstop was not handed out.
+    pub(crate) failed: Option<Code>,
 }
 
 /// What a device has said to a call.

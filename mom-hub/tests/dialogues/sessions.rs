@@ -117,6 +117,8 @@ fn a_device_that_says_nothing_is_waited_for_so_long() {
     // What it says of an older stop, or that it moves, is no answer.
     stage.say("arm", "message state /lab/arm stopped=true number=0");
     stage.say("arm", "message state /lab/arm stopped=false");
+    stage.say("arm", "message state /lab/arm stopped=true stop=newest");
+    stage.say("arm", "message state /lab/arm stopped=true stop=-1");
     stage.say("alice", "message state /lab/arm stopped=true");
     assert_eq!(stage.at(199), [""; 0]);
     assert_eq!(stage.at(200), ["bob< ok"]);
@@ -253,6 +255,29 @@ fn a_stop_of_a_session_is_for_devices_that_are_away_with_their_channels() {
     assert!(heard.contains(&stop), "{heard:?}");
     let heard = stage.say("arm", "context join /lab/chat device=true");
     assert!(!heard.contains(&stop), "no device was there");
+}
+
+/// A device that took its number for one of a stop would hold none of the stops below it.
+#[test]
+fn an_unstop_of_a_stop_that_was_never_given_out_is_refused_in_any_form() {
+    let mut stage = stage();
+    stage.say("bob", "message stop /lab/arm");
+    let error = |stage: &Stage| {
+        let channels = told(stage)
+            .get("channels")
+            .and_then(Value::as_list)
+            .expect("channels")
+            .to_vec();
+        channels[0].get("error").cloned()
+    };
+    let heard = stage.say("alice", "context unstop /lab/arm number=2");
+    assert_eq!(of(&heard, &["alice", "arm"]), ["alice< ok"]);
+    assert_eq!(error(&stage), Some("bad-slot".into()));
+    let stops = Map::new().with("/lab/arm", i64::MAX);
+    let heard = stage.say_with("alice", "context unstop /lab", "stops", stops.into());
+    assert_eq!(of(&heard, &["arm"]), [""; 0]);
+    assert_eq!(error(&stage), Some("bad-slot".into()));
+    assert_eq!(stands(&mut stage, "/lab/arm"), (1, true));
 }
 
 #[test]

@@ -168,6 +168,25 @@ fn a_stop_of_one_device_holds_for_it_under_its_next_name() {
     assert_eq!(of(&heard, &["armour"]), ["armour< ok"]);
 }
 
+/// One that has left does not keep the others moving, and finds the stop when it comes.
+#[test]
+fn a_stop_of_several_devices_is_for_those_that_are_there() {
+    let mut stage = stage();
+    let heard = stage.say("bob", "message stop /lab/arm @to=ghost,arm");
+    assert_eq!(
+        of(&heard, &["arm", "bob"]),
+        ["arm< stop of bob stop=1", "bob< stopped by=bob"]
+    );
+    stage.enter("ghost", 1);
+    let heard = stage.say("ghost", "context join /lab/arm device=true");
+    assert_eq!(
+        of(&heard, &["ghost"]),
+        ["ghost< ok", "ghost< stop of hub stop=1 by=bob"]
+    );
+    let heard = stage.say("bob", "message stop /lab/arm @to=nobody");
+    assert_eq!(heard, ["bob< unknown-peer"]);
+}
+
 #[test]
 fn who_does_not_hear_the_stop_is_told_of_it() {
     let mut stage = stage();
