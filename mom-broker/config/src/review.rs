@@ -206,6 +206,12 @@ impl Config {
                 let text = format!("{name} never needs a token, so guarding it changes nothing");
                 self.warn(&at(&["guard", "names"]), text, found);
             }
+            if matches!(name.as_str(), "*" | "state") {
+                let text = format!(
+                    "{name} covers what a device says of itself, so nobody hears that it stands: guard command"
+                );
+                self.warn(&at(&["guard", "names"]), text, found);
+            }
         }
         if let Some(safe) = &context.safe {
             let named = |channel: &ContextSpec| channel.path.as_deref() == Some(safe.channel.as_str());

@@ -160,6 +160,11 @@ fn guards_and_safe_states_without_effect() {
         "stop never needs a token",
     );
     check(
+        &format!("{token}{channel}¦guard = {{ token = \"/t\", names = [\"*\"] }}\n"),
+        "contexts[1].guard.names",
+        "* covers what a device says of itself",
+    );
+    check(
         &format!("{token}¦safe = {{ channel = \"/x\", name = \"home\" }}\n{channel}"),
         "contexts[0].safe.channel",
         "this file has no /x",
