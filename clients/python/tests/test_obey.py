@@ -13,6 +13,8 @@ from fake_hub import FakeHub
 
 import mom
 from mom.binary import encode, frame
+from mom.connection import Connection
+from mom.driver import Driver
 from mom.parcel import Parcel
 
 ARM = "/robot/arm"
@@ -265,6 +267,26 @@ async def test_it_halts_when_the_hub_is_silent_and_may_move_when_that_is_heard(r
     assert held is not None and held.text == "the hub is silent"
     robot.hub.silent = False
     await robot.until(lambda: robot.arm.may_move() is None)
+
+
+async def test_it_moves_by_nothing_that_came_while_its_program_stood_still(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    served: List[Connection] = []
+    serve = Driver._serve
+
+    async def noting(driver: Driver, connection: Connection) -> str:
+        served.append(connection)
+        return await serve(driver, connection)
+
+    monkeypatch.setattr(Driver, "_serve", noting)
+    await robot.start()
+    await robot.until(lambda: robot.said("state"))
+    # As if nothing had run for so long: what is there then is older than the connection lives.
+    served[0].heard -= 1000
+    robot.say("command", "up")
+    await robot.until(lambda: len(served) > 1)
+    assert robot.told and all(str(word).startswith("halt: ") for word in robot.told)
 
 
 async def test_it_halts_at_its_end(robot: Robot) -> None:

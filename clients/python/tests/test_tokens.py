@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from typing import List
 
 import pytest
 from conftest import PATIENCE, Broker, Cutter, heard, state
@@ -45,6 +46,38 @@ async def test_one_drives_and_others_are_told_who(broker: Broker) -> None:
         command.fence = guard.fence
         with pytest.raises(mom.StaleError):
             watching.gate.check(command)
+
+
+async def test_a_release_may_wait_until_the_last_command_is_carried_out(broker: Broker) -> None:
+    async with broker.connect("alice") as alice, broker.connect("arm") as robot:
+        arm, token, device = await alice.channel(ARM), await alice.token(TOKEN), await robot.channel(ARM)
+        events = device.events()
+
+        async def commands(count: int) -> List[mom.Parcel]:
+            for number in range(count):
+                await arm.send("command", number)
+            found: List[mom.Parcel] = []
+            while len(found) < count:
+                parcel = (await heard(events, mom.Message)).parcel
+                found += [parcel] if parcel.name == "command" else []
+            return found
+
+        guard = await token.grab()
+        first, last = await commands(2)
+        releasing = asyncio.ensure_future(guard.release(after="done"))
+        words = [(first, alice.name, "finished"), (last, "bob", "finished"), (last, alice.name, "executing")]
+        for parcel, peer, word in words:
+            await device.send_acknowledged("status", {"peer": peer, "id": parcel.id, "state": word})
+        assert (await alice.info(TOKEN))["owner"] == alice.name and not releasing.done()
+        await device.send("status", {"peer": alice.name, "id": last.id, "state": "error"})
+        await releasing
+        assert (await alice.info(TOKEN)).get("owner") is None
+
+        guard = await token.grab()
+        await commands(1)
+        with pytest.raises(mom.TimedOutError):
+            await guard.release(after="done", within=0.01)
+        assert (await alice.info(TOKEN)).get("owner") is None
 
 
 async def test_a_higher_level_takes_it(broker: Broker) -> None:

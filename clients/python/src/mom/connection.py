@@ -28,6 +28,8 @@ class Connection:
         self.decoder = binary.Decoder(numbers)
         self.heard = 0.0
         """When something arrived last, by the loop's clock."""
+        self.gone = float("inf")
+        """For how many seconds the connection lives without a sign of life."""
         self._transport = transport
         self._parcels: Deque[Parcel] = deque()
         self._streams = 0
@@ -70,7 +72,11 @@ class Connection:
 
     async def _arrive(self) -> bool:
         data = await self._transport.read()
-        self.heard = asyncio.get_running_loop().time()
+        now = asyncio.get_running_loop().time()
+        # What lies there after a halt of the whole program was said before, and the hub has given the link up: a device must not move by it.
+        if self.heard and now - self.heard >= self.gone:
+            raise ConnectionDownError("this program stood still for longer than its connection lives")
+        self.heard = now
         for parcel, size in self.decoder.feed(data) if data else ():
             parcel.size = size
             self._parcels.append(parcel)

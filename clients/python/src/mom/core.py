@@ -138,6 +138,9 @@ class Core:
         await self.outbox.capacity(entry)
         self.check_up()
         self._sent[parcel.id] = parcel.context
+        hold = self.holds.of(token) if token is not None and parcel.name == "command" else None
+        if hold is not None:
+            hold.said(parcel.id)
         if len(self._sent) > _REMEMBERED:
             self._sent.popitem(last=False)
         self.outbox.put(entry)
@@ -197,10 +200,17 @@ class Core:
         elif parcel.is_("manager", "consult") and self.subscribers.deliver_consult(Other(parcel)):
             pass
         else:
+            if parcel.is_("message", "status"):
+                self._receive_status(parcel.map())
             event, place = of_parcel(parcel), self.places.get(parcel.context or "")
             if place is not None:
                 place.latch.observe(event)
             self.subscribers.deliver(_paths(parcel), event)
+
+    def _receive_status(self, status: Dict[str, Any]) -> None:
+        """How a device says that a command of this peer goes."""
+        if status.get("state") in ("finished", "error") and status.get("peer") == self.peer:
+            self.holds.ended(status.get("id"))
 
     def _receive_faulty(self, parcel: Parcel) -> None:
         # The hub passes content on as it came; what cannot be read is as good as lost.
@@ -208,6 +218,8 @@ class Core:
 
     def _receive_answer(self, parcel: Parcel) -> None:
         error = parcel.error() if parcel.family == "error" else None
+        if error is not None:
+            self.holds.ended(parcel.reference)
         if error is not None and error.closes:
             self.closing = error
         pending = self._pending.get(parcel.reference or 0)
@@ -349,6 +361,7 @@ class Core:
 
     def dropped(self, entry: Entry, reason: str) -> None:
         """Tells of a parcel that will not be sent, or not again."""
+        self.holds.ended(entry.parcel.id)
         parcel = entry.parcel
         if entry.answer is not None:
             # Who has got its answer, or waits no more, has heard all that there is to hear.

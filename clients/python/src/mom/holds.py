@@ -51,6 +51,30 @@ class Hold:
         self.guards = 0
         self.lost: asyncio.Future[Lost] = asyncio.get_running_loop().create_future()
         self.renewing: Optional[asyncio.Task[None]] = None
+        self._command: Optional[int] = None
+        """The last command that was said under it and of which no device has said how it ended, by its id."""
+        self._done: asyncio.Event = asyncio.Event()
+        self._done.set()
+
+    def said(self, number: int) -> None:
+        """A command is said under it."""
+        self._command = number
+        self._done.clear()
+
+    def ended(self, number: int) -> None:
+        """A command has ended, or will not be carried out."""
+        if self._command == number:
+            self._command = None
+            self._done.set()
+
+    async def done(self, within: float) -> bool:
+        """Whether a device says in time how the last command ended, or it was refused or lost, or this is over."""
+        done = asyncio.ensure_future(self._done.wait())
+        # Whatever it is lost for, nothing is done under it any more.
+        self.lost.add_done_callback(lambda _: self._done.set())
+        await asyncio.wait([done], timeout=within)
+        done.cancel()
+        return self._done.is_set()
 
     def read(self, grant: Dict[str, Any]) -> None:
         """Takes the terms of a grant."""
@@ -100,6 +124,12 @@ class Holds:
     def of(self, path: str, shared: bool = False) -> Optional[Hold]:
         """The ownership of a token, if there is one."""
         return (self._shared if shared else self._owned).get(path)
+
+    def ended(self, number: Optional[int]) -> None:
+        """A command has ended, or will not be carried out."""
+        for hold in self._owned.values():
+            if number is not None:
+                hold.ended(number)
 
     def granted(self, path: str, grant: Dict[str, Any], shared: bool = False, renew: bool = True) -> Hold:
         """Notes a grant; a repeated grab of one's own token is the same ownership."""

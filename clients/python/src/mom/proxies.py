@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Dict, Generator, Iterable, List, Mapping, Optional, Type, Union
+from typing import Any, Dict, Generator, Iterable, List, Literal, Mapping, Optional, Type, Union
 
 from .core import Core, Place
-from .errors import MomError
+from .errors import MomError, TimedOutError
 from .events import ContextInfo
 from .gate import FenceGate
 from .holds import Handover, Hold, Loan, Lost
@@ -215,6 +215,18 @@ class InhibitGuard(Guard):
 
 class TokenGuard(Guard):
     """Exclusive control of what a token guards, from `Token.grab` on."""
+
+    async def release(self, *, after: Optional[Literal["done"]] = None, within: float = 10) -> None:
+        """Releases it, after all messages sent before. Does nothing if it is lost already.
+
+        That halts the device, and what has not left the hub by then does not leave it any more: `after="done"` waits until the device has
+        said by `status` how the last command ended, for `within` seconds at most; then it is released all the same, and `TimedOutError`
+        says so.
+        """
+        done = after is None or self._released or await self._hold.done(within)
+        await super().release()
+        if not done:
+            raise TimedOutError("the last command", within)
 
     async def __aenter__(self) -> TokenGuard:
         return self
