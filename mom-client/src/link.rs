@@ -69,7 +69,6 @@ fn words(ended: Result<(), NetError>) -> String {
 
 async fn read(shared: Arc<Shared>, heard: Arc<Moment>, mut reader: Reader) -> Result<(), NetError> {
     let gone = shared.lock().me.limits.gone;
-    let mut alive = uptime();
     loop {
         while let Some(frame) = reader.try_next()? {
             let counts = !matches!(&frame, Frame::Parcel(parcel) if parcel.family == Family::Time);
@@ -84,14 +83,11 @@ async fn read(shared: Arc<Shared>, heard: Arc<Moment>, mut reader: Reader) -> Re
         if !reader.arrive().await? {
             return Ok(());
         }
-        // What lies there after a halt of the whole program was said before, and the hub has given the link up: a device must not
-        // move by it.
-        let now = uptime();
-        if now.saturating_sub(std::mem::replace(&mut alive, now)) >= gone {
+        // Bytes are a sign of life, whatever they are of: a large parcel may be long on its way. But what lies there after a halt of
+        // the whole program was said before, and the hub has given the link up: a device must not move by it.
+        if heard.note() >= gone {
             return Err(stood_still());
         }
-        // Bytes are a sign of life, whatever they are of: a large parcel may be long on its way.
-        heard.note();
     }
 }
 
@@ -145,21 +141,6 @@ fn renew(shared: &Shared, now: Instant) {
     shared.outgoing.notify_one();
 }
 
-/// The time since the machine's start, with that in which it slept.
-fn uptime() -> Duration {
-    #[cfg(target_os = "linux")]
-    {
-        let time = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);
-        Duration::try_from(time).unwrap_or_default()
-    }
-    #[cfg(not(target_os = "linux"))]
-    {
-        static START: std::sync::LazyLock<std::time::Instant> =
-            std::sync::LazyLock::new(std::time::Instant::now);
-        START.elapsed()
-    }
-}
-
 fn stood_still() -> NetError {
     let text = "this program stood still for longer than the link lives without a sign of life";
     NetError::Io(std::io::Error::new(std::io::ErrorKind::TimedOut, text))
@@ -180,9 +161,11 @@ impl Moment {
         }
     }
 
-    fn note(&self) {
+    /// It is now; gives for how long it was not.
+    fn note(&self) -> Duration {
         let millis = u64::try_from(self.start.elapsed().as_millis()).unwrap_or(u64::MAX);
-        self.millis.store(millis, Ordering::Relaxed);
+        let before = self.millis.swap(millis, Ordering::Relaxed);
+        Duration::from_millis(millis.saturating_sub(before))
     }
 
     fn at(&self) -> Instant {

@@ -307,7 +307,7 @@ fn with_owner(error: WireError, guard: &Guard, now: Micros) -> WireError {
 #[inline]
 pub fn receivers(route: &Route, peer: PeerId, parcel: &Parcel) -> Result<Receivers, WireError> {
     match &parcel.address {
-        Some(address) => addressed(route, address, &*parcel.name == event::STOP),
+        Some(address) => addressed(route, address, parcel.name()),
         None => Ok(match (parcel.echo, route.position(peer)) {
             (Some(false), Some(own)) => Receivers::AllBut(own),
             _ => Receivers::All,
@@ -330,7 +330,9 @@ fn places_by_name(route: &Route) -> HashMap<&str, usize> {
 }
 
 /// The members of these names. A stop is for those that are there: who has left does not keep the others moving.
-fn addressed(route: &Route, address: &[Arc<str>], is_stop: bool) -> Result<Receivers, WireError> {
+#[inline(never)]
+fn addressed(route: &Route, address: &[Arc<str>], message: &str) -> Result<Receivers, WireError> {
+    let is_stop = message == event::STOP;
     let mut places = Vec::new();
     let mut unknown = None;
     // A parcel may hold thousands of names, and this runs in the channel's critical section: each is looked up once,
