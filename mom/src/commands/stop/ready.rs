@@ -114,6 +114,7 @@ impl Ready<'_> {
             if !again {
                 return Ok(true);
             }
+            late = true;
             if !self.connected().await? {
                 return Ok(false);
             }
