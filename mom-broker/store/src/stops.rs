@@ -72,30 +72,41 @@ impl StopFile {
         };
         make_directory(directory).map_err(failed)?;
         let (path, lock) = own(directory, name).map_err(failed)?;
-        let read = read(&path, Some(&lock)).and_then(|rows| with_others(rows, directory, name, &path));
-        let (rows, unread) = match read {
-            Ok(rows) => (rows, None),
-            Err(reason) => {
-                // Kept for whoever looks for the cause; the next write makes a new one.
-                let damaged = path.with_extension("damaged");
-                let copy = fs::copy(&path, &damaged).ok().map(|_| damaged.display());
-                tracing::error!(
-                    file = %path.display(), reason, copy = copy.map(tracing::field::display),
-                    "what was stopped cannot be read: all devices are stopped until somebody unstops them"
-                );
-                (BTreeMap::new(), Some(reason))
-            }
-        };
-        let records = rows.values().cloned().map(StopRow::record);
-        let (records, unread) = match records.collect::<Result<Vec<_>, _>>() {
-            Ok(records) => (records, unread),
-            Err(reason) => (Vec::new(), Some(reason)),
-        };
+        let others = Others::of(directory, name, &path);
+        let mut unread = None;
+        let mut records = read(&path, Some(&lock)).unwrap_or_else(|reason| {
+            // Kept for whoever looks for the cause; the next write makes a new one.
+            let damaged = path.with_extension("damaged");
+            let copy = fs::copy(&path, &damaged).ok().map(|_| damaged.display());
+            tracing::error!(
+                file = %path.display(), reason, copy = copy.map(tracing::field::display),
+                "what was stopped cannot be read: all devices are stopped until somebody unstops them"
+            );
+            unread = Some(reason);
+            BTreeMap::new()
+        });
+        for (other, reason) in others.join(&mut records) {
+            tracing::error!(
+                file = %other.display(), reason,
+                "what was stopped in another broker cannot be read: all devices are stopped until somebody unstops them"
+            );
+            unread = unread.or(Some(format!("{}: {reason}", other.display())));
+        }
+        if unread.is_some() {
+            // What is free here may have been stopped there.
+            records.retain(|_, record| record.latch.is_stopped());
+        }
+        let rows: BTreeMap<Path, StopRow> = records
+            .values()
+            .map(|record| (record.path.clone(), StopRow::from(record)))
+            .collect();
+        let mut aside = Some(others);
         if unread.is_none() {
             let all: Vec<StopRow> = rows.values().cloned().collect();
             begin(&path, &lock, &all).map_err(failed)?;
-            forget_others(directory, name, &path).map_err(failed)?;
+            aside.take().into_iter().for_each(Others::forget);
         }
+        let records = records.into_values().collect();
         let (answers, received) = mpsc::unbounded_channel();
         let shared = Arc::new(Shared {
             inner: Mutex::new(Inner {
@@ -109,7 +120,9 @@ impl StopFile {
             shared: Arc::clone(&shared),
         };
         let writer = thread::Builder::new().name("stops".to_owned());
-        writer.spawn(move || run(&shared, &path, &lock)).map_err(failed)?;
+        writer
+            .spawn(move || run(&shared, &path, &lock, aside))
+            .map_err(failed)?;
         Ok(KeptStops {
             file,
             records,
@@ -167,7 +180,7 @@ impl Shared {
 }
 
 /// Writes whenever something has changed, until the end.
-fn run(shared: &Shared, path: &FilePath, lock: &File) {
+fn run(shared: &Shared, path: &FilePath, lock: &File, mut aside: Option<Others>) {
     loop {
         let mut inner = shared.inner.lock();
         while !inner.changed && inner.tickets.is_empty() && !inner.closing {
@@ -185,7 +198,10 @@ fn run(shared: &Shared, path: &FilePath, lock: &File) {
         let rows =
             std::mem::take(&mut inner.changed).then(|| inner.rows.values().cloned().collect::<Vec<_>>());
         drop(inner);
-        let written = rows.map_or(Ok(()), |rows| write(path, &rows));
+        let written = rows.map_or(Ok(()), |rows| begin(path, lock, &rows));
+        if written.is_ok() {
+            aside.take().into_iter().for_each(Others::forget);
+        }
         if let Err(error) = &written {
             tracing::error!(
                 file = %path.display(), %error,
@@ -224,51 +240,62 @@ fn all(directory: &FilePath, name: &str) -> impl Iterator<Item = PathBuf> {
     })
 }
 
-/// What was kept, with what others of the name have kept: a broker that begins while the one before it still ends knows what was
-/// stopped there, and so does the next one of both. Of two that differ the newer counts, of two of one number what is stopped.
-fn with_others(
-    mut rows: BTreeMap<Path, StopRow>,
-    directory: &FilePath,
-    name: &str,
-    own: &FilePath,
-) -> Result<BTreeMap<Path, StopRow>, String> {
-    for other in all(directory, name).filter(|other| other != own) {
-        let theirs = read(&other, None).map_err(|reason| {
-            set_aside(&other);
-            format!("{}: {reason}", other.display())
-        })?;
-        for (path, row) in theirs {
-            let counts = |known: &StopRow| (known.newest(), known.is_stopped());
-            match rows.get(&path) {
-                Some(known) if counts(known) >= counts(&row) => {}
-                _ => drop(rows.insert(path, row)),
+/// The files that other brokers of a configuration have kept, with the locks of those that have ended. A broker that begins while the
+/// one before it still ends knows what was stopped there, and so does the next one of both.
+struct Others {
+    files: Vec<(PathBuf, Option<File>)>,
+}
+
+impl Others {
+    fn of(directory: &FilePath, name: &str, own: &FilePath) -> Others {
+        let others = all(directory, name).filter(|other| other != own && other.exists());
+        // Locked before they are read: what somebody still writes is not removed.
+        let lock = |path: &FilePath| {
+            let lock = options().open(path.with_extension("lock")).ok()?;
+            lock.try_lock().is_ok().then_some(lock)
+        };
+        let files = others.map(|path| {
+            let lock = lock(&path);
+            (path, lock)
+        });
+        Others {
+            files: files.collect(),
+        }
+    }
+
+    /// Whatever holds in one of them holds. Gives those that cannot be read, and why.
+    fn join(&self, records: &mut BTreeMap<Path, StopRecord>) -> Vec<(PathBuf, String)> {
+        let mut unread = Vec::new();
+        for (file, _) in &self.files {
+            match read(file, None) {
+                Ok(theirs) => theirs.into_values().for_each(|theirs| {
+                    let empty = StopRecord {
+                        path: theirs.path.clone(),
+                        latch: mom_hub::Latch::default(),
+                    };
+                    let own = records.entry(theirs.path.clone()).or_insert(empty);
+                    own.latch.join(&theirs.latch);
+                }),
+                Err(reason) => unread.push((file.clone(), reason)),
+            }
+        }
+        unread
+    }
+
+    /// Removes those of brokers that have ended, once all that they keep is kept here; a damaged one is kept for whoever looks for the
+    /// cause.
+    fn forget(self) {
+        for (file, lock) in &self.files {
+            let Some(lock) = lock else { continue };
+            let gone = lock.set_len(0).and_then(|()| match read(file, None) {
+                Ok(_) => fs::remove_file(file),
+                Err(_) => fs::rename(file, file.with_extension("damaged")),
+            });
+            if let Err(error) = gone {
+                tracing::warn!(file = %file.display(), %error, "it is kept here, and cannot be removed there");
             }
         }
     }
-    Ok(rows)
-}
-
-/// Keeps a damaged file that nobody uses for whoever looks for the cause.
-fn set_aside(path: &FilePath) {
-    let lock = options().open(path.with_extension("lock"));
-    if lock.is_ok_and(|lock| lock.try_lock().is_ok()) {
-        let _ = fs::rename(path, path.with_extension("damaged"));
-    }
-}
-
-/// Removes the files of brokers that have ended, once all that they keep is kept here.
-fn forget_others(directory: &FilePath, name: &str, own: &FilePath) -> io::Result<()> {
-    for other in all(directory, name).filter(|other| other != own) {
-        if !other.try_exists()? {
-            continue;
-        }
-        let lock = options().open(other.with_extension("lock"))?;
-        if lock.try_lock().is_ok() {
-            lock.set_len(0)?;
-            fs::remove_file(&other)?;
-        }
-    }
-    Ok(())
 }
 
 /// The first file of this name that no other broker uses.
@@ -305,7 +332,7 @@ fn begin(path: &FilePath, mut lock: &File, rows: &[StopRow]) -> io::Result<()> {
 }
 
 /// What the file keeps; its lock tells one that was deleted from one that never was.
-fn read(path: &FilePath, lock: Option<&File>) -> Result<BTreeMap<Path, StopRow>, String> {
+fn read(path: &FilePath, lock: Option<&File>) -> Result<BTreeMap<Path, StopRecord>, String> {
     let text = match fs::read_to_string(path) {
         Ok(text) => text,
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
@@ -323,8 +350,9 @@ fn read(path: &FilePath, lock: Option<&File>) -> Result<BTreeMap<Path, StopRow>,
         return Err("its sum is wrong: something changed it, or it is cut".to_owned());
     }
     let rows: Vec<StopRow> = serde_json::from_str(body).map_err(|error| error.to_string())?;
-    let rows = rows.into_iter().map(|row| Ok((row.clone().record()?.path, row)));
-    rows.collect()
+    let records = rows.into_iter().map(StopRow::record);
+    let records = records.map(|record| record.map(|record| (record.path.clone(), record)));
+    records.collect()
 }
 
 fn write(path: &FilePath, rows: &[StopRow]) -> io::Result<()> {

@@ -58,8 +58,8 @@ impl Hub {
         })
     }
 
-    /// How the devices of all channels stand. A broker that could not read what was kept keeps this instead, or a second restart would
-    /// take the channels that nobody has spoken of since for free.
+    /// How the devices of the channels that are there stand. A broker that could not read what was kept keeps this instead, or a second
+    /// restart would take those of which nobody has spoken since for free. One that is made later is stopped up to that restart only.
     pub fn stop_records(&self) -> Vec<StopRecord> {
         let contexts = self.world.tree.iter();
         let channels = contexts.filter(|context| matches!(context.role, Role::Channel(_)));

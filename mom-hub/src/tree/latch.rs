@@ -1,7 +1,7 @@
 //! Which devices of a channel are stopped, and by the order of causes: every stop has a number that only rises, and an
 //! unstop lifts no stop above the number that it names, whichever way the two came (M43).
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use mom_proto::{Fence, Map, Path, Time, Value};
@@ -82,12 +82,14 @@ impl Latch {
         self.newest = self.newest.max(stop.number);
         let stop = Arc::new(stop);
         let known = self.each.keys().chain(only.unwrap_or_default());
-        let many = known.collect::<std::collections::BTreeSet<_>>().len() > NAMES;
+        let many = known.collect::<BTreeSet<_>>().len() > NAMES;
         match only.filter(|_| !many) {
             None => {
                 let before = std::mem::take(&mut self.each);
                 let was_whole = self.all.is_some() && before.values().all(Option::is_some);
-                self.all = Some(stop);
+                // One by name may be an older one, of a namesake.
+                let newest = before.into_values().flatten().chain([stop]);
+                self.all = newest.max_by_key(|stop| stop.number);
                 !was_whole
             }
             Some(names) => {
@@ -133,6 +135,26 @@ impl Latch {
             }
         }
         newer
+    }
+
+    /// Takes in what another hub has kept of the same channel: whatever holds in one of both holds.
+    pub fn join(&mut self, other: &Latch) {
+        let newer = |one: Option<&Arc<Stop>>, other: Option<&Arc<Stop>>| {
+            one.into_iter()
+                .chain(other)
+                .max_by_key(|stop| stop.number)
+                .cloned()
+        };
+        let all = newer(self.all.as_ref(), other.all.as_ref());
+        let names: BTreeSet<Arc<str>> = self.each.keys().chain(other.each.keys()).cloned().collect();
+        let each = names.into_iter().filter_map(|name| {
+            let own = newer(self.holding(&name), other.holding(&name));
+            (own != all).then_some((name, own))
+        });
+        self.each = each.collect();
+        self.all = all;
+        self.newest = self.newest.max(other.newest);
+        self.device |= other.device;
     }
 
     /// The newest stop that holds.
@@ -259,6 +281,41 @@ mod tests {
         }
         assert_eq!(latch.each.len(), NAMES, "who is one too many stays stopped");
         assert_eq!(held(&latch), [1000, 1000, 1000]);
+    }
+
+    #[test]
+    fn whatever_holds_in_one_of_two_holds() {
+        let kept = |stops: &[(u64, Option<&[&str]>)], lifted: &[&str]| {
+            let mut latch = Latch::default();
+            for (number, only) in stops {
+                latch.stop(stop(*number), only.map(names).as_deref());
+            }
+            if !lifted.is_empty() {
+                latch.lift(99.into(), Some(&names(lifted)));
+            }
+            latch
+        };
+        let join = |mut one: Latch, other: &Latch| {
+            one.join(other);
+            (held(&one), u64::from(one.newest))
+        };
+        let (none, all) = (Latch::default(), kept(&[(5, None)], &["c"]));
+        let by_name = kept(&[(7, Some(&["a"])), (8, Some(&["b"]))], &["b"]);
+        assert_eq!(join(none.clone(), &all), ([5, 5, 0], 5));
+        assert_eq!(
+            join(all.clone(), &none),
+            ([5, 5, 0], 5),
+            "who was let go stays so"
+        );
+        assert_eq!(join(all.clone(), &by_name), ([7, 5, 0], 8));
+        assert_eq!(join(by_name, &kept(&[(6, None)], &["a"])), ([7, 6, 6], 8));
+        let device = Latch {
+            device: true,
+            ..Latch::default()
+        };
+        let mut joined = all;
+        joined.join(&device);
+        assert!(joined.device);
     }
 
     #[test]

@@ -56,16 +56,6 @@ impl From<&StopRecord> for StopRow {
 }
 
 impl StopRow {
-    /// The number of the newest stop.
-    pub fn newest(&self) -> u64 {
-        self.newest
-    }
-
-    /// Whether a stop holds for any device.
-    pub fn is_stopped(&self) -> bool {
-        self.all.is_some() || self.each.iter().any(|(_, own)| own.is_some())
-    }
-
     /// The record.
     ///
     /// # Errors

@@ -35,11 +35,15 @@ fn open(folder: &FilePath) -> KeptStops {
 
 /// The channels with their numbers; `!` = stopped.
 fn words(kept: &KeptStops) -> Vec<String> {
+    words_of(&kept.records)
+}
+
+fn words_of(records: &[StopRecord]) -> Vec<String> {
     let word = |record: &StopRecord| {
         let mark = if record.latch.is_stopped() { "!" } else { "" };
         format!("{} {}{mark}", record.path, u64::from(record.latch.newest))
     };
-    kept.records.iter().map(word).collect()
+    records.iter().map(word).collect()
 }
 
 #[test]
@@ -51,7 +55,7 @@ fn a_broker_that_begins_before_the_older_one_has_ended_knows_its_stops() {
     assert_eq!(answers.blocking_recv(), Some((Ticket(1), true)));
     let new = open(folder.path());
     assert_eq!(words(&new), ["/arm 5!"]);
-    // Each goes on by itself; the next one knows the newer of both, and what is stopped if they know of the same.
+    // Each goes on by itself; for the next one all holds that holds in one of both.
     for (file, number, channel, newest, stopped) in [
         (&old.file, 2, "/arm", 5, false),
         (&old.file, 3, "/belt", 7, true),
@@ -63,14 +67,14 @@ fn a_broker_that_begins_before_the_older_one_has_ended_knows_its_stops() {
     old.file.close();
     new.file.close();
     let next = open(folder.path());
-    assert_eq!(words(&next), ["/arm 5!", "/belt 8", "/crane 9!"]);
+    assert_eq!(words(&next), ["/arm 5!", "/belt 8!", "/crane 9!"]);
     assert!(
         !folder.path().join("stops-2.json").exists(),
         "all of it is in the first one"
     );
     next.file.keep(&record("/arm", 5, false), None);
     next.file.close();
-    assert_eq!(words(&open(folder.path())), ["/arm 5", "/belt 8", "/crane 9!"]);
+    assert_eq!(words(&open(folder.path())), ["/arm 5", "/belt 8!", "/crane 9!"]);
 }
 
 #[test]
@@ -93,6 +97,15 @@ fn a_file_that_is_gone_or_damaged_is_not_one_that_never_was() {
     let damaged = open(folder.path());
     let reason = damaged.unread.expect("another one's may say anything");
     assert!(reason.contains("stops-2.json: its sum is wrong"), "{reason}");
+    assert_eq!(
+        words_of(&damaged.records),
+        ["/arm 5!"],
+        "what can be read is known"
+    );
+    // The sign of it goes once all that holds is kept.
+    assert!(folder.path().join("stops-2.json").exists());
+    damaged.file.keep(&record("/belt", 6, true), None);
     damaged.file.close();
+    assert!(folder.path().join("stops-2.damaged").exists());
     assert_eq!(open(folder.path()).unread, None, "it is told once");
 }
