@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use mom_proto::{ContextKind, Path, Verb};
 
+use super::call::NAMED;
 use crate::asking::wish::Wish;
 use crate::tree::latch::Stop;
 use crate::world::World;
@@ -62,7 +63,10 @@ impl World {
             Kept::No
         };
         if let Some(call) = self.stops.calls.get_mut(&order.call) {
-            call.away.insert(path.clone(), (number, kept));
+            match call.channels.len() + call.away.len() < NAMED {
+                true => drop(call.away.insert(path.clone(), (number, kept))),
+                false => call.others += 1,
+            }
         }
         let storing = Storing::Away {
             call: order.call,

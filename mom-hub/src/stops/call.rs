@@ -33,7 +33,7 @@ const CALLS: usize = 8;
 const SWEEPS: usize = 2;
 
 /// Channels and refused paths that one reply names.
-const NAMED: usize = 1024;
+pub(super) const NAMED: usize = 1024;
 const DENIED: usize = 64;
 
 #[derive(Default, Deserialize)]

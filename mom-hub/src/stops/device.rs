@@ -96,6 +96,7 @@ impl World {
         if !self.stops.latch(&path).device {
             self.stops.latch_mut(&path).device = true;
             self.keep(channel, None, out);
+            self.bound_stops(out);
         }
         let Some(stop) = self.stops.latch(&path).of_namesake(&name) else {
             return;

@@ -69,8 +69,9 @@ pub(super) fn finish(world: &mut World, unstop: &Unstop, kept: bool, out: &mut V
     let channel = unstop.channel;
     let ended = lift(world, unstop, kept, out);
     // What was kept may say more than what holds: a stop has come meanwhile, or it was called off.
-    if world.keeps_stops() {
-        world.keep(channel, None, out);
+    // Also where the channel is gone: by its path, or a restart would take it for free.
+    if let Some(path) = unstop.parcel.context.as_ref() {
+        world.keep_record(world.stops.record(path), None, out);
     }
     match (unstop.call, ended) {
         (Some(call), ended) => {

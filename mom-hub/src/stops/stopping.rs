@@ -89,7 +89,7 @@ impl World {
         }
     }
 
-    fn bound_stops(&mut self, out: &mut Vec<Effect>) {
+    pub(super) fn bound_stops(&mut self, out: &mut Vec<Effect>) {
         let tree = &self.tree;
         let forgotten = self.stops.bound(tree.len(), |path| tree.find(path).is_some());
         for path in forgotten {

@@ -381,6 +381,24 @@ fn a_stop_while_an_unstop_is_being_kept_holds() {
     );
 }
 
+/// The last word that is kept is what holds.
+#[test]
+fn an_unstop_of_a_channel_that_goes_meanwhile_is_not_kept() {
+    let mut stage = keeping();
+    stage.say("alice", "context create /lab/rover kind=channel");
+    for name in ["alice", "bob"] {
+        stage.say(name, "context join /lab/rover");
+    }
+    stage.say("bob", "message stop /lab/rover");
+    let kept = |stage: &Stage| stage.kept.last().map(|(record, _)| record.latch.is_stopped());
+    assert_eq!(kept(&stage), Some(true));
+    stage.say("alice", "message unstop /lab/rover @stop=1");
+    assert_eq!(kept(&stage), Some(false));
+    stage.say("alice", "context delete /lab/rover");
+    stage.answer_kept(true);
+    assert_eq!(kept(&stage), Some(true));
+}
+
 #[test]
 fn who_has_gone_meanwhile_frees_nobody() {
     let mut stage = keeping();

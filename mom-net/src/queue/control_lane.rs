@@ -40,6 +40,11 @@ impl<I: Item> ControlLane<I> {
     /// Adds an entry that waits behind nothing before the first that waits behind data, if it overtakes that and all after it, else
     /// at the end.
     pub(super) fn push_ahead(&mut self, entry: Entry<I>) {
+        // It is looked at where there is something to overtake only.
+        let last = self.entries.back();
+        if !last.is_some_and(|last| entry.item.overtakes(&last.entry.item)) {
+            return self.push(entry, None);
+        }
         let waiting = self.entries.iter().position(|earlier| earlier.behind.is_some());
         let overtakes = |at: &usize| {
             let mut later = self.entries.range(*at..);
