@@ -23,6 +23,8 @@ pub struct StopState {
     pub reason: Option<String>,
     /// The devices that are stopped, if it is not all of the channel.
     pub only: Vec<String>,
+    /// Devices that were let go by name while all others are stopped.
+    pub except: Vec<String>,
 }
 
 impl StopState {
@@ -39,6 +41,7 @@ impl StopState {
             },
             reason: owned(map, "reason"),
             only: name_list(map, "only"),
+            except: name_list(map, "except"),
         }
     }
 
@@ -218,7 +221,7 @@ impl Latch {
 
     fn learn(&mut self, state: &StopState) -> Option<Reaction> {
         // Of others: what concerns this device comes by a message.
-        if state.stopped && !state.only.is_empty() {
+        if state.stopped && !(state.only.is_empty() && state.except.is_empty()) {
             return None;
         }
         self.known = true;
@@ -266,6 +269,8 @@ mod tests {
         stopped: bool,
         #[serde(default)]
         only: Vec<String>,
+        #[serde(default)]
+        except: Vec<String>,
         turn: Option<String>,
         moves: bool,
         says: u64,
@@ -287,6 +292,7 @@ mod tests {
                     number: self.number.unwrap_or_default(),
                     stopped: self.stopped,
                     only: self.only.clone(),
+                    except: self.except.clone(),
                     ..StopState::default()
                 }),
                 "gap" => Event::Lagged(3),

@@ -19,17 +19,21 @@ const LAST_WORDS: Duration = Duration::from_secs(1);
 
 /// Runs a connection to its end; gives why it ended.
 pub(crate) async fn run(shared: &Arc<Shared>, transceiver: Transceiver) -> String {
-    let heard = Arc::new(Moment::now());
+    let (heard, spoke) = (Arc::new(Moment::now()), Arc::new(AtomicU64::new(uptime())));
     // Ends when it is dropped with this future.
     let mut tasks = JoinSet::new();
     let reading = tasks
-        .spawn(read(Arc::clone(shared), Arc::clone(&heard), transceiver.reader))
+        .spawn(read(
+            Arc::clone(shared),
+            (Arc::clone(&heard), Arc::clone(&spoke)),
+            transceiver.reader,
+        ))
         .id();
     let link = shared.lock().outbox.mark().link;
     tasks.spawn(sending::write(Arc::clone(shared), transceiver.writer, link));
     let first = tokio::select! {
         ended = tasks.join_next_with_id() => Ended::Task(ended),
-        () = keep(shared, &heard) => Ended::Silence,
+        () = keep(shared, &heard, &spoke) => Ended::Silence,
     };
     let why = match first {
         Ended::Silence => "the hub has been silent for too long".to_owned(),
@@ -67,11 +71,20 @@ fn words(ended: Result<(), NetError>) -> String {
     }
 }
 
-async fn read(shared: Arc<Shared>, heard: Arc<Moment>, mut reader: Reader) -> Result<(), NetError> {
-    let gone = shared.lock().me.limits.gone;
+async fn read(
+    shared: Arc<Shared>,
+    (heard, spoke): (Arc<Moment>, Arc<AtomicU64>),
+    mut reader: Reader,
+) -> Result<(), NetError> {
+    let gone = u64::try_from(shared.lock().me.limits.gone.as_millis()).unwrap_or(u64::MAX);
+    let mut alive = uptime();
     loop {
         while let Some(frame) = reader.try_next()? {
             let counts = !matches!(&frame, Frame::Parcel(parcel) if parcel.family == Family::Time);
+            if matches!(&frame, Frame::Parcel(parcel) if parcel.is(Family::Time, "ping")) {
+                // It is answered.
+                spoke.store(uptime(), Ordering::Relaxed);
+            }
             match frame {
                 Frame::Parcel(parcel) => shared.receive(*parcel),
                 Frame::Malformed { error, .. } => shared.receive_malformed(error),
@@ -84,15 +97,19 @@ async fn read(shared: Arc<Shared>, heard: Arc<Moment>, mut reader: Reader) -> Re
             return Ok(());
         }
         // Bytes are a sign of life, whatever they are of: a large parcel may be long on its way. But what lies there after a halt of
-        // the whole program was said before, and the hub has given the link up: a device must not move by it.
-        if heard.note() >= gone {
+        // the whole program was said before, and the hub, which has not heard of it either, has given the link up: a device must not
+        // move by it.
+        let (now, before) = (uptime(), alive.min(spoke.load(Ordering::Relaxed)));
+        if now.saturating_sub(before) >= gone {
             return Err(stood_still());
         }
+        alive = now;
+        heard.note();
     }
 }
 
 /// Says `time ping` at once and each heartbeat, renews leases, and ends when the hub has been silent for too long.
-async fn keep(shared: &Shared, heard: &Moment) {
+async fn keep(shared: &Shared, heard: &Moment, spoke: &AtomicU64) {
     let limits = shared.lock().me.limits.clone();
     let mut pinged = Instant::now();
     let mut heard_at = pinged;
@@ -109,6 +126,7 @@ async fn keep(shared: &Shared, heard: &Moment) {
         // receives would seem dead to it, and the estimate of the hub's clock would grow old.
         if now >= pinged + limits.heartbeat {
             pinged = now;
+            spoke.store(uptime(), Ordering::Relaxed);
             shared.measure();
             continue;
         }
@@ -141,6 +159,22 @@ fn renew(shared: &Shared, now: Instant) {
     shared.outgoing.notify_one();
 }
 
+/// The ms since the machine's start, with those in which it slept.
+fn uptime() -> u64 {
+    #[cfg(target_os = "linux")]
+    let time = {
+        let time = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);
+        Duration::try_from(time).unwrap_or_default()
+    };
+    #[cfg(not(target_os = "linux"))]
+    let time = {
+        static START: std::sync::LazyLock<std::time::Instant> =
+            std::sync::LazyLock::new(std::time::Instant::now);
+        START.elapsed()
+    };
+    u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
+}
+
 fn stood_still() -> NetError {
     let text = "this program stood still for longer than the link lives without a sign of life";
     NetError::Io(std::io::Error::new(std::io::ErrorKind::TimedOut, text))
@@ -161,11 +195,9 @@ impl Moment {
         }
     }
 
-    /// It is now; gives for how long it was not.
-    fn note(&self) -> Duration {
+    fn note(&self) {
         let millis = u64::try_from(self.start.elapsed().as_millis()).unwrap_or(u64::MAX);
-        let before = self.millis.swap(millis, Ordering::Relaxed);
-        Duration::from_millis(millis.saturating_sub(before))
+        self.millis.store(millis, Ordering::Relaxed);
     }
 
     fn at(&self) -> Instant {

@@ -36,7 +36,7 @@ pub struct Stopping {
 /// What came of a stop or an unstop.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct StopReport {
-    /// The channels that have devices or a guard.
+    /// The channels that have devices or a guard, and those that had devices and are not there; 1024 at most.
     pub channels: Vec<ToldChannel>,
     /// How many other channels were told.
     pub others: u64,
@@ -51,7 +51,7 @@ pub struct ToldChannel {
     pub path: Path,
     /// The number of the stop, or of the newest one that the unstop was to lift.
     pub number: u64,
-    /// Whether a token guards it: devices are meant to be there.
+    /// Whether a device is meant to be there: a token guards it, or one was there before.
     pub guarded: bool,
     /// Whether the hub knows of it after a restart.
     pub kept: bool,
@@ -59,7 +59,7 @@ pub struct ToldChannel {
     pub devices: Vec<(String, DeviceAnswer)>,
     /// Newer stops, which hold on: the unstop did not lift them.
     pub newer: Vec<StopState>,
-    /// Why the unstop was not handed out.
+    /// Why the unstop was not handed out, or that the stop cannot be kept.
     pub error: Option<String>,
 }
 

@@ -19,12 +19,16 @@ export interface StopState {
   reason?: string;
   /** The devices that are stopped, if it is not all of the channel. */
   only: string[];
+  /** Devices that were let go by name while all others are stopped. */
+  except?: string[];
 }
 
 /** @internal From the map that the hub tells of stops; where it tells none, nothing was ever stopped. */
 export function stopStateOf(value: Value | undefined): StopState {
   const fields = fieldsOf(value);
   const state: StopState = { number: int(fields, "number") ?? 0, stopped: fields["stopped"] === true, only: list(fields, "only").map(String) };
+  const except = list(fields, "except").map(String);
+  if (except.length) state.except = except;
   for (const key of ["by", "user", "reason"] as const) {
     const word = text(fields, key);
     if (word !== undefined) state[key] = word;
@@ -149,7 +153,7 @@ export class Latch {
 
   #learn(state: StopState): Turn | undefined {
     // Of others: what concerns this device comes by a message.
-    if (state.stopped && state.only.length) return undefined;
+    if (state.stopped && (state.only.length || state.except?.length)) return undefined;
     this.#known = true;
     return state.stopped ? this.#take(state.number, state.by, state.reason) : this.#unstop(state.number);
   }

@@ -50,6 +50,8 @@ export class Peer {
   #lastId = 0;
   #heard = 0;
   #pinged = 0;
+  /** When the hub was last told that this peer is there. */
+  #spoke = 0;
   #sentTo = new Map<number, string>();
   #graceOver: ReturnType<typeof setTimeout> | undefined;
   #endServing: (why: string) => void = () => undefined;
@@ -173,7 +175,10 @@ export class Peer {
     this.#closing = null;
     this.#heard = performance.now();
     wire.frames.most = this.me!.limits.parcel;
-    wire.beforePong = () => this.#tell();
+    wire.beforePong = () => {
+      this.#spoke = performance.now();
+      this.#tell();
+    };
     if (!resumed) this.clock.forget();
     this.#state({ state: "connected", door: shown(wire.pipe.door), resumed });
     return () => this.#serve(wire);
@@ -209,7 +214,7 @@ export class Peer {
 
   #ping(): void {
     if (!this.#wire) return;
-    this.#pinged = performance.now();
+    this.#pinged = this.#spoke = performance.now();
     this.#tell();
     const id = ++this.#lastId;
     const sent = wallMicros();
@@ -293,7 +298,7 @@ export class Peer {
   #receive(parcel: Parcel | null, size: number): void {
     const now = performance.now();
     // What lies there after a halt of the whole program was said before, and the hub has given the link up: a device must not move by it.
-    if (now - this.#heard > this.me!.limits.gone) return this.#endServing("this program stood still for longer than the link lives without a sign of life");
+    if (now - Math.min(this.#heard, this.#spoke) > this.me!.limits.gone) return this.#endServing("this program stood still for longer than the link lives without a sign of life");
     this.#heard = now;
     if (this.state.state === "stale") this.#state({ state: "connected", door: shown(this.#wire!.pipe.door), resumed: false });
     if (parcel?.family === "time") return this.#time(parcel);

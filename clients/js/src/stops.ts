@@ -20,7 +20,7 @@ export interface ToldChannel {
   path: string;
   /** The number of the stop, or of the newest one that the unstop was to lift. */
   number: number;
-  /** Whether a token guards it: devices are meant to be there. */
+  /** Whether a device is meant to be there: a token guards it, or one was there before. */
   guarded: boolean;
   /** Whether the hub knows of it after a restart. */
   kept: boolean;
@@ -33,7 +33,7 @@ export interface ToldChannel {
 
 /** What came of a stop or an unstop. */
 export interface StopReport {
-  /** The channels that have devices or a guard. */
+  /** The channels that have devices or a guard, and those that had devices and are not there; 1024 at most. */
   channels: ToldChannel[];
   /** How many other channels were told. */
   others: number;

@@ -9,9 +9,9 @@ import { FakeHub } from "./fakehub.mjs";
 
 const cases = JSON.parse(readFileSync(new URL("../../../tests/cases/latch.json", import.meta.url), "utf8"));
 
-function eventOf({ event, number, sender = "bob", stopped = false, only = [] }) {
+function eventOf({ event, number, sender = "bob", stopped = false, only = [], except = [] }) {
   if (event === "stop" || event === "unstop") return { type: "message", name: event, sender, ...(number === undefined ? {} : { stop: number }) };
-  if (event === "state") return { type: "stops", path: "/robot/arm", state: { number, stopped, only } };
+  if (event === "state") return { type: "stops", path: "/robot/arm", state: { number, stopped, only, except } };
   return { gap: { type: "lagged", count: 3 }, "link-down": { type: "link-down" }, resumed: { type: "other" } }[event];
 }
 

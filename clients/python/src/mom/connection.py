@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections import deque
 from typing import Callable, Deque, Dict, Optional
 
@@ -18,6 +19,12 @@ PIECE = 16 * 1024
 _BROKEN = (OSError, EOFError, asyncio.IncompleteReadError)
 
 
+def _slept() -> float:
+    """For how many seconds the machine has slept since its start, where that can be known."""
+    boot = getattr(time, "CLOCK_BOOTTIME", None)
+    return 0.0 if boot is None else time.clock_gettime(boot) - time.clock_gettime(time.CLOCK_MONOTONIC)
+
+
 class Connection:
     """One connection to a hub, without a login: for tests, and for programs that speak the protocol themselves.
 
@@ -30,6 +37,9 @@ class Connection:
         """When something arrived last, by the loop's clock."""
         self.gone = float("inf")
         """For how many seconds the connection lives without a sign of life."""
+        self.said: Callable[[], float] = lambda: float("inf")
+        """When something left last, by the loop's clock."""
+        self._slept = _slept()
         self._transport = transport
         self._parcels: Deque[Parcel] = deque()
         self._streams = 0
@@ -74,7 +84,8 @@ class Connection:
         data = await self._transport.read()
         now = asyncio.get_running_loop().time()
         # What lies there after a halt of the whole program was said before, and the hub has given the link up: a device must not move by it.
-        if self.heard and now - self.heard >= self.gone:
+        slept, self._slept = _slept() - self._slept, _slept()
+        if self.heard and now - min(self.heard, self.said()) + slept >= self.gone:
             raise ConnectionDownError("this program stood still for longer than its connection lives")
         self.heard = now
         for parcel, size in self.decoder.feed(data) if data else ():

@@ -312,7 +312,7 @@ class Driver:
         """Drives one connection to its end; says why it ended."""
         core = self.core
         self._written = asyncio.get_running_loop().time()
-        connection.gone = core.limit("gone", 30_000) / 1000
+        connection.gone, connection.said = core.limit("gone", 30_000) / 1000, lambda: self._written
         self._ping()
         sender = asyncio.ensure_future(core.outbox.send_all(connection, self._wrote))
         reader = asyncio.ensure_future(self._read(connection))

@@ -72,8 +72,10 @@ class Hold:
         done = asyncio.ensure_future(self._done.wait())
         # Whatever it is lost for, nothing is done under it any more.
         self.lost.add_done_callback(lambda _: self._done.set())
-        await asyncio.wait([done], timeout=within)
-        done.cancel()
+        try:
+            await asyncio.wait([done], timeout=within)
+        finally:
+            done.cancel()
         return self._done.is_set()
 
     def read(self, grant: Dict[str, Any]) -> None:

@@ -129,7 +129,7 @@ class Latch:
         return Reaction("free")
 
     def _learn(self, state: StopState) -> Optional[Reaction]:
-        if state.stopped and state.only:
+        if state.stopped and (state.only or state.excepted):
             # Of others: what concerns this device comes by a message.
             return None
         self._known = True

@@ -27,6 +27,8 @@ class StopState:
     """Why, in that peer's words."""
     only: List[str] = field(default_factory=list)
     """The devices that are stopped, if it is not all of the channel."""
+    excepted: List[str] = field(default_factory=list)
+    """Devices that were let go by name while all others are stopped (`except` on the wire)."""
 
     @staticmethod
     def of(content: Any) -> StopState:
@@ -41,6 +43,7 @@ class StopState:
             since if isinstance(since, datetime) else None,
             text(found, "reason") or None,
             names(found, "only"),
+            names(found, "except"),
         )
 
 
@@ -68,7 +71,7 @@ class ToldChannel:
     number: int
     """The number of the stop, or of the newest one that the unstop was to lift."""
     guarded: bool
-    """Whether a token guards it: devices are meant to be there."""
+    """Whether a device is meant to be there: a token guards it, or one was there before."""
     kept: bool
     """Whether the hub knows of it after a restart."""
     devices: List[DeviceAnswer]
