@@ -27,7 +27,7 @@ pub(crate) struct UnstopArgs {
 pub(crate) const STOP: &str = "\
 Needs no token, and overtakes everything. What is stopped stays so, whoever owns it, also over a restart of the hub, until
 somebody lets it go; a device that is away finds it so when it comes. Exit code 0 says that every device there stands, that
-there is one, that each channel with a token has one, and that you might stop them all; the others are named.
+there is one, that each channel with a token has one, and that you may stop them all; the others are named.
 
 Examples:
   mom stop                                 all that you may stop

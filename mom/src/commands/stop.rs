@@ -249,7 +249,8 @@ fn line(order: Order, channel: &ToldChannel, lifted: Option<&StopState>) -> Stri
     if let Some(names) = named(DeviceAnswer::Obeys) {
         parts.push(ink(format!("{names} {}", order.obeyed()), Tone::Good));
     }
-    if parts.is_empty() {
+    let nobody = channel.devices.is_empty() && (order == Order::Stop || channel.error.is_none());
+    if nobody && channel.newer.is_empty() {
         parts.push(ink(
             format!("no device is there; {}", finds(order, channel.kept)),
             Tone::Bad,

@@ -103,9 +103,10 @@ impl Ready<'_> {
                         return Ok(false);
                     },
                     changed = self.link.changed() => {
-                        if changed.is_ok() {
-                            self.say_link();
+                        if changed.is_err() {
+                            return Ok(false);
                         }
+                        self.say_link();
                     }
                 }
             };
