@@ -142,13 +142,15 @@ test("a page that is not on the list is refused in words", async (t) => {
   // It has the files from another hub, which lists it: this one gives it none.
   const other = await start({ origins: [stranger.origin] });
   t.after(other.end);
-  pages["/stranger"] = { body: three("guest", `${panels}<mom-login></mom-login>`, other.address) };
+  // It may be refused before the test listens.
+  const listens = `<script>document.addEventListener("mom-refused", ({ detail }) => (window.refused = detail));</script>`;
+  pages["/stranger"] = { body: three("guest", `${listens}${panels}<mom-login></mom-login>`, other.address) };
   const page = await visit(t, "/stranger", { at: stranger, allow: /./ });
-  const told = page.evaluate(() => new Promise((resolve) => document.addEventListener("mom-refused", ({ detail }) => resolve(detail))));
   const words = `origins = ["${stranger.origin}"] in [web]`;
   await page.locator("mom-login").getByText(words).waitFor();
   await page.locator("mom-status").getByText(words).waitFor();
-  assert.match((await told).text, /The hub answers, but not to pages of/);
+  const told = await page.waitForFunction(() => window.refused);
+  assert.match(await told.evaluate(({ text }) => text), /The hub answers, but not to pages of/);
 });
 
 test("the example: log in, hold the token, stop, log out", async (t) => {
