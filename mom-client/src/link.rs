@@ -118,7 +118,9 @@ async fn keep(shared: &Shared, heard: &Moment, spoke: &AtomicU64) {
     loop {
         let now = Instant::now();
         heard_at = heard_at.max(heard.at());
-        if now >= heard_at + limits.gone {
+        // The hub has given the link up, too, where it has not heard of this side for so long.
+        let unheard = uptime().saturating_sub(spoke.load(Ordering::Relaxed));
+        if now >= heard_at + limits.gone || u128::from(unheard) >= limits.gone.as_millis() {
             return;
         }
         shared.note_stale(heard_at, now >= heard_at + limits.heartbeat * 3 / 2);

@@ -207,7 +207,8 @@ export class Peer {
   #keep(heartbeat: number, gone: number): void {
     const now = performance.now();
     const silent = now - this.#heard;
-    if (silent > gone) return this.#endServing("the hub has been silent for too long");
+    // The hub has given the link up, too, where it has not heard of this side for so long.
+    if (silent > gone || now - this.#spoke > gone) return this.#endServing("the hub has been silent for too long");
     if (silent > 1.5 * heartbeat && this.state.state === "connected") this.#state({ state: "stale" });
     if (now - this.#pinged >= heartbeat) this.#ping();
   }

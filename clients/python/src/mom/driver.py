@@ -61,7 +61,7 @@ class Driver:
         self.ending = False
         """Whether the client is being closed."""
         self._door = ""
-        self._written = 0.0
+        self._written = self._spoke = 0.0
         self._connection: Optional[Connection] = None
         self._logins = 0
         self._rejoining: List[asyncio.Task[None]] = []
@@ -312,7 +312,7 @@ class Driver:
         """Drives one connection to its end; says why it ended."""
         core = self.core
         self._written = asyncio.get_running_loop().time()
-        connection.gone, connection.said = core.limit("gone", 30_000) / 1000, lambda: self._written
+        connection.gone, connection.said = core.limit("gone", 30_000) / 1000, self._said
         self._ping()
         sender = asyncio.ensure_future(core.outbox.send_all(connection, self._wrote))
         reader = asyncio.ensure_future(self._read(connection))
@@ -361,6 +361,7 @@ class Driver:
     def _receive_time(self, parcel: Parcel) -> None:
         core = self.core
         if parcel.name == "ping":
+            self._spoke = asyncio.get_running_loop().time()
             self._acknowledge()
             core.post(Parcel("time", "pong", reference=parcel.id, content=core.clock._answer()))
         elif parcel.name == "pong" and core.clock._answered(parcel):
@@ -375,7 +376,12 @@ class Driver:
         if said is not None:
             self.core.post(said)
 
+    def _said(self) -> float:
+        """When a sign of life was said last, by the loop's clock: on a slow link it may still be on its way behind what is large."""
+        return max(self._written, self._spoke)
+
     def _ping(self) -> None:
+        self._spoke = asyncio.get_running_loop().time()
         self._acknowledge()
         number = self.core.next_id()
         self.core.post(Parcel("time", "ping", id=number, content=self.core.clock._ask(number)))
@@ -389,7 +395,8 @@ class Driver:
             await asyncio.sleep(heartbeat / 8)
             now = loop.time()
             silent = now - connection.heard
-            if silent >= gone:
+            # The hub has given the link up, too, where it has not heard of this side for so long.
+            if silent >= gone or now - self._said() >= gone:
                 return
             if silent >= 1.5 * heartbeat and core.state.word == "connected":
                 core.enter(LinkState("stale", door=self._door))
