@@ -34,7 +34,8 @@ export async function startLab({ config = "", users = "", args = [] } = {}) {
     await ended;
     rmSync(folder, { recursive: true, force: true });
   };
-  return { port, stop, folder, [Symbol.asyncDispose]: stop };
+  const signal = (name) => child.kill(name);
+  return { port, stop, signal, folder, [Symbol.asyncDispose]: stop };
 }
 
 /** What logs a user of the lab in, where every password is the user's name. */

@@ -1,6 +1,5 @@
 // Stopping a session and a channel, and letting go, against a real broker; what waits and what is dropped, at a hub of the test's.
 import assert from "node:assert/strict";
-import { readFileSync } from "node:fs";
 import test, { after, before } from "node:test";
 import { setTimeout as sleep } from "node:timers/promises";
 import { WebSocket } from "ws";
@@ -87,32 +86,6 @@ test("a device that is thinned stays one, and its own stop is stopped in the hub
   await eventually(() => device.mayMove()?.held === "stopped");
   await bob.unstop("/robot/arm", number);
   assert.equal(device.isStopped, false);
-});
-
-test("the robot of the README fits 25 lines, and obeys", async (t) => {
-  const [, example] = /## A robot\n[\s\S]*?```js\n([\s\S]*?)```/.exec(readFileSync(new URL("../README.md", import.meta.url), "utf8"));
-  assert.ok(example.trimEnd().split("\n").length <= 25);
-  const lines = example.replace(/^import .*$/m, "").replace("mom://lab.example.org", `ws://127.0.0.1:${lab.port}`).replace('"secret"', '"arm"');
-  const AsyncFunction = (async () => undefined).constructor;
-  const told = [];
-  const motors = { brake: (why) => told.push(why), drive: (command) => told.push(command), position: () => 7 };
-  const mine = async (address, options) => {
-    const client = await connect(address, { ...options, webSocket: WebSocket });
-    t.after(() => client.close());
-    return client;
-  };
-  await new AsyncFunction("connect", "motors", "setInterval", lines)(mine, motors, () => undefined);
-  const alice = await open(t, "alice");
-  const events = (await alice.channel("/robot/arm")).events();
-  const guard = await (await alice.token("/robot/token")).grab();
-  await (await alice.channel("/robot/arm")).sendAcknowledged("command", "home", { fence: guard.fence });
-  await eventually(() => told.includes("home"));
-  const { channels } = await alice.stop("/robot");
-  assert.equal(channels.find(({ path }) => path === "/robot/arm").devices[0].word, "stopped");
-  const { content } = await until(events, (event) => event.type === "message" && event.name === "state" && event.content.stopped);
-  assert.equal(content.position, 7);
-  await alice.unstop("/robot/arm", content.stop);
-  await guard.release();
 });
 
 test("a request to stop is sent again after a loss, and what lets go is dropped then", async (t) => {
