@@ -1,17 +1,14 @@
 //! A stop of a session is also for devices that were there before and are away with their channels, such as those that a
 //! gateway makes: they find it when they come back.
 
-use std::sync::Arc;
-
 use mom_proto::{ContextKind, Path, Verb};
 
 use super::call::NAMED;
+use crate::Effect;
 use crate::asking::wish::Wish;
-use crate::tree::latch::Stop;
 use crate::world::World;
 use crate::world::steps::Sweep;
 use crate::world::stops::{Kept, Order, Storing};
-use crate::{Audit, Effect};
 
 impl World {
     /// The next channel of a session that had a device and is not there.
@@ -45,16 +42,9 @@ impl World {
         if self.ask(order.peer, &wish, &[]).is_err() {
             return;
         }
-        let Some(facts) = self.peers.get(order.peer).map(|peer| Arc::clone(&peer.facts)) else {
-            return;
-        };
         let number = self.stops.next(&path, self.settings.epoch);
-        let stop = Stop {
-            number,
-            by: Arc::clone(&facts.name),
-            user: Arc::clone(&facts.user),
-            since: self.wall(),
-            reason: order.reason.clone(),
+        let Some(stop) = self.stop_by(order.peer, number, order.reason.clone()) else {
+            return;
         };
         self.stops.latch_mut(&path).stop(stop, None);
         let kept = if self.settings.keeps_stops {
@@ -73,13 +63,7 @@ impl World {
             channel: path.clone(),
         };
         self.keep_record(self.stops.record(&path), Some(storing), out);
-        let fact = Audit {
-            context: Some(path),
-            stop: Some(number.into()),
-            text: order.reason.as_deref().map(str::to_owned),
-            ..self.fact("stopped", order.peer)
-        };
-        self.audit(fact, out);
+        self.audit_stop(order.peer, path, (number, order.reason.as_deref()), out);
     }
 
     /// The stop of a channel that is not there is kept, or will never be.

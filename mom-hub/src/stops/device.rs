@@ -6,10 +6,9 @@ use std::sync::Arc;
 use mom_proto::{Code, ContextNumber, Family, Fence, Map, Parcel, STOP, Value, WireError, event};
 
 use super::map_of;
-use crate::tree::latch::Stop;
 use crate::world::World;
 use crate::world::stops::Word;
-use crate::{Audit, Effect, PeerId};
+use crate::{Effect, PeerId};
 
 /// The message by which a device says how it stands.
 const STATE: &str = "state";
@@ -120,35 +119,23 @@ impl World {
         if is_new {
             self.welcome_device(channel, peer, out);
         }
-        let facts = self.peers.get(peer).map(|peer| Arc::clone(&peer.facts));
+        let stop = self.stop_by(peer, word.number, Some("it was stopped when it joined".into()));
         let path = self.tree.get(channel).map(|context| context.path.clone());
-        let (Some(facts), Some(path)) = (facts, path) else {
+        let (Some(stop), Some(path)) = (stop, path) else {
             return self.fault("a device is met that is not there");
         };
         if word.number <= self.stops.latch(&path).newest {
             return;
         }
-        let since = self.wall();
         let latch = self.stops.latch_mut(&path);
         latch.newest = word.number;
         if word.stopped {
-            let stop = Stop {
-                number: word.number,
-                by: Arc::clone(&facts.name),
-                user: Arc::clone(&facts.user),
-                since,
-                reason: Some("it was stopped when it joined".into()),
-            };
-            latch.stop(stop, Some(&[Arc::clone(&facts.name)]));
+            let device = Arc::clone(&stop.by);
+            latch.stop(stop, Some(&[device]));
             let told = latch.describe();
             let to = self.told_of_stops(channel, &BTreeSet::from([peer]));
             self.push_event(event::STOPPED, &path, to, told, out);
-            let fact = Audit {
-                context: Some(path),
-                stop: Some(word.number.into()),
-                ..self.fact("stopped", peer)
-            };
-            self.audit(fact, out);
+            self.audit_stop(peer, path, (word.number, None), out);
         }
         self.keep(channel, None, out);
     }

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use mom_proto::event::{self, Reason};
-use mom_proto::{ContextNumber, Fence, Parcel, Value};
+use mom_proto::{ContextNumber, Fence, Parcel, Path, Value};
 
 use super::read;
 use crate::tree::latch::Stop;
@@ -45,17 +45,10 @@ impl World {
         let Stopping {
             channel, peer, only, ..
         } = *stopping;
-        let facts = self.peers.get(peer).map(|peer| Arc::clone(&peer.facts));
-        let context = self.tree.get(channel);
-        let (Some(path), Some(facts)) = (context.map(|context| context.path.clone()), facts) else {
+        let path = self.tree.get(channel).map(|context| context.path.clone());
+        let stop = self.stop_by(peer, number, stopping.reason.clone());
+        let (Some(path), Some(stop)) = (path, stop) else {
             return self.fault("a stop is taken that nobody says, or nowhere");
-        };
-        let stop = Stop {
-            number,
-            by: Arc::clone(&facts.name),
-            user: Arc::clone(&facts.user),
-            since: self.wall(),
-            reason: stopping.reason.clone(),
         };
         let latch = self.stops.latch_mut(&path);
         let new = latch.stop(stop, only);
@@ -66,16 +59,38 @@ impl World {
             self.push_event(event::STOPPED, &path, to, told, out);
         }
         if self.stops.is_noteworthy(&path, new, self.now) {
-            let fact = Audit {
-                context: Some(path),
-                stop: Some(number.into()),
-                text: stopping.reason.as_deref().map(str::to_owned),
-                ..self.fact("stopped", peer)
-            };
-            self.audit(fact, out);
+            self.audit_stop(peer, path, (number, stopping.reason.as_deref()), out);
         }
         self.end_stopped_grant(channel, peer, out);
         self.bound_stops(out);
+    }
+
+    /// A stop of this number that a peer says now; none if it is not there.
+    pub(super) fn stop_by(&self, peer: PeerId, number: Fence, reason: Option<Arc<str>>) -> Option<Stop> {
+        let facts = &self.peers.get(peer)?.facts;
+        Some(Stop {
+            number,
+            by: Arc::clone(&facts.name),
+            user: Arc::clone(&facts.user),
+            since: self.wall(),
+            reason,
+        })
+    }
+
+    pub(super) fn audit_stop(
+        &self,
+        peer: PeerId,
+        path: Path,
+        (number, reason): (Fence, Option<&str>),
+        out: &mut Vec<Effect>,
+    ) {
+        let fact = Audit {
+            context: Some(path),
+            stop: Some(number.into()),
+            text: reason.map(str::to_owned),
+            ..self.fact("stopped", peer)
+        };
+        self.audit(fact, out);
     }
 
     /// Takes the token of a stopped channel from its owner, if the token says so.
