@@ -98,16 +98,7 @@ impl Ready<'_> {
                         late = true;
                         self.say("no answer yet: nobody knows whether anything has stopped; it is said again as soon as the hub is heard");
                     }
-                    // Where no more keys come the answer does all the same.
-                    Some(key) = self.keys.recv() => if key == Key::End {
-                        return Ok(false);
-                    },
-                    changed = self.link.changed() => {
-                        if changed.is_err() {
-                            return Ok(false);
-                        }
-                        self.say_link();
-                    }
+                    () = self.ended() => return Ok(false),
                 }
             };
             let again = is_unknown(&error);
@@ -124,21 +115,28 @@ impl Ready<'_> {
 
     /// Waits for a connection; false if the user ends it.
     async fn connected(&mut self) -> Result<bool, Failure> {
+        let mut link = self.client.state();
+        let ends = |state: &LinkState| matches!(state, LinkState::Connected | LinkState::Closed(_));
+        tokio::select! {
+            state = link.wait_for(ends) => match state.as_deref() {
+                Ok(LinkState::Connected) => Ok(true),
+                _ => Err(Failure::plain("the hub has closed the connection for good")),
+            },
+            () = self.ended() => Ok(false),
+        }
+    }
+
+    /// Says what becomes of the link, until the user ends it. Further keys say what is being said; where none come any more the answer
+    /// does all the same.
+    async fn ended(&mut self) {
         loop {
-            match &*self.link.borrow_and_update() {
-                LinkState::Connected => return Ok(true),
-                LinkState::Closed(_) => {
-                    return Err(Failure::plain("the hub has closed the connection for good"));
-                }
-                _ => {}
-            }
             tokio::select! {
                 Some(key) = self.keys.recv() => if key == Key::End {
-                    return Ok(false);
+                    return;
                 },
                 changed = self.link.changed() => {
                     if changed.is_err() {
-                        return Ok(false);
+                        return;
                     }
                     self.say_link();
                 }
