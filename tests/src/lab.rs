@@ -3,7 +3,7 @@
 use std::net::SocketAddr;
 
 use mom_broker::{Broker, Clock, Config};
-use mom_proto::{Map, Time, Value};
+use mom_proto::{Map, Time, Value, from_value};
 
 /// Starts the lab's broker on a free port of loopback.
 pub async fn start() -> Broker {
@@ -44,6 +44,20 @@ pub fn rule_chat(config: &mut Config, rule: Map) {
     let mut contexts = config.contexts.iter_mut();
     let chat = contexts.find(|spec| spec.path.as_deref() == Some("/chat"));
     chat.expect("the lab has a chat").manager = Some(manager.into());
+}
+
+/// Adds a channel in which senders wait for room.
+///
+/// # Panics
+/// Never: what it adds is a context.
+pub fn add_waiting_channel(config: &mut Config, path: &str) {
+    let channel = Map::new()
+        .with("path", path)
+        .with("kind", "channel")
+        .with("overflow", "wait");
+    config
+        .contexts
+        .push(from_value(channel.into()).expect("a context"));
 }
 
 /// Words as they stand in a rule.

@@ -10,7 +10,7 @@ use bytes::Bytes;
 use mom_broker::Config;
 use mom_client::{Channel, Client, Event, Events};
 use mom_proto::codec::Form;
-use mom_proto::{Family, Map, Parcel, Value, from_value};
+use mom_proto::{Family, Parcel, Value};
 use mom_tests::faulty::{Fault, FaultyNetwork};
 use mom_tests::lab;
 use mom_tests::programs::{PATIENCE, Running, program};
@@ -28,11 +28,7 @@ fn given(name: &str, usual: u64) -> u64 {
 
 /// A channel in which senders wait, and time for it.
 fn with_bulk(config: &mut Config) {
-    let bulk = Map::new()
-        .with("path", BULK)
-        .with("kind", "channel")
-        .with("overflow", "wait");
-    config.contexts.push(from_value(bulk.into()).expect("a context"));
+    lab::add_waiting_channel(config, BULK);
     (config.limits.send_wait, config.limits.stalled) = (60_000, 120_000);
 }
 

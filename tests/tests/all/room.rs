@@ -9,7 +9,7 @@ use bytes::Bytes;
 use mom_broker::{Broker, Clock, Config};
 use mom_client::{Client, Code};
 use mom_proto::codec::Form;
-use mom_proto::{Delivery, Family, Map, Parcel, Value, WireError, from_value};
+use mom_proto::{Delivery, Family, Map, Parcel, Value, WireError};
 use mom_tests::lab;
 use mom_tests::raw::{Raw, at, message};
 use tokio::time::timeout;
@@ -25,11 +25,7 @@ const WAIT: Duration = Duration::from_secs(1);
 const QUIET: Duration = Duration::from_millis(300);
 
 fn with_bulk(config: &mut Config) {
-    let bulk = Map::new()
-        .with("path", BULK)
-        .with("kind", "channel")
-        .with("overflow", "wait");
-    config.contexts.push(from_value(bulk.into()).expect("a context"));
+    lab::add_waiting_channel(config, BULK);
     (config.limits.outbox, config.limits.burst) = (OUTBOX, OUTBOX);
 }
 
