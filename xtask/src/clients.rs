@@ -5,34 +5,12 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context as _, Result, bail};
 
-use crate::command::{cargo, line, output, shows};
+use crate::command::{line, output};
 use crate::javascript;
 use crate::test::Counts;
 
 /// Where the packages for the client in Python are, from the workspace's folder; `cargo xtask test --install` makes it.
 pub(crate) const PYTHON: &str = "target/python/bin/python";
-
-/// Builds the programs that other languages' tests start, and says in which folder they are.
-pub(crate) fn programs(root: &Path) -> Result<PathBuf> {
-    let mut build = cargo(root);
-    build.args([
-        "build",
-        "--locked",
-        "--quiet",
-        "-p",
-        "mom-broker",
-        "-p",
-        "mom",
-        "--bins",
-    ]);
-    if !shows(&mut build)? {
-        bail!(
-            "`{}` failed: the clients and the console are tested against these programs",
-            line(&build)
-        );
-    }
-    Ok(target(root).join("debug"))
-}
 
 /// Runs the tests of all clients against the broker in this folder.
 pub(crate) fn test(root: &Path, programs: &Path) -> Result<Counts> {
@@ -74,7 +52,7 @@ pub(crate) fn pack(root: &Path, language: &str) -> Result<()> {
 }
 
 /// The folder that cargo builds into.
-fn target(root: &Path) -> PathBuf {
+pub(crate) fn target(root: &Path) -> PathBuf {
     std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), |folder| root.join(folder))
 }
 

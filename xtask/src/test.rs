@@ -20,6 +20,9 @@ const STALL: Duration = Duration::from_secs(900);
 /// How many tests run side by side, as the runner knows it.
 const THREADS: &str = "RUST_TEST_THREADS";
 
+/// Says to tests where the programs are that they start, so that they do not build them.
+const PROGRAMS: &str = "MOM_PROGRAMS";
+
 /// How many tests passed and failed; shown as `N passed, N failed`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Counts {
@@ -97,6 +100,12 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<Counts> {
     if !shows(&mut build)? {
         return Ok(Counts::default().concluded(false));
     }
+    // Whoever asks for a part of the tests asks cargo for it, and the tests build the programs that they start.
+    let whole = args.is_empty();
+    let programs = clients::target(root).join("debug");
+    if whole && !build_programs(root)? {
+        return Ok(Counts::default().concluded(false));
+    }
     let mut command = cargo(root);
     command.args(arguments(args)).stdout(Stdio::piped());
     if std::env::var_os(THREADS).is_none() {
@@ -105,6 +114,9 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<Counts> {
         command.env(THREADS, (cores + 1).to_string());
     }
     println!("$ {}", line(&command));
+    if whole {
+        command.env(PROGRAMS, &programs);
+    }
     let mut child = command.spawn().context("cargo cannot be started")?;
     let stdout = child.stdout.take().context("cargo's output cannot be read")?;
     let (sender, lines) = channel();
@@ -117,14 +129,21 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<Counts> {
     if counts.passed + counts.failed == 0 {
         eprintln!("no test ran: the filter fits none; `cargo xtask test` runs all");
     }
-    // Whoever asks for a part of the tests asks cargo for it.
-    if !args.is_empty() {
+    if !whole {
         return Ok(counts);
     }
-    let programs = clients::programs(root)?;
     let clients = clients::test(root, &programs)?;
     let console = console::test(root, &programs.join("mom"))?;
     Ok(counts.and(clients).and(console))
+}
+
+/// Builds all programs from what the tests are built from: with the features that a package's own build would have, most of it would
+/// be compiled once more.
+fn build_programs(root: &Path) -> Result<bool> {
+    let mut build = cargo(root);
+    build.args(["build", "--locked", "--workspace", "--bins", "--tests"]);
+    println!("$ {}", line(&build));
+    shows(&mut build)
 }
 
 /// The same without running anything.
