@@ -1,6 +1,6 @@
 // The order to stop and to let go, against a client that is none.
 import assert from "node:assert/strict";
-import { before, test } from "node:test";
+import { afterEach, before, test } from "node:test";
 import { setTimeout as sleep } from "node:timers/promises";
 import { load } from "./bundle.mjs";
 
@@ -10,6 +10,10 @@ before(async () => {
   ({ Stopping } = await load("worker/stopping.ts"));
   ({ Standing } = await load("worker/standing.ts"));
 });
+
+/** Whose walks end with the test: the next one would keep its file from ending. */
+let walking;
+afterEach(() => walking?.end());
 
 const told = (path, number, devices, more = {}) => ({ path, number, guarded: true, kept: true, devices, newer: [], ...more });
 const stopped = (number, by, reason, only = []) => ({ number, stopped: true, by, reason, only });
@@ -28,6 +32,7 @@ function worker({ lists = { "/": [] }, answers = {} } = {}) {
   const standing = new Standing(say, () => true);
   const stopping = new Stopping(say, () => null, () => true, standing);
   stopping.reset(client);
+  walking = standing;
   const shown = async () => {
     await sleep(60);
     return words.filter(({ word }) => word === "stops").at(-1)?.stops.map(({ path, number, by, reason }) => [path, number, by, reason]);

@@ -72,7 +72,7 @@ pub(crate) fn run(root: &Path) -> Result<bool> {
     })?;
     // Before the closing line, and also where a test failed: both are told in one run.
     let kept = timed("instructions", "cargo xtask instructions", || {
-        instructions::run(root, false)
+        instructions::run_if_changed(root)
     })?;
     if let Some(counts) = counts {
         println!("{counts}");

@@ -1,35 +1,30 @@
-//! The tests of the clients in other languages, run by their languages' own tools and counted with the others.
+//! The client in Python, tested by its language's own tool and counted with the others; clients in other languages, packed.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::{Context as _, Result, bail};
 
-use crate::command::{line, output};
+use crate::command::{line, output, output_within};
 use crate::javascript;
-use crate::test::Counts;
+use crate::test::{Counts, LIMIT};
 
 /// Where the packages for the client in Python are, from the workspace's folder; `cargo xtask test --install` makes it.
 pub(crate) const PYTHON: &str = "target/python/bin/python";
 
-/// Runs the tests of all clients against the broker in this folder.
-pub(crate) fn test(root: &Path, programs: &Path) -> Result<Counts> {
-    let broker = programs.join("mom-broker");
+/// Runs the tests of the client in Python against this broker; gives what they say, and their counts.
+pub(crate) fn test(root: &Path, broker: &Path) -> Result<(String, Counts)> {
     let mut pytest = Command::new(root.join(PYTHON));
     pytest
         .args(["-m", "pytest"])
         .current_dir(root.join("clients/python"))
-        .env("MOM_BROKER", &broker)
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped());
+        .env("MOM_BROKER", broker)
+        .stdin(Stdio::null());
     println!("$ {} (clients/python)", line(&pytest));
-    let said = pytest
-        .output()
-        .with_context(|| format!("{PYTHON} cannot be started: `cargo xtask test --install` makes it"))?;
-    let text = String::from_utf8_lossy(&said.stdout);
-    print!("{text}");
-    let python = counted(&text).concluded(said.status.success());
-    Ok(python.and(javascript::test(root, &broker)?))
+    let (text, status) = output_within(&mut pytest, LIMIT)
+        .with_context(|| format!("`cargo xtask test --install` makes {PYTHON}"))?;
+    let counts = counted(&text).concluded(status.success());
+    Ok((text, counts))
 }
 
 /// Writes the client of this language as a package; says where it is.

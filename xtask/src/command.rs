@@ -1,12 +1,18 @@
 //! Running other programs: one way to start them, to show what they do, and to say that they failed.
 
 use std::ffi::OsString;
+use std::io::Read as _;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::{Command, ExitStatus, Stdio};
+use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::time::Duration;
 
 use anyhow::{Context as _, Result, bail};
 
 use crate::node;
+
+/// How long programs take to end that are killed.
+const END: Duration = Duration::from_secs(30);
 
 /// A program of this machine, or of those that were installed for this project.
 pub(crate) fn program(name: impl AsRef<std::ffi::OsStr>) -> Command {
@@ -64,6 +70,46 @@ pub(crate) fn output(command: &mut Command) -> Result<String> {
     Ok(String::from_utf8_lossy(&out.stdout).into_owned())
 }
 
+/// What `command` prints on its standard output, and how it ended; whatever it has started is ended when this much time is over.
+pub(crate) fn output_within(command: &mut Command, limit: Duration) -> Result<(String, ExitStatus)> {
+    let spawned = command.stdout(Stdio::piped()).spawn();
+    let mut child = spawned.with_context(|| format!("`{}` cannot be started", line(command)))?;
+    let mut stdout = child.stdout.take().context("its output cannot be read")?;
+    let (sender, text) = channel();
+    std::thread::spawn(move || {
+        let mut said = Vec::new();
+        let read = stdout.read_to_end(&mut said);
+        // Nobody waits any more where the limit is over.
+        let _ = sender.send(match read {
+            Ok(_) => String::from_utf8_lossy(&said).into_owned(),
+            Err(error) => format!("its output cannot be read: {error}"),
+        });
+    });
+    let mut said = text.recv_timeout(limit);
+    if said == Err(RecvTimeoutError::Timeout) {
+        eprintln!(
+            "`{}` has not ended within {} s, and is ended",
+            line(command),
+            limit.as_secs()
+        );
+        end_with_children(child.id());
+        said = text.recv_timeout(END);
+    }
+    let said =
+        said.with_context(|| format!("`{}` has left a program that holds its output", line(command)))?;
+    Ok((said, child.wait().context("it cannot be waited for")?))
+}
+
+/// Ends a program and all that it has started, as far as the system tells whom.
+pub(crate) fn end_with_children(pid: u32) {
+    let known = std::fs::read_to_string(format!("/proc/{pid}/task/{pid}/children")).unwrap_or_default();
+    // It first, so that it starts no other.
+    succeeds("kill", &["-KILL", &pid.to_string()]);
+    for child in known.split_whitespace().filter_map(|word| word.parse().ok()) {
+        end_with_children(child);
+    }
+}
+
 /// The command as one would type it.
 pub(crate) fn line(command: &Command) -> String {
     let program = Path::new(command.get_program());
@@ -87,6 +133,22 @@ mod tests {
         assert!(succeeds("cargo", &["--version"]));
         assert!(!succeeds("cargo", &["--no-such-flag"]));
         assert!(!succeeds("no-such-program-anywhere", &[]));
+    }
+
+    #[test]
+    fn a_program_that_does_not_end_is_ended_with_what_it_has_started() {
+        let mut short = Command::new("sh");
+        let (said, status) =
+            output_within(short.args(["-c", "echo a"]), Duration::from_secs(60)).expect("it runs");
+        assert!(said == "a\n" && status.success(), "{said}");
+        // The sleeper holds the pipe: its end is the end of the output.
+        let mut long = Command::new("sh");
+        let (said, status) = output_within(
+            long.args(["-c", "echo b; sleep 600 & wait"]),
+            Duration::from_millis(300),
+        )
+        .expect("it runs");
+        assert!(said == "b\n" && !status.success(), "{said}");
     }
 
     #[test]

@@ -43,7 +43,7 @@ pub(crate) fn build(root: &Path) -> Result<()> {
 }
 
 /// Runs its tests against this program `mom`.
-pub(crate) fn test(root: &Path, mom: &Path) -> Result<Counts> {
+pub(crate) fn test(root: &Path, mom: &Path) -> Result<(String, Counts)> {
     npm::test(root, FOLDER, ("MOM_BIN", mom))
 }
 

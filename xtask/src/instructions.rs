@@ -2,19 +2,37 @@
 //!
 //! valgrind's callgrind counts instructions, which repeat to a few in a thousand whatever else the machine does; time
 //! does not. Each case runs twice, the second time longer: the difference is what the case costs, without its start.
+//!
+//! The counts are stored with a hash of what they were counted of: as long as that is unchanged CI need not count again.
 
 use std::fs;
 use std::path::Path;
 use std::process::Command;
 
 use anyhow::{Context as _, Result, bail};
+use sha2::{Digest as _, Sha256};
 use toml::{Table, Value};
 
-use crate::command::line;
+use crate::command::{line, output};
 use crate::peers::build;
+use crate::tidy::Tree;
 
 /// The stored counts, by case.
 const BASELINE: &str = "benches/instructions.toml";
+/// The key of the hash of what was counted.
+const SOURCES: &str = "sources";
+/// What the counts are of: these packages, with all that they are built from.
+const PACKAGES: &[&str] = &[
+    "mom-proto/",
+    "managers/",
+    "mom-hub/",
+    "mom-net/",
+    "mom-broker/",
+    "mom-client/",
+    "benches/src/",
+];
+/// What decides how they are built.
+const SETTINGS: &[&str] = &["Cargo.toml", "Cargo.lock", "benches/Cargo.toml"];
 /// How far a count may be from the stored one, either way: one that fell is stored too, or the next rise is hidden.
 const TOLERANCE: f64 = 0.05;
 
@@ -23,6 +41,7 @@ const HEAD: &str = "\
 # One count: decode, admit or encode one parcel with 16 bytes of content, in binary or XML; deliver = one parcel through a whole broker
 # to ten receivers over sockets, with all that sender and receivers do in the same process.
 # Another toolchain or C library may count differently: `cargo xtask instructions --write` stores what is counted now.
+# `sources` is the hash of the code and the compiler of which they were counted: CI counts again only where it differs.
 ";
 
 /// A case of `hot-path`, and how often it runs.
@@ -58,6 +77,17 @@ const CASES: [Case; 6] = [
     },
 ];
 
+/// Counts all cases, unless the stored counts are of the very same code; whether each is within its bound.
+pub(crate) fn run_if_changed(root: &Path) -> Result<bool> {
+    if stored(root)?.get(SOURCES).and_then(Value::as_str) == Some(&*sources(root)?) {
+        println!(
+            "{BASELINE} has the counts of this code and this compiler: `cargo xtask instructions` counts them again"
+        );
+        return Ok(true);
+    }
+    run(root, false)
+}
+
 /// Counts all cases; whether each is within its bound, or they were stored.
 pub(crate) fn run(root: &Path, write: bool) -> Result<bool> {
     let built = build(root, &[("mom-benches", &["hot-path"])])?;
@@ -70,18 +100,49 @@ pub(crate) fn run(root: &Path, write: bool) -> Result<bool> {
     }
     let file = root.join(BASELINE);
     if write {
+        counts.insert(SOURCES.to_owned(), Value::String(sources(root)?));
         let text = format!("{HEAD}{counts}");
         fs::write(&file, text).with_context(|| format!("{BASELINE} cannot be written"))?;
         println!("{counts}stored in {BASELINE}");
         return Ok(true);
     }
-    let stored = fs::read_to_string(&file).with_context(|| format!("{BASELINE} cannot be read"))?;
-    let stored: Table = stored
-        .parse()
-        .with_context(|| format!("{BASELINE} holds no counts"))?;
-    let findings = compare(&stored, &counts);
+    let findings = compare(&stored(root)?, &counts);
     findings.iter().for_each(|finding| println!("{}", finding.text));
     Ok(findings.iter().all(|finding| finding.good))
+}
+
+/// What is in the file of the counts.
+fn stored(root: &Path) -> Result<Table> {
+    let text =
+        fs::read_to_string(root.join(BASELINE)).with_context(|| format!("{BASELINE} cannot be read"))?;
+    text.parse()
+        .with_context(|| format!("{BASELINE} holds no counts"))
+}
+
+/// A hash of the code of the hot path, of how it is built, and of the compiler.
+fn sources(root: &Path) -> Result<String> {
+    let compiler = output(Command::new("rustc").arg("--version").arg("--verbose"))?;
+    Ok(hash(&Tree::read(root)?, &compiler))
+}
+
+fn hash(tree: &Tree, compiler: &str) -> String {
+    let mut hash = Sha256::new();
+    hash.update(compiler);
+    for (path, text) in tree.files().filter(|(path, _)| counts_for(path)) {
+        for part in [path, text] {
+            hash.update(part.len().to_le_bytes());
+            hash.update(part);
+        }
+    }
+    format!("{:x}", hash.finalize())
+}
+
+/// Whether the hot path is built from this file.
+fn counts_for(path: &str) -> bool {
+    let is_source = path.ends_with(".rs") || path.ends_with("/Cargo.toml");
+    let is_test = path.contains("/tests/") || path.ends_with("tests.rs");
+    let is_part = PACKAGES.iter().any(|package| path.starts_with(package));
+    SETTINGS.contains(&path) || (is_part && is_source && !is_test)
 }
 
 /// The instructions of one run of a case.
@@ -168,6 +229,29 @@ mod tests {
         assert!(!good(1051) && !good(949));
         let missing = compare(&Table::new(), &table(1000));
         assert!(!missing[0].good && missing[0].text.contains("--write"));
+    }
+
+    #[test]
+    fn counts_hold_for_the_code_that_they_are_of() {
+        let of = |files: &[(&str, &str)], compiler| hash(&Tree::of(files), compiler);
+        let (lock, hub) = (("Cargo.lock", "1"), ("mom-hub/src/lib.rs", "fn admit() {}"));
+        let now = of(&[lock, hub], "rustc 1");
+        for same in [
+            ("docs/design.md", "words"),
+            ("mom-hub/tests/random/main.rs", "fn main() {}"),
+            ("mom-hub/src/tree/tests.rs", ""),
+            ("peers/arm/src/lib.rs", ""),
+        ] {
+            assert_eq!(of(&[lock, hub, same], "rustc 1"), now, "{same:?}");
+        }
+        for (files, compiler) in [
+            ([lock, ("mom-hub/src/lib.rs", "fn admit() { }")], "rustc 1"),
+            ([lock, ("mom-hub/src/lab.rs", "fn admit() {}")], "rustc 1"),
+            ([("Cargo.lock", "2"), hub], "rustc 1"),
+            ([lock, hub], "rustc 2"),
+        ] {
+            assert_ne!(of(&files, compiler), now, "{files:?} {compiler}");
+        }
     }
 
     #[test]

@@ -17,7 +17,7 @@ pub(crate) fn build(root: &Path) -> Result<()> {
 }
 
 /// Runs its tests against this broker.
-pub(crate) fn test(root: &Path, broker: &Path) -> Result<Counts> {
+pub(crate) fn test(root: &Path, broker: &Path) -> Result<(String, Counts)> {
     npm::test(root, FOLDER, ("MOM_BROKER", broker))
 }
 

@@ -5,8 +5,8 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context as _, Result, bail};
 
-use crate::command::{line, program, shows};
-use crate::test::Counts;
+use crate::command::{line, output_within, program, shows};
+use crate::test::{Counts, LIMIT};
 
 /// npm in this folder of the workspace.
 pub(crate) fn npm(root: &Path, folder: &str, args: &[&str]) -> Command {
@@ -25,22 +25,19 @@ pub(crate) fn run(root: &Path, folder: &str, script: &str) -> Result<()> {
     Ok(())
 }
 
-/// Runs its tests, with what this variable names.
-pub(crate) fn test(root: &Path, folder: &str, (name, value): (&str, &Path)) -> Result<Counts> {
+/// Runs its tests, with what this variable names; gives what they say, and their counts.
+pub(crate) fn test(root: &Path, folder: &str, (name, value): (&str, &Path)) -> Result<(String, Counts)> {
     let mut test = npm(root, folder, &["test", "--silent"]);
-    test.env(name, value).stdout(Stdio::piped());
+    test.env(name, value);
     println!("$ {} ({folder})", line(&test));
-    let said = test
-        .output()
-        .context("npm cannot be started: `cargo xtask test --install` installs it")?;
-    let text = String::from_utf8_lossy(&said.stdout);
-    print!("{text}");
+    let (text, status) =
+        output_within(&mut test, LIMIT).context("`cargo xtask test --install` installs npm")?;
     let counts = counted(&text);
     let ran = counts != Counts::default();
     if !ran {
         eprintln!("no test of {folder} ran: see the messages above");
     }
-    Ok(counts.concluded(said.status.success() && ran))
+    Ok((text, counts.concluded(status.success() && ran)))
 }
 
 /// What the last lines of Node's tests say: `# pass 41`, `# fail 0`.

@@ -11,11 +11,14 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result};
 
-use crate::command::{cargo, line, shows, succeeds};
+use crate::command::{cargo, end_with_children, line, shows};
 use crate::{clients, console, javascript};
 
 /// Tests of which none ends for so long have come to a standstill; the longest takes two minutes on two cores.
 const STALL: Duration = Duration::from_secs(900);
+
+/// What the tests of another language take at most.
+pub(crate) const LIMIT: Duration = STALL;
 
 /// How many tests run side by side, as the runner knows it.
 const THREADS: &str = "RUST_TEST_THREADS";
@@ -132,9 +135,20 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<Counts> {
     if !whole {
         return Ok(counts);
     }
-    let clients = clients::test(root, &programs)?;
-    let console = console::test(root, &programs.join("mom"))?;
-    Ok(counts.and(clients).and(console))
+    // They wait for their programs, and for times, more than they compute: beside each other they take as long as the longest.
+    let others: [&(dyn Fn() -> Result<(String, Counts)> + Sync); 3] = [
+        &|| clients::test(root, &programs.join("mom-broker")),
+        &|| javascript::test(root, &programs.join("mom-broker")),
+        &|| console::test(root, &programs.join("mom")),
+    ];
+    std::thread::scope(|scope| {
+        let running = others.map(|other| scope.spawn(other));
+        running.into_iter().try_fold(counts, |counts, running| {
+            let (said, more) = running.join().expect("it does not panic")?;
+            print!("{said}");
+            Ok(counts.and(more))
+        })
+    })
 }
 
 /// Builds all programs from what the tests are built from: with the features that a package's own build would have, most of it would
@@ -241,16 +255,6 @@ impl fmt::Display for Slow {
             true => f.write_str("see which one began last"),
             false => write!(f, "{} did not", names.join(", ")),
         }
-    }
-}
-
-/// Ends a program and all that it has started, as far as the system tells whom.
-fn end_with_children(pid: u32) {
-    let known = std::fs::read_to_string(format!("/proc/{pid}/task/{pid}/children")).unwrap_or_default();
-    // It first, so that it starts no other.
-    succeeds("kill", &["-KILL", &pid.to_string()]);
-    for child in known.split_whitespace().filter_map(|word| word.parse().ok()) {
-        end_with_children(child);
     }
 }
 

@@ -57,6 +57,8 @@ class Robot:
             env={**os.environ, "PYTHONPATH": path, "MOM_HUB": self.address, "MOM_PASSWORD": "arm"},
             stdout=asyncio.subprocess.PIPE,
             stderr=open(self.broker.folder / "robot.log", "a"),
+            # Where the tests run in a shell's background it would not hear of Ctrl-C.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL) and None,
         )  # fmt: skip
         self._reading = asyncio.ensure_future(self._read())
 

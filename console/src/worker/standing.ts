@@ -46,6 +46,12 @@ export class Standing {
     this.look();
   }
 
+  /** There is no peer any more, whom anything could be asked of or told. */
+  end(): void {
+    this.#client = null;
+    clearInterval(this.#walker);
+  }
+
   /** What is told of channels that this page watches only by their tokens. */
   async #hear(client: Client): Promise<void> {
     for await (const event of client.unaddressed()) if (client === this.#client && event.type === "stops") this.heard(event.path, event);

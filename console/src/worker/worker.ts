@@ -42,7 +42,10 @@ export function serve(port: { postMessage: (word: unknown, transfer: Transferabl
 
   const answers: Answers = {
     connect: (login) => session.connect(login),
-    close: () => session.close(),
+    close: () => {
+      standing.end();
+      return session.close();
+    },
     watch: (id, watch) => feeds.watch(id, watch),
     unwatch: (id) => feeds.unwatch(id),
     shown: (id) => feeds.shown(id),

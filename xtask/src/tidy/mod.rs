@@ -20,7 +20,7 @@ use std::path::Path;
 
 use anyhow::{Context as _, Result};
 
-use tree::Tree;
+pub(crate) use tree::Tree;
 
 /// One thing that is not as it should be; shown as `file:line: check: message`.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
