@@ -110,7 +110,7 @@ pub use report::{Report, report};
 pub use session::Session;
 pub use state_gate::{BASED_ON, StateGate};
 pub use stats::{AgeStats, ChannelStats, ConnectedPeer, Counts, MemoryStats, PeerStats, Stats};
-pub use stops::{DeviceAnswer, StopReport, Stopping, ToldChannel};
+pub use stops::{DeviceAnswer, Rest, Standing, StopReport, Stopping, ToldChannel};
 pub use subscribe::Events;
 pub use token::Token;
 pub use token_info::{Asking, Delegated, Offered, Reserved, TokenInfo, Waiting};

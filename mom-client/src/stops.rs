@@ -66,17 +66,37 @@ pub struct ToldChannel {
 /// What a device said to a stop or an unstop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DeviceAnswer {
-    /// That it obeys.
-    Obeys,
+    /// That it obeys, and how it stands.
+    Obeys(Standing),
     /// Nothing in time.
     Silent,
     /// Its connection was lost; it finds the stop when it comes back.
     Lost,
 }
 
+/// How a device says that it stands that obeys a stop.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Standing {
+    /// How it knows that it rests; none if it does not know yet, or says nothing of it.
+    pub rest: Option<Rest>,
+    /// It moves still, or does not know that it does not.
+    pub moving: bool,
+    /// It cannot tell its mechanism what to do.
+    pub unreached: bool,
+}
+
+/// How a device knows that it rests.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rest {
+    /// By measurements since it was stopped.
+    Measured,
+    /// It does not measure, and the time has passed in which it stops.
+    NotMeasured,
+}
+
 impl Client {
     /// Stops all devices of a channel, or of all channels below a session in which this peer has the right `stop`. It joins
-    /// nothing, goes before everything else, and is answered when each device has said that it obeys, or after a second.
+    /// nothing, goes before everything else, and is answered when each device has said that it obeys and rests, or after a second.
     pub fn stop(&self, path: &str) -> Stopping {
         self.stopping("stop", path, Map::new())
     }
@@ -167,6 +187,20 @@ impl StopReport {
     }
 }
 
+impl Standing {
+    fn from_map(map: &Map) -> Standing {
+        Standing {
+            rest: match text(map, "rest") {
+                Some("measured") => Some(Rest::Measured),
+                Some("not-measured") => Some(Rest::NotMeasured),
+                _ => None,
+            },
+            moving: map.get("moving").and_then(Value::as_bool) == Some(true),
+            unreached: map.get("reached").and_then(Value::as_bool) == Some(false),
+        }
+    }
+}
+
 impl ToldChannel {
     fn from_map(map: &Map) -> Option<ToldChannel> {
         let list = |key: &str| map.get(key).and_then(Value::as_list).unwrap_or_default();
@@ -176,7 +210,7 @@ impl ToldChannel {
             let answer = match text(map, "word")? {
                 "silent" => DeviceAnswer::Silent,
                 "lost" => DeviceAnswer::Lost,
-                _ => DeviceAnswer::Obeys,
+                _ => DeviceAnswer::Obeys(Standing::from_map(map)),
             };
             Some((owned(map, "peer")?, answer))
         };
@@ -197,12 +231,12 @@ impl ToldChannel {
         })
     }
 
-    /// Whether every device has obeyed; a guarded channel has one at least.
+    /// Whether every device has obeyed and none still moves; a guarded channel has one at least.
     pub fn is_obeyed(&self) -> bool {
         let obeys = self
             .devices
             .iter()
-            .all(|(_, answer)| *answer == DeviceAnswer::Obeys);
+            .all(|(_, answer)| matches!(answer, DeviceAnswer::Obeys(standing) if !standing.moving));
         obeys && !(self.guarded && self.devices.is_empty()) && self.newer.is_empty() && self.error.is_none()
     }
 }

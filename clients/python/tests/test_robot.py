@@ -155,7 +155,7 @@ async def test_it_is_stopped_and_let_go_by_mom(robot: Robot, own_broker: Broker)
         await is_there(bob)
         async with (await bob.token(TOKEN)).grab() as guard:
             at = await drives(robot, bob, "home", guard)
-            assert "/robot/arm: arm stands" in await run(own_broker, "stop", "/robot", "--reason", "smoke")
+            assert "/robot/arm: arm obeys" in await run(own_broker, "stop", "/robot", "--reason", "smoke")
             at = await robot.hears("brake", at)
             arm = await bob.channel(ARM)
             events = arm.events()

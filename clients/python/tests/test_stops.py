@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from datetime import datetime
-from typing import Any, AsyncIterator, List
+from typing import Any, AsyncIterator, Dict, List
 
 import pytest
 import pytest_asyncio
@@ -84,6 +84,29 @@ async def test_one_request_stops_what_is_below_a_session(broker: Broker, arm: mo
                 pass
             assert unstop.stop == told.number
         assert not (await bob.stops(ARM)).stopped
+
+
+async def test_what_obeys_and_still_moves_does_not_stand(broker: Broker) -> None:
+    class Rolling(Arm):
+        says: Dict[str, Any] = {"moving": True, "reached": True}
+
+        def state(self) -> Dict[str, Any]:
+            return self.says
+
+    async with broker.connect("arm", heartbeat=0.5) as client, broker.connect("alice") as alice:
+        rolling = Rolling()
+        device = await client.obey(ARM, rolling)
+        report = await alice.stop(ARM, within=0.1)
+        (told,) = report.channels
+        assert told.devices == [mom.DeviceAnswer(client.name, "stopped", moving=True)] and not report.is_obeyed
+        stopping = asyncio.ensure_future(alice.stop(ARM, within=PATIENCE / 10))
+        await eventually(lambda: device._latch.number > told.number)
+        rolling.says = {"moving": False, "reached": True, "rest": "measured"}
+        device.report()
+        report = await stopping
+        (told,) = report.channels
+        assert told.devices == [mom.DeviceAnswer(client.name, "stopped", rest="measured")] and report.is_obeyed
+        await alice.unstop(ARM, told.number)
 
 
 async def test_an_unstop_of_an_older_stop_names_who_has_stopped_since(broker: Broker, arm: mom.Device) -> None:

@@ -18,7 +18,7 @@ use crate::content;
 use crate::tree::context::Context;
 use crate::values::count;
 use crate::world::steps::{Job, STEP, Sweep, TOLD, told};
-use crate::world::stops::{Call, Called, Kept, Order, Storing, Unstop, Word};
+use crate::world::stops::{Call, Called, Kept, Order, Standing, Storing, Unstop, Word};
 use crate::world::{Timer, World};
 use crate::{Effect, PeerId, Receivers};
 
@@ -471,7 +471,7 @@ pub(crate) fn end_call(world: &mut World, number: u64, out: &mut Vec<Effect>) {
 /// A call whose walk is longer than its time is answered when that is over, looked at so often.
 const WALKS: Micros = 20_000;
 
-/// `{channels: [{path, number, guard, kept, devices: [{peer, word}], newer, error}], others, denied}`; `keeps` says whether
+/// `{channels: [{path, number, guard, kept, devices: [{peer, word, moving?, rest?, reached?}], newer, error}], others, denied}`; `keeps` says whether
 /// anything outlives the hub.
 fn answer(call: &Call, keeps: bool) -> Map {
     let fails = |kept| keeps && call.verb == Verb::Stop && kept == Kept::No;
@@ -481,12 +481,12 @@ fn answer(call: &Call, keeps: bool) -> Map {
     };
     let channels = call.channels.values().map(|called| {
         let devices = called.devices.iter().map(|(name, word)| {
-            let word = match word {
-                Word::Silent => "silent",
-                Word::Obeys => obeys,
-                Word::Lost => "lost",
-            };
-            Value::Map(Map::new().with("peer", &**name).with("word", word))
+            let device = Map::new().with("peer", &**name);
+            Value::Map(match word {
+                Word::Silent => device.with("word", "silent"),
+                Word::Obeys(standing) => standing.add_to(device.with("word", obeys)),
+                Word::Lost => device.with("word", "lost"),
+            })
         });
         let mut map = Map::new()
             .with("path", called.path.as_str())
@@ -520,4 +520,20 @@ fn answer(call: &Call, keeps: bool) -> Map {
         .with("channels", channels.chain(away).collect::<Vec<_>>())
         .with("others", count(call.others))
         .with("denied", denied.collect::<Vec<_>>())
+}
+
+impl Standing {
+    /// `{moving?, rest?, reached?}`: what matters to who wants it to stand.
+    fn add_to(self, mut device: Map) -> Map {
+        if self.moving {
+            device.set("moving", true);
+        }
+        if let Some(rest) = self.rest {
+            device.set("rest", rest.word());
+        }
+        if self.reached == Some(false) {
+            device.set("reached", false);
+        }
+        device
+    }
 }

@@ -7,7 +7,7 @@ use mom_proto::{Code, ContextNumber, Family, Fence, Map, Parcel, STOP, Value, Wi
 
 use super::map_of;
 use crate::world::World;
-use crate::world::stops::Word;
+use crate::world::stops::{Rest, Standing, Word};
 use crate::{Effect, PeerId};
 
 /// The message by which a device says how it stands.
@@ -227,18 +227,34 @@ impl World {
             Some(Value::Int(number)) => Some(Fence::from(u64::try_from(*number).unwrap_or_default())),
             Some(_) => Some(Fence::default()),
         };
+        let standing = standing_of(&map);
         let calls: Vec<u64> = self.stops.calls.keys().copied().collect();
         for call in calls {
             let wants = self.stops.calls.get(&call).map(|call| call.verb);
             let obeys = stopped == (wants == Some(mom_proto::Verb::Stop));
+            // Nobody waits for the rest of what may move again.
+            let standing = if stopped { standing } else { Standing::default() };
             let note = |called: &mut crate::world::stops::Called| {
                 // Who may move need not have heard of the stop that was lifted.
                 let heard = !stopped || number.is_none_or(|number| number >= called.number);
                 if let Some(word) = called.devices.get_mut(&name).filter(|_| obeys && heard) {
-                    *word = Word::Obeys;
+                    *word = Word::Obeys(standing);
                 }
             };
             self.note_call(call, channel, note, out);
         }
+    }
+}
+
+/// What the content of a device's `state` says of its rest.
+fn standing_of(state: &Map) -> Standing {
+    let flag = |key: &str| state.get(key).and_then(Value::as_bool);
+    let rest = state.get("rest").and_then(Value::as_str);
+    Standing {
+        moving: flag("moving") == Some(true),
+        reached: flag("reached"),
+        rest: [Rest::Measured, Rest::NotMeasured]
+            .into_iter()
+            .find(|known| rest == Some(known.word())),
     }
 }

@@ -112,10 +112,30 @@ pub(crate) struct Called {
 pub(crate) enum Word {
     /// Nothing yet.
     Silent,
-    /// That it obeys.
-    Obeys,
+    /// That it obeys, and whether it stands.
+    Obeys(Standing),
     /// Its connection was lost before.
     Lost,
+}
+
+/// How a device says that it stands that obeys. One that says none of it is taken at its word that it obeys.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Standing {
+    /// It says that it moves.
+    pub(crate) moving: bool,
+    /// Whether it can tell its mechanism what to do, if it says so: then it also says when it rests.
+    pub(crate) reached: Option<bool>,
+    /// How it knows that it rests.
+    pub(crate) rest: Option<Rest>,
+}
+
+/// How a device knows that it rests.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Rest {
+    /// By measurements since it was stopped.
+    Measured,
+    /// It does not measure, and the time has passed in which it stops.
+    NotMeasured,
 }
 
 /// Whether a restart of the hub would know.
@@ -267,9 +287,30 @@ impl Call {
     }
 }
 
+impl Standing {
+    /// Whether its rest is still to come.
+    fn is_awaited(self) -> bool {
+        self.moving || (self.reached.is_some() && self.rest.is_none())
+    }
+}
+
+impl Rest {
+    /// The word in states and replies.
+    pub(crate) fn word(self) -> &'static str {
+        match self {
+            Rest::Measured => "measured",
+            Rest::NotMeasured => "not-measured",
+        }
+    }
+}
+
 impl Called {
     fn awaits_devices(&self) -> bool {
-        self.devices.values().any(|word| *word == Word::Silent)
+        self.devices.values().any(|word| match word {
+            Word::Silent => true,
+            Word::Obeys(standing) => standing.is_awaited(),
+            Word::Lost => false,
+        })
     }
 }
 

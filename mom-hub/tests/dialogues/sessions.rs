@@ -134,6 +134,57 @@ fn a_device_that_says_nothing_is_waited_for_so_long() {
     assert_eq!(told(&stage).get("code"), Some(&Value::Int(215)));
 }
 
+/// The devices of the first channel of the last reply.
+fn standing(stage: &Stage) -> Vec<Value> {
+    let reply = told(stage);
+    let channels = reply.get("channels").and_then(Value::as_list).expect("channels");
+    let devices = channels[0].get("devices").and_then(Value::as_list);
+    devices.expect("devices").to_vec()
+}
+
+#[test]
+fn an_answer_waits_until_the_devices_rest() {
+    let mut stage = stage();
+    let device = || Map::new().with("peer", "arm").with("word", "stopped");
+    stage.say("bob", "context stop /lab/arm within=900");
+    // It obeys, and rolls; it stands by what was meant; it stands.
+    let heard = stage.say(
+        "arm",
+        "message state /lab/arm stopped=true moving=true reached=true number=1",
+    );
+    assert_eq!(of(&heard, &["bob"]), ["bob< state of arm"]);
+    let heard = stage.say(
+        "arm",
+        "message state /lab/arm stopped=true moving=false reached=true number=1",
+    );
+    assert_eq!(of(&heard, &["bob"]), ["bob< state of arm"]);
+    let rests = "message state /lab/arm stopped=true moving=false reached=true rest=measured number=1";
+    assert_eq!(
+        of(&stage.say("arm", rests), &["bob"]),
+        ["bob< ok", "bob< state of arm"]
+    );
+    assert_eq!(standing(&stage), [device().with("rest", "measured").into()]);
+    // One that does not come to rest, or cannot be reached, is told of when the time is over.
+    for (state, known) in [
+        ("moving=true reached=true", device().with("moving", true)),
+        (
+            "moving=true reached=false",
+            device().with("moving", true).with("reached", false),
+        ),
+        ("moving=false reached=true rest=sure", device()),
+    ] {
+        let mut stage = self::stage();
+        stage.say("bob", "context stop /lab/arm within=900");
+        stage.say(
+            "arm",
+            &format!("message state /lab/arm stopped=true number=1 {state}"),
+        );
+        assert_eq!(stage.at(899), [""; 0], "{state}");
+        assert_eq!(stage.at(900), ["bob< ok"], "{state}");
+        assert_eq!(standing(&stage), [known.into()], "{state}");
+    }
+}
+
 #[test]
 fn an_answer_waits_until_the_stop_is_kept() {
     let mut stage = keeping();

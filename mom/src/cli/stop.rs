@@ -11,6 +11,9 @@ pub(crate) struct StopArgs {
     /// Why, for whoever finds the devices stopped
     #[arg(long, short, value_name = "TEXT")]
     pub(crate) reason: Option<String>,
+    /// Demand that each device has measured that it rests: exit code 1 for those that do not measure
+    #[arg(long)]
+    pub(crate) measured: bool,
     /// Connect now, and stop at each key press, until Ctrl-C
     #[arg(long)]
     pub(crate) ready: bool,
@@ -26,13 +29,15 @@ pub(crate) struct UnstopArgs {
 
 pub(crate) const STOP: &str = "\
 Needs no token, and overtakes everything. What is stopped stays so, whoever owns it, also over a restart of the hub, until
-somebody lets it go; a device that is away finds it so when it comes. Exit code 0 says that every device there stands, that
-there is one, that each channel with a token has one, and that you may stop them all; the others are named.
+somebody lets it go; a device that is away finds it so when it comes. Exit code 0 says that every device there obeys and none
+still moves after 3 seconds, that there is one, that each channel with a token has one, and that you may stop them all; the
+others are named. \"Stands\" is said of what has measured it, or has no way to and waited for the time in which it stops.
 
 Examples:
   mom stop                                 all that you may stop
   mom stop /robot/arm --reason 'smoke'     one robot, and why
   mom stop /robot                          all of a session
+  mom stop --measured                      fails for devices that do not measure whether they rest
   mom stop --ready                         logs in now; the next key press stops at once
   mom unstop /robot/arm                    lets it move again";
 

@@ -6,8 +6,8 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use mom_client::{
-    Client, ClientError, Code, ContextKind, DeviceAnswer, ErrorKind, Path, StopReport, StopState, Stopping,
-    ToldChannel, event,
+    Client, ClientError, Code, ContextKind, DeviceAnswer, ErrorKind, Path, Rest, Standing, StopReport,
+    StopState, Stopping, ToldChannel, event,
 };
 use serde_json::{Value as Json, json};
 
@@ -17,7 +17,9 @@ use crate::failure::{Doing as _, Failure};
 use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
 
-/// Devices that say nothing for so long are silent.
+/// Devices that are told to stop come to rest within so long, or are named.
+const REST: Duration = Duration::from_secs(3);
+/// Devices that are let go and say nothing for so long are silent.
 const PATIENCE: Duration = Duration::from_secs(1);
 
 /// What devices are told.
@@ -35,7 +37,7 @@ pub(crate) async fn stop(args: &cli::StopArgs, global: &GlobalArgs, output: Outp
     let result = match args.ready {
         true => ready::run(&client, args, output).await,
         false => match stopping(&client, args).send().await {
-            Ok(report) => stopped(&report, output),
+            Ok(report) => stopped(&report, args.measured, output),
             Err(error) => Err(not_stopped(&args.path, error)),
         },
     };
@@ -44,7 +46,7 @@ pub(crate) async fn stop(args: &cli::StopArgs, global: &GlobalArgs, output: Outp
 }
 
 fn stopping(client: &Client, args: &cli::StopArgs) -> Stopping {
-    let stopping = client.stop(&args.path).within(PATIENCE);
+    let stopping = client.stop(&args.path).within(REST);
     match &args.reason {
         Some(reason) => stopping.reason(reason),
         None => stopping,
@@ -52,8 +54,22 @@ fn stopping(client: &Client, args: &cli::StopArgs) -> Stopping {
 }
 
 /// Tells what came of a stop.
-fn stopped(report: &StopReport, output: Output) -> Result<(), Failure> {
-    tell(Order::Stop, report, &BTreeMap::new(), output)
+fn stopped(report: &StopReport, measured: bool, output: Output) -> Result<(), Failure> {
+    tell(Order::Stop, report, &BTreeMap::new(), output)?;
+    let has_measured = |(_, answer): &(String, DeviceAnswer)| {
+        matches!(
+            answer,
+            DeviceAnswer::Obeys(Standing {
+                rest: Some(Rest::Measured),
+                ..
+            })
+        )
+    };
+    let mut devices = report.channels.iter().flat_map(|channel| &channel.devices);
+    match !measured || devices.all(has_measured) {
+        true => Ok(()),
+        false => Err(Failure::Told),
+    }
 }
 
 /// The words for a stop that was not answered.
@@ -138,11 +154,11 @@ impl Order {
         }
     }
 
-    /// What a device does that has obeyed.
-    fn obeyed(self) -> &'static str {
+    /// For how long devices are waited for.
+    fn patience(self) -> Duration {
         match self {
-            Order::Stop => "stands",
-            Order::Unstop => "may move",
+            Order::Stop => REST,
+            Order::Unstop => PATIENCE,
         }
     }
 }
@@ -194,10 +210,40 @@ fn tell(
     }
 }
 
+/// What a device does that has obeyed, and whether that is good.
+fn obeys(order: Order, standing: Standing) -> (&'static str, Tone) {
+    match (order, standing) {
+        (Order::Unstop, _) => ("may move", Tone::Good),
+        (_, Standing { unreached: true, .. }) => ("obeys, and cannot reach what it moves", Tone::Bad),
+        (_, Standing { moving: true, .. }) => ("obeys, and still moves", Tone::Bad),
+        (
+            _,
+            Standing {
+                rest: Some(Rest::Measured),
+                ..
+            },
+        ) => ("stands", Tone::Good),
+        (
+            _,
+            Standing {
+                rest: Some(Rest::NotMeasured),
+                ..
+            },
+        ) => (
+            "stands, by the time in which it stops: it does not measure",
+            Tone::Good,
+        ),
+        (_, Standing { rest: None, .. }) => ("obeys; whether it stands it does not say", Tone::Good),
+    }
+}
+
 fn json_of(channel: &ToldChannel) -> Json {
-    let named = |answer: DeviceAnswer| -> Vec<&str> {
-        let devices = channel.devices.iter().filter(|(_, said)| *said == answer);
+    let those = |is_meant: &dyn Fn(DeviceAnswer) -> bool| -> Vec<&str> {
+        let devices = channel.devices.iter().filter(|(_, said)| is_meant(*said));
         devices.map(|(name, _)| name.as_str()).collect()
+    };
+    let standing = |is_meant: &dyn Fn(Standing) -> bool| {
+        those(&|said| matches!(said, DeviceAnswer::Obeys(standing) if is_meant(standing)))
     };
     let newer = channel
         .newer
@@ -206,9 +252,12 @@ fn json_of(channel: &ToldChannel) -> Json {
     json!({
         "path": channel.path.as_str(),
         "number": channel.number,
-        "obeyed": named(DeviceAnswer::Obeys),
-        "silent": named(DeviceAnswer::Silent),
-        "lost": named(DeviceAnswer::Lost),
+        "obeyed": standing(&|_| true),
+        "measured": standing(&|standing| standing.rest == Some(Rest::Measured)),
+        "moving": standing(&|standing| standing.moving),
+        "unreached": standing(&|standing| standing.unreached),
+        "silent": those(&|said| said == DeviceAnswer::Silent),
+        "lost": those(&|said| said == DeviceAnswer::Lost),
         "kept": channel.kept,
         "newer": newer.collect::<Vec<_>>(),
         "error": channel.error,
@@ -216,11 +265,12 @@ fn json_of(channel: &ToldChannel) -> Json {
 }
 
 fn line(order: Order, channel: &ToldChannel, lifted: Option<&StopState>) -> String {
-    let named = |answer: DeviceAnswer| {
-        let devices = channel.devices.iter().filter(|(_, said)| *said == answer);
+    let those = |is_meant: &dyn Fn(DeviceAnswer) -> bool| {
+        let devices = channel.devices.iter().filter(|(_, said)| is_meant(*said));
         let names: Vec<String> = devices.map(|(name, _)| words::visible(name)).collect();
         (!names.is_empty()).then(|| names.join(", "))
     };
+    let named = |answer: DeviceAnswer| those(&|said| said == answer);
     let mut parts = Vec::new();
     if let Some(error) = &channel.error {
         let text = match order {
@@ -235,7 +285,7 @@ fn line(order: Order, channel: &ToldChannel, lifted: Option<&StopState>) -> Stri
     }
     if let Some(names) = named(DeviceAnswer::Silent) {
         parts.push(ink(
-            format!("{names} said nothing within {PATIENCE:?}"),
+            format!("{names} said nothing within {:?}", order.patience()),
             Tone::Bad,
         ));
     }
@@ -246,8 +296,17 @@ fn line(order: Order, channel: &ToldChannel, lifted: Option<&StopState>) -> Stri
         );
         parts.push(ink(text, Tone::Bad));
     }
-    if let Some(names) = named(DeviceAnswer::Obeys) {
-        parts.push(ink(format!("{names} {}", order.obeyed()), Tone::Good));
+    let mut told = BTreeMap::new();
+    for (_, said) in &channel.devices {
+        if let DeviceAnswer::Obeys(standing) = said {
+            let (words, tone) = obeys(order, *standing);
+            told.insert(words, tone);
+        }
+    }
+    for (words, tone) in told {
+        let says = |said| matches!(said, DeviceAnswer::Obeys(standing) if obeys(order, standing).0 == words);
+        let names = those(&says).unwrap_or_default();
+        parts.push(ink(format!("{names} {words}"), tone));
     }
     let nobody = channel.devices.is_empty() && (order == Order::Stop || channel.error.is_none());
     if nobody && channel.newer.is_empty() {
@@ -304,16 +363,53 @@ mod tests {
             reason: Some("smoke".to_owned()),
             ..StopState::default()
         };
-        let obeys = told(&[("arm", DeviceAnswer::Obeys)]);
+        let measured = DeviceAnswer::Obeys(Standing {
+            rest: Some(Rest::Measured),
+            ..Standing::default()
+        });
+        let obeys = told(&[("arm", measured)]);
         assert_eq!(line(Order::Stop, &obeys, None), "/robot/arm: arm stands");
+        for (standing, words) in [
+            (Standing::default(), "obeys; whether it stands it does not say"),
+            (
+                Standing {
+                    rest: Some(Rest::NotMeasured),
+                    ..Standing::default()
+                },
+                "stands, by the time in which it stops: it does not measure",
+            ),
+            (
+                Standing {
+                    moving: true,
+                    ..Standing::default()
+                },
+                "obeys, and still moves",
+            ),
+            (
+                Standing {
+                    moving: true,
+                    unreached: true,
+                    rest: None,
+                },
+                "obeys, and cannot reach what it moves",
+            ),
+        ] {
+            let channel = told(&[("arm", DeviceAnswer::Obeys(standing)), ("hand", measured)]);
+            let told = line(Order::Stop, &channel, None);
+            assert!(
+                told.contains(&format!("arm {words}")) && told.contains("hand stands"),
+                "{told}"
+            );
+            assert_eq!(channel.is_obeyed(), !standing.moving, "{told}");
+        }
         assert_eq!(
             line(Order::Unstop, &obeys, Some(&bob)),
             "/robot/arm: arm may move; was stopped by bob (smoke)"
         );
-        let some = told(&[("arm", DeviceAnswer::Obeys), ("mute", DeviceAnswer::Silent)]);
+        let some = told(&[("arm", measured), ("mute", DeviceAnswer::Silent)]);
         assert_eq!(
             line(Order::Stop, &some, None),
-            "/robot/arm: mute said nothing within 1s; arm stands"
+            "/robot/arm: mute said nothing within 3s; arm stands"
         );
         let lost = told(&[("arm", DeviceAnswer::Lost)]);
         assert_eq!(

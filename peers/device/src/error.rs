@@ -29,6 +29,8 @@ pub enum ErrorName {
     TooOld,
     /// A relative command does not name the state that it is based on.
     NoState,
+    /// The device still moves as its old owner had it move.
+    ChangingHands,
     /// Something is in the way.
     Obstacle,
     /// The device has no energy left to do it.
@@ -50,6 +52,7 @@ impl ErrorName {
             Self::DuplicateId => 5104,
             Self::TooOld => 5107,
             Self::NoState => 5108,
+            Self::ChangingHands => 5105,
             Self::Obstacle => 5110,
             Self::Battery => 5111,
         }
@@ -57,7 +60,7 @@ impl ErrorName {
 
     /// Whether the same command may be taken a little later.
     const fn is_retryable(self) -> bool {
-        matches!(self, Self::QueueFull)
+        matches!(self, Self::QueueFull | Self::ChangingHands)
     }
 }
 

@@ -22,6 +22,12 @@ pub trait Machine: fmt::Debug {
     /// µs between two states while it moves.
     const PERIOD: DeviceTime = STATE_PERIOD;
 
+    /// µs within which it stands once it is halted, whatever it did before. It says that it rests by this only where it does not measure.
+    const STOPPING_TIME: DeviceTime = 1_000_000;
+
+    /// The numbers of its position differ by less than this, each in its unit, while it rests.
+    const TOLERANCE: f64 = 1.0;
+
     /// Reads what follows the verb of a statement; `None` if there is no such verb.
     ///
     /// # Errors
@@ -51,6 +57,11 @@ pub trait Machine: fmt::Debug {
         !self.is_moving()
     }
 
+    /// Whether it can tell its mechanism what to do, and hears of it. What is not reached is never said to rest.
+    fn is_reached(&self) -> bool {
+        true
+    }
+
     /// Checks a script from where the device will be after those that were planned before, and plans on from its end.
     ///
     /// # Errors
@@ -73,7 +84,8 @@ pub trait Machine: fmt::Debug {
         false
     }
 
-    /// Comes to a stand at once, and forgets what was planned.
+    /// Comes to a stand at once, and forgets what was planned. Each stop and each halt comes here, also at rest: the mechanism may not do
+    /// what is known of it.
     fn halt(&mut self, now: DeviceTime);
 
     /// Lets time pass until `now`.

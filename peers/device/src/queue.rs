@@ -4,9 +4,10 @@ use std::collections::VecDeque;
 use std::fmt::Debug;
 use std::sync::Arc;
 
-use mom_client::Map;
+use mom_client::{HUB, Map};
 
-use crate::{DeviceError, DeviceTime, ErrorName, MAX_ATTACHED, Machine, Script, Statement};
+use crate::rest::{Rest, Sample};
+use crate::{AtRest, DeviceError, DeviceTime, ErrorName, MAX_ATTACHED, Machine, Script, Statement};
 
 /// µs between two states while a device moves, unless its machine says otherwise: 20 Hz.
 pub const STATE_PERIOD: DeviceTime = 50_000;
@@ -30,7 +31,19 @@ pub struct CommandQueue<M: Machine> {
     publish: DeviceTime,
     /// Whether the last state that was told said that it moves.
     told_moving: bool,
+    /// What the last state that was told said of its rest.
+    told_rest: Option<AtRest>,
+    rest: Rest,
+    /// It was to stand while it moved, and does not rest yet.
+    halting: bool,
+    /// It has a new owner, whose first motion waits until it rests.
+    changes_hands: bool,
+    /// Until when the new owner's command waits, if there is one.
+    waits_until: Option<DeviceTime>,
 }
+
+/// µs that a new owner waits beyond twice the stopping time until the device rests.
+const PATIENCE: DeviceTime = 1_000_000;
 
 /// Whose command it is.
 #[derive(Debug, Clone, PartialEq)]
@@ -84,8 +97,12 @@ pub struct State {
     pub position: Map,
     /// What else is told of it.
     pub report: Map,
-    /// Whether it moves.
+    /// Whether it moves, or does not rest yet though it is to stand.
     pub moving: bool,
+    /// How it is known that it rests, if it is.
+    pub rest: Option<AtRest>,
+    /// Whether it can tell its mechanism what to do.
+    pub reached: bool,
     /// Whether it takes no command until it is released.
     pub stopped: bool,
     /// The command being carried out.
@@ -132,6 +149,11 @@ impl<M: Machine> CommandQueue<M> {
             waiting: VecDeque::new(),
             publish: 0,
             told_moving: false,
+            told_rest: None,
+            rest: Rest::new(M::TOLERANCE, M::STOPPING_TIME),
+            halting: false,
+            changes_hands: false,
+            waits_until: None,
         }
     }
 
@@ -147,9 +169,26 @@ impl<M: Machine> CommandQueue<M> {
         what(&mut self.machine);
         self.seq += 1;
         self.advance(self.now, events);
-        if self.told_moving != self.machine.is_moving() {
+        if self.told_moving != self.is_moving() {
             self.publish_state(events);
         }
+    }
+
+    /// It has a new owner: no motion of it begins before the device rests.
+    pub fn change_hands(&mut self, now: DeviceTime, events: &mut Vec<QueueEvent>) {
+        self.advance(now, events);
+        self.changes_hands = self.rest.known().is_none();
+        self.waits_until = None;
+    }
+
+    /// Whether it moves, or is to stand and does not rest yet. Where it is not reached nobody knows.
+    fn is_moving(&self) -> bool {
+        self.machine.is_moving() || self.halting || !self.machine.is_reached()
+    }
+
+    /// Whether its position may change meanwhile: what is not reached tells nothing new.
+    fn is_lively(&self) -> bool {
+        self.machine.is_moving() || (self.halting && self.machine.is_reached())
     }
 
     /// Whether a command could be taken now.
@@ -229,13 +268,61 @@ impl<M: Machine> CommandQueue<M> {
                 }
                 Some(_) => break,
                 None if self.waiting.is_empty() => break,
+                None if self.waits_for_rest() => {
+                    self.pass(now);
+                    if self.waits_for_rest() {
+                        self.wait_for_rest(events);
+                        break;
+                    }
+                }
                 None => self.begin_command(events),
             }
         }
         self.pass(now);
-        if self.machine.is_moving() && self.now >= self.publish {
+        self.tell_rest(events);
+        if self.is_lively() && self.now >= self.publish {
             let late = (self.now - self.publish) / M::PERIOD;
             self.publish = self.publish.saturating_add((late + 1) * M::PERIOD);
+            self.publish_state(events);
+        }
+    }
+
+    /// Whether the first command of a new owner has to wait. The hub's own is the safe state, for which the device was halted.
+    fn waits_for_rest(&self) -> bool {
+        let is_hubs = |command: &Command<M::Action>| &*command.order.peer == HUB;
+        self.changes_hands && self.waiting.front().is_some_and(|command| !is_hubs(command))
+    }
+
+    /// Lets a new owner's commands wait for rest, and refuses them where it does not come.
+    fn wait_for_rest(&mut self, events: &mut Vec<QueueEvent>) {
+        let longest = 2 * M::STOPPING_TIME + PATIENCE;
+        let until = *self.waits_until.get_or_insert(self.now.saturating_add(longest));
+        if self.now < until {
+            return;
+        }
+        self.waits_until = None;
+        let why = match self.machine.is_reached() {
+            true => "it still moves as its old owner had it move",
+            false => "it cannot be reached, so that nobody knows whether it stands",
+        };
+        let text = format!(
+            "{} is changing hands, and {why} {} ms after the command",
+            M::NAME,
+            longest / 1000
+        );
+        let error = DeviceError::new(ErrorName::ChangingHands, text);
+        for command in std::mem::take(&mut self.waiting) {
+            events.push(QueueEvent::Failed(command.progress(0), error.clone()));
+        }
+        // What was planned from is where those would have led.
+        self.machine.halt(self.now);
+        self.publish_state(events);
+    }
+
+    /// Tells when it has come to rest.
+    fn tell_rest(&mut self, events: &mut Vec<QueueEvent>) {
+        let known = self.rest.known();
+        if known.is_some() && (known != self.told_rest || self.told_moving) && !self.is_busy() {
             self.publish_state(events);
         }
     }
@@ -249,8 +336,15 @@ impl<M: Machine> CommandQueue<M> {
     /// When `advance` is to be called next; `None` while there is nothing to do.
     pub fn next_wake(&self) -> Option<DeviceTime> {
         let ends = self.active.as_ref().and_then(|active| self.ends(active));
-        let tell = self.machine.is_moving().then_some(self.publish);
-        [ends, tell, self.machine.next_wake()].into_iter().flatten().min()
+        let tell = self.is_lively().then_some(self.publish);
+        // While it is carrying something out there is no rest to be looked for, and none of what is not reached.
+        let stands = self.active.is_none() && !self.machine.is_moving() && self.machine.is_reached();
+        let look = stands.then(|| self.rest.next_look(self.now)).flatten();
+        let waits = self.waits_for_rest().then_some(self.waits_until).flatten();
+        [ends, tell, look, waits, self.machine.next_wake()]
+            .into_iter()
+            .flatten()
+            .min()
     }
 
     /// Whether a command is being carried out or waits, so that the device may be elsewhere soon.
@@ -273,7 +367,9 @@ impl<M: Machine> CommandQueue<M> {
     pub fn halt(&mut self, now: DeviceTime, reason: &str, events: &mut Vec<QueueEvent>) {
         self.advance(now, events);
         // What goes on after its command, as a wheel does, is halted too.
-        if !self.is_at_rest() {
+        if self.is_at_rest() {
+            self.machine.halt(self.now);
+        } else {
             let error = DeviceError::new(ErrorName::Halted, format!("{} was halted: {reason}", M::NAME));
             self.end(error.clone(), &error, events);
         }
@@ -292,6 +388,8 @@ impl<M: Machine> CommandQueue<M> {
             self.stopped = true;
             let error = DeviceError::new(ErrorName::Stopped, format!("{} was stopped: {reason}", M::NAME));
             self.end(error.clone(), &error, events);
+        } else {
+            self.machine.halt(self.now);
         }
     }
 
@@ -311,7 +409,9 @@ impl<M: Machine> CommandQueue<M> {
             seq: self.seq,
             position: self.machine.position(),
             report: self.machine.report(),
-            moving: self.machine.is_moving(),
+            moving: self.is_moving(),
+            rest: self.rest.known(),
+            reached: self.machine.is_reached(),
             stopped: self.stopped,
             executing: active.map(|active| active.command.progress(active.begun)),
             waiting: self.waiting.len(),
@@ -319,9 +419,24 @@ impl<M: Machine> CommandQueue<M> {
     }
 
     fn pass(&mut self, until: DeviceTime) {
-        self.seq += u64::from(self.machine.is_moving() && until > self.now);
+        self.seq += u64::from(self.is_lively() && until > self.now);
         self.now = until.max(self.now);
         self.machine.advance(self.now);
+        self.watch_rest();
+    }
+
+    /// Looks whether it rests: not while it is carrying something out, and not where nothing is heard of it.
+    fn watch_rest(&mut self) {
+        let acts = self.active.as_ref().is_some_and(|active| active.begun > 0);
+        if acts || self.machine.is_moving() || !self.machine.is_reached() {
+            return self.rest.disturb(self.now);
+        }
+        let measured_at = self.machine.known_at().unwrap_or(self.now);
+        self.rest
+            .observe(Sample::of(&self.machine.position(), measured_at), self.now);
+        if self.rest.known().is_some() {
+            (self.halting, self.changes_hands, self.waits_until) = (false, false, None);
+        }
     }
 
     /// Takes the next command from the queue, unless it has become too old there.
@@ -330,6 +445,8 @@ impl<M: Machine> CommandQueue<M> {
             return;
         };
         let late = command.use_by.and_then(|use_by| self.now.checked_sub(use_by));
+        // From here on it moves as this command says, not as one that was to stand.
+        self.halting = false;
         self.active = Some(Active {
             command,
             begun: 0,
@@ -374,7 +491,7 @@ impl<M: Machine> CommandQueue<M> {
             }
             Statement::Wait(ms) => {
                 active.ends = Some(self.now.saturating_add(DeviceTime::from(ms) * 1000));
-                if self.told_moving != self.machine.is_moving() {
+                if self.told_moving != self.is_moving() {
                     self.publish_state(events);
                 }
             }
@@ -383,9 +500,16 @@ impl<M: Machine> CommandQueue<M> {
 
     /// Ends the active command with one error and those behind it with another.
     fn end(&mut self, error: DeviceError, behind: &DeviceError, events: &mut Vec<QueueEvent>) {
+        let began = self.active.as_ref().is_some_and(|active| active.begun > 0);
+        let was_moving = began || !self.machine.is_at_rest();
         self.machine.halt(self.now);
         let active = self.active.take();
         let waiting = std::mem::take(&mut self.waiting);
+        if was_moving {
+            self.halting = true;
+            self.rest.disturb(self.now);
+            self.publish = self.publish.max(self.now.saturating_add(M::PERIOD));
+        }
         self.publish_state(events);
         if let Some(active) = active {
             events.push(QueueEvent::Failed(active.command.progress(active.begun), error));
@@ -398,7 +522,7 @@ impl<M: Machine> CommandQueue<M> {
     fn publish_state(&mut self, events: &mut Vec<QueueEvent>) {
         self.seq += 1;
         let state = self.state();
-        self.told_moving = state.moving;
+        (self.told_moving, self.told_rest) = (state.moving, state.rest);
         events.push(QueueEvent::State(state));
     }
 }

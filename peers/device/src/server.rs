@@ -31,6 +31,8 @@ const SAFE: &str = "the hub ordered the safe state, because the token's owner lo
 ///   change, a `status` is broadcast (M42).
 /// - Whenever the owner changes, for whatever reason, the hub sends `halt`, or the link is lost, all commands end and the device
 ///   stands at once: nothing of an old owner is ever under way when a command of the new one begins.
+/// - The first motion of a new owner waits until the device rests ([`Machine::TOLERANCE`]), at most twice its stopping time and a second;
+///   then it is refused as `changing-hands`.
 /// - Anybody's `stop` ends all commands too, and holds until an `unstop` that names it or a newer one ([`Latch`]). A gap in the events
 ///   is a stop of its own, of which it tells the hub, because it may have contained a `stop`. After each of both it says how it
 ///   stands, changed or not. It moves nothing before it has heard on this connection how it stands.
@@ -347,6 +349,7 @@ impl<M: Machine> DeviceServer<M> {
         }
         let before = out.len();
         self.end_older(fence, now, out);
+        self.act(out, |queue, events| queue.change_hands(now, events));
         if !out[before..].iter().any(|parcel| parcel.name() == STATE) {
             self.report(out);
         }
@@ -398,13 +401,17 @@ impl<M: Machine> DeviceServer<M> {
         parcel
     }
 
-    /// `{seq, …position, …report, moving, stopped, stop, executing {id?, peer, statement, of}?, waiting, fence?}`.
+    /// `{seq, …position, …report, moving, rest?, reached, stopped, stop, executing {id?, peer, statement, of}?, waiting, fence?}`.
     fn state_message(&mut self, state: &State) -> Parcel {
         let mut content = Map::new().with("seq", state.seq as i64);
         for (key, value) in state.position.iter().chain(state.report.iter()) {
             content.set(key, value.clone());
         }
         content.set("moving", state.moving);
+        if let Some(rest) = state.rest {
+            content.set("rest", rest.word());
+        }
+        content.set("reached", state.reached);
         content.set("stopped", state.stopped);
         content.set(STOP, i64::try_from(self.latch.number()).unwrap_or(i64::MAX));
         if let Some(Progress { order, statement, of }) = &state.executing {

@@ -130,6 +130,8 @@ mod tests {
             position: Map::new().with("x", x),
             report: Map::new().with("unit", 7).with("round-trip", x),
             moving,
+            rest: None,
+            reached: true,
             stopped: false,
             executing: None,
             waiting: 0,

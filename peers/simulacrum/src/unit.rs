@@ -393,9 +393,15 @@ impl Machine for Mirror {
     const NAME: &str = "the robot";
     const VERBS: &[&str] = Action::VERBS;
     const PERIOD: DeviceTime = 100_000;
+    // Odometry in whole mm and degrees.
+    const TOLERANCE: f64 = 2.0;
 
     fn read(verb: Word<'_>, words: &mut Words<'_>) -> Option<Result<Action, DeviceError>> {
         Action::read(verb, words)
+    }
+
+    fn is_reached(&self) -> bool {
+        self.robot.is_up()
     }
 
     fn attach(action: &mut Action, attachments: &Attachments) -> Result<(), DeviceError> {

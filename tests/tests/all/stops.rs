@@ -82,7 +82,7 @@ async fn who_says_nothing_is_named() {
     let lab = Lab::start().await;
     let mut mute = mute(&lab).await;
     let output = mom(&lab, "alice", &["stop", ARM]).await;
-    let expected = "/robot/arm: arm~2 said nothing within 1s; arm stands\n";
+    let expected = "/robot/arm: arm~2 said nothing within 3s; arm stands\n";
     assert_eq!(told(&output), (Some(1), expected.to_owned()));
     // Its word is what counts, not that it took the message.
     mute.next_of(Family::Message, "stop").await;
@@ -92,6 +92,62 @@ async fn who_says_nothing_is_named() {
     mute.ask(join(Map::new())).await.expect("a member");
     let output = mom(&lab, "alice", &["stop", ARM]).await;
     assert_eq!(told(&output), (Some(0), "/robot/arm: arm stands\n".to_owned()));
+    lab.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_obeys_and_does_not_stand_is_named() {
+    let lab = Lab::start().await;
+    let mut rolling = mute(&lab).await;
+    let state = |more: Map| {
+        let said = Map::new().with("stopped", true).with("reached", true);
+        let said = more
+            .iter()
+            .fold(said, |said, (key, value)| said.with(key, value.clone()));
+        said
+    };
+    for (arguments, more, code, line) in [
+        (
+            &["stop", ARM][..],
+            Map::new().with("moving", true),
+            1,
+            "arm stands; arm~2 obeys, and still moves",
+        ),
+        (
+            &["stop", ARM],
+            Map::new().with("moving", true).with("reached", false),
+            1,
+            "arm stands; arm~2 obeys, and cannot reach what it moves",
+        ),
+        (
+            &["stop", ARM],
+            Map::new().with("moving", false).with("rest", "not-measured"),
+            0,
+            "arm stands; arm~2 stands, by the time in which it stops: it does not measure",
+        ),
+        (
+            &["stop", ARM, "--measured"],
+            Map::new().with("moving", false).with("rest", "not-measured"),
+            1,
+            "arm stands; arm~2 stands, by the time in which it stops: it does not measure",
+        ),
+    ] {
+        let answers = async {
+            rolling.next_of(Family::Message, "stop").await;
+            rolling.send_parcel(&message("state", ARM, state(more))).await;
+        };
+        let (output, ()) = tokio::join!(mom(&lab, "alice", arguments), answers);
+        let (found, words) = told(&output);
+        let mut parts: Vec<&str> = words
+            .trim_end()
+            .trim_start_matches("/robot/arm: ")
+            .split("; ")
+            .collect();
+        let mut expected: Vec<&str> = line.split("; ").collect();
+        parts.sort_unstable();
+        expected.sort_unstable();
+        assert_eq!((found, parts), (Some(code), expected), "{output:?}");
+    }
     lab.end().await;
 }
 

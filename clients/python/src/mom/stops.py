@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from typing import Any, Dict, List, Optional
+from typing import Any, Dict, List, Mapping, Optional
 
 from .content import maps, names, number, text
 
@@ -56,10 +56,29 @@ class DeviceAnswer:
     word: str
     """`stopped` or `unstopped`: it obeys; `silent`: nothing in time; `lost`: its connection is, and it finds the stop when it comes back."""
 
+    rest: Optional[str] = None
+    """How it knows that it rests: `measured`, or `not-measured`; `None`: it does not know yet, or says nothing of it."""
+    moving: bool = False
+    """It obeys and moves still, or does not know that it does not."""
+    reached: bool = True
+    """Whether it can tell its mechanism what to do."""
+
     @property
     def obeys(self) -> bool:
-        """Whether it has said that it obeys."""
-        return self.word in ("stopped", "unstopped")
+        """Whether it has said that it obeys, and not that it still moves."""
+        return self.word in ("stopped", "unstopped") and not self.moving
+
+    @classmethod
+    def of(cls, content: Mapping[str, Any]) -> DeviceAnswer:
+        """What a reply says of one device."""
+        flag = content.get
+        return cls(
+            text(content, "peer"),
+            text(content, "word") or "silent",
+            text(content, "rest") or None,
+            flag("moving") is True,
+            flag("reached") is not False,
+        )
 
 
 @dataclass(frozen=True)
@@ -84,7 +103,7 @@ class ToldChannel:
     @staticmethod
     def of(content: Dict[str, Any]) -> ToldChannel:
         """Reads one of the hub's list."""
-        devices = [DeviceAnswer(text(one, "peer"), text(one, "word") or "silent") for one in maps(content, "devices")]
+        devices = [DeviceAnswer.of(one) for one in maps(content, "devices")]
         newer = [
             replace(StopState.of(one), stopped=True, only=[one["device"]] if text(one, "device") else [])
             for one in maps(content, "newer")
@@ -101,7 +120,7 @@ class ToldChannel:
 
     @property
     def is_obeyed(self) -> bool:
-        """Whether every device of it has said that it obeys; a guarded channel has one at least."""
+        """Whether every device of it has said that it obeys, and none still moves; a guarded channel has one at least."""
         obeys = all(device.obeys for device in self.devices) and (bool(self.devices) or not self.guarded)
         return obeys and not self.newer and self.error is None
 

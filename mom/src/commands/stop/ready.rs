@@ -84,7 +84,7 @@ impl Ready<'_> {
                 tokio::select! {
                     answer = &mut sent => match answer {
                         Ok(report) => {
-                            return match stopped(&report, self.output) {
+                            return match stopped(&report, self.args.measured, self.output) {
                                 Ok(()) | Err(Failure::Told) => Ok(true),
                                 Err(failure) => {
                                     self.say(&failure.to_string());

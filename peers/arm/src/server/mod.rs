@@ -10,6 +10,8 @@ use mom_client::{
     WireError, event, to_value,
 };
 
+use mom_device::Rest;
+
 use crate::arm::Arm;
 use crate::error::{ArmError, ErrorName};
 use crate::motion::ArmTime;
@@ -92,6 +94,9 @@ pub struct RobotServer {
     zones: Zones,
     /// Who owns the channel's token, as far as was heard; the zones of others are closed to it.
     commander: Option<String>,
+    /// Whether it rests, since it was stopped; none while it is not.
+    rest: Option<Rest>,
+    now: ArmTime,
 }
 
 /// The part of the state that motions change and commands are based on: the hand, the jaws, and the held block.
@@ -130,6 +135,8 @@ impl RobotServer {
             pace: 1,
             zones: Zones::default(),
             commander: None,
+            rest: None,
+            now: 0,
         }
     }
 
@@ -200,13 +207,17 @@ impl RobotServer {
 
     /// Lets time pass until `now`.
     pub fn advance(&mut self, now: ArmTime, out: &mut Vec<Parcel>) {
+        self.now = self.now.max(now);
         self.act(out, |arm, events| arm.advance(now, events));
+        self.watch_rest(out);
     }
 
     /// When [`RobotServer::advance`] is to be called next; `None` while the arm has nothing to do.
     #[must_use]
     pub fn next_wake(&self) -> Option<ArmTime> {
-        self.arm.next_wake()
+        let look = self.rest.as_ref().filter(|_| self.arm.stands());
+        let look = look.and_then(|rest| rest.next_look(self.now));
+        self.arm.next_wake().into_iter().chain(look).min()
     }
 
     /// Ends every command, for a reason in plain words.
@@ -451,6 +462,10 @@ impl RobotServer {
                 map.set("executing", self.executing(&executing));
             }
             if let Value::Map(map) = &mut content {
+                map.set("reached", state.linked);
+                if let Some(rest) = self.rest.as_ref().and_then(Rest::known) {
+                    map.set("rest", rest.word());
+                }
                 map.set("stop", i64::try_from(self.latch.number()).unwrap_or(i64::MAX));
             }
             if let (Value::Map(map), Ok(fence @ 1..)) = (&mut content, i64::try_from(self.stood)) {

@@ -44,3 +44,30 @@ fn a_gap_is_a_stop_of_which_it_tells_the_hub() {
     assert_eq!(state.get("stopped"), Some(&Value::Bool(false)));
     assert_eq!(state.get("stop"), Some(&Value::Int(3)));
 }
+
+#[test]
+fn a_stopped_arm_says_when_it_rests() {
+    let mut stage = Stage::new();
+    let rests = |stage: &mut Stage| {
+        let states = stage.out.drain(..).filter(|parcel| parcel.name() == "state");
+        let last = states.last().map(|parcel| parcel.value());
+        last.map(|state| (state.get("reached").cloned(), state.get("rest").cloned()))
+    };
+    stage.act("bob stop 7");
+    assert_eq!(rests(&mut stage), Some((Some(true.into()), None)));
+    stage.pass(299);
+    assert_eq!(rests(&mut stage), None);
+    stage.pass(100);
+    assert_eq!(
+        rests(&mut stage),
+        Some((Some(true.into()), Some("measured".into())))
+    );
+    // It rests on, and says so at once.
+    stage.act("alice stop 8");
+    assert_eq!(
+        rests(&mut stage),
+        Some((Some(true.into()), Some("measured".into())))
+    );
+    stage.pass(1_000);
+    assert_eq!(rests(&mut stage), None, "there is nothing new to tell");
+}

@@ -100,6 +100,9 @@ impl Machine for Mount {
 
     const NAME: &str = "the camera";
     const VERBS: &[&str] = &["look", "turn", "home"];
+    const STOPPING_TIME: DeviceTime = 200_000;
+    // Degrees.
+    const TOLERANCE: f64 = 0.1;
 
     fn read(verb: Word<'_>, words: &mut Words<'_>) -> Option<Result<MountAction, DeviceError>> {
         let mut angles = |takes, names: [&str; 2]| {
@@ -230,7 +233,7 @@ mod tests {
                     Deed::Nothing => mount.advance(now, &mut events),
                 }
                 if matches!(deed, Deed::Halt | Deed::Stop) {
-                    prop_assert!(!mount.state().moving && !mount.is_busy());
+                    prop_assert!(!mount.machine().is_moving() && !mount.is_busy());
                 }
                 let until = now + later;
                 while let Some(due) = mount.next_wake().filter(|due| *due < until) {
@@ -279,9 +282,10 @@ mod tests {
                 _ => None,
             })
             .collect();
-        assert_eq!(states.len(), 20, "{states:?}");
+        assert_eq!(states.len(), 21, "{states:?}");
         assert_eq!(states[9], (30.0, true));
         assert_eq!(states[19], (60.0, false));
+        assert_eq!(states[20], (60.0, false), "it has measured that it rests");
     }
 
     #[test]

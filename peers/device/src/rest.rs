@@ -1,0 +1,208 @@
+//! Whether the device rests: measured, not meant.
+
+use mom_client::{Map, Value};
+
+use crate::DeviceTime;
+
+/// Measurements that differ by less than the tolerance over so long, in µs, are those of a device at rest.
+pub const REST: DeviceTime = 300_000;
+
+/// µs between two looks at a device that may be coming to rest.
+const LOOK: DeviceTime = 50_000;
+
+/// How it is known that the device rests.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AtRest {
+    /// By measurements taken since it was to stand.
+    Measured,
+    /// It does not measure, and its stopping time has passed since it was to stand.
+    NotMeasured,
+}
+
+impl AtRest {
+    /// The word in its state.
+    #[must_use]
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Measured => "measured",
+            Self::NotMeasured => "not-measured",
+        }
+    }
+}
+
+/// What is measured of the device at one time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sample {
+    /// When it was measured.
+    pub at: DeviceTime,
+    /// Each number of its position.
+    values: Vec<f64>,
+}
+
+impl Sample {
+    /// Of these numbers, always in the same order.
+    #[must_use]
+    pub fn new(values: Vec<f64>, at: DeviceTime) -> Sample {
+        Sample { at, values }
+    }
+
+    /// Of its position; none if that has no number.
+    #[must_use]
+    pub fn of(position: &Map, at: DeviceTime) -> Option<Sample> {
+        let number = |value: &Value| match value {
+            Value::Int(number) => Some(*number as f64),
+            Value::Double(number) => Some(*number),
+            _ => None,
+        };
+        let values: Vec<f64> = position.iter().filter_map(|(_, value)| number(value)).collect();
+        (!values.is_empty()).then_some(Sample { at, values })
+    }
+
+    fn is_near(&self, other: &Sample, tolerance: f64) -> bool {
+        self.values.len() == other.values.len()
+            && self
+                .values
+                .iter()
+                .zip(&other.values)
+                .all(|(one, other)| (one - other).abs() < tolerance)
+    }
+}
+
+/// Watches a device come to rest. What was measured before it was to stand is worth nothing.
+#[derive(Debug)]
+pub struct Rest {
+    tolerance: f64,
+    stopping_time: DeviceTime,
+    /// When something moved it last, or it was to stand.
+    since: DeviceTime,
+    /// The first of the measurements that differ by less than the tolerance.
+    first: Option<Sample>,
+    known: Option<AtRest>,
+}
+
+impl Rest {
+    /// Of a device whose numbers differ by less than the tolerance at rest, and that stands so many µs after it was to.
+    #[must_use]
+    pub fn new(tolerance: f64, stopping_time: DeviceTime) -> Rest {
+        Rest {
+            tolerance,
+            stopping_time,
+            since: 0,
+            first: None,
+            known: None,
+        }
+    }
+
+    /// Something moves it, or may: that it rests is to be found out anew.
+    pub fn disturb(&mut self, now: DeviceTime) {
+        (self.since, self.first, self.known) = (now, None, None);
+    }
+
+    /// Takes in what is measured now; without a measurement its stopping time is waited for.
+    pub fn observe(&mut self, sample: Option<Sample>, now: DeviceTime) {
+        let Some(sample) = sample else {
+            self.first = None;
+            let passed = now.saturating_sub(self.since) >= self.stopping_time;
+            self.known = passed.then_some(AtRest::NotMeasured);
+            return;
+        };
+        if sample.at < self.since {
+            return;
+        }
+        match self
+            .first
+            .as_ref()
+            .filter(|first| sample.is_near(first, self.tolerance))
+        {
+            Some(first) if sample.at.saturating_sub(first.at) >= REST => self.known = Some(AtRest::Measured),
+            // It is not known yet, or was before it stopped to measure.
+            Some(_) => self.known = self.known.filter(|known| *known == AtRest::Measured),
+            None => (self.first, self.known) = (Some(sample), None),
+        }
+    }
+
+    /// How it is known that it rests, if it is.
+    #[must_use]
+    pub fn known(&self) -> Option<AtRest> {
+        self.known
+    }
+
+    /// When it is to be looked at next; none once it rests.
+    #[must_use]
+    pub fn next_look(&self, now: DeviceTime) -> Option<DeviceTime> {
+        self.known.is_none().then(|| now.saturating_add(LOOK))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const STOPPING: DeviceTime = 500_000;
+
+    fn sample(x: f64, at: DeviceTime) -> Option<Sample> {
+        Sample::of(&Map::new().with("x", Value::Double(x)).with("name", "a"), at)
+    }
+
+    #[test]
+    fn what_rolls_does_not_rest_and_what_stands_rests_after_three_tenths_of_a_second() {
+        let mut rest = Rest::new(1.0, STOPPING);
+        rest.disturb(100_000);
+        // Measured before it was to stand.
+        rest.observe(sample(0.0, 90_000), 500_000);
+        assert_eq!(rest.known(), None);
+        for step in 0..20 {
+            let now = 100_000 + step * 50_000;
+            rest.observe(sample(step as f64 * 2.0, now), now);
+            assert_eq!(rest.known(), None, "it rolls at 40 mm/s");
+        }
+        let stands = 100_000 + 19 * 50_000;
+        rest.observe(sample(38.5, stands + REST - 1), stands + REST - 1);
+        assert_eq!(rest.known(), None);
+        rest.observe(sample(38.5, stands + REST), stands + REST);
+        assert_eq!(rest.known(), Some(AtRest::Measured));
+        // Pushed.
+        rest.observe(sample(60.0, stands + 900_000), stands + 900_000);
+        assert_eq!(rest.known(), None);
+    }
+
+    #[test]
+    fn without_a_measurement_the_stopping_time_is_waited_for() {
+        let mut rest = Rest::new(1.0, STOPPING);
+        rest.disturb(1_000);
+        rest.observe(None, STOPPING);
+        assert_eq!(
+            (rest.known(), rest.next_look(STOPPING)),
+            (None, Some(STOPPING + LOOK))
+        );
+        rest.observe(None, 1_000 + STOPPING);
+        assert_eq!(
+            (rest.known(), rest.next_look(1)),
+            (Some(AtRest::NotMeasured), None)
+        );
+        rest.observe(sample(3.0, 700_000), 700_000);
+        assert_eq!(rest.known(), None, "what is measured counts");
+    }
+
+    proptest! {
+        /// Whatever it does and whenever it is looked at: where it rests by its word, it has moved by less than twice the tolerance in the
+        /// last 0.3 s of measurements.
+        #[test]
+        fn who_rests_has_not_moved(steps in proptest::collection::vec((1_000..200_000_i64, -1.5..1.5_f64), 1..200)) {
+            let (mut rest, mut seen) = (Rest::new(1.0, STOPPING), Vec::new());
+            let (mut now, mut x) = (0, 0.0);
+            for (pause, step) in steps {
+                (now, x) = (now + pause, x + step);
+                rest.observe(sample(x, now), now);
+                seen.push((now, x));
+                if rest.known().is_some() {
+                    for (_, then) in seen.iter().filter(|(at, _)| *at >= now - REST) {
+                        prop_assert!((x - then).abs() < 2.0, "{:?}", seen);
+                    }
+                }
+            }
+        }
+    }
+}
