@@ -58,9 +58,9 @@ impl ErrorName {
         }
     }
 
-    /// Whether the same command may be taken a little later.
+    /// Whether the same command may be taken a little later. A new owner's has been waited with already.
     const fn is_retryable(self) -> bool {
-        matches!(self, Self::QueueFull | Self::ChangingHands)
+        matches!(self, Self::QueueFull)
     }
 }
 

@@ -340,7 +340,9 @@ impl<M: Machine> CommandQueue<M> {
         // While it is carrying something out there is no rest to be looked for, and none of what is not reached.
         let stands = self.active.is_none() && !self.machine.is_moving() && self.machine.is_reached();
         let look = stands.then(|| self.rest.next_look(self.now)).flatten();
-        let waits = self.waits_for_rest().then_some(self.waits_until).flatten();
+        let waits = self
+            .waits_until
+            .filter(|_| self.active.is_none() && self.waits_for_rest());
         [ends, tell, look, waits, self.machine.next_wake()]
             .into_iter()
             .flatten()
@@ -441,6 +443,10 @@ impl<M: Machine> CommandQueue<M> {
 
     /// Takes the next command from the queue, unless it has become too old there.
     fn begin_command(&mut self, events: &mut Vec<QueueEvent>) {
+        // That it stands is told before it moves again.
+        if self.told_moving && !self.is_moving() {
+            self.publish_state(events);
+        }
         let Some(command) = self.waiting.pop_front() else {
             return;
         };

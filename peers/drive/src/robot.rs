@@ -70,7 +70,7 @@ impl RobotState {
 enum Trouble {
     /// It cannot go there; another pose may do.
     Pose,
-    /// It is still at what its last owner told it.
+    /// It is still at what its last owner told it, and tells when it is not.
     ChangingHands,
     /// Its controller is not there, and the command may be sent again once it is.
     Unlinked,
@@ -86,7 +86,7 @@ impl Trouble {
         let retry = error.get("retry").and_then(Value::as_bool) == Some(true);
         match error.get("name").and_then(Value::as_str) {
             Some("workspace-boundary" | "joint-limit" | "singularity") => Trouble::Pose,
-            Some("changing-hands") => Trouble::ChangingHands,
+            Some("changing-hands") if retry => Trouble::ChangingHands,
             Some("link") if retry => Trouble::Unlinked,
             Some("too-old") if retry => Trouble::Unmeasured,
             Some("stopped") => Trouble::Stopped,
@@ -333,6 +333,8 @@ mod tests {
             ("link", true, Trouble::Unlinked),
             ("link", false, Trouble::Other),
             ("changing-hands", true, Trouble::ChangingHands),
+            // It has waited with the command in vain.
+            ("changing-hands", false, Trouble::Other),
             ("too-old", true, Trouble::Unmeasured),
             ("too-old", false, Trouble::Other),
             ("stopped", false, Trouble::Stopped),

@@ -417,9 +417,10 @@ fn a_newer_fence_ends_what_an_older_one_began() {
          grabbed 6
          after 299
          after 1
+         > state 6 -20 free, fence 6
          > status bob/1 executing 1/1
          after 100
-         > state 0 -20 free, fence 6
+         > state 0 -20 free
          > status bob/1 finished 1/1",
     );
 }
