@@ -9,7 +9,7 @@ export { Session, type Joined } from "./session.js";
 export { Channel, type MessageOptions, type Receipt } from "./channel.js";
 export { Token, TokenGuard, InhibitGuard, Given, type GrabOptions, type GiveOptions } from "./token.js";
 export { Latch, type Held, type StopState, type Turn } from "./latch.js";
-export { isObeyed, type DeviceWord, type StopOptions, type StopReport, type ToldChannel } from "./stops.js";
+export { isObeyed, type DeviceAnswer, type DeviceWord, type StopOptions, type StopReport, type ToldChannel } from "./stops.js";
 export { Device, type Machine } from "./obey.js";
 export { Consult } from "./consult.js";
 export { Key } from "./key.js";

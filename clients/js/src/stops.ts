@@ -15,6 +15,18 @@ export interface StopOptions {
 /** What a device said: that it obeys (`stopped`, `unstopped`), nothing in time (`silent`), or that its connection is lost: it finds the stop when it comes back. */
 export type DeviceWord = "stopped" | "unstopped" | "silent" | "lost";
 
+/** A device, and what it said. */
+export interface DeviceAnswer {
+  peer: string;
+  word: DeviceWord;
+  /** How it knows that it rests; absent: it does not know yet, or says nothing of it. */
+  rest?: "measured" | "not-measured";
+  /** It obeys and moves still, or does not know that it does not. */
+  moving?: true;
+  /** It cannot tell its mechanism what to do. */
+  reached?: false;
+}
+
 /** One channel that was told. */
 export interface ToldChannel {
   path: string;
@@ -24,7 +36,7 @@ export interface ToldChannel {
   guarded: boolean;
   /** Whether the hub knows of it after a restart. */
   kept: boolean;
-  devices: { peer: string; word: DeviceWord }[];
+  devices: DeviceAnswer[];
   /** Newer stops, which hold on: the unstop did not lift them. */
   newer: StopState[];
   /** Why the unstop was not handed out. */
@@ -54,7 +66,7 @@ function toldOf(fields: Fields): ToldChannel {
     number: int(fields, "number") ?? 0,
     guarded: fields["guard"] === true,
     kept: fields["kept"] === true,
-    devices: maps("devices").map((device) => ({ peer: text(device, "peer") ?? "", word: (text(device, "word") ?? "silent") as DeviceWord })),
+    devices: maps("devices").map(answerOf),
     newer: maps("newer").map((newer) => {
       const device = text(newer, "device");
       return { ...stopStateOf(newer), stopped: true, only: device === undefined ? [] : [device] };
@@ -64,7 +76,16 @@ function toldOf(fields: Fields): ToldChannel {
   return error === undefined ? told : { ...told, error };
 }
 
-/** Whether every device of a channel has obeyed; a guarded channel has one at least. */
+function answerOf(device: Fields): DeviceAnswer {
+  const answer: DeviceAnswer = { peer: text(device, "peer") ?? "", word: (text(device, "word") ?? "silent") as DeviceWord };
+  const rest = text(device, "rest");
+  if (rest === "measured" || rest === "not-measured") answer.rest = rest;
+  if (device["moving"] === true) answer.moving = true;
+  if (device["reached"] === false) answer.reached = false;
+  return answer;
+}
+
+/** Whether every device of a channel has obeyed, and none still moves; a guarded channel has one at least. */
 export function isObeyed({ devices, guarded, newer, error }: ToldChannel): boolean {
-  return devices.every(({ word }) => word === "stopped" || word === "unstopped") && !(guarded && !devices.length) && !newer.length && error === undefined;
+  return devices.every(({ word, moving }) => (word === "stopped" || word === "unstopped") && !moving) && !(guarded && !devices.length) && !newer.length && error === undefined;
 }

@@ -74,6 +74,26 @@ test("an unstop of an older stop lifts nothing, and says who has stopped since, 
   await eventually(() => !device.isStopped);
 });
 
+test("what obeys and still moves does not stand, and is waited for", async (t) => {
+  const client = await open(t, "arm");
+  let says = { moving: true, reached: true };
+  const device = await client.obey("/robot/arm", { halt: () => undefined, move: () => undefined, state: () => says });
+  const alice = await open(t, "alice");
+  const [rolling] = (await alice.stop("/robot/arm", { within: 100 })).channels;
+  assert.deepEqual([rolling.devices, isObeyed(rolling)], [[{ peer: client.name, word: "stopped", moving: true }], false]);
+  says = { moving: true, reached: false };
+  const [unreached] = (await alice.stop("/robot/arm", { within: 100 })).channels;
+  assert.deepEqual(unreached.devices, [{ peer: client.name, word: "stopped", moving: true, reached: false }]);
+  const stopping = alice.stop("/robot/arm", { within: 9000 });
+  const heard = device.channel.events();
+  await until(heard, (event) => event.type === "message" && event.name === "stop");
+  says = { moving: false, reached: true, rest: "measured" };
+  device.report();
+  const [rests] = (await stopping).channels;
+  assert.deepEqual([rests.devices, isObeyed(rests)], [[{ peer: client.name, word: "stopped", rest: "measured" }], true]);
+  await alice.unstop("/robot/arm", rests.number);
+});
+
 test("a device that is thinned stays one, and its own stop is stopped in the hub's books", async (t) => {
   const { client, device } = await robot(t);
   await device.channel.thin({ newest: true });
