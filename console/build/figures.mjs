@@ -1,7 +1,7 @@
 // The console's figures, measured in a browser against a lab: npm run figures -- [--minutes 30] [--presses 200].
 import { fork } from "node:child_process";
 import { parseArgs } from "node:util";
-import { start } from "../test/lab.mjs";
+import { letGo, start } from "../test/lab.mjs";
 
 const { values } = parseArgs({ options: { minutes: { type: "string", default: "1" }, presses: { type: "string", default: "200" } } });
 const [minutes, presses] = [Number(values.minutes), Number(values.presses)];
@@ -76,7 +76,7 @@ for (let press = 0; press < presses + 3; press += 1) {
   // The first ones find the device.
   if (press >= 3) times.push(at - (await page.evaluate(() => window.pressed)));
   const free = hears("unstop");
-  await page.getByRole("button", { name: "Let go" }).click();
+  await letGo(page);
   await free;
   // A person does not press ten times a second.
   await wait(250);

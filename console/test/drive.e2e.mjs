@@ -1,7 +1,7 @@
 // Driving, as a person does it: against a lab, in a browser.
 import assert from "node:assert/strict";
 import { after, before, beforeEach, test } from "node:test";
-import { start } from "./lab.mjs";
+import { letGo, start } from "./lab.mjs";
 
 let lab;
 let alice;
@@ -226,7 +226,7 @@ test("STOP ends driving", async () => {
   await says(commands(alice).locator(".pose"), "stopped");
   await alice.keyboard.up("s");
   const release = async () => {
-    await alice.getByRole("button", { name: "Let go" }).click();
+    await letGo(alice);
     await says(commands(alice).locator(".pose"), "at rest");
   };
   await release();

@@ -74,6 +74,8 @@ export class FakeRobot {
   sealed = false;
   /** Whether it does what it is told. */
   obeys = true;
+  /** Called when it stops, and when it is let go. */
+  onStop = () => undefined;
   #state = { moving: false, stopped: false, stop: 0, linked: true, fence: 0 };
   #sequence = 0;
 
@@ -123,6 +125,7 @@ export class FakeRobot {
     for await (const event of this.channel.events()) {
       if (latch.observe(event)) {
         [this.#state.stopped, this.#state.stop] = [latch.isStopped, latch.number];
+        this.onStop(latch.isStopped);
         await this.#tellState();
       }
       if (event.type !== "message") continue;

@@ -1,5 +1,5 @@
 // Login, link, tokens and stopping.
-import { duration, left } from "./format.js";
+import { duration, left, timeOfDay } from "./format.js";
 
 export const login = {
   title: "Log in",
@@ -54,18 +54,25 @@ export const stop = {
   stop: "STOP",
   keys: "Escape",
   title: (top: string) => (top === "/" ? "Stop all devices (Escape, or Space outside of fields)" : `Stop the devices in ${top} (Escape, or Space outside of fields)`),
-  unstop: "Let go",
-  unstopTitle: "Let go of what is shown as stopped",
+  unstop: "Let go…",
+  unstopTitle: "Let go of what is shown as stopped, after a question that names it",
+  out: "Log in first",
+  stopped: "Stopped",
+  moreStops: (count: number) => `and ${count} more`,
+  freeTitle: "Let these move again?",
+  freeLook: "Look whether anybody is near them. What is stopped again meanwhile stays stopped.",
+  freeThese: (count: number) => (count === 1 ? "Free this one" : `Free these ${count}`),
+  unreached: "Not reached, as far as this page knows:",
   nothing: "Nothing is stopped, as far as this page knows",
   reasons: { button: "STOP in the console", key: (key: string) => `${key} in the console` },
   standing: (by: string, user: string | undefined, reason: string | undefined) => `Stopped by ${by}${user === undefined || by.startsWith(user) ? "" : ` (${user})`}${reason ? `: ${reason}` : ""}`,
-  since: (when: string) => `since ${when}`,
+  since: (ms: number) => `since ${timeOfDay(ms)}`,
   places: (first: string, count: number) => (count > 1 ? `${first} and ${count - 1} more` : first),
   somebody: "somebody",
   newer: (by: string, reason: string | undefined) => `stays stopped: ${by} has stopped it again since${reason ? `: ${reason}` : ""}`,
   lostDevice: "its connection is lost: it finds the stop when it comes back",
   empty: "no device is here to obey",
-  denied: (count: number) => `${count === 1 ? "One channel" : `${count} channels`} you may not stop.`,
+  denied: (count: number) => `${count === 1 ? "One channel" : `${count} channels`} you may not stop, and not reached:`,
   report: (order: string) => (order === "stop" ? "Stop" : "Let go"),
   stands: (ms: number) => `stands, after ${duration(ms)}`,
   goes: (ms: number) => `may move, after ${duration(ms)}`,

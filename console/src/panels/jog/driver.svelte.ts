@@ -65,7 +65,7 @@ export class Driver {
 
   /** Looks and drives until the function that it gives is called. */
   start(): () => void {
-    const ends = [this.device.start(), this.hub.onJogEnd((path, failure) => path === this.path && this.#refuse(failure.text))];
+    const ends = [this.device.start(), this.hub.onJogEnd((path, failure) => path === this.path && this.#refuse(failure.text)), this.hub.onStop(() => this.look())];
     const timer = setInterval(() => this.look(), EVERY);
     const listen = <Name extends keyof WindowEventMap>(name: Name, hears: (event: WindowEventMap[Name]) => void, capture = false): void => {
       window.addEventListener(name, hears, capture);
@@ -201,7 +201,7 @@ export class Driver {
       now,
       held: this.#keys.size + this.#buttons.size + this.#sticks.size > 0 || pushed,
       owns: this.owned !== undefined,
-      stopAt: hub.order?.order === "stop" ? hub.order.at : undefined,
+      stopAt: hub.stopOrderedAt(this.path),
       stopped: device.stopped,
       linked: hub.link.state === "connected",
       visible: document.visibilityState === "visible",

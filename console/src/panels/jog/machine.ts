@@ -62,7 +62,7 @@ function obstacle(before: Drive, inputs: Inputs): Why | undefined {
   const since = before.phase === "drive" ? before.since : inputs.now;
   const is = (reason: Reason, wrong: boolean, text?: string): Why | undefined => (wrong ? { reason, text } : undefined);
   return (
-    is("stop", (inputs.stopAt ?? 0) > since) ??
+    is("stop", (inputs.stopAt ?? 0) >= since) ??
     is("link", !inputs.linked) ??
     is(before.phase === "drive" ? "token-lost" : "no-token", !inputs.owns) ??
     is("stopped", inputs.stopped) ??
