@@ -218,6 +218,23 @@ test("an old picture locks driving and says so", async () => {
   await says(state(alice), "Rested: the picture is too old");
 });
 
+test("a picture is named after its own camera, and without one of a camera that sees the arm nobody drives", async () => {
+  const shown = alice.locator("mom-jog .state");
+  await says(shown, "Picture of /camera/x");
+  const toggle = async (name) => alice.locator("mom-cameras").getByRole("button", { name, exact: true }).first().click();
+  await toggle("x");
+  await says(shown, /Picture of \/camera\/(y|top|wrist)/);
+  const others = await alice.locator('mom-cameras button[aria-pressed="true"]').allInnerTexts();
+  for (const name of others) await toggle(name);
+  await says(shown, "none is shown of a camera that sees the device");
+  await alice.keyboard.down("w");
+  await says(state(alice), "Locked: no picture is shown of a camera that sees the device.");
+  await alice.keyboard.up("w");
+  for (const name of ["x", ...others]) await toggle(name);
+  await says(shown, "Picture of /camera/x");
+  await alice.getByRole("switch", { name: "Drive by keys" }).focus();
+});
+
 test("STOP ends driving", async () => {
   await alice.keyboard.down("s");
   await moves(alice);

@@ -63,6 +63,9 @@ export class Hub {
   readonly #jogEnds = new Set<(path: string, failure: Failure) => void>();
   readonly #ordered = new OrderedStops();
   #orderedStops = $state(0);
+  /** Since when the link says nothing, ms since 1970, and the newest loss of it that is over. */
+  #silent = $state<number | undefined>(undefined);
+  #loss = $state.raw<{ from: number; to: number } | undefined>(undefined);
   readonly #stopListeners = new Set<(top: string) => void>();
   #lastId = 0;
   /** Where a login is under way that has not been explained. */
@@ -256,8 +259,24 @@ export class Hub {
     }
   }
 
+  /** Since when it is not known whether what came at a time still holds: the link is down, or was since. */
+  unknownSince(arrived: number): number | undefined {
+    return this.#silent ?? (this.#loss && arrived < this.#loss.to ? this.#loss.from : undefined);
+  }
+
+  #hearLink({ state }: Link, before: Link["state"]): void {
+    if (state !== "connected") {
+      this.#silent ??= Date.now();
+    } else if (this.#silent !== undefined) {
+      // A link that was merely silent has lost nothing.
+      if (before !== "stale") this.#loss = { from: this.#silent, to: Date.now() };
+      this.#silent = undefined;
+    }
+  }
+
   #linked(link: Link): void {
     const before = this.link;
+    this.#hearLink(link, before.state);
     this.link = link;
     if (link.state === "trying" && link.error) void this.#explain();
     if (link.state === "closed" && before.state !== "closed" && this.me) {

@@ -36,6 +36,8 @@ export class Session {
     readonly say: Say,
     /** Called when there is a new peer. */
     readonly onClient: (client: Client) => void,
+    /** Called when a link that was lost goes on: what was under way to this page may be gone. */
+    readonly onResumed: () => void,
   ) {}
 
   get client(): Client {
@@ -89,6 +91,7 @@ export class Session {
     const before = this.#state?.state;
     this.#state = state;
     this.#report();
+    if (state.state === "connected" && state.resumed) this.onResumed();
     // A new login may have given another name and another link.
     if (state.state === "connected" && before !== "stale" && this.#client) this.say({ word: "me", me: meOf(this.#client) });
   }

@@ -26,7 +26,7 @@ export function serve(port: { postMessage: (word: unknown, transfer: Transferabl
   const session = new Session(say, (client) => {
     feeds.reset(client);
     stopping.reset(client);
-  });
+  }, () => feeds.ask());
   const standing = new Standing(say, () => session.isUp);
   const stopping: Stopping = new Stopping(say, () => session.login, () => session.isUp, standing);
   const feeds: Feeds = new Feeds(say, (path, event) => {
