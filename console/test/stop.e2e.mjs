@@ -1,5 +1,7 @@
 // STOP, pressed in a browser: at once, over whichever connection there is, and what the page shows of devices meanwhile.
 import assert from "node:assert/strict";
+import { generateKeyPairSync } from "node:crypto";
+import { readFileSync } from "node:fs";
 import { after, before, beforeEach, test } from "node:test";
 import { letGo, NETWORK, start, until } from "./lab.mjs";
 import { FakeRobot, withRobots } from "./robot.mjs";
@@ -8,13 +10,17 @@ const PATH = "/bench/robot";
 /** The uplink of a bad place, bytes a second. */
 const UPLINK = 80_000;
 
+const { privateKey, publicKey } = generateKeyPairSync("ed25519");
+const users = readFileSync(new URL("../../config/lab-users.toml", import.meta.url), "utf8").replace(/^#:schema.*$/m, "");
+const erin = `\n[[users]]\nname = "erin"\nkeys = ["ed25519 ${publicKey.export({ type: "spki", format: "der" }).subarray(-32).toString("base64")}"]\nlevel = 1\ngroups = []\n`;
+
 let hub;
 let robot;
 /** When the robot has stopped. */
 let stops = [];
 
 before(async () => {
-  hub = await start({ config: withRobots("/bench"), relay: true });
+  hub = await start({ config: withRobots("/bench"), relay: true, files: { "lab-users.toml": users + erin } });
   robot = await FakeRobot.start(hub.host, "/bench");
   robot.onStop = (stopped) => stopped && stops.push(performance.now());
 });
@@ -136,6 +142,19 @@ test("a stop goes around a link that is frozen", async (t) => {
   assert.ok(took < 1500, `${took} ms`);
   hub.relay.thaw();
   await page.locator("mom-stop .report").getByText(/stands, after/).waitFor();
+});
+
+test("a stop goes around a link that is frozen for who has logged in by a key, too", async (t) => {
+  const page = await hub.open("/", { t, allow: NETWORK });
+  await page.getByText("Key", { exact: true }).click();
+  await page.getByLabel("User", { exact: true }).fill("erin");
+  await page.getByLabel("Private key (PEM, Ed25519)").fill(privateKey.export({ type: "pkcs8", format: "pem" }));
+  await page.getByRole("button", { name: "Log in" }).click();
+  await moves(page).getByText("connected").waitFor();
+  hub.relay.freeze();
+  const took = await press(page);
+  assert.ok(took < 1500, `${took} ms`);
+  hub.relay.thaw();
 });
 
 test("a stop goes around the link's own attempts, which hang", async (t) => {

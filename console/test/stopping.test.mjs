@@ -102,6 +102,14 @@ test("a large hub is let go in several requests", async () => {
   assert.deepEqual(asked.map(([, , numbers]) => Object.keys(numbers).length), [400, 400, 100]);
 });
 
+/** Waits until something holds, for five seconds at most. */
+async function until(what) {
+  for (const end = performance.now() + 5000; !what(); ) {
+    assert.ok(performance.now() < end, `waited for ${what}`);
+    await new Promise((resolve) => setImmediate(resolve));
+  }
+}
+
 /** A client that is silent: nothing is ever answered. */
 const silent = () => ({ name: "alice", user: "alice", ...Object.fromEntries(["stop", "unstop", "stops", "lookup", "list"].map((name) => [name, () => new Promise(() => undefined)])), unaddressed: async function* () {} });
 
@@ -161,6 +169,11 @@ test("stops of single channels go around the link each, and one that nobody take
   await assert.rejects(shut.stopping.one("stop", "/a", {}), /NOT CONFIRMED: the hub has not taken the order for \/a/);
   await shut.stopping.order("stop", "/", {});
   assert.deepEqual([shut.report().taken, shut.report().over], [false, true]);
+  // The link may still be silent when every way has been tried: it is not confirmed all the while.
+  const dumb = around({ opens: async () => Promise.reject(new Error("no door opened")) });
+  void dumb.stopping.order("stop", "/", {});
+  await until(() => dumb.report().missed && !dumb.report().trying.length);
+  assert.deepEqual([dumb.report().taken, dumb.report().over], [false, false]);
 });
 
 test("whoever has logged in, by whatever proof, can open the second connection", async () => {

@@ -79,7 +79,7 @@ export const stop = {
   silent: "has not said so",
   waiting: "…",
   none: "no device here obeys stop",
-  unconfirmed: "NOT CONFIRMED: the link is down",
+  unconfirmed: "NOT CONFIRMED: the hub has not answered",
   trying: (doors: string) => `trying ${doors}`,
   lost: "Nobody has confirmed it. Use the emergency stop of the device itself.",
   halted: "A device whose owner's link is lost is halted by the hub.",

@@ -179,7 +179,9 @@ export interface StopReport {
   over: boolean;
   /** Whether a hub has taken it. */
   taken: boolean;
-  /** Ways that are tried because the link is down. */
+  /** Whether the link has not taken it in time. */
+  missed: boolean;
+  /** Ways that are tried because of that. */
   trying: string[];
 }
 

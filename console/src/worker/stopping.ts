@@ -38,7 +38,7 @@ class Ordered {
     readonly standing: Standing,
     readonly tell: (report: StopReport) => void,
   ) {
-    this.report = { order, top, at: Date.now(), devices: [], refused: [], newer: [], empty: [], denied: [], over: false, taken: false, trying: [] };
+    this.report = { order, top, at: Date.now(), devices: [], refused: [], newer: [], empty: [], denied: [], over: false, taken: false, missed: false, trying: [] };
   }
 
   changed(): void {
@@ -203,6 +203,7 @@ export class Stopping {
 
   /** By a second connection, through whichever door opens. Others that share it go on, whatever becomes of this one. */
   async #around(ordered: Ordered): Promise<void> {
+    ordered.report.missed = true;
     const login = this.login();
     if (!login) throw new MomError("local", "not-logged-in", "log in first");
     ordered.report.trying = login.address.split(/\s+/);
