@@ -1,13 +1,11 @@
-// A device that tells its parent when it hears of a stop: a process of its own, as a robot is. Arguments: the hub's host, and
-// the channel in which it may be a device; without one it makes one and only hears what is said there.
+// A device that tells its parent when it hears of a stop: a process of its own, as a robot is. Arguments: the hub's host, the channel.
 import { createRequire } from "node:module";
 import { connect } from "../../clients/js/dist/mom-client.js";
 
 const { WebSocket } = createRequire(new URL("../../clients/js/package.json", import.meta.url))("ws");
 const [, , host, path] = process.argv;
 const robot = await connect(`ws://${host}`, { user: "carol", password: "carol", nickname: "bench", webSocket: WebSocket });
-if (path === undefined) await robot.create("/bench", { kind: "channel" });
-const channel = await (path === undefined ? robot.channel("/bench") : robot.channel(path, { device: true }));
+const channel = await robot.channel(path, { device: true });
 process.once("disconnect", () => process.exit());
 process.send({ heard: "ready" });
 for await (const event of channel.events()) {
