@@ -1,28 +1,17 @@
-// The console's figures, measured in a browser against a lab: npm run figures -- [--minutes 30] [--presses 200].
-import { fork } from "node:child_process";
+// The console's figures, measured in a browser against a lab: npm run figures -- [--minutes 30]. Those of STOP are of press.mjs.
 import { parseArgs } from "node:util";
 import { start } from "../test/lab.mjs";
 
-const { values } = parseArgs({ options: { minutes: { type: "string", default: "1" }, presses: { type: "string", default: "200" } } });
-const [minutes, presses] = [Number(values.minutes), Number(values.presses)];
+const { values } = parseArgs({ options: { minutes: { type: "string", default: "1" } } });
+const minutes = Number(values.minutes);
 const say = (name, figure) => console.log(`${name.padEnd(52)} ${figure}`);
 const wait = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 const now = () => performance.timeOrigin + performance.now();
-
-function percentile(sorted, part) {
-  return sorted[Math.min(sorted.length - 1, Math.ceil(part * sorted.length) - 1)];
-}
-
-function spread(times) {
-  const sorted = times.toSorted((one, other) => one - other);
-  return `p50 ${percentile(sorted, 0.5).toFixed(1)} ms, p99 ${percentile(sorted, 0.99).toFixed(1)} ms, most ${sorted.at(-1).toFixed(1)} ms (${sorted.length})`;
-}
 
 /** Counts long tasks of the page's own thread from its beginning on. */
 function observe() {
   window.tasks = [];
   new PerformanceObserver((list) => list.getEntries().forEach(({ duration, startTime }) => window.tasks.push([startTime, duration]))).observe({ type: "longtask", buffered: true });
-  window.addEventListener("keydown", (event) => (window.pressed = performance.timeOrigin + event.timeStamp), true);
 }
 
 async function heap(page) {
@@ -59,30 +48,6 @@ await page.getByRole("button", { name: "Log in" }).click();
 await page.locator("mom-camera").getByText(/shown .*after/).first().waitFor();
 say("first picture after the login", `${(now() - entered).toFixed(0)} ms`);
 say("all of the page Drive", `${(bytes / 1024).toFixed(1)} KiB compressed, ${requests} requests`);
-
-// From a key to the robot.
-const robot = fork(new URL("robot.mjs", import.meta.url), [lab.host]);
-let told = () => undefined;
-robot.on("message", (word) => told(word));
-const hears = (wanted) => new Promise((resolve) => (told = ({ heard, at }) => heard === wanted && resolve(at)));
-await hears("ready");
-await page.reload();
-await page.getByRole("button", { name: "Log out" }).waitFor();
-const times = [];
-for (let press = 0; press < presses + 3; press += 1) {
-  const received = hears("stop");
-  await page.keyboard.press("Escape");
-  const at = await received;
-  // The first ones find the device.
-  if (press >= 3) times.push(at - (await page.evaluate(() => window.pressed)));
-  const free = hears("unstop");
-  await page.getByRole("button", { name: "Let go" }).click();
-  await free;
-  // A person does not press ten times a second.
-  await wait(250);
-}
-say("from the key press to the robot's receipt of the stop", spread(times));
-robot.kill();
 
 // Four cameras, and the arm in motion.
 await page.getByRole("button", { name: "Grab" }).first().click();

@@ -24,6 +24,7 @@ function task(manner, answers = {}) {
     calls,
     notes: [],
     note: (kind, text) => hub.notes.push(`${kind} ${text}`),
+    onStop: () => () => undefined,
     watch: (_what, heard) => {
       ({ events } = heard);
       return () => undefined;

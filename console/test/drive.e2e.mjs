@@ -1,7 +1,7 @@
 // Driving, as a person does it: against a lab, in a browser.
 import assert from "node:assert/strict";
 import { after, before, beforeEach, test } from "node:test";
-import { start } from "./lab.mjs";
+import { letGo, start } from "./lab.mjs";
 
 let lab;
 let alice;
@@ -218,6 +218,23 @@ test("an old picture locks driving and says so", async () => {
   await says(state(alice), "Rested: the picture is too old");
 });
 
+test("a picture is named after its own camera, and without one of a camera that sees the arm nobody drives", async () => {
+  const shown = alice.locator("mom-jog .state");
+  await says(shown, "Picture of /camera/x");
+  const toggle = async (name) => alice.locator("mom-cameras").getByRole("button", { name, exact: true }).first().click();
+  await toggle("x");
+  await says(shown, /Picture of \/camera\/(y|top|wrist)/);
+  const others = await alice.locator('mom-cameras button[aria-pressed="true"]').allInnerTexts();
+  for (const name of others) await toggle(name);
+  await says(shown, "none is shown of a camera that sees the device");
+  await alice.keyboard.down("w");
+  await says(state(alice), "Locked: no picture is shown of a camera that sees the device.");
+  await alice.keyboard.up("w");
+  for (const name of ["x", ...others]) await toggle(name);
+  await says(shown, "Picture of /camera/x");
+  await alice.getByRole("switch", { name: "Drive by keys" }).focus();
+});
+
 test("STOP ends driving", async () => {
   await alice.keyboard.down("s");
   await moves(alice);
@@ -226,7 +243,7 @@ test("STOP ends driving", async () => {
   await says(commands(alice).locator(".pose"), "stopped");
   await alice.keyboard.up("s");
   const release = async () => {
-    await alice.getByRole("button", { name: "Let go" }).click();
+    await letGo(alice);
     await says(commands(alice).locator(".pose"), "at rest");
   };
   await release();

@@ -53,8 +53,8 @@ test("three lines on another origin, in a worker of the page's own", async (t) =
   await grab(page);
   // The panels have their colours, whatever the page is like.
   const stop = page.getByRole("button", { name: "STOP" });
-  assert.equal(await stop.evaluate((button) => getComputedStyle(button).backgroundColor), "rgb(179, 20, 27)");
-  await page.evaluate(() => document.documentElement.style.setProperty("--mom-danger", "rgb(1, 2, 3)"));
+  assert.equal(await stop.evaluate((button) => getComputedStyle(button).backgroundColor), "rgb(211, 34, 42)");
+  await page.evaluate(() => document.documentElement.style.setProperty("--mom-stop", "rgb(1, 2, 3)"));
   assert.equal(await stop.evaluate((button) => (button.getAnimations().forEach((one) => one.finish()), getComputedStyle(button).backgroundColor)), "rgb(1, 2, 3)");
   const [worker] = page.workers();
   assert.match(worker.url(), new RegExp(`^blob:${site.origin}/`));

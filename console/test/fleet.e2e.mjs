@@ -1,7 +1,7 @@
 // The page of a fleet in a browser, against a lab with ten robots, and against a hub with a thousand of which only words are there.
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
-import { busiest, findings, start, until } from "./lab.mjs";
+import { busiest, findings, letGo, start, until } from "./lab.mjs";
 import { RawPeer } from "./rawpeer.mjs";
 
 const CONFIG = `
@@ -219,7 +219,7 @@ test("what is repeated ends by its button, at a refusal, and at Escape", async (
   await row(5).getByText("stopped").waitFor();
   const lines = await lab.watch("carol", "/fleet/5/robot");
   t.after(lines.end);
-  await page.locator("mom-stop").getByRole("button", { name: "Let go" }).click();
+  await letGo(page);
   await row(5).getByText("standing").waitFor();
   assert.deepEqual(lines.heard.filter(({ name }) => name === "command"), []);
 });

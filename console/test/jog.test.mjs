@@ -5,7 +5,7 @@ import { load } from "./bundle.mjs";
 const { REST, FASTEST, directionOf, forwardOf, step, velocity } = await load("panels/jog/machine.ts");
 const { STANDARD, beyond, mappingOf, readPad } = await load("panels/jog/pad.ts");
 
-const good = { now: 1000, held: true, owns: true, stopAt: undefined, stopped: false, linked: true, visible: true, focused: true, age: 100, limit: 1000, unseen: false, pad: { pushed: false, deadMan: false, gone: false }, refused: undefined };
+const good = { now: 1000, held: true, owns: true, stopAt: undefined, stopped: false, unknownSince: undefined, linked: true, visible: true, focused: true, age: 100, limit: 1000, unseen: false, pad: { pushed: false, deadMan: false, gone: false }, refused: undefined };
 
 test("drives while something is held, and rests when it is let go", () => {
   const drive = step(REST, good);
@@ -18,6 +18,7 @@ test("each obstacle locks, says why, and holds until everything is let go", () =
   for (const [reason, change] of [
     ["stop", { stopAt: 1500 }],
     ["stopped", { stopped: true }],
+    ["unknown", { unknownSince: 1500 }],
     ["link", { linked: false }],
     ["token-lost", { owns: false }],
     ["hidden", { visible: false }],

@@ -6,13 +6,13 @@ import { spawn } from "node:child_process";
 import { mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { createServer as createPages } from "node:http";
 import { createRequire } from "node:module";
-import { connect, createServer } from "node:net";
 import { tmpdir } from "node:os";
 import { dirname, join } from "node:path";
 import { createInterface } from "node:readline";
 import { fileURLToPath } from "node:url";
 import { chromium } from "playwright-core";
 import { RawPeer } from "./rawpeer.mjs";
+import { listening, startRelay } from "./relay.mjs";
 
 const root = fileURLToPath(new URL("..", import.meta.url));
 const project = dirname(root);
@@ -42,42 +42,6 @@ async function startProgram(program, args, env = {}) {
     });
   });
   return { child, port };
-}
-
-async function listening(server) {
-  const sockets = new Set();
-  server.on("connection", (socket) => {
-    sockets.add(socket);
-    socket.on("error", () => undefined);
-    socket.on("close", () => sockets.delete(socket));
-  });
-  await new Promise((resolve) => server.listen(0, "127.0.0.1", resolve));
-  const { port } = server.address();
-  const end = async () => {
-    for (const socket of sockets) socket.destroy();
-    await new Promise((resolve) => server.close(resolve));
-  };
-  return { port, origin: `http://127.0.0.1:${port}`, sockets, end, [Symbol.asyncDispose]: end };
-}
-
-/** Passes connections on to a hub; `cut` ends them, and `closed` lets no other in. */
-async function startRelay() {
-  const relay = { to: 0, closed: false };
-  const server = createServer((socket) => {
-    if (relay.closed) return void socket.destroy();
-    const passed = connect(relay.to, "127.0.0.1");
-    socket.pipe(passed).pipe(socket);
-    for (const [one, other] of [[socket, passed], [passed, socket]]) {
-      one.on("error", () => other.destroy());
-      one.on("close", () => other.destroy());
-    }
-  });
-  const { sockets, ...rest } = await listening(server);
-  return Object.assign(relay, rest, {
-    cut() {
-      for (const socket of sockets) socket.destroy();
-    },
-  });
 }
 
 /** Serves pages that a test has written: by path, `{body, headers}`. */
@@ -299,4 +263,10 @@ export async function findings(page) {
   if (!(await page.evaluate(() => "axe" in globalThis))) await page.evaluate(axe);
   const { violations } = await page.evaluate(() => globalThis.axe.run(document, { resultTypes: ["violations"], runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"] }));
   return violations.flatMap(({ id, help, nodes }) => nodes.map(({ target, failureSummary }) => `${id} (${help}) at ${target.flat().join(" >> ")}: ${failureSummary}`));
+}
+
+/** Lets go of what is stopped, as its user does: asks, reads what it is, and says so. */
+export async function letGo(page) {
+  await page.locator("mom-stop").getByRole("button", { name: "Let go" }).click();
+  await page.locator("mom-stop").getByRole("dialog").getByRole("button", { name: /^Free th/ }).click();
 }

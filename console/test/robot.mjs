@@ -74,6 +74,8 @@ export class FakeRobot {
   sealed = false;
   /** Whether it does what it is told. */
   obeys = true;
+  /** Called when it stops, and when it is let go. */
+  onStop = () => undefined;
   #state = { moving: false, stopped: false, stop: 0, linked: true, fence: 0 };
   #sequence = 0;
 
@@ -123,8 +125,11 @@ export class FakeRobot {
     for await (const event of this.channel.events()) {
       if (latch.observe(event)) {
         [this.#state.stopped, this.#state.stop] = [latch.isStopped, latch.number];
+        this.onStop(latch.isStopped);
         await this.#tellState();
       }
+      // As devices do: who joins is told how it stands.
+      if (event.type === "joined") await this.#tellState();
       if (event.type !== "message") continue;
       const { name, sender, content, parcel } = event;
       if (name !== "command") continue;
@@ -157,6 +162,12 @@ export class FakeRobot {
     if (verb === "set") await this.say(name, { wanted: values, value: values });
     if (verb === "activate" || verb === "deactivate") await this.say(name, { activated: verb === "activate", active: verb === "activate" });
     return undefined;
+  }
+
+  /** It moves, or rests, and says so as devices do: only the newest matters. */
+  async moves(moving) {
+    Object.assign(this.#state, { moving, pose: { x: 0, y: 0, z: 100, spin: 0, tilt: 0 } });
+    await this.channel.sendAcknowledged("state", this.#state, { delivery: "latest", echo: false });
   }
 
   async end() {

@@ -1,7 +1,7 @@
 // The console's frame: who logs in, what survives a reload and a lost network, and STOP.
 import assert from "node:assert/strict";
 import { after, before, beforeEach, test } from "node:test";
-import { isPreview, logIn, NETWORK, start } from "./lab.mjs";
+import { isPreview, letGo, logIn, NETWORK, start } from "./lab.mjs";
 
 let lab;
 before(async () => (lab = await start()));
@@ -82,13 +82,13 @@ test("Escape stops from anywhere and Space outside of fields, and each device sa
   await report(page).getByText(/\/camera\/pan\s*camera-pan\s*stands, after/).waitFor();
   const status = page.locator("mom-status");
   await status.getByText("stopped").waitFor();
-  await page.getByRole("button", { name: "Let go" }).click();
+  await letGo(page);
   await report(page).getByText(/arm\s*may move, after/).waitFor();
   await status.getByText("at rest").waitFor();
   await page.locator("main").focus();
   await page.keyboard.press("Space");
   await report(page).getByText(/arm\s*stands, after/).waitFor();
-  await page.getByRole("button", { name: "Let go" }).click();
+  await letGo(page);
   await status.getByText("at rest").waitFor();
 });
 
@@ -96,16 +96,16 @@ test("who has stopped it and why is in the frame, and only what it shows is let 
   const said = async (reason) => assert.equal((await lab.mom("bob", "stop", "/camera/pan", "--reason", reason)).code, 0);
   await said("a hand is near");
   const page = await lab.page("alice", { t, path: "/#/contexts" });
-  const standing = page.locator("mom-stop .standing");
+  const standing = page.locator("mom-stopped li");
   await standing.getByText(/Stopped by bob.*: a hand is near/).waitFor();
   await standing.getByText("/camera/pan", { exact: true }).waitFor();
   // This page is not in that channel, and has not seen this one yet.
   await said("smoke");
   const free = page.getByRole("button", { name: "Let go" });
-  await free.click();
+  await letGo(page);
   await report(page).getByText(/\/camera\/pan stays stopped: bob.* has stopped it again since: smoke/).waitFor();
   await standing.getByText(/Stopped by bob.*: smoke/).waitFor();
-  await free.click();
+  await letGo(page);
   await report(page).getByText(/camera-pan\s*may move, after/).waitFor();
   await standing.waitFor({ state: "detached" });
   assert.equal(await free.isDisabled(), true);
@@ -126,7 +126,7 @@ test("with the link down STOP tries every door and says that nobody has confirme
   }
   await report(page).getByText(/arm\s*stands, after/).waitFor();
   await page.locator("mom-status").getByText("connected").waitFor();
-  await page.getByRole("button", { name: "Let go" }).click();
+  await letGo(page);
   await report(page).getByText(/arm\s*may move/).waitFor();
 });
 

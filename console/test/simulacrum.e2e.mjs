@@ -2,7 +2,7 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { after, before, test } from "node:test";
-import { busiest, findings, start, until } from "./lab.mjs";
+import { busiest, findings, letGo, start, until } from "./lab.mjs";
 import { RawPeer } from "./rawpeer.mjs";
 import { CUBO, FakeRobot, withRobots } from "./robot.mjs";
 
@@ -200,7 +200,7 @@ test("the owner sets, executes, switches and asks, each under the fence", async 
   // STOP stops it, and then nothing is sent.
   await page.keyboard.press("Escape");
   await row("motion").getByText("The device is stopped: let it go first.").waitFor();
-  await page.locator("mom-stop").getByRole("button", { name: "Let go" }).click();
+  await letGo(page);
   await until(page, async () => (await set.getAttribute("aria-disabled")) === "false");
   await release(mirror);
 });

@@ -12,8 +12,11 @@ before(async () => {
 });
 
 /** Whose walks end with the test: the next one would keep its file from ending. */
-let walking;
-afterEach(() => walking?.end());
+const walking = new Set();
+afterEach(() => {
+  for (const one of walking) one.end();
+  walking.clear();
+});
 
 const told = (path, number, devices, more = {}) => ({ path, number, guarded: true, kept: true, devices, newer: [], ...more });
 const stopped = (number, by, reason, only = []) => ({ number, stopped: true, by, reason, only });
@@ -32,7 +35,7 @@ function worker({ lists = { "/": [] }, answers = {} } = {}) {
   const standing = new Standing(say, () => true);
   const stopping = new Stopping(say, () => null, () => true, standing);
   stopping.reset(client);
-  walking = standing;
+  walking.add(standing);
   const shown = async () => {
     await sleep(60);
     return words.filter(({ word }) => word === "stops").at(-1)?.stops.map(({ path, number, by, reason }) => [path, number, by, reason]);
@@ -97,4 +100,89 @@ test("a large hub is let go in several requests", async () => {
   const stops = Object.fromEntries(Array.from({ length: 900 }, (_, at) => [`/r/${at}`, 1]));
   await stopping.order("unstop", "/", { stops });
   assert.deepEqual(asked.map(([, , numbers]) => Object.keys(numbers).length), [400, 400, 100]);
+});
+
+/** Waits until something holds, for five seconds at most. */
+async function until(what) {
+  for (const end = performance.now() + 5000; !what(); ) {
+    assert.ok(performance.now() < end, `waited for ${what}`);
+    await new Promise((resolve) => setImmediate(resolve));
+  }
+}
+
+/** A client that is silent: nothing is ever answered. */
+const silent = () => ({ name: "alice", user: "alice", ...Object.fromEntries(["stop", "unstop", "stops", "lookup", "list"].map((name) => [name, () => new Promise(() => undefined)])), unaddressed: async function* () {} });
+
+/** A page's worker whose link is silent, and what is said over the second connection, which opens if `opens` says so. */
+function around({ opens = async () => undefined, up = true } = {}) {
+  const asked = [];
+  const words = [];
+  const client = { ...silent(), stop: async (top, terms) => (asked.push([top, terms]), { channels: [told("/robot/arm", 7, [{ peer: "arm", word: "stopped" }])], others: 0, denied: [] }), lookup: async () => ({}) };
+  const standing = new Standing((word) => words.push(word), () => up);
+  const login = { address: "ws://hub http://hub", guest: true };
+  const lend = async (of, within, use) => {
+    assert.equal(of, login);
+    await opens();
+    await use(client);
+  };
+  const stopping = new Stopping((word) => words.push(word), () => login, () => up, standing, lend);
+  const link = silent();
+  stopping.reset(link);
+  walking.add(standing);
+  return { asked, words, stopping, link, report: () => words.filter(({ word }) => word === "stop").at(-1).report };
+}
+
+test("a stop that the link does not take goes over a second connection after 300 ms, and is over with its answer", async () => {
+  const { asked, stopping, report } = around();
+  const begun = performance.now();
+  await stopping.order("stop", "/", { reason: "smoke" });
+  assert.ok(performance.now() - begun >= 295, "the link has its time");
+  assert.deepEqual(asked, [["/", { reason: "smoke" }]]);
+  const { taken, over, trying, devices } = report();
+  assert.deepEqual([taken, over, trying, devices.map(({ device, word }) => [device, word])], [true, true, [], [["arm", "obeys"]]]);
+});
+
+test("a link that is known to be down is not waited for", async () => {
+  let opened = 0;
+  const { asked, stopping } = around({ up: false, opens: async () => void (opened = performance.now()) });
+  const begun = performance.now();
+  await stopping.order("stop", "/", {});
+  assert.ok(opened - begun < 250, `${opened - begun} ms`);
+  assert.equal(asked.length, 1);
+});
+
+test("what the link takes while the second connection opens is not said again", async () => {
+  let take;
+  const { asked, stopping, link, report } = around({ opens: () => (take(), new Promise((resolve) => setImmediate(resolve))) });
+  const answer = new Promise((resolve) => (take = () => resolve({ channels: [], others: 0, denied: [] })));
+  link.stop = () => answer;
+  await stopping.order("stop", "/", {});
+  assert.deepEqual([asked, report().taken], [[], true]);
+});
+
+test("stops of single channels go around the link each, and one that nobody takes is said to be so", async () => {
+  const { asked, stopping } = around();
+  await Promise.all(["/a", "/b", "/c"].map((path) => stopping.one("stop", path, {})));
+  assert.deepEqual(asked.map(([path]) => path), ["/a", "/b", "/c"]);
+  const shut = around({ opens: async () => Promise.reject(new Error("no door opened")) });
+  shut.link.stop = shut.link.lookup = async () => Promise.reject(new Error("lost"));
+  await assert.rejects(shut.stopping.one("stop", "/a", {}), /NOT CONFIRMED: the hub has not taken the order for \/a/);
+  await shut.stopping.order("stop", "/", {});
+  assert.deepEqual([shut.report().taken, shut.report().over], [false, true]);
+  // The link may still be silent when every way has been tried: it is not confirmed all the while.
+  const dumb = around({ opens: async () => Promise.reject(new Error("no door opened")) });
+  void dumb.stopping.order("stop", "/", {});
+  await until(() => dumb.report().missed && !dumb.report().trying.length);
+  assert.deepEqual([dumb.report().taken, dumb.report().over], [false, false]);
+});
+
+test("whoever has logged in, by whatever proof, can open the second connection", async () => {
+  const { proofOf } = await load("worker/session.ts");
+  const { privateKey } = await crypto.subtle.generateKey({ name: "Ed25519" }, false, ["sign", "verify"]);
+  const address = "ws://hub";
+  assert.deepEqual(proofOf({ address, user: "alice", password: "secret" }), { user: "alice", password: "secret" });
+  assert.deepEqual(proofOf({ address, guest: true }), { guest: true });
+  assert.deepEqual(proofOf({ address, token: "a.b.c" }), { token: "a.b.c" });
+  const { user, key } = proofOf({ address, user: "alice", key: privateKey });
+  assert.deepEqual([user, key.key], ["alice", privateKey]);
 });

@@ -160,6 +160,14 @@ export class Client {
     return reportOf(await this.ask("context", name, path, content));
   }
 
+  /**
+   * Leaves a channel and joins it again, so that what it keeps, and what its devices tell who joins, is heard anew: for who has heard that
+   * something was dropped, or has come back after a loss. Subscriptions go on; what is said between the two is not heard.
+   */
+  refresh(path: string): Promise<void> {
+    return this.peer.refresh(path);
+  }
+
   /** Joins a token, parents first; this gives its events, not ownership. */
   async token(path: string): Promise<Token> {
     await this.peer.enter(path, "token");

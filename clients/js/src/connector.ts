@@ -80,7 +80,7 @@ export class Connector {
     let wire: Wire | null = null;
     stop.addEventListener("abort", () => wire?.drop());
     try {
-      wire = await connectWire(doors, make, {}, stop);
+      wire = await connectWire(doors, make, {}, stop, this.options.stagger);
       return await this.#enter(wire, secret, link, read, notResumed);
     } catch (error) {
       wire?.drop();

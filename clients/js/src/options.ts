@@ -32,6 +32,8 @@ export interface ConnectOptions extends Proof {
   requestTimeout?: number;
   /** ms for one attempt to connect and log in; 10 s. */
   connectTimeout?: number;
+  /** ms after which the next door is tried as well; 250. */
+  stagger?: number;
   /** ms after which the first connection is given up if no attempt succeeds; 60 s. */
   connectWithin?: number;
   /** ms after which a lost connection is given up; never unless said. */

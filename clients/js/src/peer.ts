@@ -509,6 +509,17 @@ export class Peer {
     }
   }
 
+  /** Leaves a context and joins it again, in one go. */
+  async refresh(path: string): Promise<void> {
+    const place = this.places.get(path);
+    if (!place) return this.enter(path);
+    const left = this.request({ family: "context", name: "leave", context: path });
+    const joined = this.#join(place);
+    place.joined = joined;
+    joined.catch(() => place.joined === joined && this.places.remove(place));
+    await Promise.all([left, joined]);
+  }
+
   events(path: string): Events {
     return this.subscribers.subscribe(path);
   }

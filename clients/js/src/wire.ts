@@ -133,8 +133,8 @@ export class Wire implements Heard {
 /** A door opens so long after the one before it. */
 const STAGGER = 250;
 
-/** Connects through the first of the doors that opens; each is tried 250 ms after the one before, or when that has failed. */
-export async function connectWire(doors: readonly Door[], make: WebSocketClass | undefined, options: WireOptions, signal: AbortSignal): Promise<Wire> {
+/** Connects through the first of the doors that opens; each is tried so many ms after the one before, or when that has failed. */
+export async function connectWire(doors: readonly Door[], make: WebSocketClass | undefined, options: WireOptions, signal: AbortSignal, stagger = STAGGER): Promise<Wire> {
   const failures: string[] = [];
   const tries = doors.map(() => new AbortController());
   return new Promise<Wire>((resolve, reject) => {
@@ -157,7 +157,7 @@ export async function connectWire(doors: readonly Door[], make: WebSocketClass |
       const place = started++;
       const door = doors[place];
       if (!door || settled) return;
-      timer = setTimeout(start, STAGGER);
+      timer = setTimeout(start, stagger);
       const wire = new Wire(options);
       open(door, make, wire, tries[place]!.signal).then(
         (pipe) => {

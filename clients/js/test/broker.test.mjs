@@ -47,6 +47,18 @@ for (const [name, address] of Object.entries(doors)) {
   });
 }
 
+test("who refreshes a channel joins it anew, as devices and others see, and goes on hearing it", async () => {
+  const alice = await open(ws(), as("alice"));
+  const bob = await open(ws(), as("bob"));
+  const others = (await bob.channel("/chat")).events();
+  const heard = (await alice.channel("/chat")).events();
+  await until(others, ({ type, member }) => type === "joined" && member.peer === alice.name);
+  await alice.refresh("/chat");
+  for (const type of ["left", "joined"]) await until(others, (event) => event.type === type && event.member.peer === alice.name);
+  await (await bob.channel("/chat")).send("chat", "again");
+  assert.equal((await until(heard, ({ type }) => type === "message")).content, "again");
+});
+
 test("a client logs in by key, as a guest and under a nickname", async () => {
   const key = await Key.fromPem(pem);
   const rover = await open(ws(), { user: "rover", key, hubName: "lab", webSocket: WebSocket });

@@ -3,6 +3,7 @@ import type { Failure, HubEvent, Message, PlainFields } from "../worker/protocol
 import { HubError, failureOf } from "./failure.js";
 import { fields, flag, list, number, text } from "./fields.js";
 import type { Hub } from "./hub.svelte.js";
+import { Teller } from "./teller.svelte.js";
 
 /** mm and degrees. */
 export type Pose = [x: number, y: number, z: number, spin: number, tilt: number];
@@ -17,6 +18,9 @@ export interface Status {
   error: Failure | undefined;
   arrived: number;
 }
+
+/** So many times of states are kept. */
+const TOLD = 200;
 
 export function poseOf(value: PlainFields): Pose | undefined {
   const axes = ["x", "y", "z", "spin", "tilt"].map((axis) => number(value, axis));
@@ -50,10 +54,21 @@ export class DeviceState {
   /** What was sent without a receipt and refused, the newest. */
   refusal = $state.raw<Failure | null>(null);
 
+  /** When it made its newest states, by its own clock: a camera names the state that its picture shows. */
+  readonly #told = new Set<number>();
+  readonly #teller: Teller;
+
   constructor(
     readonly hub: Hub,
     readonly path: string,
-  ) {}
+  ) {
+    this.#teller = new Teller(hub);
+  }
+
+  /** Since when nobody knows how it is, ms since 1970: it is gone, or the link is down and it has not told since. */
+  get unknownSince(): number | undefined {
+    return this.#teller.unknownSince;
+  }
 
   get moving(): boolean {
     return flag(this.state, "moving");
@@ -66,7 +81,7 @@ export class DeviceState {
   /** Watches it until the function that it gives is called. */
   start(): () => void {
     return this.hub.watch(
-      { path: this.path, kind: "channel", names: ["state", "status"] },
+      { path: this.path, kind: "channel", names: ["state", "status"], state: true },
       {
         joined: (info) => {
           const guard = fields(info["guard"]);
@@ -80,13 +95,22 @@ export class DeviceState {
     );
   }
 
+  /** Whether it has told a state at this time of its clock. */
+  hasTold(time: number): boolean {
+    return this.#told.has(time);
+  }
+
   #heard(event: HubEvent): void {
     if (event.type === "refused") this.refusal = (event as { failure?: Failure }).failure ?? null;
+    this.#teller.happens(event);
     if (event.type !== "message") return;
     const message = event as Message;
     const content = fields(message.content);
     if (message.name === "state") {
       this.state = content;
+      if (message.said !== undefined) this.#told.add(message.said);
+      if (this.#told.size > TOLD) this.#told.delete(this.#told.keys().next().value!);
+      this.#teller.tells(message);
       this.pose = poseOf(fields(content["pose"])) ?? this.pose;
       this.stateId = message.id ?? this.stateId;
       [this.born, this.error, this.arrived] = [message.born, message.error, message.arrived];

@@ -1,7 +1,8 @@
 // The hub as panels see it: who is logged in, how the link is, what is owned, and what is watched.
-import type { CallName, Calls, Failure, HubEvent, Link, Login, Me, Order, Owned, Picture, PlainFields, Previous, StandingStop, StopReport, Watch, Word } from "../worker/protocol.js";
+import type { CallName, Calls, Failure, HubEvent, Link, Login, Me, Owned, Picture, PlainFields, Previous, StandingStop, StopReport, Watch, Word } from "../worker/protocol.js";
 import { HubError, failureOf } from "./failure.js";
 import { HeardPeers } from "./heard.js";
+import { OrderedStops, isWithin } from "../worker/ordered.js";
 import { type Port, open } from "./port.js";
 import { whyNot } from "./why.js";
 
@@ -60,6 +61,12 @@ export class Hub {
   readonly #asked = new Map<number, { resolve: (value: never) => void; reject: (error: HubError) => void }>();
   readonly #watches = new Map<number, { watch: Watch; handlers: Handlers }>();
   readonly #jogEnds = new Set<(path: string, failure: Failure) => void>();
+  readonly #ordered = new OrderedStops();
+  #orderedStops = $state(0);
+  /** Since when the link says nothing, ms since 1970, and the newest loss of it that is over. */
+  #silent = $state<number | undefined>(undefined);
+  #loss = $state.raw<{ from: number; to: number } | undefined>(undefined);
+  readonly #stopListeners = new Set<(top: string) => void>();
   #lastId = 0;
   /** Where a login is under way that has not been explained. */
   #trying: string | null = null;
@@ -147,13 +154,52 @@ export class Hub {
 
   /** The stops that hold in a place. */
   stopsIn(top: string): StandingStop[] {
-    return this.stops.filter(({ path }) => top === "/" || path === top || path.startsWith(`${top}/`));
+    return this.stops.filter(({ path }) => isWithin(path, top));
   }
 
-  /** Stops all devices of a place, or lets go of what this page shows as stopped there. */
-  command(order: Order, top = "/", reason?: string): void {
-    const stops = Object.fromEntries(this.stopsIn(top).map(({ path, number }) => [path, number]));
-    this.call("stop", order, top, order === "stop" ? { reason } : { stops }).catch((error: unknown) => this.note("error", failureOf(error).text, failureOf(error)));
+  /** Stops all devices of a place. */
+  stop(reason: string, top = "/"): void {
+    const asked = this.call("stop", "stop", top, { reason });
+    this.#stopOrdered(top);
+    asked.catch((error: unknown) => this.note("error", failureOf(error).text, failureOf(error)));
+  }
+
+  /** Lets go of these stops, which were shown to the user, in a place. */
+  free(stops: readonly StandingStop[], top = "/"): void {
+    const numbers = Object.fromEntries(stops.map(({ path, number }) => [path, number]));
+    this.call("stop", "unstop", top, { stops: numbers }).catch((error: unknown) => this.note("error", failureOf(error).text, failureOf(error)));
+  }
+
+  /** Stops the devices of some channels, without a report of all; what fails, fails. */
+  stopEach(paths: readonly string[], reason: string): Promise<void>[] {
+    const asked = paths.map((path) => this.call("stopOne", "stop", path, { reason }));
+    for (const path of paths) this.#stopOrdered(path);
+    return asked;
+  }
+
+  /** The order has gone to the worker: what is under way ends after it, and never keeps it waiting. */
+  #stopOrdered(top: string): void {
+    this.#ordered.add(top);
+    this.#orderedStops += 1;
+    for (const listener of this.#stopListeners) listener(top);
+  }
+
+  /** How many stops of a path this page has ordered: what is under way for it ends when that number rises. */
+  stopsOrdered(path: string): number {
+    void this.#orderedStops;
+    return this.#ordered.count(path);
+  }
+
+  /** When the newest of them was ordered. */
+  stopOrderedAt(path: string): number | undefined {
+    void this.#orderedStops;
+    return this.#ordered.newest(path);
+  }
+
+  /** Hears each stop that this page orders, as it is ordered. */
+  onStop(listener: (top: string) => void): () => void {
+    this.#stopListeners.add(listener);
+    return () => this.#stopListeners.delete(listener);
   }
 
   onJogEnd(ends: (path: string, failure: Failure) => void): () => void {
@@ -213,8 +259,24 @@ export class Hub {
     }
   }
 
+  /** Since when it is not known whether what came at a time still holds: the link is down, or was since. */
+  unknownSince(arrived: number): number | undefined {
+    return this.#silent ?? (this.#loss && arrived < this.#loss.to ? this.#loss.from : undefined);
+  }
+
+  #hearLink({ state }: Link, before: Link["state"]): void {
+    if (state !== "connected") {
+      this.#silent ??= Date.now();
+    } else if (this.#silent !== undefined) {
+      // A link that was merely silent has lost nothing.
+      if (before !== "stale") this.#loss = { from: this.#silent, to: Date.now() };
+      this.#silent = undefined;
+    }
+  }
+
   #linked(link: Link): void {
     const before = this.link;
+    this.#hearLink(link, before.state);
     this.link = link;
     if (link.state === "trying" && link.error) void this.#explain();
     if (link.state === "closed" && before.state !== "closed" && this.me) {

@@ -5,6 +5,9 @@ export interface Shown {
   born: number | undefined;
   error: number | undefined;
   arrived: number;
+  /** Whether it tells the pose of a robot, and when the robot told that, ms since 1970. */
+  posed: boolean;
+  poseTime: number | undefined;
 }
 
 class Pictures {
@@ -27,6 +30,12 @@ class Pictures {
   hides(hub: Hub, path: string): void {
     this.#shown.get(hub)?.delete(path);
     this.#version += 1;
+  }
+
+  /** The cameras that are shown, that with the newest picture first. */
+  cameras(hub: Hub): string[] {
+    void this.#version;
+    return [...(this.#shown.get(hub)?.keys() ?? [])].reverse();
   }
 
   /** The newest picture of a camera, or of any. */

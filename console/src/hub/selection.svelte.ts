@@ -25,7 +25,10 @@ export class Selection {
   devices = $state.raw<readonly Device[]>([]);
   cameras = $state.raw<readonly string[]>([]);
   device = $state<string | undefined>(undefined);
-  camera = $state<string | undefined>(undefined);
+  /** By device, the camera that the user has chosen to see it by. */
+  #chosen = $state.raw<ReadonlyMap<string, string>>(new Map());
+  /** Cameras that have named a state of a device as what their picture shows. */
+  #proven = $state.raw<ReadonlyMap<string, ReadonlySet<string>>>(new Map());
 
   constructor(readonly hub: Hub) {}
 
@@ -45,7 +48,38 @@ export class Selection {
     this.devices = devices;
     const first = devices.find(({ path }) => !this.cameras.includes(path)) ?? devices[0];
     if (!devices.some(({ path }) => path === this.device)) this.device = first?.path;
-    if (this.camera === undefined || !this.cameras.includes(this.camera)) this.camera = this.cameras.find((path) => /\/x$/.test(path)) ?? this.cameras[0];
+  }
+
+  /** The camera by which the device is seen: the one that was chosen for it, one beside it, or the first. */
+  get camera(): string | undefined {
+    const { device, cameras } = this;
+    return this.#chosen.get(device ?? "") ?? cameras.find((path) => device !== undefined && this.#isBeside(path, device)) ?? cameras.find((path) => /\/x$/.test(path)) ?? cameras[0];
+  }
+
+  /** The user sees a device by this camera. */
+  choose(camera: string, device = this.device): void {
+    this.#chosen = new Map(this.#chosen).set(device ?? "", camera);
+  }
+
+  /** Whether a camera stands in the session of this device, and of no other. */
+  #isBeside(camera: string, device: string): boolean {
+    const place = device.slice(0, device.lastIndexOf("/") + 1);
+    return place.length > 1 && camera.startsWith(place) && !this.devices.some(({ path }) => path !== device && path.startsWith(place) && !this.cameras.includes(path));
+  }
+
+  /** A picture of this camera names a state that the device has told. */
+  proves(camera: string, device: string): void {
+    const known = this.#proven.get(device);
+    if (!known?.has(camera)) this.#proven = new Map(this.#proven).set(device, new Set(known).add(camera));
+  }
+
+  /**
+   * Whether a camera is known to see a device: the user says so, it has named a state of the device, it stands beside it, or it tells a robot's pose and there is
+   * one robot only. Nothing else says it, and by any other camera's picture nobody should drive.
+   */
+  sees(camera: string, device: string, posed: boolean): boolean {
+    const robots = this.devices.filter(({ path }) => !this.cameras.includes(path));
+    return this.#chosen.get(device) === camera || (this.#proven.get(device)?.has(camera) ?? false) || this.#isBeside(camera, device) || (posed && robots.length === 1 && robots[0]!.path === device);
   }
 }
 

@@ -1,5 +1,5 @@
 // What several panels say.
-import { left } from "./format.js";
+import { left, timeOfDay } from "./format.js";
 
 export const common = {
   /** Names of others stand in these as text, and are never markup. */
@@ -10,6 +10,8 @@ export const common = {
   copied: "Copied.",
   notCopied: "The browser did not let it be copied: mark the text and copy it by hand.",
   unknown: "not known",
+  /** How something is of which nothing was heard since. */
+  unknownSince: (ms: number) => `unknown since ${timeOfDay(ms)}`,
   nobody: "nobody",
   you: "you",
   of: (one: number, all: number) => `${one} of ${all}`,

@@ -75,6 +75,7 @@ export const commands = {
   jaws: (grip: string, opening: number) => `jaws ${grip === "close" ? "closed" : grip}, ${opening.toFixed(0)} mm apart`,
   moving: "moving",
   resting: "at rest",
+  before: "before that",
   stands: "stopped",
   /** What to do next, by the code of an error. */
   next: {
@@ -119,7 +120,8 @@ export const jog = {
     link: "the link to the hub is not up.",
     hidden: "this page was hidden.",
     blurred: "another window has the keyboard.",
-    "no-picture": "no picture is shown.",
+    unknown: "nobody knows how the device is:",
+    "no-picture": "no picture is shown of a camera that sees the device.",
     "old-picture": "the picture is too old.",
     "pad-gone": "the gamepad is gone.",
     "dead-man": "the dead-man button was not held.",
@@ -127,7 +129,9 @@ export const jog = {
   } as Record<string, string>,
   picture: "Picture",
   pictureOf: (camera: string) => `Picture of ${camera}`,
-  noPicture: "none is shown",
+  noPicture: "none is shown of a camera that sees the device",
+  notSeen: (camera: string, device: string) => `Nothing says that ${camera} sees ${device}.`,
+  sees: (camera: string) => `I see it by ${camera}`,
   limit: "Oldest picture",
   unseen: "I see the robot itself: drive whatever the picture's age",
   unseenWarning: "Nothing locks now when the picture is old.",

@@ -1,4 +1,5 @@
 // The fleet of mobile robots. Only its page needs these, so they are not among the texts that are loaded first.
+import { common } from "./common.js";
 import { duration } from "./format.js";
 
 const robots = (count: number): string => (count === 1 ? "1 robot" : `${count} robots`);
@@ -43,6 +44,7 @@ export const fleet = {
   selectFirst: "Select robots first: in the table, or on the map.",
   nobody: "None of the selected robots is yours: grab their tokens first.",
   noLink: "The link to the hub is not up.",
+  unknownSince: (ms: number) => `How the robots are is ${common.unknownSince(ms)}: who tells it has gone, or the link is down. This is what was told before.`,
   stopReason: "Stop these, in the fleet of the console",
   actions: { grab: "Grab", release: "Give back", send: "Send…", stop: "Stop these", unstop: "Let these go" },
   titles: {

@@ -1,5 +1,10 @@
 // Numbers as people read them.
 
+/** The time of day, `14:03:59`. */
+export function timeOfDay(ms: number): string {
+  return new Date(ms).toLocaleTimeString(undefined, { hour12: false });
+}
+
 /** `180 ms`, `1.2 s`, `3 min 5 s`. */
 export function duration(ms: number): string {
   const size = Math.abs(ms);

@@ -1,9 +1,11 @@
 // The mirror of a thin robot. Only its page needs these, so they are not among the texts that are loaded first.
+import { common } from "./common.js";
 import { size } from "./figures.js";
 import { duration } from "./format.js";
 
 export const simulacrum = {
   title: "Simulacrum",
+  unknown: (ms: number) => `How the robot is is ${common.unknownSince(ms)}: its middle has gone, or the link is down. This is what was told before.`,
   robot: "Robot",
   looking: "Looking for mirrored robots…",
   none: "No robot is mirrored at this hub.",

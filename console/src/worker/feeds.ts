@@ -13,6 +13,10 @@ const BURST = 500;
 /** What was said last is kept for who begins to watch later: so many messages, each of so many bytes of binary at most. */
 const KEPT = 64;
 const KEPT_SIZE = 4096;
+/** A channel whose states may be lost is asked for them again so often at most, ms. */
+const ASK = 2000;
+/** Drops after which something newer comes by itself, or that nobody shows. */
+const HARMLESS = new Set(["rate", "replaced", "older-fence", "withdrawn"]);
 /** Where all names matter, so many are kept and may wait; and so many go to the page at once. */
 const NAMES = 10_000;
 const PORTION = 500;
@@ -27,7 +31,7 @@ function messageOf(client: Client, event: MessageEvent, answer: boolean): Messag
   const { parcel, name, sender, history } = event;
   const { content, cut, size } = plain(event.content, name !== "image", answer);
   const { id, reference, fence } = parcel;
-  return { type: "message", name, sender, content, cut, size, id, reference, fence, history, ...birth(client, parcel), arrived: Date.now() };
+  return { type: "message", name, sender, said: parcel.timestamp?.toDate().getTime(), content, cut, size, id, reference, fence, history, ...birth(client, parcel), arrived: Date.now() };
 }
 
 function happeningOf(event: Exclude<Event, MessageEvent>, path: string): Happening {
@@ -133,6 +137,10 @@ class Feed {
   #entered: Promise<void> | null = null;
   #reads = false;
   #thinning = "";
+  /** Of members that are gone, and have said what is kept here, what says so. */
+  readonly #gone = new Map<string, HubEvent>();
+  #asked = -Infinity;
+  #asking: ReturnType<typeof setTimeout> | undefined;
 
   constructor(
     readonly client: Client,
@@ -166,6 +174,30 @@ class Feed {
     if (!this.watchers.has(watcher.id)) return;
     watcher.say({ word: "joined", watch: watcher.id, info: plainFields(info) });
     for (const message of this.#last.values()) if (watcher.wants(message)) watcher.take({ ...message, history: true });
+    for (const gone of this.#gone.values()) watcher.take(gone);
+  }
+
+  /** Hears how things are anew, from what the channel keeps and from devices, which tell who joins. */
+  ask(): void {
+    if (this.kind !== "channel" || this.#asking !== undefined || ![...this.watchers.values()].some(({ watch }) => watch.state)) return;
+    this.#asking = setTimeout(() => {
+      this.#asking = undefined;
+      this.#asked = performance.now();
+      // A link that is lost meanwhile is another reason to ask.
+      if (this.watchers.size) void this.client.refresh(this.path).catch(() => undefined);
+    }, Math.max(0, this.#asked + ASK - performance.now()));
+  }
+
+  /** What may have been lost, and who has gone. */
+  #notes(event: Event): void {
+    if (event.type === "lagged") return this.ask();
+    if (event.type === "dropped") {
+      const { receiver } = event as { receiver?: unknown };
+      if (!HARMLESS.has(event.reason) && event.delivery !== "fleeting" && (receiver === undefined || receiver === this.client.name)) this.ask();
+    } else if (event.type === "lost" || event.type === "left") {
+      const { peer } = event.member;
+      if ([...this.#last.values()].some(({ sender }) => sender === peer)) this.#gone.set(peer, happeningOf(event, this.path));
+    } else if ((event.type === "resumed" || event.type === "joined") && this.#gone.has(event.member.peer)) this.ask();
   }
 
   /** Joins with the thinning that is wanted now. */
@@ -197,6 +229,7 @@ class Feed {
   async #read(): Promise<void> {
     for await (const event of this.client.peer.events(this.path)) {
       this.hears(this.path, event);
+      this.#notes(event);
       if (event.type === "message") this.#message(event);
       else this.#give(happeningOf(event, this.path));
       if (!this.watchers.size) break;
@@ -213,6 +246,7 @@ class Feed {
     const answer = this.#isAnswer(event.name);
     const message = messageOf(this.client, event, answer);
     const key = keyOf(message);
+    this.#gone.delete(message.sender);
     if (message.size <= KEPT_SIZE && !message.cut && !answer) {
       this.#last.delete(key);
       this.#last.set(key, message);
@@ -220,6 +254,8 @@ class Feed {
     }
     for (const watcher of this.watchers.values()) {
       if (!watcher.wants(message)) continue;
+      // What is kept comes again where states were asked for; others have it.
+      if (message.history && this.#asked > 0 && !watcher.watch.state) continue;
       const isPicture = message.name === "image" && watcher.pictures?.take(event, message);
       if (!isPicture) watcher.take(message);
     }
@@ -269,6 +305,11 @@ export class Feeds {
       this.unwatch(id);
       throw error;
     }
+  }
+
+  /** Something may have been lost: how things are is asked for anew. */
+  ask(): void {
+    for (const feed of this.#feeds.values()) feed.ask();
   }
 
   unwatch(id: number): void {

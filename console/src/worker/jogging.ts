@@ -19,6 +19,11 @@ export class Jogging {
     readonly say: Say,
   ) {}
 
+  /** What is moved now. */
+  get path(): string | undefined {
+    return this.#jog?.path;
+  }
+
   /** The page's word. */
   set(jog: Jog | null): void {
     const before = this.#jog;

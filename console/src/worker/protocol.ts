@@ -61,6 +61,8 @@ export interface Message {
   name: string;
   sender: string;
   content: Plain | undefined;
+  /** When its sender made it, by the sender's notion of the time, ms since 1970. */
+  said: number | undefined;
   /** Whether content was left out because it is large. */
   cut: boolean;
   id: number | undefined;
@@ -119,6 +121,8 @@ export interface Watch {
   every?: number | undefined;
   /** Messages of these `names` answer what the page asked: they may be as large as answers of the hub. */
   answers?: boolean | undefined;
+  /** Its messages tell how something is now: where some may be lost they are asked for again. */
+  state?: boolean | undefined;
   /** Messages `image` are decoded, the newest when the page has shown the one before, at most so many pixels wide. */
   pictures?: number | undefined;
 }
@@ -175,7 +179,9 @@ export interface StopReport {
   over: boolean;
   /** Whether a hub has taken it. */
   taken: boolean;
-  /** Ways that are tried because the link is down. */
+  /** Whether the link has not taken it in time. */
+  missed: boolean;
+  /** Ways that are tried because of that. */
   trying: string[];
 }
 

@@ -1,5 +1,5 @@
 // The peer at the hub: its login, its link and the tokens that it owns.
-import { Key, type Client, type LinkState, MomError, type TokenGuard, connect, endPeer } from "mom-client";
+import { Key, type Client, type LinkState, MomError, type Proof, type TokenGuard, connect, endPeer } from "mom-client";
 import { failure } from "./plain.js";
 import type { Say } from "./port.js";
 import type { Link, Login, Me, Owned } from "./protocol.js";
@@ -19,6 +19,11 @@ function meOf(client: Client): Me {
   return { peer: client.name, user: client.user, level: client.level, groups: groupsOf(client), link: client.credential };
 }
 
+/** How a login proves who it is. */
+export function proofOf({ user, password, key, guest, token }: Login): Proof & { user?: string } {
+  return { ...(user === undefined ? {} : { user }), ...(password === undefined ? {} : { password }), ...(key ? { key: Key.of(key) } : {}), ...(guest ? { guest } : {}), ...(token === undefined ? {} : { token }) };
+}
+
 export class Session {
   #client: Client | null = null;
   #login: Login | null = null;
@@ -31,6 +36,8 @@ export class Session {
     readonly say: Say,
     /** Called when there is a new peer. */
     readonly onClient: (client: Client) => void,
+    /** Called when a link that was lost goes on: what was under way to this page may be gone. */
+    readonly onResumed: () => void,
   ) {}
 
   get client(): Client {
@@ -53,10 +60,8 @@ export class Session {
     this.#giveUp = giveUp;
     // The name is free then, and nobody is asked to wait for the tokens of a page that is gone.
     if (login.previous) await endPeer(login.address, login.previous).catch(() => undefined);
-    const { address, user, password, key, guest, token } = login;
-    const proof = { ...(user === undefined ? {} : { user }), ...(password === undefined ? {} : { password }), ...(key ? { key: Key.of(key) } : {}), ...(guest ? { guest } : {}), ...(token === undefined ? {} : { token }) };
-    const client = await connect(address, {
-      ...proof,
+    const client = await connect(login.address, {
+      ...proofOf(login),
       link: { grace: GRACE },
       heartbeat: HEARTBEAT,
       connectWithin: 15_000,
@@ -86,6 +91,7 @@ export class Session {
     const before = this.#state?.state;
     this.#state = state;
     this.#report();
+    if (state.state === "connected" && state.resumed) this.onResumed();
     // A new login may have given another name and another link.
     if (state.state === "connected" && before !== "stale" && this.#client) this.say({ word: "me", me: meOf(this.#client) });
   }

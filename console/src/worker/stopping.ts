@@ -1,19 +1,17 @@
-// The order to stop: one request for all devices of a place, over the link or around it.
-import { type Client, MomError, type StopReport as Told, connect } from "mom-client";
+// The order to stop: one request for all devices of a place, over the link, and over a second connection where the link does not take it.
+import { type Client, MomError, type StopReport as Told } from "mom-client";
+import { isWithin } from "./ordered.js";
 import { failure } from "./plain.js";
 import type { Say } from "./port.js";
 import type { Login, Order, StopReport, StopTerms } from "./protocol.js";
+import { Second } from "./second.js";
 import type { Standing } from "./standing.js";
 
-/** A hub that does not answer for so long is looked for elsewhere, in ms. */
-const LINK = 400;
+/** Where the hub has not answered over the link for so long, the stop goes over a second connection as well; ms. */
+const LINK = 300;
 const AROUND = 10_000;
 /** So many channels are let go by one request, which may have 64 KiB. */
 const PORTION = 400;
-
-function within(path: string, top: string): boolean {
-  return top === "/" || path === top || path.startsWith(`${top}/`);
-}
 
 /** The requests of an order; only a large hub needs several to let go. */
 async function* asked(client: Client, order: Order, top: string, { reason, stops = {}, within }: StopTerms): AsyncGenerator<Told> {
@@ -29,6 +27,9 @@ async function* asked(client: Client, order: Order, top: string, { reason, stops
 class Ordered {
   readonly report: StopReport;
   readonly #begun = performance.now();
+  #noteTaken: () => void = () => undefined;
+  /** Fulfilled when a hub has taken it, over whichever connection. */
+  readonly taken = new Promise<void>((resolve) => (this.#noteTaken = resolve));
 
   constructor(
     order: Order,
@@ -37,7 +38,7 @@ class Ordered {
     readonly standing: Standing,
     readonly tell: (report: StopReport) => void,
   ) {
-    this.report = { order, top, at: Date.now(), devices: [], refused: [], newer: [], empty: [], denied: [], over: false, taken: false, trying: [] };
+    this.report = { order, top, at: Date.now(), devices: [], refused: [], newer: [], empty: [], denied: [], over: false, taken: false, missed: false, trying: [] };
   }
 
   changed(): void {
@@ -53,7 +54,7 @@ class Ordered {
 
   /** A device has said how it stands. */
   heard(path: string, device: string, stopped: boolean): void {
-    if (!within(path, this.report.top) || stopped !== (this.report.order === "stop")) return;
+    if (!isWithin(path, this.report.top) || stopped !== (this.report.order === "stop")) return;
     this.#obeys(path, device);
     this.changed();
   }
@@ -64,8 +65,9 @@ class Ordered {
     answer.after ??= performance.now() - this.#begun;
   }
 
-  taken(): void {
+  #taken(): void {
     this.report.taken = true;
+    this.#noteTaken();
     this.changed();
   }
 
@@ -74,7 +76,7 @@ class Ordered {
     const { order, top } = this.report;
     // A hub reads in order what is said to it: what answers this has read the stop before.
     const told = this.#tell(client);
-    if (order === "stop") void client.lookup(top).then(() => this.taken(), (error: unknown) => failure(error).kind === "refused" && this.taken());
+    if (order === "stop") void client.lookup(top).then(() => this.#taken(), (error: unknown) => failure(error).kind === "refused" && this.#taken());
     await told;
   }
 
@@ -82,13 +84,13 @@ class Ordered {
     const { order, top } = this.report;
     try {
       for await (const told of asked(client, order, top, this.terms)) this.#answered(told, client);
-      this.taken();
+      this.#taken();
     } catch (error) {
       const said = failure(error);
       // A stop is tried by every way there is, and what is lost on one is none of the other's.
       if (said.kind === "refused" || order === "unstop") this.report.refused.push({ path: top, failure: said });
       if (said.kind !== "refused") throw error;
-      this.taken();
+      this.#taken();
     }
   }
 
@@ -114,21 +116,41 @@ class Ordered {
   }
 }
 
+/** Waits for the first of these; true if something came within so many ms. */
+async function soon(ms: number, ...what: Promise<unknown>[]): Promise<boolean> {
+  let timer: ReturnType<typeof setTimeout> | undefined;
+  const late = new Promise<false>((resolve) => (timer = setTimeout(resolve, ms, false)));
+  try {
+    return await Promise.race([late, ...what.map((each) => each.then(() => true))]);
+  } finally {
+    clearTimeout(timer);
+  }
+}
+
 export class Stopping {
   #client: Client | null = null;
   #now: Ordered | null = null;
+  readonly #second = new Second();
 
   constructor(
     readonly say: Say,
     readonly login: () => Login | null,
     readonly isUp: () => boolean,
     readonly standing: Standing,
+    /** What lends another connection. */
+    readonly lend: Second["lend"] = (...args) => this.#second.lend(...args),
   ) {}
 
   /** There is a new peer. */
   reset(client: Client): void {
     this.#client = client;
     this.standing.reset(client);
+  }
+
+  /** There is no peer any more. */
+  end(): void {
+    this.#client = null;
+    this.standing.end();
   }
 
   /** A device has said how it stands. */
@@ -148,11 +170,12 @@ export class Stopping {
       throw new MomError("local", "not-seen", `${state.by ?? "somebody"} has stopped it${state.reason ? `: ${state.reason}` : ""}. Let it go again if it may move.`);
     }
     const ordered = new Ordered(order, path, { ...terms, within: 0 }, this.standing, () => undefined);
-    await ordered.ask(client);
+    await this.#carryOut(ordered);
     const [refused] = ordered.report.refused;
     const [newer] = ordered.report.newer;
     this.standing.look();
     if (refused) throw new MomError("refused", refused.failure.code, refused.failure.text);
+    if (!ordered.report.taken) throw new MomError("connection", "not-confirmed", `NOT CONFIRMED: the hub has not taken the order for ${path}, over any connection`);
     if (newer) throw new MomError("refused", "newer-stop", `${newer.by ?? "somebody"} has stopped it again since${newer.reason ? `: ${newer.reason}` : ""}`, 232);
   }
 
@@ -160,53 +183,37 @@ export class Stopping {
     const ordered = new Ordered(order, top, terms, this.standing, (report) => ordered === this.#now && this.say({ word: "stop", report }));
     this.#now = ordered;
     ordered.changed();
-    const link = this.#client ? ordered.ask(this.#client) : Promise.reject(new MomError("local", "not-logged-in", "log in first"));
-    const settled = link.catch(() => undefined);
-    // What lets go is never said by another way: it is for what the user sees now.
-    if (order === "stop" && !(await this.#takenSoon(ordered, settled))) await this.#around(ordered, settled);
-    await settled;
+    await this.#carryOut(ordered);
     ordered.report.over = true;
     ordered.report.trying = [];
     ordered.changed();
     this.standing.look();
   }
 
-  async #takenSoon(ordered: Ordered, settled: Promise<void>): Promise<boolean> {
-    for (const end = performance.now() + (this.isUp() ? LINK : 0); !ordered.report.taken && performance.now() < end; ) {
-      const over = await Promise.race([settled.then(() => true), new Promise<false>((resolve) => setTimeout(resolve, 20, false))]);
-      if (over) break;
-    }
-    return ordered.report.taken;
+  /** Until it has been answered whole over one connection, or every way has failed. */
+  async #carryOut(ordered: Ordered): Promise<void> {
+    const link = this.#client ? ordered.ask(this.#client) : Promise.reject(new MomError("local", "not-logged-in", "log in first"));
+    const settled = link.catch(() => undefined);
+    // What lets go is never said by another way: it is for what the user sees now.
+    if (ordered.report.order === "unstop" || (await soon(this.isUp() ? LINK : 0, ordered.taken))) return settled;
+    const around = this.#around(ordered);
+    const failed = Promise.all([settled, around.catch(() => undefined)]);
+    await Promise.any([link, around]).catch(() => failed);
   }
 
-  /** By a connection of its own, through whichever door opens, until the link or it has said so. */
-  async #around(ordered: Ordered, settled: Promise<void>): Promise<void> {
+  /** By a second connection, through whichever door opens. Others that share it go on, whatever becomes of this one. */
+  async #around(ordered: Ordered): Promise<void> {
+    ordered.report.missed = true;
     const login = this.login();
-    if (!login) return;
+    if (!login) throw new MomError("local", "not-logged-in", "log in first");
     ordered.report.trying = login.address.split(/\s+/);
     ordered.changed();
-    const giveUp = new AbortController();
-    const timer = setTimeout(() => giveUp.abort(), AROUND);
-    void settled.then(() => ordered.report.taken && giveUp.abort());
-    const { address, user, password, guest } = login;
     try {
-      if (login.key) return;
-      const client = await connect(address, {
-        ...(user === undefined ? {} : { user }),
-        ...(password === undefined ? {} : { password }),
-        ...(guest ? { guest } : {}),
-        reconnect: false,
-        connectWithin: AROUND,
-        signal: giveUp.signal,
-        onState: () => undefined,
-      });
-      await ordered.ask(client).catch(() => undefined);
-      await client.close();
-    } catch {
-      // The report says that nobody has taken it.
+      // The link may have taken it meanwhile.
+      await this.lend(login, AROUND, async (client) => (ordered.report.taken ? undefined : ordered.ask(client)));
     } finally {
-      clearTimeout(timer);
       ordered.report.trying = [];
+      ordered.changed();
     }
   }
 }

@@ -2,6 +2,7 @@
 import { type Client, type Parcel, MomError, type TokenGuard, fieldsOf } from "mom-client";
 import { Feeds } from "./feeds.js";
 import { Jogging } from "./jogging.js";
+import { OrderedStops, isWithin } from "./ordered.js";
 import { answerFields, failure, plainFields } from "./plain.js";
 import type { Say } from "./port.js";
 import type { CallName, Calls, Owned, Question } from "./protocol.js";
@@ -25,7 +26,7 @@ export function serve(port: { postMessage: (word: unknown, transfer: Transferabl
   const session = new Session(say, (client) => {
     feeds.reset(client);
     stopping.reset(client);
-  });
+  }, () => feeds.ask());
   const standing = new Standing(say, () => session.isUp);
   const stopping: Stopping = new Stopping(say, () => session.login, () => session.isUp, standing);
   const feeds: Feeds = new Feeds(say, (path, event) => {
@@ -35,6 +36,13 @@ export function serve(port: { postMessage: (word: unknown, transfer: Transferabl
     if (typeof stopped === "boolean") stopping.heard(path, event.sender, stopped);
   });
   const jogging = new Jogging(() => session.client, say);
+  const ordered = new OrderedStops();
+
+  /** A stop ends what is under way for its place; what is said later is meant anew. */
+  function stops(top: string): void {
+    ordered.add(top);
+    if (jogging.path !== undefined && isWithin(jogging.path, top)) jogging.set(null);
+  }
 
   async function obtain(path: string, how: (token: Awaited<ReturnType<Client["token"]>>) => Promise<TokenGuard>): Promise<Owned> {
     return session.own(await how(await session.client.token(path)));
@@ -43,7 +51,7 @@ export function serve(port: { postMessage: (word: unknown, transfer: Transferabl
   const answers: Answers = {
     connect: (login) => session.connect(login),
     close: () => {
-      standing.end();
+      stopping.end();
       return session.close();
     },
     watch: (id, watch) => feeds.watch(id, watch),
@@ -53,7 +61,9 @@ export function serve(port: { postMessage: (word: unknown, transfer: Transferabl
     send: async (path, name, content, options = {}) => {
       const { to, basedOn, stop, ...slots } = options;
       if (name === "unstop" && stop === undefined) throw new MomError("local", "bad-slot", "an unstop names the newest stop that you have seen: there is none here");
+      const before = ordered.count(path);
       await session.client.channel(path);
+      if (name === "command" && ordered.count(path) !== before) throw new MomError("local", "stopped", "STOP was pressed before it was sent");
       const id = ++nextId;
       const parcel: Parcel = { family: "message", name, context: path, id, receipt: true, ...slots };
       if (content !== undefined) parcel.content = content;
@@ -66,10 +76,13 @@ export function serve(port: { postMessage: (word: unknown, transfer: Transferabl
     },
     jog: (jog) => jogging.set(jog),
     stop: (order, top, terms) => {
-      jogging.set(null);
+      if (order === "stop") stops(top);
       return stopping.order(order, top, terms);
     },
-    stopOne: (order, path, terms) => stopping.one(order, path, terms),
+    stopOne: (order, path, terms) => {
+      if (order === "stop") stops(path);
+      return stopping.one(order, path, terms);
+    },
     ask: async (family, name, path, content) => {
       const parcel: Parcel = { family, name, context: path, ...(content ? { content } : {}) };
       return answerFields((await session.client.request(parcel)).content);

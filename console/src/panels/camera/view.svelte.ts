@@ -118,7 +118,7 @@ export class CameraView {
     painted(() => {
       if (this.frame !== frame) return;
       const { born, error } = frame;
-      pictures.shows(this.hub, this.path, { born, error, arrived });
+      pictures.shows(this.hub, this.path, { born, error, arrived, posed: beside.pose !== undefined, poseTime: beside.poseTime });
       this.glass = born === undefined ? null : { ms: Math.max(0, Date.now() - born), error };
     });
   }

@@ -167,11 +167,11 @@ export class CommandList {
     if (this.running || this.hindrance !== undefined) return;
     [this.running, this.pausing, this.halted, this.#lost] = [what, false, undefined, undefined];
     const fence = this.hub.owned.get(this.device.token ?? "")?.fence;
-    const ordered = this.hub.order?.at;
+    const ordered = this.hub.stopsOrdered(this.path);
     /** Why nothing more may be sent. */
     const over = (): string | undefined => {
       const { hub, device } = this;
-      if (hub.order && hub.order.at !== ordered && hub.order.order === "stop") return t.stopOrdered;
+      if (hub.stopsOrdered(this.path) !== ordered) return t.stopOrdered;
       if (hub.link.state !== "connected" && hub.link.state !== "stale") return t.linkLost;
       if (hub.owned.get(device.token ?? "")?.fence !== fence) return this.#lost ?? t.tokenLost;
       return undefined;

@@ -38,7 +38,7 @@ const OVER = new Set<Became>(["finished", "error", "refused"]);
 export const isOver = (became: Became): boolean => OVER.has(became);
 
 /** Does it for all, so many at a time; what fails is gathered, alike with alike. */
-async function each(what: string, units: readonly number[], work: (unit: number) => Promise<void>): Promise<{ done: number[]; refused: Refused[] }> {
+async function each(what: string, units: readonly number[], work: (unit: number) => Promise<void>, abreast = ABREAST): Promise<{ done: number[]; refused: Refused[] }> {
   const waiting = [...units];
   const done: number[] = [];
   const refused = new Map<string, Refused>();
@@ -56,7 +56,7 @@ async function each(what: string, units: readonly number[], work: (unit: number)
       }
     }
   };
-  await Promise.all(Array.from({ length: Math.min(ABREAST, units.length) }, worker));
+  await Promise.all(Array.from({ length: Math.min(abreast, units.length) }, worker));
   return { done, refused: [...refused.values()] };
 }
 
@@ -144,9 +144,9 @@ export class FleetDriver {
     return found;
   }
 
-  async #all(what: "grab" | "release" | "stop" | "unstop", units: readonly number[], work: (unit: number) => Promise<void>): Promise<boolean> {
+  async #all(what: "grab" | "release" | "stop" | "unstop", units: readonly number[], work: (unit: number) => Promise<void>, abreast?: number): Promise<boolean> {
     [this.busy, this.refused, this.news] = [true, [], null];
-    const { done, refused } = await each(t.whats[what]!, units, work);
+    const { done, refused } = await each(t.whats[what]!, units, work, abreast);
     this.busy = false;
     this.refuse(refused);
     if (done.length) this.news = t.done[what](t.of(wordsOf(done), done.length));
@@ -185,26 +185,43 @@ export class FleetDriver {
     });
   }
 
-  /** Stops robots, or lets them go; needs no token. */
-  order(order: "stop" | "unstop", units: readonly number[]): Promise<boolean> {
-    return this.#all(order, units, (unit) => (order === "stop" ? this.hub.call("stopOne", "stop", this.channel(unit), { reason: t.stopReason }) : this.#free(unit)));
+  /** Stops robots, all at once; needs no token. */
+  stop(units: readonly number[]): Promise<boolean> {
+    const asked = this.hub.stopEach(units.map((unit) => this.channel(unit)), t.stopReason);
+    const of = new Map(units.map((unit, place) => [unit, asked[place]!]));
+    return this.#all("stop", units, (unit) => of.get(unit)!, units.length);
   }
 
-  /** Only what this page has shown as stopped is let go. */
-  async #free(unit: number): Promise<void> {
-    const path = this.channel(unit);
-    const stop = this.hub.stops.find((each) => each.path === path);
-    await this.hub.call("stopOne", "unstop", path, { stops: stop ? { [path]: stop.number } : {} });
+  /** Lets robots go: up to the stops that this page showed when it was asked for, and no more of them once a stop is ordered. */
+  free(units: readonly number[]): Promise<boolean> {
+    const { hub } = this;
+    const shown = new Map(hub.stops.map(({ path, number }) => [path, number]));
+    const going = this.#underway(units);
+    return this.#all("unstop", units, async (unit) => {
+      const path = this.channel(unit);
+      const number = shown.get(path);
+      going(unit);
+      await hub.call("stopOne", "unstop", path, { stops: number === undefined ? {} : { [path]: number } });
+    });
+  }
+
+  /** What throws for a robot once a stop of it is ordered after this. */
+  #underway(units: readonly number[]): (unit: number) => void {
+    const before = new Map(units.map((unit) => [unit, this.hub.stopsOrdered(this.channel(unit))]));
+    return (unit) => {
+      if (this.hub.stopsOrdered(this.channel(unit)) !== before.get(unit)) throw local("stopped", texts.commands.stopOrdered);
+    };
   }
 
   /** Sends each of them its statement; gives the lines of the log, and what was refused at once. */
   async send(units: readonly number[], statementOf: (unit: number) => string, options: { expires?: number } = {}): Promise<{ keys: number[]; refused: Refused[] }> {
     const lines = this.outgoing.add(units.map((unit) => ({ at: Date.now(), unit, statement: statementOf(unit), became: "sending" as const, failure: undefined, took: undefined })));
     const of = new Map(lines.map((line) => [line.unit, line]));
+    const going = this.#underway(units);
     const { done, refused } = await each(t.whats["send"]!, units, async (unit) => {
       const line = of.get(unit)!;
       try {
-        await this.#command(line, options.expires);
+        await this.#command(line, options.expires, going);
       } catch (error) {
         this.#become(line, "refused", failureOf(error));
         this.#linger(unit);
@@ -217,13 +234,15 @@ export class FleetDriver {
     return { keys: lines.map(({ key }) => key), refused };
   }
 
-  async #command(line: Outgoing, expires: number | undefined): Promise<void> {
+  async #command(line: Outgoing, expires: number | undefined, going: (unit: number) => void): Promise<void> {
     const { unit, statement } = line;
     const path = this.channel(unit);
+    going(unit);
     const token = await this.tokenOf(unit);
     const owned = this.hub.owned.get(token);
     if (!owned) throw local("not-owner", t.needs(token));
     await this.#listen(unit);
+    going(unit);
     const sent = await this.hub.call("send", path, "command", statement, { echo: false, fence: owned.fence, ...(expires === undefined ? {} : { expires }) });
     if (sent.delivered === 0) throw local("no-answer", t.nobodyObeys(path));
     this.#open.set(sent.id, line);

@@ -1,5 +1,6 @@
 // A statement that is sent again and again.
 import { fleet as t } from "../../texts/fleet.js";
+import { isWithin } from "../../worker/ordered.js";
 import type { FleetDriver, Outgoing } from "./driver.svelte.js";
 
 export type End = keyof typeof t.send.ends;
@@ -51,15 +52,15 @@ export class Repeat {
   /** Ends it when robots refuse what they were sent, when the link is lost, at STOP, and when nobody sees the page. */
   watch(): () => void {
     const hidden = (): void => void (document.visibilityState !== "visible" && this.end("hidden"));
-    const key = (event: KeyboardEvent): void => void (event.key === "Escape" && this.end("stop"));
+    const stopped = (top: string): void => void (this.now?.units.some((unit) => isWithin(this.driver.channel(unit), top)) && this.end("stop"));
     const failed = ({ key, became }: Outgoing): void => void (became !== "finished" && this.#all.has(key) && this.end("refused"));
     this.driver.onEnd.add(failed);
     document.addEventListener("visibilitychange", hidden);
-    window.addEventListener("keydown", key, true);
+    const end = this.driver.hub.onStop(stopped);
     return () => {
       this.driver.onEnd.delete(failed);
       document.removeEventListener("visibilitychange", hidden);
-      window.removeEventListener("keydown", key, true);
+      end();
       this.end("closed");
     };
   }

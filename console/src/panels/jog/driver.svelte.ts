@@ -3,6 +3,7 @@ import { DeviceState } from "../../hub/device.svelte.js";
 import { failureOf } from "../../hub/failure.js";
 import { fields, list } from "../../hub/fields.js";
 import type { Hub } from "../../hub/hub.svelte.js";
+import { selectionOf } from "../../hub/selection.svelte.js";
 import { pictures } from "../../hub/pictures.svelte.js";
 import type { Message } from "../../worker/protocol.js";
 import { type Direction, type Drive, type Forward, NOTHING, REST, TABLE, type Vector, WAYS, directionOf, forwardOf, isNothing, step, sum, velocity } from "./machine.js";
@@ -32,6 +33,8 @@ export class Driver {
   /** Forward as the selected camera sees it. */
   seen = $state.raw<Forward | undefined>(undefined);
   camera = $state<string | undefined>(undefined);
+  /** Whether a person has said that it sees the device, and not the page that it may. */
+  isChosen = $state(false);
   readonly settings = new Settings();
   readonly device: DeviceState;
   readonly #keys = new Map<string, Direction>();
@@ -53,10 +56,26 @@ export class Driver {
     return this.device.token === undefined ? undefined : this.hub.owned.get(this.device.token);
   }
 
-  /** The picture by which is driven. */
-  get picture(): { born: number; error: number | undefined } | undefined {
-    const shown = (this.camera === undefined ? undefined : pictures.newest(this.hub, this.camera)) ?? pictures.newest(this.hub);
-    return shown && { born: shown.born ?? shown.arrived, error: shown.error };
+  /** Whether pictures of a camera show the device. */
+  sees(camera: string): boolean {
+    const shown = pictures.newest(this.hub, camera);
+    return (this.isChosen && camera === this.camera) || selectionOf(this.hub).sees(camera, this.path, shown?.posed ?? false);
+  }
+
+  /** The picture by which is driven: that of the selected camera, or else the newest of those that see the device. */
+  get picture(): { camera: string; born: number; error: number | undefined } | undefined {
+    const shown = pictures.cameras(this.hub).filter((camera) => this.sees(camera));
+    const camera = this.camera !== undefined && shown.includes(this.camera) ? this.camera : shown[0];
+    const picture = camera === undefined ? undefined : pictures.newest(this.hub, camera);
+    return picture && { camera: camera!, born: picture.born ?? picture.arrived, error: picture.error };
+  }
+
+  /** A camera that names a state of this device as what it shows sees it. */
+  #prove(): void {
+    for (const camera of pictures.cameras(this.hub)) {
+      const time = pictures.newest(this.hub, camera)?.poseTime;
+      if (time !== undefined && this.device.hasTold(time)) selectionOf(this.hub).proves(camera, this.path);
+    }
   }
 
   get forward(): Forward {
@@ -65,7 +84,7 @@ export class Driver {
 
   /** Looks and drives until the function that it gives is called. */
   start(): () => void {
-    const ends = [this.device.start(), this.hub.onJogEnd((path, failure) => path === this.path && this.#refuse(failure.text))];
+    const ends = [this.device.start(), this.hub.onJogEnd((path, failure) => path === this.path && this.#refuse(failure.text)), this.hub.onStop(() => this.look())];
     const timer = setInterval(() => this.look(), EVERY);
     const listen = <Name extends keyof WindowEventMap>(name: Name, hears: (event: WindowEventMap[Name]) => void, capture = false): void => {
       window.addEventListener(name, hears, capture);
@@ -193,6 +212,7 @@ export class Driver {
     this.#padGone = this.#readPad();
     const { wish, deadMan } = this.pushed;
     const pushed = !isNothing(wish);
+    this.#prove();
     const picture = this.picture;
     const age = picture && now - picture.born;
     this.#hear();
@@ -201,8 +221,9 @@ export class Driver {
       now,
       held: this.#keys.size + this.#buttons.size + this.#sticks.size > 0 || pushed,
       owns: this.owned !== undefined,
-      stopAt: hub.order?.order === "stop" ? hub.order.at : undefined,
+      stopAt: hub.stopOrderedAt(this.path),
       stopped: device.stopped,
+      unknownSince: device.unknownSince,
       linked: hub.link.state === "connected",
       visible: document.visibilityState === "visible",
       focused: this.#focused,
@@ -215,7 +236,7 @@ export class Driver {
     const directions = new Set([...this.#keys.values(), ...this.#buttons.values()]);
     if (directions.size !== this.shown.size || [...directions].some((direction) => !this.shown.has(direction))) this.shown = directions;
     this.#tell(before, now);
-    this.#freshen(age, now);
+    this.#freshen(picture?.camera, age, now);
   }
 
   /** The arm's word to what is told to it: while it is driven, nothing else is. */
@@ -243,8 +264,8 @@ export class Driver {
   }
 
   /** Cameras show what changes: one that has nothing to show is asked, so that the picture is of now. */
-  #freshen(age: number | undefined, now: number): void {
-    const { hub, camera, settings } = this;
+  #freshen(camera: string | undefined, age: number | undefined, now: number): void {
+    const { hub, settings } = this;
     if (camera === undefined || !this.owned || hub.link.state !== "connected" || document.visibilityState !== "visible" || settings.unseen) return;
     if (age === undefined || !pictures.newest(hub, camera) || age < settings.limit / 2 || now - this.#asked < Math.max(ASK, settings.limit / 3)) return;
     this.#asked = now;

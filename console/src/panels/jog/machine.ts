@@ -1,4 +1,5 @@
 // Live driving as data: from what is held to a velocity, or to the reason why the hand rests. Nothing here looks at a clock or sends anything.
+import { common } from "../../texts/common.js";
 
 /** x, y, z, spin, tilt: parts of the greatest speed from -1 to 1, or mm/s and degrees/s. */
 export type Vector = [number, number, number, number, number];
@@ -13,6 +14,7 @@ export type Reason =
   | "token-lost"
   | "stop"
   | "stopped"
+  | "unknown"
   | "link"
   | "hidden"
   | "blurred"
@@ -38,6 +40,8 @@ export interface Inputs {
   stopAt: number | undefined;
   /** Whether the device says that it is stopped. */
   stopped: boolean;
+  /** Since when nobody knows how the device is; undefined if it has told. */
+  unknownSince: number | undefined;
   linked: boolean;
   visible: boolean;
   focused: boolean;
@@ -62,10 +66,11 @@ function obstacle(before: Drive, inputs: Inputs): Why | undefined {
   const since = before.phase === "drive" ? before.since : inputs.now;
   const is = (reason: Reason, wrong: boolean, text?: string): Why | undefined => (wrong ? { reason, text } : undefined);
   return (
-    is("stop", (inputs.stopAt ?? 0) > since) ??
+    is("stop", (inputs.stopAt ?? 0) >= since) ??
     is("link", !inputs.linked) ??
     is(before.phase === "drive" ? "token-lost" : "no-token", !inputs.owns) ??
     is("stopped", inputs.stopped) ??
+    is("unknown", inputs.unknownSince !== undefined, inputs.unknownSince === undefined ? undefined : common.unknownSince(inputs.unknownSince)) ??
     is("hidden", !inputs.visible) ??
     is("blurred", !inputs.focused) ??
     is("pad-gone", before.phase === "drive" && inputs.pad.gone) ??

@@ -4,6 +4,7 @@ import { failureOf } from "../../hub/failure.js";
 import { fields, text } from "../../hub/fields.js";
 import type { Hub } from "../../hub/hub.svelte.js";
 import { texts } from "../../texts/index.js";
+import { isWithin } from "../../worker/ordered.js";
 import type { Failure, HubEvent, Message, PlainFields } from "../../worker/protocol.js";
 
 /** ms in which an agent says whether it takes a task, or how far it is. */
@@ -58,8 +59,11 @@ export class AgentTask {
       { path: this.channel, kind: "channel", names: ["progress", `${this.manner.verb}-refused`, "cancel-refused"] },
       { events: (events) => events.forEach((event) => this.#heard(event)) },
     );
+    // It is neither lent the token after a stop, nor does it go on when the device is let go.
+    const free = this.hub.onStop((top) => this.busy && (isWithin(this.channel, top) || isWithin(this.#token, top)) && this.#stopped());
     return () => {
       clearTimeout(this.#timer);
+      free();
       end();
     };
   }
@@ -82,6 +86,11 @@ export class AgentTask {
   /** The agent gives the token back, wherever it is with its task. */
   async cancel(): Promise<void> {
     await this.hub.call("send", this.channel, "cancel", {}, { echo: false }).catch((error: unknown) => (this.failure = failureOf(error)));
+  }
+
+  #stopped(): void {
+    this.#fail({ kind: "local", code: "stopped", text: texts.commands.stopOrdered, content: {} });
+    void this.cancel();
   }
 
   #silence(): Failure {
@@ -131,7 +140,7 @@ export class AgentTask {
     try {
       await this.hub.call("give", this.#token, agent, this.#terms ?? {});
     } catch (error) {
-      this.#fail(failureOf(error));
+      if (this.phase === "lending") this.#fail(failureOf(error));
       await this.cancel();
     }
   }

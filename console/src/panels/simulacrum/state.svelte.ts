@@ -1,5 +1,6 @@
 // A robot's mirror, as one channel tells it.
 import type { Hub } from "../../hub/hub.svelte.js";
+import { Teller } from "../../hub/teller.svelte.js";
 import { robotOf } from "../../hub/mirrors.svelte.js";
 import { whileVisible } from "../../hub/visible.js";
 import type { Failure, HubEvent, Message } from "../../worker/protocol.js";
@@ -40,11 +41,19 @@ export class SimulacrumState {
   readonly rates = { down: new Trail(), up: new Trail(), loss: new Trail() };
   readonly #trails = new Map<string, Trails>();
   #heard = 0;
+  readonly #teller: Teller;
 
   constructor(
     readonly hub: Hub,
     readonly path: string,
-  ) {}
+  ) {
+    this.#teller = new Teller(hub);
+  }
+
+  /** Since when nobody knows how the robot is, ms since 1970. */
+  get unknownSince(): number | undefined {
+    return this.#teller.unknownSince;
+  }
 
   /** In the order of the device map. */
   readonly list = $derived(inOrder(this.elements.values()));
@@ -62,7 +71,7 @@ export class SimulacrumState {
   /** Watches it until the function that it gives is called. */
   start(): () => void {
     const end = this.hub.watch(
-      { path: this.path, kind: "channel", newest: true, every: EVERY },
+      { path: this.path, kind: "channel", newest: true, every: EVERY, state: true },
       {
         joined: () => ([this.joined, this.failure] = [true, null]),
         events: (events) => this.#take(events),
@@ -86,8 +95,10 @@ export class SimulacrumState {
     const elements = new Map(this.elements);
     let changed = false;
     for (const event of events) {
+      this.#teller.happens(event);
       if (event.type !== "message") continue;
       const message = event as Message;
+      this.#teller.tells(message);
       const packet = packetOf(message);
       if (packet) this.#packet(packet, message.arrived);
       const element = packet ? undefined : elementOf(message, elements.get(message.name)?.heard ?? this.#heard++);

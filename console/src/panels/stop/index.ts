@@ -1,5 +1,8 @@
 import { define } from "../../element.svelte.js";
 import Stop from "./Stop.svelte";
+import Stopped from "./Stopped.svelte";
 import css from "./stop.css?inline";
+import stoppedCss from "./stopped.css?inline";
 
-define("mom-stop", Stop, css, ["path"]);
+define("mom-stop", Stop, css, ["path", "framed"]);
+define("mom-stopped", Stopped, stoppedCss, ["path"]);
