@@ -257,10 +257,12 @@ impl Parser {
                 false => Judgement::Wrong,
             },
             State::Unknown => self.judge_frame(bytes, None),
-            State::Skip(b'-' | b'0'..=b'9') => match self.direction == Direction::Command && STOP.starts_with(bytes) {
-                true => self.judge_frame(bytes, Some(b'0')),
-                false => Judgement::Wrong,
-            },
+            State::Skip(b'-' | b'0'..=b'9') => {
+                match self.direction == Direction::Command && STOP.starts_with(bytes) {
+                    true => self.judge_frame(bytes, Some(b'0')),
+                    false => Judgement::Wrong,
+                }
+            }
             State::Skip(after) => self.judge_frame(bytes, Some(after)),
         }
     }
@@ -529,7 +531,12 @@ mod tests {
         for stops in 1..=6 {
             parser.idle();
             assert_eq!(read(&mut parser, "006 00000 00000"), ["00"]);
-            assert_eq!(parser.astray() > MOST_ASTRAY, stops == 6, "{stops}: {}", parser.astray());
+            assert_eq!(
+                parser.astray() > MOST_ASTRAY,
+                stops == 6,
+                "{stops}: {}",
+                parser.astray()
+            );
         }
         parser.idle();
         assert_eq!(read(&mut parser, &"06 00001 00001".repeat(6)).len(), 6);

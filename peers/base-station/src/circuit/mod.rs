@@ -409,8 +409,10 @@ impl Circuit {
                     None if up.unanswered.len() >= MOST_UNANSWERED => None,
                     None => Some(up.next_null),
                 };
-                let idle =
-                    up.parser.is_amid().then(|| up.last_bytes.saturating_add(self.options.idle));
+                let idle = up
+                    .parser
+                    .is_amid()
+                    .then(|| up.last_bytes.saturating_add(self.options.idle));
                 let times = [null, idle, self.silent_at(up), self.budget.refilled_at()];
                 times.into_iter().flatten().min()
             }

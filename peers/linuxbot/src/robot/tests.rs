@@ -278,7 +278,10 @@ fn its_driver_stops_the_motors_when_its_program_stands_still() {
         let sensors = robot.sensors(9000 * MS).expect("it can be read");
         (sensors.motors, sensors.pose.map_or(0.0, |pose| pose.x) - begun)
     };
-    for (name, values, most) in [("motor", &[1000, 1000][..], 600.0), ("goto", &[4500, 2500], 360.0)] {
+    for (name, values, most) in [
+        ("motor", &[1000, 1000][..], 600.0),
+        ("goto", &[4500, 2500], 360.0),
+    ] {
         let (motors, way) = driven(&mut robot(Rules::default()), name, values);
         assert_eq!(motors, Motors::STOP, "{name}");
         assert!((100.0..most).contains(&way), "{name}: {way} mm");

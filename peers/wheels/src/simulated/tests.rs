@@ -362,7 +362,15 @@ fn motors_stop_when_they_are_held_no_longer() {
     robot.pose(550_000);
     assert_eq!(robot.next_wake(), Some(600_000));
     robot.hold(900_000, 550_000).expect("it can");
-    assert!(robot.sensors(899_999).is_ok_and(|sensors| sensors.motors != Motors::STOP));
+    assert!(
+        robot
+            .sensors(899_999)
+            .is_ok_and(|sensors| sensors.motors != Motors::STOP)
+    );
     robot.hold(WheelTime::MAX, 899_999).expect("it can");
-    assert!(robot.sensors(5_000_000).is_ok_and(|sensors| sensors.motors != Motors::STOP));
+    assert!(
+        robot
+            .sensors(5_000_000)
+            .is_ok_and(|sensors| sensors.motors != Motors::STOP)
+    );
 }
