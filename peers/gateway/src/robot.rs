@@ -16,6 +16,7 @@ use tokio::time::{Instant, sleep, sleep_until};
 
 use crate::Unit;
 use crate::peer::{FIRST_PAUSE, MOST_PAUSE, News, Place, RobotWire};
+use crate::station::is_stop;
 
 /// So long a robot may take to say that it stands before the program ends all the same.
 const LAST_STOP: Duration = Duration::from_secs(1);
@@ -292,8 +293,7 @@ fn say(line: &RobotWire, unit: &mut Unit) -> Result<(), String> {
         if let Err(why) = (line.send)(frame) {
             tracing::warn!(unit = line.unit, why, %frame, "a frame was not sent");
             unit.unsent(&frame);
-            let stop = frame.code() == Code::MOTOR && frame.values() == [0, 0];
-            if !stop && !matches!(frame.code(), Code::STATUS | Code::POSE) {
+            if !is_stop(&frame) && !matches!(frame.code(), Code::STATUS | Code::POSE) {
                 said = Err(why);
             }
         }

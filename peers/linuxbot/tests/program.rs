@@ -120,7 +120,6 @@ fn stops_after_a_digit_too_many(options: &[&str], stops: usize, apart: u64) {
         "{options:?}, {stops} stops, {apart} ms apart: {rest} mm, motors {}",
         robot.look().1
     );
-    println!("{said}");
     assert!(robot.look().1 == 0 && rest < WALL - 500.0, "{said}");
 }
 
@@ -147,7 +146,6 @@ fn a_station_that_is_never_understood_is_hung_up_and_the_robot_stands() {
             assert!(Instant::now() < until, "it is never hung up");
         }
         let rest = robot.rest();
-        println!("{options:?}: {rest} mm");
         assert!(
             robot.look().1 == 0 && rest < WALL - 500.0,
             "{options:?}: {rest} mm"
@@ -170,7 +168,6 @@ fn a_program_that_stands_still_does_not_drive_on() {
     std::thread::sleep(Duration::from_millis(1500)); // tidy: what is tried is that the program stands still so long
     robot.signal("CONT");
     let rest = robot.rest();
-    println!("{} mm", rest - begun);
     assert!(
         rest - begun < 700.0,
         "{} mm, which is more than its watchdog lets it",

@@ -63,6 +63,8 @@ pub struct Unit {
     stood: u64,
     /// Whether it is told to stand again with each question, as it has not answered yet that it does.
     insists: bool,
+    /// Whether it has answered that it stands since it was reached, and since it was told to move.
+    rests: bool,
     /// Until when it is asked as often as one that moves, because it may not have come to its rest yet.
     settles: DeviceTime,
     /// What it is doing.
@@ -146,6 +148,7 @@ impl Unit {
             ask: 0,
             stood: 0,
             insists: false,
+            rests: false,
             settles: 0,
             doing: Doing::Nothing,
             motors: None,
@@ -230,7 +233,7 @@ impl Unit {
         if self.linked {
             self.unlinked = self.now;
         }
-        self.linked = false;
+        (self.linked, self.rests) = (false, false);
         self.given_up();
         self.doing = Doing::Nothing;
         self.motors = None;
@@ -270,7 +273,7 @@ impl Unit {
             return;
         }
         if !(status.moving || status.on_its_way) {
-            self.insists = false;
+            (self.insists, self.rests) = (false, true);
             return;
         }
         let doing = self.doing;
@@ -417,7 +420,7 @@ impl Machine for Unit {
 
     /// What is not known to stand is not said to.
     fn is_moving(&self) -> bool {
-        !self.linked || self.insists || self.drives()
+        !self.linked || !self.rests || self.drives()
     }
 
     /// Each halt is told to the robot: what it said last may be long ago.
@@ -463,7 +466,7 @@ impl Machine for Unit {
                 let until = now.saturating_add(DeviceTime::from(*ms) * 1000);
                 let question = self.question;
                 self.motors = Some(Motors { until, question });
-                self.insists = false;
+                (self.insists, self.rests) = (false, false);
                 self.doing = Doing::Done { at: until };
                 // It feeds the watchdog as a question does, and how it goes is told by the next one, or at its end.
                 self.ask = self.ask.min(now.saturating_add(LIVELY));
@@ -479,7 +482,7 @@ impl Machine for Unit {
                     let code = if number == 0 { Code::GOTO } else { Code::VIA };
                     self.say(code, &[*x, *y])?;
                 }
-                self.insists = false;
+                (self.insists, self.rests) = (false, false);
                 Doing::Drives {
                     question: self.question,
                 }

@@ -412,7 +412,10 @@ fn a_halt_at_rest_reaches_the_robot_too_and_is_said_again_until_it_answers() {
     pair.queue.halt(pair.now, "a test", &mut pair.events);
     let frames = pair.said();
     assert_eq!(stops(&frames), 1);
-    assert!(pair.queue.state().moving, "it has not answered that it stands");
+    assert!(
+        !pair.queue.state().moving,
+        "it has said that it stands, and nobody has moved it since"
+    );
     // None of it arrives, and it has other things to do than to answer.
     let mut again = 0;
     for late in 1..=5 {
@@ -425,6 +428,11 @@ fn a_halt_at_rest_reaches_the_robot_too_and_is_said_again_until_it_answers() {
         !pair.queue.machine().is_overdue(),
         "it is not known to move, so its link has its time"
     );
+    // One that was driven stands when it has answered.
+    pair.command("motor 100 100 300").expect("it is taken");
+    pair.down.clear();
+    pair.queue.halt(pair.now, "a test", &mut pair.events);
+    assert!(pair.queue.state().moving && stops(&pair.said()) == 1);
     // What drives it again is not undone by that.
     pair.command("motor 100 100 300").expect("it is taken");
     let frames: Vec<Frame> = pair.down.iter().map(|(_, frame)| *frame).collect();
