@@ -252,7 +252,9 @@ async fn keep_status(client: Client, first: Channel) {
             match enter_status(&client, &path).await {
                 Ok(channel) => break channel,
                 Err(ClientError::Closed(_)) => return,
-                Err(error) => tracing::debug!(%error, path, "the channel of all states is not back"),
+                Err(error) => {
+                    tracing::debug!(%error, path, "the channel of all states is not back");
+                }
             }
         };
     }

@@ -154,7 +154,7 @@ impl Robot {
                 match place.enter().await {
                     Err(ClientError::Closed(why)) => return Err(ClientError::Closed(why)),
                     Err(error) => {
-                        tracing::debug!(unit = place.unit, %error, "the robot's channel is not back")
+                        tracing::debug!(unit = place.unit, %error, "the robot's channel is not back");
                     }
                     entered => return entered,
                 }

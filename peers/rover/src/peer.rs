@@ -127,7 +127,9 @@ async fn live(
                 sleep(pause).await;
                 match enter_robot(client, options).await {
                     Err(ClientError::Closed(why)) => return Err(ClientError::Closed(why)),
-                    Err(error) => tracing::debug!(%error, "the robot's channel is not back"),
+                    Err(error) => {
+                        tracing::debug!(%error, "the robot's channel is not back");
+                    }
                     entered => return entered,
                 }
                 pause = (pause * 2).min(MOST_PAUSE);
@@ -269,7 +271,9 @@ async fn keep_joined(client: Client, first: Channel, kind: Kind, hand: Option<mp
             match join(&client, &path, kind).await {
                 Ok(channel) => break channel,
                 Err(ClientError::Closed(_)) => return,
-                Err(error) => tracing::debug!(%error, path, "a channel is not back"),
+                Err(error) => {
+                    tracing::debug!(%error, path, "a channel is not back");
+                }
             }
         };
     }
