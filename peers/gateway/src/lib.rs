@@ -5,6 +5,7 @@
 //! it to the hub.
 
 mod peer;
+mod robot;
 mod station;
 mod unit;
 pub mod verb;

@@ -1,25 +1,31 @@
 //! The gateway as a peer: each robot's contexts, and the robot between its channel and its wire.
 
-use std::future::{Future, pending};
+use std::future::Future;
 use std::pin::pin;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::AtomicUsize;
+use std::time::{Duration, SystemTime};
 
+use mom_brs::Frame;
+use mom_brs::Table;
 use mom_brs::file::EXTENDED;
-use mom_brs::{Code, Frame, Table};
-use mom_client::{Channel, Client, ClientError, Parcel};
-use mom_device::{DeviceError, DevicePeer, ErrorName, Machine as _, Outlet, sender};
-use mom_fleet::{StatusTeller, ensure_session, enter, enter_status};
+use mom_client::{Channel, Client, ClientError, Path};
+use mom_device::DeviceTime;
+use mom_fleet::{ensure_session, enter, enter_status};
 use tokio::sync::watch;
-use tokio::task::{JoinSet, yield_now};
-use tokio::time::{Instant, sleep_until};
+use tokio::task::JoinSet;
+use tokio::time::{Instant, sleep};
 
 use crate::Unit;
+use crate::robot::{Robot, since};
 use crate::station::Heard;
 
 /// Robots of one connection. Each of them has its peer join a session, a token and a channel, and a peer joins 1024 contexts, unless
 /// the hub's file says otherwise.
 const ROBOTS_PER_CONNECTION: usize = 256;
+/// So long after a channel is gone it is tried to get it back, and ever more seldom up to this.
+pub(crate) const FIRST_PAUSE: Duration = Duration::from_millis(500);
+pub(crate) const MOST_PAUSE: Duration = Duration::from_secs(10);
 
 /// How many connections to the hub so many robots need.
 #[must_use]
@@ -102,13 +108,15 @@ pub struct RobotWire {
     pub give_up: Box<dyn Fn() + Send + Sync>,
 }
 
-/// Has the robots of these lines obey at the hub, until `shutdown` is done. Then they stand.
+/// Has the robots of these lines obey at the hub, until `shutdown` is done. Then they stand, and are waited for, a second at most.
 ///
-/// What is missing of their contexts is made first. There are as many clients as [`connections`] says; they share the robots.
+/// What is missing of their contexts is made first. There are as many clients as [`connections`] says; they share the robots. A robot
+/// whose channel is gone, as it was deleted or the hub began anew, stands until that is back, and the others go on; the gateway makes it
+/// if it can.
 ///
 /// # Errors
 ///
-/// A context that cannot be made or joined, or a connection that is closed for good.
+/// A context that cannot be made or joined at the beginning, or connections that are closed for good.
 pub async fn run(
     clients: Vec<Client>,
     lines: Vec<RobotWire>,
@@ -120,184 +128,143 @@ pub async fn run(
             "the gateway has no connection".to_owned(),
         ));
     };
+    let options = Arc::new(options);
     ensure_session(first, &options.session).await?;
-    // Each stays in it for as long as this is kept.
-    let mut statuses = Vec::with_capacity(clients.len());
+    // Each stays in it for as long as this lives.
+    let mut statuses = JoinSet::new();
     for client in &clients {
-        statuses.push(enter_status(client, &options.status()).await?);
+        let status = enter_status(client, &options.status()).await?;
+        statuses.spawn(keep_status(client.clone(), status));
     }
     let (stop, stopping) = watch::channel(false);
     let mut robots = JoinSet::new();
-    let begin = Instant::now();
+    let (begin, epoch) = (Instant::now(), time_of_day());
     let missing = Arc::new(AtomicUsize::new(lines.len()));
     let share = lines.len().div_ceil(clients.len()).max(1);
+    let mut entered = Ok(());
     for (line, number) in lines.into_iter().zip(0..) {
-        let at = number / share;
-        let (Some(client), Some(status)) = (clients.get(at), statuses.get(at)) else {
+        let Some(client) = clients.get(number / share) else {
             continue;
         };
-        let (path, token) = (
-            format!("{}/{}", options.session, line.unit),
-            options.token(line.unit, line.group.as_deref()),
-        );
-        if let Some(group) = &line.group {
-            ensure_session(client, &format!("{}/{group}", options.session)).await?;
-        }
-        let channel = enter(client, &path, &token, options.manager.as_deref()).await?;
-        let robot = Robot {
-            device: DevicePeer::start(client, &channel, Unit::new(line.unit, options.table), begin),
-            status: StatusTeller::new(status.path().clone(), line.unit, line.group.clone()),
+        let place = Place {
             client: client.clone(),
-            channel,
-            line,
-            missing: Some(Arc::clone(&missing)),
+            options: Arc::clone(&options),
+            unit: line.unit,
+            group: line.group.clone(),
         };
-        robots.spawn(robot.drive(stopping.clone()));
+        let channel = match place.enter().await {
+            Ok(channel) => channel,
+            Err(error) => {
+                entered = Err(error);
+                break;
+            }
+        };
+        let unit = Unit::new(line.unit, options.table).with_clock(move || since(begin), epoch);
+        let robot = Robot::new(place, line, unit, begin, Arc::clone(&missing));
+        robots.spawn(robot.live(channel, stopping.clone()));
     }
-    tracing::info!(peer = first.name(), connections = clients.len(), robots = robots.len(), session = %options.session, "the gateway is ready");
-    let mut shutdown = pin!(shutdown);
-    tokio::select! {
-        () = &mut shutdown => {}
-        // None ends by itself while the hub has its channel.
-        Some(_) = robots.join_next() => tracing::warn!("a robot's channel is gone"),
-    }
+    let result = match entered {
+        Ok(()) => {
+            tracing::info!(peer = first.name(), connections = clients.len(), robots = robots.len(), session = %options.session, "the gateway is ready");
+            serve(&mut robots, shutdown).await
+        }
+        Err(error) => Err(error),
+    };
     let _ = stop.send(true);
     while robots.join_next().await.is_some() {}
     drop(statuses);
     for client in clients {
         client.close().await;
     }
-    Ok(())
+    result
 }
 
-/// A robot between its channel and its wire.
-struct Robot {
-    device: DevicePeer<Unit>,
-    status: StatusTeller,
-    client: Client,
-    channel: Channel,
-    line: RobotWire,
-    /// How many have never been there, until this one is.
-    missing: Option<Arc<AtomicUsize>>,
-}
-
-impl Robot {
-    async fn drive(mut self, mut stopping: watch::Receiver<bool>) {
-        // A hub that takes nothing holds up neither stops nor replies.
-        let mut outlet = Outlet::new(sender(&self.client));
-        loop {
-            self.send();
-            if self.device.machine().has_to_send() {
-                // What has been said goes out before more is, which would have no place otherwise.
-                yield_now().await;
-                continue;
-            }
-            let mut out = Vec::new();
-            let told = self.tell(&mut out);
-            outlet.set_down(self.device.is_down());
-            outlet.push(&mut out);
-            tokio::select! {
-                biased;
-                _ = stopping.wait_for(|stop| *stop) => break,
-                more = self.device.step() => if !more { break },
-                news = self.line.heard.next() => match news {
-                    Some(news) => {
-                        self.hear(news);
-                        // Replies that have come together are taken together.
-                        while let Some(news) = self.line.heard.ready() {
-                            self.hear(news);
-                        }
-                    }
-                    None => break,
-                },
-                () = outlet.work() => {}
-                () = sleep_or_wait(told) => {}
-            }
+/// Waits until `shutdown` is done, or no robot is left: each ends when its connection to the hub is closed for good.
+async fn serve(
+    robots: &mut JoinSet<Result<(), ClientError>>,
+    shutdown: impl Future<Output = ()>,
+) -> Result<(), ClientError> {
+    let mut shutdown = pin!(shutdown);
+    let mut result = Ok(());
+    loop {
+        tokio::select! {
+            () = &mut shutdown => return result,
+            ended = robots.join_next(), if !robots.is_empty() => match ended {
+                Some(Ok(Err(error))) => result = Err(error),
+                Some(Err(error)) => tracing::error!(%error, "a robot's task has failed"),
+                Some(Ok(Ok(()))) | None => {}
+            },
         }
-        // It stands, whatever becomes of its gateway.
-        self.device.halt("its gateway ends");
-        self.send();
-        self.device.end("its gateway ends").await;
-    }
-
-    fn hear(&mut self, news: News) {
-        match news {
-            News::Linked => {
-                tracing::info!(unit = self.line.unit, "the robot is connected");
-                self.device.note(Unit::linked);
-                self.device.report();
-                let missing = self.missing.take();
-                if missing.is_some_and(|missing| missing.fetch_sub(1, Ordering::Relaxed) == 1) {
-                    tracing::info!("all robots are connected");
-                }
-            }
-            News::Lost(why) => {
-                tracing::warn!(unit = self.line.unit, why, "the robot is lost");
-                self.device.note(Unit::lost);
-                let text = format!("robot {} is lost: {why}", self.line.unit);
-                self.device.fail(&DeviceError::new(ErrorName::Link, text));
-            }
-            News::Reply(reply) => {
-                let before = self.device.machine().known();
-                let mut heard = Ok(());
-                self.device.note(|unit| heard = unit.heard(&reply));
-                if let Err(error) = heard {
-                    self.device.fail(&error);
-                }
-                // While it moves it is told of by itself.
-                let machine = self.device.machine();
-                if !machine.is_moving() && before != machine.known() {
-                    self.device.report();
-                }
-            }
+        if robots.is_empty() && result.is_err() {
+            return result;
         }
-    }
-
-    /// Sends what its unit has for it.
-    fn send(&mut self) {
-        if self.device.machine().is_overdue() {
-            self.device.note(Unit::given_up);
-            tracing::warn!(unit = self.line.unit, "the robot moves and does not answer");
-            (self.line.give_up)();
-        }
-        if !self.device.machine().has_to_send() {
-            return;
-        }
-        let mut frames = Vec::new();
-        self.device.note(|unit| frames = unit.to_send());
-        for frame in frames {
-            if let Err(why) = (self.line.send)(frame) {
-                tracing::warn!(unit = self.line.unit, why, %frame, "a frame was not sent");
-                self.device.note(|unit| unit.unsent(&frame));
-                // What was to be done is not done. Questions are asked again, and a robot that does not stand is told so again.
-                let stop = frame.code() == Code::MOTOR && frame.values() == [0, 0];
-                if !stop && !matches!(frame.code(), Code::STATUS | Code::POSE) {
-                    let text = format!("robot {} was not told to do it: {why}", self.line.unit);
-                    self.device.fail(&DeviceError::new(ErrorName::Link, text));
-                }
-            }
-        }
-        self.device.note(Unit::sent);
-    }
-
-    /// What is to be told of it in the fleet's channel; when to look again.
-    fn tell(&mut self, out: &mut Vec<Parcel>) -> Option<Instant> {
-        let told = self.status.tell(
-            || self.device.state(),
-            || self.channel.gate().guard(),
-            Instant::now(),
-        );
-        if let Some(mut parcel) = told {
-            parcel.timestamp = self.device.known_time();
-            out.push(parcel);
-        }
-        self.status.due(self.device.machine().is_moving())
     }
 }
 
-async fn sleep_or_wait(wake: Option<Instant>) {
-    match wake {
-        Some(wake) => sleep_until(wake).await,
-        None => pending().await,
+/// Where a robot is at the hub.
+#[derive(Debug, Clone)]
+pub(crate) struct Place {
+    pub(crate) client: Client,
+    options: Arc<GatewayOptions>,
+    pub(crate) unit: u32,
+    pub(crate) group: Option<String>,
+}
+
+impl Place {
+    /// Makes what is missing of the robot's contexts, and joins its channel as its device.
+    pub(crate) async fn enter(&self) -> Result<Channel, ClientError> {
+        let Place {
+            client,
+            options,
+            unit,
+            group,
+        } = self;
+        ensure_session(client, &options.session).await?;
+        if let Some(group) = group {
+            ensure_session(client, &format!("{}/{group}", options.session)).await?;
+        }
+        let path = format!("{}/{unit}", options.session);
+        let token = options.token(*unit, group.as_deref());
+        enter(client, &path, &token, options.manager.as_deref()).await
     }
+
+    /// The channel of all states; none if the session's path is none.
+    pub(crate) fn status(&self) -> Option<Path> {
+        Path::parse(&self.options.status()).ok()
+    }
+}
+
+/// Stays in the channel of all states for as long as the client lives, also when that goes and comes back.
+async fn keep_status(client: Client, first: Channel) {
+    let path = first.path().to_string();
+    let mut channel = first;
+    let mut pause = FIRST_PAUSE;
+    loop {
+        let mut events = channel.events();
+        drop(channel);
+        while events.next().await.is_some() {
+            pause = FIRST_PAUSE;
+        }
+        drop(events);
+        channel = loop {
+            sleep(pause).await;
+            pause = (pause * 2).min(MOST_PAUSE);
+            match enter_status(&client, &path).await {
+                Ok(channel) => break channel,
+                Err(ClientError::Closed(_)) => return,
+                Err(error) => {
+                    tracing::debug!(%error, path, "the channel of all states is not back");
+                }
+            }
+        };
+    }
+}
+
+/// µs since 1970.
+fn time_of_day() -> DeviceTime {
+    let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
+    since
+        .ok()
+        .and_then(|since| DeviceTime::try_from(since.as_micros()).ok())
+        .unwrap_or(0)
 }

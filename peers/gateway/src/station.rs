@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use mom_base_station::circuit::{Note, Options, State, Taken};
 use mom_base_station::log::Entry;
 use mom_base_station::station::{Settings, Station};
+use mom_brs::{Code, Frame};
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::{RecvError, TryRecvError};
 
@@ -43,7 +44,8 @@ pub fn lines(station: &Station) -> Vec<RobotWire> {
             heard: Heard::new(entries, is_up),
             send: Box::new(move |frame| {
                 let taken = station.send(unit, frame).map_err(|error| error.to_string())?;
-                if let Taken::Replaced(dropped) = taken {
+                // A stop is there to override what waits, and is said again.
+                if let (Taken::Replaced(dropped), false) = (taken, is_stop(&frame)) {
                     tracing::warn!(unit, dropped, %frame, "commands that waited for the robot are not sent: this one overrides them");
                 }
                 Ok(())
@@ -55,6 +57,11 @@ pub fn lines(station: &Station) -> Vec<RobotWire> {
         });
     }
     lines
+}
+
+/// Whether a frame has a robot stand.
+pub(crate) fn is_stop(frame: &Frame) -> bool {
+    frame.code() == Code::MOTOR && frame.values() == [0, 0]
 }
 
 /// What is heard of a robot.
@@ -148,7 +155,6 @@ impl Heard {
 
 #[cfg(test)]
 mod tests {
-    use mom_brs::Frame;
     use tokio::sync::broadcast;
 
     use super::*;

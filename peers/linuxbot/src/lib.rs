@@ -7,6 +7,7 @@
 mod access;
 mod eye;
 mod glance;
+mod hearing;
 mod listen;
 mod page;
 mod robot;

@@ -8,13 +8,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use mom_brs::file::EXTENDED;
-use mom_brs::{Code, Direction, Frame, Parser, Table};
+use mom_brs::{Code, Frame, Table};
 use mom_wheels::WheelTime;
 use tokio::io::{AsyncReadExt, AsyncWriteExt, Interest};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, sleep_until, timeout};
 
+use crate::hearing::Hearing;
 use crate::{Access, Glance, Observed, Robot};
 
 /// Bytes that are read at once; then others have their turn.
@@ -26,8 +27,8 @@ const MOST_UNSENT: usize = 4096;
 /// So long one that is refused may take to read why, and so many may do so at once.
 const FAREWELL: Duration = Duration::from_secs(1);
 const FAREWELLS: usize = 8;
-/// A frame that is not complete after so long is dropped.
-const WITHIN_FRAME: Duration = Duration::from_millis(500);
+/// So long a driver may take to take the last stop before the program ends all the same.
+const LAST_STOP: Duration = Duration::from_secs(1);
 
 /// How a robot lets base stations in.
 #[derive(Debug, Clone)]
@@ -36,7 +37,7 @@ pub struct Options {
     pub access: Access,
     /// The commands that it knows.
     pub table: &'static Table,
-    /// A base station that says nothing for so long is held for dead, and others may drive; none: never, as the paper has it.
+    /// A base station that says nothing for so long that is understood is held for dead, and others may drive; none: never, as the paper has it.
     pub patience: Option<Duration>,
     /// Whether a second base station is told who drives, rather than just closed.
     pub tells_holder: bool,
@@ -67,7 +68,11 @@ impl Options {
     }
 }
 
-/// Serves base stations until `shutdown` is done, one after the other. Then the motors stop.
+/// Serves base stations until `shutdown` is done, one after the other. Then the motors stop, and it waits a second at most until
+/// their driver has taken that.
+///
+/// A base station of which more cannot be read than can ([`mom_brs::MOST_ASTRAY`]) is closed, and the motors stop, also as the paper has it:
+/// what it says may be a stop.
 ///
 /// # Errors
 ///
@@ -99,7 +104,7 @@ pub async fn serve_observed(
     let farewells = Arc::new(Semaphore::new(FAREWELLS));
     let result = loop {
         let wake = robot.next_wake().map(|due| at(begin, due));
-        let dead = session.as_ref().and_then(|session| session.dead(&options));
+        let dead = session.as_ref().and_then(|session| session.dead(&options, begin));
         tokio::select! {
             () = &mut shutdown => break Ok(()),
             accepted = listener.accept() => match accepted {
@@ -108,7 +113,7 @@ pub async fn serve_observed(
                     if let Some(why) = catch_up(&mut session, &mut robot, begin) {
                         leave(&mut session, &mut robot, now(begin), &why);
                     }
-                    admit(stream, from, &mut session, &options, &farewells);
+                    admit(stream, from, &mut session, &options, &farewells, now(begin));
                 }
                 // What one connection has broken is no fault of the listener.
                 Err(error) if is_passing(&error) => tracing::debug!(%error, "a connection was not taken"),
@@ -133,7 +138,25 @@ pub async fn serve_observed(
         }
     };
     robot.halt(now(begin));
+    stand(&mut robot, begin).await;
     result
+}
+
+/// Waits until the driver has taken the stop, which is given again and again.
+async fn stand(robot: &mut Robot, begin: Instant) {
+    let until = Instant::now() + LAST_STOP;
+    while !robot.stands() {
+        let due = robot.next_wake().map(|due| at(begin, due));
+        let Some(due) = due.filter(|due| *due <= until) else {
+            tracing::error!(
+                fault = robot.fault().map(tracing::field::display),
+                "the motors may be running: their driver has not taken the stop"
+            );
+            return;
+        };
+        sleep_until(due).await;
+        robot.advance(now(begin));
+    }
 }
 
 /// Takes a connection, if its base station may drive and no other does.
@@ -143,6 +166,7 @@ fn admit(
     session: &mut Option<Driving>,
     options: &Options,
     farewells: &Arc<Semaphore>,
+    now: WheelTime,
 ) {
     if !options.access.admits(from.ip()) {
         tracing::warn!(%from, "refused: this base station is not listed");
@@ -168,9 +192,8 @@ fn admit(
     *session = Some(Driving {
         stream,
         from,
-        parser: Parser::new(options.table, Direction::Command),
+        hearing: Hearing::new(options.table, now),
         unsent: Vec::new(),
-        heard: Instant::now(),
     });
 }
 
@@ -187,9 +210,12 @@ async fn part(mut stream: TcpStream, _place: OwnedSemaphorePermit) {
 
 fn leave(session: &mut Option<Driving>, robot: &mut Robot, now: WheelTime, why: &str) {
     if let Some(gone) = session.take() {
-        let faults = gone.parser.faults();
+        let faults = gone.hearing.faults();
         tracing::info!(from = %gone.from, why, ?faults, "the base station is gone");
-        robot.lost(now);
+        match gone.hearing.check() {
+            Ok(()) => robot.lost(now),
+            Err(_) => robot.halt(now),
+        }
     }
 }
 
@@ -207,15 +233,15 @@ fn holder(table: &'static Table, by: IpAddr) -> Option<Frame> {
 struct Driving {
     stream: TcpStream,
     from: SocketAddr,
-    parser: Parser,
+    hearing: Hearing,
     unsent: Vec<u8>,
-    heard: Instant,
 }
 
 impl Driving {
     /// When it is to be held for dead.
-    fn dead(&self, options: &Options) -> Option<Instant> {
-        options.patience.map(|patience| self.heard + patience)
+    fn dead(&self, options: &Options, begin: Instant) -> Option<Instant> {
+        let understood = at(begin, self.hearing.understood());
+        options.patience.map(|patience| understood + patience)
     }
 }
 
@@ -230,14 +256,19 @@ async fn work(session: &mut Option<Driving>, robot: &mut Robot, begin: Instant) 
         (false, true) => Interest::READABLE | Interest::WRITABLE,
         (false, false) => Interest::WRITABLE,
     };
-    let half = (session.parser.buffered() > 0).then(|| session.heard + WITHIN_FRAME);
+    // While nothing is read its silence says nothing.
+    let hears = session.unsent.len() < MOST_UNSENT;
+    let silent = session.hearing.silent_at().filter(|_| hears);
     let ready = tokio::select! {
         ready = session.stream.ready(interest) => ready,
-        () = sleep_or_wait(half) => {
-            session.parser.idle();
-            return None;
+        () = sleep_or_wait(silent.map(|silent| at(begin, silent))) => {
+            let passed = session.hearing.advance(now(begin));
+            return passed.err().map(|garbled| garbled.to_string());
         }
     };
+    if !hears {
+        session.hearing.was_not_read(now(begin));
+    }
     let done = ready.and_then(|ready| {
         if ready.is_writable() {
             write(session)?;
@@ -257,11 +288,11 @@ fn catch_up(session: &mut Option<Driving>, robot: &mut Robot, begin: Instant) ->
         if session.unsent.len() >= MOST_UNSENT {
             break;
         }
-        let before = session.heard;
+        let before = session.hearing.heard();
         if let Err(error) = read(session, robot, begin) {
             return Some(error.to_string());
         }
-        if session.heard == before {
+        if session.hearing.heard() == before {
             break;
         }
     }
@@ -287,12 +318,11 @@ fn read(session: &mut Driving, robot: &mut Robot, begin: Instant) -> io::Result<
         Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(()),
         Err(error) => return Err(error),
     };
-    session.heard = Instant::now();
-    for frame in session.parser.feed(piece.get(..read).unwrap_or_default()) {
-        if let Some(reply) = robot.take(&frame, now(begin)) {
-            session.unsent.extend_from_slice(reply.encode().as_bytes());
-        }
-    }
+    let piece = piece.get(..read).unwrap_or_default();
+    let heard = session
+        .hearing
+        .hear(piece, robot, now(begin), &mut session.unsent);
+    heard.map_err(io::Error::other)?;
     if session.unsent.is_empty() {
         return Ok(());
     }
@@ -349,9 +379,8 @@ mod tests {
         let mut session = Some(Driving {
             stream,
             from,
-            parser: Parser::new(&EXTENDED, Direction::Command),
+            hearing: Hearing::new(&EXTENDED, 0),
             unsent: Vec::new(),
-            heard: Instant::now(),
         });
         let mut robot = Robot::new(
             Box::new(Simulated::linuxbot()),

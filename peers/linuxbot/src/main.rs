@@ -18,7 +18,7 @@ use mom_wheels::{Chassis, Simulated, Watchdog, WheelTime};
 use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::watch;
-use tokio::task::JoinSet;
+use tokio::task::{JoinError, JoinSet};
 use tracing_subscriber::EnvFilter;
 
 const EXAMPLES: &str = "\
@@ -160,15 +160,36 @@ async fn main() -> anyhow::Result<()> {
             },
         ));
     }
-    tokio::select! {
-        () = &mut shutdown => {}
-        Some(ended) = serving.join_next() => ended?.context("the robot ended")?,
+    let mut result = Ok(());
+    // One whose listener is broken stands, and leaves the others alone.
+    loop {
+        tokio::select! {
+            () = &mut shutdown => break,
+            ended = serving.join_next() => match ended {
+                Some(ended) => keep(&mut result, ended),
+                None => break,
+            },
+        }
     }
     let _ = stop.send(true);
     while let Some(ended) = serving.join_next().await {
-        ended?.context("the robot ended")?;
+        keep(&mut result, ended);
     }
-    Ok(())
+    result
+}
+
+/// Says how a robot ended, and keeps the first error for the end of the program.
+fn keep(result: &mut anyhow::Result<()>, ended: Result<std::io::Result<()>, JoinError>) {
+    let ended = ended
+        .map_err(anyhow::Error::from)
+        .and_then(|ended| Ok(ended?))
+        .context("a robot ended");
+    if let Err(error) = ended {
+        tracing::error!("{error:#}");
+        if result.is_ok() {
+            *result = Err(error);
+        }
+    }
 }
 
 /// Says where robots listen, also in the file of a fleet.

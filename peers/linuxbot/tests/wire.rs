@@ -2,10 +2,13 @@
 
 use std::io::ErrorKind;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
 use mom_linuxbot::{Access, Options, Robot, Rules, Status, serve};
-use mom_wheels::{Chassis, Simulated, Watchdog};
+use mom_wheels::{Chassis, Driver, DriverError, Fault, Motors, Sensors, Simulated, Watchdog, WheelTime};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::process::Command;
@@ -30,9 +33,13 @@ struct Server {
 
 impl Server {
     async fn start(rules: Rules, options: Options) -> Self {
+        Self::of(Box::new(Simulated::linuxbot()), rules, options).await
+    }
+
+    async fn of(driver: Box<dyn Driver>, rules: Rules, options: Options) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
         let address = listener.local_addr().expect("it has one");
-        let robot = Robot::new(Box::new(Simulated::linuxbot()), Chassis::LINUXBOT, rules);
+        let robot = Robot::new(driver, Chassis::LINUXBOT, rules);
         let (stop, stopping) = oneshot::channel::<()>();
         let serving = tokio::spawn(serve(listener, robot, options, async move {
             let _ = stopping.await;
@@ -224,4 +231,48 @@ async fn a_flood_is_read_at_the_rate_at_which_replies_are_taken() {
         assert!(full < 64 << 20, "it reads on and on");
     }
     server.end().await;
+}
+
+/// A simulated robot whose driver refuses the next so many stops.
+struct Stubborn(Simulated, Arc<AtomicUsize>);
+
+impl Driver for Stubborn {
+    fn set_motors(&mut self, motors: Motors, at: WheelTime) -> Result<(), DriverError> {
+        let refuses = |left: usize| left.checked_sub(1);
+        if motors == Motors::STOP && self.1.fetch_update(Relaxed, Relaxed, refuses).is_ok() {
+            return Err(DriverError::new(Fault::Motors, "they do not obey"));
+        }
+        self.0.set_motors(motors, at)
+    }
+
+    fn set_leds(&mut self, leds: u8, at: WheelTime) -> Result<(), DriverError> {
+        self.0.set_leds(leds, at)
+    }
+
+    fn sensors(&mut self, at: WheelTime) -> Result<Sensors, DriverError> {
+        self.0.sensors(at)
+    }
+
+    fn next_wake(&mut self) -> Option<WheelTime> {
+        Driver::next_wake(&mut self.0)
+    }
+}
+
+#[tokio::test]
+async fn a_robot_server_ends_when_its_driver_has_taken_the_stop() {
+    let refuses = Arc::new(AtomicUsize::new(0));
+    let driver = Stubborn(Simulated::linuxbot(), Arc::clone(&refuses));
+    let server = Server::of(Box::new(driver), CALM, Options::default()).await;
+    let mut station = server.station().await;
+    station.say("06 00200 00200").await;
+    assert!(station.status().await.moving);
+    refuses.store(5, Relaxed);
+    server.end().await;
+    assert_eq!(refuses.load(Relaxed), 0, "it was told until it took it");
+    // One that never does is not waited for without end.
+    let driver = Stubborn(Simulated::linuxbot(), Arc::new(AtomicUsize::new(usize::MAX)));
+    Server::of(Box::new(driver), CALM, Options::default())
+        .await
+        .end()
+        .await;
 }

@@ -1,14 +1,16 @@
 //! The robot as a peer: its contexts, and the channel in which robots tell each other where they are.
 
 use std::future::{Future, pending};
-use std::pin::pin;
+use std::pin::{Pin, pin};
 use std::time::Duration;
 
-use mom_client::{Channel, Client, ClientError, Delivery, Event, Events, Family, Parcel, Path, Value};
-use mom_device::{DevicePeer, Machine as _, Outlet, State, sender};
+use mom_client::{Channel, Client, ClientError, Delivery, Event, Family, Parcel, Path, Value};
+use mom_device::{DevicePeer, DeviceTime, Machine as _, Outlet, State, sender};
 use mom_fleet::{StatusTeller, ensure_session, enter, enter_status};
 use mom_wheels::pilot::Point;
-use tokio::time::{Instant, sleep_until};
+use tokio::sync::mpsc;
+use tokio::task::JoinSet;
+use tokio::time::{Instant, sleep, sleep_until};
 
 use crate::Rover;
 
@@ -17,6 +19,13 @@ pub const POSE: &str = "pose";
 /// So often it tells while it moves, and while it stands: who follows it has to know that it does.
 const MOVING: Duration = Duration::from_millis(100);
 const STANDING: Duration = Duration::from_millis(250);
+/// So long after its channel is gone it tries to get it back, and ever more seldom up to this.
+const FIRST_PAUSE: Duration = Duration::from_millis(500);
+const MOST_PAUSE: Duration = Duration::from_secs(10);
+/// So long its driver may take to take the last stop before the program ends all the same.
+const LAST_STOP: Duration = Duration::from_secs(1);
+/// The most poses of others that wait.
+const MOST_POSES: usize = 64;
 
 /// Where a robot is at the hub.
 #[derive(Debug, Clone, Default)]
@@ -39,59 +48,131 @@ impl RoverOptions {
     pub fn unit(&self) -> Option<u32> {
         self.path.rsplit('/').next()?.parse().ok()
     }
+
+    /// The session in which its own is.
+    fn above(&self) -> &str {
+        self.path.rsplit_once('/').map_or("", |(above, _)| above)
+    }
+
+    /// The channel of all robots' states, if it has a number.
+    fn status(&self) -> Option<String> {
+        self.unit().map(|_| format!("{}/status", self.above()))
+    }
 }
 
-/// Has a robot obey at the hub, until `shutdown` is done. Then it stands.
+/// Has a robot obey at the hub, until `shutdown` is done. Then it stands, and its driver is waited for, a second at most.
 ///
-/// What is missing of its contexts is made first; a robot with a number is told of in the fleet's channel of all states, too.
+/// What is missing of its contexts is made first; a robot with a number is told of in the fleet's channel of all states, too. When its
+/// channel is gone, as it was deleted or the hub began anew, the robot stands until that is back, and makes it if it can.
 ///
 /// # Errors
 ///
-/// A context that cannot be made or joined, or a connection that is closed for good.
+/// A context that cannot be made or joined at the beginning, or a connection that is closed for good. The robot stands then, too.
 pub async fn run(
     client: Client,
     rover: Rover,
     options: RoverOptions,
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), ClientError> {
-    let path = options.path.as_str();
-    let above = path.rsplit_once('/').map_or("", |(above, _)| above);
-    if !above.is_empty() {
-        ensure_session(&client, above).await?;
-    }
-    let token = format!("{path}/token");
-    let channel = enter(&client, path, &token, options.manager.as_deref()).await?;
-    // Joined for as long as these live.
-    let status = match options.unit() {
-        Some(unit) => Some((enter_status(&client, &format!("{above}/status")).await?, unit)),
-        None => None,
-    };
-    let tell = match &options.tell {
-        Some(path) => Some(client.channel(path).await?),
-        None => None,
-    };
-    let mut hear = match &options.hear {
-        Some(path) => Some(client.channel(path).await?.events()),
-        None => None,
-    };
     let begin = Instant::now();
-    let device = DevicePeer::start(&client, &channel, rover, begin);
+    let mut rover = rover.with_clock(move || since(begin));
+    let ended = live(&client, &mut rover, &options, begin, pin!(shutdown)).await;
+    stand(&mut rover, begin).await;
+    client.close().await;
+    ended
+}
+
+async fn live(
+    client: &Client,
+    rover: &mut Rover,
+    options: &RoverOptions,
+    begin: Instant,
+    mut shutdown: Pin<&mut impl Future<Output = ()>>,
+) -> Result<(), ClientError> {
+    let mut channel = enter_robot(client, options).await?;
+    // Whoever it speaks to, and hears, stays joined for as long as these live.
+    let mut joined = JoinSet::new();
+    let (hand, mut hear) = mpsc::channel(MOST_POSES);
+    for (path, kind, hand) in [
+        (options.status(), Kind::Status, None),
+        (options.tell.clone(), Kind::Channel, None),
+        (options.hear.clone(), Kind::Channel, Some(hand)),
+    ] {
+        if let Some(path) = path {
+            let first = join(client, &path, kind).await?;
+            joined.spawn(keep_joined(client.clone(), first, kind, hand));
+        }
+    }
+    loop {
+        let ended = obey(
+            client,
+            &channel,
+            rover,
+            options,
+            begin,
+            &mut hear,
+            shutdown.as_mut(),
+        )
+        .await;
+        if matches!(ended, Ended::Shutdown) {
+            return Ok(());
+        }
+        tracing::warn!(
+            path = options.path,
+            "the robot's channel is gone; it stands until that is back"
+        );
+        let back = async {
+            let mut pause = FIRST_PAUSE;
+            loop {
+                sleep(pause).await;
+                match enter_robot(client, options).await {
+                    Err(ClientError::Closed(why)) => return Err(ClientError::Closed(why)),
+                    Err(error) => {
+                        tracing::debug!(%error, "the robot's channel is not back");
+                    }
+                    entered => return entered,
+                }
+                pause = (pause * 2).min(MOST_PAUSE);
+            }
+        };
+        let mut back = pin!(back);
+        channel = loop {
+            let wake = rover.next_wake().map(|due| at(begin, due));
+            tokio::select! {
+                biased;
+                () = &mut shutdown => return Ok(()),
+                () = sleep_or_wait(wake) => rover.advance(since(begin)),
+                entered = &mut back => break entered?,
+            }
+        };
+    }
+}
+
+/// Why a robot obeys no more.
+enum Ended {
+    Shutdown,
+    Gone,
+}
+
+/// Has it obey in its channel; afterwards it was told to stand.
+async fn obey(
+    client: &Client,
+    channel: &Channel,
+    rover: &mut Rover,
+    options: &RoverOptions,
+    begin: Instant,
+    hear: &mut mpsc::Receiver<Event>,
+    mut shutdown: Pin<&mut impl Future<Output = ()>>,
+) -> Ended {
+    let device = DevicePeer::start(client, channel, rover.again(), begin);
     let mut device = match options.pull {
         Some(wait) => device.pulling(wait),
         None => device,
     };
-    let mut teller = Teller {
-        pose: tell.as_ref().map(|channel| (channel.path().clone(), begin)),
-        status: status
-            .as_ref()
-            .map(|(channel, unit)| StatusTeller::new(channel.path().clone(), *unit, None)),
-        told: device.state(),
-        out: Vec::new(),
-    };
-    let mut outlet = Outlet::new(sender(&client));
+    let mut teller = Teller::new(options, device.state(), begin);
+    let mut outlet = Outlet::new(sender(client));
     tracing::info!(peer = client.name(), channel = %channel.path(), "the robot is ready");
-    let mut shutdown = pin!(shutdown);
-    loop {
+    let ended = loop {
         if device.machine().has_failed() {
             let mut failure = None;
             device.note(|rover| failure = rover.take_failure());
@@ -101,25 +182,101 @@ pub async fn run(
             }
         }
         let pose = teller.tell(&mut device);
-        let status = teller.tell_status(&device, &channel);
+        let status = teller.tell_status(&device, channel);
         let due = pose.into_iter().chain(status).min();
         outlet.set_down(device.is_down());
         outlet.push(&mut teller.out);
         tokio::select! {
             biased;
-            () = &mut shutdown => break,
-            more = device.step() => if !more { break },
-            event = next(&mut hear) => match event {
-                Some(event) => hear_pose(&client, &mut device, &event),
-                None => hear = None,
-            },
+            () = &mut shutdown => break Ended::Shutdown,
+            more = device.step() => if !more { break Ended::Gone },
+            Some(event) = hear.recv() => hear_pose(client, &mut device, &event),
             () = outlet.work() => {}
             () = sleep_or_wait(due) => {}
         }
+    };
+    let why = match ended {
+        Ended::Shutdown => "its program ends",
+        Ended::Gone => "its channel is gone",
+    };
+    device.halt(why);
+    *rover = device.machine().again();
+    stand(rover, begin).await;
+    if matches!(ended, Ended::Shutdown) {
+        device.end(why).await;
     }
-    device.end("its program ends").await;
-    client.close().await;
-    Ok(())
+    ended
+}
+
+/// Has a robot stand, and waits until its driver has taken that.
+async fn stand(rover: &mut Rover, begin: Instant) {
+    let until = Instant::now() + LAST_STOP;
+    rover.halt(since(begin));
+    while !rover.stands() {
+        let due = rover.next_wake().map(|due| at(begin, due));
+        let Some(due) = due.filter(|due| *due <= until) else {
+            tracing::error!("the robot may be moving: its driver has not taken the stop");
+            return;
+        };
+        sleep_until(due).await;
+        rover.advance(since(begin));
+    }
+}
+
+/// Makes what is missing of the robot's own contexts, and joins its channel as its device.
+async fn enter_robot(client: &Client, options: &RoverOptions) -> Result<Channel, ClientError> {
+    let above = options.above();
+    if !above.is_empty() {
+        ensure_session(client, above).await?;
+    }
+    let token = format!("{}/token", options.path);
+    enter(client, &options.path, &token, options.manager.as_deref()).await
+}
+
+/// Who makes a channel beside its own.
+#[derive(Debug, Clone, Copy)]
+enum Kind {
+    /// Whoever comes first.
+    Status,
+    /// Somebody else.
+    Channel,
+}
+
+async fn join(client: &Client, path: &str, kind: Kind) -> Result<Channel, ClientError> {
+    match kind {
+        Kind::Status => enter_status(client, path).await,
+        Kind::Channel => client.channel(path).await,
+    }
+}
+
+/// Stays in a channel for as long as the client lives, also when that goes and comes back, and hands its events on.
+async fn keep_joined(client: Client, first: Channel, kind: Kind, hand: Option<mpsc::Sender<Event>>) {
+    let path = first.path().to_string();
+    let mut channel = first;
+    let mut pause = FIRST_PAUSE;
+    loop {
+        let mut events = channel.events();
+        drop(channel);
+        while let Some(event) = events.next().await {
+            pause = FIRST_PAUSE;
+            if let Some(hand) = &hand {
+                // Poses that nobody looks at in time are old.
+                let _ = hand.try_send(event);
+            }
+        }
+        drop(events);
+        channel = loop {
+            sleep(pause).await;
+            pause = (pause * 2).min(MOST_PAUSE);
+            match join(&client, &path, kind).await {
+                Ok(channel) => break channel,
+                Err(ClientError::Closed(_)) => return,
+                Err(error) => {
+                    tracing::debug!(%error, path, "a channel is not back");
+                }
+            }
+        };
+    }
 }
 
 /// What it says beside its device's answers.
@@ -133,6 +290,21 @@ struct Teller {
 }
 
 impl Teller {
+    fn new(options: &RoverOptions, state: State, begin: Instant) -> Self {
+        let path = |text: &String| Path::parse(text).ok();
+        let status = options.status().as_ref().and_then(path).zip(options.unit());
+        Self {
+            pose: options
+                .tell
+                .as_ref()
+                .and_then(path)
+                .map(|channel| (channel, begin)),
+            status: status.map(|(channel, unit)| StatusTeller::new(channel, unit, None)),
+            told: state,
+            out: Vec::new(),
+        }
+    }
+
     /// Tells the fleet of it; when to look again.
     fn tell_status(&mut self, device: &DevicePeer<Rover>, channel: &Channel) -> Option<Instant> {
         let status = self.status.as_mut()?;
@@ -186,11 +358,13 @@ fn hear_pose(client: &Client, device: &mut DevicePeer<Rover>, event: &Event) {
     }
 }
 
-async fn next(events: &mut Option<Events>) -> Option<Event> {
-    match events {
-        Some(events) => events.next().await,
-        None => pending().await,
-    }
+/// Its time: µs since the program began.
+fn since(begin: Instant) -> DeviceTime {
+    DeviceTime::try_from(begin.elapsed().as_micros()).unwrap_or(DeviceTime::MAX)
+}
+
+fn at(begin: Instant, due: DeviceTime) -> Instant {
+    begin + Duration::from_micros(u64::try_from(due).unwrap_or(0))
 }
 
 async fn sleep_or_wait(wake: Option<Instant>) {

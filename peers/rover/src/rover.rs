@@ -1,30 +1,50 @@
 //! The robot as a machine: what statements do to its driver.
 
 use std::fmt;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use mom_client::{Age, Map};
 use mom_device::{DeviceError, DeviceTime, ErrorName, Machine, Script, Word, Words};
 use mom_fleet::Action;
-use mom_wheels::pilot::{PERIOD, Point};
+use mom_wheels::pilot::{HOLD, PERIOD, Point};
 use mom_wheels::{Chassis, Driver, DriverError, Fault, Motors, Pilot, PilotEnd, Sensors};
 
 use crate::Follower;
 
+#[cfg(test)]
+mod tests;
+
 /// µs that it may take to come to its rest.
 const SETTLES: DeviceTime = 500_000;
+/// µs until a driver that did not take a stop is told again.
+const STOPS_AGAIN: DeviceTime = 50_000;
+/// µs between two times that the driver is given while motors run as a statement says.
+const HOLDS_AGAIN: DeviceTime = 100_000;
+/// A statement that begins more µs late than this is not begun: the program stood still.
+const PATIENCE: DeviceTime = HOLD;
 
 /// A robot on its driver.
 ///
 /// What fails by itself is fetched by [`Rover::take_failure`]; then all commands are to be ended with it.
+///
+/// Motors never run for longer than [`HOLD`] without it: their driver is told until when they may, again and again. A stop that the
+/// driver refuses is given again until it is taken, and until then the robot moves, as far as it knows.
 pub struct Rover {
-    driver: Box<dyn Driver>,
+    driver: Arc<Mutex<Box<dyn Driver>>>,
+    /// What time it is by the program's clock; none where time passes only as it is told.
+    clock: Option<Arc<dyn Fn() -> DeviceTime + Send + Sync>>,
     chassis: Chassis,
     /// Its number, if it has one.
     unit: Option<u32>,
     now: DeviceTime,
     /// What it sensed last.
     sensors: Option<Sensors>,
+    /// What the driver may be carrying out: what it was told last, but for a stop that it has not taken.
     motors: Motors,
+    /// Until when it does so by itself.
+    held: DeviceTime,
+    /// When it is told to stop again, as it has not taken that.
+    stop_again: Option<DeviceTime>,
     leds: i32,
     doing: Doing,
     /// Until when it may not have come to its rest.
@@ -58,23 +78,55 @@ impl fmt::Debug for Rover {
 }
 
 impl Rover {
-    /// A robot that stands.
+    /// A robot that is told to stand, whatever its motors did before.
     #[must_use]
     pub fn new(driver: Box<dyn Driver>, chassis: Chassis, unit: Option<u32>) -> Self {
-        let mut rover = Self {
+        let mut rover = Self::on(Arc::new(Mutex::new(driver)), chassis, unit);
+        rover.stop();
+        rover.advance(0);
+        rover
+    }
+
+    fn on(driver: Arc<Mutex<Box<dyn Driver>>>, chassis: Chassis, unit: Option<u32>) -> Self {
+        Self {
             driver,
+            clock: None,
             chassis,
             unit,
             now: 0,
             sensors: None,
             motors: Motors::STOP,
+            held: 0,
+            stop_again: None,
             leds: 0,
             doing: Doing::Nothing,
             settles: 0,
             failure: None,
-        };
-        rover.advance(0);
+        }
+    }
+
+    /// The same with the clock of its program: a statement that should have begun long ago is not begun.
+    #[must_use]
+    pub fn with_clock(mut self, clock: impl Fn() -> DeviceTime + Send + Sync + 'static) -> Self {
+        self.clock = Some(Arc::new(clock));
+        self
+    }
+
+    /// The same robot without what it was doing, for another channel: it is on the same driver, so this one has to be left alone.
+    #[must_use]
+    pub fn again(&self) -> Self {
+        let mut rover = Self::on(Arc::clone(&self.driver), self.chassis, self.unit);
+        rover.clock.clone_from(&self.clock);
+        (rover.now, rover.sensors) = (self.now, self.sensors);
+        (rover.motors, rover.held, rover.stop_again) = (self.motors, self.held, self.stop_again);
+        (rover.leds, rover.settles) = (self.leds, self.settles);
         rover
+    }
+
+    /// Whether its driver has taken that the motors stand.
+    #[must_use]
+    pub fn stands(&self) -> bool {
+        self.motors == Motors::STOP && self.stop_again.is_none()
     }
 
     /// Where it is, `{x, y, heading}`, once it knows.
@@ -124,18 +176,84 @@ impl Rover {
 
     fn stand(&mut self) {
         self.doing = Doing::Nothing;
-        self.set_motors(Motors::STOP);
+        self.stop();
     }
 
-    /// Sets the motors; whatever becomes of it, an order to stop is given again by whoever stops the next time.
-    fn set_motors(&mut self, motors: Motors) {
-        if motors == Motors::STOP && self.motors != Motors::STOP {
-            self.settles = self.now.saturating_add(SETTLES);
+    fn driver(&self) -> MutexGuard<'_, Box<dyn Driver>> {
+        // What a thread left behind that panicked is a driver all the same, and has to be stopped.
+        self.driver.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Tells the driver to stop, also one that does not move. What it has not taken is not done: it is told again.
+    fn stop(&mut self) {
+        let told = self.driver().set_motors(Motors::STOP, self.now);
+        match told {
+            // An empty battery stops the motors by itself.
+            Err(error) if error.fault() != Fault::Battery => {
+                if self.stop_again.is_none() {
+                    self.driver_failed(&error);
+                }
+                self.stop_again = Some(self.now.saturating_add(STOPS_AGAIN));
+            }
+            _ => {
+                if !self.stands() {
+                    self.settles = self.now.saturating_add(SETTLES);
+                }
+                (self.motors, self.stop_again) = (Motors::STOP, None);
+            }
         }
-        self.motors = motors;
-        if let Err(error) = self.driver.set_motors(motors, self.now) {
+    }
+
+    /// Sets the motors, until then at most; the driver keeps them for [`HOLD`] unless it is told again. What fails ends with a stop.
+    fn drive(&mut self, motors: Motors, until: DeviceTime) {
+        if motors == Motors::STOP {
+            return self.stop();
+        }
+        let held = until.min(self.now.saturating_add(HOLD));
+        let mut driver = self.driver();
+        let told = driver.hold(held, self.now);
+        let told = told.and_then(|()| driver.set_motors(motors, self.now));
+        drop(driver);
+        // It may have taken what it refused.
+        (self.motors, self.held) = (motors, held);
+        if let Err(error) = told {
             self.driver_failed(&error);
+            self.stop();
         }
+    }
+
+    /// Has the driver keep the motors on, before it stops them by itself; they are to run until then.
+    fn hold(&mut self, until: DeviceTime) {
+        let held = until.min(self.now.saturating_add(HOLD));
+        let told = self.driver().hold(held, self.now);
+        match told {
+            Ok(()) => self.held = held,
+            Err(error) => {
+                self.driver_failed(&error);
+                self.stop();
+            }
+        }
+    }
+
+    /// When the driver is given a later time; none if what it has is the end, or nothing is to run for so long.
+    fn holds_again(&self) -> Option<DeviceTime> {
+        let Doing::Motors(until) = self.doing else {
+            return None;
+        };
+        let again = self.held.saturating_sub(HOLD).saturating_add(HOLDS_AGAIN);
+        (self.motors != Motors::STOP && self.held < until).then_some(again)
+    }
+
+    /// Whether the driver has stopped motors that should have run on, because nobody told it in time that they do.
+    fn has_lapsed(&self) -> bool {
+        let ended = matches!(self.doing, Doing::Motors(until) if self.held >= until);
+        self.motors != Motors::STOP && self.now > self.held && !ended
+    }
+
+    /// How late it is now for what was to begin at `now`, if that is more than can be made up for.
+    fn is_late(&self) -> Option<DeviceTime> {
+        let late = self.clock.as_ref()?().saturating_sub(self.now);
+        (late > PATIENCE).then_some(late)
     }
 
     fn driver_failed(&mut self, error: &DriverError) {
@@ -159,11 +277,13 @@ impl Rover {
                 let motors = pilot.steer(sensors, now);
                 let end = pilot.end();
                 if let Some(motors) = motors {
-                    self.set_motors(motors);
+                    self.drive(motors, DeviceTime::MAX);
                 }
                 match end {
                     None => {}
-                    Some(PilotEnd::Arrived) => self.doing = Doing::Done(now),
+                    // It is there when it stands there.
+                    Some(PilotEnd::Arrived) if !self.has_failed() => self.doing = Doing::Done(now),
+                    Some(PilotEnd::Arrived) => {}
                     Some(PilotEnd::GaveUp(why)) => {
                         let text = format!(
                             "the robot gave its way up: {why}; drive it away from there with `motor`"
@@ -193,12 +313,22 @@ impl Rover {
                     .lost_at()
                     .filter(|lost| *lost > now)
                     .map(|lost| lost.min(now.saturating_add(PERIOD)));
-                if motors != self.motors {
-                    self.set_motors(motors);
+                if motors != self.motors || motors != Motors::STOP {
+                    self.drive(motors, DeviceTime::MAX);
                 }
             }
         }
     }
+}
+
+/// The program was not there for so long.
+fn stood_still(micros: DeviceTime) -> DeviceError {
+    let text = format!(
+        "the robot was halted: its program stood still for {} ms, and motors run for {} ms without it",
+        micros / 1000,
+        HOLD / 1000
+    );
+    DeviceError::new(ErrorName::Halted, text)
 }
 
 fn whole(value: f64) -> i32 {
@@ -217,7 +347,12 @@ impl Machine for Rover {
     }
 
     fn is_moving(&self) -> bool {
-        self.motors != Motors::STOP || self.now < self.settles
+        !self.stands() || self.now < self.settles
+    }
+
+    /// Each halt is told to the driver: that it has taken the last one does not mean that it stands.
+    fn is_at_rest(&self) -> bool {
+        false
     }
 
     fn plan(&mut self, script: &Script<Action>) -> Result<(), DeviceError> {
@@ -236,17 +371,30 @@ impl Machine for Rover {
 
     fn begin(&mut self, action: &Action, now: DeviceTime) -> Result<(), DeviceError> {
         self.now = now;
+        if let Some(late) = self.is_late() {
+            self.stand();
+            return Err(stood_still(late));
+        }
         if !matches!(action, Action::Motor { .. }) && self.motors != Motors::STOP {
             self.stand();
         }
-        self.doing = match action {
+        if let Some(error) = self.failure.take() {
+            return Err(error);
+        }
+        if self.stop_again.is_some() {
+            let text = "the robot's driver has not taken its last stop, so it begins nothing";
+            return Err(DeviceError::new(ErrorName::Link, text));
+        }
+        self.doing = Doing::Nothing;
+        let doing = match action {
             Action::Motor { left, right, ms } => {
                 let value = |value: i32| i16::try_from(value).unwrap_or(0);
-                self.set_motors(Motors::new(value(*left), value(*right)));
-                Doing::Motors(now.saturating_add(DeviceTime::from(*ms) * 1000))
+                let until = now.saturating_add(DeviceTime::from(*ms) * 1000);
+                self.drive(Motors::new(value(*left), value(*right)), until);
+                Doing::Motors(until)
             }
             Action::Leds(data) => {
-                let set = self.driver.set_leds((data & 0xff) as u8, now);
+                let set = self.driver().set_leds((data & 0xff) as u8, now);
                 set.map_err(|error| DeviceError::new(ErrorName::Link, error.to_string()))?;
                 self.leds = *data;
                 Doing::Done(now)
@@ -265,13 +413,18 @@ impl Machine for Rover {
         };
         match self.failure.take() {
             Some(error) => Err(error),
-            None => Ok(()),
+            None => {
+                self.doing = doing;
+                Ok(())
+            }
         }
     }
 
     fn done_at(&self) -> Option<DeviceTime> {
         match self.doing {
-            Doing::Done(at) | Doing::Motors(at) => Some(at),
+            Doing::Done(at) => Some(at),
+            // Not before the driver has its end: it may let go before.
+            Doing::Motors(until) => (self.motors == Motors::STOP || self.held >= until).then_some(until),
             Doing::Nothing | Doing::Drives(_) | Doing::Follows { .. } => None,
         }
     }
@@ -286,8 +439,19 @@ impl Machine for Rover {
     }
 
     fn advance(&mut self, now: DeviceTime) {
-        self.now = now;
-        match self.driver.sensors(now) {
+        let before = std::mem::replace(&mut self.now, now);
+        if self.stop_again.is_some_and(|due| now >= due) {
+            self.stop();
+        }
+        if self.has_lapsed() {
+            self.fail(stood_still(now.saturating_sub(before)));
+        } else if let (true, Doing::Motors(until)) =
+            (self.holds_again().is_some_and(|due| now >= due), &self.doing)
+        {
+            self.hold(*until);
+        }
+        let sensed = self.driver().sensors(now);
+        match sensed {
             Ok(sensors) => {
                 self.sensors = Some(sensors);
                 self.steer(&sensors);
@@ -310,8 +474,11 @@ impl Machine for Rover {
             Doing::Drives(pilot) => pilot.next_wake(),
             Doing::Follows { due, .. } => *due,
         };
-        let settles = (self.motors == Motors::STOP && self.now < self.settles).then_some(self.settles);
-        [doing, settles].into_iter().flatten().min()
+        let settles = (self.stands() && self.now < self.settles).then_some(self.settles);
+        [doing, settles, self.stop_again, self.holds_again()]
+            .into_iter()
+            .flatten()
+            .min()
     }
 
     /// `{x, y, heading}` in mm, mm and degrees, if it knows.
@@ -319,8 +486,8 @@ impl Machine for Rover {
         self.pose().unwrap_or_default()
     }
 
-    /// `{unit?, linked, leds, battery?, switches?, leader?, lost-leader?, gap?}`: percent, a mask of bits; whom it follows, whether it
-    /// stands because it does not know where that is, and mm along the trail between them.
+    /// `{unit?, linked, leds, halting?, battery?, switches?, leader?, lost-leader?, gap?}`: whether it was told to stop, and its driver has
+    /// not taken that; percent, a mask of bits; whom it follows, whether it stands because it does not know where that is, and mm along the trail between them.
     fn report(&self) -> Map {
         let mut map = match self.unit {
             Some(unit) => Map::new().with("unit", i64::from(unit)),
@@ -328,6 +495,9 @@ impl Machine for Rover {
         };
         map.set("linked", self.sensors.is_some());
         map.set("leds", self.leds);
+        if self.stop_again.is_some() {
+            map.set("halting", true);
+        }
         if let Some(sensors) = self.sensors {
             map.set("battery", i64::from(sensors.battery));
             map.set("switches", i64::from(sensors.switches));
@@ -341,176 +511,5 @@ impl Machine for Rover {
             }
         }
         map
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use mom_client::Value;
-    use mom_device::{Command, CommandQueue, Order, QueueEvent};
-    use mom_wheels::{Floor, Pose, Power, Simulated};
-
-    use super::*;
-
-    const MS: DeviceTime = 1000;
-
-    struct Stage {
-        queue: CommandQueue<Rover>,
-        now: DeviceTime,
-        events: Vec<QueueEvent>,
-    }
-
-    impl Stage {
-        fn new() -> Self {
-            let pose = Pose::new(1000.0, 1000.0, 0.0);
-            let robot =
-                Simulated::new(Chassis::LINUXBOT, Power::LINUXBOT, Floor::ARENA, pose).expect("a robot");
-            Self {
-                queue: CommandQueue::new(Rover::new(Box::new(robot), Chassis::LINUXBOT, None)),
-                now: 0,
-                events: Vec::new(),
-            }
-        }
-
-        fn command(&mut self, script: &str) -> Result<(), DeviceError> {
-            let command = Command {
-                order: Order {
-                    peer: "alice".into(),
-                    id: None,
-                    fence: None,
-                },
-                script: Script::read::<Rover>(script)?,
-                use_by: None,
-            };
-            self.queue.submit(command, self.now, &mut self.events)
-        }
-
-        fn heard(&mut self, peer: &str, x: f64, error: Option<u64>) {
-            let age = Age {
-                micros: 0,
-                error_micros: error,
-            };
-            let what = |rover: &mut Rover| rover.heard(peer, Point::new(x, 1000.0), Some(age));
-            self.queue.note(self.now, what, &mut self.events);
-        }
-
-        fn pass(&mut self, until: DeviceTime) {
-            while let Some(due) = self.queue.next_wake().filter(|due| *due <= until) {
-                self.now = due.max(self.now);
-                self.queue.advance(self.now, &mut self.events);
-            }
-            self.now = until;
-            self.queue.advance(until, &mut self.events);
-        }
-
-        fn x(&self) -> i64 {
-            let x = self.queue.state().position.get("x").and_then(Value::as_int);
-            x.expect("it knows where it is")
-        }
-
-        fn said(&self, key: &str) -> Option<Value> {
-            self.queue.state().report.get(key).cloned()
-        }
-
-        /// How commands ended since this was asked last.
-        fn ended(&mut self) -> Vec<&'static str> {
-            let events = std::mem::take(&mut self.events);
-            let ends = events.iter().filter_map(|event| match event {
-                QueueEvent::Finished(_) => Some("finished"),
-                QueueEvent::Failed(..) => Some("failed"),
-                _ => None,
-            });
-            ends.collect()
-        }
-    }
-
-    #[test]
-    fn it_drives_as_the_robots_of_a_gateway_do() {
-        let mut stage = Stage::new();
-        stage
-            .command("motor 300 300 1000; wait 700; goto 2000 1000; leds 5")
-            .expect("it can");
-        stage.pass(1600 * MS);
-        assert!((1200..1350).contains(&stage.x()), "{}", stage.x());
-        assert!(!stage.queue.state().moving, "motors stop when their time is over");
-        stage.pass(20_000 * MS);
-        assert_eq!(stage.ended(), ["finished"]);
-        assert!((stage.x() - 2000).abs() < 15, "{}", stage.x());
-        assert_eq!(stage.said("leds"), Some(Value::from(5)));
-    }
-
-    #[test]
-    fn a_wall_is_a_failure_that_is_told_once() {
-        let mut stage = Stage::new();
-        stage.command("goto 9000 1000").expect("it is a place");
-        stage.pass(30_000 * MS);
-        let mut failure = None;
-        let take = |rover: &mut Rover| failure = rover.take_failure();
-        stage.queue.note(stage.now, take, &mut stage.events);
-        let failure = failure.expect("there is a wall");
-        assert_eq!(failure.name(), ErrorName::Obstacle);
-        assert!(!stage.queue.machine().has_failed() && !stage.queue.state().moving);
-    }
-
-    #[test]
-    fn it_follows_the_leader_alone_and_none_of_unknown_age() {
-        let mut stage = Stage::new();
-        stage.command("follow rover-a 300").expect("it can");
-        for (peer, error) in [("mallory", Some(0)), ("rover-a~2", Some(0)), ("rover-a", None)] {
-            stage.heard(peer, 1900.0, error);
-            stage.pass(stage.now + 400 * MS);
-            assert_eq!(stage.x(), 1000, "{peer} {error:?}");
-            assert_eq!(stage.said("lost-leader"), Some(Value::from(true)), "{peer}");
-        }
-        stage.heard("rover-a", 1900.0, Some(0));
-        stage.pass(stage.now + 400 * MS);
-        assert_eq!(stage.said("lost-leader"), Some(Value::from(false)));
-        assert!(stage.x() > 1000 && stage.queue.state().moving);
-        // An error of 100 ms takes as much of its limit.
-        stage.heard("rover-a", 1910.0, Some(100_000));
-        let begin = stage.now;
-        stage.pass(begin + 399 * MS);
-        assert!(stage.queue.machine().motors != Motors::STOP);
-        stage.pass(begin + 400 * MS);
-        assert_eq!(stage.queue.machine().motors, Motors::STOP);
-        assert_eq!(stage.said("lost-leader"), Some(Value::from(true)));
-        assert_eq!(stage.ended(), [""; 0], "it waits for its leader");
-    }
-
-    #[test]
-    fn any_new_command_ends_following_and_so_does_a_halt() {
-        for script in ["wait 1000", "leds 1", "motor 100 100 50"] {
-            let mut stage = Stage::new();
-            stage.command("wait 10; follow rover-a 300").expect("it can");
-            stage.pass(10 * MS);
-            stage.heard("rover-a", 1900.0, Some(0));
-            stage.pass(300 * MS);
-            assert!(stage.queue.state().moving);
-            stage.command(script).expect("it can");
-            assert_eq!(stage.said("leader"), None, "{script}");
-            stage.heard("rover-a", 1920.0, Some(0));
-            stage.pass(1500 * MS);
-            assert!(!stage.queue.state().moving, "{script}");
-            assert_eq!(stage.ended(), ["finished"; 2], "{script}");
-        }
-        let mut stage = Stage::new();
-        stage.command("follow rover-a 300").expect("it can");
-        stage.heard("rover-a", 1900.0, Some(0));
-        stage.pass(300 * MS);
-        stage.queue.halt(stage.now, "a test", &mut stage.events);
-        assert_eq!(stage.queue.machine().motors, Motors::STOP);
-        assert_eq!((stage.ended(), stage.said("leader")), (vec!["failed"], None));
-    }
-
-    #[test]
-    fn nothing_comes_after_follow() {
-        let mut stage = Stage::new();
-        let error = stage
-            .command("follow rover-a 300; leds 1")
-            .expect_err("it never ends");
-        assert_eq!(
-            error.text(),
-            "statement 1: nothing comes after `follow` in a script, as it goes on until another command comes"
-        );
     }
 }

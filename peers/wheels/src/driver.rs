@@ -50,6 +50,20 @@ pub trait Driver: Send {
     /// Why the motors may not have taken it. To stop is never refused by a driver that can reach its motors.
     fn set_motors(&mut self, motors: Motors, at: WheelTime) -> Result<(), DriverError>;
 
+    /// Has the motors stop by themselves at `until`, whatever they are set to by then, unless a later `until` is given before.
+    /// [`WheelTime::MAX`] is never.
+    ///
+    /// It is the watchdog of the hardware, for when the program that drives it stands still: stopped, swapped out, dead. So it is
+    /// given before motors are set, and again and again while they run. A driver whose hardware has none leaves it as it is:
+    /// then nothing but the program stops the motors.
+    ///
+    /// # Errors
+    ///
+    /// Why the hardware may not have taken it.
+    fn hold(&mut self, _until: WheelTime, _at: WheelTime) -> Result<(), DriverError> {
+        Ok(())
+    }
+
     /// Sets all LEDs, a bit each; 1 is lit.
     ///
     /// # Errors

@@ -31,6 +31,7 @@
 //! | [`simulated::PRESSED`] | 50 ms, the shortest time for which a switch is pressed | assumed |
 //! | [`simulated::CELL`] | 1000 mm × 1000 mm of floor for each robot of a fleet | assumed |
 //! | [`pilot::PERIOD`] | 50 ms between two settings of the motors | assumed |
+//! | [`pilot::HOLD`] | 500 ms, [`Driver::hold`] of a pilot | assumed |
 //! | [`pilot::TOLERANCE`] | 10 mm | assumed |
 //! | [`pilot::AIMED`], [`pilot::ASTRAY`] | it goes when it looks within 1° of its point, and turns again from 20° on | assumed |
 //! | [`pilot::SPEED`], [`pilot::TURN_SPEED`] | 0.6 and 0.25 of full speed while it goes and turns, at most | assumed |

@@ -7,10 +7,12 @@
 //! gathering speed, and for slowing down.
 
 use crate::driver::half_turn;
-use crate::{Chassis, Driver, DriverError, Motors, Pose, Sensors, WheelTime};
+use crate::{Chassis, Driver, DriverError, Motors, Pose, Sensors, Watchdog, WheelTime};
 
 /// µs between two settings of the motors: 20 Hz.
 pub const PERIOD: WheelTime = 50_000;
+/// µs after which motors that it has set stop by themselves, unless it sets them again: its program stands still.
+pub const HOLD: WheelTime = Watchdog::LIMIT;
 /// mm: a point is reached when the axle's middle is as near as this.
 pub const TOLERANCE: f64 = 10.0;
 /// Degrees: it goes when its heading is not further off than this.
@@ -189,7 +191,7 @@ impl Pilot {
         Some(Motors::STOP)
     }
 
-    /// Reads a driver's sensors and sets its motors, if that is due. When the sensors cannot be read, it tries to stop the motors.
+    /// Reads a driver's sensors and sets its motors, if that is due, so that they stop by themselves [`HOLD`] later. When the sensors cannot be read, it tries to stop the motors.
     ///
     /// # Errors
     ///
@@ -209,7 +211,10 @@ impl Pilot {
             }
         };
         match self.steer(&sensors, at) {
-            Some(motors) => driver.set_motors(motors, at),
+            Some(motors) => {
+                let held = driver.hold(at.saturating_add(HOLD), at);
+                driver.set_motors(motors, at).and(held)
+            }
             None => Ok(()),
         }
     }

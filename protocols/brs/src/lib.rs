@@ -82,7 +82,7 @@ mod table;
 
 pub use frame::{Encoded, Frame, FrameFault};
 pub use number::{HIGHEST, LOWEST};
-pub use parser::{Faults, Feed, Parser};
+pub use parser::{Faults, Feed, MOST_ASTRAY, Parser, SILENCE};
 pub use table::{Code, Command, Direction, PAPER, Parameter, Table, TableFault};
 
 /// The most parameters of a command or a reply.

@@ -1,11 +1,26 @@
 //! From bytes, cut anywhere, to frames (W7).
 
 use core::fmt;
+use core::time::Duration;
 
 use crate::LONGEST;
 use crate::frame::Frame;
 use crate::number::{GROUP, begins_group};
 use crate::table::{Code, Direction, Table};
+
+/// After so much silence what is half read is dropped, at both ends ([`Parser::idle`]).
+///
+/// A frame is written at once, so that its parts are milliseconds apart. It is less than a station lets pass between two orders
+/// by hand, and less than half of the 500 ms after which a robot's watchdog stops it.
+pub const SILENCE: Duration = Duration::from_millis(200);
+
+/// A robot hangs up when [`Parser::astray`] is above this: its station does not write what it reads, and may be telling it to stand.
+///
+/// More than the longest frame and what a person mistypes in a line, and less than five stops.
+pub const MOST_ASTRAY: u32 = 64;
+
+/// The stop, which is read wherever it stands.
+const STOP: &[u8] = b"06 00000 00000";
 
 /// Reads one direction of a connection: all bytes in their order, cut anywhere; the frames do not depend on the cuts.
 ///
@@ -26,10 +41,12 @@ use crate::table::{Code, Direction, Table};
 ///    - holds a code that somebody says in this direction, with all its parameters.
 ///
 ///    So a MOTOR is read only from 14 bytes that are exactly one, never from pieces of others' parameters. Line ends and words
-///    between frames harm none of them, so that a person can type commands.
+///    between frames harm none of them, so that a person can type commands. One frame is plausible at any place, also after a
+///    digit: a stop, `06 00000 00000`. A frame with one digit too many must not hide the stops behind it, and to stand by
+///    mistake harms nobody.
 /// 3. **Silence.** The bytes do not say that a sender died within a frame. Whoever owns the clock calls
-///    [`idle`](Parser::idle) when nothing has come for a while: what is half read is dropped and skipped, and the next byte is at
-///    the place of a code.
+///    [`idle`](Parser::idle) when nothing has come for [`SILENCE`], whenever the parser [is amid something](Parser::is_amid): what
+///    is half read is dropped and skipped, and the next byte is at the place of a code.
 /// 4. **Value out of range.** It becomes the nearest that the parameter can have, is [counted](Faults::clamped), and the frame
 ///    [says so](Frame::is_clamped).
 ///
@@ -58,6 +75,7 @@ pub struct Parser {
     length: usize,
     faults: Faults,
     last_unknown: Option<Code>,
+    astray: u32,
 }
 
 /// What may begin at the first byte of the buffer.
@@ -130,6 +148,7 @@ impl Parser {
                 clamped: 0,
             },
             last_unknown: None,
+            astray: 0,
         }
     }
 
@@ -147,6 +166,7 @@ impl Parser {
                 Judgement::Beginning => break,
                 Judgement::Whole(whole) => {
                     add(&mut self.faults.clamped, whole.clamped_values() as usize);
+                    self.astray = self.astray.saturating_sub(count(length));
                     frame = Some(whole);
                     self.state = State::Code;
                     start = self.length;
@@ -164,7 +184,7 @@ impl Parser {
                 }
                 Judgement::Wrong => {
                     self.state = State::Skip(*first);
-                    add(&mut self.faults.skipped, 1);
+                    self.skip(1);
                     start += 1;
                 }
             }
@@ -179,11 +199,11 @@ impl Parser {
         Feed { parser: self, bytes }
     }
 
-    /// Says that nothing has come for a while: drops what is half read. The next byte is at the place of a code.
+    /// Says that nothing has come for [`SILENCE`]: drops what is half read. The next byte is at the place of a code.
     pub fn idle(&mut self) {
         if self.length > 0 {
             add(&mut self.faults.cut, 1);
-            add(&mut self.faults.skipped, self.length);
+            self.skip(self.length);
         }
         self.length = 0;
         self.state = State::Code;
@@ -207,6 +227,27 @@ impl Parser {
         self.length
     }
 
+    /// Whether a silence would change what the next byte is: a frame is half read, or its parameters or a plausible code are
+    /// looked for.
+    #[must_use]
+    pub fn is_amid(&self) -> bool {
+        self.length > 0 || self.state != State::Code
+    }
+
+    /// How many more bytes were skipped than were read in frames, since that was last balanced: 0 of a sender that is understood.
+    ///
+    /// Each frame takes its length from it, so that a line end after each frame is nothing, and a `00` that is found among bytes
+    /// of something else does not make up for them.
+    #[must_use]
+    pub const fn astray(&self) -> u32 {
+        self.astray
+    }
+
+    fn skip(&mut self, bytes: usize) {
+        add(&mut self.faults.skipped, bytes);
+        add(&mut self.astray, bytes);
+    }
+
     fn judge(&self, bytes: &[u8]) -> Judgement {
         match self.state {
             State::Code => self.judge_frame(bytes, None),
@@ -216,7 +257,12 @@ impl Parser {
                 false => Judgement::Wrong,
             },
             State::Unknown => self.judge_frame(bytes, None),
-            State::Skip(b'-' | b'0'..=b'9') => Judgement::Wrong,
+            State::Skip(b'-' | b'0'..=b'9') => {
+                match self.direction == Direction::Command && STOP.starts_with(bytes) {
+                    true => self.judge_frame(bytes, Some(b'0')),
+                    false => Judgement::Wrong,
+                }
+            }
             State::Skip(after) => self.judge_frame(bytes, Some(after)),
         }
     }
@@ -272,8 +318,12 @@ impl fmt::Debug for Parser {
     }
 }
 
-fn add(count: &mut u32, more: usize) {
-    *count = count.saturating_add(u32::try_from(more).unwrap_or(u32::MAX));
+fn add(sum: &mut u32, more: usize) {
+    *sum = sum.saturating_add(count(more));
+}
+
+fn count(bytes: usize) -> u32 {
+    u32::try_from(bytes).unwrap_or(u32::MAX)
 }
 
 /// The frames among the bytes that were given to [`Parser::feed`].
@@ -396,13 +446,16 @@ mod tests {
             "x106 00100 00100",
             "x-06 00100 00100",
         ] {
-            assert_eq!(looked(bytes), (Vec::new(), [0, 0, bytes.len(), 0]), "{bytes}");
+            // Behind a 0 more may make it a stop.
+            let kept = usize::from(bytes.ends_with('0'));
+            let skipped = bytes.len() - kept;
+            assert_eq!(looked(bytes), (Vec::new(), [0, 0, skipped, kept]), "{bytes}");
         }
     }
 
     #[test]
     fn an_unknown_code_is_not_plausible() {
-        assert_eq!(looked("x55 00100 0010000"), (Vec::new(), [0, 0, 17, 0]));
+        assert_eq!(looked("x55 00100 0010000x"), (Vec::new(), [0, 0, 18, 0]));
     }
 
     #[test]
@@ -436,6 +489,58 @@ mod tests {
         let unknown = parser.faults().unknown_bytes;
         read(&mut parser, " 00100");
         assert_eq!(parser.faults().unknown_bytes, unknown);
+    }
+
+    #[test]
+    fn a_stop_is_read_behind_a_digit_too_many_and_nothing_else_is() {
+        let stop = "06 00000 00000";
+        for (digit, first) in [("-", 1), ("0", 0), ("1", 0), ("6", 0), ("66", 1)] {
+            let (frames, _) = looked(&["06 01000 01000", digit, stop, stop].concat());
+            // The digit may take the first digit of the first one with it, never more.
+            let stops = frames.iter().filter(|frame| *frame == stop).count();
+            assert_eq!(stops, 1 + first, "{digit}: {frames:?}");
+        }
+        assert_eq!(looked("x106 00000 00001"), (Vec::new(), [0, 0, 16, 0]));
+        let mut replies = Parser::new(&PAPER, Direction::Reply);
+        assert!(read(&mut replies, "x106 00000 00000").is_empty());
+    }
+
+    /// As long as nothing is buffered, too: bytes that cannot be are skipped at once, and leave the parser looking for a code.
+    #[test]
+    fn after_silence_the_next_frame_is_read_whatever_was_skipped() {
+        for bytes in ["06 01000 010000", "x", "55", "06 0100", "77 00001 0000"] {
+            let mut parser = commands();
+            read(&mut parser, bytes);
+            assert!(parser.is_amid(), "{bytes}");
+            parser.idle();
+            assert!(!parser.is_amid(), "{bytes}");
+            assert_eq!(read(&mut parser, "06 00001 00002"), ["06 00001 00002"], "{bytes}");
+            assert!(!parser.is_amid(), "{bytes}");
+        }
+    }
+
+    #[test]
+    fn who_skips_more_than_it_reads_is_astray() {
+        let mut parser = commands();
+        // A line end after each frame is nothing; a person's word is made up for by a command.
+        for _ in 0..100 {
+            read(&mut parser, "00\r\n06 00001 00001\n");
+        }
+        assert_eq!(parser.astray(), 1);
+        // A digit too many before each frame: a NULL is found in all of them.
+        for stops in 1..=6 {
+            parser.idle();
+            assert_eq!(read(&mut parser, "006 00000 00000"), ["00"]);
+            assert_eq!(
+                parser.astray() > MOST_ASTRAY,
+                stops == 6,
+                "{stops}: {}",
+                parser.astray()
+            );
+        }
+        parser.idle();
+        assert_eq!(read(&mut parser, &"06 00001 00001".repeat(6)).len(), 6);
+        assert_eq!(parser.astray(), 0);
     }
 
     #[test]

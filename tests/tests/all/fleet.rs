@@ -319,6 +319,9 @@ fn what_is_lost_of_a_fleet_leaves_nothing_moving() {
             !lost || row["age-ms"].as_f64().is_some_and(|age| age > 2000.0),
             "{row}"
         );
+        // Nobody knows that it stands.
+        let known = row["moving"] == false || row["reached"] == true || !row["unreached-since"].is_i64();
+        assert!(!lost || !known, "{row}");
         lost
     });
     first.signal("CONT");
@@ -341,4 +344,145 @@ fn what_is_lost_of_a_fleet_leaves_nothing_moving() {
     list_until(&hub, |row| row["moving"] == true);
     gateway.signal("KILL");
     assert!(!is_moving(&address), "its connection is gone, so it stands");
+}
+
+/// What a robot's own page says that its left motor is set to, and where it is.
+fn page(address: &str) -> (i64, f64) {
+    let mut page = TcpStream::connect(address).expect("it listens");
+    let request = b"GET /status.json HTTP/1.1\r\nHost: robot\r\nConnection: close\r\n\r\n";
+    page.write_all(request).expect("it reads");
+    let mut answer = String::new();
+    page.read_to_string(&mut answer).expect("it answers");
+    let (_, body) = answer.split_once("\r\n\r\n").expect("a head");
+    let state: Json = serde_json::from_str(body).expect("an object");
+    (number(&state, "left"), state["x"].as_f64().expect("mm"))
+}
+
+/// Waits until the page of a robot says so of its left motor.
+fn page_until(address: &str, wanted: impl Fn(i64) -> bool) {
+    let until = Instant::now() + PATIENCE;
+    while !wanted(page(address).0) {
+        assert!(
+            Instant::now() < until,
+            "it never came to that: {:?}",
+            page(address)
+        );
+    }
+}
+
+/// A hub, its gateway and so many robots as programs of their own; the addresses of the robots' pages.
+struct Programs {
+    broker: Option<Running>,
+    hub: String,
+    _gateway: Running,
+    _robots: Running,
+    pages: Vec<String>,
+    _folder: tempfile::TempDir,
+}
+
+impl Programs {
+    fn start(robots: &str) -> Programs {
+        let folder = tempfile::tempdir().expect("a folder");
+        let fleet = folder.path().join("fleet.toml");
+        let fleet = fleet.to_str().expect("a path in text");
+        let listen = ["--listen", "127.0.0.1:0", "--web", "127.0.0.1:0"];
+        let options = [&["--robots", robots, "--write-fleet", fleet], &listen[..]].concat();
+        let running = Running::start("mom-linuxbot", &options, &[]);
+        let pages = (1..=robots.parse().expect("a number"))
+            .map(|unit: u32| {
+                let line = running.line_with(&format!("robot {unit} has its page at"));
+                let (_, address) = line.split_once("http://").expect("an address");
+                address.trim_end_matches('/').to_owned()
+            })
+            .collect();
+        let (broker, hub) = Running::broker(&project().join("config/fleet.toml"));
+        let hub = format!("bin://{hub}");
+        let arguments = ["--fleet", fleet, "--hub", &hub, "--manager", "robot-token"];
+        let gateway = Running::start("mom-gateway", &arguments, &[("MOM_PASSWORD", "gateway")]);
+        list_until(&hub, |row| row["linked"] == true && row["x"].is_i64());
+        Programs {
+            broker: Some(broker),
+            hub,
+            _gateway: gateway,
+            _robots: running,
+            pages,
+            _folder: folder,
+        }
+    }
+
+    /// Alice drives, for as long as this lives.
+    fn driving(&self, unit: &str) -> Running {
+        let user = [
+            ("MOM_HUB", &*self.hub),
+            ("MOM_USER", "alice"),
+            ("MOM_PASSWORD", "alice"),
+        ];
+        Running::start("mom", &["fleet", "send", unit, "motor 100 -100 60000"], &user)
+    }
+}
+
+#[test]
+fn a_deleted_channel_of_one_robot_leaves_the_others_and_comes_back() {
+    let fleet = Programs::start("2");
+    let _both = (fleet.driving("1"), fleet.driving("2"));
+    page_until(&fleet.pages[0], |left| left == 100);
+    page_until(&fleet.pages[1], |left| left == 100);
+    good(&fleet.hub, "carol", &["delete", "/fleet/1/robot"]);
+    page_until(&fleet.pages[0], |left| left == 0);
+    assert_eq!(page(&fleet.pages[1]).0, 100, "the other one goes on");
+    // It is taken up again, and stands until somebody drives it.
+    let until = Instant::now() + PATIENCE;
+    while !typed(&fleet.hub, "carol", &["fleet", "send", "1", "leds 3"])
+        .status
+        .success()
+    {
+        assert!(Instant::now() < until, "its channel never comes back");
+    }
+    assert_eq!((page(&fleet.pages[0]).0, page(&fleet.pages[1]).0), (0, 100));
+}
+
+#[test]
+fn after_a_restart_of_the_hub_all_robots_go_on_and_none_has_moved_meanwhile() {
+    let mut fleet = Programs::start("2");
+    let address = fleet.hub.strip_prefix("bin://").expect("an address").to_owned();
+    let options = [
+        "--path",
+        "/fleet/12",
+        "--manager",
+        "robot-token",
+        "--user",
+        "gateway",
+    ];
+    let options = [&options[..], &["--hub", &fleet.hub]].concat();
+    let _rover = Running::start("mom-rover", &options, &[("MOM_PASSWORD", "gateway")]);
+    list_until(&fleet.hub, |row| row["linked"] == true);
+    let driving = fleet.driving("1");
+    page_until(&fleet.pages[0], |left| left == 100);
+    let broker = fleet.broker.take().expect("it runs");
+    broker.signal("KILL");
+    broker.wait();
+    drop(driving);
+    page_until(&fleet.pages[0], |left| left == 0);
+    // Where it was before.
+    let config = project().join("config/fleet.toml");
+    let options = [
+        "--config",
+        config.to_str().expect("a path in text"),
+        "--listen",
+        &address,
+    ];
+    fleet.broker = Some(Running::start("mom-broker", &options, &[]));
+    let until = Instant::now() + PATIENCE;
+    for (user, unit) in [("alice", "1"), ("bob", "2"), ("carol", "12")] {
+        while !typed(&fleet.hub, user, &["fleet", "send", unit, "leds 3"])
+            .status
+            .success()
+        {
+            assert!(Instant::now() < until, "robot {unit} never comes back");
+        }
+    }
+    list_until(&fleet.hub, |row| {
+        row["linked"] == true && number(row, "leds") == 3
+    });
+    assert_eq!(page(&fleet.pages[0]).0, 0);
 }

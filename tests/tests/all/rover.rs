@@ -340,3 +340,37 @@ async fn one_stands_beside_the_robots_of_a_gateway() {
     let (sent, said) = typed(&hub, &["fleet", "send", "12", "motor 200 200 200; leds 3"]).await;
     assert!(sent && said.contains("12  finished"), "{said}");
 }
+
+/// The program is stopped while a motion goes on, for longer than that was to take: the driver ends it, and what follows in the
+/// script is not done late.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_program_that_stands_still_drives_on_by_nothing() {
+    let (_broker, hub) = broker("convoy.toml");
+    let a = rover(&hub, "rover-a", &["--name", "a", "--at", "1000,1000,0"]);
+    let alice = arrive(&hub, "alice").await;
+    let (_, mut events, guard) = drive(&alice, "a").await;
+    let script = "motor 500 500 1200; leds 7; motor 500 500 5000";
+    begin(&alice, "a", guard.fence(), script).await;
+    let moving = told(&mut events, |content| {
+        is(content, "moving") && int(content, "x") > 1010
+    })
+    .await;
+    a.signal("STOP");
+    let (now, _) = alice.clock().now().expect("it is measured");
+    let over = now.micros() + 2_500_000;
+    pass(&alice, Time::from_micros(over).expect("a time")).await;
+    a.signal("CONT");
+    let (_, ended) = heard(&mut events, "status", |content| content.get("error").is_some()).await;
+    let error = ended.get("error").expect("it is one").clone();
+    // By whatever sees it first: its link to the hub has stood still as well.
+    assert_eq!(
+        error.get("name").and_then(Value::as_str),
+        Some("halted"),
+        "{error:?}"
+    );
+    let stands = told(&mut events, |content| !is(content, "moving")).await;
+    // 500 mm/s for the 500 ms that motors run without it, until the wheels stand, and what it drove before the signal came.
+    let way = int(&stands, "x") - int(&moving, "x");
+    assert!(way < 450, "{way} mm: {stands:?}");
+    assert_eq!(int(&stands, "leds"), 0, "{stands:?}");
+}

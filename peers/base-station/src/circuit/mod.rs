@@ -13,7 +13,7 @@ mod waiting;
 
 use std::collections::VecDeque;
 
-use mom_brs::{Code, Command, Direction, Encoded, Frame, Parser, Table};
+use mom_brs::{Code, Command, Direction, Encoded, Frame, Parser, SILENCE, Table};
 
 use self::backoff::Backoff;
 use self::budget::Budget;
@@ -101,13 +101,13 @@ pub struct Options {
     pub read_rate: u32,
 }
 
-/// NULL every 10 s; 200 ms of silence; attempts after 0.5 s to 10 s, each of 5 s, without end; 4 KiB/s, twenty times
+/// NULL every 10 s; the wire's [`SILENCE`]; attempts after 0.5 s to 10 s, each of 5 s, without end; 4 KiB/s, twenty times
 /// what the paper's ten commands in a second amount to.
 impl Default for Options {
     fn default() -> Options {
         Options {
             null_period: 10 * SECOND,
-            idle: SECOND / 5,
+            idle: SILENCE.as_micros() as i64,
             first_backoff: SECOND / 2,
             most_backoff: 10 * SECOND,
             connect_timeout: 5 * SECOND,
@@ -409,8 +409,10 @@ impl Circuit {
                     None if up.unanswered.len() >= MOST_UNANSWERED => None,
                     None => Some(up.next_null),
                 };
-                let idle =
-                    (up.parser.buffered() > 0).then(|| up.last_bytes.saturating_add(self.options.idle));
+                let idle = up
+                    .parser
+                    .is_amid()
+                    .then(|| up.last_bytes.saturating_add(self.options.idle));
                 let times = [null, idle, self.silent_at(up), self.budget.refilled_at()];
                 times.into_iter().flatten().min()
             }

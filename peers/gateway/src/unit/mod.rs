@@ -1,6 +1,8 @@
 //! One robot as its gateway knows it: what statements become on the wire, and what replies say of it.
 
 use std::collections::VecDeque;
+use std::fmt;
+use std::sync::Arc;
 
 use mom_brs::{Code, Command, Frame, Table};
 use mom_client::Map;
@@ -22,6 +24,8 @@ const SETTLES: DeviceTime = 500_000;
 const MOST_ASKED: usize = 8;
 /// One that moves and answers nothing for so long is given up, with what is under way to it: it would be carried out late.
 const UNANSWERED: DeviceTime = 1_000_000;
+/// A statement that begins more µs late than this is not begun: the gateway stood still, and the robot's watchdog has acted.
+const PATIENCE: DeviceTime = 1_000_000;
 /// The most points of one statement; the robot keeps 64.
 const MOST_POINTS: usize = 64;
 
@@ -29,13 +33,20 @@ const MOST_POINTS: usize = 64;
 ///
 /// The gateway hands it the replies ([`Unit::heard`]) and whether the robot is connected ([`Unit::linked`],
 /// [`Unit::lost`]), and sends what [`Unit::to_send`] gives. Its states are as old as its replies.
-#[derive(Debug)]
+///
+/// It stands when it has said so after it was told to. One that cannot be reached is not said to stand: another base station may
+/// drive it, or its watchdog may not act.
+#[derive(Debug, Clone)]
 pub struct Unit {
     number: u32,
     table: &'static Table,
+    /// What time it is by the program's clocks; none where time passes only as it is told.
+    clock: Option<Clock>,
     now: DeviceTime,
     /// Whether the robot takes commands.
     linked: bool,
+    /// Since when it does not.
+    unlinked: DeviceTime,
     /// What is to be sent, in order.
     out: Vec<Frame>,
     /// What it did last say of itself, and when that was asked: what it says was so then or later.
@@ -50,6 +61,10 @@ pub struct Unit {
     ask: DeviceTime,
     /// The first question since it was told to stand: what it answers to that has to be that it does.
     stood: u64,
+    /// Whether it is told to stand again with each question, as it has not answered yet that it does.
+    insists: bool,
+    /// Whether it has answered that it stands since it was reached, and since it was told to move.
+    rests: bool,
     /// Until when it is asked as often as one that moves, because it may not have come to its rest yet.
     settles: DeviceTime,
     /// What it is doing.
@@ -61,6 +76,20 @@ pub struct Unit {
     leds: i32,
     /// The round trip, in µs, of the last question that was answered.
     round_trip: Option<DeviceTime>,
+}
+
+/// The clocks of a program.
+#[derive(Clone)]
+struct Clock {
+    now: Arc<dyn Fn() -> DeviceTime + Send + Sync>,
+    /// µs since 1970 at its time 0.
+    epoch: i64,
+}
+
+impl fmt::Debug for Clock {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Clock").finish_non_exhaustive()
+    }
 }
 
 /// Where a robot says that it is: mm, mm, degrees.
@@ -106,8 +135,10 @@ impl Unit {
         Self {
             number,
             table,
+            clock: None,
             now: 0,
             linked: false,
+            unlinked: 0,
             out: Vec::new(),
             status: None,
             pose: None,
@@ -116,6 +147,8 @@ impl Unit {
             question: 0,
             ask: 0,
             stood: 0,
+            insists: false,
+            rests: false,
             settles: 0,
             doing: Doing::Nothing,
             motors: None,
@@ -123,6 +156,15 @@ impl Unit {
             leds: 0,
             round_trip: None,
         }
+    }
+
+    /// The same with the clock of its program, and the µs since 1970 at its time 0: a statement that should have begun long ago is not
+    /// begun, and since when a robot is not reached can be said.
+    #[must_use]
+    pub fn with_clock(mut self, now: impl Fn() -> DeviceTime + Send + Sync + 'static, epoch: i64) -> Self {
+        let now = Arc::new(now);
+        self.clock = Some(Clock { now, epoch });
+        self
     }
 
     /// What is to be sent to the robot now, in order.
@@ -143,8 +185,26 @@ impl Unit {
     }
 
     fn overdue_at(&self) -> Option<DeviceTime> {
-        let oldest = self.asked_status.front().filter(|_| self.is_moving())?;
+        let oldest = self.asked_status.front().filter(|_| self.drives())?;
         Some(oldest.at.saturating_add(UNANSWERED))
+    }
+
+    /// Whether it was told to move, or said last that it does.
+    fn drives(&self) -> bool {
+        let said = self
+            .status
+            .is_some_and(|(status, _)| status.moving || status.on_its_way);
+        self.is_driven() || said
+    }
+
+    fn is_driven(&self) -> bool {
+        self.motors.is_some() || matches!(self.doing, Doing::Drives { .. })
+    }
+
+    /// Whether it takes commands.
+    #[must_use]
+    pub fn is_linked(&self) -> bool {
+        self.linked
     }
 
     /// Its connection is given up: what was asked is not answered any more.
@@ -170,7 +230,10 @@ impl Unit {
 
     /// The robot's connection is lost. What it does now is its own watchdog's business; what was known of it grows old.
     pub fn lost(&mut self) {
-        self.linked = false;
+        if self.linked {
+            self.unlinked = self.now;
+        }
+        (self.linked, self.rests) = (false, false);
         self.given_up();
         self.doing = Doing::Nothing;
         self.motors = None;
@@ -206,13 +269,17 @@ impl Unit {
 
     /// Has it stand again, if it was told to before it was asked, and says that it does not: whatever became of that order.
     fn insist(&mut self, status: Status, asked: u64) {
-        let driven = self.motors.is_some() || matches!(self.doing, Doing::Drives { .. });
-        if !driven && asked >= self.stood && (status.moving || status.on_its_way) {
-            let doing = self.doing;
-            self.stand();
-            self.doing = doing;
-            self.ask_now();
+        if self.is_driven() || asked < self.stood {
+            return;
         }
+        if !(status.moving || status.on_its_way) {
+            (self.insists, self.rests) = (false, true);
+            return;
+        }
+        let doing = self.doing;
+        self.stand();
+        self.doing = doing;
+        self.ask_now();
     }
 
     /// Takes note that all was sent that [`Unit::to_send`] gave, but for what failed. So a script of many LEDs says no more at
@@ -299,9 +366,21 @@ impl Unit {
         self.motors = None;
         self.stood = self.question;
         self.settles = self.now.saturating_add(SETTLES);
+        self.insists = true;
+        self.say_stop();
+    }
+
+    fn say_stop(&mut self) {
         if let (true, Ok(stop)) = (self.linked, Frame::new(&Command::MOTOR, &[0, 0])) {
             self.out.push(stop);
         }
+    }
+
+    /// How late it is now for what was to begin at `now`, if that is more than can be made up for.
+    fn is_late(&self) -> Option<DeviceTime> {
+        let clock = self.clock.as_ref()?;
+        let late = (clock.now)().saturating_sub(self.now);
+        (late > PATIENCE).then_some(late)
     }
 
     /// Asks pose and status.
@@ -339,13 +418,14 @@ impl Machine for Unit {
         Action::read(verb, words)
     }
 
+    /// What is not known to stand is not said to.
     fn is_moving(&self) -> bool {
-        let set = self.motors.is_some() || matches!(self.doing, Doing::Drives { .. });
-        // What is not heard of is not said to stand.
-        let heard = self
-            .status
-            .is_some_and(|(status, _)| status.moving || status.on_its_way);
-        self.linked && (set || heard)
+        !self.linked || !self.rests || self.drives()
+    }
+
+    /// Each halt is told to the robot: what it said last may be long ago.
+    fn is_at_rest(&self) -> bool {
+        false
     }
 
     fn plan(&mut self, script: &Script<Action>) -> Result<(), DeviceError> {
@@ -369,6 +449,14 @@ impl Machine for Unit {
 
     fn begin(&mut self, action: &Action, now: DeviceTime) -> Result<(), DeviceError> {
         self.now = now;
+        if let Some(late) = self.is_late() {
+            let text = format!(
+                "robot {} was halted: its gateway stood still for {} ms",
+                self.number,
+                late / 1000
+            );
+            return Err(DeviceError::new(ErrorName::Halted, text));
+        }
         if self.motors.take().is_some() && !matches!(action, Action::Motor { .. }) {
             self.stand();
         }
@@ -378,6 +466,7 @@ impl Machine for Unit {
                 let until = now.saturating_add(DeviceTime::from(*ms) * 1000);
                 let question = self.question;
                 self.motors = Some(Motors { until, question });
+                (self.insists, self.rests) = (false, false);
                 self.doing = Doing::Done { at: until };
                 // It feeds the watchdog as a question does, and how it goes is told by the next one, or at its end.
                 self.ask = self.ask.min(now.saturating_add(LIVELY));
@@ -393,6 +482,7 @@ impl Machine for Unit {
                     let code = if number == 0 { Code::GOTO } else { Code::VIA };
                     self.say(code, &[*x, *y])?;
                 }
+                (self.insists, self.rests) = (false, false);
                 Doing::Drives {
                     question: self.question,
                 }
@@ -423,6 +513,10 @@ impl Machine for Unit {
             self.ask_now();
         }
         if now >= self.ask {
+            // The order before may not have reached it.
+            if self.insists && !self.is_driven() && self.asked_status.len() < MOST_ASKED {
+                self.say_stop();
+            }
             self.ask_now();
         }
     }
@@ -457,12 +551,17 @@ impl Machine for Unit {
         }
     }
 
-    /// `{unit, linked, leds, battery?, switches?, expired?, round-trip?}`: percent, a mask of bits, µs.
+    /// `{unit, linked, reached, unreached-since?, leds, battery?, switches?, expired?, round-trip?}`: µs since 1970, percent, a mask of bits, µs.
+    /// What is told of one that is not reached is what it said last, but for its motion, of which nobody knows.
     fn report(&self) -> Map {
         let mut map = Map::new()
             .with("unit", i64::from(self.number))
             .with("linked", self.linked)
+            .with("reached", self.linked)
             .with("leds", self.leds);
+        if let Some(clock) = self.clock.as_ref().filter(|_| !self.linked) {
+            map.set("unreached-since", clock.epoch.saturating_add(self.unlinked));
+        }
         if let Some((status, _)) = self.status {
             map.set("battery", i64::from(status.battery));
             map.set("switches", i64::from(status.switches));

@@ -364,3 +364,105 @@ proptest! {
         prop_assert_eq!((taken, pair.moves()), (ended, false));
     }
 }
+
+#[test]
+fn a_robot_that_cannot_be_reached_is_not_said_to_stand() {
+    let mut pair = Pair::new(10 * MS);
+    let unit = Unit::new(7, &EXTENDED).with_clock(|| 0, 1_000_000);
+    pair.queue = CommandQueue::new(unit);
+    let said = |pair: &Pair| {
+        let state = pair.queue.state();
+        let reached = state.report.get("reached").and_then(mom_client::Value::as_bool);
+        let since = state
+            .report
+            .get("unreached-since")
+            .and_then(mom_client::Value::as_int);
+        (state.moving, reached, since)
+    };
+    assert_eq!(
+        said(&pair),
+        (true, Some(false), Some(1_000_000)),
+        "nothing was ever heard of it"
+    );
+    pair.down.clear();
+    pair.note(Unit::linked);
+    assert_eq!(said(&pair), (true, Some(true), None), "it has not answered yet");
+    pair.pass(2000 * MS);
+    assert_eq!(said(&pair), (false, Some(true), None));
+    pair.note(Unit::lost);
+    pair.pass(9000 * MS);
+    assert_eq!(said(&pair), (true, Some(false), Some(3_000_000)));
+    // Nor is it after a halt, which is not said to anybody.
+    pair.queue.halt(pair.now, "a test", &mut pair.events);
+    assert!(said(&pair).0 && !pair.queue.machine().has_to_send());
+    pair.note(Unit::linked);
+    pair.pass(9100 * MS);
+    assert_eq!(said(&pair), (false, Some(true), None));
+}
+
+#[test]
+fn a_halt_at_rest_reaches_the_robot_too_and_is_said_again_until_it_answers() {
+    let stops = |frames: &[Frame]| {
+        let stop = |frame: &&Frame| frame.to_string() == "06 00000 00000";
+        frames.iter().filter(stop).count()
+    };
+    let mut pair = Pair::new(0);
+    pair.pass(2000 * MS);
+    assert!(!pair.queue.state().moving);
+    pair.queue.halt(pair.now, "a test", &mut pair.events);
+    let frames = pair.said();
+    assert_eq!(stops(&frames), 1);
+    assert!(
+        !pair.queue.state().moving,
+        "it has said that it stands, and nobody has moved it since"
+    );
+    // None of it arrives, and it has other things to do than to answer.
+    let mut again = 0;
+    for late in 1..=5 {
+        pair.queue.advance((2000 + late * 100) * MS, &mut pair.events);
+        pair.now = (2000 + late * 100) * MS;
+        again += stops(&pair.said());
+    }
+    assert_eq!(again, 5);
+    assert!(
+        !pair.queue.machine().is_overdue(),
+        "it is not known to move, so its link has its time"
+    );
+    // One that was driven stands when it has answered.
+    pair.command("motor 100 100 300").expect("it is taken");
+    pair.down.clear();
+    pair.queue.halt(pair.now, "a test", &mut pair.events);
+    assert!(pair.queue.state().moving && stops(&pair.said()) == 1);
+    // What drives it again is not undone by that.
+    pair.command("motor 100 100 300").expect("it is taken");
+    let frames: Vec<Frame> = pair.down.iter().map(|(_, frame)| *frame).collect();
+    assert_eq!(stops(&frames), 0, "{frames:?}");
+}
+
+/// Its gateway is stopped for seconds; then all that was due is due at once.
+#[test]
+fn a_statement_that_should_have_begun_long_ago_is_not_begun() {
+    let clock = Arc::new(std::sync::atomic::AtomicI64::new(0));
+    let told = Arc::clone(&clock);
+    let mut pair = Pair::new(0);
+    let now = move || told.load(std::sync::atomic::Ordering::Relaxed);
+    pair.queue = CommandQueue::new(Unit::new(7, &EXTENDED).with_clock(now, 0));
+    pair.note(Unit::linked);
+    pair.pass(100 * MS);
+    pair.command("motor 300 300 500; leds 7; motor 300 300 500")
+        .expect("it is taken");
+    pair.pass(300 * MS);
+    clock.store(5000 * MS, std::sync::atomic::Ordering::Relaxed);
+    pair.now = 5000 * MS;
+    pair.queue.advance(pair.now, &mut pair.events);
+    let frames = pair.said();
+    let drives = |frame: &&Frame| !matches!(frame.code(), Code::STATUS | Code::POSE);
+    let drives: Vec<String> = frames
+        .iter()
+        .filter(drives)
+        .map(|frame| frame.to_string())
+        .collect();
+    assert!(drives.iter().all(|frame| frame == "06 00000 00000"), "{drives:?}");
+    assert_eq!(pair.ended(), ["halted"]);
+    assert!(pair.queue.machine().leds == 0 && pair.queue.machine().insists);
+}

@@ -6,7 +6,8 @@
 //! [`PRESSED`]. Robots do not meet each other, even on the same floor.
 //!
 //! Power is drawn by the electronics, by each LED that is lit, and by the wheels in proportion to their speed. An empty
-//! battery sets the motors to 0 0, so that the robot runs out, and makes its LEDs dark; the driver still answers.
+//! battery sets the motors to 0 0, so that the robot runs out, and makes its LEDs dark; the driver still answers. So does the time
+//! that [`Driver::hold`] has given, also when nobody asks at that time.
 //!
 //! # Cost
 //!
@@ -62,6 +63,8 @@ pub struct Simulated {
     /// The latest time given; `None` before the first, at which it begins to be.
     begun: Option<WheelTime>,
     motors: Motors,
+    /// When the motors stop by themselves.
+    held: WheelTime,
     leds: u8,
     charge: Charge,
     course: Course,
@@ -100,6 +103,8 @@ enum Change {
     Meets(Wall),
     Leaves,
     Empties,
+    /// Its motors were not to run for longer.
+    Expires,
 }
 
 impl Simulated {
@@ -228,6 +233,7 @@ impl Simulated {
             odometry: true,
             begun: None,
             motors: Motors::STOP,
+            held: WheelTime::MAX,
             leds: 0,
             charge: Charge::of(100, &power, 0),
             course: Course::Free {
@@ -270,7 +276,9 @@ impl Simulated {
             leaves,
             empties,
         } = self.look_ahead();
+        let expires = (self.motors != Motors::STOP && self.held < WheelTime::MAX).then_some(self.held);
         let events = [
+            expires.map(|time| (time, Change::Expires)),
             empties.map(|time| (time, Change::Empties)),
             leaves.map(|time| (time, Change::Leaves)),
             meets.map(|(time, wall)| (time, Change::Meets(wall))),
@@ -322,6 +330,7 @@ impl Simulated {
         match event {
             Change::Meets(wall) => self.meet(wall),
             Change::Leaves => self.go(self.place(), Speeds::NONE),
+            Change::Expires => self.drive(Motors::STOP),
             Change::Empties => {
                 self.charge = Charge {
                     since: self.now(),
@@ -460,6 +469,12 @@ impl Driver for Simulated {
         }
         self.drive(motors);
         self.advance(at);
+        Ok(())
+    }
+
+    fn hold(&mut self, until: WheelTime, at: WheelTime) -> Result<(), DriverError> {
+        self.advance(at);
+        self.held = until;
         Ok(())
     }
 

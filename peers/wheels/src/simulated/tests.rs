@@ -339,3 +339,38 @@ proptest! {
         prop_assert!((robot.charge(now) - seldom.charge(now)).abs() < 1e-9);
     }
 }
+
+/// However late somebody asks: what its program does not prolong ends at its time.
+#[test]
+fn motors_stop_when_they_are_held_no_longer() {
+    let at = |asked: &[WheelTime]| {
+        let mut robot = Simulated::linuxbot();
+        robot.hold(600_000, 0).expect("it can");
+        set(&mut robot, 500, 500, 0);
+        for time in asked {
+            robot.pose(*time);
+        }
+        let sensors = robot.sensors(9_000_000).expect("it can be read");
+        (sensors.motors, sensors.pose.map(|pose| pose.x.round()))
+    };
+    assert_eq!(at(&[]), (Motors::STOP, Some(2800.0)), "500 mm/s for 600 ms");
+    assert_eq!(at(&[]), at(&[100_000, 599_999, 600_000, 600_001, 5_000_000]));
+    let mut robot = Simulated::linuxbot();
+    robot.hold(600_000, 0).expect("it can");
+    set(&mut robot, 100, 100, 0);
+    assert!(wakes(&mut robot, 300_000).iter().all(|due| *due < 600_000));
+    robot.pose(550_000);
+    assert_eq!(robot.next_wake(), Some(600_000));
+    robot.hold(900_000, 550_000).expect("it can");
+    assert!(
+        robot
+            .sensors(899_999)
+            .is_ok_and(|sensors| sensors.motors != Motors::STOP)
+    );
+    robot.hold(WheelTime::MAX, 899_999).expect("it can");
+    assert!(
+        robot
+            .sensors(5_000_000)
+            .is_ok_and(|sensors| sensors.motors != Motors::STOP)
+    );
+}

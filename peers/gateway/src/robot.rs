@@ -1,0 +1,321 @@
+//! A robot between its channel and its wire.
+
+use std::future::pending;
+use std::pin::pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+use mom_brs::Code;
+use mom_client::{Channel, ClientError, Parcel};
+use mom_device::{DeviceError, DevicePeer, DeviceTime, ErrorName, Machine, Outlet, sender};
+use mom_fleet::StatusTeller;
+use tokio::sync::watch;
+use tokio::task::yield_now;
+use tokio::time::{Instant, sleep, sleep_until};
+
+use crate::Unit;
+use crate::peer::{FIRST_PAUSE, MOST_PAUSE, News, Place, RobotWire};
+use crate::station::is_stop;
+
+/// So long a robot may take to say that it stands before the program ends all the same.
+const LAST_STOP: Duration = Duration::from_secs(1);
+
+/// One robot for as long as its gateway lives, in its channel and without it.
+pub(crate) struct Robot {
+    place: Place,
+    line: RobotWire,
+    unit: Unit,
+    status: Option<StatusTeller>,
+    begin: Instant,
+    /// How many have never been there, until this one is.
+    missing: Option<Arc<AtomicUsize>>,
+}
+
+/// Why it obeys no more.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Ended {
+    Shutdown,
+    /// Its channel is gone.
+    Gone,
+    /// Its wire is.
+    Unwired,
+}
+
+impl Robot {
+    pub(crate) fn new(
+        place: Place,
+        line: RobotWire,
+        unit: Unit,
+        begin: Instant,
+        missing: Arc<AtomicUsize>,
+    ) -> Self {
+        let status = place
+            .status()
+            .map(|path| StatusTeller::new(path, place.unit, place.group.clone()));
+        Self {
+            place,
+            line,
+            unit,
+            status,
+            begin,
+            missing: Some(missing),
+        }
+    }
+
+    /// Obeys in its channel, and stands while there is none; until the program stops, or the hub does not want its gateway any more.
+    pub(crate) async fn live(
+        mut self,
+        mut channel: Channel,
+        mut stopping: watch::Receiver<bool>,
+    ) -> Result<(), ClientError> {
+        loop {
+            let mut ended = self.obey(&channel, &mut stopping).await;
+            if ended == Ended::Gone {
+                tracing::warn!(
+                    unit = self.line.unit,
+                    "the robot's channel is gone; it stands until that is back"
+                );
+                match self.wait_for_channel(&mut stopping).await {
+                    Ok(Some(back)) => channel = back,
+                    Ok(None) => ended = Ended::Shutdown,
+                    Err(error) => {
+                        self.stand().await;
+                        return Err(error);
+                    }
+                }
+            }
+            if ended != Ended::Gone {
+                self.stand().await;
+                return Ok(());
+            }
+        }
+    }
+
+    /// Has it obey in its channel; afterwards it was told to stand.
+    async fn obey(&mut self, channel: &Channel, stopping: &mut watch::Receiver<bool>) -> Ended {
+        let client = self.place.client.clone();
+        let mut device = DevicePeer::start(&client, channel, self.unit.clone(), self.begin);
+        // A hub that takes nothing holds up neither stops nor replies.
+        let mut outlet = Outlet::new(sender(&client));
+        let ended = loop {
+            self.send(&mut device);
+            if device.machine().has_to_send() {
+                // What has been said goes out before more is, which would have no place otherwise.
+                yield_now().await;
+                continue;
+            }
+            let mut out = Vec::new();
+            let told = self.tell(&device, channel, &mut out);
+            outlet.set_down(device.is_down());
+            outlet.push(&mut out);
+            tokio::select! {
+                biased;
+                _ = stopping.wait_for(|stop| *stop) => break Ended::Shutdown,
+                more = device.step() => if !more { break Ended::Gone },
+                news = self.line.heard.next() => match news {
+                    Some(news) => {
+                        self.hear(&mut device, news);
+                        // Replies that have come together are taken together.
+                        while let Some(news) = self.line.heard.ready() {
+                            self.hear(&mut device, news);
+                        }
+                    }
+                    None => break Ended::Unwired,
+                },
+                () = outlet.work() => {}
+                () = sleep_or_wait(told) => {}
+            }
+        };
+        // It stands, whatever becomes of its gateway.
+        let why = match ended {
+            Ended::Gone => "its channel is gone",
+            Ended::Shutdown | Ended::Unwired => "its gateway ends",
+        };
+        device.halt(why);
+        self.send(&mut device);
+        self.unit = device.machine().clone();
+        if ended != Ended::Gone {
+            device.end(why).await;
+        }
+        ended
+    }
+
+    /// Keeps the robot standing until its channel is back; none if the program stops before.
+    async fn wait_for_channel(
+        &mut self,
+        stopping: &mut watch::Receiver<bool>,
+    ) -> Result<Option<Channel>, ClientError> {
+        let place = self.place.clone();
+        let back = async {
+            let mut pause = FIRST_PAUSE;
+            loop {
+                sleep(pause).await;
+                match place.enter().await {
+                    Err(ClientError::Closed(why)) => return Err(ClientError::Closed(why)),
+                    Err(error) => {
+                        tracing::debug!(unit = place.unit, %error, "the robot's channel is not back");
+                    }
+                    entered => return entered,
+                }
+                pause = (pause * 2).min(MOST_PAUSE);
+            }
+        };
+        let mut back = pin!(back);
+        loop {
+            tokio::select! {
+                biased;
+                _ = stopping.wait_for(|stop| *stop) => return Ok(None),
+                wired = self.serve_wire() => if !wired { return Ok(None) },
+                entered = &mut back => return entered.map(Some),
+            }
+        }
+    }
+
+    /// Waits until the robot has said that it stands, if it can be reached, and tells it again until then.
+    async fn stand(&mut self) {
+        let until = Instant::now() + LAST_STOP;
+        while self.unit.is_linked() && self.unit.is_moving() {
+            tokio::select! {
+                wired = self.serve_wire() => if !wired { break },
+                () = sleep_until(until) => break,
+            }
+        }
+        if self.unit.is_linked() && self.unit.is_moving() {
+            tracing::error!(
+                unit = self.line.unit,
+                "the robot may be moving: it has not said that it stands"
+            );
+        }
+    }
+
+    /// Waits until something happens on its wire, or is due there, and does what follows; false when there is no wire any more.
+    /// Nobody commands it meanwhile. May be dropped at any time.
+    async fn serve_wire(&mut self) -> bool {
+        if self.unit.is_overdue() {
+            self.unit.given_up();
+            (self.line.give_up)();
+        }
+        if let Err(why) = say(&self.line, &mut self.unit) {
+            tracing::debug!(unit = self.line.unit, why, "the robot was not told");
+        }
+        let wake = self.unit.next_wake().map(|due| at(self.begin, due));
+        tokio::select! {
+            news = self.line.heard.next() => {
+                self.unit.advance(since(self.begin));
+                match news {
+                    Some(News::Linked) => self.unit.linked(),
+                    Some(News::Lost(_)) => self.unit.lost(),
+                    // Nothing is under way that could fail.
+                    Some(News::Reply(reply)) => drop(self.unit.heard(&reply)),
+                    None => return false,
+                }
+            }
+            () = sleep_or_wait(wake) => self.unit.advance(since(self.begin)),
+        }
+        true
+    }
+
+    fn hear(&mut self, device: &mut DevicePeer<Unit>, news: News) {
+        match news {
+            News::Linked => {
+                tracing::info!(unit = self.line.unit, "the robot is connected");
+                device.note(Unit::linked);
+                device.report();
+                let missing = self.missing.take();
+                if missing.is_some_and(|missing| missing.fetch_sub(1, Ordering::Relaxed) == 1) {
+                    tracing::info!("all robots are connected");
+                }
+            }
+            News::Lost(why) => {
+                tracing::warn!(unit = self.line.unit, why, "the robot is lost");
+                device.note(Unit::lost);
+                let text = format!("robot {} is lost: {why}", self.line.unit);
+                device.fail(&DeviceError::new(ErrorName::Link, text));
+            }
+            News::Reply(reply) => {
+                let before = device.machine().known();
+                let mut heard = Ok(());
+                device.note(|unit| heard = unit.heard(&reply));
+                if let Err(error) = heard {
+                    device.fail(&error);
+                }
+                // While it moves it is told of by itself.
+                let machine = device.machine();
+                if !machine.is_moving() && before != machine.known() {
+                    device.report();
+                }
+            }
+        }
+    }
+
+    /// Sends what its unit has for it.
+    fn send(&mut self, device: &mut DevicePeer<Unit>) {
+        if device.machine().is_overdue() {
+            device.note(Unit::given_up);
+            tracing::warn!(unit = self.line.unit, "the robot moves and does not answer");
+            (self.line.give_up)();
+        }
+        if !device.machine().has_to_send() {
+            return;
+        }
+        let (line, mut said) = (&self.line, Ok(()));
+        device.note(|unit| said = say(line, unit));
+        if let Err(why) = said {
+            let text = format!("robot {} was not told to do it: {why}", self.line.unit);
+            device.fail(&DeviceError::new(ErrorName::Link, text));
+            device.note(Unit::sent);
+        }
+    }
+
+    /// What is to be told of it in the fleet's channel; when to look again.
+    fn tell(
+        &mut self,
+        device: &DevicePeer<Unit>,
+        channel: &Channel,
+        out: &mut Vec<Parcel>,
+    ) -> Option<Instant> {
+        let status = self.status.as_mut()?;
+        let told = status.tell(|| device.state(), || channel.gate().guard(), Instant::now());
+        if let Some(mut parcel) = told {
+            parcel.timestamp = device.known_time();
+            out.push(parcel);
+        }
+        status.due(device.machine().is_moving())
+    }
+}
+
+/// Sends what a unit has for its robot; an error if something that was to be done was not sent, and so is not done. Questions are asked
+/// again, and a robot that does not stand is told so again.
+fn say(line: &RobotWire, unit: &mut Unit) -> Result<(), String> {
+    let mut said = Ok(());
+    for frame in unit.to_send() {
+        if let Err(why) = (line.send)(frame) {
+            tracing::warn!(unit = line.unit, why, %frame, "a frame was not sent");
+            unit.unsent(&frame);
+            if !is_stop(&frame) && !matches!(frame.code(), Code::STATUS | Code::POSE) {
+                said = Err(why);
+            }
+        }
+    }
+    if said.is_ok() {
+        unit.sent();
+    }
+    said
+}
+
+/// The time of devices: µs since the program began.
+pub(crate) fn since(begin: Instant) -> DeviceTime {
+    DeviceTime::try_from(begin.elapsed().as_micros()).unwrap_or(DeviceTime::MAX)
+}
+
+fn at(begin: Instant, due: DeviceTime) -> Instant {
+    begin + Duration::from_micros(u64::try_from(due).unwrap_or(0))
+}
+
+async fn sleep_or_wait(wake: Option<Instant>) {
+    match wake {
+        Some(wake) => sleep_until(wake).await,
+        None => pending().await,
+    }
+}
