@@ -341,6 +341,8 @@ impl Machine for Rover {
     const NAME: &str = "the robot";
     const VERBS: &[&str] = Action::VERBS;
     const PERIOD: DeviceTime = 100_000;
+    // It tells whole mm and degrees.
+    const TOLERANCE: f64 = 2.0;
 
     fn read(verb: Word<'_>, words: &mut Words<'_>) -> Option<Result<Action, DeviceError>> {
         Action::read(verb, words)
@@ -350,9 +352,8 @@ impl Machine for Rover {
         !self.stands() || self.now < self.settles
     }
 
-    /// Each halt is told to the driver: that it has taken the last one does not mean that it stands.
-    fn is_at_rest(&self) -> bool {
-        false
+    fn is_reached(&self) -> bool {
+        self.sensors.is_some()
     }
 
     fn plan(&mut self, script: &Script<Action>) -> Result<(), DeviceError> {

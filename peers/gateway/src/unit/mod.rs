@@ -413,6 +413,8 @@ impl Machine for Unit {
     const VERBS: &[&str] = Action::VERBS;
     // No more is known of it than it is asked.
     const PERIOD: DeviceTime = LIVELY;
+    // It tells whole mm and degrees.
+    const TOLERANCE: f64 = 2.0;
 
     fn read(verb: Word<'_>, words: &mut Words<'_>) -> Option<Result<Action, DeviceError>> {
         Action::read(verb, words)
@@ -423,9 +425,8 @@ impl Machine for Unit {
         !self.linked || !self.rests || self.drives()
     }
 
-    /// Each halt is told to the robot: what it said last may be long ago.
-    fn is_at_rest(&self) -> bool {
-        false
+    fn is_reached(&self) -> bool {
+        self.linked
     }
 
     fn plan(&mut self, script: &Script<Action>) -> Result<(), DeviceError> {

@@ -254,7 +254,7 @@ fn a_stop_that_the_driver_refuses_is_given_again_and_not_done_before() {
             &mut stage.events,
         );
         assert_eq!(failures, 1, "{number}");
-        stage.pass(stage.now + 600 * MS);
+        stage.pass(stage.now + 1500 * MS);
         assert!(!stage.queue.state().moving, "{number}");
     }
 }
