@@ -146,7 +146,7 @@ pub async fn run(
         let Some(client) = clients.get(number / share) else {
             continue;
         };
-        let place = Place {
+        let place = RobotSite {
             client: client.clone(),
             options: Arc::clone(&options),
             unit: line.unit,
@@ -203,17 +203,17 @@ async fn serve(
 
 /// Where a robot is at the hub.
 #[derive(Debug, Clone)]
-pub(crate) struct Place {
+pub(crate) struct RobotSite {
     pub(crate) client: Client,
     options: Arc<GatewayOptions>,
     pub(crate) unit: u32,
     pub(crate) group: Option<String>,
 }
 
-impl Place {
+impl RobotSite {
     /// Makes what is missing of the robot's contexts, and joins its channel as its device.
     pub(crate) async fn enter(&self) -> Result<Channel, ClientError> {
-        let Place {
+        let RobotSite {
             client,
             options,
             unit,

@@ -15,7 +15,7 @@ use tokio::task::yield_now;
 use tokio::time::{Instant, sleep, sleep_until};
 
 use crate::Unit;
-use crate::peer::{FIRST_PAUSE, MOST_PAUSE, News, Place, RobotWire};
+use crate::peer::{FIRST_PAUSE, MOST_PAUSE, News, RobotSite, RobotWire};
 use crate::station::is_stop;
 
 /// So long a robot may take to say that it stands before the program ends all the same.
@@ -23,7 +23,7 @@ const LAST_STOP: Duration = Duration::from_secs(1);
 
 /// One robot for as long as its gateway lives, in its channel and without it.
 pub(crate) struct Robot {
-    place: Place,
+    place: RobotSite,
     line: RobotWire,
     unit: Unit,
     status: Option<StatusTeller>,
@@ -44,7 +44,7 @@ enum Ended {
 
 impl Robot {
     pub(crate) fn new(
-        place: Place,
+        place: RobotSite,
         line: RobotWire,
         unit: Unit,
         begin: Instant,
