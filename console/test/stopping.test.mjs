@@ -120,12 +120,12 @@ function around({ opens = async () => undefined, up = true } = {}) {
   const client = { ...silent(), stop: async (top, terms) => (asked.push([top, terms]), { channels: [told("/robot/arm", 7, [{ peer: "arm", word: "stopped" }])], others: 0, denied: [] }), lookup: async () => ({}) };
   const standing = new Standing((word) => words.push(word), () => up);
   const login = { address: "ws://hub http://hub", guest: true };
-  const lend = async (of, within, use) => {
+  const lend = async (of, within, unneeded, use) => {
     assert.equal(of, login);
     await opens();
     await use(client);
   };
-  const stopping = new Stopping((word) => words.push(word), () => login, () => up, standing, lend);
+  const stopping = new Stopping((word) => words.push(word), () => login, () => up, standing, lend, [10, 10]);
   const link = silent();
   stopping.reset(link);
   walking.add(standing);
@@ -149,6 +149,13 @@ test("a link that is known to be down is not waited for", async () => {
   await stopping.order("stop", "/", {});
   assert.ok(opened - begun < 250, `${opened - begun} ms`);
   assert.equal(asked.length, 1);
+});
+
+test("a connection that hangs is followed by another one", async () => {
+  let tries = 0;
+  const { asked, stopping, report } = around({ opens: () => (++tries < 3 ? new Promise(() => undefined) : Promise.resolve()) });
+  await stopping.order("stop", "/", {});
+  assert.deepEqual([tries, asked.length, report().taken], [3, 1, true]);
 });
 
 test("what the link takes while the second connection opens is not said again", async () => {

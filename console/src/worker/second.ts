@@ -19,13 +19,17 @@ interface Opening {
 export class Second {
   #newest: Opening | null = null;
 
-  /** Lends a connection, which all who need one at the same time share, until `use` has ended; it is given up after so many ms if no door opens. */
-  async lend(login: Login, within: number, use: (client: Client) => Promise<void>): Promise<void> {
+  /**
+   * Lends a connection, which all who need one at the same time share, until `use` has ended; it is given up after so many ms if no door opens, or when
+   * it is needed no more.
+   */
+  async lend(login: Login, within: number, unneeded: Promise<void>, use: (client: Client) => Promise<void>): Promise<void> {
     const known = this.#newest;
     const opening = known?.login === login && performance.now() - known.begun < SHARED ? known : this.#open(login, within);
     opening.users += 1;
     try {
-      await use(await opening.client);
+      const client = await Promise.race([opening.client, unneeded.then(() => null)]);
+      if (client) await use(client);
     } finally {
       opening.users -= 1;
       if (!opening.users) this.#end(opening);

@@ -10,6 +10,8 @@ import type { Standing } from "./standing.js";
 /** Where the hub has not answered over the link for so long, the stop goes over a second connection as well; ms. */
 const LINK = 300;
 const AROUND = 10_000;
+/** A second connection that has not taken it after so many ms may hang as the link does: there is another one, and so on. */
+const AGAIN = [700, 1400, 2800];
 /** So many channels are let go by one request, which may have 64 KiB. */
 const PORTION = 400;
 
@@ -139,6 +141,7 @@ export class Stopping {
     readonly standing: Standing,
     /** What lends another connection. */
     readonly lend: Second["lend"] = (...args) => this.#second.lend(...args),
+    readonly again: readonly number[] = AGAIN,
   ) {}
 
   /** There is a new peer. */
@@ -201,6 +204,19 @@ export class Stopping {
     await Promise.any([link, around]).catch(() => failed);
   }
 
+  async #try(ordered: Ordered, login: Login): Promise<void> {
+    const end = performance.now() + AROUND;
+    const tries: Promise<void>[] = [];
+    for (const wait of [...this.again, 0]) {
+      // The link may have taken it meanwhile.
+      const one = this.lend(login, end - performance.now(), ordered.taken, async (client) => (ordered.report.taken ? undefined : ordered.ask(client)));
+      one.catch(() => undefined);
+      tries.push(one);
+      if (await soon(wait, ordered.taken)) break;
+    }
+    await Promise.any(tries);
+  }
+
   /** By a second connection, through whichever door opens. Others that share it go on, whatever becomes of this one. */
   async #around(ordered: Ordered): Promise<void> {
     ordered.report.missed = true;
@@ -209,8 +225,7 @@ export class Stopping {
     ordered.report.trying = login.address.split(/\s+/);
     ordered.changed();
     try {
-      // The link may have taken it meanwhile.
-      await this.lend(login, AROUND, async (client) => (ordered.report.taken ? undefined : ordered.ask(client)));
+      await this.#try(ordered, login);
     } finally {
       ordered.report.trying = [];
       ordered.changed();
