@@ -355,20 +355,16 @@ mod tests {
         anstream::adapter::strip_str(&line).to_string()
     }
 
-    #[test]
-    fn a_line_says_what_is_known() {
-        let bob = StopState {
-            stopped: true,
-            by: Some("bob".to_owned()),
-            reason: Some("smoke".to_owned()),
-            ..StopState::default()
-        };
-        let measured = DeviceAnswer::Obeys(Standing {
+    /// That it rests, as measured.
+    fn measured() -> DeviceAnswer {
+        DeviceAnswer::Obeys(Standing {
             rest: Some(Rest::Measured),
             ..Standing::default()
-        });
-        let obeys = told(&[("arm", measured)]);
-        assert_eq!(line(Order::Stop, &obeys, None), "/robot/arm: arm stands");
+        })
+    }
+
+    #[test]
+    fn what_obeys_is_not_said_to_stand_before_it_does() {
         for (standing, words) in [
             (Standing::default(), "obeys; whether it stands it does not say"),
             (
@@ -394,7 +390,7 @@ mod tests {
                 "obeys, and cannot reach what it moves",
             ),
         ] {
-            let channel = told(&[("arm", DeviceAnswer::Obeys(standing)), ("hand", measured)]);
+            let channel = told(&[("arm", DeviceAnswer::Obeys(standing)), ("hand", measured())]);
             let told = line(Order::Stop, &channel, None);
             assert!(
                 told.contains(&format!("arm {words}")) && told.contains("hand stands"),
@@ -402,6 +398,19 @@ mod tests {
             );
             assert_eq!(channel.is_obeyed(), !standing.moving, "{told}");
         }
+    }
+
+    #[test]
+    fn a_line_says_what_is_known() {
+        let bob = StopState {
+            stopped: true,
+            by: Some("bob".to_owned()),
+            reason: Some("smoke".to_owned()),
+            ..StopState::default()
+        };
+        let measured = measured();
+        let obeys = told(&[("arm", measured)]);
+        assert_eq!(line(Order::Stop, &obeys, None), "/robot/arm: arm stands");
         assert_eq!(
             line(Order::Unstop, &obeys, Some(&bob)),
             "/robot/arm: arm may move; was stopped by bob (smoke)"

@@ -140,7 +140,7 @@ impl Track {
             id: None,
             fence: Some(fence),
         };
-        let speed = if fence % 2 == 0 { -SPEED } else { SPEED };
+        let speed = if fence.is_multiple_of(2) { -SPEED } else { SPEED };
         let script = Script::read::<Cart>(&format!("go {speed}")).expect("a script");
         let command = Command {
             order,

@@ -101,10 +101,8 @@ async fn what_obeys_and_does_not_stand_is_named() {
     let mut rolling = mute(&lab).await;
     let state = |more: Map| {
         let said = Map::new().with("stopped", true).with("reached", true);
-        let said = more
-            .iter()
-            .fold(said, |said, (key, value)| said.with(key, value.clone()));
-        said
+        more.iter()
+            .fold(said, |said, (key, value)| said.with(key, value.clone()))
     };
     for (arguments, more, code, line) in [
         (
