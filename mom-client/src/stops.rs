@@ -236,7 +236,7 @@ impl ToldChannel {
         let obeys = self
             .devices
             .iter()
-            .all(|(_, answer)| matches!(answer, DeviceAnswer::Obeys(standing) if !standing.moving));
+            .all(|(_, answer)| matches!(answer, DeviceAnswer::Obeys(standing) if !standing.moving && !standing.unreached));
         obeys && !(self.guarded && self.devices.is_empty()) && self.newer.is_empty() && self.error.is_none()
     }
 }

@@ -87,5 +87,5 @@ function answerOf(device: Fields): DeviceAnswer {
 
 /** Whether every device of a channel has obeyed, and none still moves; a guarded channel has one at least. */
 export function isObeyed({ devices, guarded, newer, error }: ToldChannel): boolean {
-  return devices.every(({ word, moving }) => (word === "stopped" || word === "unstopped") && !moving) && !(guarded && !devices.length) && !newer.length && error === undefined;
+  return devices.every(({ word, moving, reached }) => (word === "stopped" || word === "unstopped") && !moving && reached !== false) && !(guarded && !devices.length) && !newer.length && error === undefined;
 }

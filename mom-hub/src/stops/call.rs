@@ -525,7 +525,8 @@ fn answer(call: &Call, keeps: bool) -> Map {
 impl Standing {
     /// `{moving?, rest?, reached?}`: what matters to who wants it to stand.
     fn add_to(self, mut device: Map) -> Map {
-        if self.moving {
+        // What does not say that it rests, though it could, is not known to.
+        if self.is_awaited() {
             device.set("moving", true);
         }
         if let Some(rest) = self.rest {

@@ -289,7 +289,7 @@ impl Call {
 
 impl Standing {
     /// Whether its rest is still to come.
-    fn is_awaited(self) -> bool {
+    pub(crate) fn is_awaited(self) -> bool {
         self.moving || (self.reached.is_some() && self.rest.is_none())
     }
 }

@@ -171,7 +171,10 @@ fn an_answer_waits_until_the_devices_rest() {
             "moving=true reached=false",
             device().with("moving", true).with("reached", false),
         ),
-        ("moving=false reached=true rest=sure", device()),
+        (
+            "moving=false reached=true rest=sure",
+            device().with("moving", true),
+        ),
     ] {
         let mut stage = self::stage();
         stage.say("bob", "context stop /lab/arm within=900");

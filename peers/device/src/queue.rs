@@ -31,8 +31,9 @@ pub struct CommandQueue<M: Machine> {
     publish: DeviceTime,
     /// Whether the last state that was told said that it moves.
     told_moving: bool,
-    /// What the last state that was told said of its rest.
+    /// What the last state that was told said of its rest, and whether it is reached.
     told_rest: Option<AtRest>,
+    told_reached: bool,
     rest: Rest,
     /// It was to stand while it moved, and does not rest yet.
     halting: bool,
@@ -44,6 +45,9 @@ pub struct CommandQueue<M: Machine> {
 
 /// µs that a new owner waits beyond twice the stopping time until the device rests.
 const PATIENCE: DeviceTime = 1_000_000;
+
+/// µs after which what was heard of a device that rests does not say that it still does.
+const OLD: DeviceTime = 3_000_000;
 
 /// Whose command it is.
 #[derive(Debug, Clone, PartialEq)]
@@ -141,6 +145,7 @@ impl<M: Machine> CommandQueue<M> {
     /// A device with nothing to do.
     pub fn new(machine: M) -> Self {
         Self {
+            told_reached: machine.is_reached(),
             machine,
             now: 0,
             seq: 0,
@@ -177,18 +182,27 @@ impl<M: Machine> CommandQueue<M> {
     /// It has a new owner: no motion of it begins before the device rests.
     pub fn change_hands(&mut self, now: DeviceTime, events: &mut Vec<QueueEvent>) {
         self.advance(now, events);
+        self.doubt_old_news();
         self.changes_hands = self.rest.known().is_none();
         self.waits_until = None;
     }
 
     /// Whether it moves, or is to stand and does not rest yet. Where it is not reached nobody knows.
-    fn is_moving(&self) -> bool {
+    pub(crate) fn is_moving(&self) -> bool {
         self.machine.is_moving() || self.halting || !self.machine.is_reached()
     }
 
     /// Whether its position may change meanwhile: what is not reached tells nothing new.
     fn is_lively(&self) -> bool {
-        self.machine.is_moving() || (self.halting && self.machine.is_reached())
+        self.machine.is_reached() && (self.machine.is_moving() || self.halting)
+    }
+
+    /// That it rests is found out anew where what is known of it is old: it may have moved since.
+    fn doubt_old_news(&mut self) {
+        let known_at = self.machine.known_at().unwrap_or(self.now);
+        if self.now.saturating_sub(known_at) > OLD {
+            self.rest.disturb(self.now);
+        }
     }
 
     /// Whether a command could be taken now.
@@ -321,6 +335,9 @@ impl<M: Machine> CommandQueue<M> {
 
     /// Tells when it has come to rest.
     fn tell_rest(&mut self, events: &mut Vec<QueueEvent>) {
+        if self.told_reached != self.machine.is_reached() {
+            self.publish_state(events);
+        }
         let known = self.rest.known();
         if known.is_some() && (known != self.told_rest || self.told_moving) && !self.is_busy() {
             self.publish_state(events);
@@ -370,6 +387,7 @@ impl<M: Machine> CommandQueue<M> {
         self.advance(now, events);
         // What goes on after its command, as a wheel does, is halted too.
         if self.is_at_rest() {
+            self.doubt_old_news();
             self.machine.halt(self.now);
         } else {
             let error = DeviceError::new(ErrorName::Halted, format!("{} was halted: {reason}", M::NAME));
@@ -391,6 +409,7 @@ impl<M: Machine> CommandQueue<M> {
             let error = DeviceError::new(ErrorName::Stopped, format!("{} was stopped: {reason}", M::NAME));
             self.end(error.clone(), &error, events);
         } else {
+            self.doubt_old_news();
             self.machine.halt(self.now);
         }
     }
@@ -451,8 +470,7 @@ impl<M: Machine> CommandQueue<M> {
             return;
         };
         let late = command.use_by.and_then(|use_by| self.now.checked_sub(use_by));
-        // From here on it moves as this command says, not as one that was to stand.
-        self.halting = false;
+        self.waits_until = None;
         self.active = Some(Active {
             command,
             begun: 0,
@@ -491,6 +509,8 @@ impl<M: Machine> CommandQueue<M> {
                     self.end(error, &DeviceError::new(ErrorName::Halted, behind), events);
                     return;
                 }
+                // From here on it moves as this command says, not as one that was to stand.
+                self.halting &= !self.machine.is_moving();
                 if self.publish <= self.now {
                     self.publish = self.now.saturating_add(M::PERIOD);
                 }
@@ -511,6 +531,7 @@ impl<M: Machine> CommandQueue<M> {
         self.machine.halt(self.now);
         let active = self.active.take();
         let waiting = std::mem::take(&mut self.waiting);
+        self.waits_until = None;
         if was_moving {
             self.halting = true;
             self.rest.disturb(self.now);
@@ -528,7 +549,7 @@ impl<M: Machine> CommandQueue<M> {
     fn publish_state(&mut self, events: &mut Vec<QueueEvent>) {
         self.seq += 1;
         let state = self.state();
-        (self.told_moving, self.told_rest) = (state.moving, state.rest);
+        (self.told_moving, self.told_rest, self.told_reached) = (state.moving, state.rest, state.reached);
         events.push(QueueEvent::State(state));
     }
 }

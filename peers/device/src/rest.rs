@@ -10,6 +10,9 @@ pub const REST: DeviceTime = 300_000;
 /// µs between two looks at a device that may be coming to rest.
 const LOOK: DeviceTime = 50_000;
 
+/// The key of a position that is an angle, degrees.
+const HEADING: &str = "heading";
+
 /// How it is known that the device rests.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AtRest {
@@ -54,7 +57,17 @@ impl Sample {
             Value::Double(number) => Some(*number),
             _ => None,
         };
-        let values: Vec<f64> = position.iter().filter_map(|(_, value)| number(value)).collect();
+        let mut values = Vec::new();
+        for (key, value) in position.iter() {
+            match (number(value), key) {
+                // Degrees that go on from 359 at 0: on a circle on which a small turn is as long as its angle.
+                (Some(angle), HEADING) => {
+                    let (sine, cosine) = angle.to_radians().sin_cos();
+                    values.extend([sine.to_degrees(), cosine.to_degrees()]);
+                }
+                (number, _) => values.extend(number),
+            }
+        }
         (!values.is_empty()).then_some(Sample { at, values })
     }
 
@@ -73,8 +86,8 @@ impl Sample {
 pub struct Rest {
     tolerance: f64,
     stopping_time: DeviceTime,
-    /// When something moved it last, or it was to stand.
-    since: DeviceTime,
+    /// When something moved it last, or it was to stand; none before it was looked at.
+    since: Option<DeviceTime>,
     /// The first of the measurements that differ by less than the tolerance.
     first: Option<Sample>,
     known: Option<AtRest>,
@@ -87,7 +100,7 @@ impl Rest {
         Rest {
             tolerance,
             stopping_time,
-            since: 0,
+            since: None,
             first: None,
             known: None,
         }
@@ -95,18 +108,21 @@ impl Rest {
 
     /// Something moves it, or may: that it rests is to be found out anew.
     pub fn disturb(&mut self, now: DeviceTime) {
-        (self.since, self.first, self.known) = (now, None, None);
+        (self.since, self.first, self.known) = (Some(now), None, None);
     }
 
     /// Takes in what is measured now; without a measurement its stopping time is waited for.
     pub fn observe(&mut self, sample: Option<Sample>, now: DeviceTime) {
-        let Some(sample) = sample else {
+        let since = *self.since.get_or_insert(now);
+        // What is no number is no measurement.
+        let is_finite = |sample: &Sample| sample.values.iter().all(|value| value.is_finite());
+        let Some(sample) = sample.filter(is_finite) else {
             self.first = None;
-            let passed = now.saturating_sub(self.since) >= self.stopping_time;
+            let passed = now.saturating_sub(since) >= self.stopping_time;
             self.known = passed.then_some(AtRest::NotMeasured);
             return;
         };
-        if sample.at < self.since {
+        if sample.at < since {
             return;
         }
         match self
@@ -184,6 +200,33 @@ mod tests {
         );
         rest.observe(sample(3.0, 700_000), 700_000);
         assert_eq!(rest.known(), None, "what is measured counts");
+    }
+
+    #[test]
+    fn a_heading_goes_on_at_the_full_turn_and_what_is_no_number_is_no_measurement() {
+        let heading = |angle: f64, at| Sample::of(&Map::new().with("heading", Value::Double(angle)), at);
+        let mut rest = Rest::new(2.0, STOPPING);
+        for (step, angle) in [359.0, 0.0, 359.6, 0.4, 359.0].into_iter().enumerate() {
+            let now = 100_000 * step as i64;
+            rest.observe(heading(angle, now), now);
+        }
+        assert_eq!(rest.known(), Some(AtRest::Measured));
+        rest.observe(heading(3.0, 500_000), 500_000);
+        assert_eq!(rest.known(), None, "it has turned by more than two degrees");
+        let mut rest = Rest::new(2.0, STOPPING);
+        for step in 0..=10 {
+            rest.observe(sample(f64::NAN, step * 50_000), step * 50_000);
+        }
+        assert_eq!(rest.known(), Some(AtRest::NotMeasured));
+    }
+
+    #[test]
+    fn the_stopping_time_begins_when_it_is_looked_at_first() {
+        let mut rest = Rest::new(1.0, STOPPING);
+        rest.observe(None, 600_000_000);
+        assert_eq!(rest.known(), None);
+        rest.observe(None, 600_000_000 + STOPPING);
+        assert_eq!(rest.known(), Some(AtRest::NotMeasured));
     }
 
     proptest! {

@@ -291,7 +291,8 @@ impl<M: Machine> DeviceServer<M> {
     ) -> Result<(), CommandRefusal> {
         // The token's events may still be under way; the command's fence has the same information.
         self.take_owner(order.fence.unwrap_or(0), now, out);
-        self.states.set_moving(self.queue.is_busy());
+        self.states
+            .set_moving(self.queue.is_busy() || self.queue.is_moving());
         self.states.check(parcel)?;
         if let Some(pull) = &self.pull {
             pull.check(parcel, age)?;

@@ -476,7 +476,9 @@ impl Machine for Rover {
             Doing::Follows { due, .. } => *due,
         };
         let settles = (self.stands() && self.now < self.settles).then_some(self.settles);
-        [doing, settles, self.stop_again, self.holds_again()]
+        // It may tell something again.
+        let deaf = self.sensors.is_none().then(|| self.now.saturating_add(PERIOD));
+        [doing, settles, self.stop_again, self.holds_again(), deaf]
             .into_iter()
             .flatten()
             .min()

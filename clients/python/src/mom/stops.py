@@ -66,7 +66,7 @@ class DeviceAnswer:
     @property
     def obeys(self) -> bool:
         """Whether it has said that it obeys, and not that it still moves."""
-        return self.word in ("stopped", "unstopped") and not self.moving
+        return self.word in ("stopped", "unstopped") and not self.moving and self.reached
 
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> DeviceAnswer:

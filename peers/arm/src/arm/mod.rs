@@ -259,6 +259,9 @@ impl Arm {
         if self.active.is_some() {
             let error = ArmError::new(ErrorName::Halted, format!("the arm was halted: {reason}"));
             self.end(error.clone(), &error, events);
+        } else {
+            // The controller may not do what is known of it.
+            self.controller.halt(self.now);
         }
     }
 
@@ -289,6 +292,8 @@ impl Arm {
             self.stopped = true;
             let error = ArmError::new(ErrorName::Stopped, format!("the arm was stopped: {reason}"));
             self.end(error.clone(), &error, events);
+        } else {
+            self.controller.halt(self.now);
         }
     }
 
