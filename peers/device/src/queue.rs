@@ -404,12 +404,12 @@ impl<M: Machine> CommandQueue<M> {
     /// Stands, drops every command with the error `stopped`, and takes none until `unstop`.
     pub fn stop(&mut self, now: DeviceTime, reason: &str, events: &mut Vec<QueueEvent>) {
         self.advance(now, events);
+        self.doubt_old_news();
         if !self.stopped {
             self.stopped = true;
             let error = DeviceError::new(ErrorName::Stopped, format!("{} was stopped: {reason}", M::NAME));
             self.end(error.clone(), &error, events);
         } else {
-            self.doubt_old_news();
             self.machine.halt(self.now);
         }
     }

@@ -23,6 +23,8 @@ struct Cart {
     measures: bool,
     brakes: bool,
     lost: bool,
+    /// When it was heard last, if that is long ago.
+    heard: Option<DeviceTime>,
 }
 
 impl Machine for Cart {
@@ -37,8 +39,8 @@ impl Machine for Cart {
     }
 
     fn is_moving(&self) -> bool {
-        // What was meant: it knows nothing of its rolling.
-        self.drive.is_some()
+        // What was meant, and what is not known: it knows nothing of its rolling.
+        self.drive.is_some() || self.lost
     }
 
     fn is_reached(&self) -> bool {
@@ -73,6 +75,10 @@ impl Machine for Cart {
             }
             self.x += self.speed / 1000.0;
         }
+    }
+
+    fn known_at(&self) -> Option<DeviceTime> {
+        self.heard
     }
 
     fn position(&self) -> Map {
@@ -132,6 +138,11 @@ impl Track {
             }
             self.places.push(self.queue.machine().x);
         }
+    }
+
+    fn change_hands(&mut self) {
+        self.act(|queue, now, events| queue.halt(now, "the token changed hands", events));
+        self.act(|queue, now, events| queue.change_hands(now, events));
     }
 
     fn go(&mut self, peer: &str, fence: u64) -> Result<(), DeviceError> {
@@ -201,8 +212,7 @@ fn the_first_motion_of_a_new_owner_begins_at_rest() {
     let mut track = Track::of(true, true);
     track.go("alice", 1).expect("taken");
     track.pass(600);
-    track.act(|queue, now, events| queue.halt(now, "the token changed hands", events));
-    track.act(|queue, now, events| queue.change_hands(now, events));
+    track.change_hands();
     track.go("bob", 2).expect("taken");
     let asked = track.now;
     track.pass(3_000);
@@ -222,8 +232,7 @@ fn who_owns_what_does_not_come_to_rest_is_refused() {
     let mut track = Track::of(true, false);
     track.go("alice", 1).expect("taken");
     track.pass(300);
-    track.act(|queue, now, events| queue.halt(now, "the token changed hands", events));
-    track.act(|queue, now, events| queue.change_hands(now, events));
+    track.change_hands();
     track.go("bob", 2).expect("taken");
     let asked = track.now;
     track.pass(1_999);
@@ -259,8 +268,7 @@ fn without_a_measurement_the_stopping_time_is_waited_for() {
     track.act(|queue, now, events| queue.unstop(now, events));
     track.go("alice", 1).expect("taken");
     track.pass(100);
-    track.act(|queue, now, events| queue.halt(now, "the token changed hands", events));
-    track.act(|queue, now, events| queue.change_hands(now, events));
+    track.change_hands();
     let halted = track.now;
     track.go("bob", 2).expect("taken");
     track.pass(1_000);
@@ -309,4 +317,45 @@ fn each_stop_and_halt_reaches_the_machine() {
         track.queue.state().rest.is_some() && !track.queue.state().moving,
         "it rested all the time"
     );
+}
+
+#[test]
+fn old_news_does_not_say_that_it_rests() {
+    let mut track = Track::of(true, true);
+    assert_eq!(track.queue.state().rest, Some(AtRest::Measured));
+    let heard = track.now;
+    track.act(|queue, now, events| queue.note(now, |cart| cart.heard = Some(heard), events));
+    track.pass(10_000);
+    track.act(|queue, now, events| queue.stop(now, "smoke", events));
+    assert_eq!(track.queue.state().rest, None, "it was heard ten seconds ago");
+    track.pass(1_000);
+    assert_eq!(track.queue.state().rest, None);
+    track.act(|queue, now, events| queue.note(now, |cart| cart.heard = None, events));
+    track.pass(400);
+    assert_eq!(track.queue.state().rest, Some(AtRest::Measured));
+}
+
+/// The deadline of a command that was ended while it waited is not that of a later one.
+#[test]
+fn each_command_of_a_new_owner_has_its_own_time() {
+    let mut track = Track::of(true, false);
+    track.go("alice", 1).expect("taken");
+    track.pass(300);
+    track.change_hands();
+    track.go("bob", 2).expect("taken");
+    track.pass(1_500);
+    track.act(|queue, now, events| queue.halt(now, "the link to the hub was lost", events));
+    track.pass(3_000);
+    track.go("bob", 2).expect("taken");
+    let asked = track.now;
+    track.pass(1_999);
+    assert!(track.queue.is_busy(), "it waits");
+    track.act(|queue, now, events| queue.note(now, |cart| cart.brakes = true, events));
+    track.go("bob", 2).expect("taken");
+    track.pass(2);
+    let refused = track.told.iter().filter(|(at, event)| {
+        *at >= asked
+            && matches!(event, QueueEvent::Failed(_, error) if error.name() == ErrorName::ChangingHands)
+    });
+    assert_eq!(refused.count(), 2, "both had waited since the first was sent");
 }
