@@ -256,12 +256,10 @@ impl Arm {
     /// Not latched: the next command is taken. A block in the jaws stays there.
     pub fn halt(&mut self, now: ArmTime, reason: &str, events: &mut Vec<ArmEvent>) {
         self.advance(now, events);
+        self.controller.halt(self.now); // It may not do what is known of it.
         if self.active.is_some() {
             let error = ArmError::new(ErrorName::Halted, format!("the arm was halted: {reason}"));
             self.end(error.clone(), &error, events);
-        } else {
-            // The controller may not do what is known of it.
-            self.controller.halt(self.now);
         }
     }
 
@@ -288,12 +286,11 @@ impl Arm {
     /// Halts the arm, every command ending with the error `stopped`, and takes none until [`Arm::unstop`].
     pub fn stop(&mut self, now: ArmTime, reason: &str, events: &mut Vec<ArmEvent>) {
         self.advance(now, events);
+        self.controller.halt(self.now);
         if !self.stopped {
             self.stopped = true;
             let error = ArmError::new(ErrorName::Stopped, format!("the arm was stopped: {reason}"));
             self.end(error.clone(), &error, events);
-        } else {
-            self.controller.halt(self.now);
         }
     }
 

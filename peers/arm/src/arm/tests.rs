@@ -1,5 +1,8 @@
 //! The arm as its driver sees it.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+
 use super::*;
 use crate::controller::{LinkFault, Reading};
 use crate::motion::{MAX_OPENING, Posture, SPEED};
@@ -496,9 +499,9 @@ fn a_link_that_fails_during_a_wait_leaves_the_plan_as_it_is() {
     assert_eq!(error.name(), ErrorName::JointLimit);
 }
 
-/// A controller that is there at once.
+/// A controller that is there at once, and counts how often it is halted.
 #[derive(Debug)]
-struct AtOnce(Posture);
+struct AtOnce(Posture, Arc<AtomicU32>);
 
 impl Controller for AtOnce {
     fn begin(&mut self, instruction: &Instruction, _now: ArmTime) -> Result<(), ArmError> {
@@ -512,7 +515,9 @@ impl Controller for AtOnce {
         Progress::Done(now)
     }
 
-    fn halt(&mut self, _now: ArmTime) {}
+    fn halt(&mut self, _now: ArmTime) {
+        self.1.fetch_add(1, Ordering::Relaxed);
+    }
 
     fn next_wake(&self) -> Option<ArmTime> {
         None
@@ -529,12 +534,26 @@ impl Controller for AtOnce {
 }
 
 #[test]
-fn a_jog_takes_its_time_with_a_controller_that_is_there_at_once() {
+fn a_controller_hears_each_halt_and_a_jog_takes_its_time_where_it_is_there_at_once() {
     let posture = Posture {
         pose: HOME,
         opening: MAX_OPENING,
     };
-    let (mut arm, mut events) = (Arm::with_controller(0, Box::new(AtOnce(posture))), Vec::new());
+    let controller = AtOnce(posture, Arc::default());
+    let halts = Arc::clone(&controller.1);
+    let (mut arm, mut events) = (Arm::with_controller(0, Box::new(controller)), Vec::new());
+    // At rest, too, and where it is stopped already.
+    arm.halt(0, "test", &mut events);
+    assert_eq!(halts.load(Ordering::Relaxed), 1);
+    for times in 1..3 {
+        let before = halts.load(Ordering::Relaxed);
+        arm.stop(0, "test", &mut events);
+        assert!(
+            halts.load(Ordering::Relaxed) > before,
+            "the stop of number {times}"
+        );
+    }
+    arm.unstop(0, &mut events);
     arm.submit(1, "jog 100 0 0 0 0 500", 0, &mut events).unwrap();
     run(&mut arm, &mut events);
     assert_eq!(told(&events).last().unwrap(), "1 finished 1/1");
