@@ -415,6 +415,8 @@ impl Machine for Unit {
     const PERIOD: DeviceTime = LIVELY;
     // It tells whole mm and degrees.
     const TOLERANCE: f64 = 2.0;
+    // Over the radio. A new owner waits for 4 s then, so that of a robot that answers nothing it is told first that it is lost.
+    const STOPPING_TIME: DeviceTime = 1_500_000;
 
     fn read(verb: Word<'_>, words: &mut Words<'_>) -> Option<Result<Action, DeviceError>> {
         Action::read(verb, words)
