@@ -66,7 +66,8 @@ function toldOf(fields: Fields): ToldChannel {
     number: int(fields, "number") ?? 0,
     guarded: fields["guard"] === true,
     kept: fields["kept"] === true,
-    devices: maps("devices").map(answerOf),
+    // As the hub says it.
+    devices: maps("devices").map((device) => ({ ...device }) as unknown as DeviceAnswer),
     newer: maps("newer").map((newer) => {
       const device = text(newer, "device");
       return { ...stopStateOf(newer), stopped: true, only: device === undefined ? [] : [device] };
@@ -74,15 +75,6 @@ function toldOf(fields: Fields): ToldChannel {
   };
   const error = text(fields, "error");
   return error === undefined ? told : { ...told, error };
-}
-
-function answerOf(device: Fields): DeviceAnswer {
-  const answer: DeviceAnswer = { peer: text(device, "peer") ?? "", word: (text(device, "word") ?? "silent") as DeviceWord };
-  const rest = text(device, "rest");
-  if (rest === "measured" || rest === "not-measured") answer.rest = rest;
-  if (device["moving"] === true) answer.moving = true;
-  if (device["reached"] === false) answer.reached = false;
-  return answer;
 }
 
 /** Whether every device of a channel has obeyed, and none still moves; a guarded channel has one at least. */
