@@ -137,10 +137,10 @@ export class Client {
 
   /**
    * Stops all devices of a channel, or of all channels below a session in which this peer has the right `stop`. It joins nothing, goes before
-   * everything else, and is answered when each device has said that it obeys, or after a second.
+   * everything else, and is answered when each device has said that it obeys and, if it says anything of its rest, that it rests, or after a second.
    */
   async stop(path: string, options: StopOptions = {}): Promise<StopReport> {
-    return this.#stopping("stop", path, { ...options });
+    return this.#stopping("stop", path, options);
   }
 
   /**
@@ -148,7 +148,7 @@ export class Client {
    * {@link StopState}, and never taken from a refusal. A newer one holds on, and is named in the report.
    */
   async unstop(path: string, stops: number | { [path: string]: number }, options: Omit<StopOptions, "reason"> = {}): Promise<StopReport> {
-    return this.#stopping("unstop", path, typeof stops === "number" ? { ...options, stop: stops } : { ...options, stops });
+    return this.#stopping("unstop", path, { ...options, [typeof stops === "number" ? "stop" : "stops"]: stops });
   }
 
   /** How the devices of a channel stand by the hub's books. */
@@ -156,8 +156,8 @@ export class Client {
     return stopStateOf((await this.info(channel))["stop"]);
   }
 
-  async #stopping(name: "stop" | "unstop", path: string, content: Fields): Promise<StopReport> {
-    return reportOf(await this.ask("context", name, path, content));
+  async #stopping(name: "stop" | "unstop", path: string, content: object): Promise<StopReport> {
+    return reportOf(await this.ask("context", name, path, content as Fields));
   }
 
   /**

@@ -488,9 +488,7 @@ export class Peer {
       if (!place || wanted) {
         place ??= this.places.add(each, wanted);
         place.terms = wanted ?? place.terms;
-        place.joined = this.#join(place);
-        const own = place.joined;
-        own.catch(() => place?.joined === own && this.places.remove(place));
+        void this.#begin(place);
       }
       entered.push(place);
     }
@@ -499,11 +497,22 @@ export class Peer {
     if (kind !== undefined && found !== kind) throw new MomError("local", "wrong-kind", `${path} is a ${found}, no ${kind}`, 215);
   }
 
+  /** Begins to join a context, which is none of this peer's if that fails. */
+  #begin(place: Place): Promise<unknown> {
+    const joined = (place.joined = this.#join(place));
+    joined.catch(() => place.joined === joined && this.places.remove(place));
+    return joined;
+  }
+
+  #askToLeave(context: string): Promise<unknown> {
+    return this.request({ family: "context", name: "leave", context });
+  }
+
   /** Leaves a context and all below it. */
   async leave(path: string): Promise<void> {
     this.places.removeWithin(path);
     try {
-      await this.request({ family: "context", name: "leave", context: path });
+      await this.#askToLeave(path);
     } finally {
       this.#forget(path);
     }
@@ -512,12 +521,7 @@ export class Peer {
   /** Leaves a context and joins it again, in one go. */
   async refresh(path: string): Promise<void> {
     const place = this.places.get(path);
-    if (!place) return this.enter(path);
-    const left = this.request({ family: "context", name: "leave", context: path });
-    const joined = this.#join(place);
-    place.joined = joined;
-    joined.catch(() => place.joined === joined && this.places.remove(place));
-    await Promise.all([left, joined]);
+    await (place ? Promise.all([this.#askToLeave(path), this.#begin(place)]) : this.enter(path));
   }
 
   events(path: string): Events {

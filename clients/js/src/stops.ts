@@ -67,7 +67,7 @@ function toldOf(fields: Fields): ToldChannel {
     guarded: fields["guard"] === true,
     kept: fields["kept"] === true,
     // As the hub says it.
-    devices: maps("devices").map((device) => ({ ...device }) as unknown as DeviceAnswer),
+    devices: maps("devices") as unknown as DeviceAnswer[],
     newer: maps("newer").map((newer) => {
       const device = text(newer, "device");
       return { ...stopStateOf(newer), stopped: true, only: device === undefined ? [] : [device] };
@@ -79,5 +79,5 @@ function toldOf(fields: Fields): ToldChannel {
 
 /** Whether every device of a channel has obeyed, and none still moves; a guarded channel has one at least. */
 export function isObeyed({ devices, guarded, newer, error }: ToldChannel): boolean {
-  return devices.every(({ word, moving, reached }) => (word === "stopped" || word === "unstopped") && !moving && reached !== false) && !(guarded && !devices.length) && !newer.length && error === undefined;
+  return devices.every(({ word, moving, reached }) => /stopped$/.test(word) && !moving && reached !== false) && !(guarded && !devices.length) && !newer.length && error === undefined;
 }

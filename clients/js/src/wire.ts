@@ -130,11 +130,8 @@ export class Wire implements Heard {
   }
 }
 
-/** A door opens so long after the one before it. */
-const STAGGER = 250;
-
 /** Connects through the first of the doors that opens; each is tried so many ms after the one before, or when that has failed. */
-export async function connectWire(doors: readonly Door[], make: WebSocketClass | undefined, options: WireOptions, signal: AbortSignal, stagger = STAGGER): Promise<Wire> {
+export async function connectWire(doors: readonly Door[], make: WebSocketClass | undefined, options: WireOptions, signal: AbortSignal, stagger = 250): Promise<Wire> {
   const failures: string[] = [];
   const tries = doors.map(() => new AbortController());
   return new Promise<Wire>((resolve, reject) => {
