@@ -5,6 +5,7 @@
 //! A [`Machine`] says what the device itself can do; [`CommandQueue`] carries commands out as a pure function of time, [`DeviceServer`]
 //! decides how they are answered, and [`DevicePeer`] connects it to the hub.
 
+mod clock;
 mod error;
 mod machine;
 mod outlet;
@@ -16,6 +17,7 @@ mod script;
 mod server;
 mod words;
 
+pub use clock::{instant_of, sleep_or_wait, time_since};
 pub use error::{DeviceError, ErrorName};
 pub use machine::Machine;
 pub use outlet::{Outlet, Sending, sender};

@@ -1,11 +1,11 @@
 //! The device as a peer: hears its channel, lets time pass, and sends what is to be said.
 
-use std::future::pending;
 use std::time::{Duration, SystemTime};
 
 use mom_client::{Channel, Client, Event, Events, FenceGate, Parcel, Time};
-use tokio::time::{Instant, sleep_until, timeout};
+use tokio::time::{Instant, timeout};
 
+use crate::clock::{instant_of, sleep_or_wait, time_since};
 use crate::outlet::{Outlet, Sending, sender};
 use crate::server::STATE;
 use crate::{DeviceError, DeviceServer, DeviceTime, Machine, State};
@@ -68,7 +68,7 @@ impl<M: Machine> DevicePeer<M> {
 
     /// Its time.
     pub fn now(&self) -> DeviceTime {
-        DeviceTime::try_from(self.begin.elapsed().as_micros()).unwrap_or(DeviceTime::MAX)
+        time_since(self.begin)
     }
 
     /// Whether its link to the hub is down, so that nothing can be said.
@@ -164,14 +164,7 @@ impl<M: Machine> DevicePeer<M> {
     }
 
     fn at(&self, due: DeviceTime) -> Instant {
-        self.begin + Duration::from_micros(u64::try_from(due).unwrap_or(0))
-    }
-}
-
-async fn sleep_or_wait(wake: Option<Instant>) {
-    match wake {
-        Some(wake) => sleep_until(wake).await,
-        None => pending().await,
+        instant_of(self.begin, due)
     }
 }
 

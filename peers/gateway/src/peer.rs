@@ -10,14 +10,14 @@ use mom_brs::Frame;
 use mom_brs::Table;
 use mom_brs::file::EXTENDED;
 use mom_client::{Channel, Client, ClientError, Path};
-use mom_device::DeviceTime;
+use mom_device::{DeviceTime, time_since};
 use mom_fleet::{ensure_session, enter, enter_status};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep};
 
 use crate::Unit;
-use crate::robot::{Robot, since};
+use crate::robot::Robot;
 use crate::station::Heard;
 
 /// Robots of one connection. Each of them has its peer join a session, a token and a channel, and a peer joins 1024 contexts, unless
@@ -159,7 +159,7 @@ pub async fn run(
                 break;
             }
         };
-        let unit = Unit::new(line.unit, options.table).with_clock(move || since(begin), epoch);
+        let unit = Unit::new(line.unit, options.table).with_clock(move || time_since(begin), epoch);
         let robot = Robot::new(place, line, unit, begin, Arc::clone(&missing));
         robots.spawn(robot.live(channel, stopping.clone()));
     }

@@ -1,6 +1,5 @@
 //! A robot between its channel and its wire.
 
-use std::future::pending;
 use std::pin::pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -8,7 +7,9 @@ use std::time::Duration;
 
 use mom_brs::Code;
 use mom_client::{Channel, ClientError, Parcel};
-use mom_device::{DeviceError, DevicePeer, DeviceTime, ErrorName, Machine, Outlet, sender};
+use mom_device::{
+    DeviceError, DevicePeer, ErrorName, Machine, Outlet, instant_of, sender, sleep_or_wait, time_since,
+};
 use mom_fleet::StatusTeller;
 use tokio::sync::watch;
 use tokio::task::yield_now;
@@ -199,10 +200,10 @@ impl Robot {
         if let Err(why) = say(&self.line, &mut self.unit) {
             tracing::debug!(unit = self.line.unit, why, "the robot was not told");
         }
-        let wake = self.unit.next_wake().map(|due| at(self.begin, due));
+        let wake = self.unit.next_wake().map(|due| instant_of(self.begin, due));
         tokio::select! {
             news = self.line.heard.next() => {
-                self.unit.advance(since(self.begin));
+                self.unit.advance(time_since(self.begin));
                 match news {
                     Some(News::Linked) => self.unit.linked(),
                     Some(News::Lost(_)) => self.unit.lost(),
@@ -211,7 +212,7 @@ impl Robot {
                     None => return false,
                 }
             }
-            () = sleep_or_wait(wake) => self.unit.advance(since(self.begin)),
+            () = sleep_or_wait(wake) => self.unit.advance(time_since(self.begin)),
         }
         true
     }
@@ -302,20 +303,4 @@ fn say(line: &RobotWire, unit: &mut Unit) -> Result<(), String> {
         unit.sent();
     }
     said
-}
-
-/// The time of devices: µs since the program began.
-pub(crate) fn since(begin: Instant) -> DeviceTime {
-    DeviceTime::try_from(begin.elapsed().as_micros()).unwrap_or(DeviceTime::MAX)
-}
-
-fn at(begin: Instant, due: DeviceTime) -> Instant {
-    begin + Duration::from_micros(u64::try_from(due).unwrap_or(0))
-}
-
-async fn sleep_or_wait(wake: Option<Instant>) {
-    match wake {
-        Some(wake) => sleep_until(wake).await,
-        None => pending().await,
-    }
 }

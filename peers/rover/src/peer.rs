@@ -1,11 +1,11 @@
 //! The robot as a peer: its contexts, and the channel in which robots tell each other where they are.
 
-use std::future::{Future, pending};
+use std::future::Future;
 use std::pin::{Pin, pin};
 use std::time::Duration;
 
 use mom_client::{Channel, Client, ClientError, Delivery, Event, Family, Parcel, Path, Value};
-use mom_device::{DevicePeer, DeviceTime, Machine as _, Outlet, State, sender};
+use mom_device::{DevicePeer, Machine as _, Outlet, State, instant_of, sender, sleep_or_wait, time_since};
 use mom_fleet::{StatusTeller, ensure_session, enter, enter_status};
 use mom_wheels::pilot::Point;
 use tokio::sync::mpsc;
@@ -75,7 +75,7 @@ pub async fn run(
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), ClientError> {
     let begin = Instant::now();
-    let mut rover = rover.with_clock(move || since(begin));
+    let mut rover = rover.with_clock(move || time_since(begin));
     let ended = live(&client, &mut rover, &options, begin, pin!(shutdown)).await;
     stand(&mut rover, begin).await;
     client.close().await;
@@ -137,11 +137,11 @@ async fn live(
         };
         let mut back = pin!(back);
         channel = loop {
-            let wake = rover.next_wake().map(|due| at(begin, due));
+            let wake = rover.next_wake().map(|due| instant_of(begin, due));
             tokio::select! {
                 biased;
                 () = &mut shutdown => return Ok(()),
-                () = sleep_or_wait(wake) => rover.advance(since(begin)),
+                () = sleep_or_wait(wake) => rover.advance(time_since(begin)),
                 entered = &mut back => break entered?,
             }
         };
@@ -211,15 +211,15 @@ async fn obey(
 /// Has a robot stand, and waits until its driver has taken that.
 async fn stand(rover: &mut Rover, begin: Instant) {
     let until = Instant::now() + LAST_STOP;
-    rover.halt(since(begin));
+    rover.halt(time_since(begin));
     while !rover.stands() {
-        let due = rover.next_wake().map(|due| at(begin, due));
+        let due = rover.next_wake().map(|due| instant_of(begin, due));
         let Some(due) = due.filter(|due| *due <= until) else {
             tracing::error!("the robot may be moving: its driver has not taken the stop");
             return;
         };
         sleep_until(due).await;
-        rover.advance(since(begin));
+        rover.advance(time_since(begin));
     }
 }
 
@@ -355,21 +355,5 @@ fn hear_pose(client: &Client, device: &mut DevicePeer<Rover>, event: &Event) {
     if let (Some(x), Some(y)) = (number("x"), number("y")) {
         let age = client.clock().age(parcel);
         device.note(|rover| rover.heard(peer, Point::new(x as f64, y as f64), age));
-    }
-}
-
-/// Its time: µs since the program began.
-fn since(begin: Instant) -> DeviceTime {
-    DeviceTime::try_from(begin.elapsed().as_micros()).unwrap_or(DeviceTime::MAX)
-}
-
-fn at(begin: Instant, due: DeviceTime) -> Instant {
-    begin + Duration::from_micros(u64::try_from(due).unwrap_or(0))
-}
-
-async fn sleep_or_wait(wake: Option<Instant>) {
-    match wake {
-        Some(wake) => sleep_until(wake).await,
-        None => pending().await,
     }
 }
