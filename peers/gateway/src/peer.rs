@@ -4,17 +4,17 @@ use std::future::Future;
 use std::pin::pin;
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
-use std::time::{Duration, SystemTime};
+use std::time::SystemTime;
 
 use mom_brs::Frame;
 use mom_brs::Table;
 use mom_brs::file::EXTENDED;
 use mom_client::{Channel, Client, ClientError, Path};
 use mom_device::{DeviceTime, time_since};
-use mom_fleet::{ensure_session, enter, enter_status};
+use mom_fleet::{ensure_session, enter, enter_status, stay};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
-use tokio::time::{Instant, sleep};
+use tokio::time::Instant;
 
 use crate::Unit;
 use crate::robot::Robot;
@@ -23,10 +23,6 @@ use crate::station::Heard;
 /// Robots of one connection. Each of them has its peer join a session, a token and a channel, and a peer joins 1024 contexts, unless
 /// the hub's file says otherwise.
 const ROBOTS_PER_CONNECTION: usize = 256;
-/// So long after a channel is gone it is tried to get it back, and ever more seldom up to this.
-pub(crate) const FIRST_PAUSE: Duration = Duration::from_millis(500);
-pub(crate) const MOST_PAUSE: Duration = Duration::from_secs(10);
-
 /// How many connections to the hub so many robots need.
 #[must_use]
 pub fn connections(robots: usize) -> usize {
@@ -134,7 +130,15 @@ pub async fn run(
     let mut statuses = JoinSet::new();
     for client in &clients {
         let status = enter_status(client, &options.status()).await?;
-        statuses.spawn(keep_status(client.clone(), status));
+        let (client, path) = (client.clone(), options.status());
+        statuses.spawn(stay(
+            status,
+            move || {
+                let (client, path) = (client.clone(), path.clone());
+                async move { enter_status(&client, &path).await }
+            },
+            drop,
+        ));
     }
     let (stop, stopping) = watch::channel(false);
     let mut robots = JoinSet::new();
@@ -231,32 +235,6 @@ impl RobotSite {
     /// The channel of all states; none if the session's path is none.
     pub(crate) fn status(&self) -> Option<Path> {
         Path::parse(&self.options.status()).ok()
-    }
-}
-
-/// Stays in the channel of all states for as long as the client lives, also when that goes and comes back.
-async fn keep_status(client: Client, first: Channel) {
-    let path = first.path().to_string();
-    let mut channel = first;
-    let mut pause = FIRST_PAUSE;
-    loop {
-        let mut events = channel.events();
-        drop(channel);
-        while events.next().await.is_some() {
-            pause = FIRST_PAUSE;
-        }
-        drop(events);
-        channel = loop {
-            sleep(pause).await;
-            pause = (pause * 2).min(MOST_PAUSE);
-            match enter_status(&client, &path).await {
-                Ok(channel) => break channel,
-                Err(ClientError::Closed(_)) => return,
-                Err(error) => {
-                    tracing::debug!(%error, path, "the channel of all states is not back");
-                }
-            }
-        };
     }
 }
 

@@ -10,13 +10,13 @@ use mom_client::{Channel, ClientError, Parcel};
 use mom_device::{
     DeviceError, DevicePeer, ErrorName, Machine, Outlet, instant_of, sender, sleep_or_wait, time_since,
 };
-use mom_fleet::StatusTeller;
+use mom_fleet::{StatusTeller, come_back};
 use tokio::sync::watch;
 use tokio::task::yield_now;
-use tokio::time::{Instant, sleep, sleep_until};
+use tokio::time::{Instant, sleep_until};
 
 use crate::Unit;
-use crate::peer::{FIRST_PAUSE, MOST_PAUSE, News, RobotSite, RobotWire};
+use crate::peer::{News, RobotSite, RobotWire};
 use crate::station::is_stop;
 
 /// So long a robot may take to say that it stands before the program ends all the same.
@@ -148,20 +148,7 @@ impl Robot {
         stopping: &mut watch::Receiver<bool>,
     ) -> Result<Option<Channel>, ClientError> {
         let place = self.place.clone();
-        let back = async {
-            let mut pause = FIRST_PAUSE;
-            loop {
-                sleep(pause).await;
-                match place.enter().await {
-                    Err(ClientError::Closed(why)) => return Err(ClientError::Closed(why)),
-                    Err(error) => {
-                        tracing::debug!(unit = place.unit, %error, "the robot's channel is not back");
-                    }
-                    entered => return entered,
-                }
-                pause = (pause * 2).min(MOST_PAUSE);
-            }
-        };
+        let back = come_back(|| place.enter());
         let mut back = pin!(back);
         loop {
             tokio::select! {

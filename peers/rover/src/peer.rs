@@ -6,11 +6,11 @@ use std::time::Duration;
 
 use mom_client::{Channel, Client, ClientError, Delivery, Event, Family, Parcel, Path, Value};
 use mom_device::{DevicePeer, Machine as _, Outlet, State, instant_of, sender, sleep_or_wait, time_since};
-use mom_fleet::{StatusTeller, ensure_session, enter, enter_status};
+use mom_fleet::{StatusTeller, come_back, ensure_session, enter, enter_status, stay};
 use mom_wheels::pilot::Point;
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
-use tokio::time::{Instant, sleep, sleep_until};
+use tokio::time::{Instant, sleep_until};
 
 use crate::Rover;
 
@@ -19,9 +19,6 @@ pub const POSE: &str = "pose";
 /// So often it tells while it moves, and while it stands: who follows it has to know that it does.
 const MOVING: Duration = Duration::from_millis(100);
 const STANDING: Duration = Duration::from_millis(250);
-/// So long after its channel is gone it tries to get it back, and ever more seldom up to this.
-const FIRST_PAUSE: Duration = Duration::from_millis(500);
-const MOST_PAUSE: Duration = Duration::from_secs(10);
 /// So long its driver may take to take the last stop before the program ends all the same.
 const LAST_STOP: Duration = Duration::from_secs(1);
 /// The most poses of others that wait.
@@ -99,8 +96,19 @@ async fn live(
         (options.hear.clone(), Kind::Channel, Some(hand)),
     ] {
         if let Some(path) = path {
-            let first = join(client, &path, kind).await?;
-            joined.spawn(keep_joined(client.clone(), first, kind, hand));
+            let first = join(client.clone(), path.clone(), kind).await?;
+            let client = client.clone();
+            let hand_on = move |event| {
+                if let Some(hand) = &hand {
+                    // Poses that nobody looks at in time are old.
+                    let _ = hand.try_send(event);
+                }
+            };
+            joined.spawn(stay(
+                first,
+                move || join(client.clone(), path.clone(), kind),
+                hand_on,
+            ));
         }
     }
     loop {
@@ -121,20 +129,7 @@ async fn live(
             path = options.path,
             "the robot's channel is gone; it stands until that is back"
         );
-        let back = async {
-            let mut pause = FIRST_PAUSE;
-            loop {
-                sleep(pause).await;
-                match enter_robot(client, options).await {
-                    Err(ClientError::Closed(why)) => return Err(ClientError::Closed(why)),
-                    Err(error) => {
-                        tracing::debug!(%error, "the robot's channel is not back");
-                    }
-                    entered => return entered,
-                }
-                pause = (pause * 2).min(MOST_PAUSE);
-            }
-        };
+        let back = come_back(|| enter_robot(client, options));
         let mut back = pin!(back);
         channel = loop {
             let wake = rover.next_wake().map(|due| instant_of(begin, due));
@@ -242,40 +237,10 @@ enum Kind {
     Channel,
 }
 
-async fn join(client: &Client, path: &str, kind: Kind) -> Result<Channel, ClientError> {
+async fn join(client: Client, path: String, kind: Kind) -> Result<Channel, ClientError> {
     match kind {
-        Kind::Status => enter_status(client, path).await,
-        Kind::Channel => client.channel(path).await,
-    }
-}
-
-/// Stays in a channel for as long as the client lives, also when that goes and comes back, and hands its events on.
-async fn keep_joined(client: Client, first: Channel, kind: Kind, hand: Option<mpsc::Sender<Event>>) {
-    let path = first.path().to_string();
-    let mut channel = first;
-    let mut pause = FIRST_PAUSE;
-    loop {
-        let mut events = channel.events();
-        drop(channel);
-        while let Some(event) = events.next().await {
-            pause = FIRST_PAUSE;
-            if let Some(hand) = &hand {
-                // Poses that nobody looks at in time are old.
-                let _ = hand.try_send(event);
-            }
-        }
-        drop(events);
-        channel = loop {
-            sleep(pause).await;
-            pause = (pause * 2).min(MOST_PAUSE);
-            match join(&client, &path, kind).await {
-                Ok(channel) => break channel,
-                Err(ClientError::Closed(_)) => return,
-                Err(error) => {
-                    tracing::debug!(%error, path, "a channel is not back");
-                }
-            }
-        };
+        Kind::Status => enter_status(&client, &path).await,
+        Kind::Channel => client.channel(&path).await,
     }
 }
 
