@@ -1,5 +1,6 @@
 // Stopping a session and a channel, and letting go, against a real broker; what waits and what is dropped, at a hub of the test's.
 import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
 import test, { after, before } from "node:test";
 import { setTimeout as sleep } from "node:timers/promises";
 import { WebSocket } from "ws";
@@ -72,6 +73,14 @@ test("an unstop of an older stop lifts nothing, and says who has stopped since, 
   await assert.rejects(channel.sendAcknowledged("unstop"), { code: "bad-slot" });
   await channel.sendAcknowledged("unstop", undefined, { stop: second });
   await eventually(() => !device.isStopped);
+});
+
+test("the cases of answers", () => {
+  const cases = JSON.parse(readFileSync(new URL("../../../tests/cases/answers.json", import.meta.url), "utf8"));
+  assert.ok(cases.length >= 12);
+  for (const { name, answer, obeyed } of cases) {
+    assert.equal(isObeyed({ path: "/robot/arm", number: 7, guarded: true, kept: true, newer: [], devices: [{ peer: "arm", ...answer }] }), obeyed, name);
+  }
 });
 
 test("what obeys and still moves does not stand, and is waited for", async (t) => {

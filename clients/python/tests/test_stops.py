@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from datetime import datetime
+from pathlib import Path
 from typing import Any, AsyncIterator, Dict, List
 
 import pytest
@@ -84,6 +86,17 @@ async def test_one_request_stops_what_is_below_a_session(broker: Broker, arm: mo
                 pass
             assert unstop.stop == told.number
         assert not (await bob.stops(ARM)).stopped
+
+
+ANSWERS = json.loads((Path(__file__).parents[3] / "tests/cases/answers.json").read_text())
+
+
+@pytest.mark.parametrize("case", ANSWERS, ids=[case["name"] for case in ANSWERS])
+def test_case(case: Dict[str, Any]) -> None:
+    channel = {"path": ARM, "number": 7, "guard": True, "kept": True, "devices": [{"peer": "arm", **case["answer"]}]}
+    (told,) = StopReport.of({"channels": [channel]}).channels
+    assert told.is_obeyed == case["obeyed"]
+    assert told.devices == [mom.DeviceAnswer("arm", **case["answer"])]
 
 
 async def test_what_obeys_and_still_moves_does_not_stand(broker: Broker) -> None:

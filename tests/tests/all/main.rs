@@ -2,6 +2,7 @@
 
 mod access;
 mod agents;
+mod answers;
 mod attacks;
 mod browser;
 mod calibrate;

@@ -18,7 +18,7 @@ use tokio::time::timeout;
 
 use crate::losses::Lab;
 
-const ARM: &str = "/robot/arm";
+pub(crate) const ARM: &str = "/robot/arm";
 
 /// Runs a command as a user.
 async fn mom(lab: &Lab, user: &'static str, arguments: &'static [&'static str]) -> Output {
@@ -41,7 +41,7 @@ fn join(terms: Map) -> Parcel {
 }
 
 /// A device that hears all and says nothing.
-async fn mute(lab: &Lab) -> Raw {
+pub(crate) async fn mute(lab: &Lab) -> Raw {
     let mut mute = Raw::login(lab.broker.local_addr(), Form::Binary, "arm").await;
     mute.join(&["/robot"]).await;
     let terms = Map::new().with("device", true);

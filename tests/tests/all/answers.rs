@@ -1,0 +1,74 @@
+//! `tests/cases/answers.json`: what a stopped device says of itself, what the hub makes of it, and whether a client takes that for obeyed.
+
+use std::time::Duration;
+
+use mom_client::{Client, DeviceAnswer, Rest, Standing};
+use mom_proto::{Family, Map, Value};
+use mom_tests::raw::message;
+use serde_json::Value as Json;
+
+use crate::losses::Lab;
+use crate::stops::{ARM, mute};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_hub_and_the_client_answer_by_the_cases() {
+    let lab = Lab::start().await;
+    let mut device = mute(&lab).await;
+    let hub = format!("bin://{}", lab.broker.local_addr());
+    let alice = Client::builder(hub.as_str()).user("alice").password("alice");
+    let alice = alice.connect().await.expect("she may");
+    let cases: Vec<Json> = serde_json::from_str(include_str!("../../cases/answers.json")).expect("cases");
+    assert!(cases.len() >= 12);
+    for case in &cases {
+        let name = case["name"].as_str().expect("a name");
+        // Such a device cannot come back here; the hub's own tests have it.
+        if case["says"] == "lost" {
+            continue;
+        }
+        let stopping = alice.stop(ARM).only(["arm~2"]).within(Duration::from_millis(300));
+        let says = async {
+            device.next_of(Family::Message, "stop").await;
+            if let Json::Object(says) = &case["says"] {
+                let content: Map = says
+                    .iter()
+                    .map(|(key, said)| (key.clone(), value_of(said)))
+                    .collect();
+                device.send_parcel(&message("state", ARM, content)).await;
+            }
+        };
+        let (report, ()) = tokio::join!(stopping.send(), says);
+        let report = report.expect("it is answered");
+        let [channel] = &report.channels[..] else {
+            panic!("{name}: {report:?}");
+        };
+        assert_eq!(channel.is_obeyed(), case["obeyed"], "{name}: {channel:?}");
+        let expected = answer_of(&case["answer"]);
+        assert_eq!(channel.devices, [("arm~2".to_owned(), expected)], "{name}");
+    }
+    alice.close().await;
+    lab.end().await;
+}
+
+fn answer_of(answer: &Json) -> DeviceAnswer {
+    match answer["word"].as_str() {
+        Some("silent") => DeviceAnswer::Silent,
+        Some("lost") => DeviceAnswer::Lost,
+        _ => DeviceAnswer::Obeys(Standing {
+            rest: match answer["rest"].as_str() {
+                Some("measured") => Some(Rest::Measured),
+                Some("not-measured") => Some(Rest::NotMeasured),
+                _ => None,
+            },
+            moving: answer["moving"] == true,
+            unreached: answer["reached"] == false,
+        }),
+    }
+}
+
+fn value_of(said: &Json) -> Value {
+    match said {
+        Json::Bool(said) => Value::Bool(*said),
+        Json::String(said) => said.as_str().into(),
+        other => panic!("{other} in the cases"),
+    }
+}
