@@ -231,6 +231,8 @@ test("a device that is gone is unknown since then, and known again when it is ba
   await page.getByRole("combobox", { name: "Device" }).selectOption(PATH);
   const unknown = moves(page).getByText(/unknown since \d\d:\d\d:\d\d/);
   await robot.moves(true);
+  // Of a device that the page has never heard nothing is unknown.
+  await moves(page).getByText("moving").waitFor();
   await robot.end();
   await unknown.waitFor();
   robot = await FakeRobot.start(hub.host, "/bench");
