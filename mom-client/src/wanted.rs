@@ -169,6 +169,13 @@ impl WantedContexts {
         place.map(|place| place.latch.clone()).unwrap_or_default()
     }
 
+    /// Notes that another token guards a channel from now on, or none, as the hub's `halt` says.
+    pub(crate) fn note_guard(&mut self, path: &Path, halt: &Map) {
+        if let Some(place) = self.places.get(path).filter(|_| halt.get("guard").is_some()) {
+            place.gate.joined(halt);
+        }
+    }
+
     /// Notes what a channel has told of stops.
     pub(crate) fn note_stops(&mut self, path: &Path, event: &Event) {
         if let Some(place) = self.places.get_mut(path).filter(|place| place.terms.device) {

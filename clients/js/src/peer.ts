@@ -341,6 +341,7 @@ export class Peer {
     switch (event.type) {
       case "message":
         if (event.name === "status") this.#status(event);
+        if (event.name === "halt" && event.sender === "hub") this.#guarded(path, fieldsOf(event.content));
         break;
       case "grabbed":
       case "released":
@@ -359,6 +360,12 @@ export class Peer {
         return;
     }
     this.subscribers.deliver([path], event);
+  }
+
+  /** Another token guards a channel from now on, or none, if a `halt` says so. */
+  #guarded(path: string, halt: Fields): void {
+    const place = this.places.get(path);
+    if (place && halt["guard"]) this.places.guarded(place, halt);
   }
 
   /** How a device says that a command of this peer goes. */

@@ -1,6 +1,6 @@
 // The contexts that this peer wants to be in.
 import { Latch } from "./latch.js";
-import { type Fields, fieldsOf, int, isFields, list, text } from "./value.js";
+import { type Fields, fieldsOf, int, list, text } from "./value.js";
 import type { Delivery } from "./parcel.js";
 
 /** The token that guards a channel, as far as is known. */
@@ -60,10 +60,15 @@ export class Places {
   joined(place: Place, reply: Fields): void {
     place.kind = text(reply, "kind") ?? "";
     place.delivery = (text(reply, "delivery") ?? "reliable") as Delivery;
-    const guard = fieldsOf(reply["guard"]);
+    this.guarded(place, reply);
+  }
+
+  /** Takes which token guards the channel, from the reply to a join or the hub's `halt`. */
+  guarded(place: Place, told: Fields): void {
+    const guard = fieldsOf(told["guard"]);
     const [token, owner] = [text(guard, "token"), text(guard, "owner")];
     place.guard = null;
-    if (!isFields(reply["guard"]) || token === undefined) return;
+    if (token === undefined) return;
     place.guard = { token, names: list(guard, "names").map(String), fence: int(guard, "fence") ?? 0, ...(owner === undefined ? {} : { owner }) };
   }
 

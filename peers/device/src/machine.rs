@@ -25,6 +25,10 @@ pub trait Machine: fmt::Debug {
     /// µs within which it stands once it is halted, whatever it did before. It says that it rests by this only where it does not measure.
     const STOPPING_TIME: DeviceTime = 1_000_000;
 
+    /// µs for which what was begun may go on while the program stands still, and by which a later statement may begin too late. The
+    /// mechanism has a deadline of its own; whatever is under way after a longer silence is ended.
+    const PATIENCE: DeviceTime = 1_000_000;
+
     /// The numbers of its position differ by less than this, each in its unit, while it rests.
     const TOLERANCE: f64 = 1.0;
 

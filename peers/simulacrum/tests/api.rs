@@ -335,10 +335,12 @@ fn what_was_set_does_not_outlive_its_owner() {
             .content("set joints 30 -20 10");
         (command.sender, command.id, command.fence) = (Some("alice".into()), Some(1), Some(5));
         server.handle(&Event::Message(command), &gate, None, 0, &mut out);
+        // A new owner's first motion waits until the robot rests.
+        server.advance(Mirror::STOPPING_TIME, &mut out);
         let (joints, _) = mirror.element("joints").expect("CUBO has them");
         let is_set = || mirror.wanted(joints) == Some(vec![30.0, -20.0, 10.0]);
         assert!(is_set() && !server.machine().is_moving(), "{out:?}");
-        server.handle(&event, &gate, None, 1000, &mut out);
+        server.handle(&event, &gate, None, Mirror::STOPPING_TIME + 1000, &mut out);
         assert_eq!(is_set(), !rests, "{event:?}");
     }
 }

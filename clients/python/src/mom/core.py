@@ -205,6 +205,9 @@ class Core:
             event, place = of_parcel(parcel), self.places.get(parcel.context or "")
             if place is not None:
                 place.latch.observe(event)
+                if parcel.is_("message", "halt") and parcel.sender == "hub" and "guard" in parcel.map():
+                    # Another token guards the channel from now on, or none.
+                    place.gate.joined(parcel.map())
             self.subscribers.deliver(_paths(parcel), event)
 
     def _receive_status(self, status: Dict[str, Any]) -> None:

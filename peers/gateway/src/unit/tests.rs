@@ -368,7 +368,7 @@ proptest! {
 #[test]
 fn a_robot_that_cannot_be_reached_is_not_said_to_stand() {
     let mut pair = Pair::new(10 * MS);
-    let unit = Unit::new(7, &EXTENDED).with_clock(|| 0, 1_000_000);
+    let unit = Unit::new(7, &EXTENDED).with_epoch(1_000_000);
     pair.queue = CommandQueue::new(unit);
     let said = |pair: &Pair| {
         let state = pair.queue.state();
@@ -443,17 +443,12 @@ fn a_halt_at_rest_reaches_the_robot_too_and_is_said_again_until_it_answers() {
 /// Its gateway is stopped for seconds; then all that was due is due at once.
 #[test]
 fn a_statement_that_should_have_begun_long_ago_is_not_begun() {
-    let clock = Arc::new(std::sync::atomic::AtomicI64::new(0));
-    let told = Arc::clone(&clock);
     let mut pair = Pair::new(0);
-    let now = move || told.load(std::sync::atomic::Ordering::Relaxed);
-    pair.queue = CommandQueue::new(Unit::new(7, &EXTENDED).with_clock(now, 0));
     pair.note(Unit::linked);
     pair.pass(100 * MS);
     pair.command("motor 300 300 500; leds 7; motor 300 300 500")
         .expect("it is taken");
     pair.pass(300 * MS);
-    clock.store(5000 * MS, std::sync::atomic::Ordering::Relaxed);
     pair.now = 5000 * MS;
     pair.queue.advance(pair.now, &mut pair.events);
     let frames = pair.said();
