@@ -126,7 +126,7 @@ export class Unpacker {
       case 0xde: return this.#map(reader.u16(), depth);
       case 0xdf: return this.#map(reader.u32(), depth);
     }
-    throw local("bad-content", `byte ${kind} begins no value of MessagePack that the protocol has`);
+    throw local("bad-content", `byte ${kind} begins no value of the protocol`);
   }
 
   #int(number: bigint): Value {

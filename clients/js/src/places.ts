@@ -1,6 +1,6 @@
 // The contexts that this peer wants to be in.
 import { Latch } from "./latch.js";
-import { type Fields, fieldsOf, int, list, text } from "./value.js";
+import { type Fields, type Value, fieldsOf, int, list, text } from "./value.js";
 import type { Delivery } from "./parcel.js";
 
 /** The token that guards a channel, as far as is known. */
@@ -25,6 +25,15 @@ export interface Place {
   guard: GuardState | null;
   /** What a device has heard of stops, for when it joins again. */
   readonly latch: Latch;
+}
+
+/** What a reply to a join, or the hub's `halt`, says of the token that guards the channel; what was known before if it does not speak of that. */
+export function guardOf(told: Value | undefined, before: GuardState | null = null): GuardState | null {
+  const fields = fieldsOf(told);
+  if (!fields["guard"]) return before;
+  const guard = fieldsOf(fields["guard"]);
+  const [token, owner] = [text(guard, "token"), text(guard, "owner")];
+  return token === undefined ? null : { token, names: list(guard, "names").map(String), fence: int(guard, "fence") ?? 0, ...(owner === undefined ? {} : { owner }) };
 }
 
 /** Whether a path is this context or below it. */
@@ -60,16 +69,7 @@ export class Places {
   joined(place: Place, reply: Fields): void {
     place.kind = text(reply, "kind") ?? "";
     place.delivery = (text(reply, "delivery") ?? "reliable") as Delivery;
-    this.guarded(place, reply);
-  }
-
-  /** Takes which token guards the channel, from the reply to a join or the hub's `halt`. */
-  guarded(place: Place, told: Fields): void {
-    const guard = fieldsOf(told["guard"]);
-    const [token, owner] = [text(guard, "token"), text(guard, "owner")];
-    place.guard = null;
-    if (token === undefined) return;
-    place.guard = { token, names: list(guard, "names").map(String), fence: int(guard, "fence") ?? 0, ...(owner === undefined ? {} : { owner }) };
+    place.guard = guardOf(reply);
   }
 
   remove(place: Place): void {

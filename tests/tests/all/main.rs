@@ -22,6 +22,7 @@ mod faults;
 mod first_hour;
 mod fleet;
 mod fleet_web;
+mod guards;
 mod heartbeat;
 
 mod lab_page;
