@@ -190,9 +190,14 @@ fn guard_of(role: &Role) -> Option<(Path, Arc<[String]>)> {
 /// Takes the token of a channel from its owner if the channel has another guard from now on, or none: the owner could
 /// not stop any more what it has set in motion there.
 fn lose_guarding(world: &mut World, channel: ContextNumber, new: &Role, out: &mut Vec<Effect>) {
-    let old = world.tree.get(channel).and_then(|context| guard_of(&context.role));
+    let old = world
+        .tree
+        .get(channel)
+        .and_then(|context| guard_of(&context.role));
     let new = guard_of(new).map(|(token, _)| token);
-    let token = old.map(|(token, _)| token).filter(|old| new.as_ref() != Some(old));
+    let token = old
+        .map(|(token, _)| token)
+        .filter(|old| new.as_ref() != Some(old));
     // The token may have been deleted before.
     let token = token.and_then(|token| world.tree.token_at(&token).map(|(number, _)| number));
     if let Some(token) = token {

@@ -419,7 +419,10 @@ fn a_channel_that_another_token_guards_from_now_on_is_safe_first() {
     assert!(told(&same, BOB, "halt").is_empty(), "nothing has changed");
     let effects = configure_with(&mut hub, &guarded("/lab/other"));
     let halts = told(&effects, BOB, "halt");
-    assert_eq!((halts.len(), guard_in(&halts[1])), (2, Some("/lab/other".to_owned())));
+    assert_eq!(
+        (halts.len(), guard_in(&halts[1])),
+        (2, Some("/lab/other".to_owned()))
+    );
     assert_eq!(owner(&mut hub, 0, "/lab/key"), None);
 }
 
@@ -453,14 +456,24 @@ fn what_runs_where_a_guard_appears_is_halted_and_who_is_there_learns_the_guard()
     ok(&mut hub, ALICE, "token grab", "/lab/key", Map::new());
     let effects = configure_with(&mut hub, &guarded(&["command"]));
     let halts = told(&effects, BOB, "halt");
-    assert_eq!((halts.len(), guard_in(&halts[0])), (1, Some("/lab/key".to_owned())));
+    assert_eq!(
+        (halts.len(), guard_in(&halts[0])),
+        (1, Some("/lab/key".to_owned()))
+    );
     let content = halts[0].value();
     let guard = content.get("guard").expect("a guard");
     assert_eq!(guard.get("owner").and_then(Value::as_str), Some("alice"));
     assert!(guard.get("fence").is_some() && halts[0].fence.is_none());
-    assert!(told(&configure_with(&mut hub, &guarded(&["command"])), BOB, "halt").is_empty(), "nothing has changed");
+    assert!(
+        told(&configure_with(&mut hub, &guarded(&["command"])), BOB, "halt").is_empty(),
+        "nothing has changed"
+    );
     // More messages need the token from now on; then none does.
-    let more = told(&configure_with(&mut hub, &guarded(&["command", "grip"])), BOB, "halt");
+    let more = told(
+        &configure_with(&mut hub, &guarded(&["command", "grip"])),
+        BOB,
+        "halt",
+    );
     assert_eq!(more.len(), 1);
     let none = told(&configure_with(&mut hub, &guarded(&[])), BOB, "halt");
     assert_eq!(none.last().and_then(|halt| guard_in(halt)), Some(String::new()));

@@ -368,7 +368,10 @@ fn a_push_is_told_though_nothing_else_is() {
     assert_eq!(track.queue.state().rest, Some(AtRest::Measured));
     track.act(|queue, now, events| queue.note(now, |cart| cart.x += 20.0, events));
     let (_, pushed) = track.states().last().expect("told");
-    assert!(track.told.len() == told + 1 && pushed.rest.is_none(), "{pushed:?}");
+    assert!(
+        track.told.len() == told + 1 && pushed.rest.is_none(),
+        "{pushed:?}"
+    );
     track.pass(400);
     let (_, last) = track.states().last().expect("told");
     assert_eq!(last.rest, Some(AtRest::Measured), "and where it rests now");
@@ -402,7 +405,8 @@ fn of_a_program_that_stood_still_no_later_statement_begins() {
         track.pass(1_000 * i64::from(script == "go 400"));
         let begun = |track: &Track| {
             let told = track.told.iter();
-            told.filter(|(_, event)| matches!(event, QueueEvent::Executing(_))).count()
+            told.filter(|(_, event)| matches!(event, QueueEvent::Executing(_)))
+                .count()
         };
         let before = begun(&track);
         track.now += silence * 1000;

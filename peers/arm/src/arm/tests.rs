@@ -469,6 +469,17 @@ fn a_silent_driver_is_a_broken_link() {
 }
 
 #[test]
+fn behind_a_silent_driver_no_statement_begins() {
+    let (mut arm, mut events) = (Arm::new(0), Vec::new());
+    arm.submit(1, "move 0 0 310 0 0; move 0 0 100 0 0", 0, &mut events)
+        .unwrap();
+    arm.submit(2, "home", 0, &mut events).unwrap();
+    arm.advance(6_000_000, &mut events);
+    assert_eq!(told(&events)[3..], ["2 error 0/1 halted", "1 error 1/2 halted"]);
+    assert!((arm.state().pose.z - 310.0).abs() < 1e-6 && !arm.is_busy());
+}
+
+#[test]
 fn a_link_is_not_missed_while_nothing_moves() {
     let (mut arm, mut events) = (Arm::new(0), Vec::new());
     arm.submit(1, "wait 60000; home", 0, &mut events).unwrap();
@@ -490,7 +501,9 @@ fn a_link_that_fails_during_a_wait_leaves_the_plan_as_it_is() {
     let (mut arm, mut events) = (Arm::with_controller(0, Box::new(controller)), Vec::new());
     let script = "wait 5000; move 300 0 300 0 0; move 300 0 0 0 45";
     arm.submit(1, script, 0, &mut events).unwrap();
-    arm.advance(2_500_000, &mut events);
+    for now in [1_000_000, 2_000_000, 2_500_000] {
+        arm.advance(now, &mut events);
+    }
     assert!(arm.state().linked);
     // As in `a_command_is_checked_from_where_those_before_it_lead`.
     let error = arm

@@ -571,12 +571,20 @@ fn what_was_sent_without_a_fence_ends_where_a_guard_appears() {
     stage.act("alice command 1 -: look 100 0; look 0 0");
     stage.pass(300);
     let begun = stage.heard();
-    assert!(begun.iter().any(|line| line.starts_with("status alice/1 executing 1/2")), "{begun:?}");
+    assert!(
+        begun
+            .iter()
+            .any(|line| line.starts_with("status alice/1 executing 1/2")),
+        "{begun:?}"
+    );
     stage.gate.joined(&guarded_by("/camera/key", "bob", 3));
     stage.fence = None;
     stage.act("bob command 2 3: look 10 0");
     let ended = stage.heard();
-    assert!(ended.contains(&"status alice/1 error 1/2 halted 5101".to_owned()), "{ended:?}");
+    assert!(
+        ended.contains(&"status alice/1 error 1/2 halted 5101".to_owned()),
+        "{ended:?}"
+    );
     stage.pass(3_000);
     let done = stage.heard();
     assert!(done.contains(&"status bob/2 finished 1/1".to_owned()), "{done:?}");
@@ -587,7 +595,10 @@ fn what_was_sent_without_a_fence_ends_where_a_guard_appears() {
     stage.heard();
     stage.act("grabbed 6");
     let ended = stage.heard();
-    assert!(ended.contains(&"status alice/1 error 1/1 halted 5101".to_owned()), "{ended:?}");
+    assert!(
+        ended.contains(&"status alice/1 error 1/1 halted 5101".to_owned()),
+        "{ended:?}"
+    );
 }
 
 fn guarded_by(token: &str, owner: &str, fence: i64) -> Map {
