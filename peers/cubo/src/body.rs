@@ -58,6 +58,8 @@ pub struct Cubo {
     lips: Percent,
     /// The gesture that is played, and until when.
     gesture: Option<(u8, WheelTime)>,
+    /// When it rests by itself, unless it is given a later time before.
+    held: WheelTime,
     touched_until: WheelTime,
     picture_at: WheelTime,
     /// Blobs under way to the middle.
@@ -97,6 +99,23 @@ pub struct Doings {
     pub sessions: (u64, u64),
 }
 
+/// What a body looks like.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Glance {
+    /// Where it is.
+    pub pose: Pose,
+    /// Whether its wheels turn.
+    pub turns: bool,
+    /// Where arms and head are.
+    pub posture: Joints,
+    /// How far its lips are open.
+    pub lips: Percent,
+    /// The gesture that is played.
+    pub gesture: Option<u8>,
+    /// Whether a sound is played, or waits to be.
+    pub sounds: bool,
+}
+
 /// An event that is to be told.
 enum Raised {
     Service,
@@ -129,6 +148,7 @@ impl Cubo {
             posture: Joints::default(),
             lips: Percent::default(),
             gesture: None,
+            held: WheelTime::MAX,
             touched_until: 0,
             picture_at: 0,
             outgoing: VecDeque::new(),
@@ -162,13 +182,47 @@ impl Cubo {
         }
     }
 
+    /// Has it rest by itself at `until`, whatever it is told by then, unless a later time is given before; [`WheelTime::MAX`] is never. It
+    /// is what the hardware does whose program stands still.
+    pub fn hold(&mut self, until: WheelTime) {
+        self.held = until;
+        // Simulated wheels take every time.
+        let _ = self.wheels.hold(until, self.now);
+    }
+
     /// Lets time pass until `now`, µs.
     pub fn advance(&mut self, now: WheelTime) {
-        let seconds = (now - self.now).max(0) as f64 / 1e6;
-        self.now = self.now.max(now);
-        if self.gesture.is_some_and(|(_, until)| now >= until) {
+        if now >= self.held {
+            self.pass(self.held);
+            self.rest();
+        }
+        self.pass(now);
+    }
+
+    /// What it does without anybody's word: its wheels stop, arms, head and lips go back, gesture and sound end.
+    fn rest(&mut self) {
+        self.hold(WheelTime::MAX);
+        (self.speeds, self.joints, self.lips) = Default::default();
+        self.set_wheels();
+        self.gesture = None;
+        self.playout.silence();
+    }
+
+    fn pass(&mut self, now: WheelTime) {
+        // It moves on from the end of a gesture as from each other moment.
+        if let Some((_, until)) = self.gesture
+            && now >= until
+        {
+            self.follow(until);
             self.gesture = None;
         }
+        self.follow(now);
+    }
+
+    /// Arms and head follow what is wanted of them until `now`.
+    fn follow(&mut self, now: WheelTime) {
+        let seconds = (now - self.now).max(0) as f64 / 1e6;
+        self.now = self.now.max(now);
         self.play();
         let share = 1.0 - (-seconds / JOINT_LAG).exp();
         let wanted = self.wanted_posture();
@@ -290,6 +344,19 @@ impl Cubo {
                 self.pictures = self.pictures.wrapping_add(1);
                 self.send_blob(elements::Camera::PLACE, self.pictures, picture);
             }
+        }
+    }
+
+    /// What it looks like now.
+    pub fn glance(&mut self) -> Glance {
+        let (turns, pose) = self.motion();
+        Glance {
+            pose,
+            turns,
+            posture: self.posture,
+            lips: self.lips,
+            gesture: self.gesture.map(|(number, _)| number),
+            sounds: !self.playout.is_silent(),
         }
     }
 
@@ -426,8 +493,11 @@ impl Body for Cubo {
     }
 
     fn active(&mut self, element: u8, active: bool) {
-        if element == elements::Camera::PLACE {
-            self.sees = active;
+        match element {
+            elements::Camera::PLACE => self.sees = active,
+            elements::Gesture::PLACE if !active => self.gesture = None,
+            elements::Speaker::PLACE if !active => self.playout.silence(),
+            _ => {}
         }
     }
 
@@ -437,7 +507,7 @@ impl Body for Cubo {
             false => {
                 self.doings.sessions.1 += 1;
                 self.outgoing.clear();
-                self.playout.silence();
+                self.rest();
             }
         }
     }
