@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use mom_client::{Channel, Client, ClientError, Delivery, Event, Events, Family, Map, Parcel, Time, Value};
-use mom_device::{DevicePeer, Outlet, State, sender};
+use mom_device::{DevicePeer, Outlet, State, sender, time_since};
 use mom_fleet::{StatusTeller, ensure_session, enter, enter_status};
 use mom_rsp::Kind;
 use mom_rsp::middle::Notice;
@@ -130,12 +130,9 @@ impl Robot {
         };
         // Before the first notice.
         let notices = robot.notices();
-        let device = DevicePeer::start(
-            client,
-            &channel,
-            Mirror::new(robot.clone(), chassis, unit),
-            Instant::now(),
-        );
+        let begin = Instant::now();
+        let machine = Mirror::new(robot.clone(), chassis, unit).with_clock(move || time_since(begin));
+        let device = DevicePeer::start(client, &channel, machine, begin);
         Ok(Robot {
             teller: Teller::new(mirror.path().clone()),
             told: device.state(),

@@ -87,6 +87,16 @@ impl Wheels {
         })
     }
 
+    /// The wheels' places, if it says where it is at least each so many ms.
+    pub(crate) fn measured(&self, slowest: u16) -> Vec<u8> {
+        let elements = self.robot.model().elements();
+        let pose = self.pose.and_then(|(place, _)| elements.get(usize::from(place)));
+        match pose.is_some_and(|pose| pose.period <= slowest) {
+            true => vec![self.left, self.right],
+            false => Vec::new(),
+        }
+    }
+
     fn unreached(&self) -> DriverError {
         let text = format!(
             "{} is not reached: it has no session at present",
@@ -107,6 +117,10 @@ impl Driver for Wheels {
             };
         }
         for (element, per_mille) in [(self.left, motors.left()), (self.right, motors.right())] {
+            // A wheel that is switched off stands.
+            if motors == Motors::STOP && !self.robot.with(|middle| middle.activated(element)) {
+                continue;
+            }
             let speed = f64::from(per_mille) / 1000.0 * self.chassis.full_speed;
             let model = self.robot.model().elements().get(usize::from(element));
             let value = model.map(|model| to_wire(model, &[speed]));
