@@ -1,5 +1,7 @@
 //! A mirrored robot as a machine of the hub: its owner commands it in the terms of its model.
 
+use std::sync::Arc;
+
 use mom_client::Map;
 use mom_device::{Attachments, DeviceError, DeviceTime, ErrorName, Machine, Sample, Script, Word, Words};
 use mom_rover::Rover;
@@ -75,7 +77,8 @@ enum Doing {
 }
 
 /// The clock of the program.
-struct Clock(Box<dyn Fn() -> DeviceTime + Send>);
+#[derive(Clone)]
+struct Clock(Arc<dyn Fn() -> DeviceTime + Send + Sync>);
 
 impl std::fmt::Debug for Clock {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -118,9 +121,27 @@ impl Mirror {
 
     /// The same with the clock of its program: a statement that should have begun or ended long ago is given up.
     #[must_use]
-    pub fn with_clock(mut self, clock: impl Fn() -> DeviceTime + Send + 'static) -> Self {
-        self.clock = Some(Clock(Box::new(clock)));
+    pub fn with_clock(mut self, clock: impl Fn() -> DeviceTime + Send + Sync + 'static) -> Self {
+        self.clock = Some(Clock(Arc::new(clock)));
         self
+    }
+
+    /// The same robot without what it was doing, for another channel; this one has to be left alone.
+    #[must_use]
+    pub fn again(&self) -> Self {
+        Self {
+            robot: self.robot.clone(),
+            rover: self.rover.as_ref().map(Rover::again),
+            wheels: self.wheels.clone(),
+            now: self.now,
+            doing: Doing::Nothing,
+            playing: None,
+            is_set: self.is_set,
+            stop: self.stop.clone(),
+            moved: self.moved.clone(),
+            clock: self.clock.clone(),
+            failure: None,
+        }
     }
 
     /// The mirror itself.

@@ -10,7 +10,7 @@ use super::arrival::{NEAR, measured};
 use crate::Simulacrum;
 
 /// Effectors that may have moved since the robot rested last.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Clone)]
 pub(super) struct Moved {
     places: BTreeSet<u8>,
     /// When one of them last did.

@@ -9,7 +9,7 @@ use crate::Simulacrum;
 ///
 /// What is switched off takes its safe value, and ends what it has begun; what was sent to it and has not arrived begins no more, however
 /// late it comes. The middle tells it each period until the robot says so.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Clone)]
 pub(super) struct Stop {
     phase: Phase,
     /// Elements that are switched on again.
