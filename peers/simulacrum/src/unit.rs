@@ -278,7 +278,10 @@ impl Mirror {
         if !self.stop.settle(&self.robot) {
             return;
         }
-        self.rest();
+        // After a stop; what a statement has left set stays where only steps were taken back.
+        if !self.is_set {
+            self.rest();
+        }
         if let Doing::Waits(..) = self.doing
             && let Doing::Waits(action, _) = std::mem::replace(&mut self.doing, Doing::Nothing)
             && let Err(error) = self.start(&action)

@@ -84,11 +84,11 @@ async fn drive(alice: &Client, script: &'static str) -> JoinHandle<String> {
 }
 
 /// What `mom` says as carol, and whether it succeeded.
-async fn carol(stage: &Stage, verb: &'static str) -> (bool, String) {
-    let hub = stage.hub.clone();
+async fn carol(stage: &Stage, words: &[&'static str]) -> (bool, String) {
+    let (hub, words) = (stage.hub.clone(), words.to_vec());
     let ran = spawn_blocking(move || {
-        let words = ["--hub", &hub, "--user", "carol", verb, "/fleet/1/robot"];
-        run("mom", &words, &[("MOM_PASSWORD", "carol")])
+        let all = [&["--hub", hub.as_str(), "--user", "carol"], &words[..]].concat();
+        run("mom", &all, &[("MOM_PASSWORD", "carol")])
     });
     let ran = ran.await.expect("it ran");
     (ran.status.success(), text(&ran.stdout) + &text(&ran.stderr))
@@ -106,12 +106,12 @@ async fn a_stop_ends_gesture_and_wheels_by_the_robots_own_page() {
     ] {
         let end = drive(&alice, script).await;
         shown(stage.page, wanted).await;
-        let (stopped, said) = carol(&stage, "stop").await;
+        let (stopped, said) = carol(&stage, &["stop", "/fleet/1/robot"]).await;
         assert!(stopped && said.contains("stands"), "{script}: {said}");
         stands(stage.page, Duration::from_millis(1500)).await;
         let end = end.await.expect("it ended");
         assert!(end.contains("stopped"), "{script}: {end}");
-        let (free, said) = carol(&stage, "unstop").await;
+        let (free, said) = carol(&stage, &["unstop", "/fleet/1/robot"]).await;
         assert!(free, "{said}");
     }
 }
@@ -134,7 +134,7 @@ async fn a_call_that_is_under_way_does_not_begin_after_a_stop() {
         jitter: Duration::from_millis(30),
         ..Weather::default()
     });
-    let (_, said) = carol(&stage, "stop").await;
+    let (_, said) = carol(&stage, &["stop", "/fleet/1/robot"]).await;
     assert!(said.contains("stands"), "{said}");
     stands(stage.page, Duration::from_secs(2)).await;
     let end = end.await.expect("it ended");
@@ -184,4 +184,32 @@ async fn a_robot_whose_program_stood_still_has_not_moved_on() {
     assert!((100.0..600.0).contains(&way), "{way} mm: {before} {after}");
     stands(stage.page, Duration::from_secs(2)).await;
     assert!(end.await.expect("it ended").contains("is lost"));
+}
+
+/// One robot is what fails: whose channel is deleted stands until that is back, and the others drive on.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_deleted_channel_of_one_mirrored_robot_leaves_the_others() {
+    // Nobody is there where the second one should be.
+    let stage = Stage::new(&["--robot", "/fleet/2=127.0.0.1:1"]).await;
+    let alice = stage.arrive("alice").await;
+    let _end = drive(&alice, "motor 100 -100 60000").await;
+    shown(stage.page, |body| body["turns"] == true).await;
+    let back = async |robot: &'static str| {
+        let (deleted, said) = carol(&stage, &["delete", robot]).await;
+        assert!(deleted, "{said}");
+        let begin = Instant::now();
+        while alice.channel(robot).await.is_err() {
+            assert!(begin.elapsed() < PATIENCE, "it never comes back");
+            tokio::task::yield_now().await;
+        }
+    };
+    back("/fleet/2/robot").await;
+    assert_eq!(body(stage.page)["turns"], true, "the other one goes on");
+    back("/fleet/1/robot").await;
+    shown(stage.page, |body| body["turns"] == false).await;
+    let begin = Instant::now();
+    let send = ["fleet", "send", "1", "motor 100 -100 300"];
+    while !carol(&stage, &send).await.0 {
+        assert!(begin.elapsed() < PATIENCE, "it obeys again");
+    }
 }
