@@ -214,7 +214,7 @@ impl Mirror {
 
     /// The robot rests by the end of its last session, as far as nothing has been heard of it in this one.
     fn begin_session(&mut self) {
-        self.stop.forget();
+        self.stop.begin_session(&self.robot);
         self.moved.all(&self.robot, self.now);
         self.rest();
     }
@@ -252,7 +252,10 @@ impl Mirror {
                 Ok(())
             }
         };
-        if let Err(error) = taken {
+        // What is just being switched on again has its safe value.
+        if let Err(error) = taken
+            && error != Refused::Inactive
+        {
             tracing::error!(robot = self.robot.name(), element = element.name, %error, "a safe value was not taken");
         }
     }

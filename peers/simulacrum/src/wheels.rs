@@ -1,5 +1,6 @@
 //! The wheels of a mirrored robot as a driver, so that what drives wheeled robots drives it: the robot itself plans nothing (S1).
 
+use mom_rsp::Refused;
 use mom_rsp_model::{Model, ModelElement};
 use mom_wheels::{Chassis, Driver, DriverError, Fault, Motors, Pose, Sensors, SetupError, WheelTime};
 
@@ -117,18 +118,15 @@ impl Driver for Wheels {
             };
         }
         for (element, per_mille) in [(self.left, motors.left()), (self.right, motors.right())] {
-            // A wheel that is switched off stands.
-            if motors == Motors::STOP && !self.robot.with(|middle| middle.activated(element)) {
-                continue;
-            }
             let speed = f64::from(per_mille) / 1000.0 * self.chassis.full_speed;
             let model = self.robot.model().elements().get(usize::from(element));
             let value = model.map(|model| to_wire(model, &[speed]));
             let written = match value {
-                Some(Ok(value)) => self
-                    .robot
-                    .write(element, &value)
-                    .map_err(|error| error.to_string()),
+                Some(Ok(value)) => match self.robot.write(element, &value) {
+                    // A wheel that is switched off stands.
+                    Err(Refused::Inactive) if motors == Motors::STOP => Ok(()),
+                    written => written.map_err(|error| error.to_string()),
+                },
                 Some(Err(error)) => Err(error.to_string()),
                 None => Err("the model has lost a wheel".to_owned()),
             };

@@ -45,6 +45,8 @@ struct Rig {
     events: Vec<QueueEvent>,
     /// The robot tells nothing new of itself.
     is_numb: bool,
+    /// The peer hears no notices.
+    is_deaf: bool,
     /// µs, and the same for the clock of the program.
     now: u64,
     clock: Arc<AtomicI64>,
@@ -81,6 +83,7 @@ impl Rig {
             ways: [Vec::new(), Vec::new()],
             events: Vec::new(),
             is_numb: false,
+            is_deaf: false,
             now: 0,
             clock,
         }
@@ -160,6 +163,9 @@ impl Rig {
         }
         while let Some(datagram) = mirror.with(|middle| middle.poll(self.now).map(<[u8]>::to_vec)) {
             self.send(0, &datagram);
+        }
+        if self.is_deaf {
+            return;
         }
         self.queue.advance(time, &mut self.events);
         while let Some(notice) = mirror.with(Middle::next_notice) {
@@ -327,6 +333,23 @@ fn a_halt_is_said_until_the_robot_confirms_it() {
     rig.until(|rig| rig.body.glance().gesture == Some(5));
     rig.until(|rig| rig.is_finished());
     assert_eq!(rig.body.doings.gestures, [2, 5]);
+}
+
+/// A session that is lost and begins anew before anybody has looked leaves nothing switched off.
+#[test]
+fn a_session_that_began_before_the_loss_was_heard_of_is_as_any() {
+    let mut rig = Rig::new();
+    rig.submit("motor 400 400 60000");
+    rig.run(300);
+    // The program looks at its notices late.
+    rig.is_deaf = true;
+    rig.end = End::new(&LAYOUT, robot::Settings::default()).expect("settings");
+    rig.run(3000);
+    assert!(rig.mirror.is_up());
+    rig.is_deaf = false;
+    rig.run(1500);
+    rig.submit("motor 400 400 500; do gesture 2");
+    rig.until(|rig| rig.body.glance().gesture == Some(2));
 }
 
 /// The robot may do what nobody knows of: a halt of one that is held to be at rest reaches it, too.

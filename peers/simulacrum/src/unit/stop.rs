@@ -77,10 +77,16 @@ impl Stop {
         }
     }
 
-    /// A session has ended or begun: all is active in the next one, and nothing of an older one is.
-    pub(super) fn forget(&mut self) {
-        (self.phase, self.acts) = (Phase::Over, true);
-        self.held.clear();
+    /// A session has begun, in which all is active at first. It may have begun before the end of the last one was heard of: what has been
+    /// switched off in this one stays so until the robot has confirmed it.
+    pub(super) fn begin_session(&mut self, robot: &Simulacrum) {
+        self.held
+            .retain(|place| !robot.with(|middle| middle.activated(*place)));
+        self.acts = true;
+        self.phase = match self.held.is_empty() {
+            true => Phase::Over,
+            false => Phase::Unconfirmed,
+        };
     }
 
     /// Whether something is switched off for now, so that nothing can be begun.
