@@ -512,3 +512,48 @@ impl Body for Cubo {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn driving() -> Cubo {
+        let mut cubo = Cubo::new(Pose::new(1000.0, 2500.0, 0.0)).unwrap();
+        cubo.advance(0);
+        cubo.hold(2_000_000);
+        cubo.set_left_wheel(MmPerS(200.0));
+        cubo.set_right_wheel(MmPerS(200.0));
+        cubo.set_lips(Percent(50.0));
+        cubo.run_gesture(2);
+        cubo
+    }
+
+    /// A program that stood still looks at its body again: that has rested since its time, as hardware has.
+    #[test]
+    fn a_body_rests_when_its_time_has_passed_whenever_that_is_looked_at() {
+        let (mut looked_at, mut frozen) = (driving(), driving());
+        for ms in 1..=3000 {
+            looked_at.advance(ms * 1000);
+        }
+        for body in [&mut looked_at, &mut frozen] {
+            body.advance(60_000_000);
+            let glance = body.glance();
+            assert!((glance.pose.x - 1400.0).abs() < 1.0, "{glance:?}");
+            assert!(!glance.turns && glance.gesture.is_none() && glance.lips.0 == 0.0);
+            assert!(glance.posture.left_arm.0.abs() < 0.1, "{glance:?}");
+        }
+    }
+
+    /// A later time that is given before keeps it going.
+    #[test]
+    fn a_body_that_is_held_on_goes_on() {
+        let mut cubo = driving();
+        for seconds in 1..=5 {
+            cubo.advance(seconds * 1_000_000);
+            cubo.hold(seconds * 1_000_000 + 2_000_000);
+        }
+        assert!(cubo.glance().turns);
+        let way = cubo.glance().pose.x - 1000.0;
+        assert!((900.0..1000.0).contains(&way), "{way} mm in 5 s");
+    }
+}
