@@ -4,7 +4,7 @@ use std::fmt;
 
 use mom_client::Map;
 
-use crate::{Attachments, DeviceError, DeviceTime, STATE_PERIOD, Script, Word, Words};
+use crate::{Attachments, DeviceError, DeviceTime, STATE_PERIOD, Sample, Script, Word, Words};
 
 /// A device without its queue, its owner and its link: what its actions are, and how it carries one out.
 ///
@@ -107,6 +107,11 @@ pub trait Machine: fmt::Debug {
 
     /// What commands may be based on: where the device is, as it stands in the state, key by key (M35).
     fn position(&self) -> Map;
+
+    /// What is measured of all of it that can move, at this time, by which it rests; none where something that may have moved is not measured.
+    fn measured(&self, at: DeviceTime) -> Option<Sample> {
+        Sample::of(&self.position(), at)
+    }
 
     /// What else stands in the state.
     fn report(&self) -> Map {

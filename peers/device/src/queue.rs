@@ -6,7 +6,7 @@ use std::fmt::Debug;
 use mom_client::HUB;
 
 use crate::command::{Command, Order, QueueEvent, State};
-use crate::rest::{Rest, Sample};
+use crate::rest::Rest;
 use crate::{AtRest, DeviceError, DeviceTime, ErrorName, MAX_ATTACHED, Machine, Script, Statement};
 
 /// µs between two states while a device moves, unless its machine says otherwise: 20 Hz.
@@ -406,8 +406,7 @@ impl<M: Machine> CommandQueue<M> {
             return self.rest.disturb(self.now);
         }
         let measured_at = self.machine.known_at().unwrap_or(self.now);
-        self.rest
-            .observe(Sample::of(&self.machine.position(), measured_at), self.now);
+        self.rest.observe(self.machine.measured(measured_at), self.now);
         if self.rest.known().is_some() {
             (self.halting, self.changes_hands, self.waits_until) = (false, false, None);
         }

@@ -50,6 +50,7 @@ mod rover;
 mod runs;
 mod servo;
 mod simulacrum;
+mod simulacrum_stops;
 mod states;
 mod stats;
 mod stops;
