@@ -316,7 +316,7 @@ export class Peer {
     else if (parcel.name === "ack" && this.#link) {
       if (!this.#ledger.acknowledged(int(fields, "read") ?? -1)) {
         this.#link = null;
-        return this.#endServing("the hub acknowledges what was never sent");
+        return this.#endServing("the hub acknowledges what was not sent");
       }
       this.pump();
     }

@@ -49,6 +49,8 @@ export function wayTo(path: string): string[] {
 
 export class Places {
   readonly #all = new Map<string, Place>();
+  /** What was heard of stops, also in channels that are gone: a hub that began anew without one knows no stop there. */
+  readonly #latches = new Map<string, Latch>();
 
   get(path: string): Place | undefined {
     return this.#all.get(path);
@@ -60,7 +62,9 @@ export class Places {
   }
 
   add(path: string, terms: Fields | undefined): Place {
-    const place: Place = { path, terms, joined: Promise.resolve({}), kind: "", delivery: "reliable", guard: null, latch: new Latch() };
+    const latch = this.#latches.get(path) ?? new Latch();
+    const place: Place = { path, terms, joined: Promise.resolve({}), kind: "", delivery: "reliable", guard: null, latch };
+    this.#latches.set(path, latch);
     this.#all.set(path, place);
     return place;
   }
