@@ -229,6 +229,13 @@ test("what lets robots go asks, names who stopped which of them and why, and is 
   const box = (locator) => locator.boundingBox();
   /** How far apart two boxes are, whichever way. */
   const apart = (one, other) => Math.max(other.x - one.x - one.width, one.x - other.x - other.width, other.y - one.y - one.height, one.y - other.y - other.height);
+  // The head, which grows by what is stopped, does not cover the question.
+  await free.click();
+  for (const width of [1280, 360]) {
+    await page.setViewportSize({ width, height: 780 });
+    await question.getByRole("heading", { name: "Let these move again?" }).click({ trial: true });
+  }
+  await question.getByRole("button", { name: "Cancel" }).click();
   const stops = [page.locator("mom-stop button.stop"), head(fleet).getByRole("button", { name: "Stop these" })];
   await free.click();
   for (const width of [1280, 800, 500, 360]) {

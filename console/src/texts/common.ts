@@ -22,6 +22,8 @@ export const common = {
     unreached: "What moves it cannot be reached, so nobody knows whether it moves",
     unsaid: "It says nothing of whether it rests",
   },
+  atRest: "at rest",
+  stoppedBriefly: "stopped",
   restByWord: "at rest, by its word",
   stopped: (rest: string) => `stopped, ${rest}`,
   unreachedSince: (ms: number, late: boolean) => `not reached since ${timeOfDay(ms)}${late ? " or before" : ""}`,
