@@ -211,7 +211,7 @@ export class FleetDriver {
   /** Lets robots go: up to these stops, which were shown, and no more of them once a stop is ordered. */
   free(stops: readonly StandingStop[]): Promise<boolean> {
     const shown = new Map(stops.map(({ path, number }) => [path, number]));
-    const units = [...this.fleet.robots.keys()].filter((unit) => shown.has(this.channel(unit)));
+    const units = stops.map(({ path }) => Number(path.slice(this.#base.length + 1).split("/", 1)[0]));
     const going = this.#underway(units);
     return this.#all("unstop", units, async (unit) => {
       const path = this.channel(unit);
