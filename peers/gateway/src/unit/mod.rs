@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use mom_brs::{Code, Command, Frame, Table};
 use mom_client::Map;
-use mom_device::{DeviceError, DeviceTime, ErrorName, Machine, Script, Word, Words};
+use mom_device::{DeviceError, DeviceTime, ErrorName, Machine, Sample, Script, Word, Words};
 use mom_fleet::Action;
 use mom_linuxbot::Status;
 
@@ -48,6 +48,8 @@ pub struct Unit {
     /// What it did last say of itself, and when that was asked: what it says was so then or later.
     status: Option<(Status, DeviceTime)>,
     pose: Option<(Pose, DeviceTime)>,
+    /// When that came.
+    posed: DeviceTime,
     /// When what was asked of it was asked, in order: replies come in the order of their questions (W2).
     asked_status: VecDeque<Question>,
     asked_pose: VecDeque<DeviceTime>,
@@ -124,6 +126,7 @@ impl Unit {
             out: Vec::new(),
             status: None,
             pose: None,
+            posed: 0,
             asked_status: VecDeque::new(),
             asked_pose: VecDeque::new(),
             question: 0,
@@ -240,6 +243,7 @@ impl Unit {
             (Code::POSE, &[x, y, heading]) => {
                 if let Some(asked) = self.asked_pose.pop_front() {
                     self.pose = Some((Pose { x, y, heading }, asked));
+                    self.posed = self.now;
                 }
                 Ok(())
             }
@@ -507,6 +511,12 @@ impl Machine for Unit {
             (Some(status), Some(pose)) => Some(status.min(pose)),
             (one, other) => one.or(other),
         }
+    }
+
+    /// Its pose was so between its question and its answer; of when its status was asked that says nothing.
+    fn measured(&self, _at: DeviceTime) -> Option<Sample> {
+        let (_, asked) = self.pose?;
+        Some(Sample::of(&self.position(), asked)?.until(self.posed))
     }
 
     /// `{x, y, heading}` in mm, mm and degrees, once it has said so.

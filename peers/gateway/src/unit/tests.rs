@@ -462,3 +462,41 @@ fn a_statement_that_should_have_begun_long_ago_is_not_begun() {
     assert_eq!(pair.ended(), ["halted"]);
     assert!(pair.queue.machine().leds == 0 && pair.queue.machine().insists);
 }
+
+/// Two causes of a halt within a moment have it asked twice: a pose is as old as its own question, not as that of the status beside it.
+#[test]
+fn one_that_turns_is_not_said_to_rest_however_often_it_is_halted() {
+    for (delay, between) in [(0, 50), (2, 20), (2, 50), (2, 130), (2, 250), (30, 60), (60, 110)] {
+        let mut pair = Pair::new(delay * MS);
+        pair.pass(1_500 * MS);
+        pair.command("motor 1000 -1000 3000").expect("it can");
+        pair.pass(2_300 * MS);
+        pair.queue.stop(pair.now, "a test", &mut pair.events);
+        pair.pump();
+        pair.pass(pair.now + between * MS);
+        pair.queue.stop(pair.now, "a test", &mut pair.events);
+        pair.pump();
+        let (stopped, mut headings) = (pair.now, VecDeque::new());
+        while pair.queue.state().rest.is_none() {
+            let now = pair.now + MS;
+            pair.pass(now);
+            let pose = pair.robot.glance(now).and_then(|glance| glance.pose);
+            headings.push_back((now, pose.expect("it knows").heading));
+            assert!(
+                now < stopped + 5_000 * MS,
+                "{delay} {between}: it rests in the end"
+            );
+        }
+        let (last, heading) = headings.back().copied().expect("some");
+        let before = headings
+            .iter()
+            .find(|(at, _)| *at >= last - 300 * MS)
+            .expect("0.3 s ago")
+            .1;
+        assert!(
+            (heading - before).abs() < 2.0,
+            "{delay} {between}: it turned by {} degrees in the last 0.3 s",
+            heading - before
+        );
+    }
+}
