@@ -30,6 +30,10 @@ pub struct DevicePeer<M: Machine> {
 
 /// What a device has waited for, to be taken in by [`DevicePeer::take`].
 #[derive(Debug)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "it lives for one turn of a loop, and a box for each event would cost more"
+)]
 pub enum Happening {
     /// An event of its channel.
     Event(Event),
