@@ -375,10 +375,10 @@ export class Peer {
     const channels = this.places.guardedBy(event.path);
     const grant = fieldsOf(parcel.content);
     if (event.type === "grabbed") {
-      for (const { guard } of channels) if (guard) [guard.fence, guard.owner] = [event.fence, event.owner];
+      for (const { guard } of channels) if (guard && event.fence > guard.fence) [guard.fence, guard.owner] = [event.fence, event.owner];
       if (event.owner === this.me?.peer && this.onGrabbed.get(event.path)?.(grant)) this.onGrabbed.delete(event.path);
     } else if (event.type === "released") {
-      for (const { guard } of channels) delete guard?.owner;
+      for (const { guard } of channels) if (guard && event.fence >= guard.fence) delete guard.owner;
       if (event.owner === this.me?.peer) this.guards.released(event.path, event.fence, { reason: event.reason, ...(event.by === undefined ? {} : { by: event.by }) });
     } else if (event.type === "uninhibited" && event.peer === this.me?.peer) {
       this.guards.unshared(event.path, { reason: event.reason ?? "released" });

@@ -158,6 +158,12 @@ test("a halt of the hub tells which token guards the channel from now on; nobody
   assert.deepEqual(arm.guard, guard);
   const command = (fence) => ({ family: "message", name: "command", context: "/robot/arm", sender: "bob", fence });
   assert.deepEqual([undefined, 2, 3].map((fence) => arm.permits(command(fence))), [false, false, true]);
+  // News of an older ownership that come late make no old command valid again.
+  for (const name of ["grabbed", "released"]) {
+    connection.say({ family: "event", name, sender: "hub", context: "/robot/token", content: { owner: "carol", level: 1, fence: 2, reason: "released" } });
+    await until(events, ({ type }) => type === name);
+  }
+  assert.deepEqual([2, 3].map((fence) => arm.permits(command(fence))), [false, true]);
   says("hub", {});
   await eventually(() => arm.guard === null);
 });
