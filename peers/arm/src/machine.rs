@@ -336,6 +336,8 @@ impl Machine for ArmMachine {
             // Where the hand is is not known any more, nor where what waits would lead from.
             self.failure = self.check_link().err();
         } else if self.linked && !was_linked {
+            // What it was told meanwhile has not reached it.
+            self.controller.halt(self.now);
             self.planned = self.pose();
         }
     }

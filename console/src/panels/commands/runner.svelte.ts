@@ -224,7 +224,7 @@ export class CommandList {
     const stands = await until(() => {
       if (over() !== undefined) return false;
       const { state } = this.device;
-      return state["linked"] !== false && (number(state, "fence") ?? -1) >= fence ? true : undefined;
+      return state["linked"] !== false && state["moving"] !== true && (number(state, "fence") ?? -1) >= fence ? true : undefined;
     }, STANDING);
     return stands === true;
   }

@@ -12,6 +12,8 @@ use crate::script::Script;
 use crate::state::{ArmEvent, ArmState, CommandState, Executing, ScriptProgress};
 
 #[cfg(test)]
+mod halts;
+#[cfg(test)]
 mod promises;
 #[cfg(test)]
 mod silence;
