@@ -23,6 +23,8 @@ const TURN_KNOWN: f64 = 0.005;
 const DELAY: [f64; 2] = [0.2, 0.4];
 /// The longest that is believed, s.
 const MOST_DELAY: f64 = 3.0;
+/// A camera that is turned by more was not put up so, degrees: the times are wrong.
+const MOST_TURN: f64 = 8.0;
 /// Of the marker's place in an image, pixels.
 const NOISE: f64 = 0.3;
 /// Pixels that a mm is wide, about.
@@ -64,6 +66,8 @@ pub struct Track {
     delay: f64,
     delay_error: f64,
     expected: [f64; 2],
+    /// No effect comes sooner, s.
+    least: f64,
     noise: Noise,
     /// Commands until now.
     commands: u32,
@@ -106,6 +110,7 @@ impl Track {
             delay: DELAY[0],
             delay_error: DELAY[1],
             expected: DELAY,
+            least: 0.0,
             noise: Noise::default(),
             commands: 0,
             rms: 0.0,
@@ -115,6 +120,28 @@ impl Track {
     /// Expects this noise.
     pub fn expect(&mut self, noise: Noise) {
         self.noise = noise;
+    }
+
+    /// No command has its effect sooner than this after it is sent, µs.
+    pub fn no_sooner_than(&mut self, least: Micros) {
+        self.least = (least.max(0) as f64 / 1e6).min(MOST_DELAY);
+        self.delay = self.delay.max(self.least);
+    }
+
+    /// The estimate that cannot be, in words, if there is one.
+    #[must_use]
+    pub fn absurd(&self) -> Option<String> {
+        let turns = self.corrections();
+        let (camera, turn) = turns.iter().enumerate().max_by(|(_, a), (_, b)| a.total_cmp(b))?;
+        // No number is no estimate, either.
+        let sane =
+            *turn <= MOST_TURN && self.delay.is_finite() && self.base.iter().all(|part| part.is_finite());
+        (!sane).then(|| {
+            format!(
+                "camera {} would be turned by {turn:.0} degrees, {MOST_TURN:.0} are the limit",
+                camera + 1
+            )
+        })
     }
 
     /// Another command was sent.
@@ -304,7 +331,7 @@ impl Track {
                 return;
             };
             let mut next = now - &step;
-            next[unknowns - 1] = next[unknowns - 1].clamp(0.0, MOST_DELAY);
+            next[unknowns - 1] = next[unknowns - 1].clamp(self.least, MOST_DELAY);
             self.set(&next);
             if step.amax() < 1e-5 {
                 break;

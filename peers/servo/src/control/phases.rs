@@ -3,6 +3,7 @@
 use std::fmt;
 
 use super::moving::{Above, Aim, Reach};
+use super::sight::Judgement;
 use super::{ALIGNED, ATTEMPTS, Action, PARALLEL, Servo};
 use crate::Micros;
 use crate::aim::{Miss, Sightline, miss};
@@ -103,6 +104,11 @@ impl Phase {
         }
     }
 
+    /// Whether pictures lead the hand.
+    const fn is_led(self) -> bool {
+        matches!(self, Phase::Approach | Phase::Descend | Phase::Carry)
+    }
+
     /// Whether the hand hides the first block, or holds it.
     pub(super) const fn hides_first(self) -> bool {
         !matches!(
@@ -134,6 +140,16 @@ impl Servo {
         let limit = STUCK + 8 * (self.track.delay_micros() + self.now - self.newest.unwrap_or(self.now));
         if self.now - self.since > limit {
             return self.stuck();
+        }
+        match self.sight.judge(self.phase.is_led(), self.now) {
+            Judgement::End(why) => return Servo::fail(why),
+            Judgement::Wait => return Step::Wait,
+            Judgement::Move => {}
+        }
+        // One command at a time, to its end.
+        if self.sight.careful().is_some() && (self.sight.is_unheard() || !self.rests()) && self.jaws.is_none()
+        {
+            return Step::Wait;
         }
         match self.phase {
             Phase::Look => self.look(),
