@@ -139,3 +139,25 @@ test("a request to stop is sent again after a loss, and what lets go is dropped 
   await again;
   assert.deepEqual(hub.heard.filter(({ name }) => name === "stop").map(({ content }) => content?.reason), ["smoke", "smoke"]);
 });
+
+test("a halt of the hub tells which token guards the channel from now on; nobody else's does", async (t) => {
+  const hub = await FakeHub.start();
+  t.after(() => hub.stop());
+  const alice = await connect(hub.url, { guest: true, webSocket: WebSocket });
+  t.after(() => alice.close());
+  const arm = await alice.channel("/robot/arm");
+  const [connection] = hub.connections;
+  const says = (sender, guard) => connection.say({ family: "message", name: "halt", sender, context: "/robot/arm", content: { guard } });
+  const guard = { token: "/robot/token", names: ["command"], owner: "bob", fence: 3 };
+  const events = arm.events();
+  says("bob", guard);
+  await until(events, ({ name, sender }) => name === "halt" && sender === "bob");
+  assert.equal(arm.guard.owner, undefined);
+  says("hub", guard);
+  await until(events, ({ name, sender }) => name === "halt" && sender === "hub");
+  assert.deepEqual(arm.guard, guard);
+  const command = (fence) => ({ family: "message", name: "command", context: "/robot/arm", sender: "bob", fence });
+  assert.deepEqual([undefined, 2, 3].map((fence) => arm.permits(command(fence))), [false, false, true]);
+  says("hub", {});
+  await eventually(() => arm.guard === null);
+});

@@ -23,6 +23,7 @@ mod faults;
 mod first_hour;
 mod fleet;
 mod fleet_web;
+mod guards;
 mod heartbeat;
 
 mod lab_page;
@@ -50,6 +51,7 @@ mod rover;
 mod runs;
 mod servo;
 mod simulacrum;
+mod simulacrum_stops;
 mod states;
 mod stats;
 mod stops;

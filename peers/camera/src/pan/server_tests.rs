@@ -431,6 +431,7 @@ fn the_hub_s_own_command_needs_no_fence() {
     check(
         "gate alice 5
          alice command 1 5: look 30 -20
+         > state 0 -20 free
          > status alice/1 waiting 0/1
          > status alice/1 executing 1/1
          after 100
@@ -557,4 +558,54 @@ fn a_gap_is_a_stop_of_which_it_tells_the_hub() {
     let state = stage.out.last().expect("a state").value();
     assert_eq!(state.get("stopped"), Some(&Value::Bool(false)));
     assert_eq!(state.get("stop"), Some(&Value::Int(3)));
+}
+
+/// A configuration guards the channel from now on; later by another token, whose fences are lower.
+#[test]
+fn what_was_sent_without_a_fence_ends_where_a_guard_appears() {
+    let mut stage = Stage::new();
+    stage.act("gate bob 6");
+    stage.act("grabbed 6");
+    stage.heard();
+    stage.gate.joined(&Map::new());
+    stage.act("alice command 1 -: look 100 0; look 0 0");
+    stage.pass(300);
+    let begun = stage.heard();
+    assert!(
+        begun
+            .iter()
+            .any(|line| line.starts_with("status alice/1 executing 1/2")),
+        "{begun:?}"
+    );
+    stage.gate.joined(&guarded_by("/camera/key", "bob", 3));
+    stage.fence = None;
+    stage.act("bob command 2 3: look 10 0");
+    let ended = stage.heard();
+    assert!(
+        ended.contains(&"status alice/1 error 1/2 halted 5101".to_owned()),
+        "{ended:?}"
+    );
+    stage.pass(3_000);
+    let done = stage.heard();
+    assert!(done.contains(&"status bob/2 finished 1/1".to_owned()), "{done:?}");
+    // Also where only that somebody owns the new token is heard.
+    let mut stage = Stage::new();
+    stage.act("alice command 1 -: look 100 0");
+    stage.pass(300);
+    stage.heard();
+    stage.act("grabbed 6");
+    let ended = stage.heard();
+    assert!(
+        ended.contains(&"status alice/1 error 1/1 halted 5101".to_owned()),
+        "{ended:?}"
+    );
+}
+
+fn guarded_by(token: &str, owner: &str, fence: i64) -> Map {
+    let guard = Map::new()
+        .with("token", token)
+        .with("names", vec![COMMAND.into()])
+        .with("fence", fence)
+        .with("owner", owner);
+    Map::new().with("guard", guard)
 }
