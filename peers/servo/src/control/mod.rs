@@ -117,6 +117,8 @@ pub struct Servo {
     phase: Phase,
     /// When the phase began.
     since: Micros,
+    /// Whether it has gone carefully since then.
+    slowed: bool,
     /// When the last command was sent, and whether that goes as far as one can.
     sent: Option<(Micros, bool)>,
     /// When the hand was told to move last.
@@ -165,6 +167,7 @@ impl Servo {
             plan: None,
             phase: Phase::Look,
             since: now,
+            slowed: false,
             sent: None,
             last_jog: None,
             sent_at: VecDeque::new(),

@@ -38,6 +38,8 @@ const LOOK: Micros = 6_000_000;
 const ALONE: Micros = 2_500_000;
 /// µs of a phase in which the hand comes nowhere.
 const STUCK: Micros = 25_000_000;
+/// A phase in which it goes carefully may take so many times as long.
+const CAREFULLY: Micros = 3;
 /// µs in which the jaws move.
 const JAWS: Micros = 8_000_000;
 /// Measured nearer than this it is surely aligned, mm.
@@ -128,6 +130,7 @@ impl Servo {
     pub(super) fn enter(&mut self, phase: Phase) {
         self.phase = phase;
         self.since = self.now;
+        self.slowed = false;
         self.sent = None;
         self.blind = None;
         self.touched = false;
@@ -137,7 +140,9 @@ impl Servo {
     }
 
     pub(super) fn step(&mut self) -> Step {
-        let limit = STUCK + 8 * (self.track.delay_micros() + self.now - self.newest.unwrap_or(self.now));
+        self.slowed |= self.sight.careful().is_some();
+        let usual = if self.slowed { CAREFULLY * STUCK } else { STUCK };
+        let limit = usual + 8 * (self.track.delay_micros() + self.now - self.newest.unwrap_or(self.now));
         if self.now - self.since > limit {
             return self.stuck();
         }
