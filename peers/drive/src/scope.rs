@@ -55,7 +55,7 @@ async fn orphaned(token: &Token, from: &str) {
 #[must_use]
 pub fn scope_end_words(token: &str, lost: &Lost, loan: Option<&Loan>) -> String {
     match loan.filter(|_| lost.reason == "returned" && lost.by.is_none()) {
-        Some(loan) => used_up(loan),
+        Some(loan) => format!("lost {token}: returned, as {}", used_up(loan)),
         None => lost_words(token, lost),
     }
 }

@@ -217,8 +217,15 @@ impl Assistant {
         let (assistant, token) = (Arc::clone(self), token.clone());
         tokio::spawn(async move {
             let why = ended(&token, loan.as_ref(), time).await;
+            // The end of an earlier token, whose time ran on after it was returned, says nothing of this one.
+            assistant.over.send_if_modified(|over| {
+                let newer = over.as_ref().is_none_or(|(ended, _)| *ended < fence);
+                if newer {
+                    *over = Some((fence, why.clone()));
+                }
+                newer
+            });
             // Whoever drives under it gives it back, and nobody else has it in the hand.
-            assistant.over.send_replace(Some((fence, why.clone())));
             if assistant.held(TokenGuard::fence) == Some(fence)
                 && let Ok(guard) = assistant.take().await
             {
