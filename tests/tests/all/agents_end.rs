@@ -3,7 +3,7 @@
 use std::future::pending;
 use std::time::Duration;
 
-use mom_client::{Channel, Client, Event, Events, Map, Parcel, TokenGuard, Value};
+use mom_client::{Channel, Client, Event, Events, Given, Map, Parcel, TokenGuard, Value};
 use mom_drive::{DeviceChannel, Holding, Robot, WorkEnd};
 use mom_tests::assistant::{Assistant, text};
 use mom_tests::programs::{PATIENCE, Running, project};
@@ -95,8 +95,8 @@ async fn hears(heard: &mut mpsc::UnboundedReceiver<String>, name: &str) {
     waited.unwrap_or_else(|_| panic!("no {name} has come"));
 }
 
-/// Alice lends the token to the assistant, which accepts it.
-async fn lent(alice: &Client, assistant: &Client) -> Holding {
+/// Alice lends the token to the assistant, which accepts it; she leaves it when what she has given is dropped.
+async fn lent(alice: &Client, assistant: &Client) -> (Holding, Given) {
     let guard = alice
         .token(TOKEN)
         .await
@@ -106,8 +106,9 @@ async fn lent(alice: &Client, assistant: &Client) -> Holding {
         .expect("it is free");
     let token = assistant.token(TOKEN).await.expect("it may look");
     let given = guard.give("assistant").time(Duration::from_secs(60)).await;
-    let _given = given.expect("the assistant is here");
-    Holding::accept(token).await.expect("it was offered")
+    let given = given.expect("the assistant is here");
+    let holding = Holding::accept(token).await.expect("it was offered");
+    (holding, given)
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -115,7 +116,7 @@ async fn a_device_that_does_not_end_a_command_is_halted_then_stopped_three_times
     let (_broker, hub) = hub().await;
     let mut heard = deaf(&hub).await;
     let (alice, assistant) = (join(&hub, "alice").await, join(&hub, "assistant").await);
-    let mut holding = lent(&alice, &assistant).await;
+    let (mut holding, _given) = lent(&alice, &assistant).await;
     let channel = DeviceChannel::join(&assistant, ROBOT).await.expect("it may");
     let mut robot = Robot::new(channel, holding.fence());
     let begins = async { hears(&mut heard, "command").await };
@@ -138,7 +139,7 @@ async fn a_device_that_does_not_end_a_command_is_halted_then_stopped_three_times
 async fn who_lent_the_token_leaves_and_the_work_ends() {
     let (_broker, hub) = hub().await;
     let (alice, assistant) = (join(&hub, "alice").await, join(&hub, "assistant").await);
-    let mut holding = lent(&alice, &assistant).await;
+    let (mut holding, _given) = lent(&alice, &assistant).await;
     let work = holding.during(pending(), pending::<Result<(), _>>());
     let leave = async {
         alice.close().await;
