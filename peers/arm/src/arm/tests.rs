@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use super::*;
 use crate::controller::{LinkFault, Reading};
-use crate::motion::{MAX_OPENING, Posture, SPEED};
+use crate::motion::{MAX_OPENING, Posture};
 use crate::script::Grip;
 
 const RED_HIGH: &str = "move -150 100 100 0 0";
