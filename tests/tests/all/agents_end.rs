@@ -143,7 +143,7 @@ async fn who_lent_the_token_leaves_and_the_work_ends() {
     let work = holding.during(pending(), pending::<Result<(), _>>());
     let leave = async {
         alice.close().await;
-        pending::<()>().await
+        pending::<()>().await;
     };
     let ended = timeout(PATIENCE, async {
         tokio::select! {
